@@ -8,11 +8,14 @@
 //! ([decision 46](../../../docs/decisions/0046-recordings-are-mcap.md)).
 
 mod chunk;
+mod damage;
+mod fields;
 mod reader;
 mod writer;
 
 pub use chunk::{Chunk, OpenChunk};
-pub use reader::{Attachment, Contents, Damage, Message, Metadata, ReadError, Reader};
+pub use damage::{Damage, ReadError};
+pub use reader::{Attachment, Contents, Message, Metadata, Reader};
 pub use writer::{Channel, Schema, Writer};
 
 /// First and last bytes of a file.

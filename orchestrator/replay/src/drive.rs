@@ -1,5 +1,8 @@
 //! A recorded drive in memory: its samples by process and by scan, its settings, and who was in charge.
 
+mod keys;
+mod lane;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
@@ -15,42 +18,10 @@ use shared_types::{
     ROLES, Role, Sample, Scan, Topic, Truth, topics_of,
 };
 use supervision::entry::ProcessRow;
-use toml::{Table, Value};
+use toml::Table;
 
+pub(crate) use self::lane::Lane;
 use crate::NotReplayed;
-
-/// Samples of one topic in the order of the recording.
-#[derive(Debug, Default)]
-pub(crate) struct Lane<S> {
-    pub(crate) samples: Vec<S>,
-    by_scan: BTreeMap<u64, Vec<usize>>,
-}
-
-impl<S: Sample> Lane<S> {
-    fn add(&mut self, bytes: &[u8]) {
-        let sample: &S = bytemuck::from_bytes(bytes);
-        self.by_scan.entry(sample.header().scan_id).or_default().push(self.samples.len());
-        self.samples.push(*sample);
-    }
-
-    /// The samples of a scan.
-    pub(crate) fn of_scan(&self, scan_id: u64) -> impl Iterator<Item = &S> {
-        self.by_scan.get(&scan_id).into_iter().flatten().map(|index| &self.samples[*index])
-    }
-
-    /// The scans with samples, in order.
-    pub(crate) fn scans(&self) -> impl Iterator<Item = u64> {
-        self.by_scan.keys().copied()
-    }
-
-    /// The samples of a process, by number.
-    pub(crate) fn of_process(&self, incarnation: u32) -> Vec<&S> {
-        let mut found: Vec<&S> =
-            self.samples.iter().filter(|sample| sample.header().incarnation == incarnation).collect();
-        found.sort_by_key(|sample| sample.header().sequence);
-        found
-    }
-}
 
 /// A recorded drive.
 #[derive(Debug, Default)]
@@ -132,33 +103,8 @@ impl Drive {
     /// # Errors
     /// What is wrong with a text that is no `ROLE.KEY=VALUE`.
     pub fn set(&mut self, texts: &[String]) -> Result<(), String> {
-        for text in texts {
-            let allowed = "KEY=VALUE, where KEY begins with estimator, obstacles, controller, actuator, vehicle or scenario";
-            let (key, value) = text.split_once('=').ok_or_else(|| format!("{text}: expected {allowed}"))?;
-            let value: Value = format!("value = {value}")
-                .parse::<Table>()
-                .ok()
-                .and_then(|mut table| table.remove("value"))
-                .unwrap_or_else(|| Value::String(value.to_owned()));
-            let (table, rest) = key.split_once('.').ok_or_else(|| format!("{text}: expected {allowed}"))?;
-            let targets: Vec<(Role, String)> = match table {
-                "scenario" => vec![(Role::Robot, key.to_owned())],
-                "vehicle" => {
-                    let stages = Role::ALL.iter().filter(|role| **role != Role::Robot);
-                    stages.map(|role| (*role, format!("{role}.vehicle.{rest}"))).collect()
-                }
-                name => match name.parse::<Role>() {
-                    Ok(role) if role != Role::Robot => vec![(role, key.to_owned())],
-                    _ => return Err(format!("{text}: expected {allowed}")),
-                },
-            };
-            for (role, key) in targets {
-                let table = self.settings.get_mut(&role).ok_or("a role has no settings")?;
-                set_key(table, &key, value.clone()).map_err(|reason| format!("{text}: {reason}"))?;
-            }
-            self.is_changed = true;
-        }
-        Ok(())
+        self.is_changed |= !texts.is_empty();
+        texts.iter().try_for_each(|text| keys::set(&mut self.settings, text))
     }
 
     /// Of these roles, those whose samples have the layouts of this program, and why the others can't be replayed.
@@ -313,39 +259,5 @@ impl Drive {
                 }
             }
         }
-    }
-}
-
-fn set_key(table: &mut Table, key: &str, value: Value) -> Result<(), String> {
-    let (name, rest) = key.split_once('.').map_or((key, None), |(name, rest)| (name, Some(rest)));
-    match (table.get_mut(name), rest) {
-        (Some(Value::Table(inner)), Some(rest)) => set_key(inner, rest, value),
-        (Some(known), None) => {
-            // `1` for a number with a fraction.
-            *known = match (&*known, value) {
-                (Value::Float(_), Value::Integer(number)) => Value::Float(number as f64),
-                (_, value) => value,
-            };
-            Ok(())
-        }
-        _ => {
-            let keys: Vec<&str> = table.keys().map(String::as_str).collect();
-            Err(format!("unknown key {name}; known are {}", keys.join(", ")))
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn keys_are_set_where_they_are() {
-        let mut table: Table =
-            "[controller]\nhorizon_s = 2.0\n[controller.stop]\ntime_s = 1.0".parse().unwrap();
-        set_key(&mut table, "controller.stop.time_s", Value::Integer(3)).unwrap();
-        assert_eq!(table["controller"]["stop"]["time_s"], Value::Float(3.0));
-        let refused = set_key(&mut table, "controller.horizon", Value::Integer(3)).unwrap_err();
-        assert_eq!(refused, "unknown key horizon; known are horizon_s, stop");
     }
 }

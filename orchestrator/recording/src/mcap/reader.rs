@@ -6,49 +6,11 @@ use std::ops::Range;
 
 use lz4_flex::frame::FrameDecoder;
 
-use super::{Channel, MAGIC, Schema, opcode};
+use super::fields::Fields;
+use super::{Channel, Damage, MAGIC, ReadError, Schema, opcode};
 
 /// A longer record is taken for damage [bytes]: chunks of this program have some hundred kilobytes.
 const MAX_RECORD: u64 = 1 << 30;
-
-/// Why a file can't be read.
-#[derive(Debug, thiserror::Error)]
-pub enum ReadError {
-    /// It is no MCAP file.
-    #[error("no MCAP file: it does not begin with the bytes of the format")]
-    Foreign,
-    /// Its content is not what was written.
-    #[error("damaged at byte {at}: {what}")]
-    Damaged {
-        /// Where the record with the damage begins.
-        at: u64,
-        /// What is wrong.
-        what: Damage,
-    },
-    /// The file system failed.
-    #[error(transparent)]
-    Io(#[from] io::Error),
-}
-
-/// What is wrong with a record.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum Damage {
-    /// A field lies outside of its record.
-    #[error("a record is shorter than its fields")]
-    Short,
-    /// The checksum of a chunk or attachment differs.
-    #[error("the checksum differs")]
-    Checksum,
-    /// A chunk can't be decompressed.
-    #[error("the chunk can't be decompressed")]
-    Compression,
-    /// A message of a channel that was not announced.
-    #[error("a message belongs to no channel")]
-    Channel,
-    /// A record is longer than any file of this kind has.
-    #[error("a record is too long")]
-    Long,
-}
 
 /// A message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -342,51 +304,5 @@ fn fill(input: &mut impl Read, bytes: &mut [u8]) -> io::Result<bool> {
     match input.read_exact(bytes) {
         Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Ok(false),
         result => result.map(|()| true),
-    }
-}
-
-/// The rest of a record.
-struct Fields<'a>(&'a [u8]);
-
-impl<'a> Fields<'a> {
-    fn take(&mut self, length: usize) -> Result<&'a [u8], Damage> {
-        let (taken, rest) = self.0.split_at_checked(length).ok_or(Damage::Short)?;
-        self.0 = rest;
-        Ok(taken)
-    }
-
-    fn array<const N: usize>(&mut self) -> Result<[u8; N], Damage> {
-        self.take(N)?.try_into().map_err(|_| Damage::Short)
-    }
-
-    fn u8(&mut self) -> Result<u8, Damage> {
-        self.array().map(u8::from_le_bytes)
-    }
-
-    fn u16(&mut self) -> Result<u16, Damage> {
-        self.array().map(u16::from_le_bytes)
-    }
-
-    fn u32(&mut self) -> Result<u32, Damage> {
-        self.array().map(u32::from_le_bytes)
-    }
-
-    fn u64(&mut self) -> Result<u64, Damage> {
-        self.array().map(u64::from_le_bytes)
-    }
-
-    fn text(&mut self) -> Result<String, Damage> {
-        let length = self.u32()?;
-        Ok(String::from_utf8_lossy(self.take(length as usize)?).into_owned())
-    }
-
-    fn map(&mut self) -> Result<Vec<(String, String)>, Damage> {
-        let length = self.u32()?;
-        let mut fields = Fields(self.take(length as usize)?);
-        let mut map = Vec::new();
-        while !fields.0.is_empty() {
-            map.push((fields.text()?, fields.text()?));
-        }
-        Ok(map)
     }
 }

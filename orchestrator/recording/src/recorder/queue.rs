@@ -216,6 +216,16 @@ fn write(
     written
 }
 
+/// What belongs to an incident that was written already.
+struct Following {
+    /// The scan at which it happened.
+    scan_id: u64,
+    /// Until when something else belongs to it [ns].
+    until_ns: u64,
+    /// The latest such time: what came before the incident is still in memory then [ns].
+    limit_ns: u64,
+}
+
 /// Keeps the last seconds in memory until the queue is closed, and writes them when something happens.
 fn keep(mut tape: Tape<Ring>, receiver: &Receiver<Batch>, reports: &Sender<Saved>) -> Written {
     let mut written = Written::default();
@@ -224,23 +234,30 @@ fn keep(mut tape: Tape<Ring>, receiver: &Receiver<Batch>, reports: &Sender<Saved
             let _ = reports.send(saved);
         }
     };
-    // The scan of an incident, and until when what follows belongs to it.
-    let mut following = None;
+    let mut following: Option<Following> = None;
     for batch in receiver {
         tape.target().set_lost(batch.lost);
         written.samples += batch.samples.len() as u64;
         written.error = put(&mut tape, &batch).err();
         let now_ns = tape.now_ns();
-        if let Some((scan_id, _)) = following.take_if(|(_, until_ns)| now_ns >= *until_ns) {
-            save(&mut tape, scan_id);
+        if let Some(over) = following.take_if(|following| now_ns >= following.until_ns) {
+            save(&mut tape, over.scan_id);
         }
-        if let Some(scan_id) = batch.incident.filter(|_| following.is_none()) {
-            save(&mut tape, scan_id);
-            following = Some((scan_id, now_ns + FOLLOWING_NS));
+        match (&mut following, batch.incident) {
+            (Some(following), Some(_)) => {
+                following.until_ns = (now_ns + FOLLOWING_NS).min(following.limit_ns);
+            }
+            (None, Some(scan_id)) => {
+                save(&mut tape, scan_id);
+                let limit_ns = now_ns + tape.target().span_ns() / 2;
+                let until_ns = (now_ns + FOLLOWING_NS).min(limit_ns);
+                following = Some(Following { scan_id, until_ns, limit_ns });
+            }
+            (_, None) => {}
         }
     }
-    if let Some((scan_id, _)) = following {
-        save(&mut tape, scan_id);
+    if let Some(following) = following {
+        save(&mut tape, following.scan_id);
     }
     written
 }

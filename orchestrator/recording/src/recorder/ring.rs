@@ -34,6 +34,11 @@ impl Ring {
         Self { opening, folder, span_ns, open, chunks, bytes: 0, lost: 0 }
     }
 
+    /// Time that it holds [ns].
+    pub(super) fn span_ns(&self) -> u64 {
+        self.span_ns
+    }
+
     /// Notes how many samples of the drive were lost until now.
     pub(super) fn set_lost(&mut self, lost: u64) {
         self.lost = lost;
@@ -117,7 +122,7 @@ fn remove_oldest(folder: &Path) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use shared_types::{Header, Pose, Role, Topic};
+    use shared_types::{Checkpoint, Command, Header, Obstacles, Pose, Role, Scan, Topic};
 
     use super::*;
     use crate::tape::Tape;
@@ -149,5 +154,44 @@ mod tests {
         std::fs::remove_dir_all(&folder).unwrap();
         assert_eq!((files, info.complete, info.lost), (5, true, Some(0)));
         assert!((10.0..12.0).contains(&info.duration_s), "{info}");
+    }
+
+    /// Resident memory of this process [KiB].
+    fn memory_kib() -> u64 {
+        let status = std::fs::read_to_string("/proc/self/status").unwrap();
+        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
+        line.trim().trim_end_matches(" kB").parse().unwrap()
+    }
+
+    #[test]
+    #[ignore = "takes minutes: cargo test --release -p recording -- --ignored --nocapture"]
+    fn the_memory_is_flat_over_a_day_of_scans() {
+        let mut tape = Tape::new(Ring::new(Opening::default(), Path::new("/"), 60.0), false);
+        let (mut random, mut memory) = (1_u64, Vec::new());
+        for scan_id in 1..=864_000 {
+            let pose = pose(scan_id);
+            let mut scan = Scan { header: pose.header, ..Scan::default() };
+            scan.header.chain[Role::Robot.index()].published_ns = scan_id * 100_000_000;
+            for range in &mut scan.ranges_mm {
+                random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+                *range = 2000 + (random >> 58) as u16;
+            }
+            let header = scan.header;
+            let mut checkpoint = Checkpoint { header, role: Role::Obstacles.wire(), ..Checkpoint::default() };
+            checkpoint.issued_ns = scan_id * 100_000_000;
+            tape.sample(Topic::Scan, bytemuck::bytes_of(&scan)).unwrap();
+            tape.sample(Topic::Pose, bytemuck::bytes_of(&pose)).unwrap();
+            tape.sample(Topic::Obstacles, bytemuck::bytes_of(&Obstacles { header, ..Obstacles::default() }))
+                .unwrap();
+            tape.sample(Topic::Command, bytemuck::bytes_of(&Command { header, ..Command::default() }))
+                .unwrap();
+            tape.sample(Topic::Checkpoint, bytemuck::bytes_of(&checkpoint)).unwrap();
+            if scan_id % 86_400 == 0 {
+                memory.push((memory_kib(), tape.target().bytes >> 10));
+            }
+        }
+        println!("resident memory and ring, each tenth of a day [KiB]: {memory:?}");
+        let [first, last] = [memory[0].0, memory[memory.len() - 1].0];
+        assert!(last < first + first / 20, "{memory:?}");
     }
 }
