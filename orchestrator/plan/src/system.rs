@@ -12,6 +12,7 @@ use supervision::realtime;
 use toml::Table;
 use vehicle::{Description, Invalid, parse, read, require, settings};
 
+use crate::hosts::{self, HostEntry};
 use crate::rate::require_safe_speed;
 use crate::topics::{self, TopicEntry};
 
@@ -34,6 +35,9 @@ settings! {
         pub player: player::Config = player::Config::default();
         /// Processors, scheduling, idle states and memory; the defaults need no privilege.
         pub realtime: runtime::Realtime = runtime::Realtime::default();
+        /// Other machines of the system; a process runs on one with the key `host`.
+        #[serde(rename = "host")]
+        pub hosts: Vec<HostEntry> = Vec::new();
         /// One table for each role.
         #[serde(rename = "process")]
         pub processes: Vec<ProcessEntry> = Vec::new();
@@ -161,6 +165,7 @@ impl System {
                 ));
             }
         }
+        hosts::validate(self)?;
         topics::validate(self)?;
         require_safe_speed(&self.controller, self.rate_hz)?;
         self.tuning().validate()

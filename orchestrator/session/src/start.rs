@@ -1,6 +1,7 @@
 //! Starts a run: its files, its bus, and the session that drives it.
 
-use plan::Plan;
+use console::exit::Failure;
+use plan::{Plan, hosts};
 use runtime::{Bus, Domain, Shutdown, StopWord, latch_on_crash};
 use shared_types::Directive;
 use supervision::fleet::Fleet;
@@ -23,6 +24,10 @@ pub fn start(
     lock: SystemLock,
     shutdown: Shutdown,
 ) -> anyhow::Result<Session> {
+    if let Some(host) = hosts::hosts(&plan.system).flatten().next() {
+        let message = format!("process.host = {host} is not allowed: `run` does not start processes on other hosts yet");
+        return Err(Failure::bad_input(message));
+    }
     let stop_word = StopWord::create(domain.run_id(), plan.system.period_ns())?;
     latch_on_crash(&stop_word);
     plan.write_settings(domain, options.lockstep)?;

@@ -40,6 +40,7 @@ mod handover;
 mod identity;
 mod input;
 mod layouts;
+mod link;
 mod logging;
 mod node;
 mod observer;
@@ -85,8 +86,11 @@ pub use identity::{
 };
 pub use input::{Input, QUEUE_DEPTH, Taken, join};
 pub use layouts::{LAYOUTS_FILE, verify_layouts};
+pub use link::{
+    HUB, LINK_SOCKET, LinkCounts, LinkPeer, LinkStatus, LinkTable, LinkedHost, link_version, reply_socket,
+};
 pub use logging::{Priority, check_log_filter, print, start_logging, writes_to_journal};
-pub use observer::{Checked, Observer, Publisher, TopicObserver};
+pub use observer::{Checked, Observer, Publisher, TopicObserver, TopicPublisher};
 pub use orphan::{LEAVING, LOCK_FILE};
 pub use output::Output;
 pub use own::{
