@@ -13,9 +13,10 @@ use crate::System;
 /// Longest id of a system, which on a host is `ID-HOST`.
 const MAX_ID: usize = 16;
 /// What the name of a host may be: one letter at least is left for the system id.
-const NAME_RULE: &str = "a small letter, then small letters and digits; at most 10";
+pub const NAME_RULE: &str = "a small letter, then small letters and digits; at most 10";
 const MAX_NAME: usize = 10;
-const ADDRESS_RULE: &str = "an IP address and a port, as 10.9.0.2:7411 or [fd00::2]:7411";
+/// What an address may be.
+pub const ADDRESS_RULE: &str = "an IP address and a port, as 10.9.0.2:7411 or [fd00::2]:7411";
 
 /// What samples travel with between two hosts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -134,6 +135,17 @@ pub fn describe(system: &System) -> String {
     text
 }
 
+/// An address as Zenoh writes it; datagrams are not sent again when they are lost.
+pub fn endpoint(transport: Transport, address: &str) -> String {
+    let options = if transport == Transport::Tcp { "" } else { "?rel=0" };
+    format!("{}/{address}{options}", transport.name())
+}
+
+/// Whether the process of a role may run on another host than its orchestrator.
+pub fn may_be_elsewhere(role: Role) -> bool {
+    !matches!(role, Role::Robot | Role::Actuator)
+}
+
 /// Checks hosts, and the key `host` of each process.
 ///
 /// # Errors
@@ -228,7 +240,8 @@ pub fn require_short_ids(system: &System, system_id: &str) -> Result<(), String>
     }
 }
 
-fn is_name(text: &str) -> bool {
+/// Whether a text may be the name of a host.
+pub fn is_name(text: &str) -> bool {
     let rest = text.strip_prefix(|first: char| first.is_ascii_lowercase());
     let allowed = |letter: char| letter.is_ascii_lowercase() || letter.is_ascii_digit();
     rest.is_some_and(|rest| rest.len() < MAX_NAME && rest.chars().all(allowed))

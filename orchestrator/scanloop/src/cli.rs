@@ -143,6 +143,28 @@ pub enum Command {
         /// Name of the implementation: emulator, player, ekf, ellipses, nmpc or actuation.
         name: String,
     },
+    /// Run processes of this host for the orchestrator of another one.
+    ///
+    /// The file names this host, the address at which the agent listens, and the implementations that may be started here;
+    /// only its owner may read it. Processes run in system `ID-HOST`. They are supervised by the orchestrator that wanted
+    /// them, and end when it no longer does, or when the agent ends. Exit code 2 for a bad file, 4 for an address that can't
+    /// be used (docs/hosts.md).
+    Agent {
+        /// The agent file.
+        #[arg(value_name = "FILE", default_value = "agent.toml")]
+        file: PathBuf,
+        /// Folder for the logs of the processes.
+        #[arg(long, value_name = "DIR", default_value = "out/agent", value_parser = console::output::folder())]
+        out: PathBuf,
+    },
+    /// Stand for a process on another host; `scanloop run` starts these.
+    #[command(hide = true)]
+    Remote {
+        /// Name of the host.
+        host: String,
+        /// Name of the implementation there.
+        implementation: String,
+    },
     /// Drive random courses through the in-process pipeline on all cores and judge how they end.
     ///
     /// Without `--family` it drives the mixed campaign: six of ten courses have obstacles at rest, the others are symmetric,

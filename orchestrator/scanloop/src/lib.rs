@@ -118,6 +118,14 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Conformance(arguments) => conformance::conformance(arguments),
         Command::Shadow(arguments) => shadow::shadow(&cli.system_id, arguments),
         Command::Service { name } => service::run(name),
+        Command::Agent { file, out } => {
+            runtime::start_logging();
+            agent::agent::run(file, out)
+        }
+        Command::Remote { host, implementation } => {
+            runtime::start_logging();
+            agent::proxy::run(host, implementation)
+        }
         Command::Topic(TopicCommand::List) => print(&topic::list(&cli.system_id)?),
         Command::Topic(TopicCommand::Hz { topic, duration }) => {
             topic::hz(&cli.system_id, topic, *duration).map(|()| Exit::Done)

@@ -20,6 +20,7 @@ mod swaps;
 
 use std::path::Path;
 
+use agent::link::HubLink;
 use audit::digest::Digests;
 use audit::ledger::{PROCESS_RESTARTED, SampleAudit};
 use audit::samples::{MAX_DEVIATING, Samples, ScanRecord};
@@ -81,6 +82,8 @@ pub struct Session {
     manager: ServiceManager,
     /// Records the run, if that was asked for.
     companion: Option<Companion>,
+    /// The bridge to the other hosts, if there are any.
+    link: Option<HubLink>,
     /// The first events for the supervisor: to start all processes, or those that were adopted.
     startup: Vec<Event>,
     // Dropped last, in this order: the ports above, the bus, then the processes and all files of the system.
@@ -108,8 +111,18 @@ impl Session {
         options: &RunOptions,
         startup: Startup,
     ) -> anyhow::Result<Self> {
-        let Startup { bus, stop_word, fleet, companions, shutdown, events, directive, first_scan, judged_by } =
-            startup;
+        let Startup {
+            bus,
+            stop_word,
+            fleet,
+            companions,
+            shutdown,
+            events,
+            directive,
+            first_scan,
+            judged_by,
+            link,
+        } = startup;
         shutdown.latch_also(&stop_word)?;
         let (lockstep, period_ns) = (options.lockstep, plan.system.period_ns());
         let entries = Role::ALL.iter().filter_map(|role| fleet.entry(*role));
@@ -140,6 +153,7 @@ impl Session {
             events: Events::default(),
             manager: ServiceManager::new(),
             companion: None,
+            link,
             run: Run { domain: domain.clone(), stop_word, scenario, lockstep, period_ns },
             startup: events,
             shutdown,
@@ -195,6 +209,7 @@ impl Session {
             self.keep_room();
             self.publish_directive()?;
             self.check_companion();
+            self.keep_link();
             self.show();
         }
         self.take_heartbeats()?;
@@ -262,12 +277,26 @@ impl Session {
         self.fleet.forget_suspects(|role| suspects.iter().any(|(suspect, ..)| *suspect == role));
         for (role, incarnation, is_over) in suspects {
             // In lock-step it may wait for a companion, which is judged by itself.
-            let waits = self.companions.delays(self.samples.newest_scan());
+            let waits = self.companions.delays(self.samples.newest_scan()) || self.is_cut(role);
             if (self.fleet.is_starved(role, incarnation) || waits) && is_over {
                 self.handle(Event::Starved { role, incarnation })?;
             }
         }
         Ok(())
+    }
+
+    /// Whether the process of a role runs on a host from which nothing comes now: it may work, and can't show it.
+    fn is_cut(&self, role: Role) -> bool {
+        let host = self.fleet.entry(role).and_then(|entry| entry.host.as_deref());
+        host.is_some_and(|host| self.link.as_ref().is_some_and(|link| link.is_cut(host)))
+    }
+
+    /// Keeps the link to other hosts running, and tells when one comes or goes.
+    fn keep_link(&mut self) {
+        let Some(link) = &mut self.link else { return };
+        if let Some(reason) = link.keep() {
+            self.warn(&format!("scanloop-link ended: {reason}"));
+        }
     }
 
     fn reap(&mut self) -> anyhow::Result<()> {

@@ -1,5 +1,6 @@
 //! Starts a run: its files, its bus, and the session that drives it.
 
+use agent::link::HubLink;
 use console::exit::Failure;
 use plan::{Plan, hosts};
 use runtime::{Bus, Domain, Shutdown, StopWord, latch_on_crash};
@@ -24,10 +25,7 @@ pub fn start(
     lock: SystemLock,
     shutdown: Shutdown,
 ) -> anyhow::Result<Session> {
-    if let Some(host) = hosts::hosts(&plan.system).flatten().next() {
-        let message = format!("process.host = {host} is not allowed: `run` does not start processes on other hosts yet");
-        return Err(Failure::bad_input(message));
-    }
+    require_supported_hosts(domain, plan, options.lockstep)?;
     let stop_word = StopWord::create(domain.run_id(), plan.system.period_ns())?;
     latch_on_crash(&stop_word);
     plan.write_settings(domain, options.lockstep)?;
@@ -45,6 +43,7 @@ pub fn start(
         logs,
         false,
     )?;
+    let link = HubLink::start(domain, &plan.system, &options.out.join("logs"))?;
     let companions = OwnProcesses::new(&bus, domain, &stop_word, plan, options.lockstep, 1, &options.out)?;
     let mut directive = Directive::default();
     directive.header.incarnation = 1;
@@ -59,6 +58,18 @@ pub fn start(
         directive,
         first_scan: 1,
         judged_by: None,
+        link,
     };
     Session::new(domain, plan, options, startup)
+}
+
+/// Refuses what does not work across hosts, before anything is made.
+fn require_supported_hosts(domain: &Domain, plan: &Plan, lockstep: bool) -> anyhow::Result<()> {
+    hosts::require_short_ids(&plan.system, domain.system_id()).map_err(Failure::bad_input)?;
+    match hosts::hosts(&plan.system).flatten().next() {
+        Some(host) if lockstep => Err(Failure::bad_input(format!(
+            "process.host = {host} is not allowed: with --lockstep all processes run on one host"
+        ))),
+        _ => Ok(()),
+    }
 }

@@ -159,8 +159,11 @@ impl ProcessEntry {
         }
     }
 
-    /// Name of the built-in implementation, or the command.
+    /// Name of the built-in implementation with its host, or the command.
     pub fn label(&self) -> String {
+        if let (Some(host), Some(name)) = (&self.host, &self.implementation) {
+            return format!("{name}@{host}");
+        }
         match (&self.implementation, &self.command) {
             (Some(name), _) => name.clone(),
             (None, Some(command)) => command.join(" "),

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::os::unix::net::UnixDatagram;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -41,9 +41,16 @@ pub(crate) struct Link {
     pub(crate) clock: CommonClock,
     pub(crate) counters: Counters,
     running: AtomicBool,
+    /// When the clock of the orchestrator was answered last [ns].
+    answered_ns: AtomicU64,
 }
 
 impl Link {
+    /// Time since the last answer of the orchestrator's clock [ms].
+    pub(crate) fn silent_ms(&self) -> u64 {
+        monotonic_ns().saturating_sub(self.answered_ns.load(Ordering::Relaxed)) / 1_000_000
+    }
+
     pub(crate) fn is_running(&self) -> bool {
         self.running.load(Ordering::Relaxed)
     }
@@ -73,6 +80,7 @@ impl Bridge {
             clock,
             counters: Counters::default(),
             running: AtomicBool::new(true),
+            answered_ns: AtomicU64::new(0),
         });
         let mut bridge = Self { link: Arc::clone(&link), threads: Vec::new(), _subscribers: Vec::new() };
         let LinkTable { here, run_id, .. } = table;
@@ -145,6 +153,7 @@ impl Bridge {
             if let (Some(sent_ns), Some(received_ns), Some(answered_ns)) = (stamp(0), stamp(1), stamp(2))
                 && let Some(mut clock) = shared.clock.following()
             {
+                shared.answered_ns.store(returned_ns, Ordering::Relaxed);
                 clock.exchange(Exchange { sent_ns, received_ns, answered_ns, returned_ns });
             }
         })?);

@@ -91,15 +91,16 @@ impl HostClock {
             return;
         }
         self.misfits = 0;
+        // Before the exchange counts: until now the offset went to where the others point.
+        self.move_to(measured.at_ns);
         match self.recent.len() {
             EXCHANGES => self.recent[self.next] = measured,
             _ => self.recent.push(measured),
         }
         self.next = (self.next + 1) % EXCHANGES;
-        self.move_to(measured.at_ns);
         self.measure_rate();
         if !self.is_locked && self.recent.len() >= LOCKED_AFTER {
-            self.offset_ns = self.target(measured.at_ns).unwrap_or(0.0);
+            (self.offset_ns, self.moved_ns) = (self.target(measured.at_ns).unwrap_or(0.0), measured.at_ns);
             self.is_locked = true;
         }
     }
@@ -138,7 +139,8 @@ impl HostClock {
 
     /// The offset in use now.
     fn offset_at(&self, now_ns: u64) -> f64 {
-        let elapsed_ns = elapsed_ns(self.moved_ns, now_ns);
+        // A question about a moment before the last move: nothing was slewed since.
+        let elapsed_ns = elapsed_ns(self.moved_ns, now_ns).max(0.0);
         let carried_ns = self.offset_ns + self.rate.unwrap_or(0.0) * elapsed_ns;
         let to_go_ns = self.target(now_ns).unwrap_or(carried_ns) - carried_ns;
         carried_ns + to_go_ns.clamp(-SLEW * elapsed_ns, SLEW * elapsed_ns)
@@ -294,9 +296,10 @@ mod tests {
         for step in 0..6_000u64 {
             let now_ns = 61_000_000_000 + step * 10_000_000;
             if step % 10 == 0 {
-                clock.exchange(hosts.exchange(now_ns, 100e3, 3e6));
+                // It has returned by now.
+                clock.exchange(hosts.exchange(now_ns - 70_000_000, 100e3, 3e6));
             }
-            let mapped_ns = now_ns as f64 + clock.offset(now_ns + 8_000_000).unwrap().offset_ns as f64;
+            let mapped_ns = now_ns as f64 + clock.offset(now_ns).unwrap().offset_ns as f64;
             let step_ns = mapped_ns - before;
             assert!(before == 0.0 || (step_ns - 10e6).abs() < 10e6 * 2.0 * (SLEW + MAX_RATE), "{step_ns}");
             before = mapped_ns;

@@ -1,7 +1,8 @@
 //! The link of an agent: messages between its standard streams and the network, and a bridge once there is a system.
 //!
 //! The agent writes `join SYSTEM_ID` when it has made the bus and the table of the link, and `up TEXT`; it reads
-//! `down TEXT`, and `clock OFFSET_NS BOUND_NS` or `clock unknown` ten times a second. At the end of its input the link
+//! `down TEXT`, and `clock OFFSET_NS BOUND_NS SILENT_MS` or `clock unknown` ten times a
+//! second. At the end of its input the link
 //! ends: an agent that was killed takes its link with it.
 
 use std::io::{BufRead, Write};
@@ -41,7 +42,7 @@ pub(crate) fn run_agent(name: &str, endpoint: &str, credentials: Option<&str>) -
                     while link.is_running() {
                         let status = own_status(&link);
                         match status.is_locked {
-                            true => say(&format!("clock {} {}", status.offset_ns, status.bound_ns)),
+                            true => say(&format!("clock {} {} {}", status.offset_ns, status.bound_ns, link.silent_ms())),
                             false => say("clock unknown"),
                         }
                         std::thread::sleep(Duration::from_millis(100));

@@ -79,7 +79,7 @@ pub use environment::{
 };
 pub use error::RuntimeError;
 pub use folder::Folder;
-pub use handover::{Handover, HandoverData, write as write_handover};
+pub use handover::{Handover, HandoverData, read as read_handover, write as write_handover};
 pub use identity::{
     Identified, Identity, NotOurs, PROCESSES_FILE, Seen, identify, processes, processes_of, start_ticks,
     started_processes, uid_of,

@@ -1,0 +1,145 @@
+//! The program `scanloop-link`: where it is, and the one that the orchestrator runs.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use console::exit::Failure;
+use plan::System;
+use plan::hosts::{crossings, endpoint};
+use runtime::{
+    Domain, HUB, INCARNATION_VARIABLE, LinkPeer, LinkStatus, LinkTable, LinkedHost, RUN_ID_VARIABLE,
+    monotonic_ns,
+};
+use supervision::child::{Child, Launch, this_program};
+use supervision::child_log::ChildLog;
+
+/// Name of the program.
+const PROGRAM: &str = "scanloop-link";
+/// Time between two looks at its status [ns].
+const READ_NS: u64 = 50_000_000;
+/// A status older than this says that the link does not run [ns].
+const SILENT_NS: u64 = 1_000_000_000;
+
+/// The link of the orchestrator's host.
+pub struct HubLink {
+    domain: Domain,
+    log: ChildLog,
+    child: Option<Child>,
+    status: LinkStatus,
+    read_ns: u64,
+}
+
+impl HubLink {
+    /// Starts the link of a system whose bus exists; `None` when all processes run on one host.
+    ///
+    /// # Errors
+    /// A system without the program `scanloop-link` (exit code 4), and errors of the file system.
+    pub fn start(domain: &Domain, system: &System, logs: &Path) -> anyhow::Result<Option<Self>> {
+        let Some(table) = table_of(domain, system) else { return Ok(None) };
+        table.write(domain)?;
+        let path = logs.join("link.log");
+        let log = ChildLog::open(&path).with_context(|| path.display().to_string())?;
+        let (domain, status) = (domain.clone(), LinkStatus::default());
+        let mut link = Self { domain, log, child: None, status, read_ns: 0 };
+        link.launch()?;
+        Ok(Some(link))
+    }
+
+    /// Starts the link again if it has ended, and reads its status; returns how it had ended.
+    pub fn keep(&mut self) -> Option<String> {
+        let now_ns = monotonic_ns();
+        if now_ns.saturating_sub(self.read_ns) < READ_NS {
+            return None;
+        }
+        self.read_ns = now_ns;
+        if let Ok(Some(status)) = LinkStatus::read(&self.domain) {
+            self.status = status;
+        }
+        let exit = self.child.as_mut().and_then(|child| child.try_wait().ok().flatten());
+        if self.child.is_some() && exit.is_none() {
+            return None;
+        }
+        let lines = self.log.last_lines(2).unwrap_or_default().join(" | ");
+        self.child = None;
+        match (self.launch(), exit) {
+            (Err(error), _) => Some(format!("it is not started again: {error:#}")),
+            (Ok(()), Some(exit)) => Some(format!("{exit}; it was started again: {lines}")),
+            (Ok(()), None) => None,
+        }
+    }
+
+    /// Whether nothing comes from a host now, so that a process there can't show that it works.
+    pub fn is_cut(&self, host: &str) -> bool {
+        let is_silent = monotonic_ns().saturating_sub(self.status.written_ns) > SILENT_NS;
+        is_silent || self.status.host(host).is_none_or(|host| !host.is_connected || !host.is_locked)
+    }
+
+    /// The other hosts.
+    pub fn hosts(&self) -> &[LinkedHost] {
+        &self.status.hosts
+    }
+
+    fn launch(&mut self) -> anyhow::Result<()> {
+        let command = vec![program()?.into(), "hub".into(), self.domain.system_id().into()];
+        // By these a stop finds it, as all processes of the run.
+        let environment: Vec<(OsString, OsString)> = vec![
+            (RUN_ID_VARIABLE.into(), self.domain.run_id().into()),
+            (INCARNATION_VARIABLE.into(), "0".into()),
+        ];
+        let child = Child::spawn(&Launch { command, environment }, &self.log);
+        self.child = Some(child.map_err(|error| Failure::process(format!("{PROGRAM}: {error}")))?);
+        Ok(())
+    }
+}
+
+/// The table of the orchestrator's link; `None` when all processes run on one host.
+fn table_of(domain: &Domain, system: &System) -> Option<LinkTable> {
+    let all = crossings(system);
+    if all.is_empty() {
+        return None;
+    }
+    let names = |from: Option<Option<&str>>, to: Option<Option<&str>>| {
+        let is =
+            |wanted: Option<Option<&str>>, found: Option<&str>| wanted.is_none_or(|wanted| wanted == found);
+        let found = all.iter().filter(|one| is(from, one.from) && is(to, one.to));
+        let mut names: Vec<String> = found.map(|one| one.topic.name().to_owned()).collect();
+        names.sort();
+        names.dedup();
+        names
+    };
+    let peers = plan::hosts::hosts(system).flatten().filter_map(|name| {
+        let host = system.hosts.iter().find(|host| host.name == name)?;
+        Some(LinkPeer {
+            name: name.to_owned(),
+            endpoint: endpoint(host.transport, &host.address),
+            receives: names(None, Some(Some(name))),
+            sends: names(Some(Some(name)), None),
+        })
+    });
+    Some(LinkTable {
+        here: HUB.to_owned(),
+        run_id: domain.run_id().to_owned(),
+        period_ns: system.period_ns(),
+        sends: names(Some(None), None),
+        receives: names(None, Some(None)),
+        peers: peers.collect(),
+        credentials: None,
+    })
+}
+
+/// The program, beside this one or in `PATH`.
+///
+/// # Errors
+/// Where it was looked for, and the command that builds it; exit code 4.
+pub(crate) fn program() -> anyhow::Result<PathBuf> {
+    let beside = this_program().parent().map(|folder| folder.join(PROGRAM));
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let in_path = std::env::split_paths(&path).map(|folder| folder.join(PROGRAM));
+    beside.into_iter().chain(in_path).find(|file| file.is_file()).ok_or_else(|| {
+        Failure::process(format!(
+            "{PROGRAM} is neither beside this program nor in PATH; build it with \
+             `cargo build --release --manifest-path services/link/Cargo.toml` and copy it there"
+        ))
+    })
+}
