@@ -1,4 +1,4 @@
-//! The bridge of one host: a thread for each topic that leaves, one for all that arrive, and the exchange of clocks.
+//! The bridge of one host: a thread for each topic that leaves, one for all that arrive, and the probe of clocks.
 
 use std::collections::BTreeMap;
 use std::os::unix::net::UnixDatagram;
@@ -17,7 +17,7 @@ use zenoh::pubsub::Subscriber;
 use zenoh::qos::Priority;
 use zenoh::{Session, Wait};
 
-use crate::clock::Exchange;
+use crate::clock::Probe;
 use crate::common_clock::CommonClock;
 use crate::counters::Counters;
 use crate::network::{self, Place, agent_key, clock_key, publisher, status_key, subscribe, topic_key};
@@ -25,9 +25,9 @@ use crate::{receiver, sender};
 
 /// Frames that wait to be published here; a burst beyond that is old anyway.
 const INCOMING: usize = 256;
-/// Time between two exchanges of clocks, and until the clock is locked.
-const EXCHANGE: Duration = Duration::from_millis(100);
-const EXCHANGE_AT_START: Duration = Duration::from_millis(20);
+/// Time between two probes of clocks, and until the clock is locked.
+const PROBE: Duration = Duration::from_millis(100);
+const PROBE_AT_START: Duration = Duration::from_millis(20);
 /// Time between two reports.
 const REPORT: Duration = Duration::from_millis(100);
 /// A host that has reported nothing for this long is not connected [ns].
@@ -154,7 +154,7 @@ impl Bridge {
                 && let Some(mut clock) = shared.clock.following()
             {
                 shared.answered_ns.store(returned_ns, Ordering::Relaxed);
-                clock.exchange(Exchange { sent_ns, received_ns, answered_ns, returned_ns });
+                clock.probe(Probe { sent_ns, received_ns, answered_ns, returned_ns });
             }
         })?);
         let question = publisher(session, clock_key(&run_id, "ask", &here), Priority::RealTime)?;
@@ -165,7 +165,7 @@ impl Bridge {
             while shared.is_running() {
                 let _ = question.put(monotonic_ns().to_le_bytes().as_slice()).wait();
                 let status = own_status(&shared);
-                std::thread::sleep(if status.is_locked { EXCHANGE } else { EXCHANGE_AT_START });
+                std::thread::sleep(if status.is_locked { PROBE } else { PROBE_AT_START });
                 if monotonic_ns().saturating_sub(reported_ns) >= REPORT.as_nanos() as u64 {
                     reported_ns = monotonic_ns();
                     let _ = report.put(status.to_text()).wait();

@@ -1,8 +1,8 @@
-//! The clock of another host: its offset to ours, from exchanges of four stamps.
+//! The clock of another host: its offset to ours, from probes of four stamps.
 //!
-//! An exchange leaves here at `sent_ns`, reaches the other host at `received_ns` of its clock, leaves it at
+//! A probe leaves here at `sent_ns`, reaches the other host at `received_ns` of its clock, leaves it at
 //! `answered_ns` and is back at `returned_ns` of ours. If both ways took equally long, the offset is the mean of the two
-//! differences; it is wrong by half of the round trip at most. Of the last [`EXCHANGES`] the one with the shortest round
+//! differences; it is wrong by half of the round trip at most. Of the last [`PROBES`] the one with the shortest round
 //! trip counts. Its bound grows by [`DRIFT`] with its age, because two clocks drift apart.
 //!
 //! The offset in use never steps: it is slewed by [`SLEW`] at most, and the distance that is still to go counts in the
@@ -11,9 +11,9 @@
 //!
 //! Where this fails: a way that always takes longer than the other one is not seen, and lies within the bound.
 
-/// Exchanges of which the shortest counts.
-pub(crate) const EXCHANGES: usize = 32;
-/// Exchanges after which the clock is locked.
+/// Probes of which the shortest counts.
+pub(crate) const PROBES: usize = 32;
+/// Probes after which the clock is locked.
 const LOCKED_AFTER: usize = 8;
 /// Drift of two clocks whose rate difference is compensated, which the bound allows for.
 const DRIFT: f64 = 50e-6;
@@ -25,12 +25,12 @@ const SLEW: f64 = 500e-6;
 const RATE_NS: u64 = 20_000_000_000;
 /// Largest rate difference that is believed.
 const MAX_RATE: f64 = 300e-6;
-/// Exchanges in a row that do not fit the bound, after which the clock is lost.
+/// Probes in a row that do not fit the bound, after which the clock is lost.
 const MISFITS: u32 = 3;
 
-/// The four stamps of an exchange [ns].
+/// The four stamps of a probe [ns].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Exchange {
+pub(crate) struct Probe {
     /// When it left, by our clock.
     pub(crate) sent_ns: u64,
     /// When it reached the other host, by the other clock.
@@ -41,7 +41,7 @@ pub(crate) struct Exchange {
     pub(crate) returned_ns: u64,
 }
 
-/// One exchange as measured.
+/// One probe as measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Measured {
     at_ns: u64,
@@ -77,11 +77,11 @@ pub(crate) struct Offset {
 impl HostClock {
     /// A clock of which nothing is known.
     pub(crate) fn new() -> Self {
-        Self { recent: Vec::with_capacity(EXCHANGES), ..Self::default() }
+        Self { recent: Vec::with_capacity(PROBES), ..Self::default() }
     }
 
-    /// Takes in an exchange. One whose stamps contradict each other is ignored.
-    pub(crate) fn exchange(&mut self, stamps: Exchange) {
+    /// Takes in a probe. One whose stamps contradict each other is ignored.
+    pub(crate) fn probe(&mut self, stamps: Probe) {
         let Some(measured) = measure(stamps) else { return };
         if self.is_locked && !self.fits(&measured) {
             self.misfits += 1;
@@ -91,13 +91,13 @@ impl HostClock {
             return;
         }
         self.misfits = 0;
-        // Before the exchange counts: until now the offset went to where the others point.
+        // Before the probe counts: until now the offset went to where the others point.
         self.move_to(measured.at_ns);
         match self.recent.len() {
-            EXCHANGES => self.recent[self.next] = measured,
+            PROBES => self.recent[self.next] = measured,
             _ => self.recent.push(measured),
         }
-        self.next = (self.next + 1) % EXCHANGES;
+        self.next = (self.next + 1) % PROBES;
         self.measure_rate();
         if !self.is_locked && self.recent.len() >= LOCKED_AFTER {
             (self.offset_ns, self.moved_ns) = (self.target(measured.at_ns).unwrap_or(0.0), measured.at_ns);
@@ -117,7 +117,7 @@ impl HostClock {
         Some(Offset { offset_ns: offset_ns.round() as i64, bound_ns: bound_ns.ceil() as u64 })
     }
 
-    /// The shortest round trip of the exchanges in use [ns].
+    /// The shortest round trip of the probes in use [ns].
     pub(crate) fn round_trip_ns(&self) -> Option<u64> {
         self.best().map(|best| best.round_trip_ns as u64)
     }
@@ -131,7 +131,7 @@ impl HostClock {
         self.recent.iter().min_by(|one, other| one.round_trip_ns.total_cmp(&other.round_trip_ns))
     }
 
-    /// The offset that the best exchange gives now.
+    /// The offset that the best probe gives now.
     fn target(&self, now_ns: u64) -> Option<f64> {
         let best = self.best()?;
         Some(best.offset_ns + self.rate.unwrap_or(0.0) * elapsed_ns(best.at_ns, now_ns))
@@ -151,11 +151,11 @@ impl HostClock {
         self.moved_ns = now_ns;
     }
 
-    /// Compares the best exchange with one of long before.
+    /// Compares the best probe with one of long before.
     fn measure_rate(&mut self) {
         let Some(best) = self.best().copied() else { return };
         let Some(anchor) = self.anchor else {
-            self.anchor = (self.recent.len() == EXCHANGES).then_some(best);
+            self.anchor = (self.recent.len() == PROBES).then_some(best);
             return;
         };
         let elapsed_ns = elapsed_ns(anchor.at_ns, best.at_ns);
@@ -174,8 +174,8 @@ impl HostClock {
     }
 }
 
-fn measure(stamps: Exchange) -> Option<Measured> {
-    let Exchange { sent_ns, received_ns, answered_ns, returned_ns } = stamps;
+fn measure(stamps: Probe) -> Option<Measured> {
+    let Probe { sent_ns, received_ns, answered_ns, returned_ns } = stamps;
     let away_ns = returned_ns.checked_sub(sent_ns)?;
     let there_ns = answered_ns.checked_sub(received_ns)?;
     // A clock that runs faster there may make a very short round trip negative.
@@ -219,12 +219,12 @@ mod tests {
             least_ns - mean_ns * (1.0 - self.uniform()).ln()
         }
 
-        fn exchange(&mut self, now_ns: u64, least_ns: f64, mean_ns: f64) -> Exchange {
+        fn probe(&mut self, now_ns: u64, least_ns: f64, mean_ns: f64) -> Probe {
             let arrived_ns = now_ns + self.way_ns(least_ns, mean_ns) as u64;
             let left_ns = arrived_ns + 20_000;
             let returned_ns = left_ns + self.way_ns(least_ns, mean_ns) as u64;
             let there = |at_ns: u64| (at_ns as f64 + self.truth(at_ns)) as u64;
-            Exchange {
+            Probe {
                 sent_ns: now_ns,
                 received_ns: there(arrived_ns),
                 answered_ns: there(left_ns),
@@ -233,7 +233,7 @@ mod tests {
         }
     }
 
-    /// The largest error beyond its bound and the largest bound over a time, ten exchanges a second [ns].
+    /// The largest error beyond its bound and the largest bound over a time, ten probes a second [ns].
     fn follow(
         hosts: &mut Hosts,
         clock: &mut HostClock,
@@ -244,7 +244,7 @@ mod tests {
         let (mut beyond_ns, mut largest_ns) = (f64::MIN, 0);
         for tenth in from_s * 10..until_s * 10 {
             let now_ns = 1_000_000_000 + tenth * 100_000_000;
-            clock.exchange(hosts.exchange(now_ns, 100e3, mean_ns));
+            clock.probe(hosts.probe(now_ns, 100e3, mean_ns));
             for later_ns in [10_000_000, 60_000_000, 100_000_000] {
                 let Some(known) = clock.offset(now_ns + later_ns) else { continue };
                 let error_ns = (known.offset_ns as f64 - hosts.truth(now_ns + later_ns)).abs();
@@ -256,12 +256,12 @@ mod tests {
     }
 
     #[test]
-    fn an_exchange_with_equal_ways_gives_the_offset_exactly() {
+    fn an_probe_with_equal_ways_gives_the_offset_exactly() {
         let mut clock = HostClock::new();
         for count in 0..8u64 {
             assert_eq!(clock.offset(1_000), None, "not locked");
             let sent_ns = count * 10_000;
-            clock.exchange(Exchange {
+            clock.probe(Probe {
                 sent_ns,
                 received_ns: sent_ns + 5_000_000 + 300,
                 answered_ns: sent_ns + 5_000_000 + 400,
@@ -292,13 +292,14 @@ mod tests {
         let mut hosts = Hosts { offset_ns: DAY_NS, rate: 100e-6, random: 3 };
         let mut clock = HostClock::new();
         follow(&mut hosts, &mut clock, 0, 60, 3e6);
-        let mut before = 0.0;
+        let (mut before, mut pending) = (0.0, Vec::new());
         for step in 0..6_000u64 {
             let now_ns = 61_000_000_000 + step * 10_000_000;
             if step % 10 == 0 {
-                // It has returned by now.
-                clock.exchange(hosts.exchange(now_ns - 70_000_000, 100e3, 3e6));
+                pending.push(hosts.probe(now_ns, 100e3, 3e6));
             }
+            // Each counts when it has returned.
+            pending.extract_if(.., |probe| probe.returned_ns <= now_ns).for_each(|probe| clock.probe(probe));
             let mapped_ns = now_ns as f64 + clock.offset(now_ns).unwrap().offset_ns as f64;
             let step_ns = mapped_ns - before;
             assert!(before == 0.0 || (step_ns - 10e6).abs() < 10e6 * 2.0 * (SLEW + MAX_RATE), "{step_ns}");
@@ -314,7 +315,7 @@ mod tests {
         hosts.offset_ns = 4e9;
         for count in 0..3 {
             assert!(clock.offset(31_000_000_000).is_some(), "{count}");
-            clock.exchange(hosts.exchange(31_000_000_000 + count * 100_000_000, 100e3, 100e3));
+            clock.probe(hosts.probe(31_000_000_000 + count * 100_000_000, 100e3, 100e3));
         }
         assert_eq!((clock.offset(32_000_000_000), clock.lost()), (None, 1));
         let (beyond_ns, _) = follow(&mut hosts, &mut clock, 31, 60, 100e3);
@@ -322,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn without_exchanges_the_bound_grows() {
+    fn without_probes_the_bound_grows() {
         let mut hosts = Hosts { offset_ns: 0.0, rate: 0.0, random: 9 };
         let mut clock = HostClock::new();
         follow(&mut hosts, &mut clock, 0, 60, 10e3);
@@ -333,13 +334,13 @@ mod tests {
     #[test]
     fn stamps_that_contradict_each_other_are_ignored() {
         let mut clock = HostClock::new();
-        let good = Exchange { sent_ns: 100, received_ns: 200, answered_ns: 210, returned_ns: 150 };
+        let good = Probe { sent_ns: 100, received_ns: 200, answered_ns: 210, returned_ns: 150 };
         for bad in [
-            Exchange { returned_ns: 90, ..good },
-            Exchange { answered_ns: 190, ..good },
-            Exchange { answered_ns: 400, ..good },
+            Probe { returned_ns: 90, ..good },
+            Probe { answered_ns: 190, ..good },
+            Probe { answered_ns: 400, ..good },
         ] {
-            clock.exchange(bad);
+            clock.probe(bad);
         }
         assert_eq!(clock.round_trip_ns(), None);
     }

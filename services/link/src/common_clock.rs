@@ -9,7 +9,7 @@ use crate::clock::{HostClock, Offset};
 pub(crate) enum CommonClock {
     /// Ours is the common clock.
     Own,
-    /// It is followed by exchanges of stamps.
+    /// It is followed by probes of stamps.
     Followed(Mutex<HostClock>),
 }
 

@@ -90,7 +90,7 @@ pub struct LinkedHost {
     pub offset_ns: i64,
     /// What that may be wrong by [ns].
     pub bound_ns: u64,
-    /// Shortest round trip of the last exchanges [ns].
+    /// Shortest round trip of the last probes [ns].
     pub round_trip_ns: u64,
     /// How often its clock, or that of the orchestrator, stood still or jumped.
     pub clocks_lost: u64,
@@ -169,7 +169,7 @@ impl LinkedHost {
     }
 }
 
-/// Version of this program and fingerprint of its samples: hosts that differ in it do not exchange samples.
+/// Version of this program and fingerprint of its samples: hosts that differ in it get no samples of each other.
 pub fn link_version() -> String {
     let layouts = shared_types::Layouts::built_in().to_string();
     let fingerprint = layouts.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {

@@ -9,6 +9,7 @@ mod companions;
 mod control_socket;
 mod faults;
 mod hang;
+mod hosts;
 mod imu;
 mod ladder;
 mod languages;
