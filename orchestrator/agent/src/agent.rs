@@ -61,6 +61,7 @@ pub fn run(path: &Path, logs: &Path) -> anyhow::Result<Exit> {
         agent.take_messages()?;
         agent.watch();
     }
+    agent.end_served();
     Ok(Exit::Done)
 }
 
@@ -188,7 +189,9 @@ impl Agent {
 
     fn start_link(&mut self) -> anyhow::Result<()> {
         self.link = Some(Link::start(&self.file)?);
-        if let Some(id) = self.served.as_ref().map(|served| served.id().to_owned()) {
+        if let Some(served) = &self.served {
+            served.clean_up();
+            let id = served.id().to_owned();
             self.say(&format!("join {id}"));
         }
         Ok(())

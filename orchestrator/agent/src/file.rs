@@ -67,6 +67,7 @@ impl AgentFile {
         if address.is_none_or(|address| address.port() == 0 || address.ip().is_unspecified()) {
             return Err(Invalid::new("listen", given(&self.listen), plan::hosts::ADDRESS_RULE));
         }
+        plan::hosts::require_built(self.transport)?;
         let remote = IMPLEMENTATIONS.iter().filter(|(_, role)| plan::hosts::may_be_elsewhere(*role));
         let allowed: Vec<&str> = remote.map(|(name, _)| *name).collect();
         match self.implementations.iter().find(|name| !allowed.contains(&name.as_str())) {
@@ -87,7 +88,8 @@ mod tests {
 
     use super::*;
 
-    const GOOD: &str = "name = \"lab\"\nlisten = \"127.0.0.1:7411\"\nimplementations = [\"nmpc\"]\n";
+    const GOOD: &str =
+        "name = \"lab\"\nlisten = \"127.0.0.1:7411\"\ntransport = \"udp\"\nimplementations = [\"nmpc\"]\n";
 
     fn read_as(text: &str, mode: u32) -> anyhow::Result<AgentFile> {
         let path =
@@ -102,7 +104,7 @@ mod tests {
     #[test]
     fn a_file_that_others_can_read_is_refused() {
         let file = read_as(GOOD, 0o600).unwrap();
-        assert_eq!(file.endpoint(), "quic/127.0.0.1:7411?rel=0");
+        assert_eq!(file.endpoint(), "udp/127.0.0.1:7411?rel=0");
         let message = read_as(GOOD, 0o640).unwrap_err().to_string();
         assert!(message.contains("mode 640 is not allowed: 600"), "{message}");
     }
@@ -118,6 +120,7 @@ mod tests {
             "{robot}"
         );
         assert!(refusal("\"nmpc\"", "").contains("implementations = [] is not allowed"));
+        assert!(refusal("udp", "quic").contains("transport = quic is not allowed: udp or tcp"));
         assert!(refusal("name", "nam").contains("nam = lab is not allowed: the key is unknown"));
     }
 }

@@ -28,6 +28,7 @@ pub struct HubLink {
     child: Option<Child>,
     status: LinkStatus,
     read_ns: u64,
+    period_ns: u64,
 }
 
 impl HubLink {
@@ -41,31 +42,54 @@ impl HubLink {
         let path = logs.join("link.log");
         let log = ChildLog::open(&path).with_context(|| path.display().to_string())?;
         let (domain, status) = (domain.clone(), LinkStatus::default());
-        let mut link = Self { domain, log, child: None, status, read_ns: 0 };
+        let mut link = Self { domain, log, child: None, status, read_ns: 0, period_ns: table.period_ns };
         link.launch()?;
         Ok(Some(link))
     }
 
-    /// Starts the link again if it has ended, and reads its status; returns how it had ended.
-    pub fn keep(&mut self) -> Option<String> {
+    /// Starts the link again if it has ended, and reads its status; returns what a user should know.
+    pub fn keep(&mut self) -> Vec<String> {
         let now_ns = monotonic_ns();
         if now_ns.saturating_sub(self.read_ns) < READ_NS {
-            return None;
+            return Vec::new();
         }
         self.read_ns = now_ns;
+        let mut messages = Vec::new();
         if let Ok(Some(status)) = LinkStatus::read(&self.domain) {
-            self.status = status;
+            let before = std::mem::replace(&mut self.status, status);
+            messages.extend(
+                self.status.hosts.iter().filter_map(|host| self.change(before.host(&host.name), host)),
+            );
         }
         let exit = self.child.as_mut().and_then(|child| child.try_wait().ok().flatten());
         if self.child.is_some() && exit.is_none() {
-            return None;
+            return messages;
         }
         let lines = self.log.last_lines(2).unwrap_or_default().join(" | ");
         self.child = None;
-        match (self.launch(), exit) {
-            (Err(error), _) => Some(format!("it is not started again: {error:#}")),
-            (Ok(()), Some(exit)) => Some(format!("{exit}; it was started again: {lines}")),
-            (Ok(()), None) => None,
+        let again =
+            self.launch().map_or_else(|error| format!("{error:#}"), |()| "it was started again".to_owned());
+        let exit = exit.map_or_else(String::new, |exit| format!(": {exit}"));
+        messages.push(format!("scanloop-link ended{exit} {lines}; {again}"));
+        messages
+    }
+
+    /// What has changed at a host that matters to a user.
+    fn change(&self, before: Option<&LinkedHost>, now: &LinkedHost) -> Option<String> {
+        let name = &now.name;
+        let is_wide = |host: &LinkedHost| host.is_locked && host.bound_ns > self.period_ns / 10;
+        let (was_connected, was_wide) =
+            before.map_or((false, false), |host| (host.is_connected, is_wide(host)));
+        match (was_connected, now.is_connected) {
+            (true, false) => Some(format!("host {name}: nothing comes from it")),
+            (false, true) if before.is_some_and(|host| !host.version.is_empty()) => {
+                Some(format!("host {name}: connected again"))
+            }
+            _ if is_wide(now) && !was_wide => Some(format!(
+                "host {name}: its clock may be wrong by {:.1} ms, more than a tenth of a scan period",
+                now.bound_ns as f64 * 1e-6
+            )),
+            _ => None,
         }
     }
 

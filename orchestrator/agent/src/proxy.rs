@@ -18,7 +18,7 @@ use crate::message::{Down, Order, Start, State, Up, handover_of};
 const REPEAT_NS: u64 = 100_000_000;
 const FIRST_REPEAT_NS: u64 = 50_000_000;
 /// An agent that has not answered once within this time can't be reached [ns].
-const REACH_NS: u64 = 5_000_000_000;
+const REACH_NS: u64 = 8_000_000_000;
 /// Longest sleep.
 const POLL: Duration = Duration::from_millis(20);
 /// Largest answer [bytes].

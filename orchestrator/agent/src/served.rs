@@ -4,8 +4,7 @@ use std::path::Path;
 
 use anyhow::Context;
 use runtime::{
-    Bus, CANDIDATE_VARIABLE, Domain, HUB, LinkTable, StopWord, monotonic_ns, own_settings_file,
-    write_handover,
+    Bus, CANDIDATE_VARIABLE, Domain, LinkTable, StopWord, monotonic_ns, own_settings_file, write_handover,
 };
 use supervision::child::{Child, Launch, this_program};
 use supervision::child_log::ChildLog;
@@ -63,7 +62,6 @@ impl Served {
             peers: Vec::new(),
             credentials: None,
         };
-        debug_assert!(host != HUB);
         table.write(&domain)?;
         let bus = Bus::create(&domain)?;
         let stop_word = StopWord::create(domain.run_id(), start.period_ns)?;
@@ -157,6 +155,11 @@ impl Served {
             self.bus.clean_up_dead_processes();
         }
         ended.into_iter().filter_map(|incarnation| self.state_of(incarnation)).collect()
+    }
+
+    /// Frees what a link that has ended has left on the bus.
+    pub(crate) fn clean_up(&self) {
+        self.bus.clean_up_dead_processes();
     }
 
     /// Whether the orchestrator speaks about this system now.

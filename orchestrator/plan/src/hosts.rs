@@ -146,6 +146,21 @@ pub fn may_be_elsewhere(role: Role) -> bool {
     !matches!(role, Role::Robot | Role::Actuator)
 }
 
+/// Refuses a transport that can't be used yet.
+///
+/// # Errors
+/// The transport with the keys to change.
+pub fn require_built(transport: Transport) -> Result<(), Invalid> {
+    match transport {
+        Transport::Quic => Err(Invalid::new(
+            "transport",
+            "quic",
+            "udp or tcp, on a cable that no other machine reaches: encryption between hosts is not built yet",
+        )),
+        Transport::Udp | Transport::Tcp => Ok(()),
+    }
+}
+
 /// Checks hosts, and the key `host` of each process.
 ///
 /// # Errors

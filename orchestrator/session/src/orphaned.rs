@@ -75,6 +75,7 @@ pub fn status(domain: &Domain) -> Option<Status> {
         scanner: None,
         processes,
         refused: Vec::new(),
+        hosts: Vec::new(),
         events: Vec::new(),
     })
 }

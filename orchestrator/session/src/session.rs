@@ -294,9 +294,12 @@ impl Session {
     /// Keeps the link to other hosts running, and tells when one comes or goes.
     fn keep_link(&mut self) {
         let Some(link) = &mut self.link else { return };
-        if let Some(reason) = link.keep() {
-            self.warn(&format!("scanloop-link ended: {reason}"));
+        let messages = link.keep();
+        if !messages.is_empty() {
+            // One that ended has left its ports.
+            self.bus.clean_up_dead_processes();
         }
+        messages.iter().for_each(|text| self.warn(text));
     }
 
     fn reap(&mut self) -> anyhow::Result<()> {
