@@ -12,7 +12,7 @@ use console::note;
 use runtime::{Shutdown, link_version, monotonic_ns};
 
 use crate::file::AgentFile;
-use crate::link::program;
+use crate::link::{program, require_private};
 use crate::message::{Down, Order, State, Up};
 use crate::served::{Served, refusal};
 
@@ -225,8 +225,10 @@ impl Link {
     /// Starts the link, and waits until it listens.
     fn start(file: &AgentFile) -> anyhow::Result<Self> {
         let program = program()?;
+        let credentials = file.credentials.as_deref().map(require_private).transpose()?;
         let mut process = Command::new(&program)
             .args(["agent", &file.name, &file.endpoint()])
+            .args(credentials)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()

@@ -19,6 +19,8 @@ settings! {
         pub listen: String = String::new(), "an IP address of this machine and a port, must be given";
         /// What samples travel with, as `[[host]]` of the system file has it.
         pub transport: Transport = Transport::Quic;
+        /// Folder with the certificates of this host, for transport `quic`; `scanloop agent pair` makes it.
+        pub credentials: Option<String> = None, "a folder";
         /// Built-in implementations that an orchestrator may have started here.
         pub implementations: Vec<String> = Vec::new(), "ekf, ellipses, nmpc";
     }
@@ -67,7 +69,7 @@ impl AgentFile {
         if address.is_none_or(|address| address.port() == 0 || address.ip().is_unspecified()) {
             return Err(Invalid::new("listen", given(&self.listen), plan::hosts::ADDRESS_RULE));
         }
-        plan::hosts::require_built(self.transport)?;
+        plan::hosts::require_credentials(self.transport, self.credentials.as_deref())?;
         let remote = IMPLEMENTATIONS.iter().filter(|(_, role)| plan::hosts::may_be_elsewhere(*role));
         let allowed: Vec<&str> = remote.map(|(name, _)| *name).collect();
         match self.implementations.iter().find(|name| !allowed.contains(&name.as_str())) {
@@ -120,7 +122,7 @@ mod tests {
             "{robot}"
         );
         assert!(refusal("\"nmpc\"", "").contains("implementations = [] is not allowed"));
-        assert!(refusal("udp", "quic").contains("transport = quic is not allowed: udp or tcp"));
+        assert!(refusal("udp", "quic").contains("credentials = (missing) is not allowed: a folder"));
         assert!(refusal("name", "nam").contains("nam = lab is not allowed: the key is unknown"));
     }
 }

@@ -1,10 +1,14 @@
 //! The program `scanloop-link`: where it is, and the one that the orchestrator runs.
 
 use std::ffi::OsString;
+use std::net::IpAddr;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 
 use anyhow::Context;
-use console::exit::Failure;
+use console::exit::{Exit, Failure};
+use console::note;
 use plan::System;
 use plan::hosts::{crossings, endpoint};
 use runtime::{
@@ -37,7 +41,8 @@ impl HubLink {
     /// # Errors
     /// A system without the program `scanloop-link` (exit code 4), and errors of the file system.
     pub fn start(domain: &Domain, system: &System, logs: &Path) -> anyhow::Result<Option<Self>> {
-        let Some(table) = table_of(domain, system) else { return Ok(None) };
+        let Some(mut table) = table_of(domain, system) else { return Ok(None) };
+        table.credentials = system.credentials.as_deref().map(require_private).transpose()?;
         table.write(domain)?;
         let path = logs.join("link.log");
         let log = ChildLog::open(&path).with_context(|| path.display().to_string())?;
@@ -150,6 +155,53 @@ fn table_of(domain: &Domain, system: &System) -> Option<LinkTable> {
         peers: peers.collect(),
         credentials: None,
     })
+}
+
+/// The folder of certificates as an absolute path, if its key is private and its certificates are valid now.
+///
+/// # Errors
+/// The file with what is wrong with it; exit code 2.
+pub(crate) fn require_private(folder: &str) -> anyhow::Result<String> {
+    let folder = std::path::absolute(folder)?;
+    let key = folder.join("key.pem");
+    let mode = std::fs::metadata(&key).map(|meta| meta.mode() & 0o777);
+    let mode =
+        mode.map_err(|error| Failure::bad_input(format!("credentials: {}: {error}", key.display())))?;
+    if mode & 0o077 != 0 {
+        let message = format!("credentials: {}: mode {mode:o} is not allowed: 600", key.display());
+        return Err(Failure::bad_input(message));
+    }
+    let checked = Command::new(program()?).arg("check").arg(&folder).stdin(Stdio::null()).output()?;
+    if !checked.status.success() {
+        let reason = String::from_utf8_lossy(&checked.stderr);
+        return Err(Failure::bad_input(format!(
+            "credentials: {}",
+            reason.trim().trim_start_matches("error: ")
+        )));
+    }
+    Ok(folder.display().to_string())
+}
+
+/// Makes certificates for the orchestrator and for a host, and prints where they are.
+///
+/// # Errors
+/// A name or address that is not allowed, and a folder that can't be written; exit code 2.
+pub fn pair(host: &str, address: IpAddr, days: u32, folder: &Path) -> anyhow::Result<Exit> {
+    if !plan::hosts::is_name(host) {
+        return Err(Failure::bad_input(format!("HOST {host} is not allowed: {}", plan::hosts::NAME_RULE)));
+    }
+    let (address, days) = (address.to_string(), days.to_string());
+    let made = Command::new(program()?).arg("pair").arg(folder).args([host, &address, &days]).status()?;
+    if !made.success() {
+        return Err(Failure::bad_input(format!("no certificates were made in {}", folder.display())));
+    }
+    let folder = std::path::absolute(folder)?;
+    note!(
+        "valid for {days} days:\n  {0}/{HUB}   for the orchestrator: `credentials` of the system file\n  {0}/{host}   copy it to \
+         host {host}: `credentials` of its agent.toml\n  {0}/authority-key.pem   signs further hosts; keep it here, and secret",
+        folder.display()
+    );
+    Ok(Exit::Done)
 }
 
 /// The program, beside this one or in `PATH`.

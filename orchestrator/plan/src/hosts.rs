@@ -146,18 +146,18 @@ pub fn may_be_elsewhere(role: Role) -> bool {
     !matches!(role, Role::Robot | Role::Actuator)
 }
 
-/// Refuses a transport that can't be used yet.
+/// Requires certificates for a transport that needs them.
 ///
 /// # Errors
-/// The transport with the keys to change.
-pub fn require_built(transport: Transport) -> Result<(), Invalid> {
-    match transport {
-        Transport::Quic => Err(Invalid::new(
-            "transport",
-            "quic",
-            "udp or tcp, on a cable that no other machine reaches: encryption between hosts is not built yet",
-        )),
-        Transport::Udp | Transport::Tcp => Ok(()),
+/// The key `credentials` that is missing.
+pub fn require_credentials(transport: Transport, credentials: Option<&str>) -> Result<(), Invalid> {
+    match (transport, credentials) {
+        (Transport::Quic, None) => {
+            let allowed = "a folder that `scanloop agent pair` made, for transport quic; or transport udp or tcp on a \
+                           cable that no other machine reaches";
+            Err(Invalid::new("credentials", "(missing)", allowed))
+        }
+        _ => Ok(()),
     }
 }
 
@@ -182,6 +182,11 @@ pub(crate) fn validate(system: &System) -> Result<(), Invalid> {
         }
         if system.hosts[..index].iter().any(|other| other.address == host.address) {
             return refuse("address", &host.address, "each address once");
+        }
+    }
+    if hosts(system).count() > 1 {
+        for host in &system.hosts {
+            require_credentials(host.transport, system.credentials.as_deref())?;
         }
     }
     for (index, entry) in system.processes.iter().enumerate() {
@@ -274,7 +279,7 @@ mod tests {
     use super::*;
     use crate::system::BUILT_IN;
 
-    const LAB: &str = "[[host]]\nname = \"lab\"\naddress = \"127.0.0.1:7411\"\n";
+    const LAB: &str = "credentials = \"keys\"\n[[host]]\nname = \"lab\"\naddress = \"127.0.0.1:7411\"\n";
 
     /// The built-in system with hosts, whose processes of these roles run on a host.
     fn read(hosts: &str, roles: &[(&str, &str)]) -> anyhow::Result<System> {
@@ -341,9 +346,10 @@ mod tests {
             "two.toml: process[1].host = lap is not allowed: one of lab"
         );
         assert!(refusal("", &[("estimator", "lab")]).ends_with("a [[host]] of the file, which has none"));
-        let twice = format!("{LAB}{}", LAB.replace("7411", "7412"));
+        let host_alone = LAB.split_once('\n').unwrap().1;
+        let twice = format!("{LAB}{}", host_alone.replace("7411", "7412"));
         assert_eq!(refusal(&twice, &[]), "two.toml: host[1].name = lab is not allowed: each name once");
-        let same = format!("{LAB}{}", named("desk"));
+        let same = format!("{LAB}{}", host_alone.replace("lab", "desk"));
         assert!(
             refusal(&same, &[])
                 .contains("host[1].address = 127.0.0.1:7411 is not allowed: each address once")
@@ -358,6 +364,11 @@ mod tests {
                 "{message}"
             );
         }
+        let open = refusal(&LAB.replace("credentials = \"keys\"\n", ""), &IN_THE_LAB);
+        assert!(
+            open.contains("credentials = (missing) is not allowed: a folder that `scanloop agent pair` made"),
+            "{open}"
+        );
         let transport = refusal(&format!("{LAB}transport = \"ip\"\n"), &[]);
         assert!(transport.contains("host[0].transport = \"ip\" is not allowed"), "{transport}");
     }

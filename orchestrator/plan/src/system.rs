@@ -38,6 +38,8 @@ settings! {
         /// Other machines of the system; a process runs on one with the key `host`.
         #[serde(rename = "host")]
         pub hosts: Vec<HostEntry> = Vec::new();
+        /// Folder with the certificates of this host, for transport `quic`; `scanloop agent pair` makes it.
+        pub credentials: Option<String> = None, "a folder";
         /// One table for each role.
         #[serde(rename = "process")]
         pub processes: Vec<ProcessEntry> = Vec::new();

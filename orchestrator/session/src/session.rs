@@ -54,6 +54,9 @@ use swaps::Swaps;
 /// In lock-step the robot may be this many scans ahead of what was recorded: half of what topics can hold.
 const GRANT_AHEAD: u64 = 8;
 
+/// A process on another host is not hung before its heartbeats have not come for this long [ns]: ten of them.
+const MAX_SILENT_NS: u64 = 1_000_000_000;
+
 /// A run with all its processes.
 pub struct Session {
     run: Run,
@@ -277,7 +280,8 @@ impl Session {
         self.fleet.forget_suspects(|role| suspects.iter().any(|(suspect, ..)| *suspect == role));
         for (role, incarnation, is_over) in suspects {
             // In lock-step it may wait for a companion, which is judged by itself.
-            let waits = self.companions.delays(self.samples.newest_scan()) || self.is_cut(role);
+            let waits = self.companions.delays(self.samples.newest_scan())
+                || self.may_be_on_its_way(role, incarnation);
             if (self.fleet.is_starved(role, incarnation) || waits) && is_over {
                 self.handle(Event::Starved { role, incarnation })?;
             }
@@ -285,10 +289,13 @@ impl Session {
         Ok(())
     }
 
-    /// Whether the process of a role runs on a host from which nothing comes now: it may work, and can't show it.
-    fn is_cut(&self, role: Role) -> bool {
+    /// Whether the process of a role runs on another host, and may work although its heartbeats do not come: because
+    /// nothing comes from there, or because some of them were lost.
+    fn may_be_on_its_way(&self, role: Role, incarnation: u32) -> bool {
         let host = self.fleet.entry(role).and_then(|entry| entry.host.as_deref());
-        host.is_some_and(|host| self.link.as_ref().is_some_and(|link| link.is_cut(host)))
+        let (Some(host), Some(link)) = (host, &self.link) else { return false };
+        let silent_ns = monotonic_ns().saturating_sub(self.vitals.last_beat_ns(incarnation));
+        link.is_cut(host) || silent_ns < MAX_SILENT_NS
     }
 
     /// Keeps the link to other hosts running, and tells when one comes or goes.

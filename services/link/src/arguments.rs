@@ -1,9 +1,12 @@
-//! The command line: `scanloop-link hub SYSTEM_ID`, or `scanloop-link agent NAME ENDPOINT [CREDENTIALS]`.
+//! The command line: `scanloop-link hub SYSTEM_ID`, `scanloop-link agent NAME ENDPOINT [CREDENTIALS]`,
+//! `scanloop-link pair FOLDER HOST ADDRESS DAYS`, and `scanloop-link check CREDENTIALS`.
+
+use std::path::Path;
 
 use anyhow::bail;
 use runtime::{Domain, LinkTable};
 
-use crate::{bridge, control};
+use crate::{bridge, control, credentials};
 
 /// Runs the link until its system ends, or its agent does.
 ///
@@ -23,6 +26,10 @@ pub(crate) fn run() -> anyhow::Result<()> {
         }
         ["agent", name, endpoint] => control::run_agent(name, endpoint, None),
         ["agent", name, endpoint, credentials] => control::run_agent(name, endpoint, Some(credentials)),
+        ["check", folder] => credentials::check(Path::new(folder)),
+        ["pair", folder, host, address, days] => {
+            credentials::pair(Path::new(folder), host, address.parse()?, days.parse()?)
+        }
         _ => bail!("it is started by `scanloop run` and `scanloop agent`, not by hand"),
     }
 }

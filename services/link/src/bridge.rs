@@ -98,7 +98,10 @@ impl Bridge {
         let (shared, place) = (Arc::clone(&link), domain.clone());
         bridge.spawn(move || receiver::run(&shared, &place, &receives, &into.1));
         for topic in topics(&table.sends)? {
-            let out = publisher(session, topic_key(run_id, topic, here), Priority::RealTime)?;
+            // States and reports never wait in front of samples that drive.
+            let is_of_loop = topic.writer().is_some() || topic == Topic::Directive;
+            let priority = if is_of_loop { Priority::RealTime } else { Priority::DataHigh };
+            let out = publisher(session, topic_key(run_id, topic, here), priority)?;
             let (shared, place) = (Arc::clone(&link), domain.clone());
             bridge.spawn(move || sender::run(shared, &place, topic, out));
         }
@@ -158,7 +161,7 @@ impl Bridge {
             }
         })?);
         let question = publisher(session, clock_key(&run_id, "ask", &here), Priority::RealTime)?;
-        let report = publisher(session, status_key(&run_id, &here), Priority::DataHigh)?;
+        let report = publisher(session, status_key(&run_id, &here), Priority::InteractiveHigh)?;
         let shared = Arc::clone(&self.link);
         self.spawn(move || {
             let mut reported_ns = 0;

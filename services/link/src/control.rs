@@ -42,7 +42,12 @@ pub(crate) fn run_agent(name: &str, endpoint: &str, credentials: Option<&str>) -
                     while link.is_running() {
                         let status = own_status(&link);
                         match status.is_locked {
-                            true => say(&format!("clock {} {} {}", status.offset_ns, status.bound_ns, link.silent_ms())),
+                            true => say(&format!(
+                                "clock {} {} {}",
+                                status.offset_ns,
+                                status.bound_ns,
+                                link.silent_ms()
+                            )),
                             false => say("clock unknown"),
                         }
                         std::thread::sleep(Duration::from_millis(100));

@@ -10,6 +10,7 @@ mod clock;
 mod common_clock;
 mod control;
 mod counters;
+mod credentials;
 mod frame;
 mod gate;
 mod network;
@@ -21,12 +22,14 @@ mod sender;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    runtime::start_logging();
     match arguments::run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            runtime::print(runtime::Priority::Error, &format!("error: scanloop-link: {error:#}"));
-            ExitCode::from(4)
+            // What a user has to change in files or arguments has exit code 2, as everywhere.
+            let is_input =
+                std::env::args().nth(1).is_some_and(|what| ["check", "pair"].contains(&what.as_str()));
+            runtime::print(runtime::Priority::Error, &format!("error: {error:#}"));
+            ExitCode::from(if is_input { 2 } else { 4 })
         }
     }
 }

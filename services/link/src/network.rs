@@ -6,8 +6,15 @@ use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::{Config, Session, Wait};
 
+use crate::credentials::{AUTHORITY, CERTIFICATE, KEY};
+
 /// A peer that has sent nothing for this long is gone; the connection is made anew when it answers again [ms].
 const LEASE_MS: u32 = 2_000;
+
+/// Places in each queue of the network, as many as it allows.
+const MAX_QUEUE: u32 = 16;
+/// A sample waits this long for a place at most [us].
+const WAIT_BEFORE_DROP_US: u32 = 5_000;
 
 /// Where this end of the network is.
 pub(crate) enum Place<'a> {
@@ -40,14 +47,19 @@ pub(crate) fn join(place: &Place<'_>, credentials: Option<&str>) -> anyhow::Resu
         ("scouting/gossip/enabled", "false".to_owned()),
         ("transport/link/tx/lease", LEASE_MS.to_string()),
         ("transport/link/tx/queue/batching/enabled", "false".to_owned()),
+        // Each sample takes a place, a large one several: the samples of a few scans fit.
+        ("transport/link/tx/queue/size/real_time", MAX_QUEUE.to_string()),
+        ("transport/link/tx/queue/size/interactive_high", MAX_QUEUE.to_string()),
+        ("transport/link/tx/queue/size/data_high", MAX_QUEUE.to_string()),
+        ("transport/link/tx/queue/congestion_control/drop/wait_before_drop", WAIT_BEFORE_DROP_US.to_string()),
     ];
     if let Some(folder) = credentials {
         for (key, file) in [
-            ("root_ca_certificate", "authority.pem"),
-            ("listen_certificate", "certificate.pem"),
-            ("listen_private_key", "key.pem"),
-            ("connect_certificate", "certificate.pem"),
-            ("connect_private_key", "key.pem"),
+            ("root_ca_certificate", AUTHORITY),
+            ("listen_certificate", CERTIFICATE),
+            ("listen_private_key", KEY),
+            ("connect_certificate", CERTIFICATE),
+            ("connect_private_key", KEY),
         ] {
             settings.push((
                 leak(format!("transport/link/tls/{key}")),

@@ -2,6 +2,7 @@
 //!
 //! The tests need the program of `services/link`, which the workspace does not build. Without it they print that they are
 //! skipped.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
