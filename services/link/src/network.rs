@@ -54,20 +54,16 @@ pub(crate) fn join(place: &Place<'_>, credentials: Option<&str>) -> anyhow::Resu
         ("transport/link/tx/queue/congestion_control/drop/wait_before_drop", WAIT_BEFORE_DROP_US.to_string()),
     ];
     if let Some(folder) = credentials {
-        for (key, file) in [
-            ("root_ca_certificate", AUTHORITY),
-            ("listen_certificate", CERTIFICATE),
-            ("listen_private_key", KEY),
-            ("connect_certificate", CERTIFICATE),
-            ("connect_private_key", KEY),
-        ] {
-            settings.push((
-                leak(format!("transport/link/tls/{key}")),
-                format!("{:?}", format!("{folder}/{file}")),
-            ));
-        }
-        settings.push(("transport/link/tls/enable_mtls", "true".to_owned()));
-        settings.push(("transport/link/tls/verify_name_on_connect", "true".to_owned()));
+        let file = |name: &str| format!("{:?}", format!("{folder}/{name}"));
+        settings.extend([
+            ("transport/link/tls/root_ca_certificate", file(AUTHORITY)),
+            ("transport/link/tls/listen_certificate", file(CERTIFICATE)),
+            ("transport/link/tls/listen_private_key", file(KEY)),
+            ("transport/link/tls/connect_certificate", file(CERTIFICATE)),
+            ("transport/link/tls/connect_private_key", file(KEY)),
+            ("transport/link/tls/enable_mtls", "true".to_owned()),
+            ("transport/link/tls/verify_name_on_connect", "true".to_owned()),
+        ]);
     }
     let mut config = Config::default();
     for (key, value) in settings {
@@ -77,11 +73,6 @@ pub(crate) fn join(place: &Place<'_>, credentials: Option<&str>) -> anyhow::Resu
         Place::Agent(endpoint) => anyhow!("it can't listen at {endpoint}: {error}"),
         Place::Hub(_) => anyhow!("{error}"),
     })
-}
-
-/// Five short texts, once per process.
-fn leak(text: String) -> &'static str {
-    Box::leak(text.into_boxed_str())
 }
 
 /// The writing end of a name. Nothing waits: what does not fit into the queue is dropped.
