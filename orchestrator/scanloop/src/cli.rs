@@ -162,7 +162,6 @@ pub enum Command {
         out: PathBuf,
     },
     /// Stand for a process on another host; `scanloop run` starts these.
-    #[command(hide = true)]
     Remote {
         /// Name of the host.
         host: String,

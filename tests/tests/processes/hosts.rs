@@ -58,12 +58,26 @@ impl TwoHosts {
         Some(Self { system, path, agent: None })
     }
 
+    /// Makes certificates in a folder, and has a file use those of a host.
+    fn trust(&self, folder: &str, host: &str, file: &str) {
+        let made = self
+            .system
+            .command(&["agent", "pair", "lab", "127.0.0.1", "--out", folder])
+            .env("PATH", &self.path)
+            .output();
+        let made = made.unwrap();
+        assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+        let path = self.system.folder().join(file);
+        let text = std::fs::read_to_string(&path).unwrap().replace("transport = \"udp\"\n", "");
+        write_private(&path, &format!("credentials = \"{folder}/{host}\"\n{text}"));
+    }
+
     fn start_agent(&mut self) {
         let log = std::fs::File::create(self.system.folder().join("agent.txt")).unwrap();
         let mut command = Command::new(EXECUTABLE);
         command.arg("agent").current_dir(self.system.folder()).env("PATH", &self.path);
         self.agent = Some(command.stdin(Stdio::null()).stderr(log).spawn().unwrap());
-        self.system.wait_until("the agent listens", |_| self.messages().contains("listens at udp/"));
+        self.system.wait_until("the agent listens", |_| self.messages().contains("listens at "));
     }
 
     fn start(&mut self, scenario: &[&str]) {
@@ -210,6 +224,51 @@ fn a_host_without_an_agent_is_named_with_its_address() {
     let stderr = hosts.system.stderr();
     assert!(stderr.contains("host lab: no agent answers at udp/127.0.0.1:"), "{stderr}");
     hosts.system.assert_nothing_left();
+}
+
+#[test]
+fn hosts_that_trust_each_other_drive_over_an_encrypted_link() {
+    let Some(mut hosts) = TwoHosts::new("a drive over quic") else { return };
+    hosts.trust("keys", "orchestrator", "system.toml");
+    // The certificates of a second call have the same authority.
+    hosts.trust("keys", "lab", "agent.toml");
+    hosts.start_agent();
+    assert!(hosts.messages().contains("listens at quic/"), "{}", hosts.messages());
+    hosts.start(&SHORT_FREE);
+    assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
+    assert_eq!(hosts.system.report().scans.unaccounted, 0);
+    hosts.end();
+}
+
+#[test]
+fn a_host_with_certificates_of_another_authority_gets_no_sample() {
+    let Some(mut hosts) = TwoHosts::new("a foreign certificate") else { return };
+    hosts.trust("keys", "orchestrator", "system.toml");
+    hosts.trust("foreign", "lab", "agent.toml");
+    hosts.start_agent();
+    hosts.start(&SHORT_FREE);
+    assert_eq!(hosts.system.wait().code(), Some(4), "{}", hosts.system.stderr());
+    assert!(
+        hosts.system.stderr().contains("host lab: no agent answers at quic/"),
+        "{}",
+        hosts.system.stderr()
+    );
+    assert!(!hosts.messages().contains("serves system"), "{}", hosts.messages());
+    hosts.end();
+}
+
+#[test]
+fn a_key_that_others_can_read_is_refused() {
+    let Some(hosts) = TwoHosts::new("a key that others can read") else { return };
+    hosts.trust("keys", "orchestrator", "system.toml");
+    let key = hosts.system.folder().join("keys/orchestrator/key.pem");
+    std::fs::set_permissions(&key, std::fs::Permissions::from_mode(0o644)).unwrap();
+    let output =
+        hosts.system.command(&["run", "free", "--system", "system.toml"]).env("PATH", &hosts.path).output();
+    let output = output.unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    assert!(stderr.contains("keys/orchestrator/key.pem: mode 644 is not allowed: 600"), "{stderr}");
 }
 
 #[test]
