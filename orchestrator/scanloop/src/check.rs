@@ -10,7 +10,7 @@ use console::output::data;
 use console::user_file::{self, TEXT_BYTES};
 use emulator::Scenario;
 use plan::system::System;
-use plan::{Choice, Plan, difference};
+use plan::{Choice, Plan, difference, hosts};
 use runtime::{OPERATOR, Reserve, printable};
 use shared_types::{Role, TOPICS, Topic};
 use toml::Table;
@@ -56,7 +56,7 @@ pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
             plan
         }
     };
-    data(&printable(&(graph(&plan.system) + &own_graph(&plan)?)))?;
+    data(&printable(&(graph(&plan.system) + &hosts::describe(&plan.system) + &own_graph(&plan)?)))?;
     Ok(Exit::Done)
 }
 

@@ -166,6 +166,31 @@ pub enum Command {
         /// Name of the implementation: emulator, player, ekf, ellipses, nmpc or actuation.
         name: String,
     },
+    /// Run processes of this host for the orchestrator of another one.
+    ///
+    /// The file names this host, the address at which the agent listens, and the implementations that may be started here;
+    /// only its owner may read it. Processes run in system `ID-HOST`. They are supervised by the orchestrator that wanted
+    /// them, and end when it no longer does, or when the agent ends. Exit code 2 for a bad file, 4 for an address that can't
+    /// be used (docs/hosts.md).
+    #[command(args_conflicts_with_subcommands = true)]
+    Agent {
+        /// Make certificates instead.
+        #[command(subcommand)]
+        command: Option<AgentCommand>,
+        /// The agent file.
+        #[arg(value_name = "FILE", default_value = "agent.toml")]
+        file: PathBuf,
+        /// Folder for the logs of the processes.
+        #[arg(long, value_name = "DIR", default_value = "out/agent", value_parser = console::output::folder())]
+        out: PathBuf,
+    },
+    /// Stand for a process on another host; `scanloop run` starts these.
+    Remote {
+        /// Name of the host.
+        host: String,
+        /// Name of the implementation there.
+        implementation: String,
+    },
     /// Drive random courses through the in-process pipeline on all cores and judge how they end.
     ///
     /// Without `--family` it drives the mixed campaign: six of ten courses have obstacles at rest, the others are symmetric,
@@ -338,6 +363,27 @@ impl RobotPreset {
             Self::Summit => "summit",
         }
     }
+}
+
+/// What an agent needs before it is started.
+#[derive(Debug, Subcommand)]
+pub enum AgentCommand {
+    /// Make certificates for the orchestrator and for a host, so that they can trust each other over `quic`.
+    ///
+    /// The folder gets an authority with the first host, which signs further ones. Copy the folder of the host to it over a
+    /// way that you trust.
+    Pair {
+        /// Name of the host.
+        host: String,
+        /// IP address at which its agent listens.
+        address: std::net::IpAddr,
+        /// How long the certificates are valid [days].
+        #[arg(long, value_name = "N", default_value_t = 365, value_parser = clap::value_parser!(u32).range(1..=3650))]
+        days: u32,
+        /// Folder for certificates and keys.
+        #[arg(long, value_name = "DIR", default_value = "hosts", value_parser = console::output::folder())]
+        out: PathBuf,
+    },
 }
 
 /// What to show of the topics.

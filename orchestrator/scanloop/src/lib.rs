@@ -38,7 +38,7 @@ use serde::Serialize;
 use session::{adopt, run};
 use view::{Verb, ViewOfRun};
 
-use cli::{Cli, Command, TopicCommand};
+use cli::{AgentCommand, Cli, Command, TopicCommand};
 
 /// Limit for the last output at exit. A terminal usually takes it within microseconds.
 const FLUSH_TIMEOUT: Duration = Duration::from_millis(300);
@@ -125,6 +125,17 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Conformance(arguments) => conformance::conformance(arguments),
         Command::Shadow(arguments) => shadow::shadow(&cli.system_id, arguments),
         Command::Service { name } => service::run(name),
+        Command::Agent { command: Some(AgentCommand::Pair { host, address, days, out }), .. } => {
+            agent::link::pair(host, *address, *days, out)
+        }
+        Command::Agent { command: None, file, out } => {
+            runtime::start_logging();
+            agent::agent::run(file, out)
+        }
+        Command::Remote { host, implementation } => {
+            runtime::start_logging();
+            agent::proxy::run(host, implementation)
+        }
         Command::Topic(TopicCommand::List) => print(&topic::list(&cli.system_id)?),
         Command::Topic(TopicCommand::Hz { topic, duration }) => {
             topic::hz(&cli.system_id, topic, *duration).map(|()| Exit::Done)

@@ -18,7 +18,7 @@ use emulator::JudgedBy;
 use handover::shadow::ShadowReport;
 use handover::swap::Certificate;
 use report::{BlockingReport, ScannerStatus};
-use runtime::{Domain, RuntimeError, monotonic_ns, peer_uid};
+use runtime::{Domain, LinkedHost, RuntimeError, monotonic_ns, peer_uid};
 use rustix::io::Errno;
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, connect, socket_with};
 use rustix::process::geteuid;
@@ -97,6 +97,9 @@ pub struct Status {
     /// Samples that a reader dropped or refused because of their content: by writer, reader and rule.
     #[serde(default)]
     pub refused: Vec<RefusedRow>,
+    /// One row per other host.
+    #[serde(default)]
+    pub hosts: Vec<LinkedHost>,
     /// The last events, the oldest first.
     #[serde(default)]
     pub events: Vec<EventRow>,

@@ -40,6 +40,7 @@ mod handover;
 mod identity;
 mod input;
 mod layouts;
+mod link;
 mod logging;
 mod node;
 mod observer;
@@ -79,15 +80,18 @@ pub use environment::{
 };
 pub use error::RuntimeError;
 pub use folder::Folder;
-pub use handover::{Handover, HandoverData, write as write_handover};
+pub use handover::{Handover, HandoverData, read as read_handover, write as write_handover};
 pub use identity::{
     Identified, Identity, NotOurs, PROCESSES_FILE, Seen, identify, processes, processes_of, start_ticks,
     started_processes, uid_of,
 };
 pub use input::{Input, QUEUE_DEPTH, Taken, join};
 pub use layouts::{LAYOUTS_FILE, verify_layouts};
+pub use link::{
+    HUB, LINK_SOCKET, LinkCounts, LinkPeer, LinkStatus, LinkTable, LinkedHost, link_version, reply_socket,
+};
 pub use logging::{Priority, check_log_filter, print, start_logging, writes_to_journal};
-pub use observer::{Checked, Observer, Publisher, TopicObserver};
+pub use observer::{Checked, Observer, Publisher, TopicObserver, TopicPublisher};
 pub use orphan::{LEAVING, LOCK_FILE};
 pub use output::Output;
 pub use own::{

@@ -110,6 +110,19 @@ impl TopicObserver {
         Source::open(bus, topic.sample_type(), false).map(Self)
     }
 
+    /// An observer that samples wake, see [`TopicObserver::wait`].
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when the topic can't be opened.
+    pub fn waking(bus: &Bus, topic: Topic) -> Result<Self, RuntimeError> {
+        Source::open(bus, topic.sample_type(), true).map(Self)
+    }
+
+    /// As [`Observer::wait`].
+    pub fn wait(&self, timeout_ns: u64) -> bool {
+        self.0.wait(timeout_ns)
+    }
+
     /// Makes this end of all connections.
     pub fn connect(&self) {
         self.0.subscriber.connect();
@@ -234,6 +247,30 @@ impl<S: Sample> Publisher<S> {
     /// As [`Publisher::publish`].
     pub fn publish_unchanged(&mut self, sample: &S, wake: bool) -> Result<(), RuntimeError> {
         self.0.send(bytes_of(sample), wake)
+    }
+}
+
+/// Publishes samples of one topic as bytes, with their headers as they are: for a bridge between buses.
+pub struct TopicPublisher(Enclosed<Sender>);
+
+impl TopicPublisher {
+    /// Opens the topic for writing.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when the topic can't be opened.
+    pub fn new(bus: &Bus, topic: Topic) -> Result<Self, RuntimeError> {
+        Sender::open(bus, topic.sample_type()).map(Self)
+    }
+
+    /// Publishes, and wakes the readers.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when iceoryx2 refuses.
+    ///
+    /// # Panics
+    /// When the bytes are not as many as the type of the topic has.
+    pub fn publish(&self, sample: &[u8]) -> Result<(), RuntimeError> {
+        self.0.send(sample, true)
     }
 }
 

@@ -10,6 +10,7 @@ mod control_socket;
 mod demo;
 mod faults;
 mod hang;
+mod hosts;
 mod imu;
 mod inject;
 mod ladder;

@@ -16,6 +16,7 @@ const LAYERS: &[&[&str]] = &[
     &["nmpc", "actuation", "supervision", "handover", "audit", "ride", "recording"],
     &["pipeline", "calibration", "c-library"],
     &["plan", "report", "replay", "fault-matrix"],
+    &["agent"],
     &["session", "conformance"],
     &["view"],
     &["scanloop", "hops"],
