@@ -26,6 +26,9 @@ settings! {
 /// The uncertainty grows for this time of a plan at most [s]: about the horizon. Later places are planned again before.
 const MAX_GROWTH_S: f64 = 2.7;
 
+/// Share of the base clearance that is kept where a stop would be struck.
+const BARE_SHARE: f64 = 0.4;
+
 /// The margin as a function of the time of the plan and the speed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct MarginModel {
@@ -55,6 +58,13 @@ impl MarginModel {
     /// The margin of a plan that kept it whole when it was made: what is for errors of model and perception may be used up.
     pub(crate) fn used_up(self) -> Self {
         Self { settings: MarginSettings { model_m: 0.0, perception_m: 0.0, ..self.settings }, ..self }
+    }
+
+    /// A part of what is kept in any case, and nothing for what is uncertain.
+    pub(crate) fn bare(self) -> Self {
+        let settings =
+            MarginSettings { pose_sigmas: 0.0, pose_growth_m: 0.0, model_m: 0.0, perception_m: 0.0 };
+        Self { base_m: BARE_SHARE * self.base_m, settings, age_s: 0.0, ..self }
     }
 
     /// Age of the data when the command acts [s].
