@@ -11,7 +11,7 @@ use vehicle::{Control, State};
 
 use crate::braking::Stopping;
 use crate::rollout::Rollout;
-use crate::scene::Scene;
+use crate::scene::{Baseline, Scene};
 use crate::verify::VERIFIED_S;
 
 /// How long the robot is thought to rest [s]: about the horizon.
@@ -22,13 +22,13 @@ const STEP_S: f64 = 0.1;
 /// Turns that are tried, as shares of the largest steering angle: first one, then another.
 const TURNS: [f64; 5] = [0.0, 0.5, -0.5, 1.0, -1.0];
 /// Speeds that are tried, as shares of the fastest.
-const SPEEDS: [f64; 3] = [1.0, 0.5, 0.1];
+const SPEEDS: [f64; 4] = [1.0, 0.5, 0.25, 0.1];
 /// How much more clearance than a stop an escape must have [m].
 const GAIN_M: f64 = 0.02;
 /// More clearance than this is not looked for [m].
 const ENOUGH_M: f64 = 0.2;
-/// Every second sample of a rollout is compared.
-const EVERY: usize = 2;
+/// Every third sample of a rollout is compared: the plan that is chosen is verified as any other.
+const EVERY: usize = 3;
 
 /// Smallest distance to a body that moves when the robot blocks its wheels now and stays, if it comes nearer than the base
 /// clearance [m].
@@ -66,6 +66,7 @@ pub(crate) fn turn_away(
     let (bounds, config) = (scene.bounds(), scene.config);
     let count = ((VERIFIED_S / config.interval_s()).ceil() as usize).clamp(1, config.intervals);
     let fastest = config.cruise_mps.min(bounds.velocity_max_mps);
+    let baseline = scene.baseline();
     let mut best: Option<(f64, [Control; 2])> = None;
     let tried = SPEEDS.iter().flat_map(|speed| {
         TURNS.iter().flat_map(move |first| TURNS.iter().map(move |then| (*speed, [*first, *then])))
@@ -80,7 +81,7 @@ pub(crate) fn turn_away(
         fill(controls, both);
         rollout.drive(scene, controls);
         let enough = best.map_or(stopped_m + GAIN_M, |(clearance, _)| clearance);
-        let clearance = clearance(scene, rollout, enough);
+        let clearance = clearance(scene, &baseline, rollout, enough);
         if clearance > enough {
             best = Some((clearance, both));
         }
@@ -92,19 +93,19 @@ pub(crate) fn turn_away(
 }
 
 /// Smallest distance to all bodies along a rollout, and to those that move while the robot rests at its end, at most
-/// [`ENOUGH_M`]; zero when it is not above `enough` [m].
-fn clearance(scene: &Scene, rollout: &Rollout, enough: f64) -> f64 {
+/// [`ENOUGH_M`]; minus infinity when it is not above `enough`, or when a limit is violated [m].
+fn clearance(scene: &Scene, baseline: &Baseline, rollout: &Rollout, enough: f64) -> f64 {
     let mut smallest = ENOUGH_M;
     for sample in rollout.samples.iter().step_by(EVERY) {
         let body = scene.body_at(&sample.state);
         for obstacle in scene.predicted {
             smallest = smallest.min(body.distance_to_rectangle(&obstacle.body_at(sample.t)));
         }
-        if smallest <= enough {
-            return 0.0;
+        if smallest <= enough || scene.check(baseline, sample).is_some() {
+            return f64::NEG_INFINITY;
         }
     }
-    let Some(end) = rollout.samples.last() else { return 0.0 };
+    let Some(end) = rollout.samples.last() else { return f64::NEG_INFINITY };
     smallest.min(resting(scene, &scene.body_at(&end.state), end.t))
 }
 

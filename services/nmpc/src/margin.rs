@@ -26,9 +26,6 @@ settings! {
 /// The uncertainty grows for this time of a plan at most [s]: about the horizon. Later places are planned again before.
 const MAX_GROWTH_S: f64 = 2.7;
 
-/// Share of the base clearance that is kept where a stop would be struck.
-const BARE_SHARE: f64 = 0.4;
-
 /// The margin as a function of the time of the plan and the speed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct MarginModel {
@@ -60,11 +57,16 @@ impl MarginModel {
         Self { settings: MarginSettings { model_m: 0.0, perception_m: 0.0, ..self.settings }, ..self }
     }
 
-    /// A part of what is kept in any case, and nothing for what is uncertain.
+    /// What is kept in any case, and nothing for what is uncertain.
     pub(crate) fn bare(self) -> Self {
         let settings =
             MarginSettings { pose_sigmas: 0.0, pose_growth_m: 0.0, model_m: 0.0, perception_m: 0.0 };
-        Self { base_m: BARE_SHARE * self.base_m, settings, age_s: 0.0, ..self }
+        Self { settings, variance_m2: 0.0, age_s: 0.0, ..self }
+    }
+
+    /// No margin at all: for a robot that would be struck if it stopped.
+    pub(crate) fn none(self) -> Self {
+        Self { base_m: 0.0, ..self.bare() }
     }
 
     /// Age of the data when the command acts [s].

@@ -209,7 +209,7 @@ impl Planner {
     /// A plan out of the way of a body that comes as near as `stopped_m` to a robot that stops.
     pub(crate) fn escape(&mut self, task: &Task, stopped_m: f64) -> Option<Choice> {
         self.refused_for = None;
-        let scene = Scene { escapes: true, ..task.scene.keeping(task.scene.margin.bare(), task.scene.speed) };
+        let scene = Scene { escapes: true, ..task.scene.keeping(task.scene.margin.none(), task.scene.speed) };
         turn_away(&scene, stopped_m, &mut self.rollout, &mut self.guess.controls)
             .then(|| self.verify_guess(&Task { scene, ..*task }, Level::BestIterate))?
     }

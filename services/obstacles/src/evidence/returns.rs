@@ -14,7 +14,7 @@ const TOLERANCE: f64 = 0.05;
 /// Time constant of the counts [s].
 const MEMORY_S: f64 = 0.45;
 /// Predicted returns from which on a scan has its full weight.
-const ENOUGH: f64 = 25.0;
+const ENOUGH: f64 = 15.0;
 /// Beams on each side of the expected one that count as well.
 const BESIDE: usize = 1;
 
