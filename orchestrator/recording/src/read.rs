@@ -225,7 +225,8 @@ mod tests {
             let mut writer = crate::tape::writer(File::create(&path).unwrap()).unwrap();
             writer.attach(LAYOUTS, "text/plain", layouts.as_bytes(), 0).unwrap();
             writer.metadata(RECORDING, &[("version".to_owned(), version.to_owned())]).unwrap();
-            writer.message(0, 1, 1, &[&ENCAPSULATION, &vec![0; TOPICS[0].size()]]);
+            let sample = vec![0_u8; TOPICS[0].size()];
+            writer.message(0, 1, 1, &[&ENCAPSULATION[..], &sample[..]]);
             writer.finish().unwrap();
             let mut samples = 0;
             let read = Recording::open(&path).unwrap().samples(|_, _| {
