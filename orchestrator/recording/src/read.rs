@@ -111,6 +111,10 @@ impl Recording {
             self.aligned.clear();
             self.aligned.resize(length.div_ceil(8), 0);
             bytemuck::cast_slice_mut::<u64, u8>(&mut self.aligned)[..length].copy_from_slice(words);
+            if within.is_some_and(|at| at != self.reader.chunk_at()) {
+                let path = self.path.display();
+                return Err(Failure::bad_input(format!("{path}: the file was changed while it was open")));
+            }
             let channels = &self.reader.contents().channels;
             let Some(topic) = channels.get(&channel).and_then(|channel| topic_of(&channel.topic)) else {
                 continue;
