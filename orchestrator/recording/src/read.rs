@@ -129,6 +129,10 @@ impl Recording {
             if self.others.is_none() {
                 self.others = Some(self.other_topics()?);
             }
+            if within.is_some_and(|at| at != self.reader.chunk_at()) {
+                let path = self.path.display();
+                return Err(Failure::bad_input(format!("{path}: the file was changed while it was open")));
+            }
             let channels = &self.reader.contents().channels;
             let Some(topic) = channels.get(&channel).and_then(|channel| topic_of(&channel.topic)) else {
                 continue;

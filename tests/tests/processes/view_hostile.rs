@@ -1,4 +1,4 @@
-//! Clients of the live page that misbehave: the page is served, the drive goes on, and the log stays short.
+//! Clients of the live page that misbehave: the page is served, the drive continues, and the log stays short.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::io::{Read, Write};
@@ -15,7 +15,7 @@ const GARBAGE: usize = 10_000;
 /// Clients at the same time.
 const CLIENTS: usize = 8;
 
-/// What a connection answers to some bytes; empty when it was closed without a word.
+/// What a connection answers to some bytes; empty when it was closed without one.
 fn answer(address: &str, bytes: &[u8]) -> String {
     let mut stream = TcpStream::connect(address).unwrap();
     stream.set_read_timeout(Some(DEADLINE)).unwrap();
@@ -81,7 +81,7 @@ fn clients_that_misbehave_change_neither_page_nor_drive() {
     let wrong = format!("Authorization: Bearer {}\r\n", "0".repeat(32));
     assert_eq!(view.ask("POST /control", &wrong, r#"{"action":"stop"}"#).0, 403);
 
-    let after = view.wait_for(&system, "the drive goes on", |shown| {
+    let after = view.wait_for(&system, "the drive continues", |shown| {
         is_driving(shown)
             && shown["status"]["scan"].as_u64() > before["status"]["scan"].as_u64().map(|scan| scan + 5)
     });

@@ -77,9 +77,12 @@ function take(rows, events) {
 
 connect({
   open({ rows, events, recording }) {
+    // Another server may show something else at the same address.
+    if (!recording !== !page.overview) Object.assign(page, { system: null, frame: null, rows: [], events: [], shown_s: null, past: null });
     if (recording) {
       const isWhole = rows.length === recording.frames;
-      Object.assign(page, { overview: rows, rows: isWhole ? rows : [], window: isWhole ? [-Infinity, Infinity] : null, events, lost: null });
+      Object.assign(page, { overview: rows, rows: isWhole ? rows : [], window: isWhole ? [-Infinity, Infinity] : null, events, past: null, lost: null });
+      fetchPast();
       return;
     }
     page.overview = null;
