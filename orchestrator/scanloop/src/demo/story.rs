@@ -67,7 +67,7 @@ mod tests {
         assert!(text.lines().skip(1).all(|line| line.starts_with(&" ".repeat(INDENT))));
         let link = "x".repeat(70);
         assert_eq!(
-            line(1.25, "watch", &format!("page: {link}")).lines().last(),
+            line(1.25, "watch", &format!("page: {link}")).lines().next_back(),
             Some(&*format!("{:10}{link}", ""))
         );
     }
