@@ -91,8 +91,8 @@ impl Act {
 /// Runs the acts and prints the table; exit code 1 when a claim does not hold.
 ///
 /// # Errors
-/// Promises that are not allowed, a port in use, a folder that can't be written to (exit code 2), and a system that does
-/// not start.
+/// Promises that are not allowed, a system of that id, a port in use, a folder that can't be written to (exit code 2), and
+/// a system that does not start.
 pub(crate) fn demo(system_id: Option<&str>, arguments: &DemoArguments) -> anyhow::Result<Exit> {
     let acts = if arguments.only.is_empty() { Act::value_variants() } else { &arguments.only };
     let is_live = acts.iter().any(|act| *act != Act::Lockstep);
@@ -106,6 +106,12 @@ pub(crate) fn demo(system_id: Option<&str>, arguments: &DemoArguments) -> anyhow
     let claims = Claims::new(is_chosen, &arguments.promises)?;
     let shutdown = Shutdown::of_orchestrator()?;
     let id = system_id.map_or_else(|| format!("demo-{}", std::process::id()), str::to_owned);
+    // What runs under this id is stopped at the end, so it must not be a system of the user.
+    if supervision::runs::find(&id)?.is_some() {
+        return Err(Failure::bad_input(format!(
+            "system `{id}` exists already: the demo starts a system of its own, name another one"
+        )));
+    }
     let scratch = Scratch::new(&id)?;
     let drive = match &arguments.out {
         Some(out) => out_folder(out.clone())?,
@@ -145,21 +151,23 @@ fn play(show: &mut Show<'_>, acts: &[Act], live: Option<Option<u16>>) -> anyhow:
     if let Some(port) = live {
         show.start(port)?;
     }
+    let mut ends_by_itself = false;
     for act in Act::value_variants().iter().filter(|act| **act != Act::Lockstep && acts.contains(act)) {
         let played = perform(show, *act);
-        settle(show, "failed", played)?;
+        let is_done = settle(show, played)?;
+        ends_by_itself |= is_done && *act == Act::Blind;
         if show.pause > Duration::ZERO {
             let observed = show.observe(show.pause);
-            settle(show, "failed", observed)?;
+            settle(show, observed)?;
         }
     }
     if live.is_some() {
-        let finished = show.finish(acts.contains(&Act::Blind));
-        settle(show, "failed", finished)?;
+        let finished = show.finish(ends_by_itself);
+        settle(show, finished)?;
     }
     if acts.contains(&Act::Lockstep) {
         let driven = show.lockstep();
-        settle(show, "failed", driven)?;
+        settle(show, driven)?;
     }
     show.leave()
 }
@@ -186,15 +194,15 @@ fn perform(show: &mut Show<'_>, act: Act) -> anyhow::Result<()> {
     }
 }
 
-/// Tells what went wrong and lets the demo continue, unless it was interrupted.
-fn settle(show: &mut Show<'_>, what: &'static str, played: anyhow::Result<()>) -> anyhow::Result<()> {
+/// Whether an act was played. Tells what went wrong and lets the demo continue, unless it was interrupted.
+fn settle(show: &mut Show<'_>, played: anyhow::Result<()>) -> anyhow::Result<bool> {
     match played {
         Err(error) if error.is::<Interrupted>() => Err(error),
         Err(error) => {
-            show.story.tell(what, &format!("{error:#}"));
-            Ok(())
+            show.story.tell("failed", &format!("{error:#}"));
+            Ok(false)
         }
-        Ok(()) => Ok(()),
+        Ok(()) => Ok(true),
     }
 }
 

@@ -55,6 +55,19 @@ fn an_interrupted_demo_stops_everything() {
 }
 
 #[test]
+fn the_demo_leaves_a_system_of_the_user_alone() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["endless"]);
+    let output = system.run(&["demo", "--fast"]);
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(2) && text.contains("exists already"), "{text}");
+    assert_eq!(system.status().map(|status| status.state).as_deref(), Some("driving"));
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    system.wait();
+    system.assert_nothing_left();
+}
+
+#[test]
 fn what_the_demo_can_t_do_is_refused_before_anything_is_started() {
     let system = System::new(EXECUTABLE);
     let held = std::net::TcpListener::bind("127.0.0.1:0").unwrap();

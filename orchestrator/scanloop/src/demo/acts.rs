@@ -74,6 +74,7 @@ impl Show<'_> {
         let wheels = match (blocks, role) {
             (0, Role::Actuator) => "the robot itself watched over its wheels",
             (0, _) => "the successor was in time, the wheels were not blocked",
+            (_, Role::Actuator) => "its successor began with blocked wheels",
             _ => "the actuator blocked the wheels meanwhile",
         };
         self.story.tell(

@@ -41,8 +41,9 @@ fn line(time_s: f64, act: &str, text: &str) -> String {
     let mut column = INDENT;
     for (index, word) in text.split_whitespace().enumerate() {
         if index > 0 && column + 1 + word.chars().count() > COLUMNS {
-            line += &format!("\n{:INDENT$}", "");
-            column = INDENT;
+            // A link is not broken, so it begins as far to the left as it must.
+            column = COLUMNS.saturating_sub(word.chars().count()).min(INDENT);
+            line += &format!("\n{:column$}", "");
         } else if index > 0 {
             line.push(' ');
             column += 1;
@@ -64,5 +65,10 @@ mod tests {
         assert_eq!(text.lines().count(), 3);
         assert!(text.lines().all(|line| line.len() <= COLUMNS && !line.ends_with(' ')));
         assert!(text.lines().skip(1).all(|line| line.starts_with(&" ".repeat(INDENT))));
+        let link = "x".repeat(70);
+        assert_eq!(
+            line(1.25, "watch", &format!("page: {link}")).lines().next_back(),
+            Some(&*format!("{:10}{link}", ""))
+        );
     }
 }
