@@ -26,6 +26,7 @@ use crate::escape::struck_at_rest;
 use crate::explicit_side::{self, SideRule};
 use crate::landing::{Approach, approach};
 use crate::lattice::Search;
+use crate::margin::MarginModel;
 use crate::planner::{Choice, Planner, Task};
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::query::Query;
@@ -189,10 +190,11 @@ impl Controller {
             start.limit_mps =
                 start.limit_mps.min(self.config.stop.approach_mps).min(approach_mps).max(slowest);
         }
-        let choice = self
-            .wait_or_plan(&start, pose, budget, command)
-            .or_else(|reason| self.escape(&unhurried, pose, budget, command).ok_or(reason))?;
-        command.margin = start.margin.at(0.0, self.planner.controls[0].velocity);
+        let (choice, margin) = match self.wait_or_plan(&start, pose, budget, command) {
+            Ok(choice) => (choice, start.margin),
+            Err(reason) => self.escape(&unhurried, pose, budget, command).ok_or(reason)?,
+        };
+        command.margin = margin.at(0.0, self.planner.controls[0].velocity);
         Ok(choice)
     }
 
@@ -213,14 +215,14 @@ impl Controller {
     }
 
     /// A plan out of the way of a body that would strike the robot if it stopped: past the obstacles with little clearance,
-    /// or a turn that keeps the largest.
+    /// or a turn that keeps the largest; with the margin that it keeps.
     fn escape(
         &mut self,
         start: &Start,
         pose: &Pose,
         budget: &Budget,
         command: &mut Command,
-    ) -> Option<Choice> {
+    ) -> Option<(Choice, MarginModel)> {
         let Self { config, search, predicted, reference_path, state, planner, .. } = self;
         let scene = start.scene(config, predicted);
         let stopped_m = struck_at_rest(&scene, &start.stopping)?;
@@ -233,9 +235,12 @@ impl Controller {
             side::renew(&mut state.sides, predicted, |obstacle| reference_path.side_of(obstacle));
         }
         let task = Task::new(scene, reference_path, state, pose, start);
-        let choice = planned.or_else(|| planner.escape(&task, stopped_m))?;
+        let escape = match planned {
+            Some(choice) => (choice, bare.margin),
+            None => (planner.escape(&task, stopped_m)?, start.margin.none()),
+        };
         command.blocking = Blocking::default();
-        Some(choice)
+        Some(escape)
     }
 
     /// The last plan, corrected, where it leads past the obstacles although the search found no path: the search is

@@ -134,6 +134,32 @@ mod tests {
         struck_at_rest(&scene, &stopping).is_some()
     }
 
+    /// Whether there is a turn away from a body that crosses the place of a robot at rest, and its smallest distance to all
+    /// bodies [m].
+    fn turns(standing: Option<PredictedObstacle>) -> Option<f64> {
+        let body = Rectangle { centre: Vector2::new(0.0, 1.0), yaw: 0.0, length: 0.3, width: 0.3 };
+        let crossing =
+            PredictedObstacle { id: 1, centre: [0.0, 1.0], velocity: [0.0, -0.3], a: 1.2, b: 0.7, body };
+        let predicted: Vec<_> = standing.into_iter().chain([crossing]).collect();
+        let config = Config::default();
+        let scene = Scene::new(&config, &predicted, State::default());
+        let stopped_m = struck_at_rest(&scene, &Stopping::new(&config, 0.1, 0.1)).unwrap();
+        let scene = Scene { escapes: true, ..scene.keeping(scene.margin.none(), 0.0) };
+        let (mut rollout, mut controls) = (Rollout::default(), Vec::new());
+        turn_away(&scene, stopped_m, &mut rollout, &mut controls).then(|| {
+            rollout.drive(&scene, &controls);
+            clearance(&scene, &scene.baseline(), &rollout, 0.0)
+        })
+    }
+
+    #[test]
+    fn a_robot_drives_out_of_the_way_where_there_is_room() {
+        assert!(turns(None).is_some_and(|clearance_m| clearance_m > 0.1));
+        let body = Rectangle { centre: Vector2::new(0.4, 0.0), yaw: 0.0, length: 0.1, width: 2.0 };
+        let wall = PredictedObstacle { id: 2, centre: [0.4, 0.0], velocity: [0.0; 2], a: 1.2, b: 1.2, body };
+        assert_eq!(turns(Some(wall)), None);
+    }
+
     #[test]
     fn a_body_that_crosses_the_place_of_rest_comes() {
         assert!(comes(1.5, -0.3));
