@@ -10,8 +10,7 @@ use crate::{Bus, Domain, MAX_READERS, Observer, PROCESS_QUEUE, RuntimeError, obs
 #[test]
 fn a_topic_of_the_loop_has_24_readers_and_the_next_one_is_refused() {
     let lab = Lab::new();
-    let observers: Vec<_> =
-        (0..MAX_READERS).map(|_| Observer::<Odometry>::new(lab.bus()).unwrap()).collect();
+    let observers: Vec<_> = (0..MAX_READERS).map(|_| Observer::<Odometry>::new(lab.bus()).unwrap()).collect();
     assert!(matches!(Observer::<Odometry>::new(lab.bus()), Err(RuntimeError::Bus { .. })));
     let writer = Output::<Odometry>::new(lab.bus(), lab.shared(Role::Robot, 3)).unwrap();
     observers.iter().for_each(Observer::connect);
