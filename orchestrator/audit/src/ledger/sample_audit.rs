@@ -130,9 +130,8 @@ impl SampleAudit {
     pub fn see<S: Sample>(&mut self, sample: &S, now_ns: u64) {
         let (topic, header) = (S::TOPIC, sample.header());
         let from_start = self.is_from_start(header.incarnation);
-        if !self.workers.contains_key(&header.incarnation) && self.strangers.len() < MAX_STRANGERS {
-            let new = Stranger { count: 0, since_ns: now_ns, is_reported: false };
-            self.strangers.entry((topic, header.incarnation)).or_insert(new).count += 1;
+        if !self.workers.contains_key(&header.incarnation) {
+            self.note_stranger(topic, header.incarnation, now_ns);
         }
         // The actuator's own decisions carry the number of the scan before.
         let is_answer = sample.is_answer();
@@ -290,6 +289,14 @@ impl SampleAudit {
                 .map(|(key, stranger)| stranger.row(*key))
                 .collect(),
             ..self.found.clone()
+        }
+    }
+
+    fn note_stranger(&mut self, topic: Topic, incarnation: u32, now_ns: u64) {
+        let key = (topic, incarnation);
+        if self.strangers.len() < MAX_STRANGERS || self.strangers.contains_key(&key) {
+            let new = Stranger { count: 0, since_ns: now_ns, is_reported: false };
+            self.strangers.entry(key).or_insert(new).count += 1;
         }
     }
 
