@@ -8,8 +8,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use runtime::{
-    Domain, HUB, LINK_SOCKET, LinkStatus, LinkTable, LinkedHost, Shutdown, link_version, monotonic_ns,
-    reply_socket,
+    Domain, HUB, LINK_SOCKET, LinkStatus, LinkTable, LinkedHost, Shutdown, monotonic_ns, reply_socket,
 };
 use shared_types::Topic;
 use zenoh::pubsub::Subscriber;
