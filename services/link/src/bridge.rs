@@ -2,15 +2,13 @@
 
 use std::collections::BTreeMap;
 use std::os::unix::net::UnixDatagram;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use runtime::{
-    Domain, HUB, LINK_SOCKET, LinkStatus, LinkTable, LinkedHost, Shutdown, link_version, monotonic_ns,
-    reply_socket,
+    Domain, HUB, LINK_SOCKET, LinkStatus, LinkTable, LinkedHost, Shutdown, monotonic_ns, reply_socket,
 };
 use shared_types::Topic;
 use zenoh::pubsub::Subscriber;
@@ -18,8 +16,7 @@ use zenoh::qos::Priority;
 use zenoh::{Session, Wait};
 
 use crate::clock::Probe;
-use crate::common_clock::CommonClock;
-use crate::counters::Counters;
+use crate::link::Link;
 use crate::network::{self, Place, agent_key, clock_key, publisher, status_key, subscribe, topic_key};
 use crate::{receiver, sender};
 
@@ -35,32 +32,6 @@ const SILENT_NS: u64 = 1_000_000_000;
 /// Largest message of a process to an agent [bytes].
 const MESSAGE_BYTES: usize = 1 << 20;
 
-/// What all threads of a link share.
-pub(crate) struct Link {
-    pub(crate) table: LinkTable,
-    pub(crate) clock: CommonClock,
-    pub(crate) counters: Counters,
-    running: AtomicBool,
-    /// When the clock of the orchestrator was answered last [ns].
-    answered_ns: AtomicU64,
-}
-
-impl Link {
-    /// Time since the last answer of the orchestrator's clock [ms].
-    pub(crate) fn silent_ms(&self) -> u64 {
-        monotonic_ns().saturating_sub(self.answered_ns.load(Ordering::Relaxed)) / 1_000_000
-    }
-
-    pub(crate) fn is_running(&self) -> bool {
-        self.running.load(Ordering::Relaxed)
-    }
-
-    /// Ends all threads. An error of one is an error of all: the link is started again.
-    pub(crate) fn end(&self) {
-        self.running.store(false, Ordering::Relaxed);
-    }
-}
-
 /// A running bridge; it ends when dropped.
 pub(crate) struct Bridge {
     pub(crate) link: Arc<Link>,
@@ -74,14 +45,7 @@ impl Bridge {
     /// # Errors
     /// Unknown topics, and what Zenoh refuses. Errors of the bus end the link later.
     pub(crate) fn start(session: &Session, domain: &Domain, table: &LinkTable) -> anyhow::Result<Self> {
-        let clock = if table.here == HUB { CommonClock::Own } else { CommonClock::followed() };
-        let link = Arc::new(Link {
-            table: table.clone(),
-            clock,
-            counters: Counters::default(),
-            running: AtomicBool::new(true),
-            answered_ns: AtomicU64::new(0),
-        });
+        let link = Arc::new(Link::new(table));
         let mut bridge = Self { link: Arc::clone(&link), threads: Vec::new(), _subscribers: Vec::new() };
         let LinkTable { here, run_id, .. } = table;
         let topics =
@@ -156,7 +120,7 @@ impl Bridge {
             if let (Some(sent_ns), Some(received_ns), Some(answered_ns)) = (stamp(0), stamp(1), stamp(2))
                 && let Some(mut clock) = shared.clock.following()
             {
-                shared.answered_ns.store(returned_ns, Ordering::Relaxed);
+                shared.note_answer(returned_ns);
                 clock.probe(Probe { sent_ns, received_ns, answered_ns, returned_ns });
             }
         })?);
@@ -167,7 +131,7 @@ impl Bridge {
             let mut reported_ns = 0;
             while shared.is_running() {
                 let _ = question.put(monotonic_ns().to_le_bytes().as_slice()).wait();
-                let status = own_status(&shared);
+                let status = shared.status();
                 std::thread::sleep(if status.is_locked { PROBE } else { PROBE_AT_START });
                 if monotonic_ns().saturating_sub(reported_ns) >= REPORT.as_nanos() as u64 {
                     reported_ns = monotonic_ns();
@@ -184,23 +148,6 @@ impl Drop for Bridge {
     fn drop(&mut self) {
         self.link.end();
         self.threads.drain(..).for_each(|thread| _ = thread.join());
-    }
-}
-
-/// This host as the orchestrator sees it.
-pub(crate) fn own_status(link: &Link) -> LinkedHost {
-    let now_ns = monotonic_ns();
-    let (offset, known) = (link.clock.offset(now_ns), link.clock.following());
-    LinkedHost {
-        name: link.table.here.clone(),
-        version: link_version(),
-        is_connected: true,
-        is_locked: offset.is_some(),
-        offset_ns: offset.map_or(0, |clock| clock.offset_ns),
-        bound_ns: offset.map_or(0, |clock| clock.bound_ns),
-        round_trip_ns: known.as_ref().and_then(|clock| clock.round_trip_ns()).unwrap_or(0),
-        clocks_lost: known.as_ref().map_or(0, |clock| clock.lost()),
-        counts: link.counters.get(),
     }
 }
 

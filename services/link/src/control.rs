@@ -13,7 +13,7 @@ use runtime::{Domain, LinkTable};
 use zenoh::Wait;
 use zenoh::qos::Priority;
 
-use crate::bridge::{Bridge, own_status};
+use crate::bridge::Bridge;
 use crate::network::{Place, agent_key, join, publisher, subscribe};
 
 /// Runs until the standard input ends.
@@ -40,7 +40,7 @@ pub(crate) fn run_agent(name: &str, endpoint: &str, credentials: Option<&str>) -
                 let link = std::sync::Arc::clone(&made.link);
                 std::thread::spawn(move || {
                     while link.is_running() {
-                        let status = own_status(&link);
+                        let status = link.status();
                         match status.is_locked {
                             true => say(&format!(
                                 "clock {} {} {}",

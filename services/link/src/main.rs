@@ -13,6 +13,7 @@ mod counters;
 mod credentials;
 mod frame;
 mod gate;
+mod link;
 mod network;
 mod newest;
 mod receiver;

@@ -8,9 +8,9 @@ use std::time::Duration;
 use runtime::{Bus, Domain, TopicPublisher, monotonic_ns};
 use shared_types::Topic;
 
-use crate::bridge::Link;
 use crate::frame::{Aligned, published_ns, to_local, unpack};
 use crate::gate::{Arriving, Refusal, admit, limit_ns};
+use crate::link::Link;
 use crate::newest::{Arrival, Newest};
 
 /// Longest sleep, after which the end of the link is noticed.

@@ -7,8 +7,8 @@ use shared_types::Topic;
 use zenoh::Wait;
 use zenoh::pubsub::Publisher;
 
-use crate::bridge::Link;
 use crate::frame::pack;
+use crate::link::Link;
 use crate::repeats::Repeats;
 
 /// Longest sleep, after which the end of the link is noticed [ns].

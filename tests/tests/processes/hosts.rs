@@ -73,9 +73,15 @@ impl TwoHosts {
     }
 
     fn start_agent(&mut self) {
+        self.start_agent_by(&[]);
+    }
+
+    /// Starts the agent by a command that becomes it.
+    fn start_agent_by(&mut self, by: &[&str]) {
         let log = std::fs::File::create(self.system.folder().join("agent.txt")).unwrap();
-        let mut command = Command::new(EXECUTABLE);
-        command.arg("agent").current_dir(self.system.folder()).env("PATH", &self.path);
+        let all = [by, &[EXECUTABLE, "agent"]].concat();
+        let mut command = Command::new(all[0]);
+        command.args(&all[1..]).current_dir(self.system.folder()).env("PATH", &self.path);
         self.agent = Some(command.stdin(Stdio::null()).stderr(log).spawn().unwrap());
         self.system.wait_until("the agent listens", |_| self.messages().contains("listens at "));
     }
@@ -165,6 +171,29 @@ fn estimator_obstacles_and_controller_drive_the_robot_from_another_host() {
     let report = hosts.system.report();
     assert_eq!(report.outcome, Outcome::Reached);
     assert_eq!(report.scans.unaccounted, 0, "{:?}", report.scans);
+    hosts.end();
+}
+
+#[test]
+fn a_host_whose_clock_is_a_day_ahead_drives_the_robot_with_stamps_that_add_up() {
+    const AHEAD: [&str; 6] = ["unshare", "-T", "--monotonic", "86400", "--boottime", "86400"];
+    let test = "a clock that is a day ahead";
+    if !Command::new(AHEAD[0]).args(&AHEAD[1..]).arg("true").status().is_ok_and(|status| status.success()) {
+        println!("skipped: {test}: no time namespace can be made; it needs root");
+        return;
+    }
+    let Some(mut hosts) = TwoHosts::new(test) else { return };
+    hosts.start_agent_by(&AHEAD);
+    hosts.start(&SHORT_FREE);
+    hosts.system.wait_until_driving();
+    let lab = hosts.link().unwrap().host("lab").unwrap().clone();
+    assert!(lab.offset_ns.abs_diff(-86_400_000_000_000) <= lab.bound_ns, "{lab:?}");
+    assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
+    let report = hosts.system.report();
+    assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Reached, 0));
+    // No stage took a day, nor less than nothing.
+    let latency = &report.latency_us.scan_to_actuation;
+    assert!(latency.count > 20 && latency.max < 1e6, "{latency:?}");
     hosts.end();
 }
 
