@@ -11,7 +11,7 @@ use scanloop_tests::System;
 
 /// The struct of the example, from its own source.
 #[path = "../../../examples/rust/imu/src/imu.rs"]
-mod imu;
+mod sensor;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 const SENSOR: &str = env!("CARGO_BIN_EXE_imu-sensor-under-test");
@@ -93,7 +93,8 @@ fn the_struct_of_the_example_is_what_the_executable_prints() {
 
 #[test]
 fn the_layout_file_of_the_example_is_what_its_struct_gives() {
-    let layout = LayoutFile::of::<imu::Imu>("What an inertial sensor measures between two scans.").unwrap();
+    let layout =
+        LayoutFile::of::<sensor::Imu>("What an inertial sensor measures between two scans.").unwrap();
     let file = std::fs::read_to_string(example().join("imu.toml")).unwrap();
     assert_eq!(file.parse::<LayoutFile>().unwrap(), layout);
     assert_eq!(layout.text().parse::<LayoutFile>().unwrap(), layout, "{}", layout.text());
