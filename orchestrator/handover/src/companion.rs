@@ -46,6 +46,9 @@ pub enum Step {
     Refuse(String),
 }
 
+/// The numbers of each bounded field of a sample.
+type Numbers = Vec<Vec<f64>>;
+
 /// One swap of a companion.
 #[derive(Debug, Clone)]
 pub struct CompanionSwap {
@@ -54,7 +57,7 @@ pub struct CompanionSwap {
     warm_up: u32,
     agreed: u64,
     /// Numbers of the bounded fields, by scan and topic: of the old process and of the new one.
-    waiting: BTreeMap<(u64, String), [Option<Vec<Vec<f64>>>; 2]>,
+    waiting: BTreeMap<(u64, String), [Option<Numbers>; 2]>,
     /// Topics of the scan that is being compared, and whether all agreed so far.
     compared: BTreeMap<u64, usize>,
     refused: Option<String>,

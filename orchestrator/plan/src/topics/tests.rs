@@ -150,7 +150,7 @@ fn a_bound_names_a_field_of_the_layout() {
     let read = |agree: &str| read(&folder.system(&with(agree)).unwrap(), &file);
     let table = read("{ field = \"yaw_rate_radps\", bound = 0.05 }").unwrap();
     assert_eq!(table.topic[0].agree, [("yaw_rate_radps".to_owned(), 0.05)]);
-    let message = read("{ field = \"yaw\", bound = 0.05 }").unwrap_err().to_string();
+    let message = folder.error(&with("{ field = \"yaw\", bound = 0.05 }"));
     assert!(
         message.ends_with("lab.toml: topic[0].agree.field = yaw is not allowed: one of yaw_rate_radps"),
         "{message}"

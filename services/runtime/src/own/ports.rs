@@ -160,7 +160,7 @@ impl Cell {
                 account: bytemuck::cast(words),
             };
             fence(Ordering::Acquire);
-            let is_whole = version % 2 == 0 && self.version.load(Ordering::Relaxed) == version;
+            let is_whole = version.is_multiple_of(2) && self.version.load(Ordering::Relaxed) == version;
             if is_whole || attempt == MAX_READS {
                 return Some(copy);
             }
