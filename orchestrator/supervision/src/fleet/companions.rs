@@ -139,6 +139,10 @@ impl Companions {
         let mut members = Vec::new();
         for (index, entry) in entries.iter().enumerate() {
             let path = logs.join(format!("{}.log", entry.name()));
+            if generation <= 1 {
+                // Of another run that wrote to the same folder.
+                let _ = std::fs::remove_file(&path);
+            }
             let log = ChildLog::open(&path).with_context(|| format!("{}", path.display()))?;
             members.push(Member {
                 keeper: Keeper::new(policy_of(entry, period_ns, lockstep)),
