@@ -101,6 +101,8 @@ class Port:
             cells = (_Cell.from_buffer(table, at) for at in range(len(table) - size, -1, -size))
             self._cell = next((cell for cell in cells if cell.incarnation == 0), None) or _Cell()
             self._cell.incarnation = member.incarnation
+            # The mapping keeps the file open, and so would keep it locked.
+            fcntl.flock(file, fcntl.LOCK_UN)
         cell = self._cell
         ctypes.memset(ctypes.addressof(cell) + 4, 0, ctypes.sizeof(cell) - 4)
         cell.topic, cell.process, cell.pid = topics.index(topic), process, os.getpid()

@@ -85,7 +85,7 @@ impl System {
 
     /// Whether the built-in emulator is the robot, so that the scenario describes it.
     pub fn emulates_robot(&self) -> bool {
-        let mut robots = self.processes.iter().filter(|entry| entry.role() == Role::Robot);
+        let mut robots = self.roles().filter(|entry| entry.role() == Role::Robot);
         robots.any(|entry| entry.implementation.as_deref() == Some("emulator"))
     }
 

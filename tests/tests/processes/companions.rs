@@ -91,6 +91,25 @@ fn topics_of_a_system_are_listed_measured_echoed_and_published_by_hand() {
     assert!(report.companions.iter().all(|companion| companion.answered > 20 && companion.invalid == 0));
 }
 
+/// Nice value of a process.
+fn nice(pid: u32) -> i32 {
+    let status = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap();
+    // Behind the name, which may have spaces, the fields begin with the third.
+    let (_, fields) = status.rsplit_once(") ").unwrap();
+    fields.split(' ').nth(19 - 3).unwrap().parse().unwrap()
+}
+
+#[test]
+fn companions_run_with_a_lower_priority_than_the_loop() {
+    let system = started("echo", "");
+    let status = system.status().unwrap();
+    let (loops, beside) = (&status.processes, &status.companions);
+    assert!(loops.len() == 5 && beside.len() == 2, "{status:?}");
+    let most = loops.iter().map(|process| nice(process.pid.cast_unsigned())).max().unwrap();
+    assert!(beside.iter().all(|companion| nice(companion.pid) >= most.max(10)), "{most}");
+    reached(system);
+}
+
 #[test]
 fn a_companion_that_is_killed_is_started_again() {
     let system = started("echo", "");

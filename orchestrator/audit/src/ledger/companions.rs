@@ -6,8 +6,9 @@
 //! that never arrived although the queue of the reader was not full, samples that came after later ones, samples that
 //! disappeared in a reader, and those that a reader polled for in vain long after they had been published.
 //!
-//! Limit: samples that were published before a reader was there are not for it. Those of a writer that is not counted
-//! (an operator, or a process that counts nothing) are known from the numbers that arrived.
+//! Limits: samples that were published before a reader was there are not for it, nor are those that had not arrived when it
+//! died. Those of a writer that is not counted (an operator, or a process that counts nothing) are known from the
+//! numbers that arrived.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -134,7 +135,7 @@ impl CompanionLedger {
         *(if reader.has_ended { &mut row.lost } else { &mut row.in_flight }) += account.waiting;
         for known in self.ports.values() {
             let writer = &known.count;
-            if !writer.writes || writer.topic != *topic {
+            if !writer.writes || writer.topic != *topic || reader.has_ended {
                 continue;
             }
             let newest = writer.account.arrived;
@@ -150,7 +151,7 @@ impl CompanionLedger {
             row.published += tail;
             // A reader that polled long after the writer had published has what there was.
             let is_late = *active_ns > writer.active_ns.saturating_add(TIMEOUT_NS);
-            match (reader.has_ended || known.has_ended, is_late) {
+            match (known.has_ended, is_late) {
                 (true, _) => row.lost += tail,
                 (false, false) => row.in_flight += tail,
                 (false, true) => {}
@@ -266,10 +267,14 @@ mod tests {
     fn readers_that_end_are_added_up() {
         let mut ledger = CompanionLedger::default();
         for incarnation in 2..1000 {
-            let counts = [writer(1, 10), PortCount { incarnation, process: 2, ..reader(1..=9) }];
+            let mut dying = PortCount { incarnation, process: 2, ..reader(1..=9) };
+            dying.account.arrive(&Header { incarnation: 1, sequence: 10, ..Header::default() });
+            dying.account.waiting = 1;
+            // A writer that was started after its death had nothing for it.
+            let counts = [writer(1, 12), PortCount { opened_ns: 2000, ..writer(1000, 20) }, dying];
             ledger.update(&counts, |count| count.incarnation == incarnation);
         }
-        assert!(ledger.ports.len() < 3);
+        assert!(ledger.ports.len() < 4);
         let row = &ledger.ended[&(TOPIC, 2)];
         assert_eq!((row.used, row.lost, row.residual), (998 * 9, 998, 0));
     }

@@ -133,6 +133,16 @@ fn a_circle_of_processes_is_refused_by_their_names() {
 }
 
 #[test]
+fn a_companion_in_front_of_the_roles_is_not_taken_for_one() {
+    let folder = Folder::new("first");
+    let (head, rest) = BUILT_IN.split_once("[[process]]").unwrap();
+    let text = format!("{head}{TOPIC}{}\n[[process]]{rest}", writer("sensor"));
+    let file = folder.0.join("lab.toml").display().to_string();
+    let system = System::from_table(text.parse().unwrap(), &file).unwrap();
+    assert!(system.processes[0].is_companion() && system.emulates_robot());
+}
+
+#[test]
 fn a_bound_names_a_field_of_the_layout() {
     let folder = Folder::new("agree");
     let with = |agree: &str| format!("{TOPIC}agree = [{agree}]\n{}", writer("sensor"));
