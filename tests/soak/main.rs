@@ -2,6 +2,7 @@
 //! `soak operator`: random actions of an operator, one live drive after the other.
 //! `soak recordings`: recorded drives with faults, swaps and restarts, each replayed to the bit.
 //! `soak long`: hours of driving with scanner faults, swaps and, in real time, kills.
+//! `soak page`: hours of driving in real time with the live page open in a browser.
 //!
 //! The program is its own `scanloop`: the processes that it starts are itself.
 
@@ -13,6 +14,7 @@ use std::time::Instant;
 use clap::{Args, Parser, Subcommand};
 use scanloop_tests::long_drive::{LongDrive, LongTally, MAX_DRIVE_S, drive};
 use scanloop_tests::operator::{place, quantile, trial};
+use scanloop_tests::page_hours::watch;
 use scanloop_tests::recordings::{self, KINDS, Kind};
 use scanloop_tests::soak::{Tally, faults, swap_in_lockstep, swap_live};
 
@@ -57,6 +59,12 @@ enum Campaign {
     Recordings(RecordingsArguments),
     /// Hours of driving with faults under way; exit code 1 when something grows or is unexplained.
     Long(LongArguments),
+    /// Hours of driving with the live page open in a browser; exit code 1 when the memory of server or page grows.
+    Page {
+        /// Time with the page open [h].
+        #[arg(long, value_name = "H", default_value_t = 1.0)]
+        hours: f64,
+    },
 }
 
 /// Arguments of `long`.
@@ -118,6 +126,7 @@ fn main() -> std::process::ExitCode {
         Some(Campaign::Operator(arguments)) => return operator(arguments, &executable),
         Some(Campaign::Recordings(arguments)) => return replays(arguments, &executable),
         Some(Campaign::Long(arguments)) => return long(arguments, &executable),
+        Some(Campaign::Page { hours }) => return page(*hours, &executable),
         None => {}
     }
     for _ in 0..arguments.load {
@@ -209,6 +218,18 @@ fn long(arguments: &LongArguments, executable: &str) -> std::process::ExitCode {
     }
     tally.problems.iter().for_each(|problem| eprintln!("error: {problem}"));
     if tally.problems.is_empty() { std::process::ExitCode::SUCCESS } else { std::process::ExitCode::FAILURE }
+}
+
+/// Drives with the page open.
+fn page(hours: f64, executable: &str) -> std::process::ExitCode {
+    let watched = watch(executable, 3600.0 * hours);
+    println!("{watched}");
+    watched.problems.iter().for_each(|problem| eprintln!("error: {problem}"));
+    if watched.problems.is_empty() {
+        std::process::ExitCode::SUCCESS
+    } else {
+        std::process::ExitCode::FAILURE
+    }
 }
 
 /// All systems; what was done, and how many of them showed a fault.

@@ -5,6 +5,7 @@ mod delays;
 pub mod long_drive;
 pub mod namespace;
 pub mod operator;
+pub mod page_hours;
 pub mod player_server;
 pub mod recordings;
 pub mod soak;

@@ -12,6 +12,7 @@ use supervision::realtime;
 use toml::Table;
 use vehicle::{Description, Invalid, parse, read, require, settings};
 
+use crate::hosts::{self, HostEntry};
 use crate::rate::require_safe_speed;
 use crate::topics::{self, TopicEntry};
 
@@ -36,6 +37,11 @@ settings! {
         pub realtime: runtime::Realtime = runtime::Realtime::default();
         /// What is kept of a drive in real time without `--record`.
         pub recording: RecordingSettings = RecordingSettings::default();
+        /// Other machines of the system; a process runs on one with the key `host`.
+        #[serde(rename = "host")]
+        pub hosts: Vec<HostEntry> = Vec::new();
+        /// Folder with the certificates of this host, for transport `quic`; `scanloop agent pair` makes it.
+        pub credentials: Option<String> = None, "a folder";
         /// One table for each role.
         #[serde(rename = "process")]
         pub processes: Vec<ProcessEntry> = Vec::new();
@@ -174,6 +180,7 @@ impl System {
                 ));
             }
         }
+        hosts::validate(self)?;
         topics::validate(self)?;
         require_safe_speed(&self.controller, self.rate_hz)?;
         self.tuning().validate()

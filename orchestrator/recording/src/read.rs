@@ -25,6 +25,10 @@ pub const RUN: &str = "run.toml";
 pub struct Recording {
     path: PathBuf,
     reader: Reader<BufReader<File>>,
+    /// The content of the last sample: samples begin at multiples of eight bytes.
+    aligned: Vec<u64>,
+    /// Topics whose samples have another layout, once they are known.
+    others: Option<BTreeSet<String>>,
 }
 
 /// A sample as it was recorded.
@@ -34,6 +38,8 @@ pub struct Recorded<'a> {
     pub topic: Topic,
     /// When it was recorded, on the clock of the loop [ns].
     pub log_ns: u64,
+    /// Where its chunk begins in the file, see [`Recording::chunk`].
+    pub chunk_at: u64,
     /// The sample.
     pub bytes: &'a [u8],
 }
@@ -51,7 +57,7 @@ impl Recording {
             return Err(refuse(&"the file is empty"));
         }
         let reader = Reader::new(BufReader::with_capacity(1 << 18, file)).map_err(|error| refuse(&error))?;
-        Ok(Self { path: path.to_owned(), reader })
+        Ok(Self { path: path.to_owned(), reader, aligned: Vec::new(), others: None })
     }
 
     /// Its path.
@@ -73,39 +79,10 @@ impl Recording {
         &mut self,
         mut each: impl FnMut(&Contents, Recorded<'_>) -> anyhow::Result<()>,
     ) -> anyhow::Result<()> {
-        let mut aligned = Vec::new();
-        let mut others: Option<BTreeSet<String>> = None;
-        loop {
-            let message = match self.reader.next_message() {
-                Ok(Some(message)) => message,
-                Ok(None) => break,
-                Err(error) => return Err(refusal(&self.path, &error)),
-            };
-            let (channel, log_ns) = (message.channel, message.log_ns);
-            aligned.clear();
-            let words = message.data.get(ENCAPSULATION.len()..).unwrap_or_default();
-            // Samples begin at multiples of eight bytes.
-            aligned.resize(words.len().div_ceil(8), 0_u64);
-            bytemuck::cast_slice_mut::<u64, u8>(&mut aligned)[..words.len()].copy_from_slice(words);
-            let bytes = &bytemuck::cast_slice::<u64, u8>(&aligned)[..words.len()];
-            if others.is_none() {
-                others = Some(self.other_topics()?);
-            }
-            let contents = self.reader.contents();
-            let Some(topic) = contents.channels.get(&channel).and_then(|channel| topic_of(&channel.topic))
-            else {
-                continue;
-            };
-            if others.as_ref().is_some_and(|others| others.contains(topic.name())) {
-                continue;
-            }
-            if bytes.len() != topic.size() {
-                let (path, length, size) = (self.path.display(), bytes.len(), topic.size());
-                return Err(Failure::bad_input(format!(
-                    "{path}: topic {topic}: a sample has {length} bytes instead of {size}"
-                )));
-            }
-            each(contents, Recorded { topic, log_ns, bytes })?;
+        while let Some((topic, log_ns)) = self.advance(None)? {
+            let chunk_at = self.reader.chunk_at();
+            let bytes = &bytemuck::cast_slice::<u64, u8>(&self.aligned)[..topic.size()];
+            each(self.reader.contents(), Recorded { topic, log_ns, chunk_at, bytes })?;
         }
         self.require_a_second()?;
         if !self.contents().is_complete {
@@ -115,6 +92,62 @@ impl Recording {
             runtime::print(runtime::Priority::Warning, &text);
         }
         Ok(())
+    }
+
+    /// Hands the samples of one chunk, about a second, to `each`; [`Recorded::chunk_at`] named it before.
+    ///
+    /// # Errors
+    /// A file that was damaged or replaced meanwhile.
+    pub fn chunk(&mut self, chunk_at: u64, mut each: impl FnMut(Recorded<'_>)) -> anyhow::Result<()> {
+        self.reader.seek_to_chunk(chunk_at)?;
+        while let Some((topic, log_ns)) = self.advance(Some(chunk_at))? {
+            let bytes = &bytemuck::cast_slice::<u64, u8>(&self.aligned)[..topic.size()];
+            each(Recorded { topic, log_ns, chunk_at, bytes });
+        }
+        Ok(())
+    }
+
+    /// Copies the next sample to `self.aligned`; returns its topic, and when it was recorded [ns].
+    ///
+    /// `None` at the end, or at the end of the chunk that begins at `within`.
+    fn advance(&mut self, within: Option<u64>) -> anyhow::Result<Option<(Topic, u64)>> {
+        loop {
+            if within == Some(self.reader.chunk_at()) && self.reader.is_chunk_over() {
+                return Ok(None);
+            }
+            let message = match self.reader.next_message() {
+                Ok(Some(message)) => message,
+                Ok(None) => return Ok(None),
+                Err(error) => return Err(refusal(&self.path, &error)),
+            };
+            let (channel, log_ns) = (message.channel, message.log_ns);
+            let words = message.data.get(ENCAPSULATION.len()..).unwrap_or_default();
+            let length = words.len();
+            self.aligned.clear();
+            self.aligned.resize(length.div_ceil(8), 0);
+            bytemuck::cast_slice_mut::<u64, u8>(&mut self.aligned)[..length].copy_from_slice(words);
+            if self.others.is_none() {
+                self.others = Some(self.other_topics()?);
+            }
+            if within.is_some_and(|at| at != self.reader.chunk_at()) {
+                let path = self.path.display();
+                return Err(Failure::bad_input(format!("{path}: the file was changed while it was open")));
+            }
+            let channels = &self.reader.contents().channels;
+            let Some(topic) = channels.get(&channel).and_then(|channel| topic_of(&channel.topic)) else {
+                continue;
+            };
+            if self.others.as_ref().is_some_and(|others| others.contains(topic.name())) {
+                continue;
+            }
+            if length != topic.size() {
+                let (path, size) = (self.path.display(), topic.size());
+                return Err(Failure::bad_input(format!(
+                    "{path}: topic {topic}: a sample has {length} bytes instead of {size}"
+                )));
+            }
+            return Ok(Some((topic, log_ns)));
+        }
     }
 
     /// Its reader.

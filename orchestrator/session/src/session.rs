@@ -10,6 +10,7 @@ mod companions;
 mod conclusion;
 mod events;
 mod incidents;
+mod injection;
 mod judge;
 mod reconciliation;
 mod recording;
@@ -21,8 +22,9 @@ mod swaps;
 
 use std::path::Path;
 
+use agent::link::HubLink;
 use audit::digest::Digests;
-use audit::ledger::{PROCESS_RESTARTED, SampleAudit};
+use audit::ledger::{LedgerReport, PROCESS_RESTARTED, SampleAudit};
 use audit::samples::{MAX_DEVIATING, Samples, ScanRecord};
 use console::progress::Progress;
 use emulator::JudgedBy;
@@ -55,6 +57,9 @@ use swaps::Swaps;
 /// In lock-step the robot may be this many scans ahead of what was recorded: half of what topics can hold.
 const GRANT_AHEAD: u64 = 8;
 
+/// A process on another host is not hung before its heartbeats have not come for this long [ns]: ten of them.
+const MAX_SILENT_NS: u64 = 1_000_000_000;
+
 /// A run with all its processes.
 pub struct Session {
     run: Run,
@@ -84,6 +89,8 @@ pub struct Session {
     /// Records the run, if that was asked for.
     companion: Option<Companion>,
     noticed: Noticed,
+    /// The bridge to the other hosts, if there are any.
+    link: Option<HubLink>,
     /// The first events for the supervisor: to start all processes, or those that were adopted.
     startup: Vec<Event>,
     // Dropped last, in this order: the ports above, the bus, then the processes and all files of the system.
@@ -111,8 +118,18 @@ impl Session {
         options: &RunOptions,
         startup: Startup,
     ) -> anyhow::Result<Self> {
-        let Startup { bus, stop_word, fleet, companions, shutdown, events, directive, first_scan, judged_by } =
-            startup;
+        let Startup {
+            bus,
+            stop_word,
+            fleet,
+            companions,
+            shutdown,
+            events,
+            directive,
+            first_scan,
+            judged_by,
+            link,
+        } = startup;
         shutdown.latch_also(&stop_word)?;
         let (lockstep, period_ns) = (options.lockstep, plan.system.period_ns());
         let entries = Role::ALL.iter().filter_map(|role| fleet.entry(*role));
@@ -144,6 +161,7 @@ impl Session {
             manager: ServiceManager::new(),
             companion: None,
             noticed: Noticed::default(),
+            link,
             run: Run { domain: domain.clone(), stop_word, scenario, lockstep, period_ns },
             startup: events,
             shutdown,
@@ -208,6 +226,7 @@ impl Session {
             self.keep_room();
             self.publish_directive()?;
             self.check_companion();
+            self.keep_link();
             self.show();
         }
         self.take_heartbeats()?;
@@ -275,12 +294,33 @@ impl Session {
         self.fleet.forget_suspects(|role| suspects.iter().any(|(suspect, ..)| *suspect == role));
         for (role, incarnation, is_over) in suspects {
             // In lock-step it may wait for a companion, which is judged by itself.
-            let waits = self.companions.delays(self.samples.newest_scan());
+            let waits = self.companions.delays(self.samples.newest_scan())
+                || self.may_be_on_its_way(role, incarnation);
             if (self.fleet.is_starved(role, incarnation) || waits) && is_over {
                 self.handle(Event::Starved { role, incarnation })?;
             }
         }
         Ok(())
+    }
+
+    /// Whether the process of a role runs on another host, and may work although its heartbeats do not come: because
+    /// nothing comes from there, or because some of them were lost.
+    fn may_be_on_its_way(&self, role: Role, incarnation: u32) -> bool {
+        let host = self.fleet.entry(role).and_then(|entry| entry.host.as_deref());
+        let (Some(host), Some(link)) = (host, &self.link) else { return false };
+        let silent_ns = monotonic_ns().saturating_sub(self.vitals.last_beat_ns(incarnation));
+        link.is_cut(host) || silent_ns < MAX_SILENT_NS
+    }
+
+    /// Keeps the link to other hosts running, and tells when one comes or goes.
+    fn keep_link(&mut self) {
+        let Some(link) = &mut self.link else { return };
+        let messages = link.keep();
+        if !messages.is_empty() {
+            // One that ended has left its ports.
+            self.bus.clean_up_dead_processes();
+        }
+        messages.iter().for_each(|text| self.warn(text));
     }
 
     fn reap(&mut self) -> anyhow::Result<()> {
@@ -467,11 +507,11 @@ impl Session {
             }
             Action::Announce(phase) => {
                 if phase == Phase::Connecting {
-                    self.await_companions(ProcessState::Attached);
+                    self.await_companions(ProcessState::Attached)?;
                     self.samples.connect();
                 }
                 if phase == Phase::Driving {
-                    self.await_companions(ProcessState::Connected);
+                    self.await_companions(ProcessState::Connected)?;
                     if self.companion.as_mut().is_some_and(|companion| !companion.connect()) {
                         self.progress
                             .warn("the recorder did not connect in time: the first samples may be missing");
@@ -565,13 +605,15 @@ impl Session {
             restarts: view.restarts,
             state: if view.state == VisibleState::Stopped { "exited" } else { view.state.name() }.to_owned(),
         });
+        let (beside, companion_delays) = self.companions.ledger();
         RunResult {
             outcome,
             reason: reason.to_owned(),
             processes: processes.collect(),
             companions: self.companion_reports.clone(),
-            swaps: self.swaps.certificates(),
-            ledger: self.audit.samples.report(),
+            swaps: [&self.swaps.certificates(), self.companions.swaps().certificates()].concat(),
+            ledger: LedgerReport { companions: beside, ..self.audit.samples.report() },
+            companion_delays,
             recording: None,
             incidents: Vec::new(),
         }

@@ -18,7 +18,7 @@ use crate::languages::tools;
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 /// A recorded drive in lock-step; its system and the recording.
-fn recorded(arguments: &[&str]) -> (System, PathBuf) {
+pub(crate) fn recorded(arguments: &[&str]) -> (System, PathBuf) {
     let system = System::new(EXECUTABLE);
     let report = system.lockstep(&[arguments, &["--record=drive.mcap"]].concat());
     let recording = report.recording.expect("a recording");

@@ -1,7 +1,7 @@
 //! Reads MCAP files from their start to their end, or to where they were cut off.
 
 use std::collections::BTreeMap;
-use std::io::{self, Read};
+use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::Range;
 
 use lz4_flex::frame::FrameDecoder;
@@ -72,6 +72,8 @@ pub struct Reader<R: Read> {
     input: R,
     at: u64,
     contents: Contents,
+    /// Where the open chunk begins in the file.
+    chunk_at: u64,
     chunk: Vec<u8>,
     place: usize,
     /// Whether the open chunk is counted.
@@ -92,7 +94,16 @@ impl<R: Read> Reader<R> {
         }
         let contents = Contents { whole_bytes: MAGIC.len() as u64, ..Contents::default() };
         let (chunk, record) = (Vec::new(), Vec::new());
-        Ok(Self { input, at: MAGIC.len() as u64, contents, chunk, place: 0, is_counted: false, record })
+        Ok(Self {
+            input,
+            at: MAGIC.len() as u64,
+            contents,
+            chunk_at: 0,
+            chunk,
+            place: 0,
+            is_counted: false,
+            record,
+        })
     }
 
     /// What was read beside the messages until now.
@@ -119,6 +130,16 @@ impl<R: Read> Reader<R> {
         }
     }
 
+    /// Byte of the file at which the chunk of the last message begins.
+    pub fn chunk_at(&self) -> u64 {
+        self.chunk_at
+    }
+
+    /// Whether all messages of the open chunk were read.
+    pub fn is_chunk_over(&self) -> bool {
+        self.place >= self.chunk.len()
+    }
+
     /// Advances to the next message; returns where it stands in the open chunk.
     fn advance(&mut self) -> Result<Option<Range<usize>>, ReadError> {
         loop {
@@ -141,6 +162,7 @@ impl<R: Read> Reader<R> {
                 }
                 opcode::CHUNK => {
                     self.open_chunk(&record).map_err(damaged)?;
+                    self.chunk_at = start;
                     self.is_counted = false;
                 }
                 _ => self.define(opcode, &record).map_err(damaged)?,
@@ -252,6 +274,20 @@ impl<R: Read> Reader<R> {
         if crc != 0 && crc32fast::hash(&self.chunk) != crc {
             return Err(Damage::Checksum);
         }
+        Ok(())
+    }
+}
+
+impl<R: Read + Seek> Reader<R> {
+    /// Continues with the chunk that begins at a byte of the file, see [`Reader::chunk_at`].
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn seek_to_chunk(&mut self, at: u64) -> io::Result<()> {
+        self.input.seek(SeekFrom::Start(at))?;
+        self.chunk.clear();
+        // No chunk is open: none begins at the first byte.
+        (self.at, self.place, self.chunk_at) = (at, 0, 0);
         Ok(())
     }
 }

@@ -73,7 +73,7 @@ impl<'a, S: Sample> Bench<'a, S> {
         let stop_word = StopWord::create(domain.run_id(), drive.period_ns)?;
         stop_word.hand_down()?;
         write_settings(&domain, drive)?;
-        let bus = Bus::create(&domain)?;
+        let bus = Bus::create(&domain, drive.period_ns)?;
         let mut directive =
             Directive { orchestrator_pid: u64::from(std::process::id()), ..Directive::default() };
         directive.header.incarnation = 1;

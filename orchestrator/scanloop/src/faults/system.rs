@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use console::exit::Failure;
 use emulator::Scenario;
+use faults::ProcessName;
 use runtime::Domain;
 use rustix::process::{Pid, Signal, kill_process};
 use session::control::{Reply, Request, Status, ask};
@@ -88,17 +89,18 @@ impl CellSystem {
         }
     }
 
-    /// Process ids: of a role, or of all, the orchestrator among them.
-    pub(super) fn processes(&self, role: Option<Role>) -> Vec<Pid> {
+    /// Process ids that a fault of a process acts on.
+    pub(super) fn targets(&self, process: ProcessName) -> Vec<Pid> {
         let of = |(_, pid): &(Role, Pid)| *pid;
-        match role {
-            Some(role) => self.processes.iter().filter(|(of, _)| *of == role).map(of).collect(),
-            None => self.processes.iter().map(of).chain(self.orchestrator()).collect(),
+        match process {
+            ProcessName::Role(role) => self.processes.iter().filter(|(of, _)| *of == role).map(of).collect(),
+            ProcessName::Orchestrator => self.orchestrator().into_iter().collect(),
+            ProcessName::All => self.processes.iter().map(of).chain(self.orchestrator()).collect(),
         }
     }
 
     /// Process id of the orchestrator.
-    pub(super) fn orchestrator(&self) -> Option<Pid> {
+    fn orchestrator(&self) -> Option<Pid> {
         Pid::from_raw(self.orchestrator.id().cast_signed())
     }
 
@@ -115,7 +117,7 @@ impl CellSystem {
     /// Ends the system.
     fn end(&mut self) {
         // Suspended processes can't end.
-        self.processes(None).into_iter().for_each(|pid| _ = kill_process(pid, Signal::CONT));
+        self.targets(ProcessName::All).into_iter().for_each(|pid| _ = kill_process(pid, Signal::CONT));
         if let Ok(mut stop) = self.begin(&["stop"]) {
             let _ = stop.wait();
         }
