@@ -64,7 +64,7 @@ const MAX_DELAY_NS: u64 = 4_000_000_000;
 
 /// What replays have found.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Tally {
+pub struct ReplayTally {
     /// Recordings.
     pub recordings: u64,
     /// Of these, recordings without a difference.
@@ -81,7 +81,7 @@ pub struct Tally {
     pub lost: u64,
 }
 
-impl AddAssign for Tally {
+impl AddAssign for ReplayTally {
     fn add_assign(&mut self, other: Self) {
         self.recordings += other.recordings;
         self.same += other.same;
@@ -93,7 +93,7 @@ impl AddAssign for Tally {
     }
 }
 
-impl fmt::Display for Tally {
+impl fmt::Display for ReplayTally {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { recordings, same, samples, compared, identical, skipped, lost } = self;
         write!(
@@ -107,7 +107,7 @@ impl fmt::Display for Tally {
 ///
 /// # Panics
 /// When the drive can't be recorded or the recording can't be read.
-pub fn check(executable: &str, kind: Kind, seed: u64) -> (Tally, String) {
+pub fn check(executable: &str, kind: Kind, seed: u64) -> (ReplayTally, String) {
     let mut system = System::new(executable);
     let seed_text = seed.to_string();
     let own: &[&str] = match kind {
@@ -133,7 +133,7 @@ pub fn check(executable: &str, kind: Kind, seed: u64) -> (Tally, String) {
     let printed = String::from_utf8_lossy(&output.stderr).into_owned();
     let found: Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{printed}"));
     let count = |key: &str| found[key].as_u64().expect("a count");
-    let tally = Tally {
+    let tally = ReplayTally {
         recordings: 1,
         same: u64::from(output.status.code() == Some(0)),
         samples: count("samples"),

@@ -85,6 +85,12 @@ impl Put for Vec<u8> {
     }
 }
 
+/// Adds a whole record.
+pub(crate) fn append(records: &mut Vec<u8>, opcode: u8, body: &[u8]) {
+    records.push(opcode);
+    records.u64(body.len() as u64).extend_from_slice(body);
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

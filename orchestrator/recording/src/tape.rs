@@ -105,13 +105,13 @@ pub struct Tape<T: Target> {
 }
 
 impl<T: Target> Tape<T> {
-    /// Begins a recording; in `simulated` time the stamps of all samples are those of the loop.
-    pub fn new(target: T, simulated: bool) -> Self {
+    /// Begins a recording at a time of the loop [ns]; in `simulated` time the stamps of all samples are those of the loop.
+    pub fn new(target: T, simulated: bool, now_ns: u64) -> Self {
         let checkpoints = std::array::from_fn(|_| (None, 0));
         Self {
             target,
             chunk_start_ns: None,
-            now_ns: 0,
+            now_ns,
             checkpoints,
             authority: [0; ROLES],
             joins: [(0, 0); ROLES],

@@ -19,6 +19,8 @@ use supervision::child::this_program;
 
 /// Limit for the start of the recorder, and for the end of the recording [ns].
 const LIMIT_NS: u64 = 10_000_000_000;
+/// Limit for the end of a ring that has nothing to write [ns].
+const RING_LIMIT_NS: u64 = 1_000_000_000;
 /// Limit for its connections, after which the drive begins without it [ns].
 const CONNECT_NS: u64 = 2_000_000_000;
 /// In lock-step, a recorder that makes no progress is waited for no longer than this [ns].
@@ -38,6 +40,8 @@ pub(crate) struct Companion {
     report: Option<RecordingReport>,
     last_scan: u64,
     keeps_ring: bool,
+    /// Whether it was asked to write what it keeps.
+    is_asked: bool,
     incidents: Vec<PathBuf>,
     /// Why a file of an incident was not written.
     unsaved: Option<String>,
@@ -112,6 +116,7 @@ impl Companion {
             report: None,
             last_scan: 0,
             keeps_ring: ring_s.is_some(),
+            is_asked: false,
             incidents: Vec::new(),
             unsaved: None,
         })
@@ -140,6 +145,7 @@ impl Companion {
     /// Something happened: what a ring holds is written.
     pub(crate) fn incident(&mut self) {
         if self.keeps_ring {
+            self.is_asked = true;
             self.say("incident");
         }
     }
@@ -187,7 +193,8 @@ impl Companion {
     pub(crate) fn finish(mut self) -> (Option<RecordingReport>, Vec<PathBuf>) {
         self.say(&format!("end {}", self.last_scan));
         self.input = None;
-        self.wait(LIMIT_NS, |line| line.starts_with("done "));
+        let limit_ns = if self.keeps_ring && !self.is_asked { RING_LIMIT_NS } else { LIMIT_NS };
+        self.wait(limit_ns, |line| line.starts_with("done "));
         let unknown = || RecordingReport {
             file: self.file.clone(),
             bytes: self.file.metadata().map_or(0, |metadata| metadata.len()),

@@ -6,7 +6,7 @@ use std::ops::Range;
 
 use lz4_flex::frame::FrameEncoder;
 
-use super::{Put, opcode, writer::append};
+use super::{Put, append, opcode};
 
 /// Messages that are being collected.
 #[derive(Debug, Default)]

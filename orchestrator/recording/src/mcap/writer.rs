@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 
-use super::{Chunk, MAGIC, OpenChunk, Put, opcode};
+use super::{Chunk, MAGIC, OpenChunk, Put, append, opcode};
 
 /// The type of the messages of a channel.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -252,9 +252,4 @@ impl<W: Write> Writer<W> {
         self.written += bytes.len() as u64;
         Ok(())
     }
-}
-
-pub(super) fn append(records: &mut Vec<u8>, opcode: u8, body: &[u8]) {
-    records.push(opcode);
-    records.u64(body.len() as u64).extend_from_slice(body);
 }

@@ -9,6 +9,7 @@ use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
 use std::thread::JoinHandle;
 
 use bytemuck::cast_slice;
+use runtime::monotonic_ns;
 use shared_types::Topic;
 
 use super::Summary;
@@ -95,9 +96,11 @@ impl Queue {
         let (reports, saved) = channel();
         let failed = Arc::new(AtomicBool::new(false));
         let has_failed = Arc::clone(&failed);
+        // Log lines may come before the first sample.
+        let now_ns = if simulated { 0 } else { monotonic_ns() };
         let thread = std::thread::Builder::new().name("recording".to_owned()).spawn(move || match sink {
-            Sink::File(writer) => write(Tape::new(writer, simulated), &receiver, &has_failed),
-            Sink::Ring(ring) => keep(Tape::new(ring, simulated), &receiver, &reports),
+            Sink::File(writer) => write(Tape::new(writer, simulated, now_ns), &receiver, &has_failed),
+            Sink::Ring(ring) => keep(Tape::new(ring, simulated, now_ns), &receiver, &reports),
         })?;
         Ok(Self { batch: Batch::default(), sender, thread, saved, failed, waits, passed_ns: 0, lost: 0 })
     }

@@ -138,7 +138,7 @@ mod tests {
     fn a_ring_holds_its_last_seconds_and_five_files_whatever_the_length_of_the_drive() {
         let folder = std::env::temp_dir().join(format!("scanloop-ring-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
-        let mut tape = Tape::new(Ring::new(Opening::default(), &folder, 10.0), false);
+        let mut tape = Tape::new(Ring::new(Opening::default(), &folder, 10.0), false, 0);
         let mut largest = [0; 2];
         for scan_id in 1..=20_000 {
             tape.sample(Topic::Pose, bytemuck::bytes_of(&pose(scan_id))).unwrap();
@@ -166,7 +166,7 @@ mod tests {
     #[test]
     #[ignore = "takes minutes: cargo test --release -p recording -- --ignored --nocapture"]
     fn the_memory_is_flat_over_a_day_of_scans() {
-        let mut tape = Tape::new(Ring::new(Opening::default(), Path::new("/"), 60.0), false);
+        let mut tape = Tape::new(Ring::new(Opening::default(), Path::new("/"), 60.0), false, 0);
         let (mut random, mut memory) = (1_u64, Vec::new());
         for scan_id in 1..=864_000 {
             let pose = pose(scan_id);

@@ -30,7 +30,7 @@ fn a_kill_leaves_one_file_with_the_seconds_before_it_and_the_restart_and_it_is_r
     let file = &named[0];
     let info = json(&system.run(&["recording", "info", text(file), "--json"]));
     assert_eq!((&info["complete"], &info["lost"]), (&true.into(), &0.into()), "{info}");
-    assert!(info["duration_s"].as_f64() > Some(3.0), "{info}");
+    assert!((3.0..30.0).contains(&info["duration_s"].as_f64().expect("of a test")), "{info}");
     let (replay, code) = replayed(&system, file, &[]);
     assert_eq!((code, &replay["identical"]), (0, &replay["compared"]), "{replay}");
     let (restarted, code) = replayed(&system, file, &["--stage", "controller", "--from", "35"]);
