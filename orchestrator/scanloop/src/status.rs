@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use console::exit::Exit;
 use console::note;
 use emulator::JudgedBy;
-use runtime::Domain;
+use runtime::{Domain, LinkedHost};
 use session::control::{CompanionStatus, ProcessStatus, Status};
 use session::orphaned::{ORPHANED, current_status};
 use shared_types::{Role, ScannerState};
@@ -26,6 +26,30 @@ pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
         }
     }
     Ok(Exit::Done)
+}
+
+/// Another host: its clock, and the samples that it dropped.
+fn host_line(host: &LinkedHost) -> String {
+    let LinkedHost { name, offset_ns, bound_ns, round_trip_ns, clocks_lost, counts, .. } = host;
+    if !host.is_connected {
+        return format!("host {name}: not connected\n");
+    }
+    if !host.is_locked {
+        return format!("host {name}: connected, its clock is not locked\n");
+    }
+    let us = |ns: u64| ns as f64 * 1e-3;
+    let lost = if *clocks_lost > 0 { format!(", lost {clocks_lost} times") } else { String::new() };
+    format!(
+        "host {name}: connected, clock {:+.3} s within {:.0} us{lost}, round trip {:.0} us; {} received, dropped {} old, \
+         {} by clock, {} damaged\n",
+        *offset_ns as f64 * 1e-9,
+        us(*bound_ns),
+        us(*round_trip_ns),
+        counts.received,
+        counts.old,
+        counts.clock,
+        counts.damaged
+    )
 }
 
 fn table(status: &Status) -> String {
@@ -77,6 +101,7 @@ fn table(status: &Status) -> String {
             let _ = writeln!(text, "            ! {row}");
         }
     }
+    status.hosts.iter().for_each(|host| text += &host_line(host));
     for companion in &status.companions {
         let CompanionStatus { name, implementation, pid, state, restarts, .. } = companion;
         let _ = writeln!(

@@ -90,6 +90,7 @@ fn status(domain: &Domain) -> Option<Status> {
         scanner: None,
         processes,
         refused: Vec::new(),
+        hosts: Vec::new(),
         events: Vec::new(),
     })
 }

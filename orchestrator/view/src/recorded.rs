@@ -63,7 +63,7 @@ impl RecordedDrive {
         let mut reading: Option<Reading> = None;
         recording.samples(|contents, sample| {
             if reading.is_none() {
-                if let Some(difference) = Recording::layout_difference(contents) {
+                if let Some(difference) = Recording::layout_differences(contents)?.first() {
                     return Err(refuse(format!("another layout: {difference}")));
                 }
                 reading = Some(Reading::new(metadata(contents, "recording", "lockstep") == Some("true")));

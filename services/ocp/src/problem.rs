@@ -32,6 +32,8 @@ pub struct Weights {
     pub slack_linear: f64,
     /// Quadratic weight of each slack.
     pub slack_quadratic: f64,
+    /// Two nodes with weights of y in addition; node 0 for none.
+    pub goal: [(usize, f64); 2],
 }
 
 /// Everything that defines the problem of one scan.

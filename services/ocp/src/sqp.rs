@@ -370,7 +370,8 @@ impl Solver {
     ) {
         let (penalty, slack) = penalties(problem, &self.iterate);
         let bounds = self.answer.bound_states.iter().filter(|state| **state != BoundState::Free);
-        let active = |rows: &[RowState]| rows.iter().filter(|state| **state != RowState::Inside).count() as u32;
+        let active =
+            |rows: &[RowState]| rows.iter().filter(|state| **state != RowState::Inside).count() as u32;
         let first_ellipse = ellipse_row(problem.intervals.len(), problem.ellipses.len(), 1, 0);
         let Trajectory { states, controls } = &mut solution.trajectory;
         fill(states, self.iterate.states.iter().map(|state| State::from_vector(&(*state).into())));

@@ -58,7 +58,10 @@ fn random_courses_have_seeds_and_a_summary_of_their_families() {
     assert_eq!(output.status.code(), Some(0), "{text}");
     let results: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(results["scenarios"].as_array().unwrap().len(), 2);
-    assert_eq!((&results["scenarios"][0]["seed"], &results["scenarios"][0]["family"]), (&134.into(), &"plain".into()));
+    assert_eq!(
+        (&results["scenarios"][0]["seed"], &results["scenarios"][0]["family"]),
+        (&134.into(), &"plain".into())
+    );
     let [regret, families] = ["regret", "families"].map(|key| &results["summary"][key]);
     assert!(
         regret["mean"].as_f64() <= regret["max"].as_f64() && families["plain"]["p95"].is_number(),

@@ -34,7 +34,8 @@ fn header<S: Sample>(scan_id: u64, incarnation: u32, role: Role) -> Header {
 /// silent from scan 80 on.
 fn drive(name: &str) -> File {
     let file = file(name);
-    let mut tape = recording::Tape::new(std::fs::File::create(&file.0).unwrap(), false).unwrap();
+    let mut tape =
+        recording::Tape::new(recording::writer(std::fs::File::create(&file.0).unwrap()).unwrap(), false);
     for scan_id in 1..=120 {
         let estimator = if scan_id < 60 { 2 } else { 12 };
         let authority: [Authority; ROLES] = std::array::from_fn(|index| {
@@ -81,7 +82,7 @@ fn drive(name: &str) -> File {
         };
         tape.sample(Topic::Actuation, bytes_of(&actuation)).unwrap();
     }
-    tape.finish().unwrap();
+    tape.into_target().finish().unwrap();
     file
 }
 
@@ -137,9 +138,10 @@ fn rows_around_a_time_reach_as_far_as_charts() {
 #[test]
 fn a_file_without_a_drive_is_refused() {
     let file = file("empty");
-    let mut tape = recording::Tape::new(std::fs::File::create(&file.0).unwrap(), false).unwrap();
+    let mut tape =
+        recording::Tape::new(recording::writer(std::fs::File::create(&file.0).unwrap()).unwrap(), false);
     tape.sample(Topic::Directive, bytes_of(&Directive::default())).unwrap();
-    tape.finish().unwrap();
+    tape.into_target().finish().unwrap();
     let error = RecordedDrive::open(&file.0).err().unwrap().to_string();
     assert!(error.contains("holds no scan"), "{error}");
 }

@@ -115,7 +115,14 @@ impl Course {
                 active_ellipse_plans += usize::from(step.active_ellipses > 0);
             }
         })?;
-        Ok(Driven { outcome: end.outcome, reason: end.reason, drive: recording.drive(), sightings, plans, active_ellipse_plans })
+        Ok(Driven {
+            outcome: end.outcome,
+            reason: end.reason,
+            drive: recording.drive(),
+            sightings,
+            plans,
+            active_ellipse_plans,
+        })
     }
 
     /// What the optimum drives.
