@@ -94,8 +94,8 @@ def main():
         browser.go("about:blank")
         browser.wait("location.href === 'about:blank'")
         browser.go(f"{url}#token={token}")
-        browser.wait("document.querySelector('#control-form .stop') !== null")
-        browser.value("document.querySelector('#control-form .stop').click()")
+        browser.wait("!document.getElementById('stop').hidden")
+        browser.value("document.getElementById('stop').click()")
         browser.wait("document.getElementById('control-result').textContent.startsWith('stop: done')")
         browser.wait("document.body.dataset.state === 'over'")
         complaints = [str(one) for one in browser.complaints() if "403" not in str(one)]

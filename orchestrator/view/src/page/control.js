@@ -4,8 +4,8 @@ import { ask, hasToken } from "./stream.js";
 
 const ROLES = ["estimator", "obstacles", "controller", "actuator", "robot"];
 
-/** The panel; returns a function that shows what the server allows. */
-export function control(panel, form, result) {
+/** The panel, and the button that stops; returns a function that shows what the server allows. */
+export function control(panel, form, result, stop) {
   let allowed = "";
 
   async function send(action, button) {
@@ -41,9 +41,12 @@ export function control(panel, form, result) {
     if (wanted.join() === allowed) return;
     allowed = wanted.join();
     panel.hidden = wanted.length === 0;
+    document.body.classList.toggle("controlled", !panel.hidden);
     form.replaceChildren();
     const has = (name) => wanted.includes(name);
-    if (has("stop")) group("stop", [], () => ({}));
+    // It stands where it is always seen.
+    stop.hidden = !has("stop");
+    stop.onclick = () => send({ action: "stop" }, stop);
     const [role, to] = [roles(), input("to", "implementation")];
     if (has("restart")) group("restart", [role], () => ({ role: role.value }));
     if (has("swap")) group("swap", [to], () => ({ role: role.value, to: to.value }));

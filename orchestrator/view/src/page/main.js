@@ -33,7 +33,7 @@ const eye = camera(by("map"), () => { followButton(); changed(); });
 const show = panels(by);
 const showLoop = loop(by("loop"), by("loop-note"));
 const showLatency = latency(by("latency"), by("latency-note"));
-const showControl = control(by("control"), by("control-form"), by("control-result"));
+const showControl = control(by("control"), by("control-form"), by("control-result"), by("stop"));
 const showTimeline = timeline(by("timeline"), choose);
 const play = player(by, choose);
 const fetchPast = past(page, (frame) => {
