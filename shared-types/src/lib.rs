@@ -48,7 +48,8 @@ pub use fault::{Fault, finite};
 pub use header::{Header, StageStamps, YOUNG_NS};
 pub use health::{SECTOR_BEAMS, SECTORS, ScannerHealth, ScannerState, TOLERATED_ERRORS};
 pub use layouts::{
-    Both, Deviation, Difference, LayoutRow, Layouts, NotALayout, difference, difference_in, topics_of,
+    Both, Deviation, Difference, LayoutRow, Layouts, NotALayout, difference, difference_in, differences,
+    topics_of,
 };
 pub use named::UnknownName;
 pub use obstacles::{MAX_OBSTACLES, Obstacle, Obstacles};

@@ -63,7 +63,7 @@ impl Served {
             credentials: None,
         };
         table.write(&domain)?;
-        let bus = Bus::create(&domain)?;
+        let bus = Bus::create(&domain, start.period_ns)?;
         let stop_word = StopWord::create(domain.run_id(), start.period_ns)?;
         stop_word.hand_down()?;
         let (run_id, system_id) = (down.run_id.clone(), down.system_id.clone());

@@ -7,7 +7,7 @@
 
 use std::collections::VecDeque;
 
-use runtime::{Bus, Observer, RuntimeError, buffer, monotonic_ns};
+use runtime::{Bus, Observer, RuntimeError, monotonic_ns};
 use shared_types::{
     Actuation, ActuationKind, Admission, AuthorityFilter, Command, CommandKind, Directive, Fault, Header,
     Obstacles, Odometry, Pose, Rule, Sample, Scan, Truth, YOUNG_NS,
@@ -143,8 +143,8 @@ fn poll<S: Sample>(
             Err(_) => {}
         }
     })?;
-    if arrived >= buffer(S::TOPIC) {
-        sample_audit.overflowed(S::TOPIC);
+    if arrived >= observer.capacity() {
+        sample_audit.overflowed(S::TOPIC, observer.capacity());
     }
     Ok(())
 }
@@ -182,12 +182,17 @@ pub struct ScanRecord {
 impl ScanRecord {
     /// Whether the actuator turns the wheels clearly otherwise than each command of the scan.
     pub fn deviates(&self) -> bool {
-        self.actuations.iter().any(|actuation| deviates(&self.commands, actuation))
+        self.answers().any(|actuation| deviates(&self.commands, actuation))
     }
 
     /// Whether the actuator turns the wheels although every command of the scan blocks them.
     pub fn is_disobeyed(&self) -> bool {
-        self.actuations.iter().any(|actuation| is_disobedient(&self.commands, actuation))
+        self.answers().any(|actuation| is_disobedient(&self.commands, actuation))
+    }
+
+    /// Actuations of this scan: those of earlier scans that came again are among `actuations` as well.
+    fn answers(&self) -> impl Iterator<Item = &Actuation> {
+        self.actuations.iter().filter(|actuation| actuation.header.scan_id == self.header.scan_id)
     }
 }
 
@@ -405,6 +410,23 @@ impl Samples {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_answer_to_an_earlier_scan_that_comes_again_is_no_disobedience() {
+        let header = |scan_id| Header { scan_id, ..Header::default() };
+        let kind = ActuationKind::Drive.wire();
+        let land = Command { kind: CommandKind::Land.wire(), header: header(39), ..Command::default() };
+        let record = |scan_id| ScanRecord {
+            header: header(39),
+            truth: None,
+            poses: Vec::new(),
+            obstacles: Vec::new(),
+            commands: vec![land],
+            actuations: vec![Actuation { kind, answers: 1, header: header(scan_id), ..Actuation::default() }],
+            missing: false,
+        };
+        assert!(record(39).is_disobeyed() && !record(38).is_disobeyed());
+    }
 
     #[test]
     fn an_answer_that_drives_although_the_command_blocks_is_disobedient() {

@@ -59,5 +59,6 @@ pub(crate) fn weights(last_s: f64, slack: f64) -> Weights {
         change: CHANGE,
         slack_linear: slack,
         slack_quadratic: slack,
+        goal: [(0, 0.0); 2],
     }
 }

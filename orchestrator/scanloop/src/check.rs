@@ -101,17 +101,13 @@ fn own_graph(plan: &Plan) -> anyhow::Result<String> {
     for row in own.topic.iter().filter(|row| row.writer == OPERATOR) {
         let _ = writeln!(text, "  {:<22} -> {}", "operator", row.name);
     }
+    let (own_bytes, system_bytes) = (own.bytes()?, Reserve::of_a_system(plan.system.period_ns()));
+    let _ = write!(text, "  shared memory: {} KiB", (own_bytes + system_bytes).div_ceil(1024));
     if !own.topic.is_empty() || !own.companion.is_empty() {
-        let (own_kib, sum_kib) =
-            (own.bytes()?.div_ceil(1024), (own.bytes()? + Reserve::of_a_system()).div_ceil(1024));
-        let _ = writeln!(
-            text,
-            "  shared memory: {sum_kib} KiB, of these {own_kib} KiB for {} topics and {} companions",
-            own.topic.len(),
-            own.companion.len()
-        );
+        let (kib, topics, companions) = (own_bytes.div_ceil(1024), own.topic.len(), own.companion.len());
+        let _ = write!(text, ", of these {kib} KiB for {topics} topics and {companions} companions");
     }
-    Ok(text)
+    Ok(text + "\n")
 }
 
 fn names(topics: &[Topic]) -> String {

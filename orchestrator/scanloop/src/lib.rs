@@ -7,7 +7,9 @@ pub mod campaign;
 mod check;
 pub mod cli;
 mod cores;
+pub mod demo;
 mod faults;
+pub mod inject;
 pub mod live_check;
 mod live_latency;
 mod price;
@@ -64,7 +66,7 @@ fn parse_and_run() -> anyhow::Result<Exit> {
     runtime::check_log_filter()?;
     if matches!(
         cli.command,
-        Command::Run(_) | Command::Adopt(_) | Command::Bench(_) | Command::Conformance(_)
+        Command::Run(_) | Command::Adopt(_) | Command::Bench(_) | Command::Conformance(_) | Command::Demo(_)
     ) {
         limits::require_open_files()?;
     }
@@ -89,6 +91,10 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
             runtime::start_logging();
             let _page = arguments.view.map(|port| ViewOfRun::start(&cli.system_id, port)).transpose()?;
             run::run(&cli.system_id, arguments)
+        }
+        Command::Demo(arguments) => {
+            let is_named = cli.system_id != cli::DEFAULT_SYSTEM_ID;
+            demo::demo(is_named.then_some(cli.system_id.as_str()), arguments)
         }
         Command::Adopt(arguments) => {
             runtime::start_logging();
@@ -115,6 +121,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Restart { role } => swap::restart(&cli.system_id, role),
         Command::Swap(arguments) => swap::swap(&cli.system_id, arguments),
         Command::Set(arguments) => swap::set(&cli.system_id, arguments),
+        Command::Inject(arguments) => inject::inject(&cli.system_id, arguments),
         Command::Conformance(arguments) => conformance::conformance(arguments),
         Command::Shadow(arguments) => shadow::shadow(&cli.system_id, arguments),
         Command::Service { name } => service::run(name),

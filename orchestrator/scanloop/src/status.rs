@@ -5,9 +5,9 @@ use std::fmt::Write as _;
 use console::exit::Exit;
 use console::note;
 use emulator::JudgedBy;
-use runtime::{Domain, LinkedHost, RuntimeError};
-use session::control::{CompanionStatus, ProcessStatus, Reply, Request, Status, ask};
-use session::orphaned::{self, ORPHANED};
+use runtime::{Domain, LinkedHost};
+use session::control::{CompanionStatus, ProcessStatus, Status};
+use session::orphaned::{ORPHANED, current_status};
 use shared_types::{Role, ScannerState};
 
 use crate::print_json;
@@ -17,7 +17,7 @@ use crate::print_json;
 /// # Errors
 /// A system that is not running; exit code 2.
 pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
-    let status = current(domain)?;
+    let status = current_status(domain)?;
     print_json(json, &status)?;
     if !json {
         note!("{}", table(&status));
@@ -50,25 +50,6 @@ fn host_line(host: &LinkedHost) -> String {
         counts.clock,
         counts.damaged
     )
-}
-
-/// The state of the system, also of one without an orchestrator.
-///
-/// # Errors
-/// A system that is not running, and an orchestrator that does not answer.
-pub(crate) fn current(domain: &Domain) -> anyhow::Result<Status> {
-    match ask(domain, &Request::Status) {
-        Ok(Reply::Status(status)) => Ok(*status),
-        Ok(_) => anyhow::bail!("the orchestrator did not answer with a status"),
-        Err(error) => match orphaned::status(domain) {
-            Some(status) if is_not_running(&error) => Ok(status),
-            _ => Err(error),
-        },
-    }
-}
-
-fn is_not_running(error: &anyhow::Error) -> bool {
-    matches!(error.downcast_ref(), Some(RuntimeError::NotRunning(_)))
 }
 
 fn table(status: &Status) -> String {

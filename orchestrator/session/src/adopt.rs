@@ -77,7 +77,7 @@ pub(crate) fn take_over(
         return Err(refused("its process registry is missing or empty".to_owned()));
     }
     let out = out_folder(arguments.out.clone().unwrap_or(run.out))?;
-    let bus = Bus::take_over(domain).map_err(|error| match error {
+    let bus = Bus::take_over(domain, plan.system.period_ns()).map_err(|error| match error {
         RuntimeError::SharedMemory(_) => error.into(),
         other => refused(other.to_string()),
     })?;
@@ -136,6 +136,9 @@ pub(crate) fn take_over(
         link,
     };
     let mut session = Session::new(domain, &plan, &options, startup)?;
+    if plan.system.recording.ring_s > 0.0 {
+        session.keep_ring(&options.out, plan.system.recording.ring_s);
+    }
     session.resume_end(registry.outcome, registry.reason);
     conclude(session, &plan, &options.out)
 }

@@ -47,6 +47,13 @@ pub enum Reply {
     Done,
     /// The state of all processes.
     Status(Box<Status>),
+    /// A fault is injected; one that acts on processes from outside is up to the command that asked.
+    Injected {
+        /// How long it lasts [s].
+        for_s: f64,
+        /// Process id of the orchestrator.
+        orchestrator: u32,
+    },
     /// A swap or a shadow was accepted; ask for its result by this number.
     Accepted(u64),
     /// It is in progress.

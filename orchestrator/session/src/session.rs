@@ -9,6 +9,8 @@ mod candidates;
 mod companions;
 mod conclusion;
 mod events;
+mod incidents;
+mod injection;
 mod judge;
 mod reconciliation;
 mod recording;
@@ -22,7 +24,7 @@ use std::path::Path;
 
 use agent::link::HubLink;
 use audit::digest::Digests;
-use audit::ledger::{PROCESS_RESTARTED, SampleAudit};
+use audit::ledger::{LedgerReport, PROCESS_RESTARTED, SampleAudit};
 use audit::samples::{MAX_DEVIATING, Samples, ScanRecord};
 use console::progress::Progress;
 use emulator::JudgedBy;
@@ -45,6 +47,7 @@ use crate::vitals::Vitals;
 use candidates::Watches;
 use conclusion::{Conclusion, Step};
 use events::Events;
+use incidents::Noticed;
 use reconciliation::Reconciliation;
 use recording::{Recording, ScanObserver};
 use registry_file::RegistryFile;
@@ -86,6 +89,7 @@ pub struct Session {
     manager: ServiceManager,
     /// Records the run, if that was asked for.
     companion: Option<Companion>,
+    noticed: Noticed,
     /// The bridge to the other hosts, if there are any.
     link: Option<HubLink>,
     /// The first events for the supervisor: to start all processes, or those that were adopted.
@@ -157,6 +161,7 @@ impl Session {
             events: Events::default(),
             manager: ServiceManager::new(),
             companion: None,
+            noticed: Noticed::default(),
             link,
             run: Run { domain: domain.clone(), stop_word, scenario, lockstep, period_ns },
             startup: events,
@@ -180,6 +185,15 @@ impl Session {
     pub fn record_to(&mut self, file: &Path, logs: &Path) -> anyhow::Result<()> {
         self.companion = Some(Companion::start(&self.run.domain, file, &logs.join("recorder.log"))?);
         Ok(())
+    }
+
+    /// Keeps the last seconds in memory for files in `out`, when something happens; a drive without that is told so.
+    pub(crate) fn keep_ring(&mut self, out: &Path, ring_s: f64) {
+        let log = out.join("logs/recorder.log");
+        match Companion::start_ring(&self.run.domain, out, &log, ring_s) {
+            Ok(companion) => self.companion = Some(companion),
+            Err(error) => self.warn(&format!("the last seconds of this drive are not kept: {error:#}")),
+        }
     }
 
     /// Drives until all processes have ended.
@@ -225,7 +239,7 @@ impl Session {
         let mut result = self.result();
         if let Some(mut companion) = self.companion.take() {
             result.swaps.iter().for_each(|certificate| companion.note(&certificate.to_string()));
-            result.recording = Some(companion.finish());
+            (result.recording, result.incidents) = companion.finish();
         }
         Ok(result)
     }
@@ -321,6 +335,7 @@ impl Session {
                 continue;
             }
             if self.conclusion.is_open() {
+                self.incident();
                 self.recording.recorder.outage_began(role, PROCESS_RESTARTED);
                 self.warn(&format!("{role} ({}) ended: {exit}", self.fleet.label(role)));
                 for line in self.fleet.last_log_lines(role).to_vec() {
@@ -342,6 +357,7 @@ impl Session {
         {
             self.audit.moved(monotonic_ns());
             self.recording.add(&scan);
+            self.notice_stop(&scan);
             self.require_obedience(&scan);
             if let Some(companion) = &mut self.companion {
                 companion.belongs(scan.header.scan_id);
@@ -372,13 +388,6 @@ impl Session {
         }
     }
 
-    /// Tells once when the recorder has failed; the drive continues without it.
-    fn check_companion(&mut self) {
-        if let Some(reason) = self.companion.as_mut().and_then(Companion::has_failed) {
-            self.progress.warn(&reason);
-        }
-    }
-
     /// In lock-step no scan after the one that decided the outcome belongs to the run.
     fn is_recorded(&self) -> bool {
         !self.run.lockstep || self.conclusion.is_open()
@@ -395,6 +404,9 @@ impl Session {
             self.events.push(self.recording.recorder.view().time_s, outcome != Outcome::Reached, text);
             self.conclusion.decide(monotonic_ns(), outcome, reason);
             self.directives.stop();
+            if outcome != Outcome::Reached {
+                self.incident();
+            }
         }
     }
 
@@ -496,11 +508,11 @@ impl Session {
             }
             Action::Announce(phase) => {
                 if phase == Phase::Connecting {
-                    self.await_companions(ProcessState::Attached);
+                    self.await_companions(ProcessState::Attached)?;
                     self.samples.connect();
                 }
                 if phase == Phase::Driving {
-                    self.await_companions(ProcessState::Connected);
+                    self.await_companions(ProcessState::Connected)?;
                     if self.companion.as_mut().is_some_and(|companion| !companion.connect()) {
                         self.progress
                             .warn("the recorder did not connect in time: the first samples may be missing");
@@ -594,14 +606,17 @@ impl Session {
             restarts: view.restarts,
             state: if view.state == VisibleState::Stopped { "exited" } else { view.state.name() }.to_owned(),
         });
+        let (beside, companion_delays) = self.companions.ledger();
         RunResult {
             outcome,
             reason: reason.to_owned(),
             processes: processes.collect(),
             companions: self.companion_reports.clone(),
-            swaps: self.swaps.certificates(),
-            ledger: self.audit.samples.report(),
+            swaps: [&self.swaps.certificates(), self.companions.swaps().certificates()].concat(),
+            ledger: LedgerReport { companions: beside, ..self.audit.samples.report() },
+            companion_delays,
             recording: None,
+            incidents: Vec::new(),
         }
     }
 }

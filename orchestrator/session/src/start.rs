@@ -32,7 +32,7 @@ pub fn start(
     let RunOptions { out, lockstep, duration_s, .. } = options.clone();
     let Plan { scenario, system, .. } = plan.clone();
     RunFile { out, lockstep, duration_s, system, scenario }.write(domain)?;
-    let bus = Bus::create(domain)?;
+    let bus = Bus::create(domain, plan.system.period_ns())?;
     let logs = options.out.join("logs");
     let fleet = Fleet::new(
         domain.clone(),

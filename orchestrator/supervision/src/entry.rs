@@ -242,7 +242,7 @@ impl ProcessEntry {
             return Err(Invalid::new(
                 "host",
                 host,
-                "a key of a role: companions run beside the orchestrator",
+                "a key of a role: companions run on the machine of the orchestrator",
             ));
         }
         if !self.also_reads.is_empty() {

@@ -13,16 +13,20 @@
 //! controller gives the same commands as the one that [`Controller::state`] was taken from.
 
 use ocp::Budget;
-use shared_types::{Alarm, Command, CommandKind, Level, Obstacles, PLAN_NODES, PlanNode, Pose, StopReason};
+use shared_types::{
+    Alarm, Blocking, Command, CommandKind, Level, Obstacles, PLAN_NODES, PlanNode, Pose, StopReason,
+};
 use vehicle::{Control, Invalid, State};
 
 use crate::blocking::blocking;
 use crate::braking::STOP_MARGIN_M;
 use crate::config::Config;
 use crate::contest::Contest;
+use crate::escape::struck_at_rest;
 use crate::explicit_side::{self, SideRule};
 use crate::landing::{Approach, approach};
 use crate::lattice::Search;
+use crate::margin::MarginModel;
 use crate::planner::{Choice, Planner, Task};
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::query::Query;
@@ -80,6 +84,11 @@ impl Controller {
             contest: None,
             config,
         })
+    }
+
+    /// Number of ellipse constraints (7.34) that are active in the last solution.
+    pub fn active_ellipses(&self) -> u32 {
+        self.planner.active_ellipses()
     }
 
     /// State that a successor continues from.
@@ -154,8 +163,9 @@ impl Controller {
         }
         let scanner = &obstacles.scanner;
         // Bodies that a faulty scanner shows may contradict the pose: then the scanner is the reason.
-        let initial = start::read(&self.config, pose, obstacles, &mut self.predicted)
-            .map_err(|reason| if scanner.state().is_stop() { StopReason::Scanner } else { reason })?;
+        let initial =
+            start::read(&self.config, pose, obstacles, &self.state.ellipses, &mut self.predicted)
+                .map_err(|reason| if scanner.state().is_stop() { StopReason::Scanner } else { reason })?;
         self.smooth(pose.predicted_ns);
         self.arrive(&initial, pose.predicted_speed_mps, period_s)?;
         if pose.alarm == Alarm::Stop.wire() {
@@ -172,6 +182,7 @@ impl Controller {
             command.margin = start.margin.at(0.0, self.planner.controls[0].velocity);
             return Ok(choice);
         }
+        let unhurried = start;
         if !self.reference_path.clear {
             let scene = start.scene(&self.config, &self.predicted);
             let approach_mps = start.stopping.speed(scene.free_ahead() - start.margin.base() - STOP_MARGIN_M);
@@ -179,14 +190,57 @@ impl Controller {
             start.limit_mps =
                 start.limit_mps.min(self.config.stop.approach_mps).min(approach_mps).max(slowest);
         }
+        let (choice, margin) = match self.wait_or_plan(&start, pose, budget, command) {
+            Ok(choice) => (choice, start.margin),
+            Err(reason) => self.escape(&unhurried, pose, budget, command).ok_or(reason)?,
+        };
+        command.margin = margin.at(0.0, self.planner.controls[0].velocity);
+        Ok(choice)
+    }
+
+    /// A plan that may be driven, unless the path is blocked, or was until lately.
+    fn wait_or_plan(
+        &mut self,
+        start: &Start,
+        pose: &Pose,
+        budget: &Budget,
+        command: &mut Command,
+    ) -> Result<Choice, StopReason> {
         self.wait_until_clear().inspect_err(|_| {
             let scene = start.scene(&self.config, &self.predicted);
             let index = blocked_by(&scene, &[], start.stop_m(), f64::INFINITY);
             command.blocking = index.map(|index| blocking(&scene, index)).unwrap_or_default();
         })?;
-        let choice = self.plan(&start, pose, budget, command)?;
-        command.margin = start.margin.at(0.0, self.planner.controls[0].velocity);
-        Ok(choice)
+        self.plan(start, pose, budget, command)
+    }
+
+    /// A plan out of the way of a body that would strike the robot if it stopped: past the obstacles with little clearance,
+    /// or a turn that keeps the largest; with the margin that it keeps.
+    fn escape(
+        &mut self,
+        start: &Start,
+        pose: &Pose,
+        budget: &Budget,
+        command: &mut Command,
+    ) -> Option<(Choice, MarginModel)> {
+        let Self { config, search, predicted, reference_path, state, planner, .. } = self;
+        let scene = start.scene(config, predicted);
+        let stopped_m = struck_at_rest(&scene, &start.stopping)?;
+        let (speed, sides) = (config.cruise_mps.min(start.limit_mps), &state.sides);
+        let bare = scene.keeping(start.margin.bare(), start.speed);
+        search.find(&Query { scene: bare, speed, narrow: true, sides, forced: None }, reference_path);
+        let task = Task::new(bare, reference_path, state, pose, start);
+        let planned = if reference_path.clear { planner.plan(&task, budget, command) } else { None };
+        if planned.is_some() {
+            side::renew(&mut state.sides, predicted, |obstacle| reference_path.side_of(obstacle));
+        }
+        let task = Task::new(scene, reference_path, state, pose, start);
+        let escape = match planned {
+            Some(choice) => (choice, bare.margin),
+            None => (planner.escape(&task, stopped_m)?, start.margin.none()),
+        };
+        command.blocking = Blocking::default();
+        Some(escape)
     }
 
     /// The last plan, corrected, where it leads past the obstacles although the search found no path: the search is

@@ -11,6 +11,7 @@ mod config;
 mod contest;
 mod controller;
 mod ellipses;
+mod escape;
 mod explicit_side;
 #[cfg(test)]
 #[path = "../tests/common/independent.rs"]

@@ -57,6 +57,18 @@ impl MarginModel {
         Self { settings: MarginSettings { model_m: 0.0, perception_m: 0.0, ..self.settings }, ..self }
     }
 
+    /// What is kept in any case, and nothing for what is uncertain.
+    pub(crate) fn bare(self) -> Self {
+        let settings =
+            MarginSettings { pose_sigmas: 0.0, pose_growth_m: 0.0, model_m: 0.0, perception_m: 0.0 };
+        Self { settings, variance_m2: 0.0, age_s: 0.0, ..self }
+    }
+
+    /// No margin at all: for a robot that would be struck if it stopped.
+    pub(crate) fn none(self) -> Self {
+        Self { base_m: 0.0, ..self.bare() }
+    }
+
     /// Age of the data when the command acts [s].
     pub(crate) fn age_s(&self) -> f64 {
         self.age_s

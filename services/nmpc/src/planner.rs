@@ -22,6 +22,7 @@ use vehicle::{Control, State};
 
 use crate::config::Config;
 use crate::ellipses::fill_ellipses;
+use crate::escape::turn_away;
 #[cfg(test)]
 use crate::injection::{Injection, Place};
 use crate::predicted_obstacle::PredictedObstacle;
@@ -205,6 +206,14 @@ impl Planner {
         self.verify_guess(task, Level::LastPlan)
     }
 
+    /// A plan out of the way of a body that comes as near as `stopped_m` to a robot that stops.
+    pub(crate) fn escape(&mut self, task: &Task, stopped_m: f64) -> Option<Choice> {
+        self.refused_for = None;
+        let scene = Scene { escapes: true, ..task.scene.keeping(task.scene.margin.none(), task.scene.speed) };
+        turn_away(&scene, stopped_m, &mut self.rollout, &mut self.guess.controls)
+            .then(|| self.verify_guess(&Task { scene, ..*task }, Level::BestIterate))?
+    }
+
     /// The solution from the last plan, when there is one that passes obstacles on the sides of the reference path.
     pub(crate) fn continue_plan(
         &mut self,
@@ -249,6 +258,7 @@ impl Planner {
             config.intervals,
             &mut problem.references,
         );
+        problem.weights.goal = goal_nodes(task).map(|(node, share)| (node, share * config.weights.goal));
         let (speed, cruise) = (task.reference_path.slowest(), task.pace().cruise);
         let margin = |obstacle: &PredictedObstacle, way_m: f64| {
             config.ellipse_margin_m
@@ -336,6 +346,11 @@ impl Planner {
         let (start, end) = (self.problem.initial.x, self.rollout.nodes.last().map_or(0.0, |state| state.x));
         let wanted = self.problem.references.last().map_or(0.0, |state| state.x);
         end - start > FAST_SHARE * (wanted - start)
+    }
+
+    /// Number of ellipse constraints that are active in the last solution.
+    pub(crate) fn active_ellipses(&self) -> u32 {
+        self.solution.active_ellipses
     }
 
     /// By how much the ellipse of an obstacle was enlarged for this plan [m].
@@ -427,6 +442,27 @@ fn slow_down(task: &Task, controls: &mut [Control]) {
         control.velocity = control.velocity.min(limit.max(slowest));
         x += control.velocity * interval_s;
     }
+}
+
+/// The two nodes between which the plan passes the goal, with the shares of its weight; node 0 for none.
+///
+/// The last plan tells when; without one the reference does.
+fn goal_nodes(task: &Task) -> [(usize, f64); 2] {
+    let Scene { config, initial, .. } = task.scene;
+    let (goal_x, interval_s, intervals) = (config.goal.x_m, config.interval_s(), config.intervals);
+    let last = &task.last.plan[..task.last.plan_length as usize];
+    let passed = task.elapsed().and_then(|elapsed_s| {
+        let index = last.windows(2).position(|pair| (pair[0].x_m..pair[1].x_m).contains(&goal_x))?;
+        let share = (goal_x - last[index].x_m) / (last[index + 1].x_m - last[index].x_m);
+        Some(index as f64 + share - elapsed_s / interval_s)
+    });
+    let pace = task.pace();
+    let along = passed.unwrap_or_else(|| (goal_x - initial.x) / (pace.cruise * interval_s));
+    if !(0.0..=intervals as f64).contains(&along) {
+        return [(0, 0.0); 2];
+    }
+    let (before, share) = (along as usize, along.fract());
+    [(before, 1.0 - share), ((before + 1).min(intervals), share)]
 }
 
 /// Puts the controls of the last plan into `controls`.

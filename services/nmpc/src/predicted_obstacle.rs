@@ -9,10 +9,10 @@ use nalgebra::Vector2;
 use shared_types::{Obstacle, Obstacles};
 use vehicle::geometry::Rectangle;
 
-/// Speed in standard deviations from which a body counts as moving.
-const SIGNIFICANCE: f64 = 2.0;
-/// Speed below which a body counts as standing, whatever its covariance [m/s].
-const STANDING_MPS: f64 = 0.08;
+/// Speed from which a body counts as moving: in standard deviations, and in any case [m/s].
+const MOVES: (f64, f64) = (2.0, 0.08);
+/// The same for a body that moved at the scan before: near the robot its ends are hidden, so the velocity is uncertain.
+const STILL_MOVES: (f64, f64) = (0.7, 0.04);
 /// Largest position that is accepted [m].
 const LARGEST_M: f64 = 1e5;
 
@@ -62,16 +62,22 @@ impl PredictedObstacle {
     }
 }
 
-/// Fills `predicted` with the obstacles as they will be at the start of the plan, `lead_s` after the scan.
+/// Fills `predicted` with the obstacles as they will be at the start of the plan, `lead_s` after the scan; `moved` tells
+/// which ellipses moved at the scan before.
 ///
 /// Returns false when a number is not finite or a size is impossible: then no plan may be made.
-pub(crate) fn read(obstacles: &Obstacles, lead_s: f64, predicted: &mut Vec<PredictedObstacle>) -> bool {
+pub(crate) fn read(
+    obstacles: &Obstacles,
+    lead_s: f64,
+    moved: impl Fn(u32) -> bool,
+    predicted: &mut Vec<PredictedObstacle>,
+) -> bool {
     predicted.clear();
     for item in obstacles.list() {
         if !is_sound(item) {
             return false;
         }
-        let velocity = significant_velocity(item);
+        let velocity = significant_velocity(item, if moved(item.id) { STILL_MOVES } else { MOVES });
         let travel = [velocity[0] * lead_s, velocity[1] * lead_s];
         predicted.push(PredictedObstacle {
             id: item.id,
@@ -108,16 +114,16 @@ fn is_around_its_body(item: &Obstacle) -> bool {
     apart_m <= item.a_m.max(item.b_m) + item.box_length_m.hypot(item.box_width_m) / 2.0
 }
 
-/// The velocity where its length is significant against its covariance, else zero.
-fn significant_velocity(item: &Obstacle) -> [f64; 2] {
+/// The velocity where its length is at least `slowest_mps` and so many standard deviations, else zero.
+fn significant_velocity(item: &Obstacle, (deviations, slowest_mps): (f64, f64)) -> [f64; 2] {
     let (x, y) = (item.velocity_x_mps, item.velocity_y_mps);
     let speed = x.hypot(y);
-    if speed < STANDING_MPS {
+    if speed < slowest_mps {
         return [0.0, 0.0];
     }
     let [xx, xy, yy] = item.velocity_covariance;
     let variance = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / (speed * speed);
-    if speed * speed > SIGNIFICANCE * SIGNIFICANCE * variance { [x, y] } else { [0.0, 0.0] }
+    if speed * speed > deviations * deviations * variance { [x, y] } else { [0.0, 0.0] }
 }
 
 #[cfg(test)]
@@ -148,18 +154,28 @@ mod tests {
         let mut item =
             Obstacle { velocity_x_mps: -0.3, velocity_covariance: [0.04, 0.0, 0.04], ..obstacle() };
         let mut predicted = Vec::new();
-        assert!(read(&one(item), 0.1, &mut predicted));
+        assert!(read(&one(item), 0.1, |_| false, &mut predicted));
         assert!(!predicted[0].moves() && predicted[0].centre == [5.0, 0.5]);
         item.velocity_covariance = [0.01, 0.0, 0.01];
-        assert!(read(&one(item), 0.1, &mut predicted));
+        assert!(read(&one(item), 0.1, |_| false, &mut predicted));
         assert!((predicted[0].centre[0] - 4.97).abs() < 1e-12);
         assert!((predicted[0].centre_at(1.0)[0] - 4.67).abs() < 1e-12);
     }
 
     #[test]
+    fn a_body_that_moved_goes_on_moving_while_its_velocity_is_uncertain() {
+        let item = Obstacle { velocity_y_mps: -0.14, velocity_covariance: [0.0, 0.0, 0.01], ..obstacle() };
+        let mut predicted = Vec::new();
+        assert!(read(&one(item), 0.1, |_| false, &mut predicted) && !predicted[0].moves());
+        assert!(read(&one(item), 0.1, |id| id == 1, &mut predicted) && predicted[0].moves());
+        let slow = Obstacle { velocity_y_mps: -0.03, ..item };
+        assert!(read(&one(slow), 0.1, |_| true, &mut predicted) && !predicted[0].moves());
+    }
+
+    #[test]
     fn the_value_is_one_on_the_ellipse() {
         let mut predicted = Vec::new();
-        assert!(read(&one(obstacle()), 0.0, &mut predicted));
+        assert!(read(&one(obstacle()), 0.0, |_| false, &mut predicted));
         assert!((predicted[0].value(0.0, 6.2, 0.5) - 1.0).abs() < 1e-12);
         assert!((predicted[0].value(0.0, 5.0, -0.3) - 1.0).abs() < 1e-12);
     }
@@ -167,8 +183,13 @@ mod tests {
     #[test]
     fn impossible_numbers_are_refused() {
         let mut predicted = Vec::new();
-        assert!(!read(&one(Obstacle { x_m: f64::NAN, ..obstacle() }), 0.0, &mut predicted));
-        assert!(!read(&one(Obstacle { b_m: 0.0, ..obstacle() }), 0.0, &mut predicted));
-        assert!(!read(&one(Obstacle { velocity_y_mps: f64::INFINITY, ..obstacle() }), 0.0, &mut predicted));
+        assert!(!read(&one(Obstacle { x_m: f64::NAN, ..obstacle() }), 0.0, |_| false, &mut predicted));
+        assert!(!read(&one(Obstacle { b_m: 0.0, ..obstacle() }), 0.0, |_| false, &mut predicted));
+        assert!(!read(
+            &one(Obstacle { velocity_y_mps: f64::INFINITY, ..obstacle() }),
+            0.0,
+            |_| false,
+            &mut predicted
+        ));
     }
 }

@@ -46,6 +46,8 @@ pub(crate) struct Scene<'a> {
     pub(crate) speed: f64,
     /// Largest velocity from which the robot stops in time [m/s].
     pub(crate) limit_mps: f64,
+    /// Whether the robot gets out of the way of a body: then the bodies count, and their ellipses do not.
+    pub(crate) escapes: bool,
 }
 
 /// The limit that a plan violates.
@@ -76,6 +78,7 @@ impl<'a> Scene<'a> {
             margin: MarginModel::certain(config),
             speed: 0.0,
             limit_mps: f64::INFINITY,
+            escapes: false,
         }
     }
 
@@ -115,7 +118,7 @@ impl<'a> Scene<'a> {
         let near = |index: &usize| baseline.gaps[*index] < START_SHARE * self.config.clearance_m;
         (0..self.predicted.len().min(shared_types::MAX_OBSTACLES))
             .find(near)
-            .filter(|_| self.speed < REST_MPS)
+            .filter(|_| self.speed < REST_MPS && !self.escapes)
     }
 
     /// The first limit that the robot violates at a sample of the plan.
@@ -132,6 +135,7 @@ impl<'a> Scene<'a> {
         let entered =
             |index: &usize| self.predicted[*index].value(t, state.x, state.y) < baseline.values[*index];
         (0..self.predicted.len().min(shared_types::MAX_OBSTACLES))
+            .filter(|_| !self.escapes)
             .find(entered)
             .map(Violation::Ellipse)
             .or_else(|| self.touched(baseline, self.margin.sum(t, speed), t, state))

@@ -79,6 +79,13 @@ pub(crate) fn grown(known: &SmoothedEllipses, id: u32) -> f64 {
     known.iter().find(|entry| entry.id != 0 && entry.id == id).map_or(0.0, |entry| entry.grown_m)
 }
 
+/// Whether an ellipse moved at the scan before.
+pub(crate) fn moved(known: &SmoothedEllipses, id: u32) -> bool {
+    let [.., x, y] =
+        known.iter().find(|entry| entry.id != 0 && entry.id == id).map_or([0.0; 4], |entry| entry.motion);
+    [x, y] != [0.0, 0.0]
+}
+
 /// Notes by how much the ellipse of an obstacle is enlarged.
 pub(crate) fn grow(known: &mut SmoothedEllipses, id: u32, grown_m: f64) {
     if let Some(entry) = known.iter_mut().find(|entry| entry.id != 0 && entry.id == id) {

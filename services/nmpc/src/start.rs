@@ -8,6 +8,7 @@ use crate::config::Config;
 use crate::margin::MarginModel;
 use crate::predicted_obstacle::{self, PredictedObstacle};
 use crate::scene::Scene;
+use crate::smoothing::{SmoothedEllipses, moved};
 
 /// Longest time from the scan to the start of the plan [s]: an older pose is contradictory.
 const MAX_LEAD_S: f64 = 1.0;
@@ -87,7 +88,7 @@ fn seen_mps(config: &Config, stopping: &Stopping, scanner: &ScannerHealth) -> f6
     }
 }
 
-/// The state at the start of the plan; the obstacles are read into `predicted`.
+/// The state at the start of the plan; the obstacles are read into `predicted`, where `known` are those of the scan before.
 ///
 /// # Errors
 /// [`StopReason::BadInput`] when a number is impossible or the inputs contradict each other.
@@ -95,6 +96,7 @@ pub(crate) fn read(
     config: &Config,
     pose: &Pose,
     obstacles: &Obstacles,
+    known: &SmoothedEllipses,
     predicted: &mut Vec<PredictedObstacle>,
 ) -> Result<State, StopReason> {
     let initial = State {
@@ -113,7 +115,7 @@ pub(crate) fn read(
         && is_near(config, pose, lead_s)
         && pose.local_covariance.iter().all(|value| value.is_finite())
         && pose.header.scan_id == obstacles.header.scan_id;
-    if !sound || !predicted_obstacle::read(obstacles, lead_s, predicted) {
+    if !sound || !predicted_obstacle::read(obstacles, lead_s, |id| moved(known, id), predicted) {
         return Err(StopReason::BadInput);
     }
     let body = Scene::new(config, predicted, initial).body_at(&initial);

@@ -40,6 +40,7 @@
 //!         change: [0.0, 0.0],
 //!         slack_linear: 100.0,
 //!         slack_quadratic: 100.0,
+//!         goal: [(0, 0.0); 2],
 //!     },
 //!     ellipses: vec![EllipsePath { a: 1.2, b: 0.8, centres: vec![[5.0, 0.1]; count + 1] }],
 //! };

@@ -51,8 +51,13 @@ pub(crate) fn ellipse_excess(ellipse: &EllipsePath, node: usize, state: &[f64; 5
 
 /// Weights of the state at `node` (1 to N).
 #[inline]
-pub(crate) fn node_weights(problem: &Problem, node: usize) -> &[f64; 5] {
-    if node == problem.intervals.len() { &problem.weights.terminal } else { &problem.weights.node }
+pub(crate) fn node_weights(problem: &Problem, node: usize) -> [f64; 5] {
+    let weights = &problem.weights;
+    let mut row = if node == problem.intervals.len() { weights.terminal } else { weights.node };
+    for (_, more) in weights.goal.iter().filter(|(at, _)| *at == node) {
+        row[4] += more;
+    }
+    row
 }
 
 /// Reference of the state at `node` (1 to N).

@@ -32,6 +32,8 @@ pub struct Weights {
     pub slack_linear: f64,
     /// Quadratic weight of each slack.
     pub slack_quadratic: f64,
+    /// Two nodes with weights of y in addition; node 0 for none.
+    pub goal: [(usize, f64); 2],
 }
 
 /// Everything that defines the problem of one scan.
@@ -102,6 +104,8 @@ pub struct Solution {
     pub objective: f64,
     /// Active constraints.
     pub active_constraints: u32,
+    /// Active ellipse constraints (7.34) among them.
+    pub active_ellipses: u32,
 }
 
 impl Default for Solution {
@@ -116,6 +120,7 @@ impl Default for Solution {
             slack: f64::INFINITY,
             objective: f64::INFINITY,
             active_constraints: 0,
+            active_ellipses: 0,
         }
     }
 }

@@ -28,6 +28,7 @@ pub(crate) fn problem() -> Problem {
             change: [0.5, 50.0],
             slack_linear: 100.0,
             slack_quadratic: 100.0,
+            goal: [(3, 5.0), (4, 2.0)],
         },
         ellipses: vec![EllipsePath { a: 1.2, b: 0.8, centres: vec![[3.0, 0.2]; 7] }],
     }

@@ -35,6 +35,7 @@ pub(crate) fn is_usable(problem: &Problem, guess: &Trajectory) -> bool {
         && problem.control_reference.is_finite()
         && weights.node.iter().chain(&weights.terminal).all(|&weight| natural(weight))
         && weights.control.iter().chain(&weights.change).all(|&weight| natural(weight))
+        && weights.goal.iter().all(|(_, weight)| natural(*weight))
         && natural(weights.slack_linear)
         && natural(weights.slack_quadratic)
         && problem.ellipses.iter().all(|ellipse| {

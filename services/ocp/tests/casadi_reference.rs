@@ -56,6 +56,7 @@ fn problem(instance: &Value, interval: f64) -> Problem {
             change: numbers(&weights["change"]),
             slack_linear: number(weights, "slack_linear"),
             slack_quadratic: number(weights, "slack_quadratic"),
+            goal: [(0, 0.0); 2],
         },
         ellipses: list(&instance["ellipses"], |ellipse| EllipsePath {
             a: number(ellipse, "a_m"),

@@ -70,6 +70,7 @@ fn problem() -> Problem {
             change: [0.1, 0.5],
             slack_linear: 100.0,
             slack_quadratic: 100.0,
+            goal: [(0, 0.0); 2],
         },
         ellipses: vec![EllipsePath { a: 0.6, b: 0.4, centres: vec![[1.5, 0.05]; count + 1] }],
     }

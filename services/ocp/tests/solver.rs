@@ -40,7 +40,8 @@ fn objective(problem: &Problem, controls: &[Control]) -> f64 {
     for node in 1..=count {
         let state = rolled.states[node];
         let error = state.to_vector() - problem.references[node - 1].to_vector();
-        let row = if node == count { weights.terminal } else { weights.node };
+        let mut row = if node == count { weights.terminal } else { weights.node };
+        weights.goal.iter().filter(|(at, _)| *at == node).for_each(|(_, more)| row[4] += more);
         sum += (0..5).map(|component| row[component] * error[component] * error[component]).sum::<f64>();
         sum += penalty(state.sideslip.abs() - bounds.sideslip_max_rad);
         sum += penalty(state.yaw.abs() - bounds.yaw_max_rad);
@@ -284,7 +285,7 @@ fn a_budget_ends_the_solve_with_an_iterate_that_satisfies_the_model() {
 #[test]
 fn input_that_is_not_finite_or_contradicts_itself_fails_without_panic() {
     type Spoil = fn(&mut Problem, f64);
-    let spoils: [Spoil; 17] = [
+    let spoils: [Spoil; 18] = [
         |problem, bad| problem.initial.yaw = bad,
         |problem, bad| problem.initial.x = bad,
         |problem, bad| problem.model = Arc::new(Parameters { mass_kg: bad, ..Parameters::default() }),
@@ -296,6 +297,7 @@ fn input_that_is_not_finite_or_contradicts_itself_fails_without_panic() {
         |problem, bad| problem.control_reference.steering = bad,
         |problem, bad| problem.previous = Some(Control { velocity: bad, steering: 0.0 }),
         |problem, bad| problem.weights.node[3] = bad,
+        |problem, bad| problem.weights.goal[0].1 = bad,
         |problem, bad| problem.weights.slack_linear = bad,
         |problem, bad| problem.ellipses[0].a = bad,
         |problem, bad| problem.ellipses[0].centres[2][1] = bad,

@@ -9,14 +9,14 @@ use shared_types::{Fault, Sample, SampleType, Topic};
 
 use crate::bell::{Bells, bit};
 use crate::enclosed::Enclosed;
-use crate::port::{BytePublisher, ByteSubscriber, Received};
+use crate::port::{BytePublisher, ByteSubscriber, Queue, Received};
 use crate::qos::qos;
 use crate::view::view;
 use crate::waiter::{Ringer, Waiter};
 use crate::{Bus, RuntimeError, monotonic_ns, wait_for};
 
 /// Rounds over all publishers in one poll, at most; more than the longest queue of a topic needs.
-const MAX_ROUNDS: usize = 32;
+const MAX_ROUNDS: usize = 64;
 
 /// A sample, and whether its content may be used.
 pub type Checked<S> = (S, Result<(), Fault>);
@@ -53,6 +53,11 @@ impl<S: Sample> Observer<S> {
     /// Makes this end of all connections.
     pub fn connect(&self) {
         self.0.subscriber.connect();
+    }
+
+    /// How many samples of one publisher can wait here. A poll that finds fewer has missed none.
+    pub fn capacity(&self) -> usize {
+        self.0.subscriber.capacity()
     }
 
     /// The next sample, whatever its content; `None` when there is none now. A loop over it may never end where a
@@ -157,8 +162,8 @@ impl Source {
         let waiter = if waking { Some(Waiter::new(bus, of.topic)?) } else { None };
         let waking =
             waiter.map(|waiter| Waking { bells: Arc::clone(bus.bells()), waiter, seen: Cell::new(0) });
-        let borrowed = RefCell::new(Vec::with_capacity(qos(of.topic).max_borrowed()));
-        let subscriber = bus.subscriber(of)?;
+        let borrowed = RefCell::new(Vec::with_capacity(qos(of.topic, u64::MAX).max_borrowed()));
+        let subscriber = bus.subscriber(of, Queue::Observer)?;
         bus.allocate()?;
         Ok(Enclosed::new(Self { of, subscriber, waking, borrowed }))
     }

@@ -20,6 +20,8 @@ const WORST: [f64; 2] = [1.05, 0.8];
 const TOLERANCE_M: f64 = 0.005;
 /// Velocities below it are noise [m/s].
 const STANDING_MPS: f64 = 0.08;
+/// How long a robot that stops is thought to rest [s].
+const REST_S: f64 = 5.0;
 /// Largest velocity above a limit that is rounding [m/s].
 const ROUNDING: f64 = 1e-6;
 
@@ -186,9 +188,27 @@ impl<'a> Surroundings<'a> {
         let value = |item: &Obstacle| surroundings.value(item, 0.0, &state).min(1.0);
         (surroundings.gaps, surroundings.values) =
             (surroundings.items.iter().map(gap).collect(), surroundings.items.iter().map(value).collect());
+        if surroundings.strikes_at_rest(&state, pose.predicted_speed_mps) {
+            // The robot gets out of the way of a body that would touch it at rest: no contact is all it must keep.
+            surroundings.gaps.iter_mut().for_each(|gap| *gap = gap.min(0.0));
+            surroundings.values.fill(f64::NEG_INFINITY);
+        }
         surroundings.wall_m = surroundings.wall_gap(&state).min(judge.clearance_m);
         surroundings.outside_m = surroundings.outside(&state).max(0.05);
         surroundings
+    }
+
+    /// Whether a body comes nearer than the clearance to a robot that blocks its wheels here.
+    fn strikes_at_rest(&self, from: &State, speed: f64) -> bool {
+        let (sin, cos) = (from.yaw + from.sideslip).sin_cos();
+        let deceleration = WORST[1] * self.judge.vehicle.blocked_deceleration_mps2;
+        let way = (WORST[0] * speed).powi(2) / (2.0 * deceleration);
+        let rest = State { x: from.x + way * cos, y: from.y + way * sin, ..*from };
+        let near = |item: &Obstacle, t: f64| self.gap(item, t, &rest) < self.judge.clearance_m + TOLERANCE_M;
+        let comes = |item: &&Obstacle| item.velocity_x_mps.hypot(item.velocity_y_mps) >= STANDING_MPS / 2.0;
+        let steps = (REST_S / STEP_S) as usize;
+        let mut moving = self.items.iter().filter(comes);
+        moving.any(|item| (0..=steps).any(|step| near(item, step as f64 * STEP_S)))
     }
 
     /// What the robot touches, or leaves, at `t` after the start of the plan.

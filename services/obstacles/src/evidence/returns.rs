@@ -13,6 +13,8 @@ const TOLERANCE_M: f64 = 0.1;
 const TOLERANCE: f64 = 0.05;
 /// Time constant of the counts [s].
 const MEMORY_S: f64 = 0.45;
+/// Predicted returns from which on a scan has its full weight.
+const ENOUGH: f64 = 15.0;
 /// Beams on each side of the expected one that count as well.
 const BESIDE: usize = 1;
 
@@ -53,12 +55,14 @@ impl Returns {
         counts
     }
 
-    /// Adds the counts of a scan `elapsed` seconds after the last.
+    /// Adds the counts of a scan `elapsed` seconds after the last. All scans that predict enough returns weigh the same:
+    /// where most returns are missing, the next scan is compared with few, and those before must not outweigh it.
     pub(crate) fn add(&mut self, scan: &Self, elapsed: f64) {
         let keep = (-elapsed / MEMORY_S).exp();
-        self.predicted = self.predicted * keep + scan.predicted;
-        self.came = self.came * keep + scan.came;
-        self.agreed = self.agreed * keep + scan.agreed;
+        let weight = ENOUGH / scan.predicted.max(ENOUGH);
+        self.predicted = self.predicted * keep + weight * scan.predicted;
+        self.came = self.came * keep + weight * scan.came;
+        self.agreed = self.agreed * keep + weight * scan.agreed;
     }
 
     /// Share of the predicted returns that came at their range; `None` when too few were predicted to tell.

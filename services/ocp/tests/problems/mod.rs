@@ -23,6 +23,7 @@ pub(crate) fn bench_weights() -> Weights {
         change: [0.0, 0.0],
         slack_linear: 100.0,
         slack_quadratic: 100.0,
+        goal: [(0, 0.0); 2],
     }
 }
 
@@ -36,6 +37,7 @@ pub(crate) fn loop_weights() -> Weights {
         change: [0.5, 50.0],
         slack_linear: 500.0,
         slack_quadratic: 500.0,
+        goal: [(0, 0.0); 2],
     }
 }
 

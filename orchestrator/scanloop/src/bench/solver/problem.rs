@@ -84,6 +84,7 @@ pub fn problem(case: &Case, count: usize) -> Problem {
             change: [0.0, 0.0],
             slack_linear: 100.0,
             slack_quadratic: 100.0,
+            goal: [(0, 0.0); 2],
         },
         ellipses: vec![EllipsePath { a, b, centres: vec![[x, y]; count + 1] }],
     }

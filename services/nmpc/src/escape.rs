@@ -1,0 +1,170 @@
+//! Out of the way of a body that comes: blocked wheels are no safe end where a moving body will be.
+//!
+//! A stop is refused by nothing else in the controller. Where the robot would come to rest in the way of a body that moves,
+//! and no plan keeps the whole margin, a plan is driven that keeps the clearance that holds in any case. Most of the
+//! margin is for what is uncertain; the contact is not.
+//!
+//! Assumed: the body keeps its velocity. Where nothing comes, a stop stays a stop.
+
+use vehicle::geometry::Rectangle;
+use vehicle::{Control, State};
+
+use crate::braking::Stopping;
+use crate::rollout::Rollout;
+use crate::scene::{Baseline, Scene};
+use crate::verify::VERIFIED_S;
+
+/// How long the robot is thought to rest [s]: about the horizon.
+const REST_S: f64 = 5.0;
+/// Step of the comparison [s]: 5 cm of a body with 0.5 m/s.
+const STEP_S: f64 = 0.1;
+
+/// Turns that are tried, as shares of the largest steering angle: first one, then another.
+const TURNS: [f64; 5] = [0.0, 0.5, -0.5, 1.0, -1.0];
+/// Speeds that are tried, as shares of the fastest.
+const SPEEDS: [f64; 4] = [1.0, 0.5, 0.25, 0.1];
+/// How much more clearance than a stop an escape must have [m].
+const GAIN_M: f64 = 0.02;
+/// More clearance than this is not looked for [m].
+const ENOUGH_M: f64 = 0.2;
+/// Every third sample of a rollout is compared: the plan that is chosen is verified as any other.
+const EVERY: usize = 3;
+
+/// Smallest distance to a body that moves when the robot blocks its wheels now and stays, if it comes nearer than the base
+/// clearance [m].
+pub(crate) fn struck_at_rest(scene: &Scene, stopping: &Stopping) -> Option<f64> {
+    let State { x, y, yaw, sideslip, .. } = scene.initial;
+    let (sin, cos) = (yaw + sideslip).sin_cos();
+    let slide = stopping.slide(scene.speed);
+    let rest = scene.body_at(&State { x: x + slide * cos, y: y + slide * sin, ..scene.initial });
+    let moving = || scene.predicted.iter().filter(|obstacle| obstacle.moves());
+    let now =
+        moving().map(|obstacle| rest.distance_to_rectangle(&obstacle.body)).fold(f64::INFINITY, f64::min);
+    let nearest = resting(scene, &rest, 0.0);
+    // One that is near already comes only if it comes nearer.
+    (nearest < scene.margin.base().min(now) - 1e-3).then_some(nearest)
+}
+
+/// Smallest distance of a body at rest from a time on to the bodies that move [m].
+fn resting(scene: &Scene, rest: &Rectangle, from_s: f64) -> f64 {
+    let distance = |t: f64| {
+        let moving = scene.predicted.iter().filter(|obstacle| obstacle.moves());
+        moving.map(|obstacle| rest.distance_to_rectangle(&obstacle.body_at(t))).fold(f64::INFINITY, f64::min)
+    };
+    let steps = ((REST_S - from_s) / STEP_S).max(0.0) as usize;
+    (0..=steps).map(|step| distance(from_s + step as f64 * STEP_S)).fold(f64::INFINITY, f64::min)
+}
+
+/// Fills `controls` with the turn that keeps the largest distance to all bodies, and rests behind its end; false when none
+/// is better than a stop that comes as near as `stopped_m` to one.
+pub(crate) fn turn_away(
+    scene: &Scene,
+    stopped_m: f64,
+    rollout: &mut Rollout,
+    controls: &mut Vec<Control>,
+) -> bool {
+    let (bounds, config) = (scene.bounds(), scene.config);
+    let count = ((VERIFIED_S / config.interval_s()).ceil() as usize).clamp(1, config.intervals);
+    let fastest = config.cruise_mps.min(bounds.velocity_max_mps);
+    let baseline = scene.baseline();
+    let mut best: Option<(f64, [Control; 2])> = None;
+    let tried = SPEEDS.iter().flat_map(|speed| {
+        TURNS.iter().flat_map(move |first| TURNS.iter().map(move |then| (*speed, [*first, *then])))
+    });
+    let fill = |controls: &mut Vec<Control>, [first, then]: [Control; 2]| {
+        controls.clear();
+        controls.extend((0..count).map(|index| if index < count.div_ceil(3) { first } else { then }));
+    };
+    for (speed, turns) in tried {
+        let velocity = (speed * fastest).max(bounds.velocity_min_mps);
+        let both = turns.map(|turn| Control { velocity, steering: turn * bounds.steering_max_rad });
+        fill(controls, both);
+        rollout.drive(scene, controls);
+        let enough = best.map_or(stopped_m + GAIN_M, |(clearance, _)| clearance);
+        let clearance = clearance(scene, &baseline, rollout, enough);
+        if clearance > enough {
+            best = Some((clearance, both));
+        }
+    }
+    if let Some((_, both)) = best {
+        fill(controls, both);
+    }
+    best.is_some()
+}
+
+/// Smallest distance to all bodies along a rollout, and to those that move while the robot rests at its end, at most
+/// [`ENOUGH_M`]; minus infinity when it is not above `enough`, or when a limit is violated [m].
+fn clearance(scene: &Scene, baseline: &Baseline, rollout: &Rollout, enough: f64) -> f64 {
+    let mut smallest = ENOUGH_M;
+    for sample in rollout.samples.iter().step_by(EVERY) {
+        let body = scene.body_at(&sample.state);
+        for obstacle in scene.predicted {
+            smallest = smallest.min(body.distance_to_rectangle(&obstacle.body_at(sample.t)));
+        }
+        if smallest <= enough || scene.check(baseline, sample).is_some() {
+            return f64::NEG_INFINITY;
+        }
+    }
+    let Some(end) = rollout.samples.last() else { return f64::NEG_INFINITY };
+    smallest.min(resting(scene, &scene.body_at(&end.state), end.t))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use crate::predicted_obstacle::PredictedObstacle;
+    use nalgebra::Vector2;
+    use vehicle::geometry::Rectangle;
+
+    fn comes(y: f64, velocity_y: f64) -> bool {
+        let body = Rectangle { centre: Vector2::new(0.5, y), yaw: 0.0, length: 0.4, width: 0.4 };
+        let predicted = [PredictedObstacle {
+            id: 1,
+            centre: [0.5, y],
+            velocity: [0.0, velocity_y],
+            a: 1.2,
+            b: 0.7,
+            body,
+        }];
+        let config = Config::default();
+        let stopping = Stopping::new(&config, 0.1, 0.1);
+        // The body of the robot slides from 0.28 m to 0.42 m ahead, and is 0.2 m wide to each side.
+        let scene = Scene { speed: 1.0, ..Scene::new(&config, &predicted, State::default()) };
+        struck_at_rest(&scene, &stopping).is_some()
+    }
+
+    /// Whether there is a turn away from a body that crosses the place of a robot at rest, and its smallest distance to all
+    /// bodies [m].
+    fn turns(standing: Option<PredictedObstacle>) -> Option<f64> {
+        let body = Rectangle { centre: Vector2::new(0.0, 1.0), yaw: 0.0, length: 0.3, width: 0.3 };
+        let crossing =
+            PredictedObstacle { id: 1, centre: [0.0, 1.0], velocity: [0.0, -0.3], a: 1.2, b: 0.7, body };
+        let predicted: Vec<_> = standing.into_iter().chain([crossing]).collect();
+        let config = Config::default();
+        let scene = Scene::new(&config, &predicted, State::default());
+        let stopped_m = struck_at_rest(&scene, &Stopping::new(&config, 0.1, 0.1)).unwrap();
+        let scene = Scene { escapes: true, ..scene.keeping(scene.margin.none(), 0.0) };
+        let (mut rollout, mut controls) = (Rollout::default(), Vec::new());
+        turn_away(&scene, stopped_m, &mut rollout, &mut controls).then(|| {
+            rollout.drive(&scene, &controls);
+            clearance(&scene, &scene.baseline(), &rollout, 0.0)
+        })
+    }
+
+    #[test]
+    fn a_robot_drives_out_of_the_way_where_there_is_room() {
+        assert!(turns(None).is_some_and(|clearance_m| clearance_m > 0.1));
+        let body = Rectangle { centre: Vector2::new(0.4, 0.0), yaw: 0.0, length: 0.1, width: 2.0 };
+        let wall = PredictedObstacle { id: 2, centre: [0.4, 0.0], velocity: [0.0; 2], a: 1.2, b: 1.2, body };
+        assert_eq!(turns(Some(wall)), None);
+    }
+
+    #[test]
+    fn a_body_that_crosses_the_place_of_rest_comes() {
+        assert!(comes(1.5, -0.3));
+        assert!(!comes(1.5, 0.3), "it goes away");
+        assert!(!comes(1.5, 0.0), "it stands");
+        assert!(!comes(3.0, -0.3), "it is there later");
+    }
+}
