@@ -1,5 +1,6 @@
 //! The program `scanloop-link`: where it is, and the one that the orchestrator runs.
 
+use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::net::IpAddr;
 use std::os::unix::fs::MetadataExt;
@@ -22,6 +23,8 @@ use supervision::child_log::ChildLog;
 const PROGRAM: &str = "scanloop-link";
 /// Time between two looks at its status [ns].
 const READ_NS: u64 = 50_000_000;
+/// After this time all processes of a host that is connected again have sent heartbeats [ns].
+const STEADY_NS: u64 = 1_000_000_000;
 /// A status older than this says that the link does not run [ns].
 const SILENT_NS: u64 = 1_000_000_000;
 
@@ -33,6 +36,8 @@ pub struct HubLink {
     status: LinkStatus,
     read_ns: u64,
     period_ns: u64,
+    /// Since when samples come from a host without a break [ns].
+    connected_ns: BTreeMap<String, u64>,
 }
 
 impl HubLink {
@@ -47,7 +52,15 @@ impl HubLink {
         let path = logs.join("link.log");
         let log = ChildLog::open(&path).with_context(|| path.display().to_string())?;
         let (domain, status) = (domain.clone(), LinkStatus::default());
-        let mut link = Self { domain, log, child: None, status, read_ns: 0, period_ns: table.period_ns };
+        let mut link = Self {
+            domain,
+            log,
+            child: None,
+            status,
+            read_ns: 0,
+            period_ns: table.period_ns,
+            connected_ns: BTreeMap::new(),
+        };
         link.launch()?;
         Ok(Some(link))
     }
@@ -62,6 +75,13 @@ impl HubLink {
         let mut messages = Vec::new();
         if let Ok(Some(status)) = LinkStatus::read(&self.domain) {
             let before = std::mem::replace(&mut self.status, status);
+            for host in &self.status.hosts {
+                if host.is_connected && host.is_locked {
+                    self.connected_ns.entry(host.name.clone()).or_insert(now_ns);
+                } else {
+                    self.connected_ns.remove(&host.name);
+                }
+            }
             messages.extend(
                 self.status.hosts.iter().filter_map(|host| self.change(before.host(&host.name), host)),
             );
@@ -98,10 +118,12 @@ impl HubLink {
         }
     }
 
-    /// Whether nothing comes from a host now, so that a process there can't show that it works.
+    /// Whether a process on a host could not show that it works: nothing came from there a moment ago, or now.
     pub fn is_cut(&self, host: &str) -> bool {
-        let is_silent = monotonic_ns().saturating_sub(self.status.written_ns) > SILENT_NS;
-        is_silent || self.status.host(host).is_none_or(|host| !host.is_connected || !host.is_locked)
+        let now_ns = monotonic_ns();
+        let is_silent = now_ns.saturating_sub(self.status.written_ns) > SILENT_NS;
+        is_silent
+            || self.connected_ns.get(host).is_none_or(|since_ns| now_ns.saturating_sub(*since_ns) < STEADY_NS)
     }
 
     /// The other hosts.

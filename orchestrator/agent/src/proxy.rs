@@ -6,8 +6,9 @@ use std::time::Duration;
 use anyhow::Context;
 use console::exit::{Exit, Failure};
 use runtime::{
-    CANDIDATE_VARIABLE, Domain, INCARNATION_VARIABLE, LINK_SOCKET, LinkTable, RESTART_VARIABLE,
-    ROLE_VARIABLE, Shutdown, link_version, monotonic_ns, own_settings_file, reply_socket, settings_file,
+    CANDIDATE_VARIABLE, Domain, INCARNATION_VARIABLE, LINK_SOCKET, LinkTable, Priority, RESTART_VARIABLE,
+    ROLE_VARIABLE, Shutdown, link_version, monotonic_ns, own_settings_file, print, reply_socket,
+    settings_file,
 };
 use rustix::process::{Signal, getpid, kill_process};
 use shared_types::Role;
@@ -89,7 +90,7 @@ pub fn run(host: &str, implementation: &str) -> anyhow::Result<Exit> {
             }
             State::Refused { reason } => return Err(Failure::process(format!("host {host}: {reason}"))),
             ended => {
-                up.last_lines.iter().for_each(|line| eprintln!("{line}"));
+                up.last_lines.iter().for_each(|line| print(Priority::Error, line));
                 end_as(&ended);
             }
         }

@@ -57,8 +57,9 @@ use swaps::Swaps;
 /// In lock-step the robot may be this many scans ahead of what was recorded: half of what topics can hold.
 const GRANT_AHEAD: u64 = 8;
 
-/// A process on another host is not hung before its heartbeats have not come for this long [ns]: ten of them.
-const MAX_SILENT_NS: u64 = 1_000_000_000;
+/// A process on another host is not hung before its heartbeats have not come for this long [ns]: longer than it takes to
+/// notice that nothing comes from the host.
+const MAX_SILENT_NS: u64 = 1_500_000_000;
 
 /// A run with all its processes.
 pub struct Session {

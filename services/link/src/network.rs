@@ -8,8 +8,9 @@ use zenoh::{Config, Session, Wait};
 
 use crate::credentials::{AUTHORITY, CERTIFICATE, KEY};
 
-/// A peer that has sent nothing for this long is gone; the connection is made anew when it answers again [ms].
-const LEASE_MS: u32 = 2_000;
+/// A peer that has sent nothing for this long is gone [ms]. Until then the other end of a connection that has failed refuses
+/// a new one, so that an outage costs this time at least.
+const LEASE_MS: u32 = 1_000;
 
 /// Places in each queue of the network, as many as it allows.
 const MAX_QUEUE: u32 = 16;

@@ -101,6 +101,12 @@ impl Successor {
     /// The reason why it can't be started.
     pub(crate) fn entry(&self, live: &ProcessEntry) -> Result<ProcessEntry, String> {
         let (implementation, command) = (self.implementation.clone(), self.command.clone());
+        if let (Some(host), Some(command)) = (&live.host, &command) {
+            let command = command.join(" ");
+            return Err(format!(
+                "command = {command} is not allowed: an `implementation`, because the role is on host {host}"
+            ));
+        }
         let entry = ProcessEntry { implementation, command, ..live.clone() };
         entry.validate().map_err(|invalid| invalid.to_string())?;
         Ok(entry)
