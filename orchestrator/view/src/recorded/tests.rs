@@ -35,7 +35,7 @@ fn header<S: Sample>(scan_id: u64, incarnation: u32, role: Role) -> Header {
 fn drive(name: &str) -> File {
     let file = file(name);
     let mut tape =
-        recording::Tape::new(recording::writer(std::fs::File::create(&file.0).unwrap()).unwrap(), false);
+        recording::Tape::new(recording::writer(std::fs::File::create(&file.0).unwrap()).unwrap(), false, 0);
     for scan_id in 1..=120 {
         let estimator = if scan_id < 60 { 2 } else { 12 };
         let authority: [Authority; ROLES] = std::array::from_fn(|index| {
@@ -139,7 +139,7 @@ fn rows_around_a_time_reach_as_far_as_charts() {
 fn a_file_without_a_drive_is_refused() {
     let file = file("empty");
     let mut tape =
-        recording::Tape::new(recording::writer(std::fs::File::create(&file.0).unwrap()).unwrap(), false);
+        recording::Tape::new(recording::writer(std::fs::File::create(&file.0).unwrap()).unwrap(), false, 0);
     tape.sample(Topic::Directive, bytes_of(&Directive::default())).unwrap();
     tape.into_target().finish().unwrap();
     let error = RecordedDrive::open(&file.0).err().unwrap().to_string();
