@@ -1,6 +1,9 @@
 //! Source side and emulated scanner in simulated time, without a connection.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use proptest::prelude::*;
 use shared_types::{BEAMS, FRONT_BEAM, Sample, Scan};
 use urg::{
@@ -324,12 +327,15 @@ proptest! {
         pair.run(300);
         let (begin, before) = (pair.readings.len(), pair.session.counters());
         let mut is_done = false;
+        let place = Arc::new(AtomicUsize::new(0));
+        let damaged = Arc::clone(&place);
         pair.damage = Box::new(move |bytes| {
             // A whole scan comes at once; status replies are short.
             if bytes.len() < 1_000 || std::mem::replace(&mut is_done, true) {
                 return;
             }
             let at = (from * bytes.len() as f64) as usize;
+            damaged.store(at, Ordering::Relaxed);
             match flip {
                 Some(bit) => bytes[at] ^= 1 << bit,
                 None => drop(bytes.drain(at..(at + 1 + (share * bytes.len() as f64) as usize).min(bytes.len()))),
@@ -338,14 +344,16 @@ proptest! {
         pair.run(1_000);
         let after = pair.session.counters();
         let found = after.broken + after.garbage - before.broken - before.garbage;
-        prop_assert!((1..=3).contains(&found), "{found} damaged pieces");
+        // The number of scans that remain is part of the echo, which has no checksum, and no scan depends on it.
+        let is_harmless = flip.is_some() && (13..15).contains(&place.load(Ordering::Relaxed));
+        prop_assert!((1..=3).contains(&found) || is_harmless && found == 0, "{found} damaged pieces");
         let readings = &pair.readings[begin..];
         for (reading, scan) in readings {
             let expected = |beam: usize| if reading.is_missing { 0 } else { 1_000 + 3 * (44 + beam) as u16 };
             prop_assert!((0..BEAMS).all(|beam| scan.ranges_mm[beam] == expected(beam)), "{reading:?}");
         }
         let whole = readings.iter().filter(|(reading, _)| !reading.is_missing).count();
-        prop_assert!((8..=9).contains(&whole), "{whole} whole scans, the damaged one and one beside it at most are lost");
+        prop_assert!((8..=9).contains(&whole) || is_harmless, "{whole} whole scans, the damaged one and one beside it at most are lost");
     }
 }
 
