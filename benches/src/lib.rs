@@ -10,6 +10,7 @@ mod lap;
 mod load;
 mod payload;
 mod round_trips;
+mod scale;
 mod transport;
 
 use std::process::ExitCode;
@@ -23,6 +24,7 @@ pub use allocations::{CountingAllocator, allocations};
 pub use lap::Lap;
 pub use round_trips::{Echo, Peer, echo_until_told};
 
+use scale::ScaleArguments;
 use transport::TransportArguments;
 
 /// The commands of `scanloop` that this executable runs.
@@ -43,7 +45,7 @@ enum Command {
     Bench(BenchCommand),
     /// Run a process of a bench; the benches start these.
     Service {
-        /// hop, load or echo-ROLE.
+        /// hop, load, scale-companion or echo-ROLE.
         name: String,
     },
 }
@@ -52,6 +54,13 @@ enum Command {
 enum BenchCommand {
     /// What one solve of the optimal control problem costs, with its heap allocations.
     Solver(SolverArguments),
+    /// What companions and topics of your own cost: 5 to 50 processes, 10 to 100 topics, 1 to 24 readers, samples of 64 B
+    /// to 4 MB.
+    ///
+    /// Each system drives `endless` in real time. JSON keys: `profile`, `duration_s`, `series` with `series` (`processes`,
+    /// `topics`, `readers` or `bytes`), `points` with `value`, `scan_to_actuation_us`, `lost`, `samples`, `missed`,
+    /// `shared_memory_kib`, `memory_kib`, `start_ms`, and `fits` of lines with `intercept`, `slope` and `r_squared`.
+    Scale(ScaleArguments),
     /// What four hops between five processes cost over other transports, as ratios to ours.
     ///
     /// Every contender runs the same chain of processes, in turns: each round starts each chain once. Intervals hold
@@ -82,6 +91,7 @@ fn run() -> anyhow::Result<Exit> {
             runtime::start_terminal();
             match command {
                 BenchCommand::Solver(arguments) => solver::solver(&arguments, Some(allocations)),
+                BenchCommand::Scale(arguments) => scale::scale(&arguments),
                 BenchCommand::Transport(arguments) => transport::transport(&arguments),
             }
         }
@@ -94,10 +104,13 @@ fn service(name: &str) -> anyhow::Result<()> {
     }
     match name {
         load::SERVICE => load::run(),
+        scale::companion::SERVICE => scale::companion::run(),
         "hop" => hops::hop().map_err(|error| match error {
             hops::HopError::NotInAChain => Failure::bad_input(error),
             other => other.into(),
         }),
-        _ => Err(Failure::bad_input(format!("unknown service `{name}`: expected hop, load or echo-ROLE"))),
+        _ => Err(Failure::bad_input(format!(
+            "unknown service `{name}`: expected hop, load, scale-companion or echo-ROLE"
+        ))),
     }
 }

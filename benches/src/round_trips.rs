@@ -51,7 +51,7 @@ impl Echo {
     /// Errors of the bus, and of starting the process.
     pub fn start(system_id: &str, peer: Peer) -> Result<Self, Box<dyn std::error::Error>> {
         let files = Files(Domain::create(system_id)?);
-        let bus = Bus::create(&files.0)?;
+        let bus = Bus::create(&files.0, TIMEOUT_NS)?;
         let mut echo = Self {
             poses: Publisher::new(&bus)?,
             commands: Observer::waking(&bus)?,

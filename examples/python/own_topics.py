@@ -18,6 +18,7 @@ Limit)`. It does what the Rust types `Companion` and `NamedTopic` of the crate `
 
 import collections
 import ctypes
+import fcntl
 import mmap
 import os
 import signal
@@ -32,6 +33,7 @@ import scanloop_types as types
 from scanloop_types import Phase, ProcessState, Role, StageStamps
 
 MAX_WAIT_NS = 100_000_000  # longest sleep
+QUEUE = 16  # samples of a topic of the loop that wait at a reader, at least
 LOCKSTEP_POLL_S = 0.0002  # between two checks for a sample that lock-step waits for
 OPERATOR = "operator"
 
@@ -74,11 +76,93 @@ class Page:
             self._words[word] = value
 
 
+class _Cell(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_uint32) for name in ("incarnation", "version", "topic", "end", "process", "pid")),
+        *((name, ctypes.c_uint64) for name in ("opened_ns", "active_ns", "delays", "delay_sum_ns", "delay_max_ns")),
+        ("account", types.InputAccount),
+        ("reserved", ctypes.c_uint64 * 4),
+    ]
+
+
+class Port:
+    """What one port has counted, for the ledger; offsets as in `own/ports.rs` of the crate `runtime`."""
+
+    READS, WRITES, MAX_COMPANIONS = 1, 2, 64
+
+    def __init__(self, member, topic, end):
+        own = [row["name"] for row in member.table.get("topic", [])]
+        topics = own + [kind.TOPIC for kind in vars(types).values() if hasattr(kind, "TOPIC")]
+        process = member.index if member.index is not None else self.MAX_COMPANIONS + member.role
+        with open(f"/dev/shm/scanloop-{member.run_id}/ports.v1", "r+b") as file:
+            table, size = mmap.mmap(file.fileno(), 0), ctypes.sizeof(_Cell)
+            # Other languages take free cells from the front.
+            fcntl.flock(file, fcntl.LOCK_EX)
+            cells = (_Cell.from_buffer(table, at) for at in range(len(table) - size, -1, -size))
+            self._cell = next((cell for cell in cells if cell.incarnation == 0), None) or _Cell()
+            self._cell.incarnation = member.incarnation
+        cell = self._cell
+        ctypes.memset(ctypes.addressof(cell) + 4, 0, ctypes.sizeof(cell) - 4)
+        cell.topic, cell.process, cell.pid = topics.index(topic), process, os.getpid()
+        cell.opened_ns, cell.end, self._gaps = time.monotonic_ns(), end, 0
+
+    def arrive(self, header):
+        """Counts a sample; False when its number has come before."""
+        account, (incarnation, sequence) = self._cell.account, (header.incarnation, header.sequence)
+        self._cell.version |= 1  # it is odd while counts change
+        account.arrived += 1
+        span = next((span for span in account.writers if span.incarnation == incarnation), None)
+        if span is None:
+            span = min(account.writers, key=lambda span: span.incarnation)
+            span.incarnation, span.first, span.last = incarnation, sequence, sequence
+        elif sequence <= span.last:
+            account.duplicate += 1
+            return False
+        else:
+            self._gaps += sequence - span.last - 1
+            span.last = sequence
+        return True
+
+    def settle(self, fate, count=1):
+        """Counts what became of a sample."""
+        self._cell.version |= 1
+        setattr(self._cell.account, fate, getattr(self._cell.account, fate) + count)
+
+    def delayed(self, since_ns):
+        """A sample was taken, or published, so long after this time."""
+        if since_ns and (delay_ns := time.monotonic_ns() - since_ns) >= 0:
+            self._cell.delays += 1
+            self._cell.delay_sum_ns += delay_ns
+            self._cell.delay_max_ns = max(self._cell.delay_max_ns, delay_ns)
+
+    def published(self, sequence):
+        """A sample with that number was published."""
+        self._cell.account.arrived = sequence
+        self.show()
+
+    def polled(self, kept, is_full):
+        """A poll has ended, which found a full queue or not; returns how many numbers never came."""
+        gaps = self._gaps
+        self.settle("overwritten" if is_full else "missing", gaps)
+        self._gaps = 0
+        self.show(kept)
+        return gaps
+
+    def show(self, kept=()):
+        """Shows when the port was used last, and what waits there."""
+        account = self._cell.account
+        account.waiting, account.waiting_sum = len(kept), sum(sample.header.sequence for sample in kept)
+        account.open, account.open_sum = account.waiting, account.waiting_sum
+        self._cell.active_ns = time.monotonic_ns()
+        self._cell.version = (self._cell.version | 1) + 1
+
+
 class Member:
     """What the topics of one process share."""
 
     def __init__(self, node, directory, run_id, incarnation, name, index=None, report=None):
         self.node, self.incarnation, self.name, self.index, self.report = node, incarnation, name, index, report
+        self.run_id, self.role = run_id, Role[name.upper()].value if index is None else None
         with open(f"{directory}/own-topics.toml", "rb") as file:
             self.table = tomllib.load(file)
         with open(f"{directory}/layouts.txt", encoding="utf-8") as file:
@@ -149,8 +233,8 @@ class Reader:
 
     def __init__(self, member, name, sample, source, depth):
         self._member, self._sample, self._source, self._depth = member, sample, source, depth
-        self._is_first, self._kept, self._last = member.is_first(name), collections.deque(), (0, 0)
-        self._numbers = list(scanloop._numbers(sample, 0))
+        self._is_first, self._kept = member.is_first(name), collections.deque()
+        self._numbers, self._port = list(scanloop._numbers(sample, 0)), Port(member, name, Port.READS)
         service = member.node.service_builder(iox2.ServiceName.new(name))
         self._subscriber = scanloop._retry(lambda: service.publish_subscribe(sample).open()).subscriber_builder().create()
         events = member.node.service_builder(iox2.ServiceName.new(name))
@@ -178,8 +262,19 @@ class Reader:
         for _ in range(at):
             self._kept.popleft()
         sample = self._kept.popleft()
+        self._port.settle("replaced", at)
+        self._port.settle("used")
+        if not self._member.simulated:
+            self._port.delayed(self._published_ns(sample))
+        self._port.show(self._kept)
         self._member.take(sample.header, self._is_first)
         return sample
+
+    def _published_ns(self, sample):
+        if self._source is not None:
+            return sample.stage.published_ns
+        writer = next((role for role, topics in types.WRITES.items() if self._sample in topics), None)
+        return 0 if writer is None else sample.header.chain[writer].published_ns
 
     def _await(self, scan):
         member = self._member
@@ -202,17 +297,26 @@ class Reader:
     def _poll(self):
         while scanloop.Process._listen(self._listener.try_wait):
             pass
-        for _ in range(4 * self._depth):
-            if (received := self._subscriber.receive()) is None:
-                return
+        count = 0
+        while count < 4 * self._depth and (received := self._subscriber.receive()) is not None:
+            count += 1
             sample = self._sample.from_buffer_copy(received.payload().contents)
             received.delete()
             self._arrive(sample)
+        queue = self._depth if self._source is not None else QUEUE
+        self._member.counters["missed"] += self._port.polled(self._kept, count >= queue)
 
     def _arrive(self, sample):
         header, counters = sample.header, self._member.counters
         numbers = memoryview(sample).cast("B").cast("d")
-        if header.layout != self._sample.LAYOUT or any(not abs(numbers[at]) < float("inf") for at in self._numbers):
+        if header.layout != self._sample.LAYOUT:
+            self._port.settle("unreadable")
+            counters["invalid"] += 1
+            return
+        if not self._port.arrive(header):
+            return
+        if any(not abs(numbers[at]) < float("inf") for at in self._numbers):
+            self._port.settle("invalid")
             counters["invalid"] += 1
             return
         writer = self._source if self._source is not None else self._role_place()
@@ -220,16 +324,12 @@ class Reader:
             incarnation, previous, from_scan, *_ = self._member.page.right(writer)
             counts = incarnation if header.scan_id >= from_scan else previous
             if counts == 0 or counts != header.incarnation:
+                self._port.settle("foreign")
                 counters["foreign"] += 1
                 return
-        incarnation, sequence = self._last
-        if header.incarnation == incarnation:
-            if header.sequence <= sequence:
-                return
-            counters["missed"] += header.sequence - sequence - 1
-        self._last = (header.incarnation, header.sequence)
         if len(self._kept) == self._depth:
             self._kept.popleft()
+            self._port.settle("replaced")
         self._kept.append(sample)
 
     def _role_place(self):
@@ -242,6 +342,7 @@ class Writer:
 
     def __init__(self, member, name, sample):
         self._member, self._sample, self._sequence = member, sample, 0
+        self._port = Port(member, name, Port.WRITES)
         service = member.node.service_builder(iox2.ServiceName.new(name))
         builder = scanloop._retry(lambda: service.publish_subscribe(sample).open()).publisher_builder()
         builder = builder.max_loaned_samples(1)
@@ -257,6 +358,9 @@ class Writer:
         header.layout, header.incarnation, header.sequence = self._sample.LAYOUT, member.incarnation, self._sequence
         sample.stage = StageStamps(member.woken_ns, member.taken_ns, now, now)
         self._publisher.loan_uninit().write_payload(sample).send()
+        if not member.simulated:
+            self._port.delayed(header.chain[Role.ROBOT].published_ns)
+        self._port.published(self._sequence)
         member.counters["published"] += 1
         member.counters["published_ns"] = time.monotonic_ns()
         member.write()

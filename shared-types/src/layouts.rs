@@ -117,6 +117,36 @@ pub fn difference_in(mine: &Layouts, theirs: &Layouts, topic: &str) -> Option<Di
     Some(Difference { topic: topic.to_owned(), field, what })
 }
 
+/// All fields of a topic that were added, removed or changed; where only places differ, the first.
+pub fn differences(mine: &Layouts, theirs: &Layouts, topic: &str) -> Vec<Difference> {
+    let (my, their) = (mine.of(topic), theirs.of(topic));
+    let named = |rows: &[&LayoutRow], row: &LayoutRow| rows.iter().position(|other| other.field == row.field);
+    let mut found = Vec::new();
+    for row in &their {
+        let what = match named(&my, row).map(|index| my[index]) {
+            None => Deviation::Missing,
+            Some(own) if own.kind != row.kind && !is_struct(own) => {
+                Deviation::Type(Both { mine: own.kind.clone(), theirs: row.kind.clone() })
+            }
+            Some(own) if own.count != row.count => {
+                Deviation::Count(Both { mine: own.count, theirs: row.count })
+            }
+            Some(_) => continue,
+        };
+        found.push((row.field.clone(), what));
+    }
+    let extra = my.iter().filter(|row| named(&their, row).is_none());
+    found.extend(extra.map(|row| (row.field.clone(), Deviation::Extra)));
+    if found.is_empty() {
+        found.extend(deviation(&my, &their));
+    }
+    found.into_iter().map(|(field, what)| Difference { topic: topic.to_owned(), field, what }).collect()
+}
+
+fn is_struct(row: &LayoutRow) -> bool {
+    !SCALARS.contains(&row.kind.as_str())
+}
+
 fn deviation(mine: &[&LayoutRow], theirs: &[&LayoutRow]) -> Option<(String, Deviation)> {
     // A struct as a whole is reported only where none of its fields differs.
     let mut whole: Option<(&str, Deviation)> = None;
@@ -138,7 +168,6 @@ fn deviation(mine: &[&LayoutRow], theirs: &[&LayoutRow]) -> Option<(String, Devi
         }
         let field = my.field.as_str();
         let kinds = Deviation::Type(Both { mine: my.kind.clone(), theirs: their.kind.clone() });
-        let is_struct = |row: &LayoutRow| !SCALARS.contains(&row.kind.as_str());
         let both = is_struct(my) && is_struct(their);
         if my.kind != their.kind && !both {
             return found((field, kinds));

@@ -29,6 +29,7 @@ mod rule;
 mod sample;
 mod scan;
 mod supervision;
+mod times;
 mod topic;
 mod topics;
 mod truth;
@@ -47,7 +48,8 @@ pub use fault::{Fault, finite};
 pub use header::{Header, StageStamps, YOUNG_NS};
 pub use health::{SECTOR_BEAMS, SECTORS, ScannerHealth, ScannerState, TOLERATED_ERRORS};
 pub use layouts::{
-    Both, Deviation, Difference, LayoutRow, Layouts, NotALayout, difference, difference_in, topics_of,
+    Both, Deviation, Difference, LayoutRow, Layouts, NotALayout, difference, difference_in, differences,
+    topics_of,
 };
 pub use named::UnknownName;
 pub use obstacles::{MAX_OBSTACLES, Obstacle, Obstacles};
@@ -60,5 +62,6 @@ pub use rule::Rule;
 pub use sample::{Sample, SampleType};
 pub use scan::{BEAMS, FIRST_BEAM_YAW_RAD, FRONT_BEAM, MIN_RANGE_MM, PITCH_RAD, Scan, WINDOW};
 pub use supervision::{Directive, Heartbeat, Phase, ProcessState};
+pub use times::shift_times;
 pub use topic::{TOPICS, Topic};
 pub use truth::Truth;

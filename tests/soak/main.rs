@@ -1,14 +1,21 @@
 //! `soak`: thousands of swaps, kills and stops in several systems at once, until one of them shows a fault.
 //! `soak operator`: random actions of an operator, one live drive after the other.
+//! `soak recordings`: recorded drives with faults, swaps and restarts, each replayed to the bit.
 //! `soak long`: hours of driving with scanner faults, swaps and, in real time, kills.
+//! `soak page`: hours of driving in real time with the live page open in a browser.
 //!
 //! The program is its own `scanloop`: the processes that it starts are itself.
 
+use std::collections::BTreeMap;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use clap::{Args, Parser, Subcommand};
 use scanloop_tests::long_drive::{LongDrive, LongTally, MAX_DRIVE_S, drive};
 use scanloop_tests::operator::{place, quantile, trial};
+use scanloop_tests::page_hours::watch;
+use scanloop_tests::recordings::{self, KINDS, Kind};
 use scanloop_tests::soak::{Tally, faults, swap_in_lockstep, swap_live};
 
 /// Exchanges, kills and stops processes at random moments, and checks what must hold after each.
@@ -48,8 +55,16 @@ struct Arguments {
 enum Campaign {
     /// Random actions of an operator during live drives; exit code 1 when one does not end as it must.
     Operator(OperatorArguments),
+    /// Recorded drives with faults, swaps and restarts; exit code 1 when a replay finds a difference.
+    Recordings(RecordingsArguments),
     /// Hours of driving with faults under way; exit code 1 when something grows or is unexplained.
     Long(LongArguments),
+    /// Hours of driving with the live page open in a browser; exit code 1 when the memory of server or page grows.
+    Page {
+        /// Time with the page open [h].
+        #[arg(long, value_name = "H", default_value_t = 1.0)]
+        hours: f64,
+    },
 }
 
 /// Arguments of `long`.
@@ -65,6 +80,20 @@ struct LongArguments {
     #[arg(long)]
     live: bool,
     /// Seed of the first drive; the others count on from it.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+}
+
+/// Arguments of `recordings`.
+#[derive(Debug, Args)]
+struct RecordingsArguments {
+    /// Recordings, of all kinds in turns.
+    #[arg(long, value_name = "N", default_value_t = 100)]
+    count: u64,
+    /// Drives side by side, 1 to 16.
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u8).range(1..=16))]
+    jobs: u8,
+    /// Seed of the first; the others count on from it.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
 }
@@ -95,7 +124,9 @@ fn main() -> std::process::ExitCode {
     let executable = executable.to_string_lossy().into_owned();
     match &arguments.campaign {
         Some(Campaign::Operator(arguments)) => return operator(arguments, &executable),
+        Some(Campaign::Recordings(arguments)) => return replays(arguments, &executable),
         Some(Campaign::Long(arguments)) => return long(arguments, &executable),
+        Some(Campaign::Page { hours }) => return page(*hours, &executable),
         None => {}
     }
     for _ in 0..arguments.load {
@@ -136,6 +167,38 @@ fn operator(arguments: &OperatorArguments, executable: &str) -> std::process::Ex
     if failed > 0 { std::process::ExitCode::FAILURE } else { std::process::ExitCode::SUCCESS }
 }
 
+/// All recordings, with a line for each, and one for each kind.
+fn replays(arguments: &RecordingsArguments, executable: &str) -> std::process::ExitCode {
+    let RecordingsArguments { count, jobs, seed } = *arguments;
+    let next = AtomicU64::new(0);
+    let tallies = Mutex::new(BTreeMap::<Kind, recordings::Tally>::new());
+    std::thread::scope(|scope| {
+        for _ in 0..jobs {
+            scope.spawn(|| {
+                while let number @ 0.. = next.fetch_add(1, Ordering::Relaxed)
+                    && number < count
+                {
+                    let kind = KINDS[number as usize % KINDS.len()];
+                    let (tally, printed) = recordings::check(executable, kind, seed + number);
+                    println!("seed {} {kind:?}: {tally}", seed + number);
+                    if tally.same == 0 || tally.skipped > 0 {
+                        print!("{printed}");
+                    }
+                    *tallies.lock().expect("no thread has panicked").entry(kind).or_default() += tally;
+                }
+            });
+        }
+    });
+    let mut all = recordings::Tally::default();
+    for (kind, tally) in tallies.into_inner().expect("no thread has panicked") {
+        println!("{kind:?}: {tally}");
+        all += tally;
+    }
+    println!("all: {all}");
+    let is_good = all.same == all.recordings && all.skipped * 1000 <= all.samples;
+    if is_good { std::process::ExitCode::SUCCESS } else { std::process::ExitCode::FAILURE }
+}
+
 /// Drives until the hours are over, with a line for each drive.
 fn long(arguments: &LongArguments, executable: &str) -> std::process::ExitCode {
     let LongArguments { hours, live, .. } = *arguments;
@@ -155,6 +218,18 @@ fn long(arguments: &LongArguments, executable: &str) -> std::process::ExitCode {
     }
     tally.problems.iter().for_each(|problem| eprintln!("error: {problem}"));
     if tally.problems.is_empty() { std::process::ExitCode::SUCCESS } else { std::process::ExitCode::FAILURE }
+}
+
+/// Drives with the page open.
+fn page(hours: f64, executable: &str) -> std::process::ExitCode {
+    let watched = watch(executable, 3600.0 * hours);
+    println!("{watched}");
+    watched.problems.iter().for_each(|problem| eprintln!("error: {problem}"));
+    if watched.problems.is_empty() {
+        std::process::ExitCode::SUCCESS
+    } else {
+        std::process::ExitCode::FAILURE
+    }
 }
 
 /// All systems; what was done, and how many of them showed a fault.

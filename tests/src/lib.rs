@@ -5,7 +5,9 @@ mod delays;
 pub mod long_drive;
 pub mod namespace;
 pub mod operator;
+pub mod page_hours;
 pub mod player_server;
+pub mod recordings;
 pub mod soak;
 pub mod stranger;
 pub mod swaps;
@@ -129,9 +131,13 @@ impl System {
         self.launch_into(log.expect("a log file").into(), arguments, environment);
     }
 
-    /// [`System::launch`] with a standard error of one's own.
+    /// [`System::launch`] with a standard error of one's own. Without a key for it, no last seconds are kept.
     pub fn launch_into(&mut self, stderr: Stdio, arguments: &[&str], environment: &[(&str, &str)]) {
         let mut command = self.command(arguments);
+        if arguments.first() == Some(&"run") && !arguments.iter().any(|key| key.contains("recording.ring_s"))
+        {
+            command.args(["--set", "recording.ring_s=0"]);
+        }
         command.envs(environment.iter().copied()).stdout(Stdio::null()).stderr(stderr);
         self.running = Some(command.spawn().expect("the executable runs"));
     }

@@ -281,18 +281,21 @@ fn usage(system: &System) -> Option<[f64; 4]> {
 /// Median of the last quarter over that of the second one, after which everything has been used once; of the last figure
 /// the difference [MiB]. No growth without samples.
 fn growth(samples: &[[f64; 4]]) -> [f64; 4] {
+    let of = |index: usize| growth_of(samples, index);
+    let factor = |index: usize| of(index).map_or(1.0, |[early, late]| late / early.max(1.0));
+    [factor(0), factor(1), factor(2), of(3).map_or(0.0, |[early, late]| (late - early) / 1024.0)]
+}
+
+/// Medians of one figure in the second and in the last quarter; `None` without enough samples.
+pub(crate) fn growth_of<const N: usize>(samples: &[[f64; N]], index: usize) -> Option<[f64; 2]> {
     let quarter = samples.len() / 4;
-    if quarter < 3 {
-        return [1.0, 1.0, 1.0, 0.0];
-    }
-    let median = |range: &[[f64; 4]], index: usize| {
+    let median = |range: &[[f64; N]]| {
         let mut values: Vec<f64> = range.iter().map(|sample| sample[index]).collect();
         values.sort_by(f64::total_cmp);
         values[values.len() / 2]
     };
-    let (early, late) = (&samples[quarter..2 * quarter], &samples[samples.len() - quarter..]);
-    let factor = |index: usize| median(late, index) / median(early, index).max(1.0);
-    [factor(0), factor(1), factor(2), (median(late, 3) - median(early, 3)) / 1024.0]
+    let late = &samples[samples.len() - quarter..];
+    (quarter >= 3).then(|| [median(&samples[quarter..2 * quarter]), median(late)])
 }
 
 #[cfg(test)]

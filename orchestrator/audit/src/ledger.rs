@@ -11,6 +11,7 @@
 //!
 //! Only the newest [`WINDOW`] scans are stored one by one; older ones are only counted.
 
+mod companions;
 mod fault;
 mod refused;
 mod rows;
@@ -23,9 +24,10 @@ use std::collections::BTreeMap;
 
 use shared_types::Role;
 
+pub use self::companions::CompanionLedger;
 pub use self::fault::{Fault, Kind};
 pub use self::refused::{NewRefusal, RefusedRow};
-pub use self::rows::{LedgerReport, LedgerRow, ScanReport};
+pub use self::rows::{DelayRow, LedgerReport, LedgerRow, ScanReport, StrangerRow};
 pub use self::sample_audit::{AUDITED_TOPICS, SampleAudit};
 pub use self::topic::{InputReport, TopicLedger};
 

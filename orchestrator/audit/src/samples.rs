@@ -7,7 +7,7 @@
 
 use std::collections::VecDeque;
 
-use runtime::{Bus, Observer, RuntimeError, buffer, monotonic_ns};
+use runtime::{Bus, Observer, RuntimeError, monotonic_ns};
 use shared_types::{
     Actuation, ActuationKind, Admission, AuthorityFilter, Command, CommandKind, Directive, Fault, Header,
     Obstacles, Odometry, Pose, Rule, Sample, Scan, Truth, YOUNG_NS,
@@ -143,8 +143,8 @@ fn poll<S: Sample>(
             Err(_) => {}
         }
     })?;
-    if arrived >= buffer(S::TOPIC) {
-        sample_audit.overflowed(S::TOPIC);
+    if arrived >= observer.capacity() {
+        sample_audit.overflowed(S::TOPIC, observer.capacity());
     }
     Ok(())
 }

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use audit::ledger::{AUDITED_TOPICS, Fault, Kind, SampleAudit};
 use proptest::prelude::*;
-use runtime::{QUEUE_DEPTH, buffer};
+use runtime::{PROCESS_QUEUE, QUEUE_DEPTH};
 use shared_types::{
     Actuation, Command, Fate, Header, Heartbeat, InputAccount, Obstacles, Odometry, Pose, ProcessState, Role,
     Sample, Scan, Topic, Truth,
@@ -125,8 +125,8 @@ impl Process {
                     port.kept.push_back(header);
                 }
             }
-            if came >= buffer(port.topic) {
-                port.account.overflowed_since(&before, buffer(port.topic) as u64);
+            if came >= PROCESS_QUEUE {
+                port.account.overflowed_since(&before, PROCESS_QUEUE as u64);
             }
             let forgets = |header: &Header| {
                 let me = Role::ALL.iter().position(|role| *role == self.role).unwrap();
@@ -304,19 +304,19 @@ impl Model {
     }
 
     fn send(&mut self, header: Header, topic: Topic, hidden: Option<Hidden>) {
-        push(self.bus.entry(topic).or_default(), topic, header);
+        push(self.bus.entry(topic).or_default(), header);
         for (reader, process) in self.processes.iter_mut().enumerate() {
             for port in process.inputs.iter_mut().filter(|port| port.topic == topic) {
                 match hidden {
                     Some(Hidden::DropAt(at)) if at == reader => {}
                     Some(Hidden::SwapAt(at)) if at == reader => port.late = Some(header),
                     Some(Hidden::RepeatAt(at)) if at == reader => {
-                        push(&mut port.inbox, topic, header);
-                        push(&mut port.inbox, topic, header);
+                        push(&mut port.inbox, header);
+                        push(&mut port.inbox, header);
                     }
                     _ => {
-                        push(&mut port.inbox, topic, header);
-                        port.late.take().into_iter().for_each(|late| push(&mut port.inbox, topic, late));
+                        push(&mut port.inbox, header);
+                        port.late.take().into_iter().for_each(|late| push(&mut port.inbox, late));
                     }
                 }
             }
@@ -329,8 +329,8 @@ impl Model {
             self.sample_audit.poll(topic, now_ns);
             let came = self.bus.remove(&topic).unwrap_or_default();
             came.iter().for_each(|header| see(&mut self.sample_audit, topic, *header, now_ns));
-            if came.len() >= buffer(topic) {
-                self.sample_audit.overflowed(topic);
+            if came.len() >= PROCESS_QUEUE {
+                self.sample_audit.overflowed(topic, PROCESS_QUEUE);
             }
         }
     }
@@ -372,9 +372,9 @@ impl Model {
 }
 
 /// Puts a sample into a buffer; one that is full of a writer's samples loses the oldest of them.
-fn push(waiting: &mut VecDeque<Header>, topic: Topic, header: Header) {
+fn push(waiting: &mut VecDeque<Header>, header: Header) {
     let same = |other: &Header| other.incarnation == header.incarnation;
-    if waiting.iter().filter(|other| same(other)).count() == buffer(topic)
+    if waiting.iter().filter(|other| same(other)).count() == PROCESS_QUEUE
         && let Some(oldest) = waiting.iter().position(same)
     {
         waiting.remove(oldest);

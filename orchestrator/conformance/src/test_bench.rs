@@ -112,7 +112,7 @@ impl<'a> TestBench<'a> {
         let stop_word = StopWord::create(domain.run_id(), suite.period_ns)?;
         stop_word.hand_down()?;
         write_settings(&domain, &drive, setup, suite.player.as_ref())?;
-        let bus = Bus::create(&domain)?;
+        let bus = Bus::create(&domain, suite.period_ns)?;
         let mut directive =
             Directive { orchestrator_pid: u64::from(std::process::id()), ..Directive::default() };
         for role in Role::ALL {

@@ -3,6 +3,7 @@
 pub mod calibration_file;
 pub mod change;
 pub mod difference;
+pub mod hosts;
 pub mod overrides;
 mod player_robot;
 mod rate;

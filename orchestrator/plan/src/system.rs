@@ -12,6 +12,7 @@ use supervision::realtime;
 use toml::Table;
 use vehicle::{Description, Invalid, parse, read, require, settings};
 
+use crate::hosts::{self, HostEntry};
 use crate::rate::require_safe_speed;
 use crate::topics::{self, TopicEntry};
 
@@ -34,6 +35,13 @@ settings! {
         pub player: player::Config = player::Config::default();
         /// Processors, scheduling, idle states and memory; the defaults need no privilege.
         pub realtime: runtime::Realtime = runtime::Realtime::default();
+        /// What is kept of a drive in real time without `--record`.
+        pub recording: RecordingSettings = RecordingSettings::default();
+        /// Other machines of the system; a process runs on one with the key `host`.
+        #[serde(rename = "host")]
+        pub hosts: Vec<HostEntry> = Vec::new();
+        /// Folder with the certificates of this host, for transport `quic`; `scanloop agent pair` makes it.
+        pub credentials: Option<String> = None, "a folder";
         /// One table for each role.
         #[serde(rename = "process")]
         pub processes: Vec<ProcessEntry> = Vec::new();
@@ -48,6 +56,16 @@ settings! {
         pub controller: nmpc::Config = nmpc::Config::default();
         /// Settings of the actuator: calibration, limits and timeouts.
         pub actuator: actuation::Config = actuation::Config::default();
+    }
+}
+
+settings! {
+    /// What is kept of a drive in real time without `--record`.
+    #[derive(Copy)]
+    pub struct RecordingSettings {
+        /// At a death, a rollback, a collision or a stop other than landing, so many seconds before it are written to
+        /// `incident-SCAN.mcap` in the folder of the results; 0 for none [s].
+        pub ring_s: f64 = 60.0, 0.0..=3600.0;
     }
 }
 
@@ -137,6 +155,7 @@ impl System {
 
     fn validate(&self) -> Result<(), Invalid> {
         self.require_ranges()?;
+        self.recording.require_ranges().map_err(|invalid| invalid.within("recording"))?;
         require("orphan_stop_s", self.orphan_stop_s(), MIN_ORPHAN_STOP_S..=self.orphan_timeout_s)?;
         self.player.validate().map_err(|invalid| invalid.within("player"))?;
         realtime::validate(&self.realtime).map_err(|invalid| invalid.within("realtime"))?;
@@ -161,6 +180,7 @@ impl System {
                 ));
             }
         }
+        hosts::validate(self)?;
         topics::validate(self)?;
         require_safe_speed(&self.controller, self.rate_hz)?;
         self.tuning().validate()

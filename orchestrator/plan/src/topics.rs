@@ -13,6 +13,16 @@ use vehicle::{Invalid, settings};
 use crate::System;
 
 settings! {
+    /// How far a new process of the writer may differ from the old one in one field, to take over from it.
+    pub struct Agreement {
+        /// Name of the field.
+        pub field: String = String::new(), "a field of the layout";
+        /// Largest difference of its numbers, in their unit.
+        pub bound: f64 = 0.0, 0.0..=1e12;
+    }
+}
+
+settings! {
     /// A topic that the system adds to those of the loop.
     pub struct TopicEntry {
         /// Name of the topic.
@@ -26,6 +36,8 @@ settings! {
         pub queue: u32 = 4, 1.0..=256.0;
         /// Readers and observers that may open it at a time.
         pub readers: u32 = 8, 1.0..=24.0;
+        /// With bounds, `scanloop swap` of the writer first compares both processes scan by scan.
+        pub agree: Vec<Agreement> = Vec::new();
     }
 }
 
@@ -35,9 +47,7 @@ settings! {
 /// A text that is no layout, and fields that make no type of samples.
 pub fn read_layout(path: &Path) -> Result<LayoutFile, String> {
     let text = user_file::read(path, TEXT_BYTES).map_err(|error| error.to_string())?;
-    let layout: LayoutFile = toml::from_str(&text).map_err(|error| error.message().to_owned())?;
-    layout.own_type().map_err(|fault| fault.to_string())?;
-    Ok(layout)
+    text.parse()
 }
 
 /// The topics and companions of a checked system, as its processes get them; `file` is the system file.
@@ -58,7 +68,17 @@ fn read_layouts(system: &System, file: &str) -> anyhow::Result<Vec<LayoutFile>> 
         let path = folder.join(&entry.layout);
         read_layout(&path).map_err(|reason| Failure::bad_input(format!("{}: {reason}", path.display())))
     };
-    system.topics.iter().map(read).collect()
+    let layouts: Vec<LayoutFile> = system.topics.iter().map(read).collect::<Result<_, _>>()?;
+    for (index, (entry, layout)) in system.topics.iter().zip(&layouts).enumerate() {
+        let is_field = |name: &str| layout.field.iter().any(|field| field.name == name);
+        if let Some(agree) = entry.agree.iter().find(|agree| !is_field(&agree.field)) {
+            let names: Vec<&str> = layout.field.iter().map(|field| field.name.as_str()).collect();
+            let allowed = format!("one of {}", names.join(", "));
+            let key = format!("topic[{index}].agree.field");
+            return Err(Failure::bad_input(format!("{file}: {}", Invalid::new(&key, &agree.field, allowed))));
+        }
+    }
+    Ok(layouts)
 }
 
 fn table(system: &System, layouts: Vec<LayoutFile>) -> OwnTopics {
@@ -68,6 +88,7 @@ fn table(system: &System, layouts: Vec<LayoutFile>) -> OwnTopics {
         queue: entry.queue as usize,
         readers: entry.readers as usize,
         layout,
+        agree: entry.agree.iter().map(|agree| (agree.field.clone(), agree.bound)).collect(),
     };
     let companion = |entry: &ProcessEntry| CompanionRow {
         name: entry.name().to_owned(),

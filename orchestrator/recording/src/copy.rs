@@ -63,7 +63,7 @@ pub fn copy(from: &Path, to: &Path, force: bool, times: RangeInclusive<u64>) -> 
         }
         if let Some((writer, ..)) = &mut copy {
             let index = contents.channels.keys().position(|number| *number == channel).unwrap_or_default();
-            writer.message(index as u16, sequence, log_ns, &data)?;
+            writer.message(index as u16, sequence, log_ns, &[&data]);
             if writer.open_bytes() >= CHUNK_BYTES {
                 writer.end_chunk()?;
             }

@@ -1,7 +1,8 @@
 //! What viewers draw: scan, pose, path, obstacles and log lines in the well-known types of Foxglove, encoded as CDR.
 //!
-//! These messages are made from the samples, so they hold nothing new. Of a scan every second beam is drawn. Ranges are rounded to 1/256 m, less than half of
-//! the scanner's noise, and the path to 1/1024 m, because such numbers end with zeros and compress well.
+//! These messages are made from the samples, so they hold nothing new. Of a scan every third beam is drawn. Ranges are
+//! rounded to 1/128 m, less than the scanner's noise, and the path to 1/1024 m, because such numbers end with zeros and
+//! compress well.
 
 mod cdr;
 
@@ -16,7 +17,7 @@ const TRACK: &str = "track";
 /// Frame of the robot.
 const ROBOT: &str = "robot";
 /// Rounding of ranges [1/m].
-const RANGE_STEPS: f64 = 256.0;
+const RANGE_STEPS: f64 = 128.0;
 /// Rounding of the path [1/m].
 const PATH_STEPS: f64 = 1024.0;
 /// Height that bodies are drawn with [m].
@@ -63,7 +64,7 @@ pub(crate) enum Level {
 pub(crate) fn scan(scan: &Scan) -> Vec<u8> {
     let mut cdr = Cdr::new();
     cdr.time(scan.header.acquired_ns).text(ROBOT).pose([0.0; 2], 0.0, 0.0);
-    let beams = (0..scan.ranges_mm.len()).step_by(2);
+    let beams = (0..scan.ranges_mm.len()).step_by(3);
     cdr.f64(Scan::beam_yaw_rad(0)).f64(Scan::beam_yaw_rad(beams.clone().next_back().unwrap_or_default()));
     cdr.length(beams.len());
     for beam in beams {

@@ -30,6 +30,8 @@ pub struct Info {
     pub lost: Option<u64>,
     /// The first difference between the layouts of its samples and those of this program.
     pub layout_difference: Option<String>,
+    /// All fields in which they differ.
+    pub layout_differences: Vec<String>,
     /// Messages per channel.
     pub channels: BTreeMap<String, u64>,
     /// Names of the files inside.
@@ -59,6 +61,10 @@ impl Info {
         let contents = recording.contents();
         let [first, last] = times.unwrap_or_default();
         let of = |name: &str, key: &str| metadata(contents, name, key).unwrap_or_default().to_owned();
+        let layout_differences = match Recording::layout_differences(contents) {
+            Ok(found) => found.iter().map(ToString::to_string).collect(),
+            Err(error) => vec![error.to_string()],
+        };
         let channels = contents.channels.iter();
         let channels = channels.map(|(number, channel)| {
             (channel.topic.clone(), counts.get(number).copied().unwrap_or_default())
@@ -73,7 +79,8 @@ impl Info {
             program: of("recording", "program"),
             machine: of("recording", "machine"),
             lost: metadata(contents, "end", "lost").and_then(|lost| lost.parse().ok()),
-            layout_difference: Recording::layout_difference(contents),
+            layout_difference: layout_differences.first().cloned(),
+            layout_differences,
             channels: channels.collect(),
             attachments: contents.attachments.iter().map(|attachment| attachment.name.clone()).collect(),
         })
@@ -91,7 +98,7 @@ impl std::fmt::Display for Info {
             Some(lost) => writeln!(formatter, "{lost} samples lost")?,
             None => writeln!(formatter, "lost samples are not known: the end is missing")?,
         }
-        if let Some(difference) = &self.layout_difference {
+        for difference in &self.layout_differences {
             writeln!(formatter, "another layout: {difference}")?;
         }
         self.channels.iter().try_for_each(|(topic, count)| writeln!(formatter, "{count:>9} {topic}"))

@@ -12,4 +12,4 @@ mod tape;
 
 pub use read::{Recorded, Recording};
 pub use schema::{schema, type_name};
-pub use tape::Tape;
+pub use tape::{Tape, Target, writer};

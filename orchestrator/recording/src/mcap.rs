@@ -7,10 +7,15 @@
 //! Written here instead of used from a crate, because of the cost in the build
 //! ([decision 46](../../../docs/decisions/0046-recordings-are-mcap.md)).
 
+mod chunk;
+mod damage;
+mod fields;
 mod reader;
 mod writer;
 
-pub use reader::{Attachment, Contents, Damage, Message, Metadata, ReadError, Reader};
+pub use chunk::{Chunk, OpenChunk};
+pub use damage::{Damage, ReadError};
+pub use reader::{Attachment, Contents, Message, Metadata, Reader};
 pub use writer::{Channel, Schema, Writer};
 
 /// First and last bytes of a file.
@@ -93,7 +98,7 @@ mod tests {
         let mut writer = Writer::new(Vec::new(), "test", &[schema], &channels).unwrap();
         writer.attach("a.toml", "application/toml", b"seed = 7\n", 1).unwrap();
         for time in 0..10 {
-            writer.message(time as u16 % 2, time, 100 * u64::from(time), &[time as u8; 300]).unwrap();
+            writer.message(time as u16 % 2, time, 100 * u64::from(time), &[&[time as u8; 300]]);
             if time % 4 == 3 {
                 writer.end_chunk().unwrap();
             }
@@ -120,6 +125,20 @@ mod tests {
         assert_eq!(contents.attachments[0].data, b"seed = 7\n");
         assert_eq!(contents.metadata[0].name, "end");
         assert!(contents.is_complete);
+    }
+
+    #[test]
+    fn chunks_that_were_sealed_elsewhere_are_read() {
+        let channel = Channel { topic: "one".into(), schema: 0, metadata: vec![] };
+        let mut writer = Writer::new(Vec::new(), "test", &[], &[channel]).unwrap();
+        let mut open = OpenChunk::default();
+        for time in 1..=3 {
+            open.message(0, time, u64::from(time), &[&[7; 20], &[8; 10]]);
+            writer.chunk(&open.seal().unwrap()).unwrap();
+        }
+        let (contents, messages) = read(&writer.finish().unwrap().0);
+        let expected: Vec<_> = (1..=3).map(|time| ("one".to_owned(), time, 30)).collect();
+        assert_eq!((messages, contents.chunks, contents.is_complete), (expected, 3, true));
     }
 
     #[test]

@@ -1,18 +1,23 @@
 //! A recording read from its file: samples in the order in which they were recorded, and the files inside.
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use console::exit::Failure;
-use shared_types::{Layouts, Topic};
+use shared_types::{Difference, Layouts, NotALayout, TOPICS, Topic};
 
 use crate::mcap::{Contents, ReadError, Reader};
 use crate::schema::ENCAPSULATION;
 use crate::tape::PREFIX;
 
 /// Name of the attached table of layouts.
-pub(crate) const LAYOUTS: &str = "layouts.txt";
+pub(crate) const LAYOUTS: &str = runtime::LAYOUTS_FILE;
+/// Name of the metadata about program, machine and run.
+pub(crate) const RECORDING: &str = "recording";
+/// What recordings of this program hold, and how; it changes when older programs could not read them.
+pub(crate) const VERSION: &str = "1";
 /// Name of the attached run: scenario, system and options.
 pub const RUN: &str = "run.toml";
 
@@ -20,6 +25,10 @@ pub const RUN: &str = "run.toml";
 pub struct Recording {
     path: PathBuf,
     reader: Reader<BufReader<File>>,
+    /// The content of the last sample: samples begin at multiples of eight bytes.
+    aligned: Vec<u64>,
+    /// Topics whose samples have another layout, once they are known.
+    others: Option<BTreeSet<String>>,
 }
 
 /// A sample as it was recorded.
@@ -29,6 +38,8 @@ pub struct Recorded<'a> {
     pub topic: Topic,
     /// When it was recorded, on the clock of the loop [ns].
     pub log_ns: u64,
+    /// Where its chunk begins in the file, see [`Recording::chunk`].
+    pub chunk_at: u64,
     /// The sample.
     pub bytes: &'a [u8],
 }
@@ -46,7 +57,7 @@ impl Recording {
             return Err(refuse(&"the file is empty"));
         }
         let reader = Reader::new(BufReader::with_capacity(1 << 18, file)).map_err(|error| refuse(&error))?;
-        Ok(Self { path: path.to_owned(), reader })
+        Ok(Self { path: path.to_owned(), reader, aligned: Vec::new(), others: None })
     }
 
     /// Its path.
@@ -59,7 +70,8 @@ impl Recording {
         self.reader.contents()
     }
 
-    /// Hands all samples to `each`, in the order in which they were recorded; other messages are left out.
+    /// Hands all samples to `each`, in the order in which they were recorded; other messages and samples of another layout
+    /// are left out.
     ///
     /// # Errors
     /// A damaged file, or one whose samples have another size; exit code 2. Errors of `each`.
@@ -67,34 +79,75 @@ impl Recording {
         &mut self,
         mut each: impl FnMut(&Contents, Recorded<'_>) -> anyhow::Result<()>,
     ) -> anyhow::Result<()> {
-        let mut aligned = Vec::new();
+        while let Some((topic, log_ns)) = self.advance(None)? {
+            let chunk_at = self.reader.chunk_at();
+            let bytes = &bytemuck::cast_slice::<u64, u8>(&self.aligned)[..topic.size()];
+            each(self.reader.contents(), Recorded { topic, log_ns, chunk_at, bytes })?;
+        }
+        self.require_a_second()?;
+        if !self.contents().is_complete {
+            let path = self.path.display();
+            let text =
+                format!("warning: {path}: the recording was cut off; read up to its last whole second");
+            runtime::print(runtime::Priority::Warning, &text);
+        }
+        Ok(())
+    }
+
+    /// Hands the samples of one chunk, about a second, to `each`; [`Recorded::chunk_at`] named it before.
+    ///
+    /// # Errors
+    /// A file that was damaged or replaced meanwhile.
+    pub fn chunk(&mut self, chunk_at: u64, mut each: impl FnMut(Recorded<'_>)) -> anyhow::Result<()> {
+        self.reader.seek_to_chunk(chunk_at)?;
+        while let Some((topic, log_ns)) = self.advance(Some(chunk_at))? {
+            let bytes = &bytemuck::cast_slice::<u64, u8>(&self.aligned)[..topic.size()];
+            each(Recorded { topic, log_ns, chunk_at, bytes });
+        }
+        Ok(())
+    }
+
+    /// Copies the next sample to `self.aligned`; returns its topic, and when it was recorded [ns].
+    ///
+    /// `None` at the end, or at the end of the chunk that begins at `within`.
+    fn advance(&mut self, within: Option<u64>) -> anyhow::Result<Option<(Topic, u64)>> {
         loop {
+            if within == Some(self.reader.chunk_at()) && self.reader.is_chunk_over() {
+                return Ok(None);
+            }
             let message = match self.reader.next_message() {
                 Ok(Some(message)) => message,
-                Ok(None) => break,
+                Ok(None) => return Ok(None),
                 Err(error) => return Err(refusal(&self.path, &error)),
             };
             let (channel, log_ns) = (message.channel, message.log_ns);
-            aligned.clear();
             let words = message.data.get(ENCAPSULATION.len()..).unwrap_or_default();
-            // Samples begin at multiples of eight bytes.
-            aligned.resize(words.len().div_ceil(8), 0_u64);
-            bytemuck::cast_slice_mut::<u64, u8>(&mut aligned)[..words.len()].copy_from_slice(words);
-            let bytes = &bytemuck::cast_slice::<u64, u8>(&aligned)[..words.len()];
-            let contents = self.reader.contents();
-            let Some(topic) = contents.channels.get(&channel).and_then(|channel| topic_of(&channel.topic))
-            else {
+            let length = words.len();
+            self.aligned.clear();
+            self.aligned.resize(length.div_ceil(8), 0);
+            bytemuck::cast_slice_mut::<u64, u8>(&mut self.aligned)[..length].copy_from_slice(words);
+            if self.others.is_none() {
+                self.others = Some(self.other_topics()?);
+            }
+            if within.is_some_and(|at| at != self.reader.chunk_at()) {
+                let path = self.path.display();
+                return Err(Failure::bad_input(format!("{path}: the file was changed while it was open")));
+            }
+            let channels = &self.reader.contents().channels;
+            let Some(topic) = channels.get(&channel).and_then(|channel| topic_of(&channel.topic)) else {
                 continue;
             };
-            if bytes.len() != topic.size() {
-                let (path, length, size) = (self.path.display(), bytes.len(), topic.size());
+            if self.others.as_ref().is_some_and(|others| others.contains(topic.name())) {
+                continue;
+            }
+            if length != topic.size() {
+                let (path, size) = (self.path.display(), topic.size());
                 return Err(Failure::bad_input(format!(
                     "{path}: topic {topic}: a sample has {length} bytes instead of {size}"
                 )));
             }
-            each(contents, Recorded { topic, log_ns, bytes })?;
+            return Ok(Some((topic, log_ns)));
         }
-        self.require_a_second()
     }
 
     /// Its reader.
@@ -113,15 +166,29 @@ impl Recording {
         }
     }
 
-    /// The first difference between the layouts of its samples and those of this program.
-    pub fn layout_difference(contents: &Contents) -> Option<String> {
-        let text = attachment(contents, LAYOUTS)?;
-        let recorded: Layouts = match text.parse() {
-            Ok(layouts) => layouts,
-            Err(error) => return Some(format!("{LAYOUTS}: {error}")),
-        };
-        let difference = shared_types::difference(&Layouts::built_in(), &recorded, shared_types::TOPICS);
-        difference.map(|difference| difference.to_string())
+    /// The fields in which the layouts of its samples differ from those of this program.
+    ///
+    /// # Errors
+    /// A table of layouts that can't be read.
+    pub fn layout_differences(contents: &Contents) -> Result<Vec<Difference>, NotALayout> {
+        let Some(text) = attachment(contents, LAYOUTS) else { return Ok(Vec::new()) };
+        let (built_in, recorded) = (Layouts::built_in(), text.parse()?);
+        let of_topic = |topic: &Topic| shared_types::differences(&built_in, &recorded, topic.name());
+        Ok(TOPICS.iter().flat_map(of_topic).collect())
+    }
+
+    /// Topics whose samples have another layout.
+    fn other_topics(&self) -> anyhow::Result<BTreeSet<String>> {
+        let refuse = |reason: String| Failure::bad_input(format!("{}: {reason}", self.path.display()));
+        let version = metadata(self.contents(), RECORDING, "version").unwrap_or(VERSION);
+        if version != VERSION {
+            return Err(refuse(format!(
+                "version {version} of the recording is not {VERSION}, the one that this program reads"
+            )));
+        }
+        let found = Self::layout_differences(self.contents());
+        let found = found.map_err(|error| refuse(format!("{LAYOUTS}: {error}")))?;
+        Ok(found.into_iter().map(|found| found.topic).collect())
     }
 }
 
@@ -150,6 +217,33 @@ pub fn metadata<'a>(contents: &'a Contents, name: &str, key: &str) -> Option<&'a
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_newer_recording_and_one_with_another_table_of_layouts_are_refused() {
+        let path = std::env::temp_dir().join(format!("scanloop-read-{}.mcap", std::process::id()));
+        for (version, layouts, reason) in [
+            ("2", String::new(), "version 2 of the recording is not 1"),
+            (VERSION, "other".to_owned(), "layouts.txt: line 1"),
+            (VERSION, Layouts::built_in().to_string(), ""),
+        ] {
+            let mut writer = crate::tape::writer(File::create(&path).unwrap()).unwrap();
+            writer.attach(LAYOUTS, "text/plain", layouts.as_bytes(), 0).unwrap();
+            writer.metadata(RECORDING, &[("version".to_owned(), version.to_owned())]).unwrap();
+            let sample = vec![0_u8; TOPICS[0].size()];
+            writer.message(0, 1, 1, &[&ENCAPSULATION[..], &sample[..]]);
+            writer.finish().unwrap();
+            let mut samples = 0;
+            let read = Recording::open(&path).unwrap().samples(|_, _| {
+                samples += 1;
+                Ok(())
+            });
+            match read {
+                Ok(()) => assert_eq!((reason, samples), ("", 1)),
+                Err(error) => assert!(!reason.is_empty() && error.to_string().contains(reason), "{error}"),
+            }
+        }
+        std::fs::remove_file(&path).unwrap();
+    }
 
     #[test]
     fn only_channels_of_the_system_are_topics() {

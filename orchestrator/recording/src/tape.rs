@@ -22,9 +22,74 @@ pub(crate) const LIBRARY: &str = concat!("scanloop ", env!("CARGO_PKG_VERSION"))
 /// In front of the topics of the system.
 pub(crate) const PREFIX: &str = "/scanloop/";
 
-/// A recording that is being written.
-pub struct Tape<W: Write> {
-    writer: Writer<W>,
+/// Where chunks of messages and files beside them are put.
+pub trait Target {
+    /// Adds a message of data in parts to the open chunk.
+    fn message(&mut self, channel: u16, sequence: u32, log_ns: u64, data: &[&[u8]]);
+    /// Bytes of the open chunk, uncompressed.
+    fn open_bytes(&self) -> usize;
+    /// Ends the open chunk, if it has messages.
+    ///
+    /// # Errors
+    /// Those of the output.
+    fn end_chunk(&mut self) -> io::Result<()>;
+    /// Adds a file.
+    ///
+    /// # Errors
+    /// Those of the output.
+    fn attach(&mut self, name: &str, media_type: &str, data: &[u8], log_ns: u64) -> io::Result<()>;
+}
+
+impl<W: Write> Target for Writer<W> {
+    fn message(&mut self, channel: u16, sequence: u32, log_ns: u64, data: &[&[u8]]) {
+        self.message(channel, sequence, log_ns, data);
+    }
+
+    fn open_bytes(&self) -> usize {
+        self.open_bytes()
+    }
+
+    fn end_chunk(&mut self) -> io::Result<()> {
+        self.end_chunk()
+    }
+
+    fn attach(&mut self, name: &str, media_type: &str, data: &[u8], log_ns: u64) -> io::Result<()> {
+        self.attach(name, media_type, data, log_ns)
+    }
+}
+
+/// A file for a recording, with the schemas and channels of all topics.
+///
+/// # Errors
+/// Those of `out`.
+pub fn writer<W: Write>(out: W) -> io::Result<Writer<W>> {
+    let of_topic = |topic: &Topic| Schema {
+        name: type_name(*topic),
+        encoding: ROS2MSG.to_owned(),
+        text: schema(*topic),
+    };
+    let schemas: Vec<Schema> = TOPICS.iter().map(of_topic).chain(foxglove::schemas()).collect();
+    let topics = TOPICS.iter().map(|topic| {
+        let layout = [("type".to_owned(), topic.type_name().to_owned())];
+        (format!("{PREFIX}{topic}"), layout.to_vec())
+    });
+    let drawn = foxglove::CHANNELS.iter().map(|(topic, ..)| ((*topic).to_owned(), Vec::new()));
+    let channels: Vec<Channel> = topics
+        .chain(drawn)
+        .enumerate()
+        .map(|(index, (topic, metadata))| Channel { topic, schema: index as u16, metadata })
+        .collect();
+    Writer::new(out, LIBRARY, &schemas, &channels)
+}
+
+/// The type of an attached file.
+pub(crate) fn media_type(name: &str) -> &'static str {
+    if name.ends_with(".toml") { "application/toml" } else { "text/plain" }
+}
+
+/// A recording that is being made: what becomes of each sample, and when chunks end.
+pub struct Tape<T: Target> {
+    target: T,
     chunk_start_ns: Option<u64>,
     /// The newest time of the loop that was recorded [ns].
     now_ns: u64,
@@ -35,41 +100,24 @@ pub struct Tape<W: Write> {
     /// joins takes one of them [ns].
     joins: [(u32, u64); ROLES],
     simulated: bool,
+    /// Samples put until now, and those of them that are in ended chunks.
+    samples: [u64; 2],
 }
 
-impl<W: Write> Tape<W> {
+impl<T: Target> Tape<T> {
     /// Begins a recording; in `simulated` time the stamps of all samples are those of the loop.
-    ///
-    /// # Errors
-    /// Those of `out`.
-    pub fn new(out: W, simulated: bool) -> io::Result<Self> {
-        let of_topic = |topic: &Topic| Schema {
-            name: type_name(*topic),
-            encoding: ROS2MSG.to_owned(),
-            text: schema(*topic),
-        };
-        let schemas: Vec<Schema> = TOPICS.iter().map(of_topic).chain(foxglove::schemas()).collect();
-        let topics = TOPICS.iter().map(|topic| {
-            let layout = [("type".to_owned(), topic.type_name().to_owned())];
-            (format!("{PREFIX}{topic}"), layout.to_vec())
-        });
-        let drawn = foxglove::CHANNELS.iter().map(|(topic, ..)| ((*topic).to_owned(), Vec::new()));
-        let channels: Vec<Channel> = topics
-            .chain(drawn)
-            .enumerate()
-            .map(|(index, (topic, metadata))| Channel { topic, schema: index as u16, metadata })
-            .collect();
-        let writer = Writer::new(out, LIBRARY, &schemas, &channels)?;
+    pub fn new(target: T, simulated: bool) -> Self {
         let checkpoints = std::array::from_fn(|_| (None, 0));
-        Ok(Self {
-            writer,
+        Self {
+            target,
             chunk_start_ns: None,
             now_ns: 0,
             checkpoints,
             authority: [0; ROLES],
             joins: [(0, 0); ROLES],
             simulated,
-        })
+            samples: [0; 2],
+        }
     }
 
     /// Adds a file as an attachment.
@@ -77,16 +125,7 @@ impl<W: Write> Tape<W> {
     /// # Errors
     /// Those of the output.
     pub fn attach(&mut self, name: &str, data: &[u8]) -> io::Result<()> {
-        let media_type = if name.ends_with(".toml") { "application/toml" } else { "text/plain" };
-        self.writer.attach(name, media_type, data, self.now_ns)
-    }
-
-    /// Adds texts about the recording.
-    ///
-    /// # Errors
-    /// Those of the output.
-    pub fn describe(&mut self, name: &str, map: &[(String, String)]) -> io::Result<()> {
-        self.writer.metadata(name, map)
+        self.target.attach(name, media_type(name), data, self.now_ns)
     }
 
     /// Adds a sample of a topic, as its bytes, and what viewers draw of it.
@@ -116,6 +155,7 @@ impl<W: Write> Tape<W> {
             Topic::Heartbeat => self.keep_joined(from_bytes(bytes))?,
             _ => {}
         }
+        self.samples[0] += 1;
         self.put(topic, bytes)?;
         match topic {
             Topic::Scan => self.draw(foxglove::SCAN, &foxglove::scan(from_bytes::<Scan>(bytes))),
@@ -146,22 +186,24 @@ impl<W: Write> Tape<W> {
         self.draw(foxglove::LOG, &message)
     }
 
-    /// Bytes written until now.
-    pub fn bytes(&self) -> u64 {
-        self.writer.bytes()
+    /// Where it puts everything.
+    pub fn target(&mut self) -> &mut T {
+        &mut self.target
+    }
+
+    /// Ends it; the open chunk is not yet ended.
+    pub fn into_target(self) -> T {
+        self.target
+    }
+
+    /// Samples of the loop in chunks that were ended; those of the open one may still be lost.
+    pub fn samples(&self) -> u64 {
+        self.samples[1]
     }
 
     /// The newest time of the loop in it [ns].
     pub fn now_ns(&self) -> u64 {
         self.now_ns
-    }
-
-    /// Ends the recording; returns its length [bytes].
-    ///
-    /// # Errors
-    /// Those of the output.
-    pub fn finish(self) -> io::Result<u64> {
-        self.writer.finish().map(|(_, bytes)| bytes)
     }
 
     /// When another process gets authority, the newest checkpoint of its role is what it resumed from.
@@ -211,10 +253,11 @@ impl<W: Write> Tape<W> {
 
     fn message(&mut self, channel: u16, sequence: u32, log_ns: u64, data: &[&[u8]]) -> io::Result<()> {
         let start_ns = *self.chunk_start_ns.get_or_insert(self.now_ns);
-        self.writer.message_parts(channel, sequence, log_ns, data)?;
-        if self.now_ns >= start_ns + CHUNK_NS || self.writer.open_bytes() >= CHUNK_BYTES {
+        self.target.message(channel, sequence, log_ns, data);
+        if self.now_ns >= start_ns + CHUNK_NS || self.target.open_bytes() >= CHUNK_BYTES {
             self.chunk_start_ns = None;
-            self.writer.end_chunk()?;
+            self.target.end_chunk()?;
+            self.samples[1] = self.samples[0];
         }
         Ok(())
     }

@@ -1,5 +1,8 @@
 //! A recorded drive in memory: its samples by process and by scan, its settings, and who was in charge.
 
+mod keys;
+mod lane;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
@@ -7,43 +10,18 @@ use anyhow::Context;
 use console::exit::Failure;
 use recording::Recording;
 use recording::read::{attachment, metadata};
-use runtime::settings_file;
+use runtime::{monotonic_ns, settings_file, wait_for};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use shared_types::{
     Actuation, Authority, Checkpoint, Command, Directive, Header, Heartbeat, Obstacles, Odometry, Pose,
-    ROLES, Role, Sample, Scan, Topic, Truth,
+    ROLES, Role, Sample, Scan, Topic, Truth, topics_of,
 };
 use supervision::entry::ProcessRow;
-use toml::{Table, Value};
+use toml::Table;
 
-/// Samples of one topic in the order of the recording.
-#[derive(Debug, Default)]
-pub(crate) struct Lane<S> {
-    pub(crate) samples: Vec<S>,
-    by_scan: BTreeMap<u64, Vec<usize>>,
-}
-
-impl<S: Sample> Lane<S> {
-    fn add(&mut self, bytes: &[u8]) {
-        let sample: &S = bytemuck::from_bytes(bytes);
-        self.by_scan.entry(sample.header().scan_id).or_default().push(self.samples.len());
-        self.samples.push(*sample);
-    }
-
-    /// The samples of a scan.
-    pub(crate) fn of_scan(&self, scan_id: u64) -> impl Iterator<Item = &S> {
-        self.by_scan.get(&scan_id).into_iter().flatten().map(|index| &self.samples[*index])
-    }
-
-    /// The samples of a process, by number.
-    pub(crate) fn of_process(&self, incarnation: u32) -> Vec<&S> {
-        let mut found: Vec<&S> =
-            self.samples.iter().filter(|sample| sample.header().incarnation == incarnation).collect();
-        found.sort_by_key(|sample| sample.header().sequence);
-        found
-    }
-}
+pub(crate) use self::lane::Lane;
+use crate::NotReplayed;
 
 /// A recorded drive.
 #[derive(Debug, Default)]
@@ -73,6 +51,10 @@ pub struct Drive {
     granted_ns: BTreeMap<u32, u64>,
     /// Processes that are no implementation of this program, and what they are.
     foreign: BTreeMap<u32, String>,
+    /// Fields of samples whose layouts differ from those of this program.
+    other_layouts: Vec<shared_types::Difference>,
+    /// When the first scan was replayed, and when it was acquired, in a replay in real time [ns].
+    pace_ns: Option<[u64; 2]>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -89,17 +71,12 @@ impl Drive {
     pub fn read(path: &Path) -> anyhow::Result<Self> {
         let mut recording = Recording::open(path)?;
         let mut drive = Self::default();
-        let mut is_checked = false;
-        recording.samples(|contents, sample| {
-            if !std::mem::replace(&mut is_checked, true)
-                && let Some(difference) = Recording::layout_difference(contents)
-            {
-                return Err(Failure::bad_input(format!("{}: another layout: {difference}", path.display())));
-            }
+        recording.samples(|_, sample| {
             drive.add(sample.topic, sample.log_ns, sample.bytes);
             Ok(())
         })?;
         let contents = recording.contents();
+        drive.other_layouts = Recording::layout_differences(contents)?;
         let refuse = |reason: String| Failure::bad_input(format!("{}: {reason}", path.display()));
         for role in Role::ALL {
             let name = settings_file(*role);
@@ -126,33 +103,55 @@ impl Drive {
     /// # Errors
     /// What is wrong with a text that is no `ROLE.KEY=VALUE`.
     pub fn set(&mut self, texts: &[String]) -> Result<(), String> {
-        for text in texts {
-            let allowed = "KEY=VALUE, where KEY begins with estimator, obstacles, controller, actuator, vehicle or scenario";
-            let (key, value) = text.split_once('=').ok_or_else(|| format!("{text}: expected {allowed}"))?;
-            let value: Value = format!("value = {value}")
-                .parse::<Table>()
-                .ok()
-                .and_then(|mut table| table.remove("value"))
-                .unwrap_or_else(|| Value::String(value.to_owned()));
-            let (table, rest) = key.split_once('.').ok_or_else(|| format!("{text}: expected {allowed}"))?;
-            let targets: Vec<(Role, String)> = match table {
-                "scenario" => vec![(Role::Robot, key.to_owned())],
-                "vehicle" => {
-                    let stages = Role::ALL.iter().filter(|role| **role != Role::Robot);
-                    stages.map(|role| (*role, format!("{role}.vehicle.{rest}"))).collect()
-                }
-                name => match name.parse::<Role>() {
-                    Ok(role) if role != Role::Robot => vec![(role, key.to_owned())],
-                    _ => return Err(format!("{text}: expected {allowed}")),
-                },
-            };
-            for (role, key) in targets {
-                let table = self.settings.get_mut(&role).ok_or("a role has no settings")?;
-                set_key(table, &key, value.clone()).map_err(|reason| format!("{text}: {reason}"))?;
+        self.is_changed |= !texts.is_empty();
+        texts.iter().try_for_each(|text| keys::set(&mut self.settings, text))
+    }
+
+    /// Of these roles, those whose samples have the layouts of this program, and why the others can't be replayed.
+    ///
+    /// # Errors
+    /// None is left: the fields that differ; exit code 2.
+    pub(crate) fn replayable(
+        &self,
+        wanted: &[Role],
+        path: &Path,
+    ) -> anyhow::Result<(Vec<Role>, Vec<NotReplayed>)> {
+        let (mut stages, mut others) = (Vec::new(), Vec::new());
+        for role in Role::ALL.iter().filter(|role| wanted.contains(role)) {
+            let needed: Vec<&str> = topics_of(*role).map(Topic::name).collect();
+            let differing = self.other_layouts.iter().filter(|found| needed.contains(&found.topic.as_str()));
+            let fields: Vec<String> = differing.map(ToString::to_string).collect();
+            match fields.is_empty() {
+                true => stages.push(*role),
+                false => others.push(NotReplayed { role: role.name(), fields }),
             }
-            self.is_changed = true;
         }
-        Ok(())
+        if stages.is_empty() {
+            let fields: Vec<String> = self.other_layouts.iter().map(ToString::to_string).collect();
+            let (path, fields) = (path.display(), fields.join("; "));
+            return Err(Failure::bad_input(format!("{path}: another layout: {fields}")));
+        }
+        Ok((stages, others))
+    }
+
+    /// From now on, [`Drive::keep_pace`] waits for the time of each scan, counted from the scan `from`.
+    pub(crate) fn set_pace(&mut self, from: Option<u64>) {
+        let first = self.scans.samples.iter().find(|scan| scan.header.scan_id >= from.unwrap_or(0));
+        self.pace_ns = first.map(|first| [monotonic_ns(), first.header.acquired_ns]);
+    }
+
+    /// In a replay in real time, waits until as much time has passed since the first scan as in the drive.
+    pub(crate) fn keep_pace(&self, header: &Header) {
+        let Some([started_ns, first_ns]) = self.pace_ns else { return };
+        let due_ns = started_ns + header.acquired_ns.saturating_sub(first_ns);
+        while let Some(left_ns) = due_ns.checked_sub(monotonic_ns()).filter(|left_ns| *left_ns > 0) {
+            wait_for(&[], left_ns);
+        }
+    }
+
+    /// The settings of each role.
+    pub(crate) fn settings(&self) -> impl Iterator<Item = (Role, &Table)> {
+        self.settings.iter().map(|(role, table)| (*role, table))
     }
 
     /// Scans between two limits.
@@ -260,39 +259,5 @@ impl Drive {
                 }
             }
         }
-    }
-}
-
-fn set_key(table: &mut Table, key: &str, value: Value) -> Result<(), String> {
-    let (name, rest) = key.split_once('.').map_or((key, None), |(name, rest)| (name, Some(rest)));
-    match (table.get_mut(name), rest) {
-        (Some(Value::Table(inner)), Some(rest)) => set_key(inner, rest, value),
-        (Some(known), None) => {
-            // `1` for a number with a fraction.
-            *known = match (&*known, value) {
-                (Value::Float(_), Value::Integer(number)) => Value::Float(number as f64),
-                (_, value) => value,
-            };
-            Ok(())
-        }
-        _ => {
-            let keys: Vec<&str> = table.keys().map(String::as_str).collect();
-            Err(format!("unknown key {name}; known are {}", keys.join(", ")))
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn keys_are_set_where_they_are() {
-        let mut table: Table =
-            "[controller]\nhorizon_s = 2.0\n[controller.stop]\ntime_s = 1.0".parse().unwrap();
-        set_key(&mut table, "controller.stop.time_s", Value::Integer(3)).unwrap();
-        assert_eq!(table["controller"]["stop"]["time_s"], Value::Float(3.0));
-        let refused = set_key(&mut table, "controller.horizon", Value::Integer(3)).unwrap_err();
-        assert_eq!(refused, "unknown key horizon; known are horizon_s, stop");
     }
 }

@@ -8,6 +8,7 @@
 //!
 //! Compared are all bytes but those that depend on the clock and on the process: [`compare::NOT_COMPARED`].
 
+mod command;
 pub mod compare;
 mod drive;
 mod stage;
@@ -36,8 +37,12 @@ pub struct Options {
     pub to: Option<u64>,
     /// Keys of the stages that are changed: `controller.horizon_s=2`.
     pub set: Vec<String>,
-    /// Factor on the bounds of the agreement, with changed keys.
+    /// Programs in place of stages, with their arguments. Without `stages`, only these are replayed.
+    pub with: Vec<(Role, Vec<String>)>,
+    /// Factor on the bounds of the agreement, with changed keys or other programs.
     pub tolerance: f64,
+    /// Replay as fast as the drive was recorded, instead of as fast as possible.
+    pub in_real_time: bool,
 }
 
 /// The result of a replay.
@@ -53,14 +58,54 @@ pub struct Report {
     pub skipped: u64,
     /// Outputs that are equal to the recorded ones.
     pub identical: u64,
-    /// Outputs that are beyond the bounds of the agreement, with changed keys.
+    /// Outputs that are beyond the bounds of the agreement, with changed keys or other programs.
     pub beyond: u64,
+    /// With changed keys or other programs, how their outputs differ from the recorded ones.
+    pub statistics: Vec<Statistics>,
     /// The first differences.
     pub differences: Vec<Difference>,
     /// Why outputs were skipped, and how many.
     pub reasons: Vec<Skipped>,
     /// Outputs of scans after the one that decided the outcome, in lock-step; they do not belong to the run.
     pub after_end: u64,
+    /// Stages that can't be replayed, because samples that they read or write have another layout.
+    pub not_replayed: Vec<NotReplayed>,
+}
+
+/// A stage that can't be replayed.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct NotReplayed {
+    /// Name of the role.
+    pub role: &'static str,
+    /// The fields that differ, with their topic.
+    pub fields: Vec<String>,
+}
+
+/// How the outputs of one stage differ from the recorded ones, scan by scan.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Statistics {
+    /// Name of the role.
+    pub role: &'static str,
+    /// Scans on which both gave an output.
+    pub compared: u64,
+    /// Of these, scans on which only one of them drove.
+    pub kind_differs: u64,
+    /// Replayed minus recorded, quantity by quantity.
+    pub differences: Vec<handover::shadow::Difference>,
+}
+
+impl std::fmt::Display for Statistics {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { role, compared, kind_differs, differences } = self;
+        write!(formatter, "{role}: {compared} scans compared, {kind_differs} of another kind")?;
+        differences.iter().try_for_each(|difference| {
+            let interval = difference
+                .mean_interval
+                .map_or_else(String::new, |[low, high]| format!(", 95 % interval {low:.6} to {high:.6}"));
+            let handover::shadow::Difference { quantity, unit, mean, max_abs, .. } = difference;
+            write!(formatter, "\n  {quantity}: mean {mean:.6} {unit}{interval}, largest {max_abs:.6} {unit}")
+        })
+    }
 }
 
 /// Outputs that could not be recomputed.
@@ -90,19 +135,31 @@ impl Report {
 pub fn replay(path: &Path, options: &Options) -> anyhow::Result<Report> {
     let mut drive = Drive::read(path)?;
     drive.set(&options.set).map_err(|reason| Failure::bad_input(format!("--set {reason}")))?;
-    let stages: Vec<Role> = Role::ALL
-        .iter()
-        .copied()
-        .filter(|role| options.stages.is_empty() || options.stages.contains(role))
-        .collect();
+    drive.is_changed |= !options.with.is_empty();
+    let of_programs = || options.with.iter().map(|(role, _)| *role);
+    let wanted: Vec<Role> = match (&options.stages[..], &options.with[..]) {
+        ([], []) => Role::ALL.to_vec(),
+        ([], _) => of_programs().collect(),
+        (stages, _) => stages.iter().copied().chain(of_programs()).collect(),
+    };
+    let (stages, not_replayed) = drive.replayable(&wanted, path)?;
+    if options.in_real_time {
+        drive.set_pace(options.from);
+    }
     let drive = &drive;
+    let mut report =
+        Report { scans: drive.scans(options.from, options.to), not_replayed, ..Report::default() };
+    // One after the other: each is a system of its own.
+    for (role, command) in options.with.iter().filter(|(role, _)| stages.contains(role)) {
+        command::replay(*role, command, drive, options)?.add_to(&mut report);
+    }
+    let built_in = stages.iter().filter(|role| of_programs().all(|other| other != **role));
     let found: Vec<anyhow::Result<Findings>> = std::thread::scope(|scope| {
         let threads: Vec<_> =
-            stages.iter().map(|role| scope.spawn(move || stage::replay(*role, drive, options))).collect();
+            built_in.map(|role| scope.spawn(move || stage::replay(*role, drive, options))).collect();
         let lost = || Err(anyhow::anyhow!("a stage ended with a panic"));
         threads.into_iter().map(|thread| thread.join().unwrap_or_else(|_| lost())).collect()
     });
-    let mut report = Report { scans: drive.scans(options.from, options.to), ..Report::default() };
     for findings in found {
         findings?.add_to(&mut report);
     }

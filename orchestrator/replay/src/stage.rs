@@ -9,12 +9,14 @@ mod robot;
 use std::collections::{BTreeMap, BTreeSet};
 
 use bytemuck::Pod;
+use handover::shadow::Study;
 use handover::swap::agreement::{OutputSummary, disagreement};
-use shared_types::{Checkpoint, Described, Header, Role, Sample};
+use handover::swap::{Output, Party};
+use shared_types::{Actuation, Checkpoint, Command, Described, Header, Obstacles, Pose, Role, Sample, Topic};
 
 use crate::compare::{Difference, difference, take_over};
 use crate::drive::Lane;
-use crate::{Drive, MAX_DIFFERENCES, Options, Report, Skipped};
+use crate::{Drive, MAX_DIFFERENCES, Options, Report, Skipped, Statistics};
 
 /// What a stage starts from.
 pub(crate) enum Origin<S> {
@@ -25,13 +27,23 @@ pub(crate) enum Origin<S> {
 }
 
 /// What was found in the outputs of one role.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(crate) struct Findings {
+    role: Role,
     report: Report,
     reasons: BTreeMap<(&'static str, u32, &'static str), u64>,
+    /// Compares what the loop sees of the outputs, where they are expected to differ.
+    study: Option<Study>,
 }
 
 impl Findings {
+    /// Nothing yet.
+    pub(crate) fn new(role: Role, drive: &Drive) -> Self {
+        let scans = drive.scans(None, None);
+        let study = drive.is_changed.then(|| Study::new(role, drive.period_ns, scans));
+        Self { role, report: Report::default(), reasons: BTreeMap::new(), study }
+    }
+
     /// Compares an output with the recorded one.
     pub(crate) fn compare<S: Sample>(
         &mut self,
@@ -44,6 +56,8 @@ impl Findings {
         self.report.samples += 1;
         self.report.compared += 1;
         take_over(recorded, &mut replayed, role);
+        drive.keep_pace(recorded.header());
+        self.study(recorded, &replayed);
         match difference(recorded, &replayed) {
             None => self.report.identical += 1,
             Some(difference) => {
@@ -51,6 +65,39 @@ impl Findings {
                     self.report.beyond += 1;
                 }
                 self.note(difference);
+            }
+        }
+    }
+
+    /// Counts an output whose place the program left empty, or filled with one that readers drop.
+    pub(crate) fn refuse<S: Sample>(&mut self, recorded: &S, what: &str) {
+        self.report.samples += 1;
+        self.report.compared += 1;
+        self.report.beyond += 1;
+        self.note(Difference {
+            topic: S::TOPIC.name(),
+            scan: recorded.header().scan_id,
+            field: "sample".to_owned(),
+            recorded: "valid".to_owned(),
+            replayed: what.to_owned(),
+        });
+    }
+
+    fn study<S: Sample>(&mut self, recorded: &S, replayed: &S) {
+        let Some(study) = self.study.as_mut().filter(|_| recorded.is_answer()) else { return };
+        if let Some(pair) = summary(recorded).zip(summary(replayed)) {
+            let header = recorded.header();
+            for (party, content) in [(Party::Old, pair.0), (Party::New, pair.1)] {
+                let output = Output {
+                    scan: header.scan_id,
+                    sequence: header.sequence,
+                    scan_published_ns: 0,
+                    published_ns: 0,
+                    compute_ns: 0,
+                    stamps_ns: [0; 2],
+                    content: Ok(content),
+                };
+                study.output(0, party, output);
             }
         }
     }
@@ -83,6 +130,13 @@ impl Findings {
         report.identical += identical;
         report.beyond += beyond;
         report.after_end += after_end;
+        let compared = self.study.map(Study::report).filter(|study| study.compared > 0);
+        report.statistics.extend(compared.map(|study| Statistics {
+            role: self.role.name(),
+            compared: study.compared,
+            kind_differs: study.kind_differs,
+            differences: study.differences,
+        }));
         report.differences.extend(differences);
         report.reasons.extend(self.reasons.into_iter().map(|((topic, incarnation, reason), samples)| {
             Skipped { topic, incarnation, reason: reason.to_owned(), samples }
@@ -90,22 +144,20 @@ impl Findings {
     }
 }
 
+/// What the loop sees of an output; none of a robot's, which has several.
+fn summary<S: Sample>(sample: &S) -> Option<OutputSummary> {
+    let bytes = bytemuck::bytes_of(sample);
+    Some(match S::TOPIC {
+        Topic::Pose => bytemuck::from_bytes::<Pose>(bytes).into(),
+        Topic::Obstacles => bytemuck::from_bytes::<Obstacles>(bytes).into(),
+        Topic::Command => bytemuck::from_bytes::<Command>(bytes).into(),
+        Topic::Actuation => bytemuck::from_bytes::<Actuation>(bytes).into(),
+        _ => return None,
+    })
+}
+
 /// Whether two outputs of one scan differ more than two processes of one role may.
 fn is_beyond<S: Sample>(recorded: &S, replayed: &S, tolerance: f64) -> bool {
-    fn summary<S: Sample>(sample: &S) -> Option<OutputSummary> {
-        let bytes = bytemuck::bytes_of(sample);
-        match S::TOPIC {
-            shared_types::Topic::Pose => Some(bytemuck::from_bytes::<shared_types::Pose>(bytes).into()),
-            shared_types::Topic::Obstacles => {
-                Some(bytemuck::from_bytes::<shared_types::Obstacles>(bytes).into())
-            }
-            shared_types::Topic::Command => Some(bytemuck::from_bytes::<shared_types::Command>(bytes).into()),
-            shared_types::Topic::Actuation => {
-                Some(bytemuck::from_bytes::<shared_types::Actuation>(bytes).into())
-            }
-            _ => None,
-        }
-    }
     match (summary(recorded), summary(replayed)) {
         (Some(recorded), Some(replayed)) => disagreement(&recorded, &replayed, tolerance).is_some(),
         _ => true,
@@ -114,7 +166,7 @@ fn is_beyond<S: Sample>(recorded: &S, replayed: &S, tolerance: f64) -> bool {
 
 /// Replays one role.
 pub(crate) fn replay(role: Role, drive: &Drive, options: &Options) -> anyhow::Result<Findings> {
-    let mut findings = Findings::default();
+    let mut findings = Findings::new(role, drive);
     match role {
         Role::Robot => robot::replay(drive, options, &mut findings)?,
         Role::Estimator => estimator::replay(drive, options, &mut findings)?,

@@ -180,6 +180,7 @@ impl Latencies {
             simulated: self.simulated,
             complete_chains: self.complete,
             incomplete_chains: self.incomplete,
+            companions: Vec::new(),
         }
     }
 }

@@ -14,7 +14,7 @@ mod tally;
 
 use std::collections::{BTreeMap, VecDeque};
 
-use audit::ledger::{Ledger, ScanReport};
+use audit::ledger::{DelayRow, Ledger, ScanReport};
 use console::progress::View;
 use emulator::JudgedBy;
 use handover::swap::Certificate;
@@ -33,7 +33,8 @@ use self::tally::Tally;
 use crate::latency::{self, Latencies};
 use crate::picture::{Drive, Ellipse, Moment};
 use crate::report::{
-    DriveReport, LedgerReport, Outcome, ProcessReport, RecordingReport, Report, SCHEMA, TrueDrive,
+    DriveReport, LatencyReport, LedgerReport, Outcome, ProcessReport, RecordingReport, Report, SCHEMA,
+    TrueDrive,
 };
 
 pub use self::rows::MAX_ROWS;
@@ -80,8 +81,12 @@ pub struct RunResult {
     pub swaps: Vec<Certificate>,
     /// What became of every sample.
     pub ledger: LedgerReport,
+    /// Delays at the ends of topics beside the loop.
+    pub companion_delays: Vec<DelayRow>,
     /// The recording; `None` when the run was not recorded.
     pub recording: Option<RecordingReport>,
+    /// Files with the last seconds before an incident.
+    pub incidents: Vec<std::path::PathBuf>,
 }
 
 /// What is recorded of one run.
@@ -334,7 +339,10 @@ impl Recorder {
             duration_s: self.duration_s(),
             scans: ScanReport { missing: self.missing, ..self.ledger.report() },
             ledger: result.ledger.clone(),
-            latency_us: self.latencies.report(),
+            latency_us: LatencyReport {
+                companions: result.companion_delays.clone(),
+                ..self.latencies.report()
+            },
             drive: self.drive_report(),
             margin_m: self.margins.means(),
             ride: self.estimated.is_none().then(|| measure(&self.ride.drive(), &self.goal())),
@@ -348,6 +356,7 @@ impl Recorder {
             companions: result.companions.clone(),
             swaps: result.swaps.clone(),
             recording: result.recording.clone(),
+            incidents: result.incidents.clone(),
             digests: BTreeMap::new(),
             trajectory_rows_dropped: self.rows.dropped(),
             trajectory: self.trajectory(),

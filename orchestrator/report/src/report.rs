@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 use std::io;
 use std::path::Path;
 
-pub use audit::ledger::{LedgerReport, LedgerRow, ScanReport};
+pub use audit::ledger::{DelayRow, LedgerReport, LedgerRow, ScanReport};
 pub use emulator::{JudgedBy, Outcome};
 use figures::Figures;
 use handover::swap::Certificate;
@@ -96,6 +96,9 @@ pub struct Report {
     /// The recording of the run; `None` when it was not recorded.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub recording: Option<RecordingReport>,
+    /// Files with the last seconds before a death, a rollback, a collision or a stop.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub incidents: Vec<std::path::PathBuf>,
     /// Hash of all samples per topic in lock-step: equal runs have equal samples.
     pub digests: BTreeMap<String, String>,
     /// Number of first rows that `trajectory` lacks because the run was too long to keep them.
@@ -142,6 +145,9 @@ pub struct LatencyReport {
     pub complete_chains: u64,
     /// Answers without stamps of all stages; they count in the first two distributions only.
     pub incomplete_chains: u64,
+    /// Delays beside the loop: of topics of your own, and of what companions read.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub companions: Vec<DelayRow>,
 }
 
 /// Compute of each stage and the transport between them [us].

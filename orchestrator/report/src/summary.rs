@@ -7,8 +7,8 @@ use figures::Figures;
 
 use crate::latency::STAGES;
 use crate::report::{
-    LatencyReport, LedgerReport, LedgerRow, NO_OBSTACLE_M, PerStage, Report, ScanReport, ScannerReport,
-    SelfCheckReport, TrueDrive,
+    DelayRow, LatencyReport, LedgerReport, LedgerRow, NO_OBSTACLE_M, PerStage, Report, ScanReport,
+    ScannerReport, SelfCheckReport, TrueDrive,
 };
 
 /// The summary of a run; `folder` is where its files are, if any were written.
@@ -33,8 +33,10 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
     rows.extend(report.drive.truth.iter().map(|truth| ("estimate error", estimate_error(truth))));
     rows.push(("scans", scans(&report.scans)));
     rows.push(("samples", samples(&report.ledger)));
+    rows.extend(report.ledger.companions.iter().map(|row| ("beside the loop", beside(row))));
     rows.extend(report.ledger.refused.iter().map(|row| ("dropped", row.to_string())));
     rows.extend(report.recording.iter().map(|recording| ("recording", recording.to_string())));
+    rows.extend(report.incidents.iter().map(|file| ("incident", file.display().to_string())));
     if !report.controller.status.is_empty() {
         rows.push(("solver", counts(report.controller.status.iter())));
     }
@@ -134,6 +136,20 @@ fn samples(ledger: &LedgerReport) -> String {
     text
 }
 
+/// What became of the samples of a topic beside the loop at one reader.
+fn beside(row: &LedgerRow) -> String {
+    let LedgerRow { topic, reader, published, used, replaced, lost, in_flight, residual, reasons, .. } = row;
+    let mut text = format!("{topic} at {reader}: {published} published, {used} used, {replaced} replaced");
+    if !reasons.is_empty() {
+        text += &format!(" ({})", counts(reasons.iter()));
+    }
+    text += &format!(", {lost} lost, {in_flight} in flight");
+    if *residual > 0 {
+        text += &format!(", {residual} MISSING");
+    }
+    text
+}
+
 /// Counts by name as text, like `12 converged, 1 out of time`.
 pub fn counts<'a>(counts: impl Iterator<Item = (&'a String, &'a u64)>) -> String {
     counts.map(|(name, count)| format!("{count} {}", name.replace('_', " "))).collect::<Vec<_>>().join(", ")
@@ -167,6 +183,15 @@ pub fn latency_table(latency: &LatencyReport) -> String {
         count => format!(", {count} INCOMPLETE"),
     };
     line(&mut text, format_args!("{:<20} {} complete{incomplete}", "chains", latency.complete_chains));
+    if !latency.companions.is_empty() {
+        line(&mut text, format_args!(""));
+        row(&mut text, "beside the loop [ms]", ["mean", "max", "samples", ""].map(str::to_owned));
+    }
+    for DelayRow { topic, process, writes, count, mean_us, max_us } in &latency.companions {
+        let name =
+            if *writes { format!("  scan > {process} > {topic}") } else { format!("  {topic} > {process}") };
+        row(&mut text, &name, [ms(*mean_us), ms(*max_us), count.to_string(), String::new()]);
+    }
     text
 }
 

@@ -79,6 +79,16 @@ pub enum BenchCommand {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGUMENTS")]
         arguments: Vec<OsString>,
     },
+    /// Measure what companions and topics of your own cost: 5 to 50 processes, 10 to 100 topics, 1 to 24 readers, samples
+    /// of 64 B to 4 MB.
+    ///
+    /// The executable `scanloop-bench` runs this bench; `scanloop bench scale --help` shows its arguments once that is built.
+    #[command(disable_help_flag = true)]
+    Scale {
+        /// Arguments of the bench.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGUMENTS")]
+        arguments: Vec<OsString>,
+    },
 }
 
 /// Arguments of `bench solver`.
@@ -117,7 +127,7 @@ pub(crate) fn bench(system_id: &str, command: &BenchCommand) -> anyhow::Result<E
         BenchCommand::Latency(arguments) => latency::latency(system_id, arguments),
         BenchCommand::Compare(arguments) => compare::compare(arguments),
         BenchCommand::Ride(arguments) => ride::ride(arguments),
-        BenchCommand::Transport { .. } => Err(instrument::hand_over()),
+        BenchCommand::Transport { .. } | BenchCommand::Scale { .. } => Err(instrument::hand_over()),
     }
 }
 

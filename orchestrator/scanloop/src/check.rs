@@ -10,7 +10,7 @@ use console::output::data;
 use console::user_file::{self, TEXT_BYTES};
 use emulator::Scenario;
 use plan::system::System;
-use plan::{Choice, Plan, difference};
+use plan::{Choice, Plan, difference, hosts};
 use runtime::{OPERATOR, Reserve, printable};
 use shared_types::{Role, TOPICS, Topic};
 use toml::Table;
@@ -56,7 +56,7 @@ pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
             plan
         }
     };
-    data(&printable(&(graph(&plan.system) + &own_graph(&plan)?)))?;
+    data(&printable(&(graph(&plan.system) + &hosts::describe(&plan.system) + &own_graph(&plan)?)))?;
     Ok(Exit::Done)
 }
 
@@ -101,17 +101,13 @@ fn own_graph(plan: &Plan) -> anyhow::Result<String> {
     for row in own.topic.iter().filter(|row| row.writer == OPERATOR) {
         let _ = writeln!(text, "  {:<22} -> {}", "operator", row.name);
     }
+    let (own_bytes, system_bytes) = (own.bytes()?, Reserve::of_a_system(plan.system.period_ns()));
+    let _ = write!(text, "  shared memory: {} KiB", (own_bytes + system_bytes).div_ceil(1024));
     if !own.topic.is_empty() || !own.companion.is_empty() {
-        let (own_kib, sum_kib) =
-            (own.bytes()?.div_ceil(1024), (own.bytes()? + Reserve::of_a_system()).div_ceil(1024));
-        let _ = writeln!(
-            text,
-            "  shared memory: {sum_kib} KiB, of these {own_kib} KiB for {} topics and {} companions",
-            own.topic.len(),
-            own.companion.len()
-        );
+        let (kib, topics, companions) = (own_bytes.div_ceil(1024), own.topic.len(), own.companion.len());
+        let _ = write!(text, ", of these {kib} KiB for {topics} topics and {companions} companions");
     }
-    Ok(text)
+    Ok(text + "\n")
 }
 
 fn names(topics: &[Topic]) -> String {

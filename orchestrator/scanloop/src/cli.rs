@@ -12,6 +12,8 @@ use crate::analyse::AnalyseCommand;
 use crate::bench::BenchCommand;
 use crate::calibrate::CalibrateArguments;
 use crate::campaign::arguments::CampaignArguments;
+use crate::demo::DemoArguments;
+use crate::inject::InjectArguments;
 use crate::live_check::LiveArguments;
 use crate::record::{RecordArguments, RecordingCommand};
 use crate::reference::ReferenceArguments;
@@ -22,6 +24,9 @@ use crate::top::TopArguments;
 use crate::types::TypesArguments;
 use crate::urg::UrgCommand;
 use view::ViewArguments;
+
+/// The system of commands that name none.
+pub(crate) const DEFAULT_SYSTEM_ID: &str = "default";
 
 /// Exit codes, below the help of the program and on the page of the commands.
 const EXIT_CODES: &str = "\
@@ -38,7 +43,7 @@ Exit codes:
 #[command(name = "scanloop", version, max_term_width = 100, after_help = EXIT_CODES)]
 pub struct Cli {
     /// Name of the system on this machine: 1 to 16 letters, digits or `-`.
-    #[arg(long, global = true, value_name = "NAME", env = runtime::SYSTEM_ID_VARIABLE, default_value = "default")]
+    #[arg(long, global = true, value_name = "NAME", env = runtime::SYSTEM_ID_VARIABLE, default_value = DEFAULT_SYSTEM_ID)]
     pub system_id: String,
     /// What to do.
     #[command(subcommand)]
@@ -53,6 +58,14 @@ pub enum Command {
     /// If processes of an earlier run of this system are orphaned and still drive, `run` blocks their wheels and ends
     /// them first. With `--adopt` it takes them over instead.
     Run(RunArguments),
+    /// Drive, kill, swap, delay, blind and repeat in about a minute, then compare what is promised with what was measured.
+    ///
+    /// Starts a long course with the live page, in a system of its own, and tells what happens. It kills estimator,
+    /// obstacles, controller, actuator and orchestrator in turn, swaps controller and robot, plants 5 ms in one stage and
+    /// finds it, blinds the scanner, and drives one scenario twice in lock-step. Every figure is measured in this run. Exit
+    /// code 0 if all promises held, else 1. JSON keys: `claims` with `name`, `text`, `bound` (`at_most`, `at_least`),
+    /// `promised`, `measured` (null: could not be measured), `unit`, `held`; `held`.
+    Demo(DemoArguments),
     /// Take over orphaned processes while they drive: those of a run whose orchestrator died. Same as `run --adopt`.
     ///
     /// A process is identified by process id, start time, system and incarnation; no other process is touched. Exit
@@ -72,8 +85,9 @@ pub enum Command {
     /// If the wheels are blocked for an obstacle, it is named with its place, the gap past it and the gap that the robot
     /// needs. A scanner that is not healthy is shown with its state and the figures that explain it. A driver shows what
     /// its devices do, since when, and why. JSON keys: `system_id`, `state`, `scenario`, `scan`, `judged_by` (`truth`,
-    /// `estimate`, or null), `lockstep`, `blocking`, `scanner`, `processes`, `companions`, `refused`; per process also `device`
-    /// (`connecting`, `running`, `fault`; null without devices), `device_for_s`, `device_reason`.
+    /// `estimate`, or null), `lockstep`, `blocking`, `scanner`, `processes`, `companions`, `refused`,
+    /// `events` (the last 32: `number`, `time_s`, `warning`, `text`); per process also `device` (`connecting`, `running`,
+    /// `fault`; null without devices), `device_for_s`, `device_reason`.
     Status {
         /// Print JSON to standard output.
         #[arg(long)]
@@ -85,11 +99,13 @@ pub enum Command {
     /// lists the keys. 80 columns and 24 rows are enough, also over ssh. The terminal is restored after any end.
     Top(TopArguments),
     /// Serve a live page of a running system to browsers: map, processes, latency, events and the last five minutes.
+    /// With a file it plays a recording.
     ///
     /// The link is printed to standard output. The page may be opened before the run, and continues with the next one. Data
     /// is given to this user's browsers on this machine, and to those that have the token of the link; control needs the
-    /// token in any case. Exit code 2 if the port is in use. The paths `/system`, `/history` and `/frame?number=N` give the
-    /// data of the page as JSON, `/stream` as server-sent events.
+    /// token in any case. Exit code 2 if the port is in use, or the file is damaged or no recording. The paths `/system`,
+    /// `/history` and `/frame?number=N` give the data of the page as JSON, `/stream` as server-sent events; a recording has
+    /// `/frame?at_ms=T`.
     View(ViewArguments),
     /// Block the wheels of a running system and end all its processes.
     ///
@@ -121,6 +137,13 @@ pub enum Command {
     /// that are started for the role later have them too. Exit codes and JSON keys are those of `swap`; exit code 2 also
     /// for keys that do not belong to one role, and for values that are not allowed.
     Set(SetArguments),
+    /// Cause a fault in a running system with the emulated robot, which was started by `run --allow-inject`.
+    ///
+    /// A fault of samples or of the robot is carried out by the process whose samples change; it must be a built-in
+    /// implementation. A process has one such fault at a time: a second one replaces the first. The event stands in
+    /// `status`, in the recording and on the page. Exit code 2 for a fault that can't be injected while the robot drives,
+    /// with those that can.
+    Inject(InjectArguments),
     /// Test whether a program, in any language, can fill a role.
     ///
     /// The program is started alone; a test bench plays all other roles with a recorded drive and tries each requirement.
@@ -142,6 +165,31 @@ pub enum Command {
     Service {
         /// Name of the implementation: emulator, player, ekf, ellipses, nmpc or actuation.
         name: String,
+    },
+    /// Run processes of this host for the orchestrator of another one.
+    ///
+    /// The file names this host, the address at which the agent listens, and the implementations that may be started here;
+    /// only its owner may read it. Processes run in system `ID-HOST`. They are supervised by the orchestrator that wanted
+    /// them, and end when it no longer does, or when the agent ends. Exit code 2 for a bad file, 4 for an address that can't
+    /// be used (docs/hosts.md).
+    #[command(args_conflicts_with_subcommands = true)]
+    Agent {
+        /// Make certificates instead.
+        #[command(subcommand)]
+        command: Option<AgentCommand>,
+        /// The agent file.
+        #[arg(value_name = "FILE", default_value = "agent.toml")]
+        file: PathBuf,
+        /// Folder for the logs of the processes.
+        #[arg(long, value_name = "DIR", default_value = "out/agent", value_parser = console::output::folder())]
+        out: PathBuf,
+    },
+    /// Stand for a process on another host; `scanloop run` starts these.
+    Remote {
+        /// Name of the host.
+        host: String,
+        /// Name of the implementation there.
+        implementation: String,
     },
     /// Drive random courses through the in-process pipeline on all cores and judge how they end.
     ///
@@ -315,6 +363,27 @@ impl RobotPreset {
             Self::Summit => "summit",
         }
     }
+}
+
+/// What an agent needs before it is started.
+#[derive(Debug, Subcommand)]
+pub enum AgentCommand {
+    /// Make certificates for the orchestrator and for a host, so that they can trust each other over `quic`.
+    ///
+    /// The folder gets an authority with the first host, which signs further ones. Copy the folder of the host to it over a
+    /// way that you trust.
+    Pair {
+        /// Name of the host.
+        host: String,
+        /// IP address at which its agent listens.
+        address: std::net::IpAddr,
+        /// How long the certificates are valid [days].
+        #[arg(long, value_name = "N", default_value_t = 365, value_parser = clap::value_parser!(u32).range(1..=3650))]
+        days: u32,
+        /// Folder for certificates and keys.
+        #[arg(long, value_name = "DIR", default_value = "hosts", value_parser = console::output::folder())]
+        out: PathBuf,
+    },
 }
 
 /// What to show of the topics.

@@ -3,7 +3,7 @@
 //! Faults of samples and of the robot are driven in simulated time on all cores. Then those with processes that die,
 //! hang or flood run one after the other with real processes, in systems of their own.
 
-mod act;
+pub(crate) mod act;
 mod live;
 mod page;
 mod system;

@@ -7,7 +7,9 @@ pub mod campaign;
 mod check;
 pub mod cli;
 mod cores;
+pub mod demo;
 mod faults;
+pub mod inject;
 pub mod live_check;
 mod live_latency;
 mod price;
@@ -36,7 +38,7 @@ use serde::Serialize;
 use session::{adopt, run};
 use view::{Verb, ViewOfRun};
 
-use cli::{Cli, Command, TopicCommand};
+use cli::{AgentCommand, Cli, Command, TopicCommand};
 
 /// Limit for the last output at exit. A terminal usually takes it within microseconds.
 const FLUSH_TIMEOUT: Duration = Duration::from_millis(300);
@@ -64,7 +66,7 @@ fn parse_and_run() -> anyhow::Result<Exit> {
     runtime::check_log_filter()?;
     if matches!(
         cli.command,
-        Command::Run(_) | Command::Adopt(_) | Command::Bench(_) | Command::Conformance(_)
+        Command::Run(_) | Command::Adopt(_) | Command::Bench(_) | Command::Conformance(_) | Command::Demo(_)
     ) {
         limits::require_open_files()?;
     }
@@ -89,6 +91,10 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
             runtime::start_logging();
             let _page = arguments.view.map(|port| ViewOfRun::start(&cli.system_id, port)).transpose()?;
             run::run(&cli.system_id, arguments)
+        }
+        Command::Demo(arguments) => {
+            let is_named = cli.system_id != cli::DEFAULT_SYSTEM_ID;
+            demo::demo(is_named.then_some(cli.system_id.as_str()), arguments)
         }
         Command::Adopt(arguments) => {
             runtime::start_logging();
@@ -115,9 +121,21 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Restart { role } => swap::restart(&cli.system_id, role),
         Command::Swap(arguments) => swap::swap(&cli.system_id, arguments),
         Command::Set(arguments) => swap::set(&cli.system_id, arguments),
+        Command::Inject(arguments) => inject::inject(&cli.system_id, arguments),
         Command::Conformance(arguments) => conformance::conformance(arguments),
         Command::Shadow(arguments) => shadow::shadow(&cli.system_id, arguments),
         Command::Service { name } => service::run(name),
+        Command::Agent { command: Some(AgentCommand::Pair { host, address, days, out }), .. } => {
+            agent::link::pair(host, *address, *days, out)
+        }
+        Command::Agent { command: None, file, out } => {
+            runtime::start_logging();
+            agent::agent::run(file, out)
+        }
+        Command::Remote { host, implementation } => {
+            runtime::start_logging();
+            agent::proxy::run(host, implementation)
+        }
         Command::Topic(TopicCommand::List) => print(&topic::list(&cli.system_id)?),
         Command::Topic(TopicCommand::Hz { topic, duration }) => {
             topic::hz(&cli.system_id, topic, *duration).map(|()| Exit::Done)

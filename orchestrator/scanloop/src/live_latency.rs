@@ -2,10 +2,12 @@
 
 use console::exit::Exit;
 use console::note;
+use report::LatencyReport;
 use report::latency::Latencies;
 use report::summary::latency_table;
 use runtime::{Bus, Observer, Shutdown, monotonic_ns, wait_for};
 use session::arguments::check_duration;
+use session::companion_delays;
 use session::control::{Reply, Request, ask};
 use shared_types::Actuation;
 
@@ -48,7 +50,8 @@ pub(crate) fn watch(system_id: &str, duration_s: f64, json: bool) -> anyhow::Res
         }
     }
     note!("system {}, {}, whole time:", status.system_id, status.scenario);
-    note!("{}", latency_table(&all.report()));
-    print_json(json, &serde_json::json!({ "latency_us": all.report() }))?;
+    let report = LatencyReport { companions: companion_delays(domain)?, ..all.report() };
+    note!("{}", latency_table(&report));
+    print_json(json, &serde_json::json!({ "latency_us": report }))?;
     Ok(Exit::Done)
 }

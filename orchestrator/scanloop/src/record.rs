@@ -33,6 +33,9 @@ pub struct RecordArguments {
     /// Take orders from standard input; `run --record` starts the recorder with this option.
     #[arg(long, hide = true)]
     pub companion: bool,
+    /// Keep so many seconds in memory instead; FILE is then the folder for the files of incidents.
+    #[arg(long, value_name = "S", hide = true, requires = "companion")]
+    pub ring: Option<f64>,
 }
 
 /// What to do with a recording.
@@ -102,6 +105,7 @@ pub(crate) fn record(system_id: &str, arguments: &RecordArguments) -> anyhow::Re
     let RecordArguments { file, duration, force, companion, .. } = arguments;
     let options = Options {
         file: file.clone(),
+        ring_s: arguments.ring,
         force: *force,
         duration: duration.map(Duration::from_secs_f64),
         companion: *companion,

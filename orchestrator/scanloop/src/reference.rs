@@ -66,7 +66,8 @@ fn commands_page(mut root: Command) -> String {
 /// A section for each command below `parent` that does something.
 fn sections(text: &mut String, parent: &Command) {
     for command in parent.get_subcommands().filter(|command| command.get_name() != "help") {
-        if command.has_subcommands() {
+        // One that needs a subcommand does nothing by itself.
+        if command.is_subcommand_required_set() {
             sections(text, command);
             continue;
         }
@@ -87,6 +88,7 @@ fn sections(text: &mut String, parent: &Command) {
             let default = if arg.is_hide_default_value_set() { String::new() } else { default(arg) };
             let _ = writeln!(text, "| `{}` | {default} | {} |", name(arg), meaning(arg));
         }
+        sections(text, command);
     }
 }
 

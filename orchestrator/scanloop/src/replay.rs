@@ -8,6 +8,8 @@ use console::exit::{Exit, Failure};
 use console::note;
 use replay::{Options, replay as replay_recording};
 use shared_types::Role;
+use supervision::child::this_program;
+use supervision::entry::IMPLEMENTATIONS;
 
 use crate::print_json;
 
@@ -29,6 +31,14 @@ pub struct ReplayArguments {
     /// bounds of a swap's agreement.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
+    /// Another program in place of a stage: `controller=./mine --fast`, or the name of a built-in implementation; may be
+    /// repeated for other stages. It receives the recorded inputs in a system of its own, in simulated time. Its outputs
+    /// may differ within the same bounds.
+    #[arg(long, value_name = "ROLE=COMMAND")]
+    pub with: Vec<String>,
+    /// Replay as fast as possible, `max`, or as fast as the drive was, `1`.
+    #[arg(long, value_name = "1|max", default_value = "max", value_parser = ["1", "max"], hide_possible_values = true)]
+    pub speed: String,
     /// Factor on these bounds.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     pub tolerance: f64,
@@ -42,13 +52,17 @@ pub struct ReplayArguments {
 /// # Errors
 /// A file, a stage or a key that is not allowed; exit code 2.
 pub(crate) fn replay(arguments: &ReplayArguments) -> anyhow::Result<Exit> {
-    let ReplayArguments { file, stage, from, to, set, tolerance, json } = arguments;
+    let ReplayArguments { file, stage, from, to, set, with, speed, tolerance, json } = arguments;
     let stages = stage.iter().map(|name| name.parse::<Role>()).collect::<Result<_, _>>();
     let stages = stages.map_err(|error| Failure::bad_input(format!("--stage: {error}")))?;
     if !(0.0..=1e6).contains(tolerance) {
         return Err(Failure::bad_input(format!("--tolerance {tolerance} is not allowed: 0 to 1000000")));
     }
-    let options = Options { stages, from: *from, to: *to, set: set.clone(), tolerance: *tolerance };
+    let with = with.iter().map(|text| program(text)).collect::<Result<Vec<_>, _>>();
+    let with = with.map_err(|error| Failure::bad_input(format!("--with {error}")))?;
+    let is_changed = !(set.is_empty() && with.is_empty());
+    let (from, to, in_real_time) = (*from, *to, speed == "1");
+    let options = Options { stages, from, to, set: set.clone(), with, tolerance: *tolerance, in_real_time };
     let started = Instant::now();
     let report = replay_recording(file, &options)?;
     print_json(*json, &report)?;
@@ -71,7 +85,63 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> anyhow::Result<Exit> {
             skipped.reason
         );
     }
+    for other in &report.not_replayed {
+        note!("{} is not replayed, another layout: {}", other.role, other.fields.join("; "));
+    }
     report.differences.iter().for_each(|difference| note!("{difference}"));
-    let is_good = if set.is_empty() { report.is_identical() } else { report.beyond == 0 };
+    report.statistics.iter().for_each(|statistics| note!("{statistics}"));
+    if is_changed {
+        note!("{} outputs beyond the bounds, with tolerance {tolerance}", report.beyond);
+    }
+    let is_good = if is_changed { report.compared > 0 && report.beyond == 0 } else { report.is_identical() };
     Ok(if is_good { Exit::Done } else { Exit::NotReached })
+}
+
+/// Reads `ROLE=COMMAND`: a command with its arguments, or a built-in implementation of the role.
+fn program(text: &str) -> Result<(Role, Vec<String>), String> {
+    let (role, command) = text.split_once('=').ok_or_else(|| format!("{text}: expected ROLE=COMMAND"))?;
+    let role: Role = role.parse().map_err(|error| format!("{text}: {error}"))?;
+    if IMPLEMENTATIONS.contains(&(command, role)) {
+        let program = this_program().to_string_lossy().into_owned();
+        return Ok((role, vec![program, "service".to_owned(), command.to_owned()]));
+    }
+    let words = words(command).map_err(|error| format!("{text}: {error}"))?;
+    if words.is_empty() {
+        return Err(format!("{text}: the command is empty"));
+    }
+    Ok((role, words))
+}
+
+/// The words of a command; blanks within quotes belong to a word.
+fn words(text: &str) -> Result<Vec<String>, &'static str> {
+    let (mut words, mut word, mut quote) = (Vec::new(), None::<String>, None);
+    for letter in text.chars() {
+        match (quote, letter) {
+            (Some(open), letter) if letter == open => quote = None,
+            (None, '"' | '\'') => {
+                quote = Some(letter);
+                word.get_or_insert_default();
+            }
+            (None, letter) if letter.is_whitespace() => words.extend(word.take()),
+            _ => word.get_or_insert_default().push(letter),
+        }
+    }
+    words.extend(word);
+    if quote.is_some() { Err("a quote is not closed") } else { Ok(words) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_command_is_split_at_blanks_outside_of_quotes() {
+        let expected = vec!["python3".to_owned(), "my file.py".to_owned(), String::new(), "-x".to_owned()];
+        assert_eq!(words(r#"python3  'my file.py' "" -x "#), Ok(expected));
+        assert!(words("a 'b").is_err());
+        assert_eq!(program("controller=./mine --fast").unwrap().1, ["./mine", "--fast"]);
+        assert_eq!(program("controller=nmpc").unwrap().1[1..], ["service", "nmpc"]);
+        assert!(program("wheels=./mine").is_err() && program("controller").is_err());
+        assert!(program("controller= ").is_err());
+    }
 }

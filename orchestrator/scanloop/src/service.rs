@@ -1,5 +1,7 @@
 //! `scanloop service NAME`: the built-in implementations.
 
+mod injection;
+
 use console::exit::{Exit, Failure};
 use supervision::entry::IMPLEMENTATIONS;
 
@@ -18,8 +20,13 @@ pub(crate) fn run(name: &str) -> anyhow::Result<Exit> {
     if let Some(failed) = measuring_service(name) {
         return Err(failed);
     }
+    let implementation = IMPLEMENTATIONS.iter().find(|(of, _)| *of == name);
+    let faults = implementation.map(|(_, role)| injection::arm(*role)).transpose()?;
     match name {
-        "emulator" => emulator::service::run()?,
+        "emulator" => match faults {
+            Some(faults) => emulator::service::run_with_faults(faults)?,
+            None => emulator::service::run()?,
+        },
         "player" => player::service::run()?,
         // Started by `player`, and no process of the system.
         "player-guard" => player::guard::run()?,

@@ -85,9 +85,20 @@ fn split(command: &[String], duration: Option<Duration>) -> anyhow::Result<(&[St
     }
 }
 
-/// A time with its unit.
 fn duration_of(text: &str) -> Result<Duration, String> {
-    let allowed = || format!("{text} is not allowed: 1s to 24h, as 30s, 1500ms, 2m or 1h");
+    duration_within(text, RANGE, "1s to 24h")
+}
+
+/// A time with its unit, within a range that messages show as `range_text`.
+///
+/// # Errors
+/// What is allowed.
+pub(crate) fn duration_within(
+    text: &str,
+    range: [Duration; 2],
+    range_text: &str,
+) -> Result<Duration, String> {
+    let allowed = || format!("{text} is not allowed: {range_text}, as 30s, 1500ms, 2m or 1h");
     let digits = text.find(|letter: char| !letter.is_ascii_digit() && letter != '.').unwrap_or(text.len());
     let (number, unit) = text.split_at(digits);
     let seconds = match unit {
@@ -99,7 +110,7 @@ fn duration_of(text: &str) -> Result<Duration, String> {
     };
     let number: f64 = number.parse().map_err(|_| allowed())?;
     let duration = Duration::try_from_secs_f64(number * seconds).map_err(|_| allowed())?;
-    if (RANGE[0]..=RANGE[1]).contains(&duration) { Ok(duration) } else { Err(allowed()) }
+    if (range[0]..=range[1]).contains(&duration) { Ok(duration) } else { Err(allowed()) }
 }
 
 #[cfg(test)]

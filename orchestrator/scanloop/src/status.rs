@@ -5,9 +5,9 @@ use std::fmt::Write as _;
 use console::exit::Exit;
 use console::note;
 use emulator::JudgedBy;
-use runtime::{Domain, RuntimeError};
-use session::control::{CompanionStatus, ProcessStatus, Reply, Request, Status, ask};
-use session::orphaned::{self, ORPHANED};
+use runtime::{Domain, LinkedHost};
+use session::control::{CompanionStatus, ProcessStatus, Status};
+use session::orphaned::{ORPHANED, current_status};
 use shared_types::{Role, ScannerState};
 
 use crate::print_json;
@@ -17,7 +17,7 @@ use crate::print_json;
 /// # Errors
 /// A system that is not running; exit code 2.
 pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
-    let status = current(domain)?;
+    let status = current_status(domain)?;
     print_json(json, &status)?;
     if !json {
         note!("{}", table(&status));
@@ -28,23 +28,28 @@ pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
     Ok(Exit::Done)
 }
 
-/// The state of the system, also of one without an orchestrator.
-///
-/// # Errors
-/// A system that is not running, and an orchestrator that does not answer.
-pub(crate) fn current(domain: &Domain) -> anyhow::Result<Status> {
-    match ask(domain, &Request::Status) {
-        Ok(Reply::Status(status)) => Ok(*status),
-        Ok(_) => anyhow::bail!("the orchestrator did not answer with a status"),
-        Err(error) => match orphaned::status(domain) {
-            Some(status) if is_not_running(&error) => Ok(status),
-            _ => Err(error),
-        },
+/// Another host: its clock, and the samples that it dropped.
+fn host_line(host: &LinkedHost) -> String {
+    let LinkedHost { name, offset_ns, bound_ns, round_trip_ns, clocks_lost, counts, .. } = host;
+    if !host.is_connected {
+        return format!("host {name}: not connected\n");
     }
-}
-
-fn is_not_running(error: &anyhow::Error) -> bool {
-    matches!(error.downcast_ref(), Some(RuntimeError::NotRunning(_)))
+    if !host.is_locked {
+        return format!("host {name}: connected, its clock is not locked\n");
+    }
+    let us = |ns: u64| ns as f64 * 1e-3;
+    let lost = if *clocks_lost > 0 { format!(", lost {clocks_lost} times") } else { String::new() };
+    format!(
+        "host {name}: connected, clock {:+.3} s within {:.0} us{lost}, round trip {:.0} us; {} received, dropped {} old, \
+         {} by clock, {} damaged\n",
+        *offset_ns as f64 * 1e-9,
+        us(*bound_ns),
+        us(*round_trip_ns),
+        counts.received,
+        counts.old,
+        counts.clock,
+        counts.damaged
+    )
 }
 
 fn table(status: &Status) -> String {
@@ -96,6 +101,7 @@ fn table(status: &Status) -> String {
             let _ = writeln!(text, "            ! {row}");
         }
     }
+    status.hosts.iter().for_each(|host| text += &host_line(host));
     for companion in &status.companions {
         let CompanionStatus { name, implementation, pid, state, restarts, .. } = companion;
         let _ = writeln!(

@@ -71,7 +71,8 @@ pub(crate) fn swap(system_id: &str, arguments: &SwapArguments) -> anyhow::Result
         && is_companion(system_id, &arguments.successor.role)
         && !arguments.successor.command.is_empty()
     {
-        return replace(system_id, &arguments.successor.role, Some(arguments.successor.command_from_here()));
+        let (name, command) = (&arguments.successor.role, arguments.successor.command_from_here());
+        return replace(system_id, name, Some(command), arguments.gate.shadow_scans, arguments.gate.json);
     }
     let request = arguments.gate.request(arguments.successor.named()?, Vec::new())?;
     let domain = &supervision::runs::existing(system_id)?;
@@ -120,7 +121,7 @@ impl GateArguments {
 /// An unknown role, a role that is not restarted, or a system that is not running; exit code 2.
 pub(crate) fn restart(system_id: &str, role: &str) -> anyhow::Result<Exit> {
     if role.parse::<Role>().is_err() && is_companion(system_id, role) {
-        return replace(system_id, role, None);
+        return replace(system_id, role, None, 0, false);
     }
     let role: Role = role.parse().map_err(Failure::bad_input)?;
     let domain = &supervision::runs::existing(system_id)?;
@@ -144,16 +145,29 @@ fn is_companion(system_id: &str, name: &str) -> bool {
     own.is_some_and(|own| own.index_of(name).is_some())
 }
 
-/// Replaces a companion: the new process takes over as soon as it is connected.
-fn replace(system_id: &str, name: &str, command: Option<Vec<String>>) -> anyhow::Result<Exit> {
+/// Replaces a companion and prints the certificate. The new process takes over as soon as it is connected; where its
+/// topics have bounds, after so many scans on which it has agreed with the old one.
+fn replace(
+    system_id: &str,
+    name: &str,
+    command: Option<Vec<String>>,
+    shadow_scans: u64,
+    json: bool,
+) -> anyhow::Result<Exit> {
     let domain = &supervision::runs::existing(system_id)?;
-    match ask(domain, &Request::ReplaceCompanion { name: name.to_owned(), command })? {
-        Reply::Refused(reason) => Err(Failure::bad_input(reason)),
+    let request = Request::ReplaceCompanion { name: name.to_owned(), command, shadow_scans };
+    let number = match ask(domain, &request)? {
+        Reply::Refused(reason) => return Err(Failure::bad_input(reason)),
+        Reply::Accepted(number) => number,
         _ => {
-            note!("companion {name} is being replaced");
-            Ok(Exit::Done)
+            note!("companion {name} is being started");
+            return Ok(Exit::Done);
         }
-    }
+    };
+    let Some(certificate) = certificate(domain, number, || false)? else { return Ok(Exit::NotReached) };
+    print_json(json, &certificate)?;
+    note!("{certificate}");
+    Ok(exit_of(&certificate))
 }
 
 /// Waits for the certificate of a swap; `None` when the system ends first, or `is_over`.

@@ -13,7 +13,7 @@ mod terminal;
 use std::io::{self, Read};
 use std::os::fd::AsFd;
 use std::process::{Command, Stdio};
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::{Sender, channel};
 use std::time::{Duration, Instant};
 
 use clap::Args;
@@ -78,7 +78,7 @@ fn show(system_id: &str, of_run: bool) -> anyhow::Result<Exit> {
         return Ok(Exit::Done);
     }
     let mut model = Model { system_id: system_id.to_owned(), of_run, ..Model::default() };
-    let mut feed = None;
+    let mut feed = Feed::start(system_id)?;
     let (sender, notes) = channel();
     let mut terminal = ratatui_core::terminal::Terminal::new(Screen::enter()?)?;
     terminal.clear()?;
@@ -89,34 +89,13 @@ fn show(system_id: &str, of_run: bool) -> anyhow::Result<Exit> {
         if shutdown.requested() || !answer_keys(&mut model, &sender)? {
             return Ok(Exit::Done);
         }
-        if !take(system_id, &mut feed, &mut model, &notes) {
+        notes.try_iter().for_each(|text| model.note(text));
+        if !feed.poll(&mut model) {
             return Ok(Exit::Done);
         }
         if Instant::now() >= next {
             next = Instant::now() + PICTURE;
             terminal.draw(|frame| draw::draw(frame.area(), frame.buffer_mut(), &model))?;
-        }
-    }
-}
-
-/// Takes samples and news into the model; false when the system has ended.
-fn take(system_id: &str, feed: &mut Option<Feed>, model: &mut Model, notes: &Receiver<String>) -> bool {
-    notes.try_iter().for_each(|text| model.note(text));
-    let Some(present) = feed else {
-        // A run that shows itself is not there yet when its view begins.
-        if let Ok(Some(domain)) = supervision::runs::find(system_id) {
-            match Feed::join(&domain, model) {
-                Ok(joined) => *feed = Some(joined),
-                Err(error) => model.trouble = Some(format!("not joined yet: {error:#}")),
-            }
-        }
-        return true;
-    };
-    match present.poll(model) {
-        Ok(goes_on) => goes_on,
-        Err(error) => {
-            model.trouble = Some(format!("{error:#}"));
-            true
         }
     }
 }

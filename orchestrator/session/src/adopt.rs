@@ -7,6 +7,7 @@
 //! Where this fails: the kernel does not report how an adopted process ends, so an exit with code 0 counts as a failure;
 //! a swap in progress is over without a certificate; and the sample audit begins with the first scan that is received.
 
+use agent::link::HubLink;
 use console::exit::{Exit, Failure};
 use plan::change;
 use runtime::{Bus, Domain, Priority, RuntimeError, Shutdown, StopWord, latch_on_crash, monotonic_ns, print};
@@ -76,7 +77,7 @@ pub(crate) fn take_over(
         return Err(refused("its process registry is missing or empty".to_owned()));
     }
     let out = out_folder(arguments.out.clone().unwrap_or(run.out))?;
-    let bus = Bus::take_over(domain).map_err(|error| match error {
+    let bus = Bus::take_over(domain, plan.system.period_ns()).map_err(|error| match error {
         RuntimeError::SharedMemory(_) => error.into(),
         other => refused(other.to_string()),
     })?;
@@ -121,9 +122,23 @@ pub(crate) fn take_over(
     let judged_by = registry.judged_by;
     let generation = directive.header.incarnation;
     let companions = OwnProcesses::new(&bus, domain, &stop_word, &plan, false, generation, &options.out)?;
-    let startup =
-        Startup { bus, stop_word, fleet, companions, shutdown, events, directive, first_scan: 0, judged_by };
+    let link = HubLink::start(domain, &plan.system, &options.out.join("logs"))?;
+    let startup = Startup {
+        bus,
+        stop_word,
+        fleet,
+        companions,
+        shutdown,
+        events,
+        directive,
+        first_scan: 0,
+        judged_by,
+        link,
+    };
     let mut session = Session::new(domain, &plan, &options, startup)?;
+    if plan.system.recording.ring_s > 0.0 {
+        session.keep_ring(&options.out, plan.system.recording.ring_s);
+    }
     session.resume_end(registry.outcome, registry.reason);
     conclude(session, &plan, &options.out)
 }

@@ -38,6 +38,9 @@ pub struct RunArguments {
     /// Serve the live page of the run on 127.0.0.1, as `scanloop view` does; `--view=PORT` takes another port, 0 any free one.
     #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "7117")]
     pub view: Option<u16>,
+    /// Let `scanloop inject` cause faults in this run; with the emulated robot only.
+    #[arg(long, conflicts_with_all = ["lockstep", "adopt"])]
+    pub allow_inject: bool,
     /// Take over the orphaned processes of a run whose orchestrator died; scenario and system are those of that run.
     #[arg(long, conflicts_with_all = ["scenario", "system", "calibration", "seed", "overrides", "lockstep", "record"])]
     pub adopt: bool,

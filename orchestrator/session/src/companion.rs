@@ -37,6 +37,10 @@ pub(crate) struct Companion {
     is_lost: bool,
     report: Option<RecordingReport>,
     last_scan: u64,
+    keeps_ring: bool,
+    incidents: Vec<PathBuf>,
+    /// Why a file of an incident was not written.
+    unsaved: Option<String>,
 }
 
 impl Companion {
@@ -45,12 +49,41 @@ impl Companion {
     /// # Errors
     /// A recorder that does not start, with its message; exit code 4.
     pub(crate) fn start(domain: &Domain, file: &Path, log: &Path) -> anyhow::Result<Self> {
+        let mut companion = Self::spawn(domain, file, log, None)?;
+        let mut is_attached = false;
+        companion.wait(LIMIT_NS, |line| {
+            is_attached |= line == "attached";
+            is_attached
+        });
+        if !is_attached {
+            let said = std::fs::read_to_string(log).unwrap_or_default();
+            return Err(Failure::process(format!("the recorder did not start: {}", said.trim())));
+        }
+        Ok(companion)
+    }
+
+    /// Starts one that keeps the last `ring_s` seconds in memory, and does not wait for it; `folder` is for the files of
+    /// incidents.
+    ///
+    /// # Errors
+    /// A process that can't be started, or a log that can't be made; exit code 4.
+    pub(crate) fn start_ring(
+        domain: &Domain,
+        folder: &Path,
+        log: &Path,
+        ring_s: f64,
+    ) -> anyhow::Result<Self> {
+        Self::spawn(domain, folder, log, Some(ring_s))
+    }
+
+    fn spawn(domain: &Domain, file: &Path, log: &Path, ring_s: Option<f64>) -> anyhow::Result<Self> {
         if let Some(folder) = log.parent() {
             std::fs::create_dir_all(folder).with_context(|| format!("{}", folder.display()))?;
         }
         let errors = File::create(log).with_context(|| format!("{}", log.display()))?;
         let mut process = Command::new(this_program())
             .args(["--system-id", domain.system_id(), "record", "--companion", "--force"])
+            .args(ring_s.map(|seconds| format!("--ring={seconds}")))
             .arg(file)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
@@ -66,7 +99,7 @@ impl Companion {
             fcntl_setfl(end, fcntl_getfl(end)? | OFlags::NONBLOCK)?;
         }
         let file = file.to_owned();
-        let mut companion = Self {
+        Ok(Self {
             process,
             input: Some(input),
             output,
@@ -78,17 +111,10 @@ impl Companion {
             is_lost: false,
             report: None,
             last_scan: 0,
-        };
-        let mut is_attached = false;
-        companion.wait(LIMIT_NS, |line| {
-            is_attached |= line == "attached";
-            is_attached
-        });
-        if !is_attached {
-            let said = std::fs::read_to_string(log).unwrap_or_default();
-            return Err(Failure::process(format!("the recorder did not start: {}", said.trim())));
-        }
-        Ok(companion)
+            keeps_ring: ring_s.is_some(),
+            incidents: Vec::new(),
+            unsaved: None,
+        })
     }
 
     /// Lets it connect to all publishers before the first sample; returns whether it did.
@@ -111,6 +137,18 @@ impl Companion {
         self.last_scan = scan_id;
     }
 
+    /// Something happened: what a ring holds is written.
+    pub(crate) fn incident(&mut self) {
+        if self.keeps_ring {
+            self.say("incident");
+        }
+    }
+
+    /// The files of incidents that were written.
+    pub(crate) fn incidents(&self) -> &[PathBuf] {
+        &self.incidents
+    }
+
     /// Puts a line into the recording.
     pub(crate) fn note(&mut self, text: &str) {
         self.say(&format!("note {}", text.replace('\n', " ")));
@@ -125,6 +163,9 @@ impl Companion {
     /// Whether it has ended or gave up before it was asked to, told once.
     pub(crate) fn has_failed(&mut self) -> Option<String> {
         self.take_lines(|_| false);
+        if let Some(error) = self.unsaved.take() {
+            return Some(format!("the last seconds before an incident were not written: {error}"));
+        }
         let ended = !self.is_lost && self.report.is_none() && matches!(self.process.try_wait(), Ok(Some(_)));
         let error = self.report.as_ref().filter(|report| !report.error.is_empty() && !self.is_lost);
         let reason = match error {
@@ -133,14 +174,17 @@ impl Companion {
             None => return None,
         };
         self.is_lost = true;
-        Some(format!(
-            "the rest of the drive is not recorded: {reason}; {} holds the drive so far",
-            self.file.display()
-        ))
+        Some(match self.keeps_ring {
+            true => format!("the last seconds of this drive are no longer kept: {reason}"),
+            false => format!(
+                "the rest of the drive is not recorded: {reason}; {} holds the drive so far",
+                self.file.display()
+            ),
+        })
     }
 
-    /// Ends the recording; what it holds.
-    pub(crate) fn finish(mut self) -> RecordingReport {
+    /// Ends the recording; what it holds, and the files of incidents. A ring is no recording of the drive.
+    pub(crate) fn finish(mut self) -> (Option<RecordingReport>, Vec<PathBuf>) {
         self.say(&format!("end {}", self.last_scan));
         self.input = None;
         self.wait(LIMIT_NS, |line| line.starts_with("done "));
@@ -150,7 +194,8 @@ impl Companion {
             error: "the recorder did not end the recording".to_owned(),
             ..RecordingReport::default()
         };
-        self.report.take().unwrap_or_else(unknown)
+        let report = self.report.take().unwrap_or_else(unknown);
+        ((!self.keeps_ring).then_some(report), std::mem::take(&mut self.incidents))
     }
 
     fn say(&mut self, line: &str) {
@@ -188,6 +233,10 @@ impl Companion {
                     self.scan = scan.parse().unwrap_or(self.scan);
                     self.moved_ns = monotonic_ns();
                 }
+                Some(("incident", file)) if !self.incidents.iter().any(|known| known == Path::new(file)) => {
+                    self.incidents.push(file.into());
+                }
+                Some(("unsaved", error)) => self.unsaved = Some(error.to_owned()),
                 Some(("done", report)) => self.report = serde_json::from_str(report).ok(),
                 _ => {}
             }

@@ -18,7 +18,7 @@ use emulator::JudgedBy;
 use handover::shadow::ShadowReport;
 use handover::swap::Certificate;
 use report::{BlockingReport, ScannerStatus};
-use runtime::{Domain, RuntimeError, monotonic_ns, peer_uid};
+use runtime::{Domain, LinkedHost, RuntimeError, monotonic_ns, peer_uid};
 use rustix::io::Errno;
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, connect, socket_with};
 use rustix::process::geteuid;
@@ -47,6 +47,13 @@ pub enum Reply {
     Done,
     /// The state of all processes.
     Status(Box<Status>),
+    /// A fault is injected; one that acts on processes from outside is up to the command that asked.
+    Injected {
+        /// How long it lasts [s].
+        for_s: f64,
+        /// Process id of the orchestrator.
+        orchestrator: u32,
+    },
     /// A swap or a shadow was accepted; ask for its result by this number.
     Accepted(u64),
     /// It is in progress.
@@ -90,6 +97,9 @@ pub struct Status {
     /// Samples that a reader dropped or refused because of their content: by writer, reader and rule.
     #[serde(default)]
     pub refused: Vec<RefusedRow>,
+    /// One row per other host.
+    #[serde(default)]
+    pub hosts: Vec<LinkedHost>,
     /// The last events, the oldest first.
     #[serde(default)]
     pub events: Vec<EventRow>,

@@ -3,6 +3,7 @@
 pub mod adopt;
 pub mod arguments;
 mod companion;
+mod companion_swaps;
 pub mod control;
 mod directives;
 pub mod orphaned;
@@ -18,5 +19,6 @@ mod survivors;
 mod top_view;
 mod vitals;
 
+pub use own_processes::companion_delays;
 pub use process_registry::driven_system;
 pub use session::Session;

@@ -3,13 +3,13 @@
 use std::time::Duration;
 
 use audit::ledger::SampleAudit;
-use runtime::{Bus, Domain, monotonic_ns};
+use runtime::{Bus, Domain, RuntimeError, monotonic_ns};
 use shared_types::ProcessState;
 use supervision::child::usage_of;
 use supervision::runs::LivingRun;
 use supervision::supervisor::{Event, VisibleState};
 
-use crate::control::{ProcessStatus, Status};
+use crate::control::{ProcessStatus, Reply, Request, Status, ask};
 use crate::process_registry::RunFile;
 use crate::survivors::Survivors;
 use crate::vitals::Vitals;
@@ -22,8 +22,23 @@ const STOPPED: &str = "stopped";
 /// Heartbeats are received for this long: five of each process that lives [ns].
 const RECEIVE_NS: u64 = 500_000_000;
 
+/// The state of a system, with or without an orchestrator.
+///
+/// # Errors
+/// A system that is not running, and an orchestrator that does not answer.
+pub fn current_status(domain: &Domain) -> anyhow::Result<Status> {
+    match ask(domain, &Request::Status) {
+        Ok(Reply::Status(status)) => Ok(*status),
+        Ok(_) => anyhow::bail!("the orchestrator did not answer with a status"),
+        Err(error) if matches!(error.downcast_ref(), Some(RuntimeError::NotRunning(_))) => {
+            status(domain).ok_or(error)
+        }
+        Err(error) => Err(error),
+    }
+}
+
 /// The state of a system without an orchestrator; `None` when no process of it lives.
-pub fn status(domain: &Domain) -> Option<Status> {
+fn status(domain: &Domain) -> Option<Status> {
     let survivors = Survivors::find(domain);
     if survivors.is_empty() {
         return None;
@@ -75,6 +90,7 @@ pub fn status(domain: &Domain) -> Option<Status> {
         scanner: None,
         processes,
         refused: Vec::new(),
+        hosts: Vec::new(),
         events: Vec::new(),
     })
 }

@@ -4,8 +4,10 @@ use std::path::{Path, PathBuf};
 
 use console::exit::{Exit, Failure};
 use console::output::require_writable;
+use faults::PERMIT_FILE;
 use plan::{Plan, difference};
 use runtime::{Domain, RuntimeError, Shutdown};
+use shared_types::Role;
 use supervision::lock::{Claim, clear};
 
 use crate::adopt;
@@ -57,6 +59,9 @@ pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
         None => None,
     };
     let (domain, lock) = Claim::take_new(system_id)?;
+    if arguments.allow_inject {
+        allow_inject(&plan, &domain)?;
+    }
     let options = RunOptions { lockstep: arguments.lockstep, duration_s: *duration, quiet: *quiet, out };
     if shutdown.requested() {
         runtime::print(runtime::Priority::Warning, "interrupted before anything was started");
@@ -68,8 +73,19 @@ pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
     let mut session = start(&domain, &plan, &options, lock, shutdown)?;
     if let Some(file) = recording {
         session.record_to(&file, &options.out.join("logs"))?;
+    } else if !options.lockstep && plan.system.recording.ring_s > 0.0 {
+        session.keep_ring(&options.out, plan.system.recording.ring_s);
     }
     conclude(session, &plan, &options.out)
+}
+
+/// Lets the processes of a run take faults.
+fn allow_inject(plan: &Plan, domain: &Domain) -> anyhow::Result<()> {
+    let robot = plan.system.roles().find(|entry| entry.role() == Role::Robot);
+    if robot.and_then(|entry| entry.implementation.as_deref()) != Some("emulator") {
+        return Err(Failure::bad_input("--allow-inject needs the emulated robot"));
+    }
+    Ok(domain.folder().write(PERMIT_FILE, b"")?)
 }
 
 /// A file of `--record` that does not exist yet, as an absolute path.

@@ -9,6 +9,8 @@ mod candidates;
 mod companions;
 mod conclusion;
 mod events;
+mod incidents;
+mod injection;
 mod judge;
 mod reconciliation;
 mod recording;
@@ -20,8 +22,9 @@ mod swaps;
 
 use std::path::Path;
 
+use agent::link::HubLink;
 use audit::digest::Digests;
-use audit::ledger::{PROCESS_RESTARTED, SampleAudit};
+use audit::ledger::{LedgerReport, PROCESS_RESTARTED, SampleAudit};
 use audit::samples::{MAX_DEVIATING, Samples, ScanRecord};
 use console::progress::Progress;
 use emulator::JudgedBy;
@@ -44,6 +47,7 @@ use crate::vitals::Vitals;
 use candidates::Watches;
 use conclusion::{Conclusion, Step};
 use events::Events;
+use incidents::Noticed;
 use reconciliation::Reconciliation;
 use recording::{Recording, ScanObserver};
 use registry_file::RegistryFile;
@@ -52,6 +56,9 @@ use swaps::Swaps;
 
 /// In lock-step the robot may be this many scans ahead of what was recorded: half of what topics can hold.
 const GRANT_AHEAD: u64 = 8;
+
+/// A process on another host is not hung before its heartbeats have not come for this long [ns]: ten of them.
+const MAX_SILENT_NS: u64 = 1_000_000_000;
 
 /// A run with all its processes.
 pub struct Session {
@@ -81,6 +88,9 @@ pub struct Session {
     manager: ServiceManager,
     /// Records the run, if that was asked for.
     companion: Option<Companion>,
+    noticed: Noticed,
+    /// The bridge to the other hosts, if there are any.
+    link: Option<HubLink>,
     /// The first events for the supervisor: to start all processes, or those that were adopted.
     startup: Vec<Event>,
     // Dropped last, in this order: the ports above, the bus, then the processes and all files of the system.
@@ -108,8 +118,18 @@ impl Session {
         options: &RunOptions,
         startup: Startup,
     ) -> anyhow::Result<Self> {
-        let Startup { bus, stop_word, fleet, companions, shutdown, events, directive, first_scan, judged_by } =
-            startup;
+        let Startup {
+            bus,
+            stop_word,
+            fleet,
+            companions,
+            shutdown,
+            events,
+            directive,
+            first_scan,
+            judged_by,
+            link,
+        } = startup;
         shutdown.latch_also(&stop_word)?;
         let (lockstep, period_ns) = (options.lockstep, plan.system.period_ns());
         let entries = Role::ALL.iter().filter_map(|role| fleet.entry(*role));
@@ -140,6 +160,8 @@ impl Session {
             events: Events::default(),
             manager: ServiceManager::new(),
             companion: None,
+            noticed: Noticed::default(),
+            link,
             run: Run { domain: domain.clone(), stop_word, scenario, lockstep, period_ns },
             startup: events,
             shutdown,
@@ -162,6 +184,15 @@ impl Session {
     pub fn record_to(&mut self, file: &Path, logs: &Path) -> anyhow::Result<()> {
         self.companion = Some(Companion::start(&self.run.domain, file, &logs.join("recorder.log"))?);
         Ok(())
+    }
+
+    /// Keeps the last seconds in memory for files in `out`, when something happens; a drive without that is told so.
+    pub(crate) fn keep_ring(&mut self, out: &Path, ring_s: f64) {
+        let log = out.join("logs/recorder.log");
+        match Companion::start_ring(&self.run.domain, out, &log, ring_s) {
+            Ok(companion) => self.companion = Some(companion),
+            Err(error) => self.warn(&format!("the last seconds of this drive are not kept: {error:#}")),
+        }
     }
 
     /// Drives until all processes have ended.
@@ -195,6 +226,7 @@ impl Session {
             self.keep_room();
             self.publish_directive()?;
             self.check_companion();
+            self.keep_link();
             self.show();
         }
         self.take_heartbeats()?;
@@ -206,7 +238,7 @@ impl Session {
         let mut result = self.result();
         if let Some(mut companion) = self.companion.take() {
             result.swaps.iter().for_each(|certificate| companion.note(&certificate.to_string()));
-            result.recording = Some(companion.finish());
+            (result.recording, result.incidents) = companion.finish();
         }
         Ok(result)
     }
@@ -262,12 +294,33 @@ impl Session {
         self.fleet.forget_suspects(|role| suspects.iter().any(|(suspect, ..)| *suspect == role));
         for (role, incarnation, is_over) in suspects {
             // In lock-step it may wait for a companion, which is judged by itself.
-            let waits = self.companions.delays(self.samples.newest_scan());
+            let waits = self.companions.delays(self.samples.newest_scan())
+                || self.may_be_on_its_way(role, incarnation);
             if (self.fleet.is_starved(role, incarnation) || waits) && is_over {
                 self.handle(Event::Starved { role, incarnation })?;
             }
         }
         Ok(())
+    }
+
+    /// Whether the process of a role runs on another host, and may work although its heartbeats do not come: because
+    /// nothing comes from there, or because some of them were lost.
+    fn may_be_on_its_way(&self, role: Role, incarnation: u32) -> bool {
+        let host = self.fleet.entry(role).and_then(|entry| entry.host.as_deref());
+        let (Some(host), Some(link)) = (host, &self.link) else { return false };
+        let silent_ns = monotonic_ns().saturating_sub(self.vitals.last_beat_ns(incarnation));
+        link.is_cut(host) || silent_ns < MAX_SILENT_NS
+    }
+
+    /// Keeps the link to other hosts running, and tells when one comes or goes.
+    fn keep_link(&mut self) {
+        let Some(link) = &mut self.link else { return };
+        let messages = link.keep();
+        if !messages.is_empty() {
+            // One that ended has left its ports.
+            self.bus.clean_up_dead_processes();
+        }
+        messages.iter().for_each(|text| self.warn(text));
     }
 
     fn reap(&mut self) -> anyhow::Result<()> {
@@ -281,6 +334,7 @@ impl Session {
                 continue;
             }
             if self.conclusion.is_open() {
+                self.incident();
                 self.recording.recorder.outage_began(role, PROCESS_RESTARTED);
                 self.warn(&format!("{role} ({}) ended: {exit}", self.fleet.label(role)));
                 for line in self.fleet.last_log_lines(role).to_vec() {
@@ -302,6 +356,7 @@ impl Session {
         {
             self.audit.moved(monotonic_ns());
             self.recording.add(&scan);
+            self.notice_stop(&scan);
             self.require_obedience(&scan);
             if let Some(companion) = &mut self.companion {
                 companion.belongs(scan.header.scan_id);
@@ -332,13 +387,6 @@ impl Session {
         }
     }
 
-    /// Tells once when the recorder has failed; the drive continues without it.
-    fn check_companion(&mut self) {
-        if let Some(reason) = self.companion.as_mut().and_then(Companion::has_failed) {
-            self.progress.warn(&reason);
-        }
-    }
-
     /// In lock-step no scan after the one that decided the outcome belongs to the run.
     fn is_recorded(&self) -> bool {
         !self.run.lockstep || self.conclusion.is_open()
@@ -355,6 +403,9 @@ impl Session {
             self.events.push(self.recording.recorder.view().time_s, outcome != Outcome::Reached, text);
             self.conclusion.decide(monotonic_ns(), outcome, reason);
             self.directives.stop();
+            if outcome != Outcome::Reached {
+                self.incident();
+            }
         }
     }
 
@@ -456,11 +507,11 @@ impl Session {
             }
             Action::Announce(phase) => {
                 if phase == Phase::Connecting {
-                    self.await_companions(ProcessState::Attached);
+                    self.await_companions(ProcessState::Attached)?;
                     self.samples.connect();
                 }
                 if phase == Phase::Driving {
-                    self.await_companions(ProcessState::Connected);
+                    self.await_companions(ProcessState::Connected)?;
                     if self.companion.as_mut().is_some_and(|companion| !companion.connect()) {
                         self.progress
                             .warn("the recorder did not connect in time: the first samples may be missing");
@@ -554,14 +605,17 @@ impl Session {
             restarts: view.restarts,
             state: if view.state == VisibleState::Stopped { "exited" } else { view.state.name() }.to_owned(),
         });
+        let (beside, companion_delays) = self.companions.ledger();
         RunResult {
             outcome,
             reason: reason.to_owned(),
             processes: processes.collect(),
             companions: self.companion_reports.clone(),
-            swaps: self.swaps.certificates(),
-            ledger: self.audit.samples.report(),
+            swaps: [&self.swaps.certificates(), self.companions.swaps().certificates()].concat(),
+            ledger: LedgerReport { companions: beside, ..self.audit.samples.report() },
+            companion_delays,
             recording: None,
+            incidents: Vec::new(),
         }
     }
 }

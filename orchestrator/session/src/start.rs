@@ -1,6 +1,8 @@
 //! Starts a run: its files, its bus, and the session that drives it.
 
-use plan::Plan;
+use agent::link::HubLink;
+use console::exit::Failure;
+use plan::{Plan, hosts};
 use runtime::{Bus, Domain, Shutdown, StopWord, latch_on_crash};
 use shared_types::Directive;
 use supervision::fleet::Fleet;
@@ -23,13 +25,14 @@ pub fn start(
     lock: SystemLock,
     shutdown: Shutdown,
 ) -> anyhow::Result<Session> {
+    require_supported_hosts(domain, plan, options.lockstep)?;
     let stop_word = StopWord::create(domain.run_id(), plan.system.period_ns())?;
     latch_on_crash(&stop_word);
     plan.write_settings(domain, options.lockstep)?;
     let RunOptions { out, lockstep, duration_s, .. } = options.clone();
     let Plan { scenario, system, .. } = plan.clone();
     RunFile { out, lockstep, duration_s, system, scenario }.write(domain)?;
-    let bus = Bus::create(domain)?;
+    let bus = Bus::create(domain, plan.system.period_ns())?;
     let logs = options.out.join("logs");
     let fleet = Fleet::new(
         domain.clone(),
@@ -40,6 +43,7 @@ pub fn start(
         logs,
         false,
     )?;
+    let link = HubLink::start(domain, &plan.system, &options.out.join("logs"))?;
     let companions = OwnProcesses::new(&bus, domain, &stop_word, plan, options.lockstep, 1, &options.out)?;
     let mut directive = Directive::default();
     directive.header.incarnation = 1;
@@ -54,6 +58,18 @@ pub fn start(
         directive,
         first_scan: 1,
         judged_by: None,
+        link,
     };
     Session::new(domain, plan, options, startup)
+}
+
+/// Refuses what does not work across hosts, before anything is made.
+fn require_supported_hosts(domain: &Domain, plan: &Plan, lockstep: bool) -> anyhow::Result<()> {
+    hosts::require_short_ids(&plan.system, domain.system_id()).map_err(Failure::bad_input)?;
+    match hosts::hosts(&plan.system).flatten().next() {
+        Some(host) if lockstep => Err(Failure::bad_input(format!(
+            "process.host = {host} is not allowed: with --lockstep all processes run on one host"
+        ))),
+        _ => Ok(()),
+    }
 }

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use agent::link::HubLink;
 use emulator::JudgedBy;
 use runtime::{Bus, Shutdown, StopWord};
 use shared_types::Directive;
@@ -37,4 +38,6 @@ pub(crate) struct Startup {
     pub(crate) first_scan: u64,
     /// What decides the outcome; `None` until the robot is connected.
     pub(crate) judged_by: Option<JudgedBy>,
+    /// The bridge to the other hosts of the system.
+    pub(crate) link: Option<HubLink>,
 }

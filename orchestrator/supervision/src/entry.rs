@@ -36,6 +36,8 @@ settings! {
         pub name: Option<String> = None, NAME_RULE;
         /// Program of your own with its arguments, which fills the role instead.
         pub command: Option<Vec<String>> = None, "a list of texts, instead of `implementation`";
+        /// Name of the `[[host]]` that the process runs on; without the key the one where `scanloop run` is typed.
+        pub host: Option<String> = None, "a name of a `[[host]]`; a companion, the robot and the actuator have none";
         /// When a process that ended is started again. With `on-failure` an end with exit code 0 ends the run; the robot is
         /// never started again.
         pub restart: Restart = Restart::OnFailure;
@@ -157,8 +159,11 @@ impl ProcessEntry {
         }
     }
 
-    /// Name of the built-in implementation, or the command.
+    /// Name of the built-in implementation with its host, or the command.
     pub fn label(&self) -> String {
+        if let (Some(host), Some(name)) = (&self.host, &self.implementation) {
+            return format!("{name}@{host}");
+        }
         match (&self.implementation, &self.command) {
             (Some(name), _) => name.clone(),
             (None, Some(command)) => command.join(" "),
@@ -232,6 +237,13 @@ impl ProcessEntry {
         }
         if self.command.as_ref().and_then(|command| command.first()).is_none_or(String::is_empty) {
             return Err(Invalid::new("command", "[]", "a program and its arguments"));
+        }
+        if let Some(host) = &self.host {
+            return Err(Invalid::new(
+                "host",
+                host,
+                "a key of a role: companions run on the machine of the orchestrator",
+            ));
         }
         if !self.also_reads.is_empty() {
             return Err(Invalid::new("also_reads", "a key of role companion", "`reads` for companions"));

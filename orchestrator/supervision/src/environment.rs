@@ -39,6 +39,6 @@ pub(crate) fn joining(
 }
 
 /// One variable.
-pub(crate) fn variable(name: &str, value: impl ToString) -> (OsString, OsString) {
+pub fn variable(name: &str, value: impl ToString) -> (OsString, OsString) {
     (name.into(), value.to_string().into())
 }

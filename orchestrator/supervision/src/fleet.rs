@@ -99,6 +99,7 @@ impl Fleet {
         is_adopted: bool,
     ) -> anyhow::Result<Self> {
         stop_word.hand_down()?;
+        let period_ns = stop_word.period_ns();
         let mut members = BTreeMap::new();
         for entry in entries.iter().cloned() {
             let path = logs.join(format!("{}.log", entry.role()));
@@ -115,7 +116,7 @@ impl Fleet {
             candidates: Vec::new(),
             leaving: Vec::new(),
             machine: Machine::new(realtime),
-            room: Room::default(),
+            room: Room::new(period_ns),
             changed: false,
             disk: Background::new("logs"),
             _lock: lock,

@@ -10,8 +10,10 @@ const RETRY_NS: u64 = 100_000_000;
 const WARN_NS: u64 = 2_000_000_000;
 
 /// The reserve of one orchestrator.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Room {
+    /// Its size [bytes].
+    bytes: u64,
     reserve: Option<Reserve>,
     retry_ns: u64,
     /// When it could not be taken for the first time.
@@ -20,6 +22,12 @@ pub struct Room {
 }
 
 impl Room {
+    /// No reserve yet, in a system with this scan period.
+    pub fn new(period_ns: u64) -> Self {
+        let bytes = Reserve::of_a_process(period_ns);
+        Self { bytes, reserve: None, retry_ns: 0, missing_ns: None, warned: false }
+    }
+
     /// Frees the reserve for a process that is about to be started.
     ///
     /// # Errors
@@ -27,7 +35,7 @@ impl Room {
     pub fn make(&mut self) -> Result<(), RuntimeError> {
         self.missing_ns = None;
         if self.reserve.take().is_none() {
-            Reserve::take(Reserve::of_a_process())?;
+            Reserve::take(self.bytes)?;
         }
         Ok(())
     }
@@ -40,11 +48,12 @@ impl Room {
             return None;
         }
         self.retry_ns = now_ns + RETRY_NS;
-        let reserve = || if is_moving { Ok(None) } else { Reserve::take(Reserve::of_a_process()).map(Some) };
+        let bytes = self.bytes;
+        let reserve = || if is_moving { Ok(None) } else { Reserve::take(bytes).map(Some) };
         match bus.allocate().and_then(|()| reserve()) {
             Ok(None) => None,
             Ok(reserve) => {
-                *self = Self { reserve, ..Self::default() };
+                *self = Self { bytes, reserve, retry_ns: 0, missing_ns: None, warned: false };
                 None
             }
             Err(error) => {

@@ -108,7 +108,10 @@ fn arguments(verbs: &[Verb], body: &[u8]) -> Result<Vec<String>, String> {
         Verb::Stop => vec![],
         Verb::Restart => vec![role()?],
         Verb::Swap => vec![role()?, "--to".to_owned(), name("to", &asked.to)?, "--json".to_owned()],
-        Verb::Set => vec![format!("{}={}", name("key", &asked.key)?, plain("value", &asked.value)?)],
+        Verb::Set => {
+            let pair = format!("{}={}", name("key", &asked.key)?, plain("value", &asked.value)?);
+            vec![pair, "--json".to_owned()]
+        }
         Verb::Inject => vec![name("fault", &asked.fault)?],
     };
     Ok(std::iter::once(verb.name().to_owned()).chain(rest).collect())
@@ -148,7 +151,7 @@ mod tests {
         let swap = of(r#"{"action":"swap","role":"estimator","to":"ekf"}"#).unwrap();
         assert_eq!(swap, "swap estimator --to ekf --json");
         let set = of(r#"{"action":"set","key":"controller.theta_m","value":"-0.25"}"#).unwrap();
-        assert_eq!(set, "set controller.theta_m=-0.25");
+        assert_eq!(set, "set controller.theta_m=-0.25 --json");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Arguments of `view`.
 
 use std::net::{IpAddr, SocketAddr, TcpListener};
+use std::path::PathBuf;
 
 use clap::Args;
 use console::exit::Failure;
@@ -11,13 +12,16 @@ pub(crate) const DEFAULT_PORT: u16 = 7117;
 /// Arguments of `view`.
 #[derive(Debug, Clone, Args)]
 pub struct ViewArguments {
+    /// A recording to show; without it the running system.
+    #[arg(value_name = "FILE", conflicts_with = "control")]
+    pub file: Option<PathBuf>,
     /// Port of the page; 0 takes any free one.
     #[arg(long, value_name = "PORT", default_value_t = DEFAULT_PORT)]
     pub port: u16,
     /// Address to serve the page on; another one than 127.0.0.1 is reachable from other computers.
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
     pub listen: IpAddr,
-    /// Allow the page to stop, restart and swap; each request needs the token of the printed link.
+    /// Allow the page to stop, restart and swap, and to change settings; each request needs the token of the printed link.
     #[arg(long)]
     pub control: bool,
     /// Serve the page for a run that started this process, on the listening socket at standard input.

@@ -1,14 +1,11 @@
 //! What stays the same during a run: track, goal and body, from the settings that the orchestrator wrote.
 
-use runtime::{Domain, settings_file};
 use serde_json::{Value, json};
-use shared_types::Role;
 use toml::Table;
 
-/// The course as JSON; `null` where the settings of the controller have none of it.
-pub(crate) fn course(domain: &Domain) -> Value {
-    let text = domain.folder().read_text(&settings_file(Role::Controller)).unwrap_or_default();
-    text.parse().map_or(Value::Null, |file: Table| of_settings(&file))
+/// The course as JSON from the text of the controller's settings; `null` where they have none of it.
+pub(crate) fn course(settings: &str) -> Value {
+    settings.parse().map_or(Value::Null, |file: Table| of_settings(&file))
 }
 
 fn of_settings(file: &Table) -> Value {

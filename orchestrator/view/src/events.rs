@@ -45,9 +45,16 @@ pub(crate) struct Events {
     scanner: Option<u32>,
     processes: Vec<ProcessStatus>,
     state: String,
+    /// There is no status, which would tell restarts.
+    is_recording: bool,
 }
 
 impl Events {
+    /// Finds all in samples.
+    pub(crate) fn of_recording() -> Self {
+        Self { is_recording: true, ..Self::default() }
+    }
+
     /// What was found since the last call.
     pub(crate) fn take(&mut self) -> Vec<Event> {
         std::mem::take(&mut self.found)
@@ -87,9 +94,14 @@ impl Events {
         let before = std::mem::replace(&mut self.in_charge, in_charge.clone());
         for (role, (old, new)) in Role::ALL.iter().zip(before.into_iter().zip(in_charge)) {
             let from = directive.authority[role.index()].from_scan;
-            // A restart has no scan from which it counts, and is an event of its own.
-            if old != new && old != 0 && new != 0 && from != 0 {
+            if old == new || old == 0 || new == 0 {
+                continue;
+            }
+            // A restart has no scan from which it counts, and its own event comes from the status.
+            if from != 0 {
                 self.note(Kind::Info, format!("{role}: incarnation {new} in charge from scan {from}"));
+            } else if self.is_recording {
+                self.note(Kind::Warning, format!("{role} restarted as incarnation {new}"));
             }
         }
     }

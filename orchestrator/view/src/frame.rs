@@ -55,10 +55,14 @@ impl Samples {
             .is_some_and(|scan| answered.is_some_and(|answered| answered >= scan.header.scan_id))
     }
 
-    /// The frame of that number at that time, and its row for charts.
-    pub(crate) fn frame(&self, number: u64, time_s: f64) -> Stored {
-        let row = self.row(number, time_s);
-        let frame = json!({
+    /// The frame of a row.
+    pub(crate) fn frame(&self, row: Row) -> Stored {
+        Stored { row, text: self.json(&row).to_string().into() }
+    }
+
+    /// The frame of a row as JSON.
+    pub(crate) fn json(&self, row: &Row) -> Value {
+        json!({
             "row": row,
             "time_s": self.truth.map(|truth| round(truth.time_s)),
             "scan": self.scan.as_deref().map(scan),
@@ -69,11 +73,11 @@ impl Samples {
             "command": self.command.as_deref().map(command),
             "actuation": self.actuation.as_ref().map(actuation),
             "latency_us": self.actuation.as_ref().filter(|_| !self.simulated).and_then(latency),
-        });
-        Stored { row, text: frame.to_string().into() }
+        })
     }
 
-    fn row(&self, number: u64, time_s: f64) -> Row {
+    /// The figures of the frame of that number at that time.
+    pub(crate) fn row(&self, number: u64, time_s: f64) -> Row {
         let actuation = self.actuation.as_ref();
         let pose = self.pose.as_ref();
         let clearance =
@@ -236,7 +240,8 @@ mod tests {
 
     #[test]
     fn a_frame_without_samples_has_no_figures() {
-        let stored = Samples::default().frame(7, 1.25);
+        let samples = Samples::default();
+        let stored = samples.frame(samples.row(7, 1.25));
         let frame: Value = serde_json::from_str(&stored.text).unwrap();
         assert_eq!((&frame["row"]["number"], &frame["row"]["time_s"]), (&json!(7), &json!(1.25)));
         assert!(["scan", "pose", "truth", "command", "latency_us"].iter().all(|key| frame[*key].is_null()));
@@ -251,11 +256,12 @@ mod tests {
         command.plan[1].x_m = 1.234_56;
         let samples =
             Samples { scan: Some(scan.into()), command: Some(command.into()), ..Samples::default() };
-        let frame: Value = serde_json::from_str(&samples.frame(1, 0.0).text).unwrap();
+        let text = samples.frame(samples.row(1, 0.0)).text;
+        let frame: Value = serde_json::from_str(&text).unwrap();
         let bytes = STANDARD.decode(frame["scan"]["ranges_mm_base64"].as_str().unwrap()).unwrap();
         assert_eq!((bytes.len(), &bytes[..2], &bytes[1362..]), (1364, &[0x34, 0x12][..], &[0xff, 0x0f][..]));
         assert_eq!(frame["command"]["plan"], json!([[0.0, 0.0, 0.0, 0.0], [1.2346, 0.0, 0.0, 0.0]]));
-        assert!(samples.frame(1, 0.0).text.len() < 12_000, "small enough for ten a second to a phone");
+        assert!(text.len() < 12_000, "small enough for ten a second to a phone");
     }
 
     #[test]

@@ -19,7 +19,8 @@ use crate::child::{Parent, inherited};
 use crate::http::{Failed, Method, Request, Response, Status, read_request};
 use crate::hub::Hub;
 use crate::live::Live;
-use crate::source::Source;
+use crate::recorded::RecordedDrive;
+use crate::source::{Source, Still};
 use crate::{pages, stream};
 
 /// Most connections at once.
@@ -45,15 +46,21 @@ const FAREWELL: Duration = Duration::from_millis(300);
 /// An address that can't be listened on (exit code 2), and threads that can't be started.
 pub fn serve(system_id: &str, arguments: &ViewArguments, verbs: &[Verb]) -> anyhow::Result<Exit> {
     let shutdown = Shutdown::on_signals()?;
+    let recorded = arguments.file.as_deref().map(RecordedDrive::open).transpose()?;
     let listener = if arguments.for_run { inherited()? } else { listen(arguments.listen, arguments.port)? };
     let verbs = if arguments.control { verbs.to_vec() } else { Vec::new() };
-    let mut live = Live::new(system_id, verbs.clone())?;
-    let site = Arc::new(Site::new(Actions::new(system_id, verbs))?);
+    let mut source: Box<dyn Source> = match &recorded {
+        Some(recorded) => Box::new(Still(Some(recorded.system()))),
+        None => Box::new(Live::new(system_id, verbs.clone())?),
+    };
+    let site = Arc::new(Site::new(Actions::new(system_id, verbs), recorded)?);
     announce(&site.token, &listener, system_id, arguments)?;
     let parent = arguments.for_run.then(Parent::new);
+    // The first page finds a state already.
+    site.hub.publish(source.poll(0.0), 0.0);
     start_accepting(listener, Arc::clone(&site))?;
-    collect(&mut live, &site.hub, || {
-        wait_for(&[shutdown.descriptor()], POLL_NS);
+    collect(&mut *source, &site.hub, || {
+        wait_for(&[shutdown.descriptor()], if arguments.file.is_some() { ACCEPT_NS } else { POLL_NS });
         !shutdown.requested() && parent.as_ref().is_none_or(|parent| parent.is_needed(system_id))
     });
     site.end();
@@ -84,15 +91,16 @@ fn announce(
         note!("page: {link}");
         return Ok(());
     }
-    note!(
-        "showing system {system_id}{}; Ctrl-C ends the page",
-        if arguments.control { " with control" } else { "" }
-    );
+    let shown = match &arguments.file {
+        Some(file) => file.display().to_string(),
+        None => format!("system {system_id}{}", if arguments.control { " with control" } else { "" }),
+    };
+    note!("showing {shown}; Ctrl-C ends the page");
     data(&link).map(|_| ())
 }
 
 /// Polls the source and publishes what is new, as long as `continues` holds.
-fn collect(source: &mut impl Source, hub: &Hub, continues: impl Fn() -> bool) {
+fn collect(source: &mut dyn Source, hub: &Hub, continues: impl Fn() -> bool) {
     let started = Instant::now();
     while continues() {
         let now_s = started.elapsed().as_secs_f64();
@@ -105,18 +113,21 @@ struct Site {
     hub: Hub,
     token: Token,
     actions: Actions,
+    /// The recording that is shown instead of a running system.
+    recorded: Option<Mutex<RecordedDrive>>,
     streams: AtomicUsize,
     /// What was logged: each kind of refusal is logged once.
     logged: Mutex<HashSet<&'static str>>,
 }
 
 impl Site {
-    fn new(actions: Actions) -> anyhow::Result<Self> {
+    fn new(actions: Actions, recorded: Option<RecordedDrive>) -> anyhow::Result<Self> {
         let token = Token::random()?;
         Ok(Self {
             hub: Hub::default(),
             token,
             actions,
+            recorded: recorded.map(Mutex::new),
             streams: AtomicUsize::new(0),
             logged: Mutex::default(),
         })
@@ -172,17 +183,33 @@ impl Site {
             "/stream" => return None,
             "/control" => Some(self.actions.answer(body)),
             "/system" => Some(Response::json(Status::Ok, self.hub.system().as_bytes())),
-            "/history" => {
-                let after = |key| request.number(key).unwrap_or(0);
-                Some(Response::json(Status::Ok, self.hub.history(after("row"), after("event"))))
-            }
-            "/frame" => {
-                let frame = request.number("number").and_then(|number| self.hub.frame(number));
-                frame.map(|frame| Response::json(Status::Ok, frame.as_bytes()))
-            }
+            "/history" | "/frame" => self.past(request),
             path => pages::file(path),
         };
         Some(found.unwrap_or_else(|| Response::text(Status::NotFound, "there is no such page")))
+    }
+
+    /// Rows or a frame of earlier; of a recording by time, of a running system by number.
+    fn past(&self, request: &Request) -> Option<Response> {
+        let ok = |text: &[u8]| Response::json(Status::Ok, text);
+        let is_frame = request.path == "/frame";
+        let Some(recorded) = &self.recorded else {
+            if is_frame {
+                let frame = request.number("number").and_then(|number| self.hub.frame(number));
+                return frame.map(|frame| ok(frame.as_bytes()));
+            }
+            let after = |key| request.number(key).unwrap_or(0);
+            return Some(ok(self.hub.history(after("row"), after("event")).as_bytes()));
+        };
+        let at_s = request.number("at_ms").map(|at_ms| at_ms as f64 * 1e-3);
+        let mut recorded = recorded.lock().unwrap_or_else(PoisonError::into_inner);
+        if !is_frame {
+            return Some(ok(recorded.history(at_s).as_bytes()));
+        }
+        Some(match recorded.frame(at_s?) {
+            Ok(frame) => ok(frame.as_bytes()),
+            Err(error) => Response::text(Status::Unavailable, &format!("{error:#}")),
+        })
     }
 
     fn refuse(&self, refusal: Refusal) -> Response {

@@ -1,4 +1,4 @@
-//! What the page shows comes from a source: a running system is one, `live`.
+//! What the page shows comes from a source: a running system, `live`, or a recording, `recorded`.
 
 use crate::events::Event;
 use crate::history::Stored;
@@ -18,4 +18,13 @@ pub(crate) struct Update {
     pub(crate) system: Option<String>,
     /// What has happened.
     pub(crate) events: Vec<Event>,
+}
+
+/// A source that has one state and no frames: those of a recording are made when they are asked for.
+pub(crate) struct Still(pub(crate) Option<String>);
+
+impl Source for Still {
+    fn poll(&mut self, _now_s: f64) -> Update {
+        Update { system: self.0.take(), ..Update::default() }
+    }
 }

@@ -4,9 +4,9 @@
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use runtime::{Domain, RuntimeError, monotonic_ns};
-use session::control::{Reply, Request, Status, ask};
-use session::orphaned;
+use runtime::{Domain, monotonic_ns};
+use session::control::Status;
+use session::orphaned::current_status;
 
 /// Pause between two questions.
 const PAUSE: Duration = Duration::from_millis(500);
@@ -24,6 +24,8 @@ pub(crate) struct Known {
     pub(crate) status: Option<Status>,
     /// When that came [ns].
     pub(crate) answered_ns: u64,
+    /// Why there was no answer the last time.
+    pub(crate) trouble: Option<String>,
     /// How many answers there were.
     pub(crate) answers: u64,
 }
@@ -68,12 +70,14 @@ fn follow(system_id: &str, shared: &Mutex<Known>) {
                 *known = Known { domain: Some(domain.clone()), answers: known.answers, ..Known::default() };
             }
         });
-        if let Some(status) = status(&domain) {
-            change(&|known| {
-                known.status = Some(status.clone());
+        let answer = current_status(&domain);
+        change(&|known| match &answer {
+            Ok(status) => {
+                (known.status, known.trouble) = (Some(status.clone()), None);
                 (known.answered_ns, known.answers) = (monotonic_ns(), known.answers + 1);
-            });
-        }
+            }
+            Err(error) => known.trouble = Some(format!("{error:#}")),
+        });
         std::thread::sleep(PAUSE);
     }
 }
@@ -84,14 +88,4 @@ fn search(system_id: &str, round: u32) -> Option<Domain> {
     usual
         .or_else(|| if round.is_multiple_of(RARELY) { other() } else { None })
         .filter(|domain| !domain.run_id().is_empty())
-}
-
-fn status(domain: &Domain) -> Option<Status> {
-    match ask(domain, &Request::Status) {
-        Ok(Reply::Status(status)) => Some(*status),
-        Err(error) if matches!(error.downcast_ref(), Some(RuntimeError::NotRunning(_))) => {
-            orphaned::status(domain)
-        }
-        _ => None,
-    }
 }

@@ -95,6 +95,16 @@ impl Scenario {
         Ok(scenario)
     }
 
+    /// This scenario with other values of some keys. Tables in `changes` replace only the keys that they have.
+    ///
+    /// # Errors
+    /// One message with key, value and allowed range.
+    pub fn with(&self, changes: &toml::Table) -> Result<Self, ScenarioError> {
+        let mut table = self.to_toml().parse().unwrap_or_default();
+        merge(&mut table, changes);
+        Self::from_table(table, "fault")
+    }
+
     /// Text of a shipped scenario.
     pub fn shipped(name: &str) -> Option<&'static str> {
         shipped::SHIPPED.iter().find(|(shipped, _)| *shipped == name).map(|(_, text)| *text)
@@ -198,6 +208,16 @@ impl Scenario {
             ));
         }
         Ok(())
+    }
+}
+
+/// Puts the values of `changes` into `table`; arrays are replaced.
+fn merge(table: &mut toml::Table, changes: &toml::Table) {
+    for (key, value) in changes {
+        match (table.get_mut(key), value) {
+            (Some(toml::Value::Table(inner)), toml::Value::Table(changes)) => merge(inner, changes),
+            _ => _ = table.insert(key.clone(), value.clone()),
+        }
     }
 }
 

@@ -57,6 +57,19 @@ pub fn run() -> anyhow::Result<()> {
 /// # Errors
 /// As [`run`].
 pub fn run_with(change: impl FnMut(&mut Scan, &mut Odometry, &mut Truth) + 'static) -> anyhow::Result<()> {
+    run_robot(Box::new(change), Box::new(|| None))
+}
+
+/// [`run`] with faults that begin and end under way: `faults` is asked after each scan for tables of the scenario whose
+/// values hold from then on; an empty table stands for the robot without a fault.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_with_faults(faults: impl FnMut() -> Option<toml::Table> + 'static) -> anyhow::Result<()> {
+    run_robot(Box::new(|_, _, _| {}), Box::new(faults))
+}
+
+fn run_robot(change: Box<Change>, faults: Box<Faults>) -> anyhow::Result<()> {
     let mut process = Process::attach(Role::Robot)?;
     let scenario = process.settings::<Scenario>("scenario")?;
     let mut robot = Robot {
@@ -65,7 +78,10 @@ pub fn run_with(change: impl FnMut(&mut Scan, &mut Odometry, &mut Truth) + 'stat
         scans: process.output()?,
         odometries: process.output()?,
         truths: if scenario.robot.publish_truth { Some(process.output()?) } else { None },
-        change: Box::new(change),
+        change,
+        faults,
+        fault: None,
+        scenario,
         pending: None,
         state: RobotState { next_scan: 1, ..RobotState::default() },
         stopped: false,
@@ -94,6 +110,12 @@ struct Robot {
     truths: Option<Rc<Output<Truth>>>,
     /// Applied to the samples of each scan.
     change: Box<Change>,
+    /// Asked for faults after each scan.
+    faults: Box<Faults>,
+    /// A fault that begins with the next scan, as soon as there is a state to continue from.
+    fault: Option<toml::Table>,
+    /// The robot without a fault.
+    scenario: Scenario,
     /// The next actuation, which does not act yet.
     pending: Option<Taken<Actuation>>,
     /// Place in the run; [`Self::save`] adds the state of the emulator.
@@ -107,6 +129,7 @@ struct Robot {
 }
 
 type Change = dyn FnMut(&mut Scan, &mut Odometry, &mut Truth);
+type Faults = dyn FnMut() -> Option<toml::Table>;
 
 impl Robot {
     /// Does all that is due, and blocks the wheels when they must not turn.
@@ -304,7 +327,25 @@ impl Robot {
         // After the samples of the loop: only processes beside it sleep until a truth comes.
         self.truths.iter().for_each(|truths| truths.wake());
         self.state.next_scan = scan_id + 1;
+        self.change_robot(process.period_ns());
         self.save(process, &odometry.header)
+    }
+
+    /// Continues as the robot of another scenario, if a fault begins or ends.
+    fn change_robot(&mut self, period_ns: u64) {
+        self.fault = (self.faults)().or(self.fault.take());
+        let Some(fault) = &self.fault else { return };
+        let Some(state) = self.emulator.state(self.state.next_scan - 1) else { return };
+        let changed = self.scenario.with(fault).map_err(anyhow::Error::from).and_then(|scenario| {
+            let mut emulator = Emulator::new(&scenario, period_ns);
+            emulator.resume(&state)?;
+            Ok(emulator)
+        });
+        match changed {
+            Ok(emulator) => self.emulator = emulator,
+            Err(error) => tracing::warn!(%error, "the fault can't be injected"),
+        }
+        self.fault = None;
     }
 
     /// Publishes the state, unless the next sweep has begun.

@@ -80,6 +80,16 @@ impl Change {
         }
     }
 
+    /// How much later samples arrive, if that is all that happens to them [ns].
+    pub fn delay_ns(&self) -> Option<u64> {
+        (self.action == Action::Delay).then_some(self.delay_ns)
+    }
+
+    /// Whether it repeats a good sample and has none yet.
+    pub fn needs_sample(&self) -> bool {
+        matches!(self.action, Action::Freeze | Action::Stale) && self.last.is_empty()
+    }
+
     /// Changes a complete sample of type `of` in place, and returns what arrives instead of it.
     ///
     /// A fault that repeats the last good sample loses samples as long as there was none.

@@ -12,6 +12,7 @@
 
 mod change;
 mod fault;
+mod live;
 mod sample_fault;
 
 pub use change::{Change, Changed, UnknownField};
@@ -19,6 +20,7 @@ pub use fault::{
     Expectation, Fault, FaultError, InPhase, Injection, Phase, ProcessAction, ProcessFault, ProcessName,
     ScenarioFault,
 };
+pub use live::{ActiveFault, PERMIT_FILE, fault_file, live_names};
 pub use sample_fault::{Action, SampleFault};
 
 /// Name and text of each file in `faults/`.
@@ -30,6 +32,15 @@ const FILES: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/list.rs"));
 /// The first file that is not allowed, with its key.
 pub fn all() -> Result<Vec<Fault>, FaultError> {
     FILES.iter().map(|(name, text)| Fault::parse(name, text)).collect()
+}
+
+/// The fault of a name; `None` when there is none.
+///
+/// # Errors
+/// Its file is not allowed, with the key.
+pub fn find(name: &str) -> Result<Option<Fault>, FaultError> {
+    let file = FILES.iter().find(|(known, _)| *known == name);
+    file.map(|(name, text)| Fault::parse(name, text)).transpose()
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-use shared_types::{BEAMS, Command, Obstacles, Pose, Sample, Scan};
+use shared_types::{BEAMS, Command, Obstacles, Pose, Role, Sample, Scan};
 
 use super::*;
 
@@ -134,4 +134,32 @@ fn a_wrong_file_is_refused_with_file_key_and_what_is_allowed() {
         let message = refusal(&text);
         assert!(message.starts_with("test.toml: ") && message.contains(expected), "{expected}: {message}");
     }
+}
+
+#[test]
+fn faults_for_running_systems_are_those_that_a_process_can_carry_out() {
+    let live = live_names().unwrap();
+    for name in
+        ["scanner-dead", "pose-late-5ms", "command-not-finite", "drive-weak", "process-actuator-hangs"]
+    {
+        assert!(live.iter().any(|live| live == name), "{name}");
+    }
+    for name in
+        ["pose-flood", "pose-duplicated", "command-late-400ms", "scanner-late-250ms", "shared-memory-full"]
+    {
+        assert!(find(name).unwrap().unwrap().refused_live().is_some(), "{name}");
+    }
+    assert_eq!(find("no-such-fault"), Ok(None));
+    let lasts_s = |name: &str| find(name).unwrap().unwrap().lasts_s(0.1);
+    assert_eq!([lasts_s("scanner-dead"), lasts_s("machine-stalls-500ms")], [2.0, 0.5]);
+    assert!((lasts_s("scan-lost-3") - 0.3).abs() < 1e-9);
+}
+
+#[test]
+fn a_fault_of_a_running_process_acts_in_the_writer_of_its_topic() {
+    let acts_in = |name: &str| find(name).unwrap().unwrap().acts_in();
+    assert_eq!(acts_in("pose-frozen"), Some(Role::Estimator));
+    assert_eq!(acts_in("scan-lost-3"), Some(Role::Robot));
+    assert_eq!(acts_in("drive-weak"), Some(Role::Robot));
+    assert_eq!(acts_in("process-actuator-dies"), None);
 }

@@ -86,6 +86,11 @@ impl Controller {
         })
     }
 
+    /// Number of ellipse constraints (7.34) that are active in the last solution.
+    pub fn active_ellipses(&self) -> u32 {
+        self.planner.active_ellipses()
+    }
+
     /// State that a successor continues from.
     pub fn state(&self) -> ControllerState {
         self.state

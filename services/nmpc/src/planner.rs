@@ -348,6 +348,11 @@ impl Planner {
         end - start > FAST_SHARE * (wanted - start)
     }
 
+    /// Number of ellipse constraints that are active in the last solution.
+    pub(crate) fn active_ellipses(&self) -> u32 {
+        self.solution.active_ellipses
+    }
+
     /// By how much the ellipse of an obstacle was enlarged for this plan [m].
     pub(crate) fn grown(&self, index: usize) -> f64 {
         let ellipse = self.owners.iter().position(|owner| *owner == index);

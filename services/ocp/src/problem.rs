@@ -104,6 +104,8 @@ pub struct Solution {
     pub objective: f64,
     /// Active constraints.
     pub active_constraints: u32,
+    /// Active ellipse constraints (7.34) among them.
+    pub active_ellipses: u32,
 }
 
 impl Default for Solution {
@@ -118,6 +120,7 @@ impl Default for Solution {
             slack: f64::INFINITY,
             objective: f64::INFINITY,
             active_constraints: 0,
+            active_ellipses: 0,
         }
     }
 }

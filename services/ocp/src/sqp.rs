@@ -36,6 +36,7 @@ use crate::objective::{control_bounds, linearised_penalties, penalties, smooth, 
 use crate::problem::{Budget, Problem, Solution, Status, Trajectory};
 use crate::qp::active_set::ActiveSet;
 use crate::qp::{BoundState, Qp, QpSolution, RowState};
+use crate::rows::ellipse_row;
 use crate::settings::SolverSettings;
 use crate::shooting::{Iterate, Shooting, Sweep};
 use crate::usable::is_usable;
@@ -369,7 +370,9 @@ impl Solver {
     ) {
         let (penalty, slack) = penalties(problem, &self.iterate);
         let bounds = self.answer.bound_states.iter().filter(|state| **state != BoundState::Free);
-        let rows = self.answer.row_states.iter().filter(|state| **state != RowState::Inside);
+        let active =
+            |rows: &[RowState]| rows.iter().filter(|state| **state != RowState::Inside).count() as u32;
+        let first_ellipse = ellipse_row(problem.intervals.len(), problem.ellipses.len(), 1, 0);
         let Trajectory { states, controls } = &mut solution.trajectory;
         fill(states, self.iterate.states.iter().map(|state| State::from_vector(&(*state).into())));
         fill(
@@ -382,7 +385,8 @@ impl Solver {
         solution.largest_violation = self.shooting.defect;
         solution.slack = slack;
         solution.objective = smooth(problem, &self.iterate) + penalty;
-        solution.active_constraints = (bounds.count() + rows.count()) as u32;
+        solution.active_constraints = bounds.count() as u32 + active(&self.answer.row_states);
+        solution.active_ellipses = self.answer.row_states.get(first_ellipse..).map_or(0, active);
     }
 }
 

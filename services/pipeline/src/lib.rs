@@ -44,6 +44,8 @@ pub struct Step {
     pub obstacles: Option<Obstacles>,
     /// The command.
     pub command: Option<Command>,
+    /// Ellipse constraints (7.34) that are active in its plan.
+    pub active_ellipses: u32,
     /// What was sent to the robot.
     pub actuation: Option<Actuation>,
 }
@@ -109,6 +111,7 @@ impl Pipeline {
         let mut command = self.controller.step(&pose, &obstacles, &Budget::Iterations(self.iterations));
         publish.complete(Role::Controller, &mut command);
         step.command = Some(command);
+        step.active_ellipses = self.controller.active_ellipses();
 
         let mut actuation = self.actuator.answer(&command, now_ns);
         publish.complete(Role::Actuator, &mut actuation);

@@ -13,7 +13,7 @@ use shared_types::{Sample, SampleType, TOPICS, Topic};
 use crate::bell::Bells;
 use crate::enclosed::Enclosed;
 use crate::own::OwnTopics;
-use crate::port::{self, BytePublisher, ByteSubscriber, Samples, Shape};
+use crate::port::{self, BytePublisher, ByteSubscriber, Queue, Samples, Shape};
 use crate::qos::{EVENT_PORTS, NODES, Qos, qos};
 use crate::reserve::{Reserve, allocate_files, remove_empty_files, require_room};
 use crate::{Domain, RuntimeError, layouts, node};
@@ -34,16 +34,17 @@ pub struct Bus {
 }
 
 impl Bus {
-    /// Creates all services of the system and keeps them as long as the value lives: for the orchestrator.
+    /// Creates all services of the system and keeps them as long as the value lives: for the orchestrator. Queues of
+    /// observers follow from the scan period.
     ///
     /// # Errors
     /// [`RuntimeError::SharedMemory`] when a system does not fit, [`RuntimeError::Bus`] when iceoryx2 refuses, and
     /// [`RuntimeError::File`] when the layouts of the samples can't be written.
-    pub fn create(domain: &Domain) -> Result<Self, RuntimeError> {
+    pub fn create(domain: &Domain, period_ns: u64) -> Result<Self, RuntimeError> {
         // Checked as a whole and freed at once; the services then take it piece by piece.
         let own = OwnTopics::of(domain)?.map_or(Ok(0), |table| table.bytes())?;
-        Reserve::take(Reserve::of_a_system() + own)?;
-        Self::create_empty(domain)?.with_topics(false)
+        Reserve::take(Reserve::of_a_system(period_ns) + own)?;
+        Self::create_empty(domain)?.with_topics(period_ns, false)
     }
 
     /// Opens the services of an orphaned system, and creates those that no process keeps open.
@@ -51,17 +52,17 @@ impl Bus {
     /// # Errors
     /// [`RuntimeError::Layout`] when the system was built against other samples, and [`RuntimeError::Bus`] when
     /// iceoryx2 refuses.
-    pub fn take_over(domain: &Domain) -> Result<Self, RuntimeError> {
+    pub fn take_over(domain: &Domain, period_ns: u64) -> Result<Self, RuntimeError> {
         let bus = Self::join(domain, "orchestrator", Bells::create(domain)?)?;
         layouts::verify_all(domain)?;
         // The orchestrator that died still holds ports, of which there are few for directives.
         bus.clean_up_dead_processes();
-        bus.with_topics(true)
+        bus.with_topics(period_ns, true)
     }
 
-    fn with_topics(mut self, take_over: bool) -> Result<Self, RuntimeError> {
+    fn with_topics(mut self, period_ns: u64, take_over: bool) -> Result<Self, RuntimeError> {
         for topic in TOPICS {
-            self.create_topic(&topic.sample_type().into(), qos(topic), take_over)?;
+            self.create_topic(&topic.sample_type().into(), qos(topic, period_ns), take_over)?;
         }
         if let Some(table) = OwnTopics::of(&self.domain)? {
             for row in &table.topic {
@@ -94,7 +95,7 @@ impl Bus {
 
     fn join(domain: &Domain, name: &str, bells: Arc<Bells>) -> Result<Self, RuntimeError> {
         // Running processes make their ends of its connections: without room SIGBUS would end them.
-        require_room(None)?;
+        require_room()?;
         let node = Enclosed::new(node::join(domain, name)?);
         Ok(Self { domain: domain.clone(), node, bells, held: Vec::new() })
     }
@@ -126,8 +127,10 @@ impl Bus {
         self.publisher_of(&of.into())
     }
 
-    pub(crate) fn subscriber(&self, of: &SampleType) -> Result<ByteSubscriber, RuntimeError> {
-        self.subscriber_of(&of.into(), qos(of.topic).history)
+    /// The reading end of a topic of the loop, with the queue of a process or the longest that the topic allows.
+    pub(crate) fn subscriber(&self, of: &SampleType, queue: Queue) -> Result<ByteSubscriber, RuntimeError> {
+        let history = qos(of.topic, u64::MAX).history;
+        self.subscriber_of(&of.into(), queue, history)
     }
 
     /// The writing end of any topic.
@@ -137,8 +140,13 @@ impl Bus {
     }
 
     /// The reading end of any topic, which gets so many earlier samples.
-    pub(crate) fn subscriber_of(&self, of: &Shape, history: usize) -> Result<ByteSubscriber, RuntimeError> {
-        let created = ByteSubscriber::new(&self.open_samples(of)?, of, history);
+    pub(crate) fn subscriber_of(
+        &self,
+        of: &Shape,
+        queue: Queue,
+        history: usize,
+    ) -> Result<ByteSubscriber, RuntimeError> {
+        let created = ByteSubscriber::new(&self.open_samples(of)?, of, queue, history);
         created.map_err(|reason| RuntimeError::bus(format!("read topic {}", of.topic), reason))
     }
 
@@ -160,7 +168,8 @@ impl Bus {
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
     pub fn create_topic_for<S: Sample>(&mut self, readers: usize) -> Result<(), RuntimeError> {
-        let qos = Qos { subscribers: readers, ..qos(S::TOPIC) };
+        // No observer reads them: the shortest queues that a topic may have.
+        let qos = Qos { subscribers: readers, ..qos(S::TOPIC, u64::MAX) };
         self.create_topic(&S::TYPE.into(), qos, false)
     }
 

@@ -4,7 +4,7 @@
 //! each role and hands it over here. With it go the actuations sent since: a process that hung has not seen that the
 //! wheels were blocked.
 
-use shared_types::{Actuation, Checkpoint, Role, Sample};
+use shared_types::{Actuation, Checkpoint, Role, Sample, shift_times};
 
 use crate::{Domain, RuntimeError};
 
@@ -43,8 +43,21 @@ impl HandoverData {
         until_ns.saturating_sub(self.checkpoint.issued_ns)
     }
 
+    /// The same with all times moved by `by_ns`, for the clock of another host. The state itself is bytes, and stays.
+    #[must_use]
+    pub fn shifted(mut self, by_ns: i64) -> Self {
+        shift_times(Checkpoint::TYPE, bytemuck::bytes_of_mut(&mut self.checkpoint), by_ns);
+        for actuation in &mut self.actuations {
+            shift_times(Actuation::TYPE, bytemuck::bytes_of_mut(actuation), by_ns);
+        }
+        if self.ended_ns != 0 {
+            self.ended_ns = self.ended_ns.saturating_add_signed(by_ns).max(1);
+        }
+        self
+    }
+
     /// The checkpoint, the time, then the actuations.
-    fn to_bytes(&self) -> Vec<u8> {
+    pub fn to_bytes(&self) -> Vec<u8> {
         let parts: [&[u8]; 3] = [
             bytemuck::bytes_of(&self.checkpoint),
             &self.ended_ns.to_le_bytes(),
@@ -53,8 +66,8 @@ impl HandoverData {
         parts.concat()
     }
 
-    /// `None` where the file is damaged; damaged actuations are left out.
-    fn from_bytes(bytes: &[u8]) -> Option<Self> {
+    /// `None` where the bytes are damaged; damaged actuations are left out.
+    pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let (checkpoint, rest) = bytes.split_at_checked(size_of::<Checkpoint>())?;
         let (ended_ns, rest) = rest.split_first_chunk::<8>()?;
         let actuations = rest.chunks_exact(size_of::<Actuation>()).map(bytemuck::pod_read_unaligned);
@@ -78,7 +91,10 @@ pub fn write(domain: &Domain, role: Role, data: Option<&HandoverData>) -> Result
 }
 
 /// The data handed to a role, if the file exists and is whole.
-pub(crate) fn read(domain: &Domain, role: Role) -> Result<Option<HandoverData>, RuntimeError> {
+///
+/// # Errors
+/// [`RuntimeError::File`].
+pub fn read(domain: &Domain, role: Role) -> Result<Option<HandoverData>, RuntimeError> {
     match domain.folder().read(&file(role)) {
         Ok(bytes) => Ok(HandoverData::from_bytes(&bytes)
             .filter(|data| data.checkpoint.check().is_ok() && data.checkpoint.role == role.wire())),

@@ -40,6 +40,7 @@ mod handover;
 mod identity;
 mod input;
 mod layouts;
+mod link;
 mod logging;
 mod node;
 mod observer;
@@ -59,6 +60,7 @@ mod shared;
 mod shared_memory;
 mod shutdown;
 mod stop;
+mod tamper;
 mod terminal;
 #[cfg(test)]
 mod tests;
@@ -78,31 +80,35 @@ pub use environment::{
 };
 pub use error::RuntimeError;
 pub use folder::Folder;
-pub use handover::{Handover, HandoverData, write as write_handover};
+pub use handover::{Handover, HandoverData, read as read_handover, write as write_handover};
 pub use identity::{
     Identified, Identity, NotOurs, PROCESSES_FILE, Seen, identify, processes, processes_of, start_ticks,
     started_processes, uid_of,
 };
 pub use input::{Input, QUEUE_DEPTH, Taken, join};
 pub use layouts::{LAYOUTS_FILE, verify_layouts};
+pub use link::{
+    HUB, LINK_SOCKET, LinkCounts, LinkPeer, LinkStatus, LinkTable, LinkedHost, link_version, reply_socket,
+};
 pub use logging::{Priority, check_log_filter, print, start_logging, writes_to_journal};
-pub use observer::{Checked, Observer, Publisher, TopicObserver};
+pub use observer::{Checked, Observer, Publisher, TopicObserver, TopicPublisher};
 pub use orphan::{LEAVING, LOCK_FILE};
 pub use output::Output;
 pub use own::{
-    AlsoReads, ByteTopic, Companion, CompanionPage, CompanionReport, CompanionRow, LayoutField, LayoutFile,
-    LoopTopic, MAX_COMPANIONS, NamedTopic, OPERATOR, OwnObserver, OwnPublisher, OwnTaken, OwnTopics,
-    TOPICS_FILE, TakenBytes, TopicRow, memory_limit,
+    AlsoReads, ByteTopic, Companion, CompanionPage, CompanionReport, CompanionRow, Delays, LayoutField,
+    LayoutFile, LoopTopic, MAX_COMPANIONS, MAX_PORTS, NamedTopic, OPERATOR, OwnObserver, OwnPublisher,
+    OwnTaken, OwnTopics, PortCount, PortTable, TOPICS_FILE, TakenBytes, TopicRow, memory_limit,
 };
 pub use peer::peer_uid;
 pub use process::Process;
-pub use qos::buffer;
+pub use qos::{MAX_READERS, PROCESS_QUEUE, observer_queue};
 pub use realtime::{Realtime, Scheduler};
 pub use reserve::Reserve;
 pub use settings::{ClockKind, RunSettings, own_settings_file, settings_file, settings_table};
 pub use shared_memory::Shortage;
 pub use shutdown::Shutdown;
 pub use stop::{StopWord, Wheels};
+pub use tamper::{Tamper, tamper_with};
 pub use terminal::{flush_terminal, hold_terminal, is_terminal, printable, show_live_line, start_terminal};
 pub use wake::wait_for;
 pub use waker::Waker;

@@ -115,7 +115,7 @@ mod tests {
     #[test]
     fn no_file_of_a_bus_can_be_written_by_another_user() {
         let domain = Domain::create(&format!("mg{}", std::process::id())).unwrap();
-        let bus = crate::Bus::create(&domain).unwrap();
+        let bus = crate::Bus::create(&domain, 100_000_000).unwrap();
         let mine = names(domain.shared_memory_prefix());
         assert!(mine.iter().any(|name| name.ends_with(SUFFIX)), "{mine:?}");
         for name in &mine {

@@ -9,14 +9,14 @@ use shared_types::{Fault, Sample, SampleType, Topic};
 
 use crate::bell::{Bells, bit};
 use crate::enclosed::Enclosed;
-use crate::port::{BytePublisher, ByteSubscriber, Received};
+use crate::port::{BytePublisher, ByteSubscriber, Queue, Received};
 use crate::qos::qos;
 use crate::view::view;
 use crate::waiter::{Ringer, Waiter};
 use crate::{Bus, RuntimeError, monotonic_ns, wait_for};
 
 /// Rounds over all publishers in one poll, at most; more than the longest queue of a topic needs.
-const MAX_ROUNDS: usize = 32;
+const MAX_ROUNDS: usize = 64;
 
 /// A sample, and whether its content may be used.
 pub type Checked<S> = (S, Result<(), Fault>);
@@ -53,6 +53,11 @@ impl<S: Sample> Observer<S> {
     /// Makes this end of all connections.
     pub fn connect(&self) {
         self.0.subscriber.connect();
+    }
+
+    /// How many samples of one publisher can wait here. A poll that finds fewer has missed none.
+    pub fn capacity(&self) -> usize {
+        self.0.subscriber.capacity()
     }
 
     /// The next sample, whatever its content; `None` when there is none now. A loop over it may never end where a
@@ -105,6 +110,19 @@ impl TopicObserver {
         Source::open(bus, topic.sample_type(), false).map(Self)
     }
 
+    /// An observer that samples wake, see [`TopicObserver::wait`].
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when the topic can't be opened.
+    pub fn waking(bus: &Bus, topic: Topic) -> Result<Self, RuntimeError> {
+        Source::open(bus, topic.sample_type(), true).map(Self)
+    }
+
+    /// As [`Observer::wait`].
+    pub fn wait(&self, timeout_ns: u64) -> bool {
+        self.0.wait(timeout_ns)
+    }
+
     /// Makes this end of all connections.
     pub fn connect(&self) {
         self.0.subscriber.connect();
@@ -144,8 +162,8 @@ impl Source {
         let waiter = if waking { Some(Waiter::new(bus, of.topic)?) } else { None };
         let waking =
             waiter.map(|waiter| Waking { bells: Arc::clone(bus.bells()), waiter, seen: Cell::new(0) });
-        let borrowed = RefCell::new(Vec::with_capacity(qos(of.topic).max_borrowed()));
-        let subscriber = bus.subscriber(of)?;
+        let borrowed = RefCell::new(Vec::with_capacity(qos(of.topic, u64::MAX).max_borrowed()));
+        let subscriber = bus.subscriber(of, Queue::Observer)?;
         bus.allocate()?;
         Ok(Enclosed::new(Self { of, subscriber, waking, borrowed }))
     }
@@ -229,6 +247,30 @@ impl<S: Sample> Publisher<S> {
     /// As [`Publisher::publish`].
     pub fn publish_unchanged(&mut self, sample: &S, wake: bool) -> Result<(), RuntimeError> {
         self.0.send(bytes_of(sample), wake)
+    }
+}
+
+/// Publishes samples of one topic as bytes, with their headers as they are: for a bridge between buses.
+pub struct TopicPublisher(Enclosed<Sender>);
+
+impl TopicPublisher {
+    /// Opens the topic for writing.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when the topic can't be opened.
+    pub fn new(bus: &Bus, topic: Topic) -> Result<Self, RuntimeError> {
+        Sender::open(bus, topic.sample_type()).map(Self)
+    }
+
+    /// Publishes, and wakes the readers.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when iceoryx2 refuses.
+    ///
+    /// # Panics
+    /// When the bytes are not as many as the type of the topic has.
+    pub fn publish(&self, sample: &[u8]) -> Result<(), RuntimeError> {
+        self.0.send(sample, true)
     }
 }
 

@@ -13,6 +13,7 @@ mod builtin;
 mod companion;
 mod member;
 mod page;
+mod ports;
 mod reader;
 mod table;
 mod topic;
@@ -21,6 +22,7 @@ mod writer;
 pub use builtin::LoopTopic;
 pub use companion::Companion;
 pub use page::{CompanionPage, CompanionReport, MAX_COMPANIONS};
+pub use ports::{Delays, MAX_PORTS, PortCount, PortTable};
 pub use table::{
     AlsoReads, CompanionRow, LayoutField, LayoutFile, OPERATOR, OwnTopics, TOPICS_FILE, TopicRow,
     memory_limit,

@@ -24,6 +24,7 @@ use iceoryx2::service::static_config::message_type_details::{TypeDetail, TypeVar
 use shared_types::SampleType;
 
 use crate::RuntimeError;
+use crate::qos::PROCESS_QUEUE;
 
 /// A service for samples.
 pub(crate) type Samples =
@@ -137,6 +138,15 @@ impl Loan {
     }
 }
 
+/// How many samples of one publisher wait at a reader.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Queue {
+    /// As at the processes of the loop.
+    Process,
+    /// As many as the topic allows.
+    Observer,
+}
+
 /// Receives samples.
 #[derive(Debug)]
 pub(crate) struct ByteSubscriber {
@@ -148,9 +158,25 @@ pub(crate) struct ByteSubscriber {
 
 impl ByteSubscriber {
     /// A port that also receives as many earlier samples as the topic keeps.
-    pub(crate) fn new(service: &Samples, of: &Shape, history: usize) -> Result<Self, SubscriberCreateError> {
-        let port = service.subscriber_builder().history_request(history).create()?;
+    pub(crate) fn new(
+        service: &Samples,
+        of: &Shape,
+        queue: Queue,
+        history: usize,
+    ) -> Result<Self, SubscriberCreateError> {
+        let builder = service.subscriber_builder().history_request(history);
+        let most = service.static_config().subscriber_max_buffer_size();
+        let builder = match queue {
+            Queue::Process => builder.buffer_size(most.min(PROCESS_QUEUE)),
+            Queue::Observer => builder,
+        };
+        let port = builder.create()?;
         Ok(Self { port, topic: of.topic.clone(), size: of.size })
+    }
+
+    /// How many samples of one publisher can wait here. A reader that finds fewer has missed none.
+    pub(crate) fn capacity(&self) -> usize {
+        self.port.buffer_size()
     }
 
     /// The next sample. Samples of another size are skipped: their publisher is damaged.

@@ -26,11 +26,12 @@ use crate::input::{Input, Reader};
 use crate::orphan::OrphanCleanup;
 use crate::output::{Connect, Output, Writer, may_write};
 use crate::own::{ByteTopic, Member, NamedTopic, Place};
-use crate::reserve::require_room;
+use crate::reserve::require_room_of;
 use crate::settings::{self, RunSettings};
 use crate::shared::Shared;
 use crate::{
     Bus, Clock, Domain, Realtime, RuntimeError, Shutdown, StopWord, Wheels, domain, layouts, monotonic_ns,
+    tamper,
 };
 
 /// Time between two heartbeats: ten a second are enough to see a process live.
@@ -101,7 +102,7 @@ impl Process {
         let run: RunSettings = settings::table(&domain, role, &settings, "run")?;
         let realtime: Realtime = settings::table(&domain, role, &settings, "realtime")?;
         realtime.apply_timer_slack();
-        require_room(Some(role))?;
+        require_room_of(role, run.period_ns)?;
         let bus = Bus::open(&domain, role.name())?;
         let bells = Arc::clone(bus.bells());
         shutdown.ring_also(&bells, role)?;
@@ -113,6 +114,7 @@ impl Process {
             role,
             incarnation,
             guard: Guard::new(role, word),
+            tamper: RefCell::new(tamper::take()),
             device: RefCell::new(Device::default()),
             clock: run.clock.clock(),
             counters: Counters::default(),

@@ -9,7 +9,8 @@ pub(crate) struct Qos {
     pub(crate) publishers: usize,
     /// Readers of the loop, their standbys, the orchestrator and observers.
     pub(crate) subscribers: usize,
-    /// Samples that wait at one reader; the oldest is replaced when there are more.
+    /// Samples that wait at one observer; the oldest is replaced when there are more. A process has a shorter queue of
+    /// its own, [`Qos::of_a_process`].
     pub(crate) buffer: usize,
     /// Samples that one reader holds at a time.
     pub(crate) borrowed: usize,
@@ -18,6 +19,11 @@ pub(crate) struct Qos {
 }
 
 impl Qos {
+    /// Samples of one publisher that wait at a process of the loop.
+    pub(crate) fn of_a_process(self) -> usize {
+        self.buffer.min(PROCESS_QUEUE)
+    }
+
     /// Samples that one reader holds at a time, of all producers together.
     pub(crate) fn max_borrowed(self) -> usize {
         self.publishers * self.borrowed
@@ -51,26 +57,69 @@ fn whole_pages(bytes: usize) -> u64 {
     (bytes + FILE_EXTRA).next_multiple_of(PAGE) as u64
 }
 
-/// Nodes on one service: all processes, twice over during swaps, and observers.
-pub(crate) const NODES: usize = 32;
+/// Readers of a topic of the loop at a time: its processes, their successors, the orchestrator and observers.
+pub const MAX_READERS: usize = 24;
+/// Samples of one publisher that wait at a process of the loop, and at least so many at an observer.
+pub const PROCESS_QUEUE: usize = 16;
+/// Memory for the samples that wait at all observers of one topic, for each publisher [bytes].
+const OBSERVED_BYTES: usize = 4_000_000;
+/// Nodes on one service: all readers, and writers with their successors.
+pub(crate) const NODES: usize = 48;
 /// Processes that may notify or listen on one topic.
 pub(crate) const EVENT_PORTS: usize = 16;
 
-/// How many samples of one publisher can wait at one reader of a topic. A reader that finds fewer has missed none.
-pub fn buffer(topic: Topic) -> usize {
-    qos(topic).buffer
+/// Samples of one publisher that wait at an observer of a topic: those of one second or what fits into 4 MB for all
+/// readers, whichever is smaller, and never less than at a process.
+///
+/// `size` is that of a sample [bytes], `period_ns` the time between two samples.
+pub fn observer_queue(size: usize, period_ns: u64) -> usize {
+    let second = 1_000_000_000 / period_ns.max(1);
+    let fitting = OBSERVED_BYTES / (MAX_READERS * size.max(1));
+    usize::try_from(second).map_or(fitting, |second| second.min(fitting)).max(PROCESS_QUEUE)
 }
 
-/// The sizes of a topic.
-pub(crate) fn qos(topic: Topic) -> Qos {
-    let stream = Qos { publishers: 4, subscribers: 12, buffer: 16, borrowed: 20, history: 0 };
+/// The sizes of a topic in a system with this scan period [ns].
+pub(crate) fn qos(topic: Topic, period_ns: u64) -> Qos {
+    let buffer = observer_queue(topic.size(), period_ns);
+    let stream = Qos { publishers: 4, subscribers: MAX_READERS, buffer, borrowed: 20, history: 0 };
     match topic {
         Topic::Scan | Topic::Odometry | Topic::Pose | Topic::Obstacles | Topic::Command => stream,
-        // The ledger is made from these two: 256 samples last a quarter of a second at 1 kHz.
-        Topic::Actuation | Topic::Truth => Qos { buffer: 256, ..stream },
-        Topic::Heartbeat => Qos { publishers: 16, subscribers: 6, ..stream },
+        // The ledger is made from these two, and in lock-step a second has more scans than in real time.
+        Topic::Actuation | Topic::Truth => Qos { buffer: buffer.max(256), ..stream },
+        // Ten a second of each process, at any rate of scans. Observers alone read them.
+        Topic::Heartbeat => Qos { publishers: 16, buffer: PROCESS_QUEUE, borrowed: 4, ..stream },
         // In lock-step each scan is granted by one: a recorder takes them a few scans later.
-        Topic::Directive => Qos { publishers: 2, subscribers: 24, buffer: 16, borrowed: 2, history: 1 },
+        Topic::Directive => Qos { publishers: 2, buffer: PROCESS_QUEUE, borrowed: 2, history: 1, ..stream },
         Topic::Checkpoint => Qos { publishers: 16, subscribers: 12, buffer: 4, borrowed: 2, history: 1 },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use shared_types::Role;
+
+    use super::*;
+
+    #[test]
+    fn an_observer_queues_one_second_or_four_megabytes_of_all_readers_and_at_least_sixteen() {
+        let (ten_hz, hundred_hz, kilohertz) = (100_000_000, 10_000_000, 1_000_000);
+        // A second has ten samples, which is less than a process queues.
+        assert_eq!(observer_queue(1576, ten_hz), 16);
+        assert_eq!(observer_queue(256, hundred_hz), 100);
+        // 4,000,000 / (24 x 256) = 651.04 and 4,000,000 / (24 x 1576) = 105.8.
+        assert_eq!(observer_queue(256, kilohertz), 651);
+        assert_eq!(observer_queue(1576, kilohertz), 105);
+        assert_eq!(observer_queue(4_000_000, kilohertz), 16);
+        assert_eq!(observer_queue(0, 0), 4_000_000 / 24, "nothing is divided by zero");
+    }
+
+    #[test]
+    fn every_topic_of_the_loop_has_room_for_24_readers_and_processes_queue_sixteen_at_any_rate() {
+        for topic in Role::ALL.iter().flat_map(|role| role.writes()) {
+            for period_ns in [1_000_000, 100_000_000] {
+                let qos = qos(*topic, period_ns);
+                assert_eq!((qos.subscribers, qos.of_a_process()), (24, 16), "{topic}");
+            }
+        }
     }
 }

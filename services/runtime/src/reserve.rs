@@ -29,6 +29,8 @@ pub(crate) const NODE_BYTES: u64 = 128 << 10;
 const SERVICE_BYTES: u64 = 64 << 10;
 /// Size of one block of `st_blocks` [bytes].
 const BLOCK: u64 = 512;
+/// Shortest scan period; longer ones need less memory [ns].
+const MIN_PERIOD_NS: u64 = 1_000_000;
 /// A running process gives a new file its length within this time.
 const FILE_MADE: Duration = Duration::from_millis(20);
 
@@ -56,26 +58,34 @@ impl Reserve {
         }
     }
 
-    /// Memory of one more process, of the role that needs most [bytes].
-    pub fn of_a_process() -> u64 {
-        Role::ALL.iter().map(|role| process_bytes(*role)).max().unwrap_or_default()
+    /// Memory of one more process in a system with this scan period, of the role that needs most [bytes].
+    pub fn of_a_process(period_ns: u64) -> u64 {
+        Role::ALL.iter().map(|role| process_bytes(*role, period_ns)).max().unwrap_or_default()
     }
 
     /// Memory of a system: all services, all processes, the orchestrator, and one more process [bytes].
-    pub fn of_a_system() -> u64 {
+    pub fn of_a_system(period_ns: u64) -> u64 {
         let services = SERVICE_BYTES * TOPICS.len() as u64;
-        let processes: u64 = Role::ALL.iter().map(|role| process_bytes(*role)).sum();
-        let orchestrator = observer_bytes() + output_bytes(Topic::Directive);
-        services + processes + orchestrator + Self::of_a_process()
+        let processes: u64 = Role::ALL.iter().map(|role| process_bytes(*role, period_ns)).sum();
+        let orchestrator = observer_bytes(period_ns) + output_bytes(Topic::Directive, period_ns);
+        services + processes + orchestrator + Self::of_a_process(period_ns)
     }
 }
 
-/// Checks that there is room for the ports of a process of a role, or of an observer.
+/// Checks that there is room for the ports of a process of a role.
 ///
 /// # Errors
 /// [`RuntimeError::SharedMemory`] when there is not.
-pub(crate) fn require_room(role: Option<Role>) -> Result<(), RuntimeError> {
-    require(&directory()?, role.map_or_else(observer_bytes, process_bytes))
+pub(crate) fn require_room_of(role: Role, period_ns: u64) -> Result<(), RuntimeError> {
+    require(&directory()?, process_bytes(role, period_ns))
+}
+
+/// Checks that there is room for the ports of an observer, at any scan period.
+///
+/// # Errors
+/// [`RuntimeError::SharedMemory`] when there is not.
+pub(crate) fn require_room() -> Result<(), RuntimeError> {
+    require(&directory()?, observer_bytes(MIN_PERIOD_NS))
 }
 
 fn directory() -> Result<OwnedFd, RuntimeError> {
@@ -163,20 +173,22 @@ fn error(reason: Errno) -> RuntimeError {
 }
 
 /// Shared memory of a process of a role, and of the orchestrator to watch its outputs, at most [bytes].
-pub(crate) fn process_bytes(role: Role) -> u64 {
+pub(crate) fn process_bytes(role: Role, period_ns: u64) -> u64 {
+    let (output, input) =
+        (|topic: Topic| output_bytes(topic, period_ns), |topic: Topic| input_bytes(topic, period_ns));
     let written = TOPICS.iter().filter(|topic| topic.writer() == Some(role));
-    let common = output_bytes(Topic::Heartbeat)
-        + output_bytes(Topic::Checkpoint)
-        + input_bytes(Topic::Checkpoint)
-        + input_bytes(Topic::Directive);
-    let outputs: u64 = written.map(|topic| output_bytes(*topic) + input_bytes(*topic)).sum();
-    let inputs: u64 = role.reads().iter().map(|topic| input_bytes(*topic)).sum();
+    let common = output(Topic::Heartbeat)
+        + output(Topic::Checkpoint)
+        + input(Topic::Checkpoint)
+        + input(Topic::Directive);
+    let outputs: u64 = written.map(|topic| output(*topic) + input(*topic)).sum();
+    let inputs: u64 = role.reads().iter().map(|topic| input(*topic)).sum();
     NODE_BYTES + common + outputs + inputs
 }
 
 /// Shared memory of an observer of all topics, at most [bytes].
-fn observer_bytes() -> u64 {
-    NODE_BYTES + TOPICS.iter().map(|topic| input_bytes(*topic)).sum::<u64>()
+fn observer_bytes(period_ns: u64) -> u64 {
+    NODE_BYTES + TOPICS.iter().map(|topic| input_bytes(*topic, period_ns)).sum::<u64>()
 }
 
 /// Shared memory of a topic that a system file adds: its services, its writer and the successor of it, and all readers that
@@ -192,8 +204,8 @@ pub(crate) fn total() -> Result<Option<u64>, RuntimeError> {
 }
 
 /// Samples of one publisher, and its connections to all readers that there may be [bytes].
-fn output_bytes(topic: Topic) -> u64 {
-    output_of(qos(topic), topic.size())
+fn output_bytes(topic: Topic, period_ns: u64) -> u64 {
+    output_of(qos(topic, period_ns), topic.size())
 }
 
 fn output_of(qos: Qos, size: usize) -> u64 {
@@ -201,8 +213,8 @@ fn output_of(qos: Qos, size: usize) -> u64 {
 }
 
 /// Connections of one reader to all publishers that there may be [bytes].
-fn input_bytes(topic: Topic) -> u64 {
-    input_of(qos(topic))
+fn input_bytes(topic: Topic, period_ns: u64) -> u64 {
+    input_of(qos(topic, period_ns))
 }
 
 fn input_of(qos: Qos) -> u64 {

@@ -7,6 +7,7 @@ use shared_types::{Device, Directive, Header, Role, StageStamps, Topic, YOUNG_NS
 use crate::Clock;
 use crate::counters::Counters;
 use crate::guard::Guard;
+use crate::tamper::Tamper;
 
 /// Inputs older than this many scan periods are dropped when they arrive, unless they are younger than [`YOUNG_NS`].
 const MAX_AGE_PERIODS: u64 = 3;
@@ -20,6 +21,8 @@ pub(crate) struct Shared {
     pub(crate) stamps: Cell<StageStamps>,
     pub(crate) directive: RefCell<Directive>,
     pub(crate) guard: Guard,
+    /// Fault injection, where the run allows it.
+    pub(crate) tamper: RefCell<Option<Box<dyn Tamper>>>,
     /// What the devices behind this process do, for the heartbeat.
     pub(crate) device: RefCell<Device>,
     /// Scan period [ns].

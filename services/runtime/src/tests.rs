@@ -1,7 +1,9 @@
 //! Samples through real shared memory: what comes out of an input, and what never does.
 
 mod preparing;
+mod queues;
 mod reserve;
+mod tampering;
 mod typed;
 mod waking;
 
@@ -19,6 +21,9 @@ use crate::output::Output;
 use crate::shared::Shared;
 use crate::{Bus, Clock, Domain, Observer, Process, Publisher};
 
+/// Scan period of all systems here [ns].
+const PERIOD_NS: u64 = 1_000_000_000;
+
 static NEXT: AtomicU32 = AtomicU32::new(0);
 
 /// A system of its own in shared memory, removed at the end.
@@ -31,7 +36,7 @@ impl Lab {
     fn new() -> Self {
         let id = format!("u{}-{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
         let domain = Domain::create(&id).unwrap();
-        Self { bus: Some(Bus::create(&domain).unwrap()), domain }
+        Self { bus: Some(Bus::create(&domain, PERIOD_NS).unwrap()), domain }
     }
 
     fn bus(&self) -> &Bus {
@@ -57,6 +62,7 @@ impl Lab {
             role,
             incarnation,
             guard: crate::guard::Guard::new(role, None),
+            tamper: RefCell::default(),
             device: RefCell::default(),
             clock: Clock::simulated(),
             counters: Counters::default(),

@@ -1,6 +1,8 @@
-//! A companion that behaves as its argument says: `echo`, `read`, `die`, `hang`, `flood`, `garbage`, `command` or `leak`.
+//! A companion that behaves as its argument says: `echo`, `read`, `shifted`, `other-layout`, `die`, `hang`, `flood`,
+//! `garbage`, `command` or `leak`.
 //!
-//! It reads `odometry` and writes the topic `echo`; `read` reads `echo` and writes nothing.
+//! It reads `odometry` and writes the topic `echo`; `read` reads `echo` and writes nothing. `shifted` publishes other
+//! numbers, `other-layout` was built against another layout.
 
 use std::process::ExitCode;
 
@@ -14,6 +16,18 @@ shared_types::plain_state! {
         pub header: Header,
         /// Number of the scan
         pub value: f64,
+        /// When the process that published it worked on it
+        pub stage: StageStamps,
+    }
+}
+
+shared_types::plain_state! {
+    /// [`Echo`] with a field of another type.
+    pub struct OtherEcho {
+        /// Identity and stamps of the sample that this one answers
+        pub header: Header,
+        /// Number of the scan
+        pub value: u64,
         /// When the process that published it worked on it
         pub stage: StageStamps,
     }
@@ -59,6 +73,10 @@ fn read() -> Result<ExitCode, RuntimeError> {
 fn write(mode: &str) -> Result<ExitCode, RuntimeError> {
     let mut companion = Companion::attach()?;
     let odometry = companion.input::<Odometry>()?;
+    if mode == "other-layout" {
+        companion.open::<OtherEcho>("echo")?;
+    }
+    let shift = if mode == "shifted" { 0.5 } else { 0.0 };
     let echo = companion.open::<Echo>("echo")?;
     let mut commands = Vec::new();
     if mode == "command" {
@@ -72,7 +90,7 @@ fn write(mode: &str) -> Result<ExitCode, RuntimeError> {
     while companion.wait(None)? {
         while let Some(measured) = odometry.take()? {
             answered += 1;
-            publish(&echo, &measured.header, measured.header.scan_id as f64)?;
+            publish(&echo, &measured.header, measured.header.scan_id as f64 + shift)?;
             if answered <= GOOD_SAMPLES {
                 continue;
             }

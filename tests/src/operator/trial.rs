@@ -131,7 +131,7 @@ impl Trial {
     /// `run`, with a folder of its own for its results.
     fn run_command(&self) -> Command {
         let out = format!("out{}", self.programs.len());
-        let mut arguments = vec!["run", "--out", &out];
+        let mut arguments = vec!["run", "--out", &out, "--set", "recording.ring_s=0"];
         arguments.extend(self.choice.iter().map(String::as_str));
         self.system.command(&arguments)
     }

@@ -4,6 +4,7 @@
 use std::process::Output;
 
 use emulator::Outcome;
+use handover::swap::{Certificate, SwapOutcome};
 use report::Report;
 use rustix::process::Signal;
 use scanloop_tests::{SHORT_FREE, System};
@@ -118,9 +119,108 @@ fn a_companion_is_replaced_and_restarted_while_the_robot_drives() {
     let unknown = system.run(&["restart", "pilot"]);
     assert_eq!(unknown.status.code(), Some(2));
     assert!(text(&unknown).contains("unknown role `pilot`"), "{}", text(&unknown));
-    let (report, stderr) = reached(system);
-    assert!(stderr.contains("companion writer was replaced at scan") || second != first, "{stderr}");
+    let (report, _) = reached(system);
+    assert_ne!(second, first);
     assert!(report.companions.iter().all(|companion| companion.invalid == 0), "{report:?}");
+    let [swap, restart] = report.swaps.as_slice() else { panic!("{:?}", report.swaps) };
+    assert_eq!((swap.role.as_str(), restart.role.as_str()), ("writer", "reader"));
+    for certificate in [swap, restart] {
+        assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{certificate}");
+    }
+    assert_eq!((swap.missed_scans, swap.duplicate_scans), (0, 0), "{swap}");
+}
+
+/// A system whose topic `echo` has a bound of agreement.
+fn bounded() -> System {
+    let mut system = system_with("echo", "");
+    let file = system.folder().join("lab.toml");
+    let lab = std::fs::read_to_string(&file).unwrap();
+    let topic = "layout = \"echo.toml\"\n";
+    let bounded = lab.replacen(topic, &format!("{topic}agree = [{{ field = \"value\", bound = 0.1 }}]\n"), 1);
+    std::fs::write(&file, bounded).unwrap();
+    system.start(&[&["free"][..], &SYSTEM].concat());
+    system
+}
+
+#[test]
+fn with_a_bound_a_companion_takes_over_after_scans_that_agree_and_one_that_differs_is_refused() {
+    let system = bounded();
+    let swap = |mode: &str| {
+        let output = system.run(&["swap", "writer", "--shadow-scans", "5", "--json", "--", COMPANION, mode]);
+        let certificate: Certificate = serde_json::from_slice(&output.stdout)
+            .unwrap_or_else(|error| panic!("{error}: {}", text(&output)));
+        (output.status.code(), certificate)
+    };
+    let (code, refused) = swap("shifted");
+    assert_eq!((code, refused.outcome), (Some(1), SwapOutcome::Refused), "{refused}");
+    assert!(
+        refused.reason.contains("field value of topic echo differs by 0.5") && refused.reason.contains("0.1"),
+        "{refused}"
+    );
+    let (code, swapped) = swap("echo");
+    assert_eq!((code, swapped.outcome), (Some(0), SwapOutcome::Swapped), "{swapped}");
+    assert!(swapped.shadow_scans >= 5 && swapped.first_scan_new > Some(10), "{swapped:?}");
+    assert_eq!((swapped.missed_scans, swapped.duplicate_scans), (0, 0), "{swapped}");
+    let (report, _) = reached(system);
+    assert_eq!(report.swaps, [refused, swapped]);
+    let row = report.ledger.companions.iter().find(|row| row.reader == "reader").unwrap();
+    assert!(row.reasons["no_authority"] >= 5 && row.residual == 0, "samples of the one in shadow: {row:?}");
+}
+
+#[test]
+fn the_ledger_and_the_latency_know_topics_beside_the_loop() {
+    let system = started("echo", "");
+    system.wait_until("it is ready", |system| companion(system, "writer").is_some_and(|it| it.published > 3));
+    let live = system.run(&["latency", "--duration", "1", "--json"]);
+    let live: serde_json::Value = serde_json::from_slice(&live.stdout).unwrap();
+    let rows = live["latency_us"]["companions"].as_array().unwrap();
+    assert!(rows.iter().any(|row| row["topic"] == "echo" && row["writes"] == true), "{rows:?}");
+    let (report, _) = reached(system);
+    let row = |topic: &str, reader: &str| {
+        let found =
+            report.ledger.companions.iter().find(|row| (&*row.topic, &*row.reader) == (topic, reader));
+        found.unwrap_or_else(|| panic!("{:?}", report.ledger.companions)).clone()
+    };
+    for row in [row("odometry", "writer"), row("echo", "reader")] {
+        let sum = row.used + row.replaced + row.lost + row.in_flight + row.residual;
+        assert!(row.used > 20 && row.published == sum && row.residual == 0, "{row:?}");
+    }
+    let delay = |process: &str, writes: bool| {
+        let rows = report.latency_us.companions.iter();
+        rows.clone()
+            .find(|row| row.topic == "echo" && row.process == process && row.writes == writes)
+            .cloned()
+    };
+    let (published, taken) = (delay("writer", true).unwrap(), delay("reader", false).unwrap());
+    assert!(published.count > 20 && taken.count > 20, "{published:?} {taken:?}");
+    assert!(taken.mean_us > 0.0 && published.mean_us <= published.max_us, "{published:?} {taken:?}");
+}
+
+#[test]
+fn one_that_was_built_against_another_layout_is_refused_with_the_field() {
+    let (report, stderr) = reached(started("other-layout", "restart = \"never\""));
+    let message = "topic echo: field value is of type u64 in this process, f64 in the system";
+    assert!(stderr.contains(message), "{stderr}");
+    assert_eq!((report.companions[0].state.as_str(), report.companions[0].published), ("failed", 0));
+}
+
+#[test]
+fn companions_of_an_adopted_run_are_started_again() {
+    let mut system = started("echo", "");
+    system.wait_until("it is ready", |system| companion(system, "writer").is_some_and(|it| it.published > 3));
+    let before = companion(&system, "writer").unwrap().pid;
+    system.kill_orchestrator();
+    system.adopt(&[]);
+    system.wait_until("it is there again", |system| {
+        companion(system, "writer").is_some_and(|it| it.pid != before && it.published > 3)
+    });
+    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+    let report = system.report();
+    assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Reached, 0));
+    assert_eq!(report.companions.len(), 2);
+    let row = report.ledger.companions.iter().find(|row| row.reader == "reader").unwrap();
+    assert!(row.used > 3 && row.residual == 0, "{row:?}");
+    system.assert_nothing_left();
 }
 
 #[test]
@@ -149,21 +249,31 @@ fn one_that_is_needed_ends_the_run_when_it_has_failed() {
 
 #[test]
 fn one_that_floods_its_topic_loses_its_own_samples_only() {
-    let (report, _) = reached(started("flood", ""));
+    let (report, stderr) = reached(started("flood", ""));
     assert!(report.companions[0].published > 10_000, "{report:?}");
+    let row = report.ledger.companions.iter().find(|row| row.reader == "reader").unwrap();
+    assert!(row.reasons["queue_full"] > 1000 && row.residual == 0, "{row:?}");
+    let message = "reader dropped samples of topic echo: more came at once than its queue holds";
+    assert!(stderr.contains(message), "{stderr}");
 }
 
 #[test]
 fn numbers_that_are_not_finite_do_not_reach_a_reader() {
     let (report, stderr) = reached(started("garbage", ""));
     assert!(report.companions[1].invalid > 10, "{report:?}");
+    let message = "reader dropped samples of topic echo: a number is not finite";
+    assert!(stderr.contains(message), "{stderr}");
     assert!(!stderr.contains("companion reader ended"), "{stderr}");
 }
 
 #[test]
 fn commands_of_a_companion_are_dropped() {
-    let (report, _) = reached(started("command", ""));
+    let (report, stderr) = reached(started("command", ""));
     assert!(report.companions[0].published > 20, "{report:?}");
+    let [stranger] = report.ledger.strangers.as_slice() else { panic!("{:?}", report.ledger.strangers) };
+    assert_eq!((stranger.topic.as_str(), stranger.incarnation), ("command", 4_000_000));
+    assert!(stranger.samples > 10, "{stranger:?}");
+    assert!(stderr.contains("incarnation 4000000 publishes on topic command and fills no role"), "{stderr}");
 }
 
 #[test]

@@ -1,11 +1,17 @@
 //! The example with an inertial sensor: a companion measures, an estimator of your own uses it.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use emulator::Outcome;
+use runtime::LayoutFile;
 use scanloop_tests::System;
+
+/// The struct of the example, from its own source.
+#[path = "../../../examples/rust/imu/src/imu.rs"]
+mod imu;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 const SENSOR: &str = env!("CARGO_BIN_EXE_imu-sensor-under-test");
@@ -81,6 +87,51 @@ fn the_struct_of_the_example_is_what_the_executable_prints() {
         assert!(printed.contains(expected), "{printed}");
         if form == "--rust" {
             assert_eq!(printed, std::fs::read_to_string(example().join("src/imu.rs")).unwrap());
+        }
+    }
+}
+
+#[test]
+fn the_layout_file_of_the_example_is_what_its_struct_gives() {
+    let layout = LayoutFile::of::<imu::Imu>("What an inertial sensor measures between two scans.").unwrap();
+    let file = std::fs::read_to_string(example().join("imu.toml")).unwrap();
+    assert_eq!(file.parse::<LayoutFile>().unwrap(), layout);
+    assert_eq!(layout.text().parse::<LayoutFile>().unwrap(), layout, "{}", layout.text());
+}
+
+/// Contents of all files of the product: its sources, and the executable.
+fn product() -> BTreeMap<PathBuf, Vec<u8>> {
+    fn add(folder: &Path, found: &mut BTreeMap<PathBuf, Vec<u8>>) {
+        for entry in std::fs::read_dir(folder).unwrap().map(Result::unwrap) {
+            let path = entry.path();
+            match path.is_dir() {
+                true => add(&path, found),
+                false => _ = found.insert(path.clone(), std::fs::read(&path).unwrap()),
+            }
+        }
+    }
+    let mut found = BTreeMap::new();
+    for folder in ["shared-types", "services", "orchestrator"] {
+        add(&Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(folder), &mut found);
+    }
+    found.insert(EXECUTABLE.into(), std::fs::read(EXECUTABLE).unwrap());
+    found
+}
+
+#[test]
+fn the_examples_need_no_change_of_the_product() {
+    let before = product();
+    assert!(yaw_error_rad(1, &[]) > 0.0);
+    let after = product();
+    let changed: Vec<_> = before.keys().filter(|path| before.get(*path) != after.get(*path)).collect();
+    assert!(changed.is_empty() && before.len() == after.len(), "{changed:?}");
+    // Nor does the product know the programs, topics and settings of the examples.
+    for (path, content) in before.iter().filter(|(path, _)| path.extension().is_some_and(|end| end == "rs")) {
+        let text = String::from_utf8_lossy(content);
+        let code = text.lines().filter(|line| !line.trim_start().starts_with("//"));
+        let code = code.take_while(|line| !line.contains("#[cfg(test)]"));
+        for name in ["imu-sensor", "imu-estimator", "imu-judge", "advisor.py", "speed-limit"] {
+            assert!(!code.clone().any(|line| line.contains(name)), "{} in {}", name, path.display());
         }
     }
 }

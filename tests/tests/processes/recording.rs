@@ -1,11 +1,15 @@
 //! Drives that are recorded, recordings that are cut off, and replays.
 
+mod incidents;
+mod replay;
+
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
 use recording::mcap::{Channel, Reader, Schema, Writer};
 use rustix::process::Signal;
+use scanloop_tests::namespace::is_inside;
 use scanloop_tests::{SHORT_CORRIDOR, SHORT_FREE, System};
 use serde_json::Value;
 
@@ -14,7 +18,7 @@ use crate::languages::tools;
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 /// A recorded drive in lock-step; its system and the recording.
-fn recorded(arguments: &[&str]) -> (System, PathBuf) {
+pub(crate) fn recorded(arguments: &[&str]) -> (System, PathBuf) {
     let system = System::new(EXECUTABLE);
     let report = system.lockstep(&[arguments, &["--record=drive.mcap"]].concat());
     let recording = report.recording.expect("a recording");
@@ -92,8 +96,29 @@ fn a_flipped_bit_is_found_with_its_field() {
 
 /// Copies a recording; `change` gets the number and the bytes of each message of a channel.
 fn rewrite(from: &Path, to: &Path, topic: &str, change: impl Fn(usize, &mut [u8])) {
+    let mut number = 0;
+    rewrite_with(
+        from,
+        to,
+        |_, data| data.to_vec(),
+        |of, _, data| {
+            if of == topic {
+                change(number, data);
+                number += 1;
+            }
+        },
+    );
+}
+
+/// Copies a recording with other files and other messages; messages come with topic and sequence.
+fn rewrite_with(
+    from: &Path,
+    to: &Path,
+    file: impl Fn(&str, &[u8]) -> Vec<u8>,
+    mut change: impl FnMut(&str, u32, &mut [u8]),
+) {
     let mut reader = Reader::new(File::open(from).expect("of a test")).expect("of a test");
-    let (mut writer, mut number) = (None, 0);
+    let mut writer = None;
     while let Some(message) = reader.next_message().expect("of a test") {
         let (channel, sequence, log_ns, mut data) =
             (message.channel, message.sequence, message.log_ns, message.data.to_vec());
@@ -104,16 +129,14 @@ fn rewrite(from: &Path, to: &Path, topic: &str, change: impl Fn(usize, &mut [u8]
             let channels: Vec<Channel> = contents.channels.values().map(lowered).collect();
             let mut writer = Writer::new(File::create(to).expect("of a test"), "test", &schemas, &channels)
                 .expect("of a test");
-            for file in &contents.attachments {
-                writer.attach(&file.name, &file.media_type, &file.data, 0).expect("of a test");
+            for attached in &contents.attachments {
+                let data = file(&attached.name, &attached.data);
+                writer.attach(&attached.name, &attached.media_type, &data, 0).expect("of a test");
             }
             writer
         });
-        if contents.channels[&channel].topic == topic {
-            change(number, &mut data);
-            number += 1;
-        }
-        writer.message(channel, sequence, log_ns, &data).expect("of a test");
+        change(&contents.channels[&channel].topic, sequence, &mut data);
+        writer.message(channel, sequence, log_ns, &[&data]);
     }
     writer.expect("of a test").finish().expect("of a test");
 }
@@ -133,6 +156,12 @@ fn a_recording_that_is_cut_off_is_read_and_repaired_up_to_its_last_second() {
     let mended = json(&system.run(&["recording", "info", text(&repaired), "--json"]));
     assert_eq!((&mended["complete"], &mended["channels"]), (&true.into(), &info["channels"]));
     assert_eq!(replayed(&system, &repaired, &[]).1, 0);
+    let output = system.run(&["replay", text(&cut)]);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        output.status.code() == Some(0) && message.contains("warning") && message.contains("cut off"),
+        "{message}"
+    );
 }
 
 #[test]
@@ -183,6 +212,40 @@ fn a_recorder_that_is_killed_costs_no_scan_and_leaves_a_readable_file() {
     system.assert_nothing_left();
 }
 
+#[test]
+fn a_disk_that_fills_up_costs_no_scan_and_the_loss_is_told() {
+    let name = concat!(module_path!(), "::a_disk_that_fills_up_costs_no_scan_and_the_loss_is_told");
+    if !is_inside(name, "mount -t tmpfs -o size=200k tmpfs /mnt &&", |_| {}) {
+        return;
+    }
+    let mut system = System::new(EXECUTABLE);
+    system.start(&[&SHORT_FREE[..], &["--record=/mnt/drive.mcap"]].concat());
+    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+    let report = system.report();
+    assert_eq!((report.scans.lost, report.scans.unaccounted, report.ledger.residual), (0, 0, 0));
+    let recording = report.recording.expect("of a test");
+    assert!(recording.error.contains("No space left"), "{recording:?}");
+    assert!(recording.samples > 0 && recording.lost > 0, "{recording:?}");
+    assert!(system.stderr().contains("the rest of the drive is not recorded: No space left"));
+    let info = json(&system.run(&["recording", "info", text(&recording.file), "--json"]));
+    assert!(info["complete"] == false && info["duration_s"].as_f64() > Some(0.5), "{info}");
+    assert_eq!(replayed(&system, &recording.file, &[]).1, 0);
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_disk_that_is_full_at_the_start_is_an_error_before_the_drive() {
+    let system = System::new(EXECUTABLE);
+    std::fs::create_dir_all(system.folder().join("out")).expect("of a test");
+    // Every write to this device fails as on a full disk.
+    std::os::unix::fs::symlink("/dev/full", system.folder().join("out/recording.mcap")).expect("of a test");
+    let output = system.run(&["run", "free", "--out", "out", "--record"]);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(4), "{message}");
+    assert!(message.contains("the recorder did not start") && message.contains("No space left"), "{message}");
+    system.assert_nothing_left();
+}
+
 /// The process that records a system.
 fn recorder_of(system: &System) -> Option<i32> {
     let processes = std::fs::read_dir("/proc").expect("of a test").flatten();
@@ -207,21 +270,6 @@ fn a_live_drive_with_a_restart_and_a_swap_is_replayed_to_the_bit() {
     let (report, code) = replayed(&system, &file, &[]);
     assert_eq!((code, &report["identical"]), (0, &report["compared"]), "{report}");
     system.assert_nothing_left();
-}
-
-#[test]
-fn another_setting_is_judged_by_the_bounds_of_a_swap() {
-    let (system, file) = recorded(&SHORT_CORRIDOR);
-    let (same, code) =
-        replayed(&system, &file, &["--stage", "controller", "--set", "controller.horizon_s=5.5"]);
-    assert_eq!((code, &same["beyond"]), (0, &0.into()), "{same}");
-    let change = ["--stage", "controller", "--set", "controller.horizon_s=3.0", "--tolerance", "0"];
-    let (other, code) = replayed(&system, &file, &change);
-    assert_eq!(code, 1, "{other}");
-    assert!(other["beyond"].as_u64() > Some(0), "{other}");
-    let unknown = system.run(&["replay", text(&file), "--set", "controller.horizon=2"]);
-    assert_eq!(unknown.status.code(), Some(2));
-    assert!(String::from_utf8_lossy(&unknown.stderr).contains("unknown key horizon"));
 }
 
 #[test]

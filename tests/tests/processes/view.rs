@@ -7,21 +7,23 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 
 use rustix::process::{Pid, Signal, kill_process};
-use scanloop_tests::{DEADLINE, System};
+use scanloop_tests::{DEADLINE, SHORT_CORRIDOR, System};
 use serde_json::Value;
 use shared_types::Role;
+
+use crate::recording::recorded;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 /// A page that is served; it ends with the value.
-struct View {
+pub(crate) struct View {
     process: Child,
-    address: String,
+    pub(crate) address: String,
     token: String,
 }
 
 impl View {
-    fn start(system: &System, options: &[&str]) -> Self {
+    pub(crate) fn start(system: &System, options: &[&str]) -> Self {
         let mut command = system.command(&[&["view", "--port", "0"], options].concat());
         let mut process = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let mut link = String::new();
@@ -30,7 +32,7 @@ impl View {
         Self { process, address, token }
     }
 
-    fn ask(&self, request: &str, headers: &str, body: &str) -> (u16, String) {
+    pub(crate) fn ask(&self, request: &str, headers: &str, body: &str) -> (u16, String) {
         ask(&self.address, request, headers, body)
     }
 
@@ -44,7 +46,7 @@ impl View {
         self.json("/system")
     }
 
-    fn wait_for(&self, system: &System, what: &str, condition: impl Fn(&Value) -> bool) -> Value {
+    pub(crate) fn wait_for(&self, system: &System, what: &str, condition: impl Fn(&Value) -> bool) -> Value {
         system.wait_until(what, |_| condition(&self.system()));
         self.system()
     }
@@ -62,7 +64,7 @@ impl View {
         self.ask("POST /control", &headers, body)
     }
 
-    fn end(mut self) -> (ExitStatus, String) {
+    pub(crate) fn end(mut self) -> (ExitStatus, String) {
         kill_process(Pid::from_child(&self.process), Signal::TERM).unwrap();
         let mut log = String::new();
         self.process.stderr.take().unwrap().read_to_string(&mut log).unwrap();
@@ -122,7 +124,7 @@ fn rows(status: &Value) -> Vec<[Value; 4]> {
     status["processes"].as_array().unwrap().iter().map(|row| keys.map(|key| row[key].clone())).collect()
 }
 
-fn is_driving(system: &Value) -> bool {
+pub(crate) fn is_driving(system: &Value) -> bool {
     let has_scans = system["status"]["scan"].as_u64().is_some_and(|scan| scan > 3);
     system["connection"] == "live" && system["status"]["state"] == "driving" && has_scans
 }
@@ -224,6 +226,77 @@ fn a_port_in_use_is_refused_before_anything_starts() {
     assert_eq!(output.status.code(), Some(2), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
+#[test]
+fn a_recording_is_shown_frame_by_frame() {
+    let (system, file) = recorded(&SHORT_CORRIDOR);
+    let report = system.report();
+    let path = file.to_str().unwrap();
+    let view = View::start(&system, &[path]);
+    let shown = view.system();
+    assert_eq!(
+        (&shown["connection"], &shown["file"], &shown["scenario"], &shown["complete"]),
+        (&"recording".into(), &"drive.mcap".into(), &report.scenario.as_str().into(), &true.into()),
+        "{shown}"
+    );
+    assert_eq!(shown["course"]["body"]["length_m"], 0.56, "{shown}");
+    let history = view.json("/history");
+    let rows = history["rows"].as_array().unwrap();
+    let mut scans: Vec<u64> = rows.iter().map(|row| row["scan_id"].as_u64().unwrap()).collect();
+    // The wheels are blocked once more at the end.
+    scans.dedup();
+    assert_eq!(scans, (1..=report.scans.published).collect::<Vec<_>>(), "a frame per scan at 10 Hz");
+    let texts = history["events"].to_string();
+    assert!(texts.contains("landed"), "{texts}");
+    // Backwards: a frame does not depend on those that were shown before.
+    for row in rows.iter().rev().step_by(17) {
+        let at_ms = (row["time_s"].as_f64().unwrap() * 1e3).ceil();
+        let frame = view.json(&format!("/frame?at_ms={at_ms}"));
+        assert_eq!(&frame["row"], row);
+        let scan = row["scan_id"].as_u64().unwrap();
+        for part in ["scan", "pose", "command", "actuation"] {
+            assert_eq!(frame[part]["scan_id"].as_u64(), Some(scan), "{part} of {frame}");
+        }
+        let [_, x_m, y_m, _] = report.trajectory[scan as usize - 1];
+        let far = |key: &str, expected: f64| (frame["truth"][key].as_f64().unwrap() - expected).abs();
+        assert!(far("x_m", x_m) < 2e-4 && far("y_m", y_m) < 2e-4, "{frame}");
+        let processes = frame["system"]["status"]["processes"].as_array().unwrap();
+        assert_eq!((processes.len(), &processes[3]["implementation"]), (5, &"nmpc".into()), "{frame}");
+    }
+    let last = view.json("/frame?at_ms=9999999");
+    assert_eq!(last["row"]["scan_id"].as_u64(), Some(report.scans.published));
+    assert_eq!(view.ask("GET /frame?at_ms=soon", "", "").0, 404);
+    assert_eq!(view.act(r#"{"action":"stop"}"#, true).0, 400, "there is nothing to control");
+    let (ended, log) = view.end();
+    assert_eq!(ended.code(), Some(0), "{log}");
+
+    // What a crash left of the file is shown; what is no recording is refused as by `recording info`.
+    let bytes = std::fs::read(&file).unwrap();
+    let place = |name: &str| system.folder().join(name);
+    std::fs::write(place("cut.mcap"), &bytes[..bytes.len() * 2 / 3]).unwrap();
+    let view = View::start(&system, &[place("cut.mcap").to_str().unwrap()]);
+    assert_eq!(view.system()["complete"], false);
+    let left = view.json("/history")["rows"].as_array().unwrap().len();
+    assert!((1..rows.len()).contains(&left), "{left} of {}", rows.len());
+    std::fs::write(place("empty.mcap"), "").unwrap();
+    std::fs::write(place("text.mcap"), "drive").unwrap();
+    std::fs::write(place("start.mcap"), &bytes[..2000]).unwrap();
+    let mut flipped = bytes.clone();
+    flipped[bytes.len() / 2] ^= 1;
+    std::fs::write(place("flipped.mcap"), flipped).unwrap();
+    for name in ["missing.mcap", "empty.mcap", "text.mcap", "start.mcap", "flipped.mcap"] {
+        let path = place(name);
+        let refusal = |arguments: &[&str]| {
+            let output = system.run(&[arguments, &[path.to_str().unwrap()]].concat());
+            (output.status.code(), String::from_utf8(output.stderr).unwrap(), output.stdout)
+        };
+        let (code, message, printed) = refusal(&["view", "--port", "0"]);
+        assert_eq!((code, printed.len(), message.lines().count()), (Some(2), 0, 1), "{message}");
+        assert!(message.contains(name), "{message}");
+        assert_eq!(refusal(&["recording", "info"]).1, message, "both say the same");
+    }
+    assert_eq!(system.run(&["view", path, "--control"]).status.code(), Some(2));
+}
+
 fn browser_test(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("browser").join(name)
 }
@@ -266,4 +339,19 @@ fn the_page_works_in_a_browser() {
     system.wait_until("the button has stopped the run", |system| system.find().is_none());
     system.wait();
     assert_eq!(system.report().scans.unaccounted, 0);
+}
+
+#[test]
+fn a_recording_plays_in_a_browser() {
+    if !has_browser("a_recording_plays_in_a_browser") {
+        return;
+    }
+    let (system, file) = recorded(&SHORT_CORRIDOR);
+    let view = View::start(&system, &[file.to_str().unwrap()]);
+    let output = Command::new("python3")
+        .arg(browser_test("recording.py"))
+        .arg(format!("http://{}/", view.address))
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }

@@ -1,7 +1,9 @@
 //! Scans, samples and refusals as `report.json` has them.
 
 use std::collections::BTreeMap;
+use std::fmt;
 
+use runtime::Delays;
 use serde::{Deserialize, Serialize};
 
 use super::fault::Fault;
@@ -45,6 +47,12 @@ pub struct LedgerReport {
     pub unobserved: u64,
     /// Counts per topic and role that reads it.
     pub topics: Vec<LedgerRow>,
+    /// Counts per topic and process beside the loop: topics of your own, and what companions read of the loop.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub companions: Vec<LedgerRow>,
+    /// Processes that fill no role and published on topics of the loop; their samples count nowhere.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub strangers: Vec<StrangerRow>,
     /// Samples that a reader dropped or refused because of their content: by writer, reader and rule.
     pub refused: Vec<RefusedRow>,
     /// Faults sample by sample; at most a thousand.
@@ -57,7 +65,7 @@ pub struct LedgerReport {
 pub struct LedgerRow {
     /// Name of the topic.
     pub topic: String,
-    /// Role that reads it.
+    /// Role or companion that reads it.
     pub reader: String,
     /// Samples published, once per process that should receive them.
     pub published: u64,
@@ -75,4 +83,75 @@ pub struct LedgerRow {
     pub duplicates: u64,
     /// Samples that came after a later one and were dropped, part of the residual; must be 0.
     pub reordered: u64,
+    /// Of topics beside the loop: how many were replaced for which reason.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub reasons: BTreeMap<String, u64>,
+}
+
+/// Samples on a topic of the loop from a process that fills no role.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct StrangerRow {
+    /// Name of the topic.
+    pub topic: String,
+    /// The incarnation that the samples name.
+    pub incarnation: u32,
+    /// How many were seen.
+    pub samples: u64,
+}
+
+/// Delays at one end of a topic beside the loop.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct DelayRow {
+    /// Name of the topic.
+    pub topic: String,
+    /// Process that reads or writes it.
+    pub process: String,
+    /// Whether it writes it. Then the delay is from the publication of the scan to that of the sample, otherwise from the
+    /// publication of the sample until it was taken.
+    pub writes: bool,
+    /// Samples measured.
+    pub count: u64,
+    /// Mean [us].
+    pub mean_us: f64,
+    /// Longest [us].
+    pub max_us: f64,
+}
+
+impl fmt::Display for StrangerRow {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { topic, incarnation, .. } = self;
+        write!(
+            formatter,
+            "incarnation {incarnation} publishes on topic {topic} and fills no role: it is ignored"
+        )
+    }
+}
+
+impl LedgerRow {
+    /// Adds the counts of another process of the same reader.
+    pub(super) fn add(&mut self, other: &Self) {
+        self.published += other.published;
+        self.used += other.used;
+        self.replaced += other.replaced;
+        self.lost += other.lost;
+        self.in_flight += other.in_flight;
+        self.residual += other.residual;
+        self.duplicates += other.duplicates;
+        self.reordered += other.reordered;
+        for (reason, count) in &other.reasons {
+            *self.reasons.entry(reason.clone()).or_default() += count;
+        }
+    }
+}
+
+impl DelayRow {
+    /// Adds the delays of another process at the same end.
+    pub(super) fn add(&mut self, delays: &Delays) {
+        let sum_us = self.mean_us * self.count as f64 + delays.sum_ns as f64 * 1e-3;
+        self.count += delays.count;
+        self.mean_us = sum_us / self.count.max(1) as f64;
+        self.max_us = self.max_us.max(delays.max_ns as f64 * 1e-3);
+    }
 }

@@ -15,7 +15,7 @@ use shared_types::{Heartbeat, ProcessState, Role, Sample, Topic};
 
 use super::fault::{Fault, Kind};
 use super::refused::{NewRefusal, Refused, RefusedRow};
-use super::rows::LedgerReport;
+use super::rows::{LedgerReport, StrangerRow};
 use super::sweep::{Lack, Sweep};
 use super::topic::{InputReport, TopicLedger};
 use super::{NOT_OBSERVED, ROBOT_HELD_UP, TIMEOUT_NS};
@@ -31,6 +31,10 @@ pub const AUDITED_TOPICS: [Topic; 7] = [
     Topic::Truth,
 ];
 
+/// A process that publishes for so long without a heartbeat fills no role [ns].
+const STRANGER_NS: u64 = 1_000_000_000;
+/// Processes without a role that are counted one by one.
+const MAX_STRANGERS: usize = 64;
 /// Maximum number of faults that are stored one by one; more are counted.
 const MAX_FAULTS: usize = 1000;
 
@@ -52,6 +56,16 @@ pub struct SampleAudit {
     /// How many of the faults were returned.
     reported: usize,
     refused: Refused,
+    /// Samples of processes that send no heartbeat.
+    strangers: BTreeMap<(Topic, u32), Stranger>,
+}
+
+/// Samples on a topic of the loop from a process that fills no role.
+#[derive(Debug, Clone, Copy)]
+struct Stranger {
+    count: u64,
+    since_ns: u64,
+    is_reported: bool,
 }
 
 /// A process, from its heartbeats.
@@ -81,9 +95,7 @@ impl SampleAudit {
     pub fn new(skips_are_faults: bool) -> Self {
         Self {
             skips_are_faults,
-            topics: AUDITED_TOPICS
-                .map(|topic| (topic, TopicLedger::new(topic, runtime::buffer(topic))))
-                .into(),
+            topics: AUDITED_TOPICS.map(|topic| (topic, TopicLedger::new(topic))).into(),
             ..Self::default()
         }
     }
@@ -118,6 +130,9 @@ impl SampleAudit {
     pub fn see<S: Sample>(&mut self, sample: &S, now_ns: u64) {
         let (topic, header) = (S::TOPIC, sample.header());
         let from_start = self.is_from_start(header.incarnation);
+        if !self.workers.contains_key(&header.incarnation) {
+            self.note_stranger(topic, header.incarnation, now_ns);
+        }
         // The actuator's own decisions carry the number of the scan before.
         let is_answer = sample.is_answer();
         let fault = self.topics.get_mut(&topic).and_then(|ledger| ledger.see(header, is_answer, from_start));
@@ -129,11 +144,12 @@ impl SampleAudit {
         }
     }
 
-    /// The poll found a full buffer: samples may have been overwritten.
-    pub fn overflowed(&mut self, topic: Topic) {
+    /// The poll found a full buffer, of so many samples: others may have been overwritten.
+    pub fn overflowed(&mut self, topic: Topic, capacity: usize) {
         let ledger = self.topics.get_mut(&topic);
-        let (scans, began) =
-            ledger.map_or_else(Default::default, |ledger| (ledger.overflowed(), ledger.began_midway()));
+        let (scans, began) = ledger.map_or_else(Default::default, |ledger| {
+            (ledger.overflowed(capacity as u64), ledger.began_midway())
+        });
         if (began || !scans.is_empty()) && topic.writer() == Some(Role::Robot) {
             let unseen = self.sweeps.values_mut().flat_map(Sweep::overflowed);
             self.excused.extend(unseen.map(|scan| (scan, NOT_OBSERVED)));
@@ -226,6 +242,24 @@ impl SampleAudit {
         self.found.residual > 0
     }
 
+    /// Processes without a role that publish on topics of the loop for longer than a second, or at all with `is_last`:
+    /// those that were not returned before.
+    pub fn new_strangers(&mut self, now_ns: u64, is_last: bool) -> Vec<StrangerRow> {
+        let Self { strangers, workers, .. } = self;
+        strangers.retain(|(_, incarnation), _| !workers.contains_key(incarnation));
+        let is_new = |stranger: &&mut Stranger| {
+            !stranger.is_reported && (is_last || now_ns > stranger.since_ns.saturating_add(STRANGER_NS))
+        };
+        let rows = strangers.iter_mut().map(|(key, stranger)| (*key, stranger));
+        rows.filter_map(|(key, stranger)| {
+            is_new(&stranger).then(|| {
+                stranger.is_reported = true;
+                stranger.row(key)
+            })
+        })
+        .collect()
+    }
+
     /// What readers dropped or refused because of its content since the last call.
     pub fn new_refusals(&mut self) -> Vec<NewRefusal> {
         self.refused.take_new()
@@ -248,7 +282,21 @@ impl SampleAudit {
             unobserved: self.topics.values().map(TopicLedger::unobserved).sum(),
             topics: loop_topics.flat_map(|(_, ledger)| ledger.rows()).collect(),
             refused: self.refused.rows().to_vec(),
+            strangers: self
+                .strangers
+                .iter()
+                .filter(|((_, incarnation), _)| !self.workers.contains_key(incarnation))
+                .map(|(key, stranger)| stranger.row(*key))
+                .collect(),
             ..self.found.clone()
+        }
+    }
+
+    fn note_stranger(&mut self, topic: Topic, incarnation: u32, now_ns: u64) {
+        let key = (topic, incarnation);
+        if self.strangers.len() < MAX_STRANGERS || self.strangers.contains_key(&key) {
+            let new = Stranger { count: 0, since_ns: now_ns, is_reported: false };
+            self.strangers.entry(key).or_insert(new).count += 1;
         }
     }
 
@@ -320,6 +368,12 @@ impl SampleAudit {
     }
 }
 
+impl Stranger {
+    fn row(&self, (topic, incarnation): (Topic, u32)) -> StrangerRow {
+        StrangerRow { topic: topic.name().to_owned(), incarnation, samples: self.count }
+    }
+}
+
 impl Worker {
     /// Inputs that were taken and not answered: how many, and the sum of their scans.
     fn debt(heartbeat: &Heartbeat) -> (u64, u64) {
@@ -372,9 +426,9 @@ mod tests {
         }
         poll::<Truth>(&mut sample_audit, 101..=140);
         poll::<Scan>(&mut sample_audit, 125..=140);
-        sample_audit.overflowed(Topic::Scan);
+        sample_audit.overflowed(Topic::Scan, 16);
         poll::<Odometry>(&mut sample_audit, 125..=140);
-        sample_audit.overflowed(Topic::Odometry);
+        sample_audit.overflowed(Topic::Odometry, 16);
         AUDITED_TOPICS.iter().for_each(|topic| sample_audit.poll(*topic, 10 + 2 * TIMEOUT_NS));
         assert_eq!(sample_audit.reconcile(false), []);
     }
@@ -402,6 +456,27 @@ mod tests {
             sample_audit.reconcile(false);
             assert_eq!(sample_audit.excused(), skipped.map(|scan| (scan, ROBOT_HELD_UP)).collect::<Vec<_>>());
         }
+    }
+
+    #[test]
+    fn a_process_that_publishes_without_a_role_is_named_once_and_counted() {
+        let mut sample_audit = SampleAudit::new(false);
+        let mut publish = |incarnation, sequence, now_ns| {
+            let mut scan = Scan::default();
+            (scan.header.incarnation, scan.header.sequence, scan.header.scan_id) =
+                (incarnation, sequence, sequence);
+            sample_audit.see(&scan, now_ns);
+        };
+        (1..=5).for_each(|sequence| publish(77, sequence, 10));
+        publish(3, 6, 10);
+        let mut heartbeat = Heartbeat { role: Role::Robot.wire(), ..Heartbeat::default() };
+        heartbeat.header.incarnation = 3;
+        sample_audit.receive(&heartbeat, 20);
+        assert_eq!(sample_audit.new_strangers(STRANGER_NS, false), []);
+        let [row] = sample_audit.new_strangers(STRANGER_NS + 11, false).try_into().unwrap();
+        assert_eq!((row.topic.as_str(), row.incarnation, row.samples), ("scan", 77, 5));
+        assert_eq!(sample_audit.new_strangers(STRANGER_NS + 12, true), []);
+        assert_eq!(sample_audit.report().strangers, [row]);
     }
 
     #[test]

@@ -16,6 +16,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 
+use runtime::PROCESS_QUEUE;
 use shared_types::{Header, InputAccount, Role, Span, Topic};
 
 use super::TIMEOUT_NS;
@@ -30,7 +31,6 @@ const SETTLED_NS: u64 = 25 * TIMEOUT_NS;
 #[derive(Debug, Clone)]
 pub struct TopicLedger {
     topic: Topic,
-    capacity: u64,
     streams: BTreeMap<u32, Stream>,
     readers: BTreeMap<u32, Reader>,
     /// Processes that read the topic and send no counters.
@@ -105,12 +105,10 @@ pub struct InputReport<'a> {
 }
 
 impl TopicLedger {
-    /// An empty ledger; `capacity` samples of a writer can wait at a reader.
-    pub fn new(topic: Topic, capacity: usize) -> Self {
-        let capacity = capacity as u64;
+    /// An empty ledger.
+    pub fn new(topic: Topic) -> Self {
         Self {
             topic,
-            capacity,
             streams: BTreeMap::new(),
             readers: BTreeMap::new(),
             silent: BTreeMap::new(),
@@ -140,9 +138,10 @@ impl TopicLedger {
         self.streams.entry(incarnation).or_insert_with(begin).see(header, answers, after_ns, now_ns)
     }
 
-    /// The poll found a full buffer: samples may have been overwritten. Returns the scans that were not observed.
-    pub fn overflowed(&mut self) -> Vec<RangeInclusive<u64>> {
-        let (now_ns, capacity) = (self.now_ns, self.capacity);
+    /// The poll found a full buffer, of `capacity` samples: others may have been overwritten. Returns the scans that were
+    /// not observed.
+    pub fn overflowed(&mut self, capacity: u64) -> Vec<RangeInclusive<u64>> {
+        let now_ns = self.now_ns;
         self.streams.values_mut().flat_map(|stream| stream.overflowed(now_ns, capacity)).collect()
     }
 
@@ -187,7 +186,7 @@ impl TopicLedger {
         for span in counters.writers.iter().filter(is_open) {
             let Reader { spans, begun, .. } = &mut *reader;
             let known = spans.entry(span.incarnation).or_insert_with(|| {
-                if span.first > 1 && span.count() < self.capacity {
+                if span.first > 1 && span.count() < PROCESS_QUEUE as u64 {
                     begun.push(*span);
                 }
                 *span
@@ -467,7 +466,7 @@ mod tests {
     #[test]
     fn samples_of_a_reader_without_counters_between_two_others_are_not_lost() {
         for (is_received, lost) in [(true, 0), (false, 20)] {
-            let mut ledger = TopicLedger::new(Topic::Pose, 16);
+            let mut ledger = TopicLedger::new(Topic::Pose);
             ledger.poll(5);
             let mut counters = InputAccount { used: 4, arrived: 4, ..InputAccount::default() };
             (1..=4).for_each(|sequence| assert_eq!(ledger.see(&header(sequence), true, true), None));
@@ -491,7 +490,7 @@ mod tests {
     /// Writers and readers that take over from each other, every second, with a reader that dies with five samples unread
     /// and one that starts ten samples later.
     fn swapped(count: u32, settle: bool) -> TopicLedger {
-        let mut ledger = TopicLedger::new(Topic::Pose, 16);
+        let mut ledger = TopicLedger::new(Topic::Pose);
         for index in 1..=count {
             let now_ns = u64::from(index) * 1_000_000_000;
             ledger.poll(now_ns);
@@ -530,7 +529,7 @@ mod tests {
 
     #[test]
     fn several_faults_that_one_reader_noticed_between_two_reconciliations_are_all_named() {
-        let mut ledger = TopicLedger::new(Topic::Pose, 16);
+        let mut ledger = TopicLedger::new(Topic::Pose);
         ledger.poll(5);
         (1..=9).for_each(|sequence| assert_eq!(ledger.see(&header(sequence), true, true), None));
         let mut counters = InputAccount { missing: 1, hole: span(3, 3), ..InputAccount::default() };
@@ -549,7 +548,7 @@ mod tests {
     #[test]
     fn a_reader_that_receives_nothing_any_more_is_noticed_at_any_rate() {
         for period_ns in [2_000_000, 20_000_000] {
-            let mut ledger = TopicLedger::new(Topic::Pose, 16);
+            let mut ledger = TopicLedger::new(Topic::Pose);
             let mut counters = InputAccount::default();
             let (mut found, mut reconciled_ns) = (Vec::new(), 0);
             for sequence in 1..=3_000_000_000 / period_ns {

@@ -42,9 +42,7 @@ impl Rig {
     }
 
     fn inject_into_robot(&mut self, fault: &ScenarioFault) -> bool {
-        let Ok(mut table) = self.scenario.to_toml().parse::<toml::Table>() else { return false };
-        merge(&mut table, &fault.set);
-        let Ok(faulty) = Scenario::from_table(table, "fault") else { return false };
+        let Ok(faulty) = self.scenario.with(&fault.set) else { return false };
         if let Some(scans) = fault.scans {
             self.repaired = Some((self.next_scan + scans, self.scenario.clone()));
         }
@@ -60,15 +58,5 @@ impl Rig {
             self.emulator = emulator;
         }
         continues
-    }
-}
-
-/// Puts the values of `changes` into `table`; arrays are replaced.
-fn merge(table: &mut toml::Table, changes: &toml::Table) {
-    for (key, value) in changes {
-        match (table.get_mut(key), value) {
-            (Some(toml::Value::Table(inner)), toml::Value::Table(changes)) => merge(inner, changes),
-            _ => _ = table.insert(key.clone(), value.clone()),
-        }
     }
 }

@@ -133,6 +133,26 @@ fn a_circle_of_processes_is_refused_by_their_names() {
 }
 
 #[test]
+fn a_bound_names_a_field_of_the_layout() {
+    let folder = Folder::new("agree");
+    let with = |agree: &str| format!("{TOPIC}agree = [{agree}]\n{}", writer("sensor"));
+    let file = folder.0.join("lab.toml").display().to_string();
+    let read = |agree: &str| read(&folder.system(&with(agree)).unwrap(), &file);
+    let table = read("{ field = \"yaw_rate_radps\", bound = 0.05 }").unwrap();
+    assert_eq!(table.topic[0].agree, [("yaw_rate_radps".to_owned(), 0.05)]);
+    let message = folder.error(&with("{ field = \"yaw\", bound = 0.05 }"));
+    assert!(
+        message.ends_with("lab.toml: topic[0].agree.field = yaw is not allowed: one of yaw_rate_radps"),
+        "{message}"
+    );
+    let message = folder.error(&with("{ field = \"yaw_rate_radps\", bound = -1.0 }"));
+    assert!(
+        message.starts_with("topic[0].agree[0].bound = -1") || message.contains("bound = -1"),
+        "{message}"
+    );
+}
+
+#[test]
 fn topics_that_take_more_than_half_of_shared_memory_are_refused_with_the_sum() {
     let folder = Folder::new("memory");
     let large = "name = \"Imu\"\n[[field]]\nname = \"image\"\ntype = \"u8[4000000]\"\n";

@@ -1,54 +1,16 @@
 //! Reads MCAP files from their start to their end, or to where they were cut off.
 
 use std::collections::BTreeMap;
-use std::io::{self, Read};
+use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::Range;
 
 use lz4_flex::frame::FrameDecoder;
 
-use super::{Channel, MAGIC, Schema, opcode};
+use super::fields::Fields;
+use super::{Channel, Damage, MAGIC, ReadError, Schema, opcode};
 
 /// A longer record is taken for damage [bytes]: chunks of this program have some hundred kilobytes.
 const MAX_RECORD: u64 = 1 << 30;
-
-/// Why a file can't be read.
-#[derive(Debug, thiserror::Error)]
-pub enum ReadError {
-    /// It is no MCAP file.
-    #[error("no MCAP file: it does not begin with the bytes of the format")]
-    Foreign,
-    /// Its content is not what was written.
-    #[error("damaged at byte {at}: {what}")]
-    Damaged {
-        /// Where the record with the damage begins.
-        at: u64,
-        /// What is wrong.
-        what: Damage,
-    },
-    /// The file system failed.
-    #[error(transparent)]
-    Io(#[from] io::Error),
-}
-
-/// What is wrong with a record.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum Damage {
-    /// A field lies outside of its record.
-    #[error("a record is shorter than its fields")]
-    Short,
-    /// The checksum of a chunk or attachment differs.
-    #[error("the checksum differs")]
-    Checksum,
-    /// A chunk can't be decompressed.
-    #[error("the chunk can't be decompressed")]
-    Compression,
-    /// A message of a channel that was not announced.
-    #[error("a message belongs to no channel")]
-    Channel,
-    /// A record is longer than any file of this kind has.
-    #[error("a record is too long")]
-    Long,
-}
 
 /// A message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -98,7 +60,7 @@ pub struct Contents {
     pub metadata: Vec<Metadata>,
     /// Whether the file was ended; false for one that was cut off.
     pub is_complete: bool,
-    /// Whole chunks read.
+    /// Whole chunks with messages that were read.
     pub chunks: u64,
     /// Bytes up to the end of the last whole record of the data.
     pub whole_bytes: u64,
@@ -110,8 +72,12 @@ pub struct Reader<R: Read> {
     input: R,
     at: u64,
     contents: Contents,
+    /// Where the open chunk begins in the file.
+    chunk_at: u64,
     chunk: Vec<u8>,
     place: usize,
+    /// Whether the open chunk is counted.
+    is_counted: bool,
     record: Vec<u8>,
 }
 
@@ -128,7 +94,16 @@ impl<R: Read> Reader<R> {
         }
         let contents = Contents { whole_bytes: MAGIC.len() as u64, ..Contents::default() };
         let (chunk, record) = (Vec::new(), Vec::new());
-        Ok(Self { input, at: MAGIC.len() as u64, contents, chunk, place: 0, record })
+        Ok(Self {
+            input,
+            at: MAGIC.len() as u64,
+            contents,
+            chunk_at: 0,
+            chunk,
+            place: 0,
+            is_counted: false,
+            record,
+        })
     }
 
     /// What was read beside the messages until now.
@@ -155,6 +130,16 @@ impl<R: Read> Reader<R> {
         }
     }
 
+    /// Byte of the file at which the chunk of the last message begins.
+    pub fn chunk_at(&self) -> u64 {
+        self.chunk_at
+    }
+
+    /// Whether all messages of the open chunk were read.
+    pub fn is_chunk_over(&self) -> bool {
+        self.place >= self.chunk.len()
+    }
+
     /// Advances to the next message; returns where it stands in the open chunk.
     fn advance(&mut self) -> Result<Option<Range<usize>>, ReadError> {
         loop {
@@ -162,6 +147,7 @@ impl<R: Read> Reader<R> {
                 if let Some(body) =
                     self.next_in_chunk().map_err(|what| ReadError::Damaged { at: self.at, what })?
                 {
+                    self.contents.chunks += u64::from(!std::mem::replace(&mut self.is_counted, true));
                     return Ok(Some(body));
                 }
             }
@@ -176,7 +162,8 @@ impl<R: Read> Reader<R> {
                 }
                 opcode::CHUNK => {
                     self.open_chunk(&record).map_err(damaged)?;
-                    self.contents.chunks += 1;
+                    self.chunk_at = start;
+                    self.is_counted = false;
                 }
                 _ => self.define(opcode, &record).map_err(damaged)?,
             }
@@ -291,6 +278,20 @@ impl<R: Read> Reader<R> {
     }
 }
 
+impl<R: Read + Seek> Reader<R> {
+    /// Continues with the chunk that begins at a byte of the file, see [`Reader::chunk_at`].
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn seek_to_chunk(&mut self, at: u64) -> io::Result<()> {
+        self.input.seek(SeekFrom::Start(at))?;
+        self.chunk.clear();
+        // No chunk is open: none begins at the first byte.
+        (self.at, self.place, self.chunk_at) = (at, 0, 0);
+        Ok(())
+    }
+}
+
 fn message(body: &[u8]) -> Result<Message<'_>, Damage> {
     let mut fields = Fields(body);
     let (channel, sequence, log_ns) = (fields.u16()?, fields.u32()?, fields.u64()?);
@@ -303,51 +304,5 @@ fn fill(input: &mut impl Read, bytes: &mut [u8]) -> io::Result<bool> {
     match input.read_exact(bytes) {
         Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Ok(false),
         result => result.map(|()| true),
-    }
-}
-
-/// The rest of a record.
-struct Fields<'a>(&'a [u8]);
-
-impl<'a> Fields<'a> {
-    fn take(&mut self, length: usize) -> Result<&'a [u8], Damage> {
-        let (taken, rest) = self.0.split_at_checked(length).ok_or(Damage::Short)?;
-        self.0 = rest;
-        Ok(taken)
-    }
-
-    fn array<const N: usize>(&mut self) -> Result<[u8; N], Damage> {
-        self.take(N)?.try_into().map_err(|_| Damage::Short)
-    }
-
-    fn u8(&mut self) -> Result<u8, Damage> {
-        self.array().map(u8::from_le_bytes)
-    }
-
-    fn u16(&mut self) -> Result<u16, Damage> {
-        self.array().map(u16::from_le_bytes)
-    }
-
-    fn u32(&mut self) -> Result<u32, Damage> {
-        self.array().map(u32::from_le_bytes)
-    }
-
-    fn u64(&mut self) -> Result<u64, Damage> {
-        self.array().map(u64::from_le_bytes)
-    }
-
-    fn text(&mut self) -> Result<String, Damage> {
-        let length = self.u32()?;
-        Ok(String::from_utf8_lossy(self.take(length as usize)?).into_owned())
-    }
-
-    fn map(&mut self) -> Result<Vec<(String, String)>, Damage> {
-        let length = self.u32()?;
-        let mut fields = Fields(self.take(length as usize)?);
-        let mut map = Vec::new();
-        while !fields.0.is_empty() {
-            map.push((fields.text()?, fields.text()?));
-        }
-        Ok(map)
     }
 }

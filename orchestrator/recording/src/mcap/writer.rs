@@ -2,11 +2,8 @@
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
-use std::ops::Range;
 
-use lz4_flex::frame::FrameEncoder;
-
-use super::{MAGIC, Put, opcode};
+use super::{Chunk, MAGIC, OpenChunk, Put, opcode};
 
 /// The type of the messages of a channel.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -41,15 +38,9 @@ pub struct Writer<W: Write> {
     /// Records of schemas and channels, which the summary repeats.
     definitions: [Vec<u8>; 2],
     counts: [usize; 2],
-    chunk: Vec<u8>,
-    compressed: Vec<u8>,
-    record: Vec<u8>,
-    /// Time range of the open chunk, and of all before.
-    times: [Option<[u64; 2]>; 2],
-    /// Per channel: log time, and place of each message in the open chunk.
-    index: BTreeMap<u16, Vec<(u64, Range<usize>)>>,
-    /// The open chunk channel by channel, which compresses better.
-    sorted: Vec<u8>,
+    open: OpenChunk,
+    /// First and last log time.
+    times: Option<[u64; 2]>,
     messages: BTreeMap<u16, u64>,
     chunks: Vec<Vec<u8>>,
     attachments: Vec<Vec<u8>>,
@@ -67,12 +58,8 @@ impl<W: Write> Writer<W> {
             written: 0,
             definitions: [Vec::new(), Vec::new()],
             counts: [schemas.len(), channels.len()],
-            chunk: Vec::new(),
-            compressed: Vec::new(),
-            sorted: Vec::new(),
-            record: Vec::new(),
-            times: [None; 2],
-            index: BTreeMap::new(),
+            open: OpenChunk::default(),
+            times: None,
             messages: BTreeMap::new(),
             chunks: Vec::new(),
             attachments: Vec::new(),
@@ -94,10 +81,8 @@ impl<W: Write> Writer<W> {
             body.map(&channel.metadata);
             append(&mut writer.definitions[1], opcode::CHANNEL, &body);
         }
-        // In the first chunk too: some readers look for them only there.
-        let definitions = writer.definitions.concat();
-        writer.put(&definitions)?;
-        writer.sorted = definitions;
+        // Compressed, and where all readers look for them.
+        writer.open = OpenChunk::beginning_with(writer.definitions.concat());
         Ok(writer)
     }
 
@@ -108,7 +93,7 @@ impl<W: Write> Writer<W> {
 
     /// Bytes of the open chunk, uncompressed.
     pub fn open_bytes(&self) -> usize {
-        self.chunk.len()
+        self.open.bytes()
     }
 
     /// Adds a file as an attachment.
@@ -141,37 +126,9 @@ impl<W: Write> Writer<W> {
         Ok(())
     }
 
-    /// Adds a message to the open chunk. A chunk holds its messages channel by channel.
-    ///
-    /// # Errors
-    /// None today; an output may have some.
-    pub fn message(&mut self, channel: u16, sequence: u32, log_ns: u64, data: &[u8]) -> io::Result<()> {
-        self.message_parts(channel, sequence, log_ns, &[data])
-    }
-
-    /// [`Writer::message`] of data in parts.
-    ///
-    /// # Errors
-    /// As [`Writer::message`].
-    pub fn message_parts(
-        &mut self,
-        channel: u16,
-        sequence: u32,
-        log_ns: u64,
-        data: &[&[u8]],
-    ) -> io::Result<()> {
-        let place = self.chunk.len();
-        let length = 22 + data.iter().map(|part| part.len() as u64).sum::<u64>();
-        self.chunk.push(opcode::MESSAGE);
-        self.chunk.u64(length).u16(channel).u32(sequence).u64(log_ns).u64(log_ns);
-        data.iter().for_each(|part| self.chunk.extend_from_slice(part));
-        for times in &mut self.times {
-            let [first, last] = times.unwrap_or([log_ns; 2]);
-            *times = Some([first.min(log_ns), last.max(log_ns)]);
-        }
-        self.index.entry(channel).or_default().push((log_ns, place..self.chunk.len()));
-        *self.messages.entry(channel).or_default() += 1;
-        Ok(())
+    /// Adds a message of data in parts to the open chunk. A chunk holds its messages channel by channel.
+    pub fn message(&mut self, channel: u16, sequence: u32, log_ns: u64, data: &[&[u8]]) {
+        self.open.message(channel, sequence, log_ns, data);
     }
 
     /// Writes the open chunk, if it has messages: they are safe from here on.
@@ -179,48 +136,50 @@ impl<W: Write> Writer<W> {
     /// # Errors
     /// Those of the output.
     pub fn end_chunk(&mut self) -> io::Result<()> {
-        let Some([first, last]) = self.times[0].take() else { return Ok(()) };
-        let index = self.sort();
-        let mut encoder = FrameEncoder::new(std::mem::take(&mut self.compressed));
-        encoder.write_all(&self.sorted)?;
-        self.compressed = encoder.finish().map_err(io::Error::other)?;
-        let mut record = std::mem::take(&mut self.record);
-        record.clear();
-        record.u64(first).u64(last).u64(self.sorted.len() as u64).u32(crc32fast::hash(&self.sorted));
-        record.text("lz4").u64(self.compressed.len() as u64).extend_from_slice(&self.compressed);
-        let (start, length) = self.record(opcode::CHUNK, &record)?;
-        self.record = record;
-        let index_start = self.written;
-        let mut offsets: Vec<u8> = Vec::new();
-        for (channel, entries) in index {
-            let mut body = Vec::with_capacity(6 + entries.len());
-            body.u16(channel).u32(entries.len() as u32).extend(entries);
-            let (place, _) = self.record(opcode::MESSAGE_INDEX, &body)?;
-            offsets.u16(channel).u64(place);
+        if self.open.bytes() > 0 {
+            let chunk = self.open.seal()?;
+            self.put_chunk(&chunk)?;
         }
-        let mut index = Vec::new();
-        index.u64(first).u64(last).u64(start).u64(length).u32(offsets.len() as u32).extend(&offsets);
-        index.u64(self.written - index_start).text("lz4");
-        index.u64(self.compressed.len() as u64).u64(self.sorted.len() as u64);
-        self.chunks.push(index);
-        self.chunk.clear();
-        self.sorted.clear();
-        self.compressed.clear();
         self.out.flush()
     }
 
-    /// Sorts the open chunk by channel; returns the entries of the index of each: log time and new place.
-    fn sort(&mut self) -> Vec<(u16, Vec<u8>)> {
-        let mut index = Vec::new();
-        for (channel, messages) in std::mem::take(&mut self.index) {
-            let mut entries = Vec::with_capacity(16 * messages.len());
-            for (log_ns, place) in messages {
-                entries.u64(log_ns).u64(self.sorted.len() as u64);
-                self.sorted.extend_from_slice(&self.chunk[place]);
-            }
-            index.push((channel, entries));
+    /// Adds a chunk that was sealed elsewhere, with messages of the channels of this file.
+    ///
+    /// # Errors
+    /// Those of the output.
+    pub fn chunk(&mut self, chunk: &Chunk) -> io::Result<()> {
+        if self.open.bytes() > 0 || self.open.has_records() {
+            let open = self.open.seal()?;
+            self.put_chunk(&open)?;
         }
+        self.put_chunk(chunk)
+    }
+
+    fn put_chunk(&mut self, chunk: &Chunk) -> io::Result<()> {
+        let start = self.written;
+        self.put(&chunk.records)?;
+        let mut offsets: Vec<u8> = Vec::new();
+        for (channel, place, messages) in &chunk.channels {
+            offsets.u16(*channel).u64(start + place);
+            *self.messages.entry(*channel).or_default() += messages;
+        }
+        let [first, last] = chunk.times.unwrap_or_default();
+        let mut index = Vec::new();
         index
+            .u64(first)
+            .u64(last)
+            .u64(start)
+            .u64(chunk.chunk_bytes)
+            .u32(offsets.len() as u32)
+            .extend(&offsets);
+        index.u64(chunk.records.len() as u64 - chunk.chunk_bytes).text("lz4");
+        index.u64(chunk.stored_bytes).u64(chunk.full_bytes);
+        self.chunks.push(index);
+        if chunk.times.is_some() {
+            let [begin, end] = self.times.unwrap_or([first, last]);
+            self.times = Some([begin.min(first), end.max(last)]);
+        }
+        Ok(())
     }
 
     /// Ends the file with its summary; returns the output and the length of the file.
@@ -267,7 +226,7 @@ impl<W: Write> Writer<W> {
     }
 
     fn statistics(&self) -> Vec<u8> {
-        let [first, last] = self.times[1].unwrap_or_default();
+        let [first, last] = self.times.unwrap_or_default();
         let mut body = Vec::new();
         body.u64(self.messages.values().sum()).u16(self.counts[0] as u16).u32(self.counts[1] as u32);
         body.u32(self.attachments.len() as u32).u32(self.metadata.len() as u32);
@@ -295,7 +254,7 @@ impl<W: Write> Writer<W> {
     }
 }
 
-fn append(records: &mut Vec<u8>, opcode: u8, body: &[u8]) {
+pub(super) fn append(records: &mut Vec<u8>, opcode: u8, body: &[u8]) {
     records.push(opcode);
     records.u64(body.len() as u64).extend_from_slice(body);
 }

@@ -9,6 +9,8 @@ use std::io::{Read, Stdin, Write, stdin, stdout};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 
+use super::queue::Saved;
+
 /// What the orchestrator asks for.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Order {
@@ -16,6 +18,8 @@ pub(super) enum Order {
     Connect,
     /// The run has ended, and this was its last scan: finish the recording.
     End(u64),
+    /// Something happened: write what is in memory.
+    Incident,
     /// Something to be recorded with the log lines.
     Note(String),
 }
@@ -51,6 +55,19 @@ impl Companion {
         }
     }
 
+    /// Reports a file of an incident that was written, or why it was not.
+    pub(super) fn report_saved(&mut self, saved: &Saved) {
+        match saved {
+            Ok(file) => self.say(&format!("incident {}", file.display())),
+            Err(error) => self.say(&format!("unsaved {error}")),
+        }
+    }
+
+    /// Whether the orchestrator lives, as far as its end of the line shows.
+    pub(super) fn is_open(&self) -> bool {
+        self.is_open
+    }
+
     /// The next order, if there is one.
     pub(super) fn next_order(&mut self) -> Option<Order> {
         self.read();
@@ -61,6 +78,7 @@ impl Companion {
             match line.split_once(' ').unwrap_or((&line, "")) {
                 ("connect", _) => return Some(Order::Connect),
                 ("end", scan) => return Some(Order::End(scan.parse().unwrap_or(0))),
+                ("incident", _) => return Some(Order::Incident),
                 ("note", text) => return Some(Order::Note(text.to_owned())),
                 _ => {}
             }

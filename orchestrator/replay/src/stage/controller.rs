@@ -71,7 +71,6 @@ pub(super) fn replay(drive: &Drive, options: &Options, findings: &mut Findings) 
                 });
                 let Some(replayed) = replayed else { return Ok(index) };
                 if window.holds(&command.header, findings) {
-                    let replayed = Command { solve_ns: command.solve_ns, ..replayed };
                     findings.compare(*command, replayed, role, drive, options);
                 }
             }
@@ -91,7 +90,7 @@ fn timed(step: &mut dyn FnMut(&Budget<'_>) -> Command, readings: u64) -> Command
 }
 
 fn differs(recorded: &Command, replayed: &Command) -> bool {
-    let mut replayed = Command { solve_ns: recorded.solve_ns, ..*replayed };
+    let mut replayed = *replayed;
     take_over(recorded, &mut replayed, Role::Controller);
     difference(recorded, &replayed).is_some()
 }

@@ -14,8 +14,6 @@ use rustix::fs::{FallocateFlags, fallocate, statvfs};
 use rustix::process::{Pid, Signal, kill_process};
 use shared_types::{Actuation, Command, Obstacles, Pose, Role, Sample, Scan};
 
-use super::system::CellSystem;
-
 /// Time between two samples of a flood: ten thousand a second.
 const FLOOD_PAUSE: Duration = Duration::from_micros(100);
 /// Where shared memory is.
@@ -23,7 +21,7 @@ const SHARED_MEMORY: &str = "/dev/shm";
 
 /// A fault that acts on a system; dropping it ends the flood and frees the memory.
 #[derive(Default)]
-pub(super) struct Acting {
+pub(crate) struct Acting {
     suspended: Vec<Pid>,
     flood: Option<Flood>,
     ballast: Option<Ballast>,
@@ -37,16 +35,11 @@ pub(super) fn faulty_role(fault: &ProcessFault) -> Option<Role> {
     }
 }
 
-/// Injects a fault now.
+/// Injects a fault now, into these processes.
 ///
 /// # Errors
 /// A topic that can't be opened, and shared memory that can't be filled.
-pub(super) fn act(fault: &ProcessFault, system: &CellSystem, domain: &Domain) -> anyhow::Result<Acting> {
-    let targets: Vec<Pid> = match fault.process {
-        ProcessName::Role(role) => system.processes(Some(role)),
-        ProcessName::Orchestrator => system.orchestrator().into_iter().collect(),
-        ProcessName::All => system.processes(None),
-    };
+pub(crate) fn act(fault: &ProcessFault, targets: Vec<Pid>, domain: &Domain) -> anyhow::Result<Acting> {
     let send = |signal: Signal| targets.iter().for_each(|pid| _ = kill_process(*pid, signal));
     let mut acting = Acting::default();
     match fault.action {
@@ -63,7 +56,7 @@ pub(super) fn act(fault: &ProcessFault, system: &CellSystem, domain: &Domain) ->
 
 impl Acting {
     /// Ends what lasts only for a time.
-    pub(super) fn release(&mut self) {
+    pub(crate) fn release(&mut self) {
         // The orchestrator may have killed it, and its number is not used again within seconds.
         self.suspended.drain(..).for_each(|pid| _ = kill_process(pid, Signal::CONT));
         self.flood = None;

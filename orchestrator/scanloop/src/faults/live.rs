@@ -81,7 +81,7 @@ fn drive(fault: &ProcessFault, phase: Phase, settings: &Settings) -> anyhow::Res
     let (from_ns, began) = (monotonic_ns(), Instant::now());
     watch.injected(from_ns, faulty_role(fault));
     let before = watch.passed.len().saturating_sub(1);
-    let mut acting = act(fault, &system, &domain)?;
+    let mut acting = act(fault, system.targets(fault.process), &domain)?;
     let is_orchestrator = fault.process == faults::ProcessName::Orchestrator;
     let mut is_over = false;
     while began.elapsed() < LASTS && !is_over {

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use console::exit::Failure;
 use emulator::Scenario;
+use faults::ProcessName;
 use runtime::Domain;
 use rustix::process::{Pid, Signal, kill_process};
 use session::control::{Reply, Request, Status, ask};
@@ -47,6 +48,7 @@ impl CellSystem {
         std::fs::write(folder.join("scenario.toml"), scenario.to_toml())?;
         let orphan_stop = format!("orphan_stop_s={ORPHAN_STOP_S}");
         let arguments = ["run", "scenario.toml", "--quiet", "--out", "out", "--set", orphan_stop.as_str()];
+        let arguments = [&arguments[..], &["--set", "recording.ring_s=0"]].concat();
         let mut command = command_of(&id, &folder)?;
         command.args(arguments).stderr(std::fs::File::create(folder.join("stderr.txt"))?);
         let orchestrator = command.spawn().context("scanloop run")?;
@@ -87,17 +89,18 @@ impl CellSystem {
         }
     }
 
-    /// Process ids: of a role, or of all, the orchestrator among them.
-    pub(super) fn processes(&self, role: Option<Role>) -> Vec<Pid> {
+    /// Process ids that a fault of a process acts on.
+    pub(super) fn targets(&self, process: ProcessName) -> Vec<Pid> {
         let of = |(_, pid): &(Role, Pid)| *pid;
-        match role {
-            Some(role) => self.processes.iter().filter(|(of, _)| *of == role).map(of).collect(),
-            None => self.processes.iter().map(of).chain(self.orchestrator()).collect(),
+        match process {
+            ProcessName::Role(role) => self.processes.iter().filter(|(of, _)| *of == role).map(of).collect(),
+            ProcessName::Orchestrator => self.orchestrator().into_iter().collect(),
+            ProcessName::All => self.processes.iter().map(of).chain(self.orchestrator()).collect(),
         }
     }
 
     /// Process id of the orchestrator.
-    pub(super) fn orchestrator(&self) -> Option<Pid> {
+    fn orchestrator(&self) -> Option<Pid> {
         Pid::from_raw(self.orchestrator.id().cast_signed())
     }
 
@@ -114,7 +117,7 @@ impl CellSystem {
     /// Ends the system.
     fn end(&mut self) {
         // Suspended processes can't end.
-        self.processes(None).into_iter().for_each(|pid| _ = kill_process(pid, Signal::CONT));
+        self.targets(ProcessName::All).into_iter().for_each(|pid| _ = kill_process(pid, Signal::CONT));
         if let Ok(mut stop) = self.begin(&["stop"]) {
             let _ = stop.wait();
         }

@@ -65,7 +65,7 @@ impl Bench {
         latch_on_crash(&stop_word);
         shutdown.latch_also(&stop_word)?;
         plan.write_settings(&domain, false)?;
-        let bus = Bus::create(&domain)?;
+        let bus = Bus::create(&domain, plan.system.period_ns())?;
         let all = plan.system.roles();
         let entries: Vec<_> = all.filter(|entry| STARTED.contains(&entry.role())).cloned().collect();
         let (realtime, logs) = (&plan.system.realtime, domain.directory().to_path_buf());

@@ -18,12 +18,21 @@ pub enum Request {
         #[serde(with = "role_name")]
         role: Role,
     },
+    /// Inject a fault.
+    Inject {
+        /// Its name.
+        fault: String,
+        /// How long it lasts [s]; without it, as its file says.
+        for_s: Option<f64>,
+    },
     /// Replace a companion: by a command, or by a new process of its own.
     ReplaceCompanion {
         /// Its name.
         name: String,
         /// Program and arguments.
         command: Option<Vec<String>>,
+        /// Scans in a row on which the new process must agree, where its topics have bounds.
+        shadow_scans: u64,
     },
     /// Replace one process by another.
     Swap(SwapRequest),

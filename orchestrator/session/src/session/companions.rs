@@ -27,11 +27,23 @@ impl Session {
     pub(super) fn advance_companions(&mut self) -> anyhow::Result<()> {
         self.announce_to_companions();
         let recorded_scan = self.swaps.recorded_scan();
-        for event in self.companions.advance(recorded_scan, self.samples.newest_scan()) {
-            self.note_companion(event);
-        }
+        self.judge_companions(recorded_scan, self.samples.newest_scan())?;
         self.companions.digest(recorded_scan, &mut self.recording.digests)?;
         Ok(())
+    }
+
+    fn judge_companions(&mut self, recorded_scan: u64, newest_scan: u64) -> anyhow::Result<()> {
+        let (events, certificates) = self.companions.advance(recorded_scan, newest_scan)?;
+        events.into_iter().for_each(|event| self.note_companion(event));
+        certificates.iter().for_each(|certificate| self.progress.note(&certificate.to_string()));
+        Ok(())
+    }
+
+    /// Takes what companions and readers of their topics have counted, and names new drops.
+    pub(super) fn reconcile_companions(&mut self, drives: bool) {
+        for drop in self.companions.reconcile(drives) {
+            self.warn(&drop);
+        }
     }
 
     fn note_companion(&mut self, event: CompanionEvent) {
@@ -52,9 +64,13 @@ impl Session {
                     format!("companion {name} left scan {scan} unanswered: lock-step continues without it");
                 self.progress.warn(&text);
             }
-            CompanionEvent::Replaced(name, scan) => {
-                self.progress.note(&format!("companion {name} was replaced at scan {scan}"));
+            CompanionEvent::SuccessorEnded(name, how, lines) => {
+                self.bus.clean_up_dead_processes();
+                self.progress.warn(&format!("companion {name}: its successor ended: {how}"));
+                lines.iter().for_each(|line| self.progress.note(&format!("  {name}: {line}")));
             }
+            // Their certificate names it.
+            CompanionEvent::TakesOver(..) | CompanionEvent::Replaced(..) => {}
             CompanionEvent::Failed(name, true) => {
                 self.decide(Outcome::Failed, &format!("companion {name}, which the run needs, has failed"));
             }
@@ -66,18 +82,17 @@ impl Session {
 
     /// Waits for companions before the processes of the loop connect, and before the first scan: ports that do not exist
     /// yet would lose samples.
-    pub(super) fn await_companions(&mut self, state: ProcessState) {
+    pub(super) fn await_companions(&mut self, state: ProcessState) -> anyhow::Result<()> {
         let end_ns = monotonic_ns() + START_LIMIT_NS;
         while !self.companions.have_reached(state) && monotonic_ns() < end_ns {
             if self.shutdown.requested() || !self.run.stop_word.is_armed() {
-                return;
+                return Ok(());
             }
             self.announce_to_companions();
-            for event in self.companions.advance(0, 0) {
-                self.note_companion(event);
-            }
+            self.judge_companions(0, 0)?;
             wait_for(&[self.shutdown.descriptor()], POLL_NS);
         }
+        Ok(())
     }
 
     /// Ends companions after the last process of the loop, and takes the last samples of lock-step.
@@ -89,6 +104,7 @@ impl Session {
         }
         self.companions.digest(recorded_scan, &mut self.recording.digests)?;
         self.companion_reports = self.companions.reports();
+        self.reconcile_companions(false);
         self.companions.announce(Phase::Stopping.wire(), &self.directives.current.authority);
         self.companions.end();
         let end_ns = monotonic_ns() + END_LIMIT_NS;

@@ -79,6 +79,7 @@ impl Session {
         let due = self.audit.due(monotonic_ns(), self.drives());
         if matches!(due, Due::Reconcile | Due::FindStall) {
             self.reconcile(false);
+            self.reconcile_companions(self.drives());
         }
         if due == Due::FindStall && self.audit.samples.is_something_missing() {
             let fault =
@@ -143,6 +144,9 @@ impl Session {
     pub(super) fn reconcile(&mut self, is_last: bool) {
         for fault in self.audit.samples.reconcile(is_last) {
             self.warn(&format!("error: ledger: {fault}"));
+        }
+        for stranger in self.audit.samples.new_strangers(monotonic_ns(), is_last) {
+            self.warn(&stranger.to_string());
         }
         for (scan_id, reason) in self.audit.samples.excused() {
             self.recording.recorder.scan_excused(scan_id, reason);

@@ -8,6 +8,8 @@ use supervision::supervisor::Event;
 
 use super::Session;
 use super::candidates::Live;
+use super::injection::inject;
+use crate::companion_swaps::CompanionSwaps;
 use crate::control::{Reply, Request, SwapRequest};
 
 impl Session {
@@ -18,7 +20,7 @@ impl Session {
         }
         let now_ns = monotonic_ns();
         let stopped = !self.run.stop_word.is_armed();
-        let (mut restarts, mut is_stop) = (Vec::new(), false);
+        let (mut restarts, mut injected, mut is_stop) = (Vec::new(), Vec::new(), false);
         let status = Reply::Status(Box::new(self.status()));
         let Self { control, swaps, shadows, companions, fleet, supervisor, run, .. } = self;
         let live = |role| Live::of(role, fleet, supervisor);
@@ -27,6 +29,7 @@ impl Session {
             Request::Swap(_)
             | Request::Shadow(_)
             | Request::Restart { .. }
+            | Request::Inject { .. }
             | Request::ReplaceCompanion { .. }
                 if stopped =>
             {
@@ -56,8 +59,26 @@ impl Session {
             }
             Request::ShadowResult { number } => shadows.result(number),
             Request::ShadowEnd { number } => shadows.end_early(number),
-            Request::ReplaceCompanion { name, command } => {
-                companions.replace(&name, command.as_deref()).map_or_else(Reply::Refused, |()| Reply::Done)
+            Request::ReplaceCompanion { name, command, shadow_scans } => {
+                let replaced = companions.replace(&run.domain, &name, command.as_deref(), shadow_scans);
+                let accepted = |number: Option<u64>| number.map_or(Reply::Done, Reply::Accepted);
+                replaced.map_or_else(Reply::Refused, accepted)
+            }
+            Request::SwapResult { number } if CompanionSwaps::is_of_companion(number) => {
+                companions.swaps().result(number)
+            }
+            Request::Inject { .. } if run.lockstep => Reply::Refused(
+                "faults are injected into runs in real time; `scanloop faults` has them in simulated time"
+                    .to_owned(),
+            ),
+            Request::Inject { fault, for_s } => {
+                match inject(&run.domain, run.period_ns, &fault, for_s, live) {
+                    Ok((reply, text)) => {
+                        injected.push(text);
+                        reply
+                    }
+                    Err(reason) => Reply::Refused(reason),
+                }
             }
             Request::SwapResult { number } => swaps.result(number),
             Request::Restart { role } if swaps.concern(role) => {
@@ -81,6 +102,12 @@ impl Session {
         });
         if is_stop {
             self.decide(Outcome::Interrupted, "stopped by command");
+        }
+        for text in injected {
+            self.warn(&text);
+            if let Some(recorder) = &mut self.companion {
+                recorder.note(&text);
+            }
         }
         restarts.into_iter().try_for_each(|role| self.handle(Event::RestartRequested { role }))
     }

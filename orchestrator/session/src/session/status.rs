@@ -58,6 +58,7 @@ impl Session {
             processes,
             companions: self.companions.views().into_iter().map(Into::into).collect(),
             refused: self.audit.samples.refused().to_vec(),
+            hosts: self.link.as_ref().map_or_else(Vec::new, |link| link.hosts().to_vec()),
             events: self.events.rows(),
         }
     }

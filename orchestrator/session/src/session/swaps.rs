@@ -7,7 +7,7 @@
 use audit::samples::ScanRecord;
 use handover::swap::{
     Certificate, LOCKSTEP_TIMEOUT_NS, MAX_TOLERANCE, Party, Recorded, Stage, Swap, SwapAction, SwapEvent,
-    SwapPlan,
+    SwapOutcome, SwapPlan,
 };
 use shared_types::{Checkpoint, ProcessState, Role, Topic};
 use supervision::supervisor::VisibleState;
@@ -76,6 +76,12 @@ impl Swaps {
     pub(super) fn certificates(&self) -> Vec<Certificate> {
         let swaps = self.ended.iter().filter(|ended| ended.purpose == Purpose::Swap);
         swaps.map(|ended| ended.certificate.clone()).collect()
+    }
+
+    /// Number of swaps and restarts that were rolled back.
+    pub(super) fn rolled_back(&self) -> usize {
+        let is_rolled_back = |ended: &&Ended| ended.certificate.outcome == SwapOutcome::RolledBack;
+        self.ended.iter().filter(is_rolled_back).count()
     }
 
     /// Whether a swap was accepted or is in progress.

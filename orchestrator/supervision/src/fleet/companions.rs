@@ -12,7 +12,7 @@ use runtime::{
     COMPANION_VARIABLE, CompanionPage, CompanionReport, Domain, MAX_COMPANIONS, REPORT_VARIABLE, StopWord,
     monotonic_ns,
 };
-use shared_types::{Authority, ProcessState, Role};
+use shared_types::{Authority, Header, ProcessState, Role};
 
 use super::process::{Load, Process, command_of};
 use crate::child::{Child, Launch};
@@ -67,6 +67,8 @@ struct Member {
 struct Running {
     process: Process,
     report: usize,
+    /// It may take over once it is connected.
+    is_approved: bool,
 }
 
 /// What has happened to a companion.
@@ -80,6 +82,10 @@ pub enum CompanionEvent {
     Failed(String, bool),
     /// Lock-step waits for it no longer, from that scan on.
     LeftLockstep(String, u64),
+    /// The samples of its successor count from that scan on.
+    TakesOver(String, u64),
+    /// Its successor ended before it took over, and how.
+    SuccessorEnded(String, String, Vec<String>),
     /// Another process has taken over from that scan on.
     Replaced(String, u64),
 }
@@ -195,6 +201,7 @@ impl Companions {
             }
             !running.process.has_ended()
         });
+        let mut is_successor_gone = false;
         let exit_of = |running: &mut Option<Running>| {
             let exit = running.as_mut()?.process.child.try_wait().ok().flatten()?;
             *running = None;
@@ -202,10 +209,20 @@ impl Companions {
         };
         if let Some(exit) = exit_of(&mut member.successor) {
             let lines = member.log.last_lines(LAST_LOG_LINES).unwrap_or_default();
-            let text = format!("its successor ended: {exit}");
-            events.push(CompanionEvent::Ended(name.clone(), text, lines));
+            events.push(CompanionEvent::SuccessorEnded(name.clone(), exit.to_string(), lines));
+            // Samples that it has published may count already: those of the old process do again.
+            if let Some(running) = &member.process {
+                let incarnation = running.process.incarnation;
+                member.authority = Authority { incarnation, ..Authority::default() };
+            }
+            is_successor_gone = true;
         }
-        let Some(exit) = exit_of(&mut member.process) else { return };
+        let Some(exit) = exit_of(&mut member.process) else {
+            if is_successor_gone {
+                self.publish(index);
+            }
+            return;
+        };
         member.last_log_lines = member.log.last_lines(LAST_LOG_LINES).unwrap_or_default();
         member.authority = Authority::default();
         if self.ends {
@@ -274,7 +291,8 @@ impl Companions {
         ));
         let launch = Launch { command: command_of(&member.entry), environment };
         let child = Child::spawn(&launch, &member.log)?;
-        Ok(Running { process: Process::new(member.entry.clone(), incarnation, child), report })
+        let process = Process::new(member.entry.clone(), incarnation, child);
+        Ok(Running { process, report, is_approved: false })
     }
 
     /// A successor that is connected takes over two scans later; then the old process ends.
@@ -285,10 +303,11 @@ impl Companions {
         let is_connected = report.incarnation == successor.process.incarnation
             && report.state().is_some_and(|state| state >= ProcessState::Connected);
         let new = successor.process.incarnation;
-        if is_connected && member.authority.incarnation != new {
+        if is_connected && successor.is_approved && member.authority.incarnation != new {
             let previous = member.authority.incarnation;
             let from_scan = recorded_scan + 3;
             member.authority = Authority { incarnation: new, previous, from_scan };
+            events.push(CompanionEvent::TakesOver(member.entry.name().to_owned(), from_scan));
             self.publish(index);
             return;
         }
@@ -355,11 +374,12 @@ impl Companions {
         held.map(|member| self.page.report(member.report).answered_scan).min()
     }
 
-    /// Starts a process that replaces a companion while the robot drives.
+    /// Starts a process that replaces a companion while the robot drives, once it is approved; returns whether an old
+    /// process runs.
     ///
     /// # Errors
     /// Why it can't be replaced.
-    pub fn swap(&mut self, name: &str, command: &[String]) -> Result<(), String> {
+    pub fn swap(&mut self, name: &str, command: &[String]) -> Result<bool, String> {
         let index = self.find(name)?;
         if self.members[index].successor.is_some() {
             return Err(format!("companion {name} is being replaced already"));
@@ -368,22 +388,55 @@ impl Companions {
         self.members[index].entry.command = Some(command.to_vec());
         if self.members[index].process.is_none() {
             self.members[index].keeper.start_now();
-            return Ok(());
+            return Ok(false);
         }
         let started = self.start(index);
         self.members[index].entry = before;
         self.members[index].successor = Some(started.map_err(|error| format!("{error:#}"))?);
-        Ok(())
+        Ok(true)
     }
 
-    /// Replaces a companion by a new process of the same command, or starts it when none runs.
+    /// The command of a companion.
     ///
     /// # Errors
-    /// Why it can't be restarted.
-    pub fn restart(&mut self, name: &str) -> Result<(), String> {
+    /// An unknown name.
+    pub fn command(&self, name: &str) -> Result<Vec<String>, String> {
         let index = self.find(name)?;
-        let command = self.members[index].entry.command.clone().unwrap_or_default();
-        self.swap(name, &command)
+        Ok(self.members[index].entry.command.clone().unwrap_or_default())
+    }
+
+    /// The incarnations of a companion and of its successor, if it has one.
+    pub fn incarnations(&self, name: &str) -> Option<(u32, u32)> {
+        let member = self.members.iter().find(|member| member.entry.name() == name)?;
+        let incarnation = |running: &Option<Running>| Some(running.as_ref()?.process.incarnation);
+        Some((incarnation(&member.process).unwrap_or(0), incarnation(&member.successor)?))
+    }
+
+    /// Whether a sample of a companion counts; the last ones of a process that has died do.
+    pub fn counts(&self, name: &str, header: &Header) -> bool {
+        let member = self.members.iter().find(|member| member.entry.name() == name);
+        member.is_some_and(|Member { authority, .. }| {
+            authority.incarnation == 0 || authority.accepts(header.incarnation, header.scan_id)
+        })
+    }
+
+    /// The successor of a companion may take over.
+    pub fn approve(&mut self, name: &str) {
+        let successors = self.members.iter_mut().filter(|member| member.entry.name() == name);
+        successors
+            .filter_map(|member| member.successor.as_mut())
+            .for_each(|running| running.is_approved = true);
+    }
+
+    /// Ends the successor of a companion, which stays as it is.
+    pub fn refuse(&mut self, name: &str) {
+        let now_ns = monotonic_ns();
+        for member in self.members.iter_mut().filter(|member| member.entry.name() == name) {
+            if let Some(successor) = member.successor.take() {
+                let _ = successor.process.child.terminate();
+                member.leaving.push((successor, now_ns + member.entry.grace_ms * 1_000_000));
+            }
+        }
     }
 
     fn find(&self, name: &str) -> Result<usize, String> {

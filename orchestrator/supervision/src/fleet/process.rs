@@ -65,8 +65,11 @@ impl Process {
     }
 }
 
-/// The command line that starts a process.
+/// The command line that starts a process; for one on another host, the proxy that stands for it here.
 pub(super) fn command_of(entry: &ProcessEntry) -> Vec<OsString> {
+    if let (Some(host), Some(implementation)) = (&entry.host, &entry.implementation) {
+        return vec![this_program().into_os_string(), "remote".into(), host.into(), implementation.into()];
+    }
     match (&entry.command, &entry.implementation) {
         (Some(command), _) => command.iter().map(OsString::from).collect(),
         (None, implementation) => {

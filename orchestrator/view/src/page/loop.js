@@ -1,14 +1,14 @@
 // The processes as a graph of the loop: state, age, rate, processor, restarts, who is in charge, candidates and standby.
 
 const NS = "http://www.w3.org/2000/svg";
-const BOX = { width: 116, height: 54 };
+const BOX = { width: 116, height: 58 };
 const PLACES = {
-  robot: [2, 90], estimator: [2, 2], obstacles: [162, 2], controller: [322, 2], actuator: [322, 90],
+  robot: [2, 92], estimator: [2, 2], obstacles: [162, 2], controller: [318, 2], actuator: [318, 92],
 };
 const ARROWS = [
-  ["M62 90 V61", "odometry", 57, 78, "end"], ["M118 29 H157", "pose", 139, 24, "middle"], ["M278 29 H317", "", 0, 0],
-  ["M380 56 V85", "command", 386, 74, "start"], ["M322 117 H123", "actuation", 222, 112, "middle"],
-  ["M92 90 C96 66 186 84 200 61", "scan", 146, 70, "middle"],
+  ["M62 92 V65", "odometry", 57, 80, "end"], ["M118 31 H157", "pose", 139, 26, "middle"], ["M278 31 H313", "", 0, 0],
+  ["M376 60 V87", "command", 382, 77, "start"], ["M318 121 H123", "actuation", 222, 116, "middle"],
+  ["M92 92 C96 68 186 88 200 65", "scan", 146, 72, "middle"],
 ];
 
 function element(name, attributes, parent, text) {
@@ -35,7 +35,7 @@ export function loop(svg, note) {
     element("rect", { class: "box", width: BOX.width, height: BOX.height, rx: 7 }, group);
     element("circle", { class: "lamp", cx: 11, cy: 13, r: 4.5 }, group);
     element("text", { x: 21, y: 17, class: "role" }, group, role);
-    const lines = [29, 40, 50].map((y) => element("text", { x: 9, y, class: "muted" }, group));
+    const lines = [30, 42, 53].map((y) => element("text", { x: 9, y, class: "muted" }, group));
     const corner = element("text", { x: BOX.width - 7, y: 17, "text-anchor": "end", class: "muted" }, group);
     const title = element("title", {}, group);
     boxes[role] = { group, lines, corner, title };
@@ -45,6 +45,8 @@ export function loop(svg, note) {
     const others = system?.status?.processes?.filter((row) => !(row.role in PLACES)) ?? [];
     const refused = system?.status?.refused?.length ?? 0;
     const parts = others.map((row) => `${row.role} ${row.implementation}: ${row.state}`);
+    parts.push(...(system?.status?.companions ?? []).map((row) => `${row.name}: ${row.state}`));
+    note.title = parts.join("\n");
     if (refused) parts.push(`samples refused by ${refused} rule${refused > 1 ? "s" : ""}`);
     note.textContent = parts.join(" · ");
   };
@@ -65,14 +67,15 @@ function show({ group, lines, corner, title }, role, system) {
   const incarnation = system.authority?.[["robot", "estimator", "obstacles", "controller", "actuator"].indexOf(role)];
   corner.textContent = `#${incarnation ?? "–"}`;
   const name = row.implementation.split("/").pop();
-  lines[0].textContent = row.state === "ready" ? short(name, 17) : `${row.state}`;
-  const age = row.last_sample_age_ms < 9999 ? `${row.last_sample_age_ms.toFixed(0)} ms` : "";
+  const restarts = row.restarts ? ` ↻${row.restarts}` : "";
+  lines[0].textContent = row.state === "ready" ? short(name, 17 - restarts.length) + restarts : `${row.state}`;
+  const age = row.last_sample_age_ms != null && row.last_sample_age_ms < 9999 ? `${row.last_sample_age_ms.toFixed(0)} ms` : "";
   lines[1].textContent = `${row.rate_hz.toFixed(1)} Hz · ${age}`;
   const other = others[0];
-  lines[2].textContent = other ? `${other.state}: ${short(other.implementation.split("/").pop(), 10)}` : `${share(row, system).toFixed(1)} % · pid ${row.pid}${row.restarts ? ` ↻${row.restarts}` : ""}`;
+  lines[2].textContent = other ? `${other.state}: ${short(other.implementation.split("/").pop(), 10)}` : [row.cpu_percent == null ? "" : `${share(row, system).toFixed(1)} % · `, `pid ${row.pid}`].join("");
   title.textContent = [
     `${role}: ${row.implementation}, process ${row.pid}, ${row.state}`,
-    `newest output ${row.last_sample_age_ms.toFixed(0)} ms old, ${row.memory_kib} KiB, ${row.restarts} restarts`,
+    `newest output ${row.last_sample_age_ms?.toFixed(0) ?? "–"} ms old, ${row.memory_kib == null ? "" : `${row.memory_kib} KiB, `}${row.restarts} restarts`,
     ...others.map((other) => `${other.state}: ${other.implementation}, process ${other.pid}`),
     ...row.last_words,
   ].join("\n");

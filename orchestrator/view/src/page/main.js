@@ -7,7 +7,9 @@ import { latency } from "./latency.js";
 import { loop } from "./loop.js";
 import { draw } from "./map.js";
 import { legend, panels, stateOf } from "./panels.js";
-import { ask, connect } from "./stream.js";
+import { bounds, past } from "./past.js";
+import { player } from "./player.js";
+import { connect, startTime } from "./stream.js";
 import { SPAN_S, timeline } from "./timeline.js";
 
 const by = (id) => document.getElementById(id);
@@ -17,10 +19,12 @@ const MAX_EVENTS = 300;
 // A body that moves farther than this between two frames is drawn at its new place at once.
 const MAX_GLIDE_M = 0.6;
 
-const page = { system: null, frame: null, before: null, came_ms: 0, rows: [], events: [], lost: null, shown_s: null, past: null, epoch_ms: null };
+// Rows of a recording are there from `window[0]` to `window[1]` [s]; `overview` is the whole of it, in larger steps.
+const page = { system: null, frame: null, rows: [], events: [], lost: null, shown_s: null, past: null, epoch_ms: null, overview: null, window: null };
+// The last step from frame to frame that bodies glide along.
+let glided = { before: null, frame: null, came_ms: 0, length_ms: 100 };
 let colour = {};
 let isDirty = true;
-let asked = 0;
 let last_ms = 0;
 const costs = [];
 
@@ -31,6 +35,12 @@ const showLoop = loop(by("loop"), by("loop-note"));
 const showLatency = latency(by("latency"), by("latency-note"));
 const showControl = control(by("control"), by("control-form"), by("control-result"));
 const showTimeline = timeline(by("timeline"), choose);
+const play = player(by, choose);
+const fetchPast = past(page, (frame) => {
+  glided = { before: play.isPlaying ? page.past : null, frame, came_ms: performance.now(), length_ms: 100 / play.speed };
+  page.past = frame;
+  changed();
+});
 
 function readColours() {
   const style = getComputedStyle(document.documentElement);
@@ -45,26 +55,11 @@ function followButton() {
 
 /** Shows the frame of that time; null shows the newest. */
 function choose(time_s) {
-  page.shown_s = time_s;
+  if (page.overview && time_s == null) return;
+  page.shown_s = time_s == null ? null : Math.max(bounds(page).from_s, Math.min(bounds(page).to_s, time_s));
   by("live").setAttribute("aria-pressed", String(time_s == null));
   if (time_s == null) page.past = null;
   changed();
-  fetchPast();
-}
-
-// One request at a time; the time that is wanted then decides about the next.
-async function fetchPast() {
-  if (page.shown_s == null || asked) return;
-  const row = page.rows.findLast((row) => row.time_s <= page.shown_s) ?? page.rows[0];
-  if (!row || page.past?.row.number === row.number) return;
-  asked = row.number;
-  try {
-    const response = await ask(`/frame?number=${row.number}`);
-    if (response.ok && page.shown_s != null) page.past = await response.json();
-  } catch { /* The stream reports a lost connection. */ }
-  asked = 0;
-  changed();
-  if (page.past?.row.number !== row.number) return;
   fetchPast();
 }
 
@@ -81,7 +76,16 @@ function take(rows, events) {
 }
 
 connect({
-  open({ rows, events }) {
+  open({ rows, events, recording }) {
+    // Another server may show something else at the same address.
+    if (!recording !== !page.overview) Object.assign(page, { system: null, frame: null, rows: [], events: [], shown_s: null, past: null });
+    if (recording) {
+      const isWhole = rows.length === recording.frames;
+      Object.assign(page, { overview: rows, rows: isWhole ? rows : [], window: isWhole ? [-Infinity, Infinity] : null, events, past: null, lost: null });
+      fetchPast();
+      return;
+    }
+    page.overview = null;
     // Another server counts from the start.
     if ((rows.at(-1)?.number ?? 0) < (page.rows.at(-1)?.number ?? 0)) Object.assign(page, { rows: [], events: [], frame: null });
     take(rows, events);
@@ -92,16 +96,20 @@ connect({
     changed();
   },
   system(system) {
-    if (system?.run_id && page.system?.run_id && system.run_id !== page.system.run_id) page.frame = page.before = null;
+    if (system?.run_id && page.system?.run_id && system.run_id !== page.system.run_id) page.frame = null;
+    const isFirst = page.overview && !page.system;
     page.system = system;
+    if (isFirst) {
+      play.set(startTime == null);
+      choose(startTime ?? 0);
+    }
     page.epoch_ms ??= Date.now() - 1000 * system.time_s;
     changed();
   },
   events: (events) => take([], events),
   frame(frame) {
-    page.before = page.frame;
+    glided = { before: page.frame, frame, came_ms: performance.now(), length_ms: 100 };
     page.frame = frame;
-    page.came_ms = performance.now();
     take([frame.row], []);
   },
   end() {},
@@ -109,8 +117,8 @@ connect({
 
 // Where the bodies are drawn: they glide from frame to frame, as long as they move as bodies do.
 function glide(frame, now_ms) {
-  const before = page.past ? null : page.before;
-  const share = Math.min(1, (now_ms - page.came_ms) / 100);
+  const before = glided.frame === frame ? glided.before : null;
+  const share = Math.min(1, (now_ms - glided.came_ms) / glided.length_ms);
   const [pose, moves] = between(before?.pose, frame?.pose, share);
   return [pose && { ...pose, truth: between(before?.truth, frame.truth, share)[0] }, moves];
 }
@@ -139,19 +147,32 @@ function trailOf(frame) {
 
 let body = null;
 let trail = [];
-let timeline_ms = 0;
 let painted = null;
+let played_ms = 0;
 
 function paint(now_ms) {
   requestAnimationFrame(paint);
   const started = performance.now();
+  const seconds = Math.min(0.1, (now_ms - last_ms) / 1000);
+  if (page.shown_s != null && play.isPlaying && !page.lost) {
+    const { to_s } = bounds(page);
+    const next_s = play.step(seconds, page.shown_s, to_s);
+    if (next_s >= to_s) {
+      choose(page.overview ? to_s : null);
+    } else {
+      // A new frame draws all; without one, the mark of the time moves ten times a second.
+      page.shown_s = next_s;
+      if (now_ms - played_ms > 100) changed();
+      fetchPast();
+    }
+  }
   const frame = page.shown_s == null ? page.frame : page.past ?? page.frame;
   let moves;
   [body, moves] = glide(frame, now_ms);
   const course = page.system?.course ?? page.course;
   if (course) page.course = course;
   const track = course?.track?.y_m;
-  const isMoving = eye.step(Math.min(0.1, (now_ms - last_ms) / 1000), body, track ? (track[0] + track[1]) / 2 : 0);
+  const isMoving = eye.step(seconds, body, track ? (track[0] + track[1]) / 2 : 0);
   last_ms = now_ms;
   if (!isDirty && !moves && !isMoving) return;
   const { context, width, height } = prepare(by("map"));
@@ -164,30 +185,32 @@ function paint(now_ms) {
 
 // What changes with frames only, not with the glide between them.
 function paintPanels(frame, course) {
-  const newest_s = page.rows.at(-1)?.time_s ?? 0;
-  const now_s = Math.max(newest_s, page.lost ? 0 : page.system?.time_s ?? 0);
-  const until_s = page.shown_s ?? now_s;
+  played_ms = last_ms;
+  const { from_s, to_s } = bounds(page);
+  const until_s = page.shown_s ?? to_s;
+  const isRecording = page.overview != null;
+  // A frame of a recording brings the processes of its time.
+  const system = frame?.system ? { ...page.system, ...frame.system, status: { scenario: page.system?.scenario, ...frame.system.status } } : page.system;
   const goal = course?.goal;
   if (frame && frame !== painted) {
     const pose = frame.truth ?? frame.pose;
     frame.goal_m = pose && goal?.x_m != null ? Math.hypot(pose.x_m - goal.x_m, pose.y_m - goal.y_m) : null;
     painted = frame;
   }
-  const isPast = page.shown_s != null;
-  const state = isPast ? [stateOf(page.system, frame, null)[0], "Past", "Esc or Live returns to now"] : stateOf(page.system, frame, page.lost);
-  show.state(state, page.system, frame);
+  const isPast = page.shown_s != null && !isRecording;
+  const state = isPast ? [stateOf(system, frame, null)[0], "Past", "Esc or Live returns to now"] : stateOf(system, frame, page.lost);
+  show.state(state, system, frame);
   show.frame(frame);
-  show.events(page.events, page.epoch_ms);
-  showLoop(page.system);
+  show.events(page.events, page.shown_s ?? Infinity, isRecording ? null : page.epoch_ms);
+  showLoop(system);
   showLatency.frame(frame);
-  showLatency.system(page.system);
+  showLatency.system(system);
   showLatency.history(page.rows, until_s, colour);
   charts(by("charts"), page.rows, course, until_s, colour);
-  // Two pixels a second: it need not be drawn ten times a second.
-  if (page.shown_s != null || performance.now() - timeline_ms > 400) {
-    showTimeline(page.rows, page.events, now_s, page.shown_s, colour);
-    timeline_ms = performance.now();
-  }
+  const shown_s = page.shown_s;
+  showTimeline({ rows: page.overview ?? page.rows, events: page.events, from_s, to_s, shown_s, isRecording }, colour);
+  by("live").hidden = isRecording;
+  play.show(shown_s == null ? null : { from_s: Math.max(0, from_s), to_s, shown_s, isRecording });
   showControl(page.system?.actions ?? []);
 }
 
@@ -219,13 +242,27 @@ function toggleLegend() {
   by("legend-button").setAttribute("aria-expanded", String(!by("legend").hidden));
 }
 
+// An earlier or later time; from now on only an earlier one.
+function jump(seconds) {
+  const { to_s } = bounds(page);
+  const next_s = (page.shown_s ?? to_s) + seconds;
+  choose(next_s >= to_s && !page.overview ? null : next_s);
+}
+
 addEventListener("keydown", (event) => {
-  if (event.target.matches("input, select") || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.target.matches?.("input, select") || event.ctrlKey || event.metaKey || event.altKey) return;
+  // A button that has the focus takes the space bar itself.
+  if (event.key === " " && event.target.matches?.("button")) return;
+  const step_s = event.shiftKey ? 0.1 : 1;
   const action = {
     f: () => { eye.follows = !eye.follows; }, 0: fit, "+": () => eye.zoom(1.3), "-": () => eye.zoom(1 / 1.3),
     l: toggleLegend, Escape: () => choose(null),
+    ArrowLeft: () => jump(-step_s), ArrowRight: () => jump(step_s), PageUp: () => jump(-10), PageDown: () => jump(10),
+    Home: () => choose(bounds(page).from_s), End: () => jump(Infinity), " ": play.toggle, "<": () => play.change(-1), ">": () => play.change(1),
   }[event.key];
-  action?.();
+  if (!action) return;
+  if (event.key.length > 1 || event.key === " ") event.preventDefault();
+  action();
 });
 onResize(changed);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", readColours);

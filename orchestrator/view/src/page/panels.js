@@ -1,5 +1,7 @@
 // State, figures, scanner and events as text.
 
+import { clock } from "./player.js";
+
 const BLOCKED = {
   no_command: "no valid command", invalid_command: "invalid command", stale_command: "stale command",
   stop_requested: "stop requested", start: "waiting for the first commands",
@@ -69,7 +71,10 @@ export function panels(by) {
       }
       const status = system?.status;
       const run = by("run");
-      const facts = [status?.scenario, `system ${system?.system_id ?? "–"}`];
+      const place = system?.file ? `recording ${system.file}` : `system ${system?.system_id ?? "–"}`;
+      const facts = [status?.scenario, place];
+      if (system?.lost) facts.push(`${system.lost} samples lost`);
+      if (system?.complete === false) facts.push("cut off");
       const scan = frame?.row?.scan_id ?? status?.scan;
       if (scan != null) facts.push(`scan ${scan}`);
       if (frame?.time_s != null) facts.push(`${frame.time_s.toFixed(1)} s`);
@@ -87,22 +92,24 @@ export function panels(by) {
       const parts = Object.entries(margin ?? {}).sort(([, one], [, other]) => other - one);
       const sum = parts.reduce((sum, [, part]) => sum + part, 0);
       by("margin-note").title = parts.map(([name, part]) => `${name} ${centimetres(part)} cm`).join(", ");
-      set("margin-note", parts.length ? `margin ${centimetres(sum)} cm, ${centimetres(parts[0][1])} of it for ${parts[0][0]}` : "");
+      set("margin-note", sum > 0 ? `margin ${centimetres(sum)} cm, ${centimetres(parts[0][1])} of it for ${parts[0][0]}` : "");
       const scanner = frame?.scanner;
       by("scanner-panel").dataset.state = scanner?.state ?? "none";
       const percent = (share) => `${Math.round(100 * share)} %`;
-      set("scanner-note", scanner ? `${scanner.state} · ${percent(scanner.returned_share)} of returns · ` +
-        `${scanner.unseen_sectors.length} of 62 sectors unseen · ${scanner.seen_ahead_m.toFixed(1)} m` : "no description yet");
+      set("scanner-note", scanner ? `${scanner.state} · ${percent(scanner.returned_share)} returns · ` +
+        `${scanner.unseen_sectors.length}/62 sectors unseen · sees ${scanner.seen_ahead_m.toFixed(1)} m` : "no description yet");
     },
-    events(events, epoch_ms) {
-      const newest = `${events.at(-1)?.number ?? 0} ${epoch_ms}`;
-      if (newest === shown || epoch_ms == null) return;
+    /** The last events up to a time; without `epoch_ms` times count from the start. */
+    events(events, until_s, epoch_ms) {
+      const end = events.findLastIndex((event) => event.time_s <= until_s) + 1;
+      const newest = `${events[end - 1]?.number ?? 0} ${epoch_ms}`;
+      if (newest === shown) return;
       shown = newest;
-      by("events").replaceChildren(...events.slice(-6).map((event) => {
+      by("events").replaceChildren(...events.slice(Math.max(0, end - 6), end).map((event) => {
         const item = document.createElement("li");
         item.dataset.kind = event.kind;
         const time = document.createElement("time");
-        time.textContent = new Date(epoch_ms + 1000 * event.time_s).toTimeString().slice(0, 8);
+        time.textContent = epoch_ms == null ? clock(event.time_s, 1) : new Date(epoch_ms + 1000 * event.time_s).toTimeString().slice(0, 8);
         const text = document.createElement("b");
         text.textContent = event.text;
         item.title = event.text;

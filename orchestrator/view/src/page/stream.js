@@ -4,7 +4,8 @@ const RETRY_MS = [300, 600, 1200, 2000];
 // The server sends something each second.
 const SILENCE_MS = 4000;
 
-const token = new URLSearchParams(location.hash.slice(1)).get("token") ?? "";
+const fragment = new URLSearchParams(location.hash.slice(1));
+const token = fragment.get("token") ?? "";
 
 /** A request of this page, with the token of its link. */
 export function ask(path, options = {}) {
@@ -15,6 +16,9 @@ export function ask(path, options = {}) {
 
 /** Whether the link carried a token. */
 export const hasToken = token !== "";
+
+/** The time of a recording that the link names, `t=12.5` [s]; null without one. */
+export const startTime = Number.isFinite(parseFloat(fragment.get("t"))) ? parseFloat(fragment.get("t")) : null;
 
 class Refused extends Error {}
 

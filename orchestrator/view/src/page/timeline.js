@@ -1,45 +1,50 @@
-// The last five minutes: where the wheels were blocked, how fast the robot was, what happened, and which time is shown.
+// A time axis: where the wheels were blocked, how fast the robot was, what happened, and which time is shown.
 
-import { prepare } from "./charts.js";
+import { prepare, sizeOf } from "./charts.js";
+import { clock } from "./player.js";
 
 export const SPAN_S = 300;
 const TOP = 4;
 const BAND = 26;
+// What moves two pixels a second need not be drawn ten times a second.
+const PAUSE_MS = 400;
+const STEPS_S = [1, 2, 5, 10, 30, 60, 120, 300, 600, 1800, 3600, 7200, 21600];
 
-/** The axis; calls `choose` with a time [s], or null for now. */
+/** The axis; calls `choose` with a time [s]. */
 export function timeline(canvas, choose) {
-  let state = null;
+  let range = null;
+  let drawn = { key: "", at_ms: -Infinity };
+  const band = document.createElement("canvas");
 
   const timeAt = (event) => {
     const share = Math.min(1, Math.max(0, event.offsetX / canvas.clientWidth));
-    return state.now_s - SPAN_S * (1 - share);
+    return range.from_s + share * (range.to_s - range.from_s);
   };
   canvas.addEventListener("pointerdown", (event) => {
-    if (!state) return;
+    if (!range) return;
     canvas.setPointerCapture(event.pointerId);
     choose(timeAt(event));
   });
   canvas.addEventListener("pointermove", (event) => {
-    if (state && event.buttons) choose(timeAt(event));
-  });
-  canvas.addEventListener("keydown", (event) => {
-    const step = { ArrowLeft: -1, ArrowRight: 1, PageUp: -10, PageDown: 10 }[event.key];
-    if (!state || !step) return;
-    event.preventDefault();
-    const next = (state.shown_s ?? state.now_s) + step * (event.shiftKey ? 0.1 : 1);
-    choose(next >= state.now_s ? null : next);
+    if (range && event.buttons) choose(timeAt(event));
   });
 
-  return (rows, events, now_s, shown_s, colour) => {
-    state = { now_s, shown_s };
-    const { context, width, height } = prepare(canvas);
-    const x = (time_s) => width * (1 - (now_s - time_s) / SPAN_S);
-    context.clearRect(0, 0, width, height);
+  // What has happened is drawn once and copied; the mark of the shown time moves above it.
+  function drawBand(view, colour) {
+    const { rows, events, from_s, to_s, isRecording } = view;
+    const [width, height] = sizeOf(canvas);
+    const ratio = window.devicePixelRatio || 1;
+    Object.assign(band, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
+    const context = band.getContext("2d");
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    const x = (time_s) => (width * (time_s - from_s)) / (to_s - from_s);
     context.fillStyle = colour.back;
     context.fillRect(0, TOP, width, BAND);
+    // Rows of a long recording stand for some frames each.
+    const longest_s = isRecording ? Math.max(0.5, 2 * (to_s - from_s) / Math.max(1, rows.length)) : 0.5;
     rows.forEach((row, index) => {
       const next = rows[index + 1]?.time_s ?? row.time_s + 0.1;
-      const length = x(Math.min(next, row.time_s + 0.5)) - x(row.time_s);
+      const length = x(Math.min(next, row.time_s + longest_s)) - x(row.time_s);
       const share = row.blocked ? 1 : Math.min(1, row.speed_mps ?? 0);
       context.fillStyle = [colour.robot, colour.stop, colour.idle][row.blocked];
       context.globalAlpha = [0.75, 0.35, 0.18][row.blocked];
@@ -48,7 +53,7 @@ export function timeline(canvas, choose) {
     context.globalAlpha = 1;
     const styles = { bad: colour.stop, warning: colour.warning, good: colour.good };
     for (const event of events) {
-      if (!styles[event.kind] || event.time_s < now_s - SPAN_S) continue;
+      if (!styles[event.kind] || event.time_s < from_s) continue;
       context.fillStyle = styles[event.kind];
       context.beginPath();
       context.moveTo(x(event.time_s) - 4, 0);
@@ -56,21 +61,50 @@ export function timeline(canvas, choose) {
       context.lineTo(x(event.time_s), 8);
       context.fill();
     }
+  }
+
+  // Labels of the axis, but for those that the label of the mark would cover.
+  function drawLabels(context, { from_s, to_s, isRecording }, width, height, mark, colour) {
     context.fillStyle = colour.muted;
     context.font = "11px system-ui, sans-serif";
-    const step = width < 500 ? 120 : 30;
-    for (let back = step; back < SPAN_S; back += step) {
-      const label = `−${Math.floor(back / 60)}:${String(back % 60).padStart(2, "0")}`;
-      context.fillRect(x(now_s - back), TOP + BAND, 1, 4);
-      context.fillText(label, x(now_s - back) - 13, height - 3);
+    const span_s = to_s - from_s;
+    const step = STEPS_S.find((step) => (step / span_s) * width >= 64) ?? 43200;
+    for (let count = isRecording ? 0 : 1; count * step < span_s; count++) {
+      const at = (width * count * step) / span_s;
+      const x = isRecording ? at : width - at;
+      context.fillRect(x, TOP + BAND, 1, 4);
+      const label = isRecording ? clock(count * step) : `−${clock(count * step)}`;
+      const long = context.measureText(label).width;
+      const left = Math.min(width - long, Math.max(0, x - 13));
+      if (left + long + 6 < mark || left > mark + 52) context.fillText(label, left, height - 3);
     }
-    const at = Math.min(width - 1.5, x(shown_s ?? now_s));
+  }
+
+  return (view, colour) => {
+    const { rows, events, from_s, to_s, shown_s, isRecording } = view;
+    const { context, width, height } = prepare(canvas);
+    const look = `${width} ${height} ${colour.back} ${isRecording}`;
+    const key = `${look} ${rows.length} ${rows.at(-1)?.number} ${events.length} ${to_s}`;
+    const isOld = performance.now() - drawn.at_ms > PAUSE_MS;
+    if (key !== drawn.key && (isRecording || isOld || look !== drawn.look)) {
+      drawBand(view, colour);
+      drawn = { key, look, at_ms: performance.now() };
+      range = { from_s, to_s, isRecording };
+    }
+    context.clearRect(0, 0, width, height);
+    if (band.width) context.drawImage(band, 0, 0, width, height);
+    const share = shown_s == null ? 1 : (shown_s - range.from_s) / (range.to_s - range.from_s);
+    const at = Math.min(width - 1.5, Math.max(1, width * share));
+    const back_s = shown_s == null ? 0 : to_s - shown_s;
+    const label = isRecording ? clock(shown_s ?? 0, 1) : shown_s == null ? "now" : `−${back_s.toFixed(1)} s`;
+    const place = Math.min(width - 48, Math.max(0, at - 18));
+    drawLabels(context, range, width, height, place, colour);
+    context.font = "600 12px system-ui, sans-serif";
     context.fillStyle = colour.ink;
     context.fillRect(at - 1, 0, 2.5, TOP + BAND + 5);
-    const back = shown_s == null ? 0 : now_s - shown_s;
-    const label = shown_s == null ? "now" : `−${back.toFixed(1)} s`;
-    context.font = "600 12px system-ui, sans-serif";
-    context.fillText(label, Math.min(width - 48, Math.max(0, at - 18)), height - 3);
-    canvas.setAttribute("aria-valuenow", (-back).toFixed(1));
+    context.fillText(label, place, height - 3);
+    canvas.setAttribute("aria-valuemin", isRecording ? "0" : String(-SPAN_S));
+    canvas.setAttribute("aria-valuemax", isRecording ? to_s.toFixed(1) : "0");
+    canvas.setAttribute("aria-valuenow", (isRecording ? shown_s ?? 0 : -back_s).toFixed(1));
   };
 }

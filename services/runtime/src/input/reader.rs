@@ -12,7 +12,7 @@ use shared_types::{
 
 use crate::bell::Bells;
 use crate::enclosed::Enclosed;
-use crate::port::{ByteSubscriber, Received};
+use crate::port::{ByteSubscriber, Queue, Received};
 use crate::qos::{Qos, qos};
 use crate::refusals::Refusals;
 use crate::shared::Shared;
@@ -46,11 +46,11 @@ pub(crate) struct Reader {
 
 impl Reader {
     pub(crate) fn new(bus: &Bus, shared: Rc<Shared>, of: &'static SampleType) -> Result<Self, RuntimeError> {
-        let qos = qos(of.topic);
+        let qos = qos(of.topic, u64::MAX);
         Ok(Self {
             of,
             qos,
-            subscriber: bus.subscriber(of)?,
+            subscriber: bus.subscriber(of, Queue::Process)?,
             waiter: Waiter::new(bus, of.topic)?,
             // The first poll finds whatever was published before.
             rung: Cell::new(bus.bells().topic(of.topic).poll().wrapping_sub(1)),
@@ -144,7 +144,7 @@ impl Reader {
         self.rung.set(self.bells.topic(self.of.topic).poll());
         self.waiter.clear();
         // Samples are overwritten only when as many newer ones have come as the buffer holds.
-        let capacity = self.qos.buffer;
+        let capacity = self.qos.of_a_process();
         let (before, mut received) = (*self.account.borrow(), 0);
         // Dropped samples return to their publisher at the end of each round only. A publisher has a limited number of
         // samples to borrow, so one that floods the topic can neither keep this loop busy nor, as the bus polls the

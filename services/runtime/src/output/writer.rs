@@ -59,13 +59,18 @@ impl Writer {
         fill(sample);
         self.complete(sample);
         self.stamp(sample);
-        self.send_place(place)?;
+        if self.is_sent(sample) {
+            self.send_place(place)?;
+        }
         self.wake();
         Ok(())
     }
 
     pub(super) fn complete(&self, sample: &mut [u8]) {
         let (of, shared) = (self.of, &*self.shared);
+        if let Some(tamper) = shared.tamper.borrow_mut().as_mut() {
+            tamper.delay(of.topic);
+        }
         if of.topic == Topic::Actuation
             && let Ok(actuation) = bytemuck::try_from_bytes_mut::<Actuation>(sample)
         {
@@ -88,6 +93,9 @@ impl Writer {
     pub(super) fn send(&self, sample: &mut [u8]) -> Result<(), RuntimeError> {
         let mut place = self.loan()?;
         self.stamp(sample);
+        if !self.is_sent(sample) {
+            return Ok(());
+        }
         place.bytes().copy_from_slice(sample);
         self.send_place(place)
     }
@@ -105,6 +113,19 @@ impl Writer {
         if self.of.topic.writer() == Some(shared.role) {
             (self.of.header_mut)(sample).stage_mut(shared.role).published_ns = shared.answered();
         }
+    }
+
+    /// Lets an injected fault change a complete sample; whether it is sent. The guard of the wheels checks it last.
+    fn is_sent(&self, sample: &mut [u8]) -> bool {
+        let mut tamper = self.shared.tamper.borrow_mut();
+        let Some(tamper) = tamper.as_mut() else { return true };
+        let is_sent = tamper.change(self.of, sample);
+        if self.of.topic == Topic::Actuation
+            && let Ok(actuation) = bytemuck::try_from_bytes_mut::<Actuation>(sample)
+        {
+            self.shared.guard.hold_back(actuation);
+        }
+        is_sent
     }
 
     fn loan(&self) -> Result<Loan, RuntimeError> {

@@ -4,10 +4,11 @@ use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
 use std::rc::Rc;
 
-use shared_types::{Fault, Sample};
+use shared_types::{Fate, Fault, InputAccount, Role, Sample};
 
 use super::member::Member;
-use crate::{Bus, Observer, RuntimeError, wait_for};
+use super::ports::Port;
+use crate::{Bus, Observer, RuntimeError, monotonic_ns, wait_for};
 
 /// Samples that wait to be taken; the oldest is dropped for a newer one.
 const DEPTH: usize = 64;
@@ -22,7 +23,8 @@ pub(super) struct Source<S: Sample> {
     member: Rc<Member>,
     is_first: bool,
     kept: RefCell<VecDeque<S>>,
-    last: Cell<(u32, u64)>,
+    port: RefCell<Port>,
+    received: Cell<usize>,
 }
 
 /// What a companion sleeps on and polls, whatever its type.
@@ -41,7 +43,8 @@ impl<S: Sample> LoopTopic<S> {
         let observer = if is_first { Observer::waking(bus)? } else { Observer::new(bus)? };
         let kept = RefCell::new(VecDeque::with_capacity(DEPTH));
         let member = Rc::clone(member);
-        let source = Rc::new(Source { observer, member, is_first, kept, last: Cell::default() });
+        let (port, received) = (member.port(S::TOPIC.name(), false), Cell::default());
+        let source = Rc::new(Source { observer, member, is_first, kept, port, received });
         Ok((Self(Rc::clone(&source)), source))
     }
 
@@ -81,7 +84,20 @@ impl<S: Sample> LoopTopic<S> {
 impl<S: Sample> Source<S> {
     fn hand_over(&self, sample: Option<S>) -> Option<S> {
         if let Some(sample) = &sample {
-            self.member.take(sample.header(), self.is_first);
+            let header = sample.header();
+            self.member.take(header, self.is_first);
+            let port = &mut *self.port.borrow_mut();
+            port.settle(Fate::Used, header);
+            if !self.member.clock.is_simulated()
+                && let Some(role) = S::TOPIC.writer()
+            {
+                let published_ns = match role {
+                    Role::Robot => header.scan_published_ns(),
+                    role => header.stage(role).published_ns,
+                };
+                port.delayed(published_ns, monotonic_ns());
+            }
+            port.show(self.kept.borrow().iter().map(Sample::header));
         }
         sample
     }
@@ -90,7 +106,9 @@ impl<S: Sample> Source<S> {
         let sample = {
             let mut kept = self.kept.borrow_mut();
             let index = kept.iter().rposition(is_wanted)?;
-            kept.drain(..=index).next_back()
+            let port = &mut *self.port.borrow_mut();
+            kept.drain(..index).for_each(|older| port.settle(Fate::Replaced, older.header()));
+            kept.pop_front()
         };
         self.hand_over(sample)
     }
@@ -108,28 +126,34 @@ impl<S: Sample> Source<S> {
     }
 
     fn arrive(&self, sample: &S, check: Result<(), Fault>) {
+        self.received.set(self.received.get() + 1);
         let (header, report) = (sample.header(), &mut *self.member.report.borrow_mut());
-        if check.is_err() {
+        let port = &mut *self.port.borrow_mut();
+        if matches!(check, Err(Fault::Layout { .. })) {
+            port.account.unreadable += 1;
             report.invalid += 1;
             return;
+        }
+        let fate = port.account.arrive(header);
+        // Checkpoints are relayed, so their numbers may come twice.
+        if let Some(fate) = fate.filter(|_| S::TOPIC.writer().is_some()) {
+            return port.settle(fate, header);
+        }
+        if check.is_err() {
+            report.invalid += 1;
+            return port.settle(Fate::Invalid, header);
         }
         if let Some(role) = S::TOPIC.writer()
             && !self.member.page.role(role).accepts(header.incarnation, header.scan_id)
         {
             report.foreign += 1;
-            return;
+            return port.settle(Fate::Foreign, header);
         }
-        let (incarnation, sequence) = self.last.get();
-        if S::TOPIC.writer().is_some() && incarnation == header.incarnation {
-            if header.sequence <= sequence {
-                return;
-            }
-            report.missed += header.sequence - sequence - 1;
-        }
-        self.last.set((header.incarnation, header.sequence));
         let mut kept = self.kept.borrow_mut();
-        if kept.len() == DEPTH {
-            kept.pop_front();
+        if kept.len() == DEPTH
+            && let Some(oldest) = kept.pop_front()
+        {
+            port.settle(Fate::Replaced, oldest.header());
         }
         kept.push_back(*sample);
     }
@@ -141,7 +165,18 @@ impl<S: Sample> Feed for Source<S> {
     }
 
     fn poll(&self) -> Result<(), RuntimeError> {
-        self.observer.poll_checked(|sample, check| self.arrive(sample, check))
+        let before = self.port.borrow().account;
+        self.received.set(0);
+        self.observer.poll_checked(|sample, check| self.arrive(sample, check))?;
+        let port = &mut *self.port.borrow_mut();
+        if self.received.get() >= self.observer.capacity() {
+            port.account.overflowed_since(&before, self.observer.capacity() as u64);
+        }
+        let gaps = |account: &InputAccount| account.missing + account.overwritten;
+        let missed = gaps(&port.account).saturating_sub(gaps(&before));
+        self.member.report.borrow_mut().missed += missed;
+        port.show(self.kept.borrow().iter().map(Sample::header));
+        Ok(())
     }
 
     fn connect(&self) {

@@ -8,6 +8,7 @@ use shared_types::{Described, LayoutRow, Phase, ProcessState, Sample, StageStamp
 use super::builtin::{Feed, LoopTopic};
 use super::member::{Member, Place};
 use super::page::{CompanionReport, MAX_COMPANIONS};
+use super::table::CompanionRow;
 use super::topic::{ByteTopic, NamedTopic};
 use crate::crash::report_crashes;
 use crate::environment::{COMPANION_VARIABLE, REPORT_VARIABLE};
@@ -124,6 +125,25 @@ impl Companion {
         let topic = ByteTopic::open_rows(&self.bus, &self.member, name, mine)?;
         self.keep(topic.clone());
         Ok(topic)
+    }
+
+    /// [`Companion::open`] with the layout that the system has: for programs that copy samples and read no field but the
+    /// header.
+    ///
+    /// # Errors
+    /// [`RuntimeError::NoOwnTopic`] when this process neither reads nor writes it, and errors of the bus.
+    pub fn open_bytes(&mut self, name: &str) -> Result<ByteTopic, RuntimeError> {
+        let topic = ByteTopic::open(&self.bus, &self.member, name, &|_| Ok(()))?;
+        self.keep(topic.clone());
+        Ok(topic)
+    }
+
+    /// What the system file says about this process.
+    pub fn uses(&self) -> &CompanionRow {
+        let Place::Companion { index, .. } = self.member.place else {
+            unreachable!("a companion has a number")
+        };
+        &self.member.table.companion[index]
     }
 
     fn keep(&mut self, topic: ByteTopic) {

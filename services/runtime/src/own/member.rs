@@ -7,7 +7,8 @@ use shared_types::{
     Described, Difference, Header, LayoutRow, Layouts, OwnType, Phase, Role, StageStamps, difference_in,
 };
 
-use super::page::{CompanionPage, CompanionReport};
+use super::page::{CompanionPage, CompanionReport, MAX_COMPANIONS};
+use super::ports::{Port, PortTable};
 use super::table::{OPERATOR, OwnTopics, TopicRow};
 use crate::{Clock, Domain, RuntimeError, monotonic_ns};
 
@@ -27,6 +28,7 @@ pub(crate) struct Member {
     pub(super) incarnation: u32,
     pub(super) table: OwnTopics,
     pub(super) page: CompanionPage,
+    ports: PortTable,
     pub(super) clock: Clock,
     pub(super) stamps: Cell<StageStamps>,
     pub(super) report: RefCell<CompanionReport>,
@@ -59,12 +61,23 @@ impl Member {
             name: name.to_owned(),
             incarnation,
             page: CompanionPage::open(domain)?,
+            ports: PortTable::open(domain)?,
             clock: table.run.clock.clock(),
             stamps: Cell::default(),
             report: RefCell::new(report),
             open_scan: Cell::new(0),
             table,
         }))
+    }
+
+    /// Counts for a port that reads or writes a topic.
+    pub(super) fn port(&self, topic: &str, writes: bool) -> RefCell<Port> {
+        let process = match self.place {
+            Place::Role(role) => MAX_COMPANIONS + role.index(),
+            Place::Companion { index, .. } => index,
+        };
+        let topic = self.table.number_of(topic);
+        RefCell::new(Port::open(&self.ports, self.incarnation, process as u32, topic, writes))
     }
 
     /// The row of a topic that this process reads (true) or writes (false).

@@ -5,7 +5,6 @@
 //! about itself alone; the loop does not read the page.
 #![expect(unsafe_code, reason = "shared memory is mapped from a file")]
 
-use std::fs::File;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
@@ -107,16 +106,8 @@ impl CompanionPage {
     /// # Errors
     /// [`RuntimeError::File`] and [`RuntimeError::SharedMemory`].
     pub fn create(domain: &Domain) -> Result<Self, RuntimeError> {
-        let folder = domain.bus_folder()?;
-        let error = |source| RuntimeError::file(folder.path().join(FILE), source);
-        let file = folder.open_file(FILE, OFlags::RDWR | OFlags::CREATE).map_err(error)?;
-        let length = size_of::<Page>() as u64;
-        allocate(&file, length, length)?;
-        // Where the file system can't allocate, the file is still empty.
-        if file.metadata().map_err(error)?.len() < length {
-            file.set_len(length).map_err(error)?;
-        }
-        Self::map(&file).map_err(error)
+        // SAFETY: atomics only.
+        unsafe { create_file(domain, FILE) }.map(|page| Self(Arc::new(page)))
     }
 
     /// Opens the page of a running system.
@@ -124,18 +115,8 @@ impl CompanionPage {
     /// # Errors
     /// [`RuntimeError::File`].
     pub fn open(domain: &Domain) -> Result<Self, RuntimeError> {
-        let folder = domain.bus_folder()?;
-        let error = |source| RuntimeError::file(folder.path().join(FILE), source);
-        let file = folder.open_file(FILE, OFlags::RDWR).map_err(error)?;
-        if file.metadata().map_err(error)?.len() < size_of::<Page>() as u64 {
-            return Err(error(std::io::Error::other("the page is not finished")));
-        }
-        Self::map(&file).map_err(error)
-    }
-
-    fn map(file: &File) -> std::io::Result<Self> {
-        // SAFETY: atomics only; callers ensure that the file is as large as the page, and it is never made smaller.
-        Ok(Self(Arc::new(unsafe { Mapped::new(file) }?)))
+        // SAFETY: as above.
+        unsafe { open_file(domain, FILE) }.map(|page| Self(Arc::new(page)))
     }
 
     /// The orchestrator has taken a turn at `now_ns`, in that phase.
@@ -237,6 +218,39 @@ impl CompanionPage {
         let scan = self.0.reports.get(report).map_or(0, |cell| cell.answered_scan.load(Ordering::SeqCst));
         (right.holds.load(Ordering::SeqCst) == 1, scan)
     }
+}
+
+/// Creates a file of shared memory for all processes of a system, or opens the one that another orchestrator left.
+///
+/// # Safety
+/// `P` consists of atomics only, for which any bytes are valid.
+pub(super) unsafe fn create_file<P>(domain: &Domain, name: &str) -> Result<Mapped<P>, RuntimeError> {
+    let folder = domain.bus_folder()?;
+    let error = |source| RuntimeError::file(folder.path().join(name), source);
+    let file = folder.open_file(name, OFlags::RDWR | OFlags::CREATE).map_err(error)?;
+    let length = size_of::<P>() as u64;
+    allocate(&file, length, length)?;
+    // Where the file system can't allocate, the file is still empty.
+    if file.metadata().map_err(error)?.len() < length {
+        file.set_len(length).map_err(error)?;
+    }
+    // SAFETY: the file is as large as the page, and it is never made smaller; the caller guarantees the rest.
+    unsafe { Mapped::new(&file) }.map_err(error)
+}
+
+/// Opens such a file.
+///
+/// # Safety
+/// As for [`create_file`].
+pub(super) unsafe fn open_file<P>(domain: &Domain, name: &str) -> Result<Mapped<P>, RuntimeError> {
+    let folder = domain.bus_folder()?;
+    let error = |source| RuntimeError::file(folder.path().join(name), source);
+    let file = folder.open_file(name, OFlags::RDWR).map_err(error)?;
+    if file.metadata().map_err(error)?.len() < size_of::<P>() as u64 {
+        return Err(error(std::io::Error::other("the page is not finished")));
+    }
+    // SAFETY: as in `create_file`.
+    unsafe { Mapped::new(&file) }.map_err(error)
 }
 
 impl Right {

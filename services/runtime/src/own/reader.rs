@@ -7,12 +7,13 @@ use std::rc::Rc;
 
 use iceoryx2::port::listener::Listener;
 use iceoryx2::prelude::ipc;
-use shared_types::{Header, OwnType, StageStamps};
+use shared_types::{Fate, Header, InputAccount, OwnType, StageStamps};
 
 use super::member::{Member, Source};
+use super::ports::Port;
 use super::table::{OwnTopics, TopicRow};
 use crate::enclosed::Enclosed;
-use crate::port::{ByteSubscriber, Received};
+use crate::port::{ByteSubscriber, Queue, Received};
 use crate::wake::{borrow, clear, descriptor, wait_for};
 use crate::{Bus, RuntimeError, monotonic_ns};
 
@@ -33,8 +34,9 @@ pub(crate) struct OwnReader {
     listener: Listener<ipc::Service>,
     member: Rc<Member>,
     kept: RefCell<VecDeque<Received>>,
-    /// Incarnation, sequence and scan of the sample that arrived last.
-    last: Cell<(u32, u64, u64)>,
+    port: RefCell<Port>,
+    /// Incarnation and scan of the sample that was kept last.
+    last: Cell<(u32, u64)>,
 }
 
 impl OwnReader {
@@ -50,10 +52,11 @@ impl OwnReader {
             source: member.source(&row),
             is_first: member.is_first(&row.name),
             max_age_ns: member.max_age_ns(&row.name),
-            subscriber: bus.subscriber_of(&shape, 0)?,
+            subscriber: bus.subscriber_of(&shape, Queue::Observer, 0)?,
             listener,
             member: Rc::clone(member),
             kept: RefCell::new(VecDeque::with_capacity(row.queue)),
+            port: member.port(&row.name, false),
             last: Cell::default(),
             row,
         }))
@@ -67,10 +70,22 @@ impl OwnReader {
     /// Takes all samples from the bus and keeps the valid ones.
     pub(super) fn poll(&self) -> Result<(), RuntimeError> {
         clear(&self.listener);
-        for _ in 0..MAX_QUEUES * self.row.queue {
+        let (before, mut received) = (self.port.borrow().account, 0);
+        while received < MAX_QUEUES * self.row.queue {
             let Some(sample) = self.subscriber.receive()? else { break };
+            received += 1;
             self.arrive(sample);
         }
+        if received >= self.row.queue {
+            // With more samples than one poll takes, those behind the newest gap still wait.
+            let is_all = received < MAX_QUEUES * self.row.queue;
+            let capacity = if is_all { self.row.queue as u64 } else { 0 };
+            self.port.borrow_mut().account.overflowed_since(&before, capacity);
+        }
+        self.show();
+        let gaps = |account: &InputAccount| account.missing + account.overwritten;
+        let missed = gaps(&self.port.borrow().account).saturating_sub(gaps(&before));
+        self.member.report.borrow_mut().missed += missed;
         Ok(())
     }
 
@@ -114,13 +129,19 @@ impl OwnReader {
     fn take_last(&self, is_wanted: impl Fn(&Received) -> bool) -> Option<Enclosed<Received>> {
         let mut kept = self.kept.borrow_mut();
         let index = kept.iter().rposition(is_wanted)?;
-        let sample = kept.drain(..=index).next_back()?;
+        kept.drain(..index).for_each(|older| self.settle(Fate::Replaced, &older));
+        let sample = kept.pop_front()?;
         drop(kept);
         Some(self.hand_over(sample))
     }
 
     fn hand_over(&self, sample: Received) -> Enclosed<Received> {
+        self.settle(Fate::Used, &sample);
         self.member.take(header_of(&sample), self.is_first);
+        if !self.is_simulated() {
+            self.port.borrow_mut().delayed(published_ns(&sample), monotonic_ns());
+        }
+        self.show();
         Enclosed::new(sample)
     }
 
@@ -143,11 +164,20 @@ impl OwnReader {
     fn arrive(&self, sample: Received) {
         let header = header_of(&sample);
         let report = &mut *self.member.report.borrow_mut();
-        if header.layout != self.layout || !self.is_finite(&sample) {
+        if header.layout != self.layout {
+            self.port.borrow_mut().account.unreadable += 1;
             report.invalid += 1;
             return;
         }
-        let (incarnation, sequence, scan) = self.last.get();
+        let fate = self.port.borrow_mut().account.arrive(header);
+        if let Some(fate) = fate {
+            return self.settle(fate, &sample);
+        }
+        if !self.is_finite(&sample) {
+            report.invalid += 1;
+            return self.settle(Fate::Invalid, &sample);
+        }
+        let (incarnation, scan) = self.last.get();
         if let Source::Companion(index) = self.source {
             let authority = self.member.page.companion(index);
             let is_answered = incarnation != header.incarnation && header.scan_id <= scan;
@@ -156,24 +186,29 @@ impl OwnReader {
                 || (is_answered && authority.previous != 0)
             {
                 report.foreign += 1;
-                return;
+                return self.settle(Fate::Foreign, &sample);
             }
         }
-        if incarnation == header.incarnation {
-            if header.sequence <= sequence {
-                return;
-            }
-            report.missed += header.sequence - sequence - 1;
-        }
-        self.last.set((header.incarnation, header.sequence, header.scan_id));
+        self.last.set((header.incarnation, header.scan_id));
         if self.max_age_ns.is_some_and(|limit| age_ns(&sample) > limit) {
-            return;
+            return self.settle(Fate::Stale, &sample);
         }
         let mut kept = self.kept.borrow_mut();
-        if kept.len() == self.row.queue {
-            kept.pop_front();
+        if kept.len() == self.row.queue
+            && let Some(oldest) = kept.pop_front()
+        {
+            self.settle(Fate::Replaced, &oldest);
         }
         kept.push_back(sample);
+    }
+
+    fn settle(&self, fate: Fate, sample: &[u8]) {
+        self.port.borrow_mut().settle(fate, header_of(sample));
+    }
+
+    /// Shows the counts to the orchestrator.
+    fn show(&self) {
+        self.port.borrow_mut().show(self.kept.borrow().iter().map(|sample| header_of(sample)));
     }
 
     fn is_finite(&self, sample: &[u8]) -> bool {
@@ -187,12 +222,16 @@ fn header_of(sample: &[u8]) -> &Header {
     bytemuck::from_bytes(&sample[..size_of::<Header>()])
 }
 
+/// When a sample was published [ns].
+fn published_ns(sample: &[u8]) -> u64 {
+    let stage = &sample[sample.len() - size_of::<StageStamps>()..];
+    bytemuck::pod_read_unaligned::<StageStamps>(stage).published_ns
+}
+
 /// The time since a sample was measured, or published when that is not known [ns].
 fn age_ns(sample: &[u8]) -> u64 {
-    let stage = &sample[sample.len() - size_of::<StageStamps>()..];
-    let published_ns = bytemuck::pod_read_unaligned::<StageStamps>(stage).published_ns;
     let acquired_ns = header_of(sample).acquired_ns;
-    monotonic_ns().saturating_sub(if acquired_ns > 0 { acquired_ns } else { published_ns })
+    monotonic_ns().saturating_sub(if acquired_ns > 0 { acquired_ns } else { published_ns(sample) })
 }
 
 /// Observes a topic of your own without being a process: for tools and the orchestrator.
@@ -209,7 +248,7 @@ impl OwnObserver {
     pub fn new(bus: &Bus, table: &OwnTopics, topic: &str) -> Result<Self, RuntimeError> {
         let unknown = || RuntimeError::NoOwnTopic { process: "observer".to_owned(), topic: topic.to_owned() };
         let (own, shape) = table.find(topic).ok_or_else(unknown)?.shape()?;
-        let subscriber = Enclosed::new(bus.subscriber_of(&shape, 0)?);
+        let subscriber = Enclosed::new(bus.subscriber_of(&shape, Queue::Observer, 0)?);
         bus.allocate()?;
         Ok(Self { own, subscriber })
     }

@@ -1,8 +1,11 @@
 //! The table of topics and companions of a system, as a file in its directory.
 
-use serde::{Deserialize, Serialize};
-use shared_types::{LayoutFault, LayoutRow, OwnField, OwnType, Role};
+use std::str::FromStr;
 
+use serde::{Deserialize, Serialize};
+use shared_types::{Described, Field, Kind, LayoutFault, LayoutRow, OwnField, OwnType, Role, TOPICS};
+
+use super::page::MAX_COMPANIONS;
 use crate::port::Shape;
 use crate::qos::Qos;
 use crate::reserve::{NODE_BYTES, bytes_of_topic, total};
@@ -43,6 +46,39 @@ pub struct LayoutField {
 }
 
 impl LayoutFile {
+    /// The layout of a Rust struct that `plain_state!` declares; [`LayoutFile::text`] makes a layout file of it.
+    ///
+    /// # Errors
+    /// A struct without header or stamps, or with a struct among its own fields.
+    pub fn of<S: Described>(doc: &str) -> Result<Self, LayoutFault> {
+        let own = OwnType::of::<S>()?;
+        let field = |field: &Field| {
+            let kind = match field.kind {
+                Kind::Scalar(name) => name.to_owned(),
+                Kind::Array(Kind::Scalar(name), count) => format!("{name}[{count}]"),
+                _ => "struct".to_owned(),
+            };
+            LayoutField { name: field.name.to_owned(), kind, doc: field.doc.to_owned() }
+        };
+        let fields = own.fields().iter().filter(|field| !["header", "stage"].contains(&field.name));
+        let layout =
+            Self { name: own.name().to_owned(), doc: doc.to_owned(), field: fields.map(field).collect() };
+        // The file must give the type that the struct has.
+        layout.own_type()?;
+        Ok(layout)
+    }
+
+    /// The text of a layout file.
+    pub fn text(&self) -> String {
+        let quoted = |text: &str| toml::Value::from(text).to_string();
+        let head = format!("name = {}\ndoc = {}\n", quoted(&self.name), quoted(&self.doc));
+        let field = |LayoutField { name, kind, doc }: &LayoutField| {
+            let [name, kind, doc] = [name, kind, doc].map(|text| quoted(text));
+            format!("\n[[field]]\nname = {name}\ntype = {kind}\ndoc = {doc}\n")
+        };
+        self.field.iter().map(field).fold(head, |text, field| text + &field)
+    }
+
     /// The type of the samples.
     ///
     /// # Errors
@@ -55,8 +91,19 @@ impl LayoutFile {
     }
 }
 
+/// Reads the text of a layout file.
+impl FromStr for LayoutFile {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let layout: Self = toml::from_str(text).map_err(|error| error.message().to_owned())?;
+        layout.own_type().map_err(|fault| fault.to_string())?;
+        Ok(layout)
+    }
+}
+
 /// One topic that the system file adds.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TopicRow {
     /// Its name.
     pub name: String,
@@ -66,6 +113,9 @@ pub struct TopicRow {
     pub queue: usize,
     /// Readers, observers included.
     pub readers: usize,
+    /// How far two processes that write it may differ, by field.
+    #[serde(default)]
+    pub agree: Vec<(String, f64)>,
     /// Its samples.
     pub layout: LayoutFile,
 }
@@ -148,6 +198,26 @@ impl OwnTopics {
         self.companion.iter().position(|row| row.name == companion)
     }
 
+    /// Number of a topic in the table of ports: first those of the file, then those of the loop.
+    pub(crate) fn number_of(&self, topic: &str) -> u32 {
+        let own = self.topic.iter().map(|row| row.name.as_str());
+        let all = own.chain(TOPICS.iter().map(|topic| topic.name()));
+        all.take_while(|name| *name != topic).count() as u32
+    }
+
+    /// The topic with that number.
+    pub fn topic_name(&self, number: u32) -> Option<&str> {
+        let number = number as usize;
+        let of_loop = || TOPICS.get(number - self.topic.len()).map(|topic| topic.name());
+        self.topic.get(number).map(|row| row.name.as_str()).or_else(of_loop)
+    }
+
+    /// The process with that number in the table of ports: first the companions, then the roles.
+    pub fn process_name(&self, number: u32) -> Option<&str> {
+        let role = || Role::ALL.get((number as usize).checked_sub(MAX_COMPANIONS)?).map(|role| role.name());
+        self.companion.get(number as usize).map(|row| row.name.as_str()).or_else(role)
+    }
+
     /// The entry of a topic that a role reads in addition.
     pub(crate) fn of_role(&self, role: Role, topic: &str) -> Option<&AlsoReads> {
         self.also_reads.iter().find(|also| also.role == role.name() && also.topic == topic)
@@ -176,12 +246,24 @@ impl TopicRow {
         Qos {
             // The one in charge, its successor, and two that are ending.
             publishers: 4,
-            // The orchestrator reads it too, in lock-step.
-            subscribers: self.readers + 1,
+            // The orchestrator reads it too: in lock-step, and during a swap of its writer.
+            subscribers: self.readers + 2,
             buffer: self.queue,
             borrowed: self.queue + 2,
             history: 0,
         }
+    }
+
+    /// The numbers of a field in the bytes of a sample; empty for a field that the samples do not have.
+    pub fn numbers(fields: &[Field], field: &str, sample: &[u8]) -> Vec<f64> {
+        let Some(field) = fields.iter().find(|known| known.name == field) else { return Vec::new() };
+        let (element, count) = match field.kind {
+            Kind::Array(element, count) => (*element, count),
+            single => (single, 1),
+        };
+        let Kind::Scalar(name) = element else { return Vec::new() };
+        let bytes = sample[field.offset..].chunks_exact(element.size()).take(count);
+        bytes.map(|bytes| number(name, bytes)).collect()
     }
 
     /// Name, type and size on the bus.
@@ -196,6 +278,18 @@ impl TopicRow {
     /// Shared memory for samples of `size`: the service, two writers, and all readers that there may be [bytes].
     pub fn bytes(&self, size: usize) -> u64 {
         bytes_of_topic(self.qos(), size)
+    }
+}
+
+/// A scalar of a sample as a number.
+fn number(kind: &str, bytes: &[u8]) -> f64 {
+    match kind {
+        "u8" => f64::from(bytes[0]),
+        "u16" => f64::from(bytemuck::pod_read_unaligned::<u16>(bytes)),
+        "u32" => f64::from(bytemuck::pod_read_unaligned::<u32>(bytes)),
+        "i32" => f64::from(bytemuck::pod_read_unaligned::<i32>(bytes)),
+        "u64" => bytemuck::pod_read_unaligned::<u64>(bytes) as f64,
+        _ => bytemuck::pod_read_unaligned::<f64>(bytes),
     }
 }
 

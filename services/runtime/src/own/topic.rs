@@ -125,7 +125,7 @@ impl<S: Pod + Described> NamedTopic<S> {
 }
 
 impl ByteTopic {
-    fn open(
+    pub(super) fn open(
         bus: &Bus,
         member: &Rc<Member>,
         name: &str,

@@ -1,6 +1,6 @@
 //! The writing end of a topic of your own, for samples of any type.
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 
 use iceoryx2::port::notifier::Notifier;
@@ -8,6 +8,7 @@ use iceoryx2::prelude::ipc;
 use shared_types::{Header, OwnType, StageStamps};
 
 use super::member::Member;
+use super::ports::Port;
 use super::table::{OwnTopics, TopicRow};
 use crate::enclosed::Enclosed;
 use crate::port::{BytePublisher, Loan, Shape};
@@ -19,13 +20,20 @@ pub(crate) struct OwnWriter {
     layout: u32,
     member: Rc<Member>,
     sequence: Cell<u64>,
+    port: RefCell<Port>,
 }
 
 impl OwnWriter {
     pub(super) fn new(bus: &Bus, member: &Rc<Member>, row: &TopicRow) -> Result<Rc<Self>, RuntimeError> {
         let (own, shape) = row.shape()?;
         let sender = Sender::open(bus, &shape)?;
-        Ok(Rc::new(Self { sender, layout: own.layout(), member: Rc::clone(member), sequence: Cell::new(0) }))
+        Ok(Rc::new(Self {
+            sender,
+            layout: own.layout(),
+            member: Rc::clone(member),
+            sequence: Cell::new(0),
+            port: member.port(&row.name, true),
+        }))
     }
 
     pub(super) fn connect(&self) {
@@ -53,14 +61,19 @@ impl OwnWriter {
         let header = header_of(sample);
         (header.layout, header.incarnation, header.sequence) =
             (self.layout, member.incarnation, self.sequence.get());
+        let scan_ns = if member.clock.is_simulated() { 0 } else { header.scan_published_ns() };
         let now = member.clock.now_ns();
         let stamps = StageStamps { computed_ns: now, published_ns: now, ..member.stamps.get() };
         let at = sample.len() - size_of::<StageStamps>();
+        self.port.borrow_mut().delayed(scan_ns, now);
         sample[at..].copy_from_slice(bytemuck::bytes_of(&stamps));
     }
 
     fn send(&self, place: Loan) -> Result<(), RuntimeError> {
         self.sender.send(place)?;
+        let port = &mut *self.port.borrow_mut();
+        port.account.arrived = self.sequence.get();
+        port.show(std::iter::empty());
         let report = &mut *self.member.report.borrow_mut();
         report.published += 1;
         report.published_ns = monotonic_ns();

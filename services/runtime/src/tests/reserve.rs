@@ -5,7 +5,7 @@ use std::os::unix::fs::MetadataExt;
 
 use shared_types::{Actuation, Directive, Obstacles, Odometry, Pose, Role, Scan, Truth};
 
-use super::Lab;
+use super::{Lab, PERIOD_NS};
 use crate::reserve::{allocate_files, process_bytes};
 use crate::{Domain, Observer, Process, Publisher, Reserve, RuntimeError};
 
@@ -52,7 +52,7 @@ fn the_reserve_covers_what_a_process_really_needs_and_the_check_what_a_system_do
             robot.input::<Actuation>().unwrap(),
         );
         let grown = length(domain) - before;
-        let reserved = process_bytes(Role::Robot);
+        let reserved = process_bytes(Role::Robot, PERIOD_NS);
         assert!(grown <= reserved && reserved < 2 * grown, "{grown} bytes of {reserved}");
         robots.push((robot, ports));
     }
@@ -62,7 +62,12 @@ fn the_reserve_covers_what_a_process_really_needs_and_the_check_what_a_system_do
         obstacles.input::<Scan>().unwrap(),
         obstacles.input::<Pose>().unwrap(),
     );
-    assert!(length(domain) < Reserve::of_a_system(), "{} of {}", length(domain), Reserve::of_a_system());
+    assert!(
+        length(domain) < Reserve::of_a_system(PERIOD_NS),
+        "{} of {}",
+        length(domain),
+        Reserve::of_a_system(PERIOD_NS)
+    );
 }
 
 #[test]

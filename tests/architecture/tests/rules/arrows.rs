@@ -12,10 +12,11 @@ use crate::root;
 const LAYERS: &[&[&str]] = &[
     &["shared-types", "figures", "key-table", "device-clock"],
     &["runtime", "vehicle", "urg", "faults"],
-    &["emulator", "estimator", "obstacles", "ocp", "player", "console"],
+    &["emulator", "estimator", "obstacles", "ocp", "player", "console", "scanloop-link"],
     &["nmpc", "actuation", "supervision", "handover", "audit", "ride", "recording"],
     &["pipeline", "calibration", "c-library"],
     &["plan", "report", "replay", "fault-matrix"],
+    &["agent"],
     &["session", "conformance"],
     &["view"],
     &["scanloop", "hops"],

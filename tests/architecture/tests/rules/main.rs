@@ -5,6 +5,7 @@ mod arrows;
 mod code;
 mod equations;
 mod links;
+mod locks;
 mod types;
 mod vocabulary;
 

@@ -7,9 +7,10 @@ use pipeline::Settings;
 use plan::{Choice, Plan};
 use ride::optimum::{Course as Task, Optimum, optimum};
 use ride::{Drive, Figures, Recording, Sightings, measure};
+use shared_types::Level;
 
 use super::RideArguments;
-use super::results::Row;
+use super::results::{Goals, Row};
 
 /// Shipped scenarios that are not driven to their goal, or never end.
 const LEFT_OUT: [&str; 3] = ["endless", "blocked", "sudden"];
@@ -27,6 +28,8 @@ struct Driven {
     reason: String,
     drive: Drive,
     sightings: Sightings,
+    plans: usize,
+    active_ellipse_plans: usize,
 }
 
 /// The chosen courses.
@@ -67,17 +70,19 @@ impl Course {
     /// Drives the course and computes its optimum.
     pub(super) fn measure(&self) -> anyhow::Result<(Row, Option<Optimum>)> {
         let scenario = &self.plan.scenario;
-        let Driven { outcome, reason, drive, sightings } = self.drive()?;
+        let Driven { outcome, reason, drive, sightings, plans, active_ellipse_plans } = self.drive()?;
         let mut row = Row {
             name: scenario.name.clone(),
             family: self.family.map(Family::name),
             outcome,
+            plans,
+            active_ellipse_plans,
             note: reason,
             ..Row::default()
         };
         let driven = if outcome == Outcome::Reached { measure(&drive, &scenario.goal) } else { None };
         let Some(driven) = driven else { return Ok((row, None)) };
-        row.driven = Some(driven);
+        (row.driven, row.goals) = (Some(driven), Goals::of(&driven, None));
         let Some(task) = self.task(&drive, &sightings) else { return Ok((row, None)) };
         match optimum(&task) {
             Ok(best) => {
@@ -96,6 +101,7 @@ impl Course {
         let settings =
             Settings { scenario: scenario.clone(), tuning: system.tuning(), period_ns: system.period_ns() };
         let (mut recording, mut sightings) = (Recording::default(), Sightings::default());
+        let (mut plans, mut active_ellipse_plans) = (0, 0);
         let end = pipeline::drive(&settings, |step| {
             recording.truth(&step.truth);
             if let Some(actuation) = &step.actuation {
@@ -104,8 +110,19 @@ impl Course {
             if let Some(obstacles) = &step.obstacles {
                 sightings.add(&step.truth, obstacles, step.command.as_ref());
             }
+            if step.command.is_some_and(|command| command.level == Level::Converged.wire()) {
+                plans += 1;
+                active_ellipse_plans += usize::from(step.active_ellipses > 0);
+            }
         })?;
-        Ok(Driven { outcome: end.outcome, reason: end.reason, drive: recording.drive(), sightings })
+        Ok(Driven {
+            outcome: end.outcome,
+            reason: end.reason,
+            drive: recording.drive(),
+            sightings,
+            plans,
+            active_ellipse_plans,
+        })
     }
 
     /// What the optimum drives.

@@ -23,12 +23,31 @@ pub(super) struct Row {
     pub(super) seed: Option<u64>,
     pub(super) family: Option<&'static str>,
     pub(super) outcome: Outcome,
+    /// Drive commands whose plan was solved.
+    pub(super) plans: usize,
+    /// Those with a node at the edge of an ellipse, (7.34).
+    pub(super) active_ellipse_plans: usize,
     /// J driven over J of the optimum.
     pub(super) regret: Option<f64>,
     pub(super) driven: Option<Figures>,
     pub(super) optimum: Option<Figures>,
+    /// The figures of `driven` and `optimum` that the goals are about, side by side.
+    #[serde(flatten)]
+    pub(super) goals: Goals,
     /// Why there is no regret.
     pub(super) note: String,
+}
+
+/// What the goals of a ride are about; `None` without a drive to the goal or an optimum.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+pub(super) struct Goals {
+    steering_total_variation_rad: Option<f64>,
+    optimum_total_variation_rad: Option<f64>,
+    second_difference_rad: Option<f64>,
+    optimum_second_difference_rad: Option<f64>,
+    step_max_rad: Option<f64>,
+    clearance_m: Option<f64>,
+    optimum_clearance_m: Option<f64>,
 }
 
 /// The distribution of one figure over the courses.
@@ -62,6 +81,7 @@ pub(super) struct Summary {
 /// What the command prints.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(super) struct Results {
+    #[serde(rename = "scenarios")]
     pub(super) rows: Vec<Row>,
     pub(super) summary: Option<Summary>,
     /// Names of the courses whose drive is better than the optimum.
@@ -87,7 +107,7 @@ impl Results {
 impl Row {
     /// Compares a drive with the optimum, where there is something to steer past.
     pub(super) fn compare(&mut self, driven: Figures, optimum: Option<Figures>) {
-        self.optimum = optimum;
+        (self.optimum, self.goals) = (optimum, Goals::of(&driven, optimum));
         match optimum {
             Some(optimum) if optimum.objective >= CLEAR_OBJECTIVE => {
                 self.regret = Some(driven.objective / optimum.objective);
@@ -105,6 +125,20 @@ impl Row {
     /// Clearance of the optimum minus that of the drive.
     fn clearance_loss_m(&self) -> Option<f64> {
         Some(self.optimum?.min_clearance_m - self.driven?.min_clearance_m)
+    }
+}
+
+impl Goals {
+    pub(super) fn of(driven: &Figures, optimum: Option<Figures>) -> Self {
+        Self {
+            steering_total_variation_rad: Some(driven.steering_total_variation_rad),
+            optimum_total_variation_rad: optimum.map(|best| best.steering_total_variation_rad),
+            second_difference_rad: Some(driven.steering_second_difference_rad),
+            optimum_second_difference_rad: optimum.map(|best| best.steering_second_difference_rad),
+            step_max_rad: Some(driven.steering_step_max_rad),
+            clearance_m: Some(driven.min_clearance_m),
+            optimum_clearance_m: optimum.map(|best| best.min_clearance_m),
+        }
     }
 }
 

@@ -1,0 +1,221 @@
+//! The program `scanloop-link`: where it is, and the one that the orchestrator runs.
+
+use std::ffi::OsString;
+use std::net::IpAddr;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::Context;
+use console::exit::{Exit, Failure};
+use console::note;
+use plan::System;
+use plan::hosts::{crossings, endpoint};
+use runtime::{
+    Domain, HUB, INCARNATION_VARIABLE, LinkPeer, LinkStatus, LinkTable, LinkedHost, RUN_ID_VARIABLE,
+    monotonic_ns,
+};
+use supervision::child::{Child, Launch, this_program};
+use supervision::child_log::ChildLog;
+
+/// Name of the program.
+const PROGRAM: &str = "scanloop-link";
+/// Time between two looks at its status [ns].
+const READ_NS: u64 = 50_000_000;
+/// A status older than this says that the link does not run [ns].
+const SILENT_NS: u64 = 1_000_000_000;
+
+/// The link of the orchestrator's host.
+pub struct HubLink {
+    domain: Domain,
+    log: ChildLog,
+    child: Option<Child>,
+    status: LinkStatus,
+    read_ns: u64,
+    period_ns: u64,
+}
+
+impl HubLink {
+    /// Starts the link of a system whose bus exists; `None` when all processes run on one host.
+    ///
+    /// # Errors
+    /// A system without the program `scanloop-link` (exit code 4), and errors of the file system.
+    pub fn start(domain: &Domain, system: &System, logs: &Path) -> anyhow::Result<Option<Self>> {
+        let Some(mut table) = table_of(domain, system) else { return Ok(None) };
+        table.credentials = system.credentials.as_deref().map(require_private).transpose()?;
+        table.write(domain)?;
+        let path = logs.join("link.log");
+        let log = ChildLog::open(&path).with_context(|| path.display().to_string())?;
+        let (domain, status) = (domain.clone(), LinkStatus::default());
+        let mut link = Self { domain, log, child: None, status, read_ns: 0, period_ns: table.period_ns };
+        link.launch()?;
+        Ok(Some(link))
+    }
+
+    /// Starts the link again if it has ended, and reads its status; returns what a user should know.
+    pub fn keep(&mut self) -> Vec<String> {
+        let now_ns = monotonic_ns();
+        if now_ns.saturating_sub(self.read_ns) < READ_NS {
+            return Vec::new();
+        }
+        self.read_ns = now_ns;
+        let mut messages = Vec::new();
+        if let Ok(Some(status)) = LinkStatus::read(&self.domain) {
+            let before = std::mem::replace(&mut self.status, status);
+            messages.extend(
+                self.status.hosts.iter().filter_map(|host| self.change(before.host(&host.name), host)),
+            );
+        }
+        let exit = self.child.as_mut().and_then(|child| child.try_wait().ok().flatten());
+        if self.child.is_some() && exit.is_none() {
+            return messages;
+        }
+        let lines = self.log.last_lines(2).unwrap_or_default().join(" | ");
+        self.child = None;
+        let again =
+            self.launch().map_or_else(|error| format!("{error:#}"), |()| "it was started again".to_owned());
+        let exit = exit.map_or_else(String::new, |exit| format!(": {exit}"));
+        messages.push(format!("scanloop-link ended{exit} {lines}; {again}"));
+        messages
+    }
+
+    /// What has changed at a host that matters to a user.
+    fn change(&self, before: Option<&LinkedHost>, now: &LinkedHost) -> Option<String> {
+        let name = &now.name;
+        let is_wide = |host: &LinkedHost| host.is_locked && host.bound_ns > self.period_ns / 10;
+        let (was_connected, was_wide) =
+            before.map_or((false, false), |host| (host.is_connected, is_wide(host)));
+        match (was_connected, now.is_connected) {
+            (true, false) => Some(format!("host {name}: nothing comes from it")),
+            (false, true) if before.is_some_and(|host| !host.version.is_empty()) => {
+                Some(format!("host {name}: connected again"))
+            }
+            _ if is_wide(now) && !was_wide => Some(format!(
+                "host {name}: its clock may be wrong by {:.1} ms, more than a tenth of a scan period",
+                now.bound_ns as f64 * 1e-6
+            )),
+            _ => None,
+        }
+    }
+
+    /// Whether nothing comes from a host now, so that a process there can't show that it works.
+    pub fn is_cut(&self, host: &str) -> bool {
+        let is_silent = monotonic_ns().saturating_sub(self.status.written_ns) > SILENT_NS;
+        is_silent || self.status.host(host).is_none_or(|host| !host.is_connected || !host.is_locked)
+    }
+
+    /// The other hosts.
+    pub fn hosts(&self) -> &[LinkedHost] {
+        &self.status.hosts
+    }
+
+    fn launch(&mut self) -> anyhow::Result<()> {
+        let command = vec![program()?.into(), "hub".into(), self.domain.system_id().into()];
+        // By these a stop finds it, as all processes of the run.
+        let environment: Vec<(OsString, OsString)> = vec![
+            (RUN_ID_VARIABLE.into(), self.domain.run_id().into()),
+            (INCARNATION_VARIABLE.into(), "0".into()),
+        ];
+        let child = Child::spawn(&Launch { command, environment }, &self.log);
+        self.child = Some(child.map_err(|error| Failure::process(format!("{PROGRAM}: {error}")))?);
+        Ok(())
+    }
+}
+
+/// The table of the orchestrator's link; `None` when all processes run on one host.
+fn table_of(domain: &Domain, system: &System) -> Option<LinkTable> {
+    let all = crossings(system);
+    if all.is_empty() {
+        return None;
+    }
+    let names = |from: Option<Option<&str>>, to: Option<Option<&str>>| {
+        let is =
+            |wanted: Option<Option<&str>>, found: Option<&str>| wanted.is_none_or(|wanted| wanted == found);
+        let found = all.iter().filter(|one| is(from, one.from) && is(to, one.to));
+        let mut names: Vec<String> = found.map(|one| one.topic.name().to_owned()).collect();
+        names.sort();
+        names.dedup();
+        names
+    };
+    let peers = plan::hosts::hosts(system).flatten().filter_map(|name| {
+        let host = system.hosts.iter().find(|host| host.name == name)?;
+        Some(LinkPeer {
+            name: name.to_owned(),
+            endpoint: endpoint(host.transport, &host.address),
+            receives: names(None, Some(Some(name))),
+            sends: names(Some(Some(name)), None),
+        })
+    });
+    Some(LinkTable {
+        here: HUB.to_owned(),
+        run_id: domain.run_id().to_owned(),
+        period_ns: system.period_ns(),
+        sends: names(Some(None), None),
+        receives: names(None, Some(None)),
+        peers: peers.collect(),
+        credentials: None,
+    })
+}
+
+/// The folder of certificates as an absolute path, if its key is private and its certificates are valid now.
+///
+/// # Errors
+/// The file with what is wrong with it; exit code 2.
+pub(crate) fn require_private(folder: &str) -> anyhow::Result<String> {
+    let folder = std::path::absolute(folder)?;
+    let key = folder.join("key.pem");
+    let mode = std::fs::metadata(&key).map(|meta| meta.mode() & 0o777);
+    let mode =
+        mode.map_err(|error| Failure::bad_input(format!("credentials: {}: {error}", key.display())))?;
+    if mode & 0o077 != 0 {
+        let message = format!("credentials: {}: mode {mode:o} is not allowed: 600", key.display());
+        return Err(Failure::bad_input(message));
+    }
+    let checked = Command::new(program()?).arg("check").arg(&folder).stdin(Stdio::null()).output()?;
+    if !checked.status.success() {
+        let reason = String::from_utf8_lossy(&checked.stderr);
+        return Err(Failure::bad_input(format!(
+            "credentials: {}",
+            reason.trim().trim_start_matches("error: ")
+        )));
+    }
+    Ok(folder.display().to_string())
+}
+
+/// Makes certificates for the orchestrator and for a host, and prints where they are.
+///
+/// # Errors
+/// A name or address that is not allowed, and a folder that can't be written; exit code 2.
+pub fn pair(host: &str, address: IpAddr, days: u32, folder: &Path) -> anyhow::Result<Exit> {
+    if !plan::hosts::is_name(host) {
+        return Err(Failure::bad_input(format!("HOST {host} is not allowed: {}", plan::hosts::NAME_RULE)));
+    }
+    let (address, days) = (address.to_string(), days.to_string());
+    let made = Command::new(program()?).arg("pair").arg(folder).args([host, &address, &days]).status()?;
+    if !made.success() {
+        return Err(Failure::bad_input(format!("no certificates were made in {}", folder.display())));
+    }
+    let folder = std::path::absolute(folder)?;
+    note!(
+        "valid for {days} days:\n  {0}/{HUB}   for the orchestrator: `credentials` of the system file\n  {0}/{host}   copy it to \
+         host {host}: `credentials` of its agent.toml\n  {0}/authority-key.pem   signs further hosts; keep it here, and secret",
+        folder.display()
+    );
+    Ok(Exit::Done)
+}
+
+/// The program, beside this one or in `PATH`.
+///
+/// # Errors
+/// Where it was looked for, and the command that builds it; exit code 4.
+pub(crate) fn program() -> anyhow::Result<PathBuf> {
+    let beside = this_program().parent().map(|folder| folder.join(PROGRAM));
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let in_path = std::env::split_paths(&path).map(|folder| folder.join(PROGRAM));
+    beside.into_iter().chain(in_path).find(|file| file.is_file()).ok_or_else(|| {
+        Failure::process(format!(
+            "{PROGRAM} is neither beside this program nor in PATH; build it with \
+             `cargo build --release --manifest-path services/link/Cargo.toml` and copy it there"
+        ))
+    })
+}

@@ -1,0 +1,138 @@
+//! The process that stands for one on another host: it ends as that one ends, and a signal to it reaches that one.
+
+use std::os::unix::net::UnixDatagram;
+use std::time::Duration;
+
+use anyhow::Context;
+use console::exit::{Exit, Failure};
+use runtime::{
+    CANDIDATE_VARIABLE, Domain, INCARNATION_VARIABLE, LINK_SOCKET, LinkTable, RESTART_VARIABLE,
+    ROLE_VARIABLE, Shutdown, link_version, monotonic_ns, own_settings_file, reply_socket, settings_file,
+};
+use rustix::process::{Signal, getpid, kill_process};
+use shared_types::Role;
+
+use crate::message::{Down, Order, Start, State, Up, handover_of};
+
+/// Time between two messages, and before the first answer [ns].
+const REPEAT_NS: u64 = 100_000_000;
+const FIRST_REPEAT_NS: u64 = 50_000_000;
+/// An agent that has not answered once within this time can't be reached [ns].
+const REACH_NS: u64 = 8_000_000_000;
+/// Longest sleep.
+const POLL: Duration = Duration::from_millis(20);
+/// Largest answer [bytes].
+const ANSWER_BYTES: usize = 1 << 16;
+
+/// Has the agent of `host` run an implementation for the role in the environment, until that ends.
+///
+/// # Errors
+/// A process that was started by hand, an agent that can't be reached or refuses (exit code 4), and errors of sockets.
+pub fn run(host: &str, implementation: &str) -> anyhow::Result<Exit> {
+    let domain = Domain::of_this_process()?;
+    let shutdown = Shutdown::on_signals()?;
+    let incarnation: u32 =
+        variable(INCARNATION_VARIABLE).and_then(|text| text.parse().ok()).context("no incarnation")?;
+    let role: Role = variable(ROLE_VARIABLE).and_then(|text| text.parse().ok()).context("no role")?;
+    let table = LinkTable::read(&domain)?.context("the system is on one host")?;
+    let socket = UnixDatagram::bind(domain.directory().join(reply_socket(incarnation)))?;
+    socket.set_read_timeout(Some(POLL))?;
+    let mut down = Down {
+        version: link_version(),
+        system_id: domain.system_id().to_owned(),
+        run_id: domain.run_id().to_owned(),
+        incarnation,
+        role,
+        order: Order::Start,
+        start: Some(start_of(&domain, &table, host, role, incarnation, implementation)?),
+    };
+    let (begun_ns, mut sent_ns, mut is_known) = (monotonic_ns(), 0, false);
+    let mut answer = vec![0; ANSWER_BYTES];
+    loop {
+        let now_ns = monotonic_ns();
+        if shutdown.requested() && down.order != Order::Terminate {
+            (down.order, down.start, sent_ns) = (Order::Terminate, None, 0);
+            if !is_known {
+                // Nothing was started, as far as is known here; an agent that did ends what it no longer is told about.
+                return Ok(Exit::Done);
+            }
+        }
+        if now_ns.saturating_sub(sent_ns) >= if is_known { REPEAT_NS } else { FIRST_REPEAT_NS } {
+            let message = format!("{host}\n{}", serde_json::to_string(&down)?);
+            // A link that is being started again has no socket for a moment.
+            let _ = socket.send_to(message.as_bytes(), domain.directory().join(LINK_SOCKET));
+            sent_ns = now_ns;
+        }
+        if !is_known && now_ns.saturating_sub(begun_ns) > REACH_NS {
+            let endpoint =
+                table.peers.iter().find(|peer| peer.name == host).map_or("", |peer| &peer.endpoint);
+            return Err(Failure::process(format!(
+                "host {host}: no agent answers at {endpoint}; start `scanloop agent` there with the name, address and \
+                 transport of the system file, and the same version of scanloop"
+            )));
+        }
+        let Ok(length) = socket.recv(&mut answer) else { continue };
+        let Ok(up) = serde_json::from_slice::<Up>(&answer[..length]) else { continue };
+        if up.run_id != down.run_id || up.incarnation != incarnation {
+            continue;
+        }
+        is_known = true;
+        match up.state {
+            State::Running { .. } if down.order == Order::Start => {
+                (down.order, down.start) = (Order::Run, None)
+            }
+            State::Running { .. } => {}
+            State::Unknown => {
+                return Err(Failure::process(format!(
+                    "host {host}: its agent was started anew, and does not know it"
+                )));
+            }
+            State::Refused { reason } => return Err(Failure::process(format!("host {host}: {reason}"))),
+            ended => {
+                up.last_lines.iter().for_each(|line| eprintln!("{line}"));
+                end_as(&ended);
+            }
+        }
+    }
+}
+
+fn start_of(
+    domain: &Domain,
+    table: &LinkTable,
+    host: &str,
+    role: Role,
+    incarnation: u32,
+    implementation: &str,
+) -> anyhow::Result<Start> {
+    let folder = domain.folder();
+    let own = own_settings_file(incarnation);
+    let settings = folder.read_text(&if folder.contains(&own) { own } else { settings_file(role) })?;
+    let peer =
+        table.peers.iter().find(|peer| peer.name == host).context("the host has no row in the table")?;
+    Ok(Start {
+        implementation: implementation.to_owned(),
+        restart: variable(RESTART_VARIABLE).as_deref() == Some("1"),
+        candidate: variable(CANDIDATE_VARIABLE).and_then(|text| text.parse().ok()),
+        period_ns: table.period_ns,
+        settings,
+        receives: peer.receives.clone(),
+        sends: peer.sends.clone(),
+        handover: handover_of(domain, role)?,
+    })
+}
+
+/// Ends this process as the other one has ended.
+fn end_as(state: &State) -> ! {
+    if let State::Killed { signal } = state
+        && let Some(signal) = Signal::from_named_raw(*signal)
+    {
+        // Those that this process handles would only set a flag.
+        let signal = if [Signal::TERM, Signal::INT].contains(&signal) { Signal::KILL } else { signal };
+        let _ = kill_process(getpid(), signal);
+    }
+    std::process::exit(if let State::Exited { code } = state { *code } else { Exit::Internal as i32 })
+}
+
+fn variable(name: &str) -> Option<String> {
+    std::env::var(name).ok()
+}

@@ -1,0 +1,197 @@
+//! The last seconds of a drive in memory, as compressed chunks that are written to a file when something happens.
+
+use std::collections::VecDeque;
+use std::fs::File;
+use std::io::{self, BufWriter};
+use std::path::{Path, PathBuf};
+
+use super::opening::Opening;
+use crate::mcap::{Chunk, OpenChunk};
+use crate::tape::Target;
+
+/// The ring holds no more than this [bytes].
+const MAX_BYTES: usize = 256 << 20;
+/// As many files of incidents are kept in a folder.
+const MAX_FILES: usize = 5;
+
+/// The newest chunks of a recording.
+pub(super) struct Ring {
+    opening: Opening,
+    folder: PathBuf,
+    span_ns: u64,
+    open: OpenChunk,
+    /// Each with the samples that were lost before its end.
+    chunks: VecDeque<(u64, Chunk)>,
+    bytes: usize,
+    lost: u64,
+}
+
+impl Ring {
+    /// An empty ring for so many seconds; files are made in `folder`.
+    pub(super) fn new(opening: Opening, folder: &Path, seconds: f64) -> Self {
+        let (folder, span_ns) = (folder.to_owned(), (seconds * 1e9) as u64);
+        let (open, chunks) = (OpenChunk::default(), VecDeque::new());
+        Self { opening, folder, span_ns, open, chunks, bytes: 0, lost: 0 }
+    }
+
+    /// Time that it holds [ns].
+    pub(super) fn span_ns(&self) -> u64 {
+        self.span_ns
+    }
+
+    /// Notes how many samples of the drive were lost until now.
+    pub(super) fn set_lost(&mut self, lost: u64) {
+        self.lost = lost;
+    }
+
+    /// Writes all that it holds into `incident-SCAN.mcap` and returns its path, or `None` if it holds nothing. The oldest
+    /// of more than five such files is removed.
+    ///
+    /// # Errors
+    /// Those of the file system. The file that was there remains.
+    pub(super) fn save(&mut self, scan_id: u64) -> io::Result<Option<PathBuf>> {
+        self.end_chunk()?;
+        let Some((lost_before, _)) = self.chunks.front() else { return Ok(None) };
+        let path = self.folder.join(format!("incident-{scan_id}.mcap"));
+        let part = path.with_extension("part");
+        let lost = self.lost - lost_before;
+        let saved = self.write(&part, lost).and_then(|()| std::fs::rename(&part, &path));
+        if let Err(error) = saved {
+            let _ = std::fs::remove_file(&part);
+            return Err(error);
+        }
+        remove_oldest(&self.folder)?;
+        Ok(Some(path))
+    }
+
+    fn write(&self, path: &Path, lost: u64) -> io::Result<()> {
+        let mut writer = self.opening.begin(BufWriter::new(File::create(path)?))?;
+        self.chunks.iter().try_for_each(|(_, chunk)| writer.chunk(chunk))?;
+        let samples: u64 = self.chunks.iter().map(|(_, chunk)| chunk.messages()).sum();
+        let counts = [("samples", samples), ("lost", lost), ("last_scan", 0)];
+        writer.metadata("end", &counts.map(|(key, count)| (key.to_owned(), count.to_string())))?;
+        writer.finish().map(|_| ())
+    }
+}
+
+impl Target for Ring {
+    fn message(&mut self, channel: u16, sequence: u32, log_ns: u64, data: &[&[u8]]) {
+        self.open.message(channel, sequence, log_ns, data);
+    }
+
+    fn open_bytes(&self) -> usize {
+        self.open.bytes()
+    }
+
+    /// Adds the open chunk, and drops the oldest ones that are too old or too many.
+    fn end_chunk(&mut self) -> io::Result<()> {
+        if self.open.bytes() == 0 {
+            return Ok(());
+        }
+        let chunk = self.open.seal()?;
+        let newest_ns = chunk.last_ns();
+        self.bytes += chunk.bytes();
+        self.chunks.push_back((self.lost, chunk));
+        while let Some((_, oldest)) = self.chunks.front()
+            && (oldest.last_ns() + self.span_ns < newest_ns || self.bytes > MAX_BYTES)
+        {
+            self.bytes -= oldest.bytes();
+            self.chunks.pop_front();
+        }
+        Ok(())
+    }
+
+    fn attach(&mut self, name: &str, _media_type: &str, data: &[u8], _log_ns: u64) -> io::Result<()> {
+        self.opening.add(name, data);
+        Ok(())
+    }
+}
+
+/// Removes the oldest files of incidents.
+fn remove_oldest(folder: &Path) -> io::Result<()> {
+    let is_incident = |name: &str| name.starts_with("incident-") && name.ends_with(".mcap");
+    let mut files: Vec<_> = std::fs::read_dir(folder)?
+        .flatten()
+        .filter(|entry| entry.file_name().to_str().is_some_and(is_incident))
+        .filter_map(|entry| Some((entry.metadata().ok()?.modified().ok()?, entry.path())))
+        .collect();
+    files.sort();
+    let surplus = files.len().saturating_sub(MAX_FILES);
+    files[..surplus].iter().try_for_each(|(_, path)| std::fs::remove_file(path))
+}
+
+#[cfg(test)]
+mod tests {
+    use shared_types::{Checkpoint, Command, Header, Obstacles, Pose, Role, Scan, Topic};
+
+    use super::*;
+    use crate::tape::Tape;
+
+    /// A pose of a drive with ten scans a second.
+    fn pose(scan_id: u64) -> Pose {
+        let mut header = Header { scan_id, incarnation: 1, sequence: scan_id, ..Header::default() };
+        header.chain[Role::Estimator.index()].published_ns = scan_id * 100_000_000;
+        Pose { header, x_m: scan_id as f64, ..Pose::default() }
+    }
+
+    #[test]
+    fn a_ring_holds_its_last_seconds_and_five_files_whatever_the_length_of_the_drive() {
+        let folder = std::env::temp_dir().join(format!("scanloop-ring-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let mut tape = Tape::new(Ring::new(Opening::default(), &folder, 10.0), false);
+        let mut largest = [0; 2];
+        for scan_id in 1..=20_000 {
+            tape.sample(Topic::Pose, bytemuck::bytes_of(&pose(scan_id))).unwrap();
+            let half = usize::from(scan_id > 10_000);
+            largest[half] = largest[half].max(tape.target().bytes);
+        }
+        assert!(largest[1] < largest[0] + largest[0] / 10, "{largest:?}");
+        for scan_id in 1..=7 {
+            assert!(tape.target().save(scan_id).unwrap().is_some());
+        }
+        let files = std::fs::read_dir(&folder).unwrap().count();
+        let info = crate::info::Info::read(&folder.join("incident-7.mcap")).unwrap();
+        std::fs::remove_dir_all(&folder).unwrap();
+        assert_eq!((files, info.complete, info.lost), (5, true, Some(0)));
+        assert!((10.0..12.0).contains(&info.duration_s), "{info}");
+    }
+
+    /// Resident memory of this process [KiB].
+    fn memory_kib() -> u64 {
+        let status = std::fs::read_to_string("/proc/self/status").unwrap();
+        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
+        line.trim().trim_end_matches(" kB").parse().unwrap()
+    }
+
+    #[test]
+    #[ignore = "takes minutes: cargo test --release -p recording -- --ignored --nocapture"]
+    fn the_memory_is_flat_over_a_day_of_scans() {
+        let mut tape = Tape::new(Ring::new(Opening::default(), Path::new("/"), 60.0), false);
+        let (mut random, mut memory) = (1_u64, Vec::new());
+        for scan_id in 1..=864_000 {
+            let pose = pose(scan_id);
+            let mut scan = Scan { header: pose.header, ..Scan::default() };
+            scan.header.chain[Role::Robot.index()].published_ns = scan_id * 100_000_000;
+            for range in &mut scan.ranges_mm {
+                random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+                *range = 2000 + (random >> 58) as u16;
+            }
+            let header = scan.header;
+            let mut checkpoint = Checkpoint { header, role: Role::Obstacles.wire(), ..Checkpoint::default() };
+            checkpoint.issued_ns = scan_id * 100_000_000;
+            tape.sample(Topic::Scan, bytemuck::bytes_of(&scan)).unwrap();
+            tape.sample(Topic::Pose, bytemuck::bytes_of(&pose)).unwrap();
+            tape.sample(Topic::Obstacles, bytemuck::bytes_of(&Obstacles { header, ..Obstacles::default() }))
+                .unwrap();
+            tape.sample(Topic::Command, bytemuck::bytes_of(&Command { header, ..Command::default() }))
+                .unwrap();
+            tape.sample(Topic::Checkpoint, bytemuck::bytes_of(&checkpoint)).unwrap();
+            if scan_id % 86_400 == 0 {
+                memory.push((memory_kib(), tape.target().bytes >> 10));
+            }
+        }
+        println!("resident memory and ring, each tenth of a day [KiB]: {memory:?}");
+        let [first, last] = [memory[0].0, memory[memory.len() - 1].0];
+        assert!(last < first + first / 20, "{memory:?}");
+    }
+}

@@ -1,0 +1,147 @@
+//! Frames of small recordings.
+
+use super::*;
+use bytemuck::bytes_of;
+use shared_types::{
+    Actuation, ActuationKind, Authority, Command, Directive, Header, Phase, Pose, ROLES, Sample, Scan,
+    StageStamps, Topic,
+};
+
+const PERIOD_NS: u64 = 100_000_000;
+
+/// A file in the folder of temporary files; it is removed with the value.
+struct File(std::path::PathBuf);
+
+impl Drop for File {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
+
+fn file(name: &str) -> File {
+    File(std::env::temp_dir().join(format!("scanloop-view-{}-{name}.mcap", std::process::id())))
+}
+
+fn header<S: Sample>(scan_id: u64, incarnation: u32, role: Role) -> Header {
+    let published_ns = scan_id * PERIOD_NS + 1_000_000 * role.index() as u64;
+    let mut header =
+        Header { layout: S::LAYOUT, scan_id, incarnation, sequence: scan_id, ..Header::default() };
+    header.chain[role.index()] = StageStamps { published_ns, ..StageStamps::default() };
+    header
+}
+
+/// Twelve seconds: the pose moves a decimetre per scan, the estimator is restarted at scan 60, and the controller is
+/// silent from scan 80 on.
+fn drive(name: &str) -> File {
+    let file = file(name);
+    let mut tape =
+        recording::Tape::new(recording::writer(std::fs::File::create(&file.0).unwrap()).unwrap(), false);
+    for scan_id in 1..=120 {
+        let estimator = if scan_id < 60 { 2 } else { 12 };
+        let authority: [Authority; ROLES] = std::array::from_fn(|index| {
+            let is_estimator = index == Role::Estimator.index();
+            let incarnation = if is_estimator { estimator } else { index as u32 + 1 };
+            Authority { incarnation, ..Authority::default() }
+        });
+        let directive = Directive {
+            header: Header { layout: Directive::LAYOUT, sequence: scan_id, ..Header::default() },
+            phase: Phase::Driving.wire(),
+            issued_ns: scan_id * PERIOD_NS - 1_000_000,
+            authority,
+            ..Directive::default()
+        };
+        tape.sample(Topic::Directive, bytes_of(&directive)).unwrap();
+        let of = |role: Role| authority[role.index()].incarnation;
+        let scan = Scan {
+            header: header::<Scan>(scan_id, of(Role::Robot), Role::Robot),
+            period_ns: PERIOD_NS,
+            sweep_ns: PERIOD_NS / 2,
+            ..Scan::default()
+        };
+        tape.sample(Topic::Scan, bytes_of(&scan)).unwrap();
+        let pose = Pose {
+            header: header::<Pose>(scan_id, of(Role::Estimator), Role::Estimator),
+            x_m: 0.1 * scan_id as f64,
+            ..Pose::default()
+        };
+        tape.sample(Topic::Pose, bytes_of(&pose)).unwrap();
+        if scan_id < 80 {
+            let command = Command {
+                header: header::<Command>(scan_id, of(Role::Controller), Role::Controller),
+                verified: 1,
+                ..Command::default()
+            };
+            tape.sample(Topic::Command, bytes_of(&command)).unwrap();
+        }
+        let kind = ActuationKind::Drive.wire();
+        let actuation = Actuation {
+            header: header::<Actuation>(scan_id, of(Role::Actuator), Role::Actuator),
+            kind,
+            answers: 1,
+            ..Actuation::default()
+        };
+        tape.sample(Topic::Actuation, bytes_of(&actuation)).unwrap();
+    }
+    tape.into_target().finish().unwrap();
+    file
+}
+
+fn json(text: &str) -> Value {
+    serde_json::from_str(text).unwrap()
+}
+
+#[test]
+fn each_frame_has_the_samples_of_its_time_in_any_order() {
+    let file = drive("order");
+    let mut drive = RecordedDrive::open(&file.0).unwrap();
+    let rows = json(&drive.history(None));
+    assert_eq!(rows["recording"]["frames"], 120);
+    for number in [120_u64, 1, 77, 10, 11, 95] {
+        let row = rows["rows"][number as usize - 1].clone();
+        let frame = json(&drive.frame(row["time_s"].as_f64().unwrap()).unwrap());
+        assert_eq!(frame["row"], row);
+        let ids = ["scan", "pose", "actuation"].map(|part| frame[part]["scan_id"].as_u64().unwrap());
+        assert_eq!(ids, [number; 3]);
+        // The newest command is more than a chunk older than the last frames.
+        assert_eq!(frame["command"]["scan_id"].as_u64(), Some(number.min(79)), "{frame}");
+        assert!((frame["pose"]["x_m"].as_f64().unwrap() - 0.1 * number as f64).abs() < 1e-9);
+    }
+    assert_eq!(json(&drive.frame(1e9).unwrap())["row"]["number"], 120, "after the end the last one");
+    assert_eq!(json(&drive.frame(0.0).unwrap())["row"]["number"], 1);
+}
+
+#[test]
+fn a_restart_is_an_event_and_the_processes_are_those_of_the_time() {
+    let file = drive("restart");
+    let mut drive = RecordedDrive::open(&file.0).unwrap();
+    let history = json(&drive.history(None));
+    let texts: Vec<&str> =
+        history["events"].as_array().unwrap().iter().map(|event| event["text"].as_str().unwrap()).collect();
+    assert!(texts.contains(&"estimator restarted as incarnation 12"), "{texts:?}");
+    let mut restarts = |at_s: f64| {
+        let frame = json(&drive.frame(at_s).unwrap());
+        let row = &frame["system"]["status"]["processes"][1];
+        (row["role"].clone(), row["restarts"].clone(), frame["system"]["authority"][1].clone())
+    };
+    assert_eq!(restarts(3.0), ("estimator".into(), 0.into(), 2.into()));
+    assert_eq!(restarts(9.0), ("estimator".into(), 1.into(), 12.into()));
+}
+
+#[test]
+fn rows_around_a_time_reach_as_far_as_charts() {
+    let file = drive("rows");
+    let drive = RecordedDrive::open(&file.0).unwrap();
+    assert_eq!(json(&drive.history(Some(5.0)))["rows"].as_array().unwrap().len(), 120);
+    assert_eq!(json(&drive.history(Some(1000.0)))["rows"].as_array().unwrap().len(), 0);
+}
+
+#[test]
+fn a_file_without_a_drive_is_refused() {
+    let file = file("empty");
+    let mut tape =
+        recording::Tape::new(recording::writer(std::fs::File::create(&file.0).unwrap()).unwrap(), false);
+    tape.sample(Topic::Directive, bytes_of(&Directive::default())).unwrap();
+    tape.into_target().finish().unwrap();
+    let error = RecordedDrive::open(&file.0).err().unwrap().to_string();
+    assert!(error.contains("holds no scan"), "{error}");
+}

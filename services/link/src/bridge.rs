@@ -1,0 +1,221 @@
+//! The bridge of one host: a thread for each topic that leaves, one for all that arrive, and the probe of clocks.
+
+use std::collections::BTreeMap;
+use std::os::unix::net::UnixDatagram;
+use std::sync::mpsc::sync_channel;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use runtime::{
+    Domain, HUB, LINK_SOCKET, LinkStatus, LinkTable, LinkedHost, Shutdown, monotonic_ns, reply_socket,
+};
+use shared_types::Topic;
+use zenoh::pubsub::Subscriber;
+use zenoh::qos::Priority;
+use zenoh::{Session, Wait};
+
+use crate::clock::Probe;
+use crate::link::Link;
+use crate::network::{self, Place, agent_key, clock_key, publisher, status_key, subscribe, topic_key};
+use crate::{receiver, sender};
+
+/// Frames that wait to be published here; a burst beyond that is old anyway.
+const INCOMING: usize = 256;
+/// Time between two probes of clocks, and until the clock is locked.
+const PROBE: Duration = Duration::from_millis(100);
+const PROBE_AT_START: Duration = Duration::from_millis(20);
+/// Time between two reports.
+const REPORT: Duration = Duration::from_millis(100);
+/// A host that has reported nothing for this long is not connected [ns].
+const SILENT_NS: u64 = 1_000_000_000;
+/// Largest message of a process to an agent [bytes].
+const MESSAGE_BYTES: usize = 1 << 20;
+
+/// A running bridge; it ends when dropped.
+pub(crate) struct Bridge {
+    pub(crate) link: Arc<Link>,
+    threads: Vec<JoinHandle<()>>,
+    _subscribers: Vec<Subscriber<()>>,
+}
+
+impl Bridge {
+    /// Starts to forward the topics of the table between the bus of `domain` and the network.
+    ///
+    /// # Errors
+    /// Unknown topics, and what Zenoh refuses. Errors of the bus end the link later.
+    pub(crate) fn start(session: &Session, domain: &Domain, table: &LinkTable) -> anyhow::Result<Self> {
+        let link = Arc::new(Link::new(table));
+        let mut bridge = Self { link: Arc::clone(&link), threads: Vec::new(), _subscribers: Vec::new() };
+        let LinkTable { here, run_id, .. } = table;
+        let topics =
+            |names: &[String]| names.iter().map(|name| name.parse()).collect::<Result<Vec<Topic>, _>>();
+        let (into, receives) = (sync_channel(INCOMING), topics(&table.receives)?);
+        for topic in receives.iter().copied() {
+            let (channel, shared) = (into.0.clone(), Arc::clone(&link));
+            bridge._subscribers.push(subscribe(session, topic_key(run_id, topic, "*"), move |_, frame| {
+                if channel.try_send((topic, frame.to_vec())).is_err() {
+                    shared.counters.old.add(1);
+                }
+            })?);
+        }
+        let (shared, place) = (Arc::clone(&link), domain.clone());
+        bridge.spawn(move || receiver::run(&shared, &place, &receives, &into.1));
+        for topic in topics(&table.sends)? {
+            // States and reports never wait in front of samples that drive.
+            let is_of_loop = topic.writer().is_some() || topic == Topic::Directive;
+            let priority = if is_of_loop { Priority::RealTime } else { Priority::DataHigh };
+            let out = publisher(session, topic_key(run_id, topic, here), priority)?;
+            let (shared, place) = (Arc::clone(&link), domain.clone());
+            bridge.spawn(move || sender::run(shared, &place, topic, out));
+        }
+        match here == HUB {
+            true => bridge.answer_clocks(session)?,
+            false => bridge.follow_clock(session)?,
+        }
+        Ok(bridge)
+    }
+
+    fn spawn(&mut self, work: impl FnOnce() -> anyhow::Result<()> + Send + 'static) {
+        let link = Arc::clone(&self.link);
+        self.threads.push(std::thread::spawn(move || {
+            if let Err(error) = work() {
+                runtime::print(runtime::Priority::Error, &format!("error: scanloop-link: {error:#}"));
+                link.end();
+            }
+        }));
+    }
+
+    /// Answers the question of each host for the time.
+    fn answer_clocks(&mut self, session: &Session) -> anyhow::Result<()> {
+        let (asked, open) = (clock_key(&self.link.table.run_id, "ask", "*"), session.clone());
+        let run_id = self.link.table.run_id.clone();
+        let mut answers = BTreeMap::new();
+        self._subscribers.push(subscribe(session, asked, move |key, question| {
+            let received_ns = monotonic_ns();
+            let host = key.rsplit('/').next().unwrap_or_default().to_owned();
+            let Some(sent) = question.first_chunk::<8>() else { return };
+            if !answers.contains_key(&host) {
+                match publisher(&open, clock_key(&run_id, "answer", &host), Priority::RealTime) {
+                    Ok(made) => drop(answers.insert(host.clone(), made)),
+                    Err(_) => return,
+                }
+            }
+            if let Some(answer) = answers.get(&host) {
+                let stamps = [u64::from_le_bytes(*sent), received_ns, monotonic_ns()];
+                let _ = answer.put(stamps.map(u64::to_le_bytes).concat()).wait();
+            }
+        })?);
+        Ok(())
+    }
+
+    /// Asks for the time, and reports what was found.
+    fn follow_clock(&mut self, session: &Session) -> anyhow::Result<()> {
+        let LinkTable { run_id, here, .. } = self.link.table.clone();
+        let shared = Arc::clone(&self.link);
+        self._subscribers.push(subscribe(session, clock_key(&run_id, "answer", &here), move |_, stamps| {
+            let returned_ns = monotonic_ns();
+            let stamp =
+                |index: usize| stamps.get(8 * index..)?.first_chunk().map(|bytes| u64::from_le_bytes(*bytes));
+            if let (Some(sent_ns), Some(received_ns), Some(answered_ns)) = (stamp(0), stamp(1), stamp(2))
+                && let Some(mut clock) = shared.clock.following()
+            {
+                shared.note_answer(returned_ns);
+                clock.probe(Probe { sent_ns, received_ns, answered_ns, returned_ns });
+            }
+        })?);
+        let question = publisher(session, clock_key(&run_id, "ask", &here), Priority::RealTime)?;
+        let report = publisher(session, status_key(&run_id, &here), Priority::InteractiveHigh)?;
+        let shared = Arc::clone(&self.link);
+        self.spawn(move || {
+            let mut reported_ns = 0;
+            while shared.is_running() {
+                let _ = question.put(monotonic_ns().to_le_bytes().as_slice()).wait();
+                let status = shared.status();
+                std::thread::sleep(if status.is_locked { PROBE } else { PROBE_AT_START });
+                if monotonic_ns().saturating_sub(reported_ns) >= REPORT.as_nanos() as u64 {
+                    reported_ns = monotonic_ns();
+                    let _ = report.put(status.to_text()).wait();
+                }
+            }
+            Ok(())
+        });
+        Ok(())
+    }
+}
+
+impl Drop for Bridge {
+    fn drop(&mut self) {
+        self.link.end();
+        self.threads.drain(..).for_each(|thread| _ = thread.join());
+    }
+}
+
+/// Runs the link of the orchestrator's host until the system ends.
+///
+/// # Errors
+/// What Zenoh refuses, and errors of the bus.
+pub(crate) fn run_hub(domain: &Domain, table: &LinkTable) -> anyhow::Result<()> {
+    let shutdown = Shutdown::on_signals()?;
+    let endpoints = table.peers.iter().map(|peer| peer.endpoint.as_str()).collect();
+    let session = network::join(&Place::Hub(endpoints), table.credentials.as_deref())?;
+    let bridge = Bridge::start(&session, domain, table)?;
+    let heard: Arc<Mutex<BTreeMap<String, (u64, LinkedHost)>>> = Arc::default();
+    let reports = Arc::clone(&heard);
+    let _reports = subscribe(&session, status_key(&table.run_id, "*"), move |_, text| {
+        if let Some(host) = std::str::from_utf8(text).ok().and_then(LinkedHost::of_text) {
+            let mut reports = reports.lock().unwrap_or_else(PoisonError::into_inner);
+            reports.insert(host.name.clone(), (monotonic_ns(), host));
+        }
+    })?;
+    // What agents answer goes to the process that stands for the one there.
+    let (answers, folder) = (UnixDatagram::unbound()?, domain.directory().to_owned());
+    let _answers = subscribe(&session, agent_key("*", "up"), move |_, message| {
+        let number =
+            message.split(|byte| *byte == b'\n').next().and_then(|line| std::str::from_utf8(line).ok());
+        if let Some(incarnation) = number.and_then(|line| line.parse::<u32>().ok()) {
+            let text = message.splitn(2, |byte| *byte == b'\n').nth(1).unwrap_or_default();
+            // A process that has ended has no socket.
+            let _ = answers.send_to(text, folder.join(reply_socket(incarnation)));
+        }
+    })?;
+    let path = domain.directory().join(LINK_SOCKET);
+    let _ = std::fs::remove_file(&path);
+    let orders = UnixDatagram::bind(&path)?;
+    orders.set_read_timeout(Some(Duration::from_millis(20)))?;
+    let mut agents = BTreeMap::new();
+    for peer in &table.peers {
+        agents.insert(
+            peer.name.clone(),
+            publisher(&session, agent_key(&peer.name, "down"), Priority::InteractiveHigh)?,
+        );
+    }
+    let (mut message, mut written_ns) = (vec![0; MESSAGE_BYTES], 0);
+    while !shutdown.requested() && bridge.link.is_running() && domain.is_current() {
+        if let Ok(length) = orders.recv(&mut message) {
+            let mut parts = message[..length].splitn(2, |byte| *byte == b'\n');
+            let host = parts.next().and_then(|name| std::str::from_utf8(name).ok());
+            if let (Some(agent), Some(text)) = (host.and_then(|name| agents.get(name)), parts.next()) {
+                let _ = agent.put(text).wait();
+            }
+        }
+        let now_ns = monotonic_ns();
+        if now_ns.saturating_sub(written_ns) >= REPORT.as_nanos() as u64 {
+            written_ns = now_ns;
+            status_of(&bridge.link, &heard.lock().unwrap_or_else(PoisonError::into_inner), now_ns)
+                .write(domain)?;
+        }
+    }
+    Ok(())
+}
+
+fn status_of(link: &Link, heard: &BTreeMap<String, (u64, LinkedHost)>, now_ns: u64) -> LinkStatus {
+    let hosts = link.table.peers.iter().map(|peer| match heard.get(&peer.name) {
+        Some((at_ns, host)) => {
+            let is_connected = now_ns.saturating_sub(*at_ns) < SILENT_NS;
+            LinkedHost { is_connected, ..host.clone() }
+        }
+        None => LinkedHost { name: peer.name.clone(), ..LinkedHost::default() },
+    });
+    LinkStatus { written_ns: now_ns, counts: link.counters.get(), hosts: hosts.collect() }
+}

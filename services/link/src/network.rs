@@ -1,0 +1,124 @@
+//! Zenoh as the link uses it: its configuration, and the names under which things travel.
+
+use anyhow::anyhow;
+use shared_types::Topic;
+use zenoh::pubsub::{Publisher, Subscriber};
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::{Config, Session, Wait};
+
+use crate::credentials::{AUTHORITY, CERTIFICATE, KEY};
+
+/// A peer that has sent nothing for this long is gone; the connection is made anew when it answers again [ms].
+const LEASE_MS: u32 = 2_000;
+
+/// Places in each queue of the network, as many as it allows.
+const MAX_QUEUE: u32 = 16;
+/// A sample waits this long for a place at most [us].
+const WAIT_BEFORE_DROP_US: u32 = 5_000;
+
+/// Where this end of the network is.
+pub(crate) enum Place<'a> {
+    /// It connects to these endpoints.
+    Hub(Vec<&'a str>),
+    /// It listens at this one.
+    Agent(&'a str),
+}
+
+/// Joins the network. A hub retries for ever; an agent fails if its address is not one of this machine.
+///
+/// # Errors
+/// What Zenoh refuses, as a sentence.
+pub(crate) fn join(place: &Place<'_>, credentials: Option<&str>) -> anyhow::Result<Session> {
+    let (mode, listen, connect) = match place {
+        Place::Hub(endpoints) => ("router", Vec::new(), endpoints.clone()),
+        Place::Agent(endpoint) => ("peer", vec![*endpoint], Vec::new()),
+    };
+    let mut settings = vec![
+        ("mode", format!("{mode:?}")),
+        ("listen/endpoints", format!("{listen:?}")),
+        ("connect/endpoints", format!("{connect:?}")),
+        ("connect/timeout_ms", "-1".to_owned()),
+        ("connect/exit_on_failure", "false".to_owned()),
+        (
+            "connect/retry",
+            "{ period_init_ms: 100, period_max_ms: 500, period_increase_factor: 1.5 }".to_owned(),
+        ),
+        ("scouting/multicast/enabled", "false".to_owned()),
+        ("scouting/gossip/enabled", "false".to_owned()),
+        ("transport/link/tx/lease", LEASE_MS.to_string()),
+        ("transport/link/tx/queue/batching/enabled", "false".to_owned()),
+        // Each sample takes a place, a large one several: the samples of a few scans fit.
+        ("transport/link/tx/queue/size/real_time", MAX_QUEUE.to_string()),
+        ("transport/link/tx/queue/size/interactive_high", MAX_QUEUE.to_string()),
+        ("transport/link/tx/queue/size/data_high", MAX_QUEUE.to_string()),
+        ("transport/link/tx/queue/congestion_control/drop/wait_before_drop", WAIT_BEFORE_DROP_US.to_string()),
+    ];
+    if let Some(folder) = credentials {
+        let file = |name: &str| format!("{:?}", format!("{folder}/{name}"));
+        settings.extend([
+            ("transport/link/tls/root_ca_certificate", file(AUTHORITY)),
+            ("transport/link/tls/listen_certificate", file(CERTIFICATE)),
+            ("transport/link/tls/listen_private_key", file(KEY)),
+            ("transport/link/tls/connect_certificate", file(CERTIFICATE)),
+            ("transport/link/tls/connect_private_key", file(KEY)),
+            ("transport/link/tls/enable_mtls", "true".to_owned()),
+            ("transport/link/tls/verify_name_on_connect", "true".to_owned()),
+        ]);
+    }
+    let mut config = Config::default();
+    for (key, value) in settings {
+        config.insert_json5(key, &value).map_err(|error| anyhow!("{key} = {value}: {error}"))?;
+    }
+    zenoh::open(config).wait().map_err(|error| match place {
+        Place::Agent(endpoint) => anyhow!("it can't listen at {endpoint}: {error}"),
+        Place::Hub(_) => anyhow!("{error}"),
+    })
+}
+
+/// The writing end of a name. Nothing waits: what does not fit into the queue is dropped.
+///
+/// # Errors
+/// What Zenoh refuses.
+pub(crate) fn publisher(
+    session: &Session,
+    key: String,
+    priority: Priority,
+) -> anyhow::Result<Publisher<'static>> {
+    let publisher = session.declare_publisher(key).congestion_control(CongestionControl::Drop);
+    publisher.priority(priority).express(true).wait().map_err(|error| anyhow!("{error}"))
+}
+
+/// Calls `each` with the name and the bytes of all that comes under a name.
+///
+/// # Errors
+/// What Zenoh refuses.
+pub(crate) fn subscribe(
+    session: &Session,
+    key: String,
+    mut each: impl FnMut(&str, &[u8]) + Send + Sync + 'static,
+) -> anyhow::Result<Subscriber<()>> {
+    let subscriber = session
+        .declare_subscriber(key)
+        .callback_mut(move |sample| each(sample.key_expr().as_str(), &sample.payload().to_bytes()));
+    subscriber.wait().map_err(|error| anyhow!("{error}"))
+}
+
+/// The name of a topic of a run. It contains the layout, so samples of another one never arrive.
+pub(crate) fn topic_key(run_id: &str, topic: Topic, from: &str) -> String {
+    format!("scanloop/{run_id}/topic/{topic}/{:08x}/{from}", topic.layout())
+}
+
+/// The name under which a host asks for the time, and gets answers.
+pub(crate) fn clock_key(run_id: &str, what: &str, host: &str) -> String {
+    format!("scanloop/{run_id}/clock/{what}/{host}")
+}
+
+/// The name under which a host reports.
+pub(crate) fn status_key(run_id: &str, host: &str) -> String {
+    format!("scanloop/{run_id}/status/{host}")
+}
+
+/// The name under which an agent is told what to do (`down`), and answers (`up`).
+pub(crate) fn agent_key(host: &str, way: &str) -> String {
+    format!("scanloop/agent/{host}/{way}")
+}

@@ -1,0 +1,171 @@
+//! Recorded drives with faults, swaps and restarts at random moments, and the replay of each.
+
+use std::fmt;
+use std::ops::AddAssign;
+
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use runtime::wait_for;
+use rustix::process::Signal;
+use serde_json::Value;
+use shared_types::Role;
+
+use crate::swaps::BUILT_IN;
+use crate::{SHORT_CORRIDOR, System};
+
+/// What happens in a recorded drive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Kind {
+    /// Nothing, in lock-step.
+    Lockstep,
+    /// A course with walls, in lock-step.
+    Walls,
+    /// Salt, dropouts and missing scans, in lock-step.
+    ScannerInLockstep,
+    /// A process is killed.
+    Kill,
+    /// A process is stopped until it counts as hung.
+    Hang,
+    /// A process is stopped for a moment, so that samples are late or lost.
+    Late,
+    /// A process is swapped.
+    Swap,
+    /// A process is restarted.
+    Restart,
+    /// Scanner faults, and a process is killed.
+    ScannerAndKill,
+    /// A worn robot on a noisy course.
+    Worn,
+}
+
+/// All kinds.
+pub const KINDS: [Kind; 10] = [
+    Kind::Lockstep,
+    Kind::Kill,
+    Kind::Swap,
+    Kind::Hang,
+    Kind::Restart,
+    Kind::Late,
+    Kind::ScannerAndKill,
+    Kind::Worn,
+    Kind::Walls,
+    Kind::ScannerInLockstep,
+];
+
+/// Roles whose death does not end the run.
+const RESTARTED: [Role; 4] = [Role::Estimator, Role::Obstacles, Role::Controller, Role::Actuator];
+/// Faults of the scanner that a drive survives.
+const SCANNER: [&str; 6] =
+    ["--set", "scanner.salt=0.005", "--set", "scanner.missing_every=40", "--set", "noise.dropout=0.1"];
+/// A process that is stopped for so long misses one or two scans, and does not count as hung [ns].
+const LATE_NS: u64 = 200_000_000;
+/// The longest time after which something happens in a drive of nine seconds [ns].
+const MAX_DELAY_NS: u64 = 4_000_000_000;
+
+/// What replays have found.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Tally {
+    /// Recordings.
+    pub recordings: u64,
+    /// Of these, recordings without a difference.
+    pub same: u64,
+    /// Outputs of the stages.
+    pub samples: u64,
+    /// Outputs that were recomputed.
+    pub compared: u64,
+    /// Outputs that are equal to the recorded ones.
+    pub identical: u64,
+    /// Outputs that could not be recomputed.
+    pub skipped: u64,
+    /// Samples that the recorder lost.
+    pub lost: u64,
+}
+
+impl AddAssign for Tally {
+    fn add_assign(&mut self, other: Self) {
+        self.recordings += other.recordings;
+        self.same += other.same;
+        self.samples += other.samples;
+        self.compared += other.compared;
+        self.identical += other.identical;
+        self.skipped += other.skipped;
+        self.lost += other.lost;
+    }
+}
+
+impl fmt::Display for Tally {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { recordings, same, samples, compared, identical, skipped, lost } = self;
+        write!(
+            formatter,
+            "{recordings} recordings, {same} without a difference; {samples} outputs, {compared} compared, {identical} identical, {skipped} skipped; {lost} samples lost"
+        )
+    }
+}
+
+/// Drives and records one drive, and replays it; also what the replay printed.
+///
+/// # Panics
+/// When the drive can't be recorded or the recording can't be read.
+pub fn check(executable: &str, kind: Kind, seed: u64) -> (Tally, String) {
+    let mut system = System::new(executable);
+    let seed_text = seed.to_string();
+    let own: &[&str] = match kind {
+        Kind::Walls => &["walls", "--duration", "15"],
+        Kind::Worn => &["noisy", "--set", "robot.preset=worn", "--set", "goal.x_m=7", "--duration", "12"],
+        _ => &SHORT_CORRIDOR,
+    };
+    let faults: &[&str] =
+        if matches!(kind, Kind::ScannerInLockstep | Kind::ScannerAndKill) { &SCANNER } else { &[] };
+    let arguments = [own, faults, &["--seed", &seed_text, "--record"]].concat();
+    let in_lockstep = matches!(kind, Kind::Lockstep | Kind::Walls | Kind::ScannerInLockstep);
+    let report = if in_lockstep {
+        system.lockstep(&arguments)
+    } else {
+        system.start(&arguments);
+        disturb(&system, kind, seed);
+        system.wait();
+        system.report()
+    };
+    let recording = report.recording.expect("a recording");
+    let file = recording.file.to_str().expect("a readable path");
+    let output = system.run(&["replay", file, "--json"]);
+    let printed = String::from_utf8_lossy(&output.stderr).into_owned();
+    let found: Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{printed}"));
+    let count = |key: &str| found[key].as_u64().expect("a count");
+    let tally = Tally {
+        recordings: 1,
+        same: u64::from(output.status.code() == Some(0)),
+        samples: count("samples"),
+        compared: count("compared"),
+        identical: count("identical"),
+        skipped: count("skipped"),
+        lost: recording.lost,
+    };
+    (tally, printed)
+}
+
+/// Lets something happen at a random moment of a drive.
+fn disturb(system: &System, kind: Kind, seed: u64) {
+    let mut dice = Pcg64::seed_from_u64(seed);
+    wait_for(&[], dice.random_range(0..MAX_DELAY_NS));
+    let role = RESTARTED[dice.random_range(0..RESTARTED.len())];
+    match kind {
+        Kind::Kill | Kind::ScannerAndKill => system.signal(system.pid(role), Signal::KILL),
+        Kind::Hang => system.signal(system.pid(role), Signal::STOP),
+        Kind::Late => {
+            let pid = system.pid(role);
+            system.signal(pid, Signal::STOP);
+            wait_for(&[], LATE_NS);
+            // On a busy machine it may count as hung, and be gone.
+            let pid = rustix::process::Pid::from_raw(pid).expect("a process id");
+            let _ = rustix::process::kill_process(pid, Signal::CONT);
+        }
+        Kind::Swap => {
+            let (role, implementation) = BUILT_IN[dice.random_range(0..BUILT_IN.len())];
+            system.run(&["swap", role.name(), "--to", implementation, "--shadow-scans", "5"]);
+        }
+        Kind::Restart => _ = system.run(&["restart", role.name()]),
+        _ => {}
+    }
+}
