@@ -201,8 +201,10 @@ impl Companion {
             error: "the recorder did not end the recording".to_owned(),
             ..RecordingReport::default()
         };
-        let report = self.report.take().unwrap_or_else(unknown);
-        ((!self.keeps_ring).then_some(report), std::mem::take(&mut self.incidents))
+        let report = self.report.take();
+        // A ring that did not answer has perhaps not written what it was asked for.
+        let is_told = !self.keeps_ring || self.is_asked && report.is_none();
+        (is_told.then(|| report.unwrap_or_else(unknown)), std::mem::take(&mut self.incidents))
     }
 
     fn say(&mut self, line: &str) {

@@ -190,7 +190,8 @@ mod tests {
                 memory.push((memory_kib(), tape.target().bytes >> 10));
             }
         }
-        println!("resident memory and ring, each tenth of a day [KiB]: {memory:?}");
+        let text = format!("resident memory and ring, each tenth of a day [KiB]: {memory:?}");
+        runtime::print(runtime::Priority::Notice, &text);
         let [first, last] = [memory[0].0, memory[memory.len() - 1].0];
         assert!(last < first + first / 20, "{memory:?}");
     }
