@@ -294,9 +294,13 @@ impl Session {
         let suspects: Vec<_> = self.supervisor.suspects(monotonic_ns()).collect();
         self.fleet.forget_suspects(|role| suspects.iter().any(|(suspect, ..)| *suspect == role));
         for (role, incarnation, is_over) in suspects {
+            if self.may_be_on_its_way(role, incarnation) {
+                // Its time begins anew once its heartbeats can come again.
+                self.handle(Event::Progress { role, incarnation })?;
+                continue;
+            }
             // In lock-step it may wait for a companion, which is judged by itself.
-            let waits = self.companions.delays(self.samples.newest_scan())
-                || self.may_be_on_its_way(role, incarnation);
+            let waits = self.companions.delays(self.samples.newest_scan());
             if (self.fleet.is_starved(role, incarnation) || waits) && is_over {
                 self.handle(Event::Starved { role, incarnation })?;
             }
