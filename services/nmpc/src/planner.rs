@@ -446,21 +446,23 @@ fn slow_down(task: &Task, controls: &mut [Control]) {
 
 /// The two nodes between which the plan passes the goal, with the shares of its weight; node 0 for none.
 ///
-/// The last plan tells when; without one the reference does.
+/// The last plan tells when, and has no such nodes where it does not get there; without a last plan the reference does.
 fn goal_nodes(task: &Task) -> [(usize, f64); 2] {
-    let Scene { config, initial, .. } = task.scene;
+    let config = task.scene.config;
     let (goal_x, interval_s, intervals) = (config.goal.x_m, config.interval_s(), config.intervals);
     let last = &task.last.plan[..task.last.plan_length as usize];
-    let passed = task.elapsed().and_then(|elapsed_s| {
-        let index = last.windows(2).position(|pair| (pair[0].x_m..pair[1].x_m).contains(&goal_x))?;
-        let share = (goal_x - last[index].x_m) / (last[index + 1].x_m - last[index].x_m);
-        Some(index as f64 + share - elapsed_s / interval_s)
-    });
-    let pace = task.pace();
-    let along = passed.unwrap_or_else(|| (goal_x - initial.x) / (pace.cruise * interval_s));
-    if !(0.0..=intervals as f64).contains(&along) {
+    let passed = match task.elapsed() {
+        Some(elapsed_s) => {
+            last.windows(2).position(|pair| (pair[0].x_m..pair[1].x_m).contains(&goal_x)).map(|index| {
+                let share = (goal_x - last[index].x_m) / (last[index + 1].x_m - last[index].x_m);
+                index as f64 + share - elapsed_s / interval_s
+            })
+        }
+        None => Some((goal_x - task.scene.initial.x) / (task.pace().cruise * interval_s)),
+    };
+    let Some(along) = passed.filter(|along| (0.0..=intervals as f64).contains(along)) else {
         return [(0, 0.0); 2];
-    }
+    };
     let (before, share) = (along as usize, along.fract());
     [(before, 1.0 - share), ((before + 1).min(intervals), share)]
 }

@@ -15,7 +15,7 @@ settings! {
         /// Weights of the state at the end of the horizon: sideslip angle, yaw, yaw rate, x, y.
         pub terminal: [f64; 5] = [0.1, 0.5, 0.1, 30.0, 8.0], 0.0..=1e6;
         /// Weight of the lateral distance where the plan passes the goal, in addition.
-        pub goal: f64 = 1000.0, 0.0..=1e6;
+        pub goal: f64 = 3000.0, 0.0..=1e6;
         /// Integral weights of velocity and steering angle about their reference.
         pub control: [f64; 2] = [0.1, 10.0], 0.0..=1e6;
         /// Weights of the changes of velocity and steering angle in each tenth of a second of a steady change.
