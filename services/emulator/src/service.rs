@@ -324,7 +324,7 @@ impl Robot {
         }
         self.scans.publish(&mut scan)?;
         self.odometries.publish(&mut odometry)?;
-        // After the samples of the loop: only processes beside it sleep until a truth comes.
+        // After the samples of the loop: only companions sleep until a truth comes.
         self.truths.iter().for_each(|truths| truths.wake());
         self.state.next_scan = scan_id + 1;
         self.change_robot(process.period_ns());

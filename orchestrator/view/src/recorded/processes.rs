@@ -30,7 +30,7 @@ impl Processes {
         Self(rows.map(|row| (row.identity.incarnation, (row.entry.label(), row.identity.pid))).collect())
     }
 
-    /// The status after these directives: a process in charge per role, and those that published beside it.
+    /// The status after these directives: a process in charge per role, and the others that published.
     pub(super) fn status(&self, directives: &[(Key, Directive)], outputs: &Outputs, now_ns: u64) -> Value {
         let Some((_, newest)) = directives.last() else { return Value::Null };
         let mut rows = Vec::new();
