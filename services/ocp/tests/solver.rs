@@ -198,6 +198,21 @@ fn the_guess_decides_the_side() {
 }
 
 #[test]
+fn a_bound_of_the_track_is_no_active_ellipse() {
+    let active = |ellipse_x: f64, highest_y: f64| {
+        let initial = State { x: 2.2, y: 0.3, yaw: 0.1, ..State::default() };
+        let mut problem = problem(initial, 10.0, bench_weights(), vec![ellipse(ellipse_x, 0.1, 1.2, 0.8)]);
+        problem.y_range[1] = highest_y;
+        let solution = converged(&problem, &cold_guess(&problem));
+        (solution.active_ellipses, solution.active_constraints)
+    };
+    assert_eq!(active(50.0, 10.0).0, 0);
+    let (ellipses, constraints) = active(50.0, 0.32);
+    assert!(ellipses == 0 && constraints > 0, "{ellipses} of {constraints}");
+    assert!(active(4.5, 10.0).0 > 0);
+}
+
+#[test]
 fn a_guess_whose_states_leave_gaps_is_accepted() {
     let initial = State { x: 2.2, y: 0.02, ..State::default() };
     let problem = problem(initial, 10.0, bench_weights(), vec![ellipse(5.0, 0.1, 1.2, 0.8)]);
