@@ -207,7 +207,7 @@ fn a_bound_of_the_track_is_no_active_ellipse() {
         (solution.active_ellipses, solution.active_constraints)
     };
     assert_eq!(active(50.0, 10.0).0, 0);
-    let (ellipses, constraints) = active(50.0, 0.32);
+    let (ellipses, constraints) = active(50.0, 0.25);
     assert!(ellipses == 0 && constraints > 0, "{ellipses} of {constraints}");
     assert!(active(4.5, 10.0).0 > 0);
 }
