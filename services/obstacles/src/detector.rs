@@ -14,6 +14,7 @@ use crate::Config;
 use crate::ellipse::{MAX_PIECES, cover};
 use crate::evidence::Evidence;
 use crate::outline::{Vertex, trace};
+use crate::part::Known;
 use crate::points::{Beams, Place, Point};
 use crate::segment::Segments;
 use crate::shape::Directions;
@@ -39,6 +40,8 @@ const SPECKLE_MEMORY_S: f64 = 0.35;
 const DOUBTFUL_S: f64 = 0.25;
 /// Scans that must have shown a body before it counts as standing.
 const STANDING: u32 = 5;
+/// A body beside the track may seem to reach so far across its line [m].
+const BESIDE_NOISE_M: f64 = 0.05;
 /// A body further away than this is out of reach: the pose must have jumped [m].
 const LOST_M: f64 = 12.0;
 
@@ -61,6 +64,7 @@ pub struct ObstacleDetector {
     vertices: Vec<Vertex>,
     view: Vec<Vertex>,
     boxes: Vec<Rectangle>,
+    expected: Vec<Known>,
     drawn: Vec<Drawn>,
     /// For each beam whether its return is of something that does not move.
     fixed: Vec<bool>,
@@ -110,6 +114,7 @@ impl ObstacleDetector {
             vertices: Vec::with_capacity(4 * BEAMS),
             view: Vec::with_capacity(4 * BEAMS),
             boxes: Vec::with_capacity(TRACKS + 1),
+            expected: Vec::with_capacity(TRACKS + 1),
             drawn: Vec::with_capacity(TRACKS * MAX_PIECES),
         })
     }
@@ -227,17 +232,15 @@ impl ObstacleDetector {
     /// Marks the beams whose return is outside of the track, on a wall, or on a body that stands.
     fn mark_fixed(&mut self) {
         self.fixed.fill(true);
-        for point in &self.points {
+        let [low, high] = self.config.beside_y_m();
+        for point in self.points.iter().filter(|point| (low..=high).contains(&point.at.y)) {
             self.fixed[point.beam] = false;
         }
         for (cluster, outline) in self.segments.clusters.iter().zip(&self.outlines) {
-            let stands = |index: usize| {
-                let track = &self.tracks[index];
-                !track.moving && track.sightings >= STANDING
-            };
-            if outline.track.is_some_and(stands) {
+            let Some(track) = outline.track.map(|index| &self.tracks[index]) else { continue };
+            if track.moving || track.sightings >= STANDING {
                 for member in &self.segments.members[cluster.first..cluster.end] {
-                    self.fixed[member.beam] = true;
+                    self.fixed[member.beam] = !track.moving;
                 }
             }
         }
@@ -247,7 +250,11 @@ impl ObstacleDetector {
     fn outline(&mut self, scan: &Scan, place: &Place) {
         let walls = Walls::fit(&self.config, place, &self.points);
         self.points.retain(|point| walls.leaves(point.at));
-        self.segments.find(scan, &self.points, self.config.range_noise_m);
+        self.segments.find(scan, &self.points, self.config.range_noise_m, self.config.beside_y_m());
+        self.expected.clear();
+        let known = |track: &Track| (track.expected(&self.directions), track.moving);
+        self.expected.extend(self.tracks.iter().map(known));
+        self.segments.part(&self.expected);
         self.outlines.clear();
         self.vertices.clear();
         for cluster in &self.segments.clusters {
@@ -269,12 +276,14 @@ impl ObstacleDetector {
 
     /// Gives each outline to the track whose expected box it is nearest to.
     fn associate(&mut self, place: &Place) {
-        self.boxes.clear();
-        self.boxes.extend(self.tracks.iter().map(|track| track.expected(&self.directions)));
         for outline in &mut self.outlines {
             let vertices = &self.vertices[outline.first..outline.end];
             let mut best = f64::INFINITY;
-            for (index, expected) in self.boxes.iter().enumerate() {
+            let beside = is_beside(&self.config, vertices.iter().map(|vertex| vertex.at));
+            for (index, (expected, moves)) in self.expected.iter().enumerate() {
+                if !moves && is_beside(&self.config, expected.corners()) != beside {
+                    continue;
+                }
                 let (mut least, mut sum) = (f64::INFINITY, 0.0);
                 for vertex in vertices {
                     let distance = expected.distance_to_point(vertex.at).max(0.0);
@@ -320,7 +329,12 @@ impl ObstacleDetector {
             let nearest =
                 vertices.iter().map(|vertex| (vertex.at - place.at).norm()).fold(f64::INFINITY, f64::min);
             if self.tracks.len() >= TRACKS {
-                let Some(farthest) = farthest_unseen(&self.tracks, place, nearest, &self.directions) else {
+                if is_beside(&self.config, vertices.iter().map(|vertex| vertex.at)) {
+                    continue;
+                }
+                let Some(farthest) =
+                    least_needed(&self.tracks, &self.config, place, nearest, &self.directions)
+                else {
                     overflow += 1;
                     continue;
                 };
@@ -355,6 +369,7 @@ impl ObstacleDetector {
                     track.silent_s += if is_reliable { elapsed } else { 0.0 };
                     let stands = !track.moving && track.sightings >= STANDING;
                     if stands
+                        && !is_beside(&self.config, rectangle.corners())
                         && track.silent_s > DOUBTFUL_S
                         && let Some(beams) = beams_towards(place, &rectangle)
                     {
@@ -383,6 +398,7 @@ impl ObstacleDetector {
                 let standing = !self.tracks[older].moving && !self.tracks[younger].moving;
                 let reach = (a.length.hypot(a.width) + b.length.hypot(b.width)) / 2.0 + TOUCHING_M;
                 let touch = standing
+                    && is_beside(&self.config, a.corners()) == is_beside(&self.config, b.corners())
                     && (a.centre - b.centre).norm_squared() < reach * reach
                     && a.distance_to_rectangle(b) < TOUCHING_M;
                 if touch {
@@ -423,6 +439,9 @@ impl ObstacleDetector {
         self.drawn.clear();
         for track in self.tracks.iter_mut().filter(|track| track.confirmed) {
             let rectangle = track.rectangle(&self.directions);
+            if !track.moving && is_beside(&self.config, rectangle.corners()) {
+                continue;
+            }
             let growth = track.growth();
             let grown = Rectangle {
                 length: rectangle.length + 2.0 * growth,
@@ -478,12 +497,32 @@ impl ObstacleDetector {
     }
 }
 
-/// Index of the track farthest away among those not seen now, when it is farther than `distance`.
-fn farthest_unseen(tracks: &[Track], place: &Place, distance: f64, directions: &Directions) -> Option<usize> {
+/// Whether a body is beyond the lines within which bodies at rest are described; it may reach 5 cm across by noise.
+fn is_beside(config: &Config, corners: impl IntoIterator<Item = Vector2<f64>>) -> bool {
+    let [low, high] = config.beside_y_m();
+    let (mut right, mut left) = (true, true);
+    for corner in corners {
+        right &= corner.y < low + BESIDE_NOISE_M;
+        left &= corner.y > high - BESIDE_NOISE_M;
+    }
+    right || left
+}
+
+/// Index of the track that is needed least: the farthest that is at rest beside the track, else the farthest among those not
+/// seen now, when it is farther than `distance`.
+fn least_needed(
+    tracks: &[Track],
+    config: &Config,
+    place: &Place,
+    distance: f64,
+    directions: &Directions,
+) -> Option<usize> {
     let mut farthest = (distance, None);
-    for (index, track) in tracks.iter().enumerate().filter(|(_, track)| track.unseen_s > 0.0) {
-        let distance = track.rectangle(directions).distance_to_point(place.at);
-        if distance > farthest.0 {
+    for (index, track) in tracks.iter().enumerate() {
+        let rectangle = track.rectangle(directions);
+        let beside = !track.moving && is_beside(config, rectangle.corners());
+        let distance = rectangle.distance_to_point(place.at) + if beside { LOST_M } else { 0.0 };
+        if (beside || track.unseen_s > 0.0) && distance > farthest.0 {
             farthest = (distance, Some(index));
         }
     }

@@ -14,6 +14,7 @@ mod ellipse;
 mod evidence;
 mod motion;
 mod outline;
+mod part;
 mod points;
 mod segment;
 pub mod service;
