@@ -14,6 +14,7 @@ mod ellipse;
 mod evidence;
 mod motion;
 mod outline;
+mod outlines;
 mod part;
 mod points;
 mod segment;
@@ -21,6 +22,7 @@ pub mod service;
 mod shape;
 mod state;
 mod track;
+mod tracks;
 mod visibility;
 mod walls;
 
