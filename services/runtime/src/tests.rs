@@ -62,6 +62,7 @@ impl Lab {
             role,
             incarnation,
             guard: crate::guard::Guard::new(role, None),
+            notes: crate::journal::Notes::default(),
             tamper: RefCell::default(),
             device: RefCell::default(),
             clock: Clock::simulated(),
