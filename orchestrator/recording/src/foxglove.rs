@@ -49,6 +49,27 @@ pub(crate) fn schemas() -> impl Iterator<Item = Schema> {
     })
 }
 
+/// A line of a log, as it was recorded.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LogLine {
+    /// When it was recorded, on the clock of the loop [ns].
+    pub log_ns: u64,
+    /// The role, or `orchestrator`.
+    pub name: String,
+    /// Whether it is a warning or an error.
+    pub is_warning: bool,
+    /// The line.
+    pub text: String,
+}
+
+/// The line in what follows the encapsulation of a message of [`LOG`]; `None` when it is damaged.
+pub(crate) fn log_line(log_ns: u64, content: &[u8]) -> Option<LogLine> {
+    let mut cdr = cdr::Decoder::new(content);
+    let (_, level) = (cdr.time()?, cdr.u8()?);
+    let (text, name) = (cdr.text()?.to_owned(), cdr.text()?.to_owned());
+    Some(LogLine { log_ns, name, is_warning: level >= Level::Warning as u8, text })
+}
+
 /// Severity of a log line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Level {
