@@ -2,7 +2,9 @@
 
 use super::*;
 use crate::latency::tests::chain;
+use crate::report::{DriveReport, Outcome};
 use shared_types::{Header, Obstacle, ScannerState};
+use vehicle::Surroundings;
 
 fn info(lockstep: bool) -> RunInfo {
     RunInfo {
