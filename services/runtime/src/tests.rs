@@ -1,5 +1,6 @@
 //! Samples through real shared memory: what comes out of an input, and what never does.
 
+mod journal;
 mod preparing;
 mod queues;
 mod reserve;
