@@ -148,7 +148,7 @@ fn run<S: Sample>(
 
 /// The state that a replay from a scan on begins with; none at the start of a drive.
 fn state_before(role: Role, drive: &Drive, from: u64) -> Option<&Checkpoint> {
-    let mut states = drive.checkpoints.iter().filter(|state| state.role == role.wire());
+    let mut states = drive.checkpoints.samples.iter().filter(|state| state.role == role.wire());
     let before = states.clone().rfind(|state| state.header.scan_id < from);
     // A recording that begins in the middle of a drive.
     before.or_else(|| states.find(|_| from > 1))

@@ -33,7 +33,7 @@ pub struct Drive {
     pub(crate) obstacles: Lane<Obstacles>,
     pub(crate) commands: Lane<Command>,
     pub(crate) actuations: Lane<Actuation>,
-    pub(crate) checkpoints: Vec<Checkpoint>,
+    pub(crate) checkpoints: Lane<Checkpoint>,
     /// The journals of each process, by number.
     journals: BTreeMap<u32, BTreeMap<u64, Journal>>,
     /// Changes of authority per role in their order, and when each was announced [ns].
@@ -191,12 +191,6 @@ impl Drive {
         self.journals.get(&incarnation).into_iter().flat_map(BTreeMap::values)
     }
 
-    /// The checkpoint of a process with this number, if it was recorded.
-    pub(crate) fn checkpoint(&self, incarnation: u32, sequence: u64) -> Option<&Checkpoint> {
-        let is_it = |header: &Header| (header.incarnation, header.sequence) == (incarnation, sequence);
-        self.checkpoints.iter().rfind(|checkpoint| is_it(&checkpoint.header))
-    }
-
     /// What a process is, if it is no implementation of this program.
     pub(crate) fn foreign(&self, incarnation: u32) -> Option<&str> {
         self.foreign.get(&incarnation).map(String::as_str)
@@ -221,7 +215,7 @@ impl Drive {
             Topic::Obstacles => self.obstacles.add(bytes),
             Topic::Command => self.commands.add(bytes),
             Topic::Actuation => self.actuations.add(bytes),
-            Topic::Checkpoint => self.checkpoints.push(*bytemuck::from_bytes(bytes)),
+            Topic::Checkpoint => self.checkpoints.add(bytes),
             Topic::Directive => {
                 let directive: &Directive = bytemuck::from_bytes(bytes);
                 for (known, authority) in self.authority.iter_mut().zip(directive.authority) {

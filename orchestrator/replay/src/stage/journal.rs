@@ -132,7 +132,7 @@ fn follow<'d, T: Stage<'d>>(
     unknown: &mut Option<&'static str>,
 ) {
     let resume = |stage: &mut T, incarnation: u32| {
-        let state = drive.checkpoint(incarnation, entry.value).map(Checkpoint::state::<T::State>);
+        let state = drive.checkpoints.of_number(incarnation, entry.value).map(Checkpoint::state::<T::State>);
         matches!(state, Some(Ok(state)) if stage.resume(&state))
     };
     match JournalKind::try_from(u32::from(entry.kind)) {
@@ -183,8 +183,5 @@ fn compare<'d, T: Stage<'d>>(
 /// The newest state of the process before the first scan that is asked for.
 fn nearest_state<'d>(incarnation: u32, drive: &'d Drive, options: &Options) -> Option<&'d Checkpoint> {
     let from = options.from?;
-    let is_before = |checkpoint: &&Checkpoint| {
-        checkpoint.header.incarnation == incarnation && checkpoint.header.scan_id < from
-    };
-    drive.checkpoints.iter().rfind(is_before)
+    drive.checkpoints.of_process(incarnation).filter(|checkpoint| checkpoint.header.scan_id < from).last()
 }
