@@ -21,6 +21,7 @@
 #define SCANLOOP_MAX_OBSTACLES 16 /* How many ellipses a description can hold */
 #define SCANLOOP_PLAN_NODES 25 /* How many nodes of the plan a command carries */
 #define SCANLOOP_CHECKPOINT_BYTES 12800 /* How many bytes of state a checkpoint can hold */
+#define SCANLOOP_JOURNAL_ENTRIES 20 /* How many entries a journal can hold */
 #define SCANLOOP_DEVICE_REASON_BYTES 96 /* How many bytes the reason of a device can have */
 
 #define SCANLOOP_TOPIC_SCAN "scan"
@@ -33,6 +34,7 @@
 #define SCANLOOP_TOPIC_DIRECTIVE "directive"
 #define SCANLOOP_TOPIC_CHECKPOINT "checkpoint"
 #define SCANLOOP_TOPIC_TRUTH "truth"
+#define SCANLOOP_TOPIC_JOURNAL "journal"
 
 /* The job of one process of the loop. */
 enum scanloop_role {
@@ -163,6 +165,23 @@ enum scanloop_rule {
     SCANLOOP_RULE_TOO_OLD = 7, /* Its scan is young enough. */
     SCANLOOP_RULE_FROM_THE_FUTURE = 8, /* Its scan does not lie in the future. */
     SCANLOOP_RULE_ANSWERED_BEFORE = 9, /* Its scan was not answered before. */
+};
+
+/* What an entry of a journal states. */
+enum scanloop_journal_kind {
+    SCANLOOP_JOURNAL_KIND_NONE = 0, /* Nothing. */
+    SCANLOOP_JOURNAL_KIND_TAKEN = 1, /* The process took a sample: `topic`, `incarnation`, and its sequence number in `value`. */
+    SCANLOOP_JOURNAL_KIND_USED = 2, /* What was taken last is used; `value` is the time that the stage is told [ns]. */
+    SCANLOOP_JOURNAL_KIND_TIMER = 3, /* A timeout did something, at the time `value` [ns]. */
+    SCANLOOP_JOURNAL_KIND_BUDGET = 4, /* The time budget ended a solution, which had read the clock `value` times before. */
+    SCANLOOP_JOURNAL_KIND_STOPPED = 5, /* The wheels are blocked for a stop, at the time `value` [ns]. */
+    SCANLOOP_JOURNAL_KIND_RELEASED = 6, /* A stop has ended. */
+    SCANLOOP_JOURNAL_KIND_DROPPED = 7, /* Commands were dropped before the process saw them. */
+    SCANLOOP_JOURNAL_KIND_HELD_BACK = 8, /* The output that follows would have driven: the port made it a block. */
+    SCANLOOP_JOURNAL_KIND_BEGUN = 9, /* The process begins, at the time `value` [ns]. */
+    SCANLOOP_JOURNAL_KIND_BEGUN_IN_STOP = 10, /* The process begins in stop, because the state of the one before it is lost. */
+    SCANLOOP_JOURNAL_KIND_RESUMED = 11, /* The process continues from a checkpoint: `incarnation` has published it, with the sequence number `value`. */
+    SCANLOOP_JOURNAL_KIND_SAVED = 12, /* The process has published its checkpoint with the sequence number `value`. */
 };
 
 /* A part of samples. */
@@ -417,6 +436,19 @@ _Static_assert(sizeof(scanloop_authority) == 16, "scanloop_authority");
 _Static_assert(offsetof(scanloop_authority, incarnation) == 0, "scanloop_authority.incarnation");
 _Static_assert(offsetof(scanloop_authority, previous) == 4, "scanloop_authority.previous");
 _Static_assert(offsetof(scanloop_authority, from_scan) == 8, "scanloop_authority.from_scan");
+
+/* A part of samples. */
+typedef struct scanloop_journal_entry {
+    uint16_t kind; /* What it states, `JournalKind` */
+    uint16_t topic; /* Topic of the sample, by its place in the table of topics */
+    uint32_t incarnation; /* Incarnation that has published the sample */
+    uint64_t value; /* A sequence number, a time [ns] or a count */
+} scanloop_journal_entry;
+_Static_assert(sizeof(scanloop_journal_entry) == 16, "scanloop_journal_entry");
+_Static_assert(offsetof(scanloop_journal_entry, kind) == 0, "scanloop_journal_entry.kind");
+_Static_assert(offsetof(scanloop_journal_entry, topic) == 2, "scanloop_journal_entry.topic");
+_Static_assert(offsetof(scanloop_journal_entry, incarnation) == 4, "scanloop_journal_entry.incarnation");
+_Static_assert(offsetof(scanloop_journal_entry, value) == 8, "scanloop_journal_entry.value");
 
 /* Topic scan, published once per scan, at the end of the sweep. */
 typedef struct scanloop_scan {
@@ -753,6 +785,21 @@ _Static_assert(offsetof(scanloop_truth, actuation_scan) == 328, "scanloop_truth.
 _Static_assert(offsetof(scanloop_truth, refused) == 336, "scanloop_truth.refused");
 _Static_assert(offsetof(scanloop_truth, steps) == 344, "scanloop_truth.steps");
 _Static_assert(offsetof(scanloop_truth, reserved) == 352, "scanloop_truth.reserved");
+
+/* Topic journal, published by each process before each of its outputs. */
+typedef struct scanloop_journal {
+    scanloop_header header; /* Identity, without stamps: the scan of the output that follows */
+    uint32_t role; /* Role of the process, `Role` */
+    uint32_t length; /* How many of `entries` are used */
+    uint64_t output; /* Sequence number of the output that follows on the first topic of the role; 0 when only more entries follow */
+    scanloop_journal_entry entries[20]; /* What happened */
+} scanloop_journal;
+_Static_assert(sizeof(scanloop_journal) == 528, "scanloop_journal");
+_Static_assert(offsetof(scanloop_journal, header) == 0, "scanloop_journal.header");
+_Static_assert(offsetof(scanloop_journal, role) == 192, "scanloop_journal.role");
+_Static_assert(offsetof(scanloop_journal, length) == 196, "scanloop_journal.length");
+_Static_assert(offsetof(scanloop_journal, output) == 200, "scanloop_journal.output");
+_Static_assert(offsetof(scanloop_journal, entries) == 208, "scanloop_journal.entries");
 
 /* One field of one sample, as the compiler laid it out. */
 typedef struct scanloop_layout_row {
@@ -1129,6 +1176,26 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("truth", scanloop_truth, "refused", refused),
     SCANLOOP_VALUE("truth", scanloop_truth, "steps", steps),
     SCANLOOP_VALUE("truth", scanloop_truth, "reserved", reserved),
+    SCANLOOP_SAMPLE("journal", scanloop_journal, "scanloop.Journal.v1"),
+    SCANLOOP_STRUCT("journal", scanloop_journal, "header", "Header", header),
+    SCANLOOP_VALUE("journal", scanloop_journal, "header.layout", header.layout),
+    SCANLOOP_VALUE("journal", scanloop_journal, "header.incarnation", header.incarnation),
+    SCANLOOP_VALUE("journal", scanloop_journal, "header.scan_id", header.scan_id),
+    SCANLOOP_VALUE("journal", scanloop_journal, "header.sequence", header.sequence),
+    SCANLOOP_VALUE("journal", scanloop_journal, "header.acquired_ns", header.acquired_ns),
+    SCANLOOP_STRUCTS("journal", scanloop_journal, "header.chain", "StageStamps", header.chain),
+    SCANLOOP_VALUE("journal", scanloop_journal, "header.chain.woken_ns", header.chain[0].woken_ns),
+    SCANLOOP_VALUE("journal", scanloop_journal, "header.chain.taken_ns", header.chain[0].taken_ns),
+    SCANLOOP_VALUE("journal", scanloop_journal, "header.chain.computed_ns", header.chain[0].computed_ns),
+    SCANLOOP_VALUE("journal", scanloop_journal, "header.chain.published_ns", header.chain[0].published_ns),
+    SCANLOOP_VALUE("journal", scanloop_journal, "role", role),
+    SCANLOOP_VALUE("journal", scanloop_journal, "length", length),
+    SCANLOOP_VALUE("journal", scanloop_journal, "output", output),
+    SCANLOOP_STRUCTS("journal", scanloop_journal, "entries", "JournalEntry", entries),
+    SCANLOOP_VALUE("journal", scanloop_journal, "entries.kind", entries[0].kind),
+    SCANLOOP_VALUE("journal", scanloop_journal, "entries.topic", entries[0].topic),
+    SCANLOOP_VALUE("journal", scanloop_journal, "entries.incarnation", entries[0].incarnation),
+    SCANLOOP_VALUE("journal", scanloop_journal, "entries.value", entries[0].value),
 };
 
 /* The table and its length, the way `scanloop_open` takes them. */

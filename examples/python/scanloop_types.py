@@ -18,6 +18,7 @@ SECTOR_BEAMS = 11  # Beams of one sector of evidence
 MAX_OBSTACLES = 16  # How many ellipses a description can hold
 PLAN_NODES = 25  # How many nodes of the plan a command carries
 CHECKPOINT_BYTES = 12800  # How many bytes of state a checkpoint can hold
+JOURNAL_ENTRIES = 20  # How many entries a journal can hold
 DEVICE_REASON_BYTES = 96  # How many bytes the reason of a device can have
 
 
@@ -164,6 +165,24 @@ class Rule(enum.IntEnum):
     TOO_OLD = 7  # Its scan is young enough.
     FROM_THE_FUTURE = 8  # Its scan does not lie in the future.
     ANSWERED_BEFORE = 9  # Its scan was not answered before.
+
+
+class JournalKind(enum.IntEnum):
+    """What an entry of a journal states."""
+
+    NONE = 0  # Nothing.
+    TAKEN = 1  # The process took a sample: `topic`, `incarnation`, and its sequence number in `value`.
+    USED = 2  # What was taken last is used; `value` is the time that the stage is told [ns].
+    TIMER = 3  # A timeout did something, at the time `value` [ns].
+    BUDGET = 4  # The time budget ended a solution, which had read the clock `value` times before.
+    STOPPED = 5  # The wheels are blocked for a stop, at the time `value` [ns].
+    RELEASED = 6  # A stop has ended.
+    DROPPED = 7  # Commands were dropped before the process saw them.
+    HELD_BACK = 8  # The output that follows would have driven: the port made it a block.
+    BEGUN = 9  # The process begins, at the time `value` [ns].
+    BEGUN_IN_STOP = 10  # The process begins in stop, because the state of the one before it is lost.
+    RESUMED = 11  # The process continues from a checkpoint: `incarnation` has published it, with the sequence number `value`.
+    SAVED = 12  # The process has published its checkpoint with the sequence number `value`.
 
 
 class StageStamps(ctypes.Structure):
@@ -348,6 +367,17 @@ class Authority(ctypes.Structure):
         ("incarnation", ctypes.c_uint32),  # The incarnation whose samples count from `from_scan` on; 0 accepts none
         ("previous", ctypes.c_uint32),  # The incarnation whose samples count before `from_scan`
         ("from_scan", ctypes.c_uint64),  # The scan at which authority changes
+    ]
+
+
+class JournalEntry(ctypes.Structure):
+    """A part of samples."""
+
+    _fields_ = [
+        ("kind", ctypes.c_uint16),  # What it states, `JournalKind`
+        ("topic", ctypes.c_uint16),  # Topic of the sample, by its place in the table of topics
+        ("incarnation", ctypes.c_uint32),  # Incarnation that has published the sample
+        ("value", ctypes.c_uint64),  # A sequence number, a time [ns] or a count
     ]
 
 
@@ -624,6 +654,24 @@ class Truth(ctypes.Structure):
         return "scanloop.Truth.v1"
 
 
+class Journal(ctypes.Structure):
+    """Topic journal, published by each process before each of its outputs."""
+
+    TOPIC = "journal"
+    LAYOUT = 0x787f6fa1
+    _fields_ = [
+        ("header", Header),  # Identity, without stamps: the scan of the output that follows
+        ("role", ctypes.c_uint32),  # Role of the process, `Role`
+        ("length", ctypes.c_uint32),  # How many of `entries` are used
+        ("output", ctypes.c_uint64),  # Sequence number of the output that follows on the first topic of the role; 0 when only more entries follow
+        ("entries", JournalEntry * 20),  # What happened
+    ]
+
+    @staticmethod
+    def type_name() -> str:
+        return "scanloop.Journal.v1"
+
+
 # The sample of each topic.
 TOPICS = {
     "scan": Scan,
@@ -636,6 +684,7 @@ TOPICS = {
     "directive": Directive,
     "checkpoint": Checkpoint,
     "truth": Truth,
+    "journal": Journal,
 }
 # What each role reads.
 READS = {

@@ -65,6 +65,20 @@ sample! {
     }
 }
 
+impl Actuation {
+    /// Whether it lets the wheels turn.
+    pub fn drives(&self) -> bool {
+        self.kind != ActuationKind::Block.wire()
+    }
+
+    /// Makes it a block that keeps its steering angle, because wheels must not turn.
+    pub fn hold_back(&mut self) {
+        self.kind = ActuationKind::Block.wire();
+        self.reason = BlockReason::StopRequested.wire();
+        (self.desired_velocity_mps, self.sent_velocity_mps) = (0.0, 0.0);
+    }
+}
+
 fn is_answer(actuation: &Actuation) -> bool {
     actuation.answers == 1
 }

@@ -2,13 +2,13 @@
 
 use crate::{
     ActuationKind, Alarm, BEAMS, BlockReason, CHECKPOINT_BYTES, CommandKind, DEVICE_REASON_BYTES,
-    DeviceState, Enumeration, FIRST_BEAM_YAW_RAD, FRONT_BEAM, Level, MAX_OBSTACLES, MIN_RANGE_MM, PITCH_RAD,
-    PLAN_NODES, Phase, ProcessState, ROLES, Role, Rule, SECTOR_BEAMS, ScannerState, SolveStatus, StopReason,
-    Suspect, WINDOW,
+    DeviceState, Enumeration, FIRST_BEAM_YAW_RAD, FRONT_BEAM, JOURNAL_ENTRIES, JournalKind, Level,
+    MAX_OBSTACLES, MIN_RANGE_MM, PITCH_RAD, PLAN_NODES, Phase, ProcessState, ROLES, Role, Rule, SECTOR_BEAMS,
+    ScannerState, SolveStatus, StopReason, Suspect, WINDOW,
 };
 
 /// All enumerations of the samples.
-pub const ENUMERATIONS: [Enumeration; 14] = [
+pub const ENUMERATIONS: [Enumeration; 15] = [
     Role::ENUMERATION,
     Phase::ENUMERATION,
     ProcessState::ENUMERATION,
@@ -23,6 +23,7 @@ pub const ENUMERATIONS: [Enumeration; 14] = [
     ActuationKind::ENUMERATION,
     BlockReason::ENUMERATION,
     Rule::ENUMERATION,
+    JournalKind::ENUMERATION,
 ];
 
 /// A named number of the vocabulary.
@@ -46,7 +47,7 @@ pub enum Number {
 }
 
 /// All constants of the samples.
-pub const CONSTANTS: [Constant; 13] = [
+pub const CONSTANTS: [Constant; 14] = [
     integer("ROLES", "Number of roles", ROLES),
     integer("BEAMS", "Number of beams of a sweep", BEAMS),
     integer("FRONT_BEAM", "Index of the beam that looks straight ahead", FRONT_BEAM),
@@ -63,6 +64,7 @@ pub const CONSTANTS: [Constant; 13] = [
     integer("MAX_OBSTACLES", "How many ellipses a description can hold", MAX_OBSTACLES),
     integer("PLAN_NODES", "How many nodes of the plan a command carries", PLAN_NODES),
     integer("CHECKPOINT_BYTES", "How many bytes of state a checkpoint can hold", CHECKPOINT_BYTES),
+    integer("JOURNAL_ENTRIES", "How many entries a journal can hold", JOURNAL_ENTRIES),
     integer("DEVICE_REASON_BYTES", "How many bytes the reason of a device can have", DEVICE_REASON_BYTES),
 ];
 

@@ -98,7 +98,7 @@ impl Layouts {
 
 /// The topics whose samples a process of `role` may read or write.
 pub fn topics_of(role: Role) -> impl Iterator<Item = Topic> {
-    let shared = [Topic::Heartbeat, Topic::Directive, Topic::Checkpoint];
+    let shared = [Topic::Heartbeat, Topic::Directive, Topic::Checkpoint, Topic::Journal];
     role.reads().iter().chain(role.writes()).copied().chain(shared)
 }
 

@@ -17,6 +17,7 @@ mod device;
 mod fault;
 mod header;
 mod health;
+mod journal;
 mod layouts;
 mod named;
 mod obstacles;
@@ -47,6 +48,7 @@ pub use device::{DEVICE_REASON_BYTES, Device, DeviceState};
 pub use fault::{Fault, finite};
 pub use header::{Header, StageStamps, YOUNG_NS};
 pub use health::{SECTOR_BEAMS, SECTORS, ScannerHealth, ScannerState, TOLERATED_ERRORS};
+pub use journal::{JOURNAL_ENTRIES, Journal, JournalEntry, JournalKind};
 pub use layouts::{
     Both, Deviation, Difference, LayoutRow, Layouts, NotALayout, difference, difference_in, differences,
     topics_of,

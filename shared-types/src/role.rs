@@ -74,7 +74,7 @@ impl Topic {
             Self::Obstacles => Some(Role::Obstacles),
             Self::Command => Some(Role::Controller),
             Self::Actuation => Some(Role::Actuator),
-            Self::Heartbeat | Self::Directive | Self::Checkpoint => None,
+            Self::Heartbeat | Self::Directive | Self::Checkpoint | Self::Journal => None,
         }
     }
 
@@ -90,6 +90,7 @@ impl Topic {
             Self::Directive => "ten times a second by the orchestrator, and at each change",
             Self::Checkpoint => "once per scan by each stateful process",
             Self::Truth => "once per scan by the emulated robot",
+            Self::Journal => "by each process before each of its outputs",
         }
     }
 }

@@ -25,6 +25,8 @@ named_enum! {
         Checkpoint "checkpoint",
         /// What the emulated robot really does, [`crate::Truth`]; for the referee and pictures, never for the loop.
         Truth "truth",
+        /// What each process knew when it computed its outputs, [`crate::Journal`]; for replays.
+        Journal "journal",
     }
 }
 

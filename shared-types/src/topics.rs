@@ -2,8 +2,8 @@
 
 use crate::describe::Field;
 use crate::{
-    Actuation, Checkpoint, Command, Directive, Heartbeat, Obstacles, Odometry, Pose, Sample, SampleType,
-    Scan, Topic, Truth,
+    Actuation, Checkpoint, Command, Directive, Heartbeat, Journal, Obstacles, Odometry, Pose, Sample,
+    SampleType, Scan, Topic, Truth,
 };
 
 impl Topic {
@@ -20,6 +20,7 @@ impl Topic {
             Self::Directive => Directive::TYPE,
             Self::Checkpoint => Checkpoint::TYPE,
             Self::Truth => Truth::TYPE,
+            Self::Journal => Journal::TYPE,
         }
     }
 

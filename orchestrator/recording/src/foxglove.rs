@@ -1,6 +1,6 @@
 //! What viewers draw: scan, pose, path, obstacles and log lines in the well-known types of Foxglove, encoded as CDR.
 //!
-//! These messages are made from the samples, so they hold nothing new. Of a scan every third beam is drawn. Ranges are
+//! These messages are made from the samples, so they hold nothing new. Of a scan every fourth beam is drawn. Ranges are
 //! rounded to 1/128 m, less than the scanner's noise, and the path to 1/1024 m, because such numbers end with zeros and
 //! compress well.
 
@@ -16,6 +16,8 @@ use crate::schema::{ROS2MSG, SEPARATOR};
 const TRACK: &str = "track";
 /// Frame of the robot.
 const ROBOT: &str = "robot";
+/// One of so many beams is drawn: their ranges are the largest part of what viewers draw.
+const DRAWN_BEAMS: usize = 4;
 /// Rounding of ranges [1/m].
 const RANGE_STEPS: f64 = 128.0;
 /// Rounding of the path [1/m].
@@ -49,6 +51,27 @@ pub(crate) fn schemas() -> impl Iterator<Item = Schema> {
     })
 }
 
+/// A line of a log, as it was recorded.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LogLine {
+    /// When it was recorded, on the clock of the loop [ns].
+    pub log_ns: u64,
+    /// The role, or `orchestrator`.
+    pub name: String,
+    /// Whether it is a warning or an error.
+    pub is_warning: bool,
+    /// The line.
+    pub text: String,
+}
+
+/// The line in what follows the encapsulation of a message of [`LOG`]; `None` when it is damaged.
+pub(crate) fn log_line(log_ns: u64, content: &[u8]) -> Option<LogLine> {
+    let mut cdr = cdr::Decoder::new(content);
+    let (_, level) = (cdr.time()?, cdr.u8()?);
+    let (text, name) = (cdr.text()?.to_owned(), cdr.text()?.to_owned());
+    Some(LogLine { log_ns, name, is_warning: level >= Level::Warning as u8, text })
+}
+
 /// Severity of a log line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Level {
@@ -64,7 +87,7 @@ pub(crate) enum Level {
 pub(crate) fn scan(scan: &Scan) -> Vec<u8> {
     let mut cdr = Cdr::new();
     cdr.time(scan.header.acquired_ns).text(ROBOT).pose([0.0; 2], 0.0, 0.0);
-    let beams = (0..scan.ranges_mm.len()).step_by(3);
+    let beams = (0..scan.ranges_mm.len()).step_by(DRAWN_BEAMS);
     cdr.f64(Scan::beam_yaw_rad(0)).f64(Scan::beam_yaw_rad(beams.clone().next_back().unwrap_or_default()));
     cdr.length(beams.len());
     for beam in beams {

@@ -10,6 +10,7 @@ pub mod recorder;
 mod schema;
 mod tape;
 
+pub use foxglove::LogLine;
 pub use read::{Recorded, Recording};
 pub use schema::{schema, type_name};
 pub use tape::{Tape, Target, writer};

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use console::exit::Failure;
 use shared_types::{Difference, Layouts, NotALayout, TOPICS, Topic};
 
+use crate::foxglove::{CHANNELS, LOG, LogLine, log_line};
 use crate::mcap::{Contents, ReadError, Reader};
 use crate::schema::ENCAPSULATION;
 use crate::tape::PREFIX;
@@ -29,6 +30,8 @@ pub struct Recording {
     aligned: Vec<u64>,
     /// Topics whose samples have another layout, once they are known.
     others: Option<BTreeSet<String>>,
+    /// Lines of logs that were read.
+    lines: Vec<LogLine>,
 }
 
 /// A sample as it was recorded.
@@ -57,7 +60,7 @@ impl Recording {
             return Err(refuse(&"the file is empty"));
         }
         let reader = Reader::new(BufReader::with_capacity(1 << 18, file)).map_err(|error| refuse(&error))?;
-        Ok(Self { path: path.to_owned(), reader, aligned: Vec::new(), others: None })
+        Ok(Self { path: path.to_owned(), reader, aligned: Vec::new(), others: None, lines: Vec::new() })
     }
 
     /// Its path.
@@ -134,7 +137,12 @@ impl Recording {
                 return Err(Failure::bad_input(format!("{path}: the file was changed while it was open")));
             }
             let channels = &self.reader.contents().channels;
-            let Some(topic) = channels.get(&channel).and_then(|channel| topic_of(&channel.topic)) else {
+            let name = channels.get(&channel).map_or("", |channel| channel.topic.as_str());
+            let Some(topic) = topic_of(name) else {
+                if name == CHANNELS[LOG].0 && within.is_none() {
+                    let content = &bytemuck::cast_slice::<u64, u8>(&self.aligned)[..length];
+                    self.lines.extend(log_line(log_ns, content));
+                }
                 continue;
             };
             if self.others.as_ref().is_some_and(|others| others.contains(topic.name())) {
@@ -148,6 +156,11 @@ impl Recording {
             }
             return Ok(Some((topic, log_ns)));
         }
+    }
+
+    /// The lines of logs that [`Recording::samples`] has passed since the last call.
+    pub fn take_lines(&mut self) -> Vec<LogLine> {
+        std::mem::take(&mut self.lines)
     }
 
     /// Its reader.

@@ -4,7 +4,8 @@ use std::io::{self, Write};
 
 use bytemuck::from_bytes;
 use shared_types::{
-    Checkpoint, Command, Directive, Header, Heartbeat, Obstacles, Pose, ROLES, Role, Scan, TOPICS, Topic,
+    Checkpoint, Command, Directive, Header, Heartbeat, Journal, JournalKind, Obstacles, Pose, ROLES, Role,
+    Scan, TOPICS, Topic,
 };
 
 use crate::foxglove::{self, Level};
@@ -153,6 +154,7 @@ impl<T: Target> Tape<T> {
             }
             Topic::Directive => self.keep_handed_over(from_bytes(bytes))?,
             Topic::Heartbeat => self.keep_joined(from_bytes(bytes))?,
+            Topic::Journal => self.keep_resumed(from_bytes(bytes))?,
             _ => {}
         }
         self.samples[0] += 1;
@@ -228,6 +230,21 @@ impl<T: Target> Tape<T> {
             (*newest, *until_ns) = (heartbeat.header.incarnation, self.now_ns + CHECKPOINT_NS);
             if let Some(handed) = self.checkpoints[role.index()].0.take() {
                 self.put(Topic::Checkpoint, bytemuck::bytes_of(&*handed))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// What a process has continued from is recorded, if it is still known.
+    fn keep_resumed(&mut self, journal: &Journal) -> io::Result<()> {
+        let Ok(role) = Role::try_from(journal.role) else { return Ok(()) };
+        for entry in journal.used().iter().filter(|entry| entry.kind == JournalKind::Resumed.wire() as u16) {
+            let is_it = |checkpoint: &mut Box<Checkpoint>| {
+                (checkpoint.header.incarnation, checkpoint.header.sequence)
+                    == (entry.incarnation, entry.value)
+            };
+            if let Some(resumed) = self.checkpoints[role.index()].0.take_if(is_it) {
+                self.put(Topic::Checkpoint, bytemuck::bytes_of(&*resumed))?;
             }
         }
         Ok(())

@@ -6,9 +6,10 @@
 
 mod bench;
 
+use bytemuck::bytes_of;
 use console::exit::Failure;
 use runtime::Shutdown;
-use shared_types::{Actuation, Checkpoint, Command, Header, Obstacles, Odometry, Pose, Role, Sample, Scan};
+use shared_types::{Actuation, Checkpoint, Command, Header, Obstacles, Pose, Role, Sample, Topic};
 
 use self::bench::Bench;
 use crate::drive::Lane;
@@ -19,19 +20,22 @@ use crate::{Drive, Options};
 const MAX_UNANSWERED: u32 = 3;
 
 /// A recorded sample that a stage reads.
-pub(crate) enum Input {
-    /// Of the robot.
-    Scan(Box<Scan>),
-    /// Of the robot.
-    Odometry(Box<Odometry>),
-    /// Of the estimator.
-    Pose(Box<Pose>),
-    /// Of the obstacle detector.
-    Obstacles(Box<Obstacles>),
-    /// Of the controller.
-    Command(Box<Command>),
-    /// Of the actuator.
-    Actuation(Box<Actuation>),
+pub(crate) struct Input {
+    pub(crate) topic: Topic,
+    /// Samples begin at multiples of eight bytes.
+    words: Vec<u64>,
+}
+
+impl Input {
+    fn of<S: Sample>(sample: &S) -> Self {
+        let mut words = vec![0; size_of::<S>().div_ceil(8)];
+        bytemuck::cast_slice_mut::<u64, u8>(&mut words)[..size_of::<S>()].copy_from_slice(bytes_of(sample));
+        Self { topic: S::TOPIC, words }
+    }
+
+    pub(crate) fn bytes_mut(&mut self) -> &mut [u8] {
+        &mut bytemuck::cast_slice_mut(&mut self.words)[..self.topic.size()]
+    }
 }
 
 /// Replays a role by a program.
@@ -54,7 +58,7 @@ pub(crate) fn replay(
             run(role, command, drive, options, found, &drive.poses, |pose: &Pose| {
                 let mut inputs = actuations.before(pose, drive.simulated);
                 let odometry = drive.input(&drive.odometries, Role::Robot, &pose.header)?;
-                inputs.push(Input::Odometry(Box::new(*odometry)));
+                inputs.push(Input::of(odometry));
                 Some(inputs)
             })?;
         }
@@ -62,20 +66,20 @@ pub(crate) fn replay(
             run(role, command, drive, options, found, &drive.obstacles, |output: &Obstacles| {
                 let scan = drive.input(&drive.scans, Role::Robot, &output.header)?;
                 let pose = drive.input(&drive.poses, Role::Estimator, &output.header)?;
-                Some(vec![Input::Scan(Box::new(*scan)), Input::Pose(Box::new(*pose))])
+                Some(vec![Input::of(scan), Input::of(pose)])
             })?
         }
         Role::Controller => {
             run(role, command, drive, options, found, &drive.commands, |output: &Command| {
                 let pose = drive.input(&drive.poses, Role::Estimator, &output.header)?;
                 let obstacles = drive.input(&drive.obstacles, Role::Obstacles, &output.header)?;
-                Some(vec![Input::Pose(Box::new(*pose)), Input::Obstacles(Box::new(*obstacles))])
+                Some(vec![Input::of(pose), Input::of(obstacles)])
             })?
         }
         Role::Actuator => {
             run(role, command, drive, options, found, &drive.actuations, |output: &Actuation| {
                 let command = drive.input(&drive.commands, Role::Controller, &output.header)?;
-                Some(vec![Input::Command(Box::new(*command))])
+                Some(vec![Input::of(command)])
             })?
         }
     }
@@ -144,7 +148,7 @@ fn run<S: Sample>(
 
 /// The state that a replay from a scan on begins with; none at the start of a drive.
 fn state_before(role: Role, drive: &Drive, from: u64) -> Option<&Checkpoint> {
-    let mut states = drive.checkpoints.iter().filter(|state| state.role == role.wire());
+    let mut states = drive.checkpoints.samples.iter().filter(|state| state.role == role.wire());
     let before = states.clone().rfind(|state| state.header.scan_id < from);
     // A recording that begins in the middle of a drive.
     before.or_else(|| states.find(|_| from > 1))
@@ -176,13 +180,12 @@ impl<'a> Actuations<'a> {
         let length = self.all[self.next..].iter().take_while(|actuation| is_before(actuation)).count();
         let received = &self.all[self.next..self.next + length];
         self.next += length;
-        let mut inputs: Vec<Input> =
-            received.iter().map(|actuation| Input::Actuation(Box::new(**actuation))).collect();
+        let mut inputs: Vec<Input> = received.iter().map(|actuation| Input::of(*actuation)).collect();
         if let Some(newest) = self.all[..self.next].last()
             && newest.header.scan_id < scan_before
         {
             let header = Header { scan_id: scan_before, ..newest.header };
-            inputs.push(Input::Actuation(Box::new(Actuation { header, ..**newest })));
+            inputs.push(Input::of(&Actuation { header, ..**newest }));
         }
         inputs
     }

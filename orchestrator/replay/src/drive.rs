@@ -14,8 +14,8 @@ use runtime::{monotonic_ns, settings_file, wait_for};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Actuation, Authority, Checkpoint, Command, Directive, Header, Heartbeat, Obstacles, Odometry, Pose,
-    ROLES, Role, Sample, Scan, Topic, Truth, topics_of,
+    Actuation, Authority, Checkpoint, Command, Directive, Header, Journal, Obstacles, Odometry, Pose, ROLES,
+    Role, Sample, Scan, Topic, Truth, topics_of,
 };
 use supervision::entry::ProcessRow;
 use toml::Table;
@@ -33,9 +33,9 @@ pub struct Drive {
     pub(crate) obstacles: Lane<Obstacles>,
     pub(crate) commands: Lane<Command>,
     pub(crate) actuations: Lane<Actuation>,
-    pub(crate) checkpoints: Vec<Checkpoint>,
-    /// When each directive was published, and whether it demanded a stop.
-    pub(crate) stops: Vec<(u64, bool)>,
+    pub(crate) checkpoints: Lane<Checkpoint>,
+    /// The journals of each process, by number.
+    journals: BTreeMap<u32, BTreeMap<u64, Journal>>,
     /// Changes of authority per role in their order, and when each was announced [ns].
     authority: [Vec<(u64, Authority)>; ROLES],
     pub(crate) simulated: bool,
@@ -45,10 +45,6 @@ pub struct Drive {
     settings: BTreeMap<Role, Table>,
     /// Keys were changed: outputs are expected to differ.
     pub(crate) is_changed: bool,
-    /// Per estimator: the first sample of each actuator that it used or could use.
-    first_actuations: BTreeMap<u32, BTreeMap<u32, u64>>,
-    /// When a process got authority, if that was before it was started [ns].
-    granted_ns: BTreeMap<u32, u64>,
     /// Processes that are no implementation of this program, and what they are.
     foreign: BTreeMap<u32, String>,
     /// Fields of samples whose layouts differ from those of this program.
@@ -190,26 +186,14 @@ impl Drive {
         in_force.is_some_and(|(_, authority)| authority.accepts(header.incarnation, header.scan_id))
     }
 
-    /// Whether an estimator has received an actuation: on the bus, or handed over when it was started.
-    ///
-    /// One that was published in between reached neither the process before it nor this one.
-    pub(crate) fn has_received(&self, incarnation: u32, actuation: &Header) -> bool {
-        let Some(granted_ns) = self.granted_ns.get(&incarnation) else { return true };
-        let first =
-            self.first_actuations.get(&incarnation).and_then(|first| first.get(&actuation.incarnation));
-        actuation.stage(Role::Actuator).published_ns <= *granted_ns
-            || first.is_none_or(|first| actuation.sequence >= *first)
+    /// The journals of a process in their order.
+    pub(crate) fn journals(&self, incarnation: u32) -> impl Iterator<Item = &Journal> {
+        self.journals.get(&incarnation).into_iter().flat_map(BTreeMap::values)
     }
 
     /// What a process is, if it is no implementation of this program.
     pub(crate) fn foreign(&self, incarnation: u32) -> Option<&str> {
         self.foreign.get(&incarnation).map(String::as_str)
-    }
-
-    /// Whether a stop was demanded at a time [ns].
-    pub(crate) fn is_stopped(&self, time_ns: u64) -> bool {
-        let newest = self.stops.iter().take_while(|(issued_ns, _)| *issued_ns <= time_ns).last();
-        newest.is_some_and(|(_, stop)| *stop)
     }
 
     fn note_foreign(&mut self, rows: Vec<ProcessRow>) {
@@ -231,33 +215,21 @@ impl Drive {
             Topic::Obstacles => self.obstacles.add(bytes),
             Topic::Command => self.commands.add(bytes),
             Topic::Actuation => self.actuations.add(bytes),
-            Topic::Checkpoint => self.checkpoints.push(*bytemuck::from_bytes(bytes)),
+            Topic::Checkpoint => self.checkpoints.add(bytes),
             Topic::Directive => {
                 let directive: &Directive = bytemuck::from_bytes(bytes);
-                self.stops.push((log_ns, directive.stop == 1));
                 for (known, authority) in self.authority.iter_mut().zip(directive.authority) {
                     if known.last().map(|(_, newest)| newest) != Some(&authority) {
-                        // A process that takes over from one that works gets its state otherwise.
-                        if !known.is_empty() && authority.previous == 0 {
-                            self.granted_ns.entry(authority.incarnation).or_insert(log_ns);
-                        }
                         known.push((log_ns, authority));
                     }
                 }
             }
-            Topic::Heartbeat => {
-                let heartbeat: &Heartbeat = bytemuck::from_bytes(bytes);
-                if heartbeat.role == Role::Estimator.wire() {
-                    let known = self.first_actuations.entry(heartbeat.header.incarnation).or_default();
-                    let actuations = &heartbeat.inputs[1];
-                    for span in actuations.writers.iter().filter(|span| span.incarnation != 0) {
-                        // Before it has read the first directive, a process drops what arrives.
-                        let dropped = if actuations.used == 0 { actuations.foreign } else { 0 };
-                        let first = known.entry(span.incarnation).or_insert(span.first);
-                        *first = (span.first + dropped).max(*first);
-                    }
-                }
+            Topic::Journal => {
+                let journal: &Journal = bytemuck::from_bytes(bytes);
+                let Header { incarnation, sequence, .. } = journal.header;
+                self.journals.entry(incarnation).or_default().insert(sequence, *journal);
             }
+            Topic::Heartbeat => {}
         }
     }
 }

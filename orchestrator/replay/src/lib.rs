@@ -1,10 +1,9 @@
 //! Recomputes a recorded drive, stage by stage, and compares every output with the recorded one.
 //!
-//! Each stage gets the inputs that its recorded outputs answer, found by the stamps that every sample carries on from
-//! its inputs: which pose and which scan a description of obstacles was made from, for example. So each stage is
-//! checked alone, and a difference is reported where it arises. Time that a stage had read is in its samples too; what
-//! is not is the moment at which the time budget of the solver ended, and a stage that can't be recomputed for this or
-//! another reason is counted as skipped, with the reason.
+//! Each process has published a journal before each output: what it took, which times it was told, what its timeouts and
+//! its time budget did, and which checkpoints it wrote and continued from. The replay does the same in the same order.
+//! So each stage is checked alone, and a difference is reported where it arises. An output that can't be recomputed is
+//! counted as skipped, with the reason.
 //!
 //! Compared are all bytes but those that depend on the clock and on the process: [`compare::NOT_COMPARED`].
 

@@ -1,30 +1,26 @@
-//! One stage: its processes one after the other, each from its start or from a recorded state.
+//! One stage: what is found in the outputs of its processes.
 
 mod actuator;
 mod controller;
 mod estimator;
+mod journal;
 mod obstacles;
 mod robot;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
-use bytemuck::Pod;
 use handover::shadow::Study;
 use handover::swap::agreement::{OutputSummary, disagreement};
 use handover::swap::{Output, Party};
-use shared_types::{Actuation, Checkpoint, Command, Described, Header, Obstacles, Pose, Role, Sample, Topic};
+use shared_types::{Actuation, Command, Header, Obstacles, Pose, Role, Sample, Topic};
 
+use self::actuator::Actuator;
+use self::controller::Controller;
+use self::estimator::Estimator;
+use self::obstacles::Detector;
+use self::robot::Robot;
 use crate::compare::{Difference, difference, take_over};
-use crate::drive::Lane;
 use crate::{Drive, MAX_DIFFERENCES, Options, Report, Skipped, Statistics};
-
-/// What a stage starts from.
-pub(crate) enum Origin<S> {
-    /// Nothing: the first process of a role.
-    Start,
-    /// The state after this scan.
-    State(u64, Box<S>),
-}
 
 /// What was found in the outputs of one role.
 #[derive(Debug)]
@@ -168,11 +164,13 @@ fn is_beyond<S: Sample>(recorded: &S, replayed: &S, tolerance: f64) -> bool {
 pub(crate) fn replay(role: Role, drive: &Drive, options: &Options) -> anyhow::Result<Findings> {
     let mut findings = Findings::new(role, drive);
     match role {
-        Role::Robot => robot::replay(drive, options, &mut findings)?,
-        Role::Estimator => estimator::replay(drive, options, &mut findings)?,
-        Role::Obstacles => obstacles::replay(drive, options, &mut findings)?,
-        Role::Controller => controller::replay(drive, options, &mut findings)?,
-        Role::Actuator => actuator::replay(drive, options, &mut findings)?,
+        Role::Robot => journal::replay::<Robot<'_>>(&drive.scans, drive, options, &mut findings)?,
+        Role::Estimator => journal::replay::<Estimator<'_>>(&drive.poses, drive, options, &mut findings)?,
+        Role::Obstacles => journal::replay::<Detector<'_>>(&drive.obstacles, drive, options, &mut findings)?,
+        Role::Controller => {
+            journal::replay::<Controller<'_>>(&drive.commands, drive, options, &mut findings)?
+        }
+        Role::Actuator => journal::replay::<Actuator<'_>>(&drive.actuations, drive, options, &mut findings)?,
     }
     Ok(findings)
 }
@@ -202,86 +200,4 @@ impl Window {
         }
         holds
     }
-}
-
-/// Replays each process of a role: `run` gets outputs without a gap, what it starts from, and counts what it finds. It
-/// returns how many it recomputed: fewer than all where an input was not recorded.
-///
-/// Behind a gap a process is replayed from its next recorded state. Outputs up to there, those before the first recorded
-/// state, and those of programs that are not part of this one are skipped.
-pub(crate) fn each_process<S: Sample, T: Pod + Described>(
-    role: Role,
-    lane: &Lane<S>,
-    drive: &Drive,
-    options: &Options,
-    findings: &mut Findings,
-    mut run: impl FnMut(&[&S], Origin<T>, &mut Findings) -> anyhow::Result<usize>,
-) -> anyhow::Result<()> {
-    let window = Window::of(drive, options);
-    let processes: BTreeSet<u32> = lane.samples.iter().map(|sample| sample.header().incarnation).collect();
-    let first = processes.first().copied();
-    for incarnation in processes {
-        let outputs = lane.of_process(incarnation);
-        let Some(start) = outputs.first().map(|output| *output.header()) else { continue };
-        let skip = |outputs: &[&S], reason: &'static str, findings: &mut Findings| {
-            for output in outputs {
-                if window.holds(output.header(), findings) {
-                    findings.skip(*output, reason);
-                }
-            }
-        };
-        if drive.foreign(incarnation).is_some() {
-            skip(&outputs, "not_compared: the process is no implementation of this program", findings);
-            continue;
-        }
-        let is_start = Some(incarnation) == first && start.sequence == 1;
-        let wanted = window.from.saturating_sub(1);
-        let states = drive.checkpoints.iter().filter(|checkpoint| checkpoint.role == role.wire());
-        let own = |checkpoint: &&Checkpoint| checkpoint.header.incarnation == incarnation;
-        // The state nearest before the window, else the first of this process.
-        let nearest = states.clone().filter(own).rfind(|checkpoint| checkpoint.header.scan_id <= wanted);
-        let inherited = || {
-            let mut others = states.clone().filter(|checkpoint| checkpoint.header.incarnation != incarnation);
-            others.rfind(|checkpoint| checkpoint.header.scan_id < start.scan_id)
-        };
-        let chosen = match nearest {
-            Some(nearest) if options.from.is_some() => Some(nearest),
-            _ if is_start => None,
-            _ => inherited().filter(|_| start.sequence == 1).or_else(|| states.clone().find(own)),
-        };
-        let origin = match chosen.map(|checkpoint| (checkpoint.header.scan_id, checkpoint.state::<T>())) {
-            Some((scan_id, Ok(state))) => Origin::State(scan_id, Box::new(state)),
-            None if is_start => Origin::Start,
-            _ => {
-                skip(&outputs, "no state of the process was recorded", findings);
-                continue;
-            }
-        };
-        let begin = match &origin {
-            Origin::Start => 0,
-            Origin::State(scan_id, _) => {
-                outputs.partition_point(|output| output.header().scan_id <= *scan_id)
-            }
-        };
-        skip(&outputs[..begin], "before the first recorded state", findings);
-        let (mut rest, mut origin) = (&outputs[begin..], origin);
-        loop {
-            let follows = |pair: &[&S]| pair[1].header().sequence == pair[0].header().sequence + 1;
-            let length = rest.windows(2).position(|pair| !follows(pair)).map_or(rest.len(), |last| last + 1);
-            let done = run(&rest[..length], origin, findings)?;
-            rest = &rest[done..];
-            let Some(lost) = rest.first().map(|output| output.header().scan_id) else { break };
-            let next = states.clone().filter(own).find(|checkpoint| checkpoint.header.scan_id >= lost);
-            let state =
-                next.and_then(|checkpoint| Some((checkpoint.header.scan_id, checkpoint.state::<T>().ok()?)));
-            let Some((scan_id, state)) = state else {
-                skip(rest, "behind a gap of the recording", findings);
-                break;
-            };
-            let known = rest.partition_point(|output| output.header().scan_id <= scan_id);
-            skip(&rest[..known], "behind a gap of the recording", findings);
-            (rest, origin) = (&rest[known..], Origin::State(scan_id, Box::new(state)));
-        }
-    }
-    Ok(())
 }

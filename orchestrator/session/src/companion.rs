@@ -155,6 +155,12 @@ impl Companion {
         &self.incidents
     }
 
+    /// Puts an event into the recording.
+    pub(crate) fn event(&mut self, is_warning: bool, text: &str) {
+        let level = if is_warning { "WARN " } else { "" };
+        self.note(&format!("{level}{text}"));
+    }
+
     /// Puts a line into the recording.
     pub(crate) fn note(&mut self, text: &str) {
         self.say(&format!("note {}", text.replace('\n', " ")));

@@ -405,7 +405,7 @@ impl Session {
                 false => reason.to_owned() + &self.named_cause(reason) + &self.blame(),
             };
             let text = format!("{}: {reason}", outcome.name());
-            self.events.push(self.recording.recorder.view().time_s, outcome != Outcome::Reached, text);
+            self.keep(outcome != Outcome::Reached, &text);
             self.conclusion.decide(monotonic_ns(), outcome, reason);
             self.directives.stop();
             if outcome != Outcome::Reached {
@@ -417,13 +417,21 @@ impl Session {
     /// Prints a line for the user, and keeps it as an event.
     fn note(&mut self, text: &str) {
         self.progress.note(text);
-        self.events.push(self.recording.recorder.view().time_s, false, text.to_owned());
+        self.keep(false, text);
     }
 
     /// [`Session::note`] for a warning.
     fn warn(&mut self, text: &str) {
         self.progress.warn(text);
-        self.events.push(self.recording.recorder.view().time_s, true, text.to_owned());
+        self.keep(true, text);
+    }
+
+    /// Keeps an event for the status and for the recording.
+    fn keep(&mut self, is_warning: bool, text: &str) {
+        if let Some(companion) = &mut self.companion {
+            companion.event(is_warning, text);
+        }
+        self.events.push(self.recording.recorder.view().time_s, is_warning, text.to_owned());
     }
 
     /// The obstacle or the scanner that the wheels are blocked for now, as a continuation of the reason for the end.
@@ -540,20 +548,15 @@ impl Session {
                 self.publish_directive()?;
             }
             Action::AllStopped => {}
-            Action::Log(severity, text) => {
-                if let Some(companion) = &mut self.companion {
-                    companion.note(&text);
+            Action::Log(severity, text) => match severity {
+                Severity::Info => {
+                    tracing::debug!("{text}");
+                    self.keep(false, &text);
                 }
-                match severity {
-                    Severity::Info => {
-                        tracing::debug!("{text}");
-                        self.events.push(self.recording.recorder.view().time_s, false, text);
-                    }
-                    Severity::Warn if self.conclusion.is_open() => self.warn(&text),
-                    Severity::Error => self.warn(&text),
-                    Severity::Warn => {}
-                }
-            }
+                Severity::Warn if self.conclusion.is_open() => self.warn(&text),
+                Severity::Error => self.warn(&text),
+                Severity::Warn => self.companion.iter_mut().for_each(|companion| companion.note(&text)),
+            },
         }
         Ok(None)
     }

@@ -60,6 +60,28 @@ impl Events {
         std::mem::take(&mut self.found)
     }
 
+    /// [`Events::take`] in the order of time, for events that were not found in it.
+    pub(crate) fn take_sorted(&mut self) -> Vec<Event> {
+        let mut found = self.take();
+        found.sort_by(|one, other| one.time_s.total_cmp(&other.time_s));
+        found.iter_mut().zip(1..).for_each(|(event, number)| event.number = number);
+        found
+    }
+
+    /// A recorded line: all of the orchestrator, which tells deaths, restarts and injected faults, and warnings of others.
+    pub(crate) fn log(&mut self, time_s: f64, name: &str, line: &str, is_warning: bool) {
+        let is_of_all = name == "orchestrator";
+        if !is_of_all && !is_warning {
+            return;
+        }
+        self.set_time(time_s);
+        let text = match is_of_all {
+            true => line.trim_start_matches("WARN ").to_owned(),
+            false => format!("{name}: {line}"),
+        };
+        self.note(if is_warning { Kind::Warning } else { Kind::Info }, text);
+    }
+
     /// The time of what is found from here on [s].
     pub(crate) fn set_time(&mut self, now_s: f64) {
         self.now_s = now_s;

@@ -75,6 +75,7 @@ impl RecordedDrive {
         })?;
         let reading = reading.map(Reading::finish).filter(|reading| !reading.frames.is_empty());
         let Some(mut reading) = reading else { return Err(refuse("it holds no scan of a drive".to_owned())) };
+        let lines = recording.take_lines();
         let contents = recording.contents();
         let of = |name: &str, key: &str| metadata(contents, name, key);
         let settings = attachment(contents, &settings_file(Role::Controller)).unwrap_or_default();
@@ -96,9 +97,13 @@ impl RecordedDrive {
             "actions": [],
         });
         let processes = Processes::new(contents);
-        let events = reading.events.take();
-        let Reading { chunks, frames, directives, start_ns, .. } = reading;
-        let start_ns = start_ns.unwrap_or_default();
+        let start_ns = reading.start_ns.unwrap_or_default();
+        for line in lines {
+            let time_s = line.log_ns.saturating_sub(start_ns) as f64 * 1e-9;
+            reading.events.log(time_s, &line.name, &line.text, line.is_warning);
+        }
+        let events = reading.events.take_sorted();
+        let Reading { chunks, frames, directives, .. } = reading;
         Ok(Self { recording, chunks, frames, events, directives, processes, start_ns, simulated, system })
     }
 

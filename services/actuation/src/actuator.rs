@@ -153,6 +153,11 @@ impl Actuator {
         Some(self.block_by_itself(reason))
     }
 
+    /// Whether the timeout runs: a command was answered, or [`Self::tick`] was called.
+    pub fn is_awake(&self) -> bool {
+        self.state.awake.is_set()
+    }
+
     /// Blocks the wheels until [`Self::release`], whatever is commanded.
     pub fn stop(&mut self, now_ns: u64) -> Actuation {
         self.state.stopped = true.into();

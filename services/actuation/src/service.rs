@@ -1,7 +1,7 @@
 //! The process of the role `actuator`: command in, actuation out, and the stop that always wins.
 
 use runtime::{Handover, Process};
-use shared_types::{Actuation, Command, Role};
+use shared_types::{Actuation, Command, JournalKind, Role};
 
 use crate::{Actuator, Config};
 
@@ -17,7 +17,7 @@ pub fn run() -> anyhow::Result<()> {
     match process.resume()? {
         Handover::State(state) => actuator.resume(&state)?,
         // A robot that drives is stopped first; valid commands release it.
-        Handover::Lost => actuations.publish(&mut actuator.stop(process.clock().now_ns()))?,
+        Handover::Lost => actuations.publish(&mut actuator.stop(stopped_ns(&process)))?,
         Handover::FirstStart => {}
     }
     if !process.start()? {
@@ -38,16 +38,18 @@ pub fn run() -> anyhow::Result<()> {
     })? {
         let stop = process.directive().stop == 1;
         if stop && !actuator.is_stopped() {
-            actuations.publish(&mut actuator.stop(process.clock().now_ns()))?;
+            actuations.publish(&mut actuator.stop(stopped_ns(&process)))?;
         } else if !stop && actuator.is_stopped() {
+            process.note(JournalKind::Released, 0);
             actuator.release();
         }
         if commands.dropped() > dropped {
             dropped = commands.dropped();
+            process.note(JournalKind::Dropped, 0);
             actuator.note_dropped();
         }
         while let Some(command) = commands.take() {
-            let mut actuation = actuator.answer(&command, process.clock().now_ns());
+            let mut actuation = actuator.answer(&command, process.now_ns());
             if let Some(fault) = actuator.refusal() {
                 commands.refuse(&command, fault);
             }
@@ -55,12 +57,24 @@ pub fn run() -> anyhow::Result<()> {
             process.save(&actuation.header, &actuator.state())?;
             last = Some(*command);
         }
-        if !process.clock().is_simulated()
-            && let Some(mut block) = actuator.tick(process.clock().now_ns())
-        {
-            actuations.publish(&mut block)?;
+        if !process.clock().is_simulated() {
+            let (now_ns, was_awake) = (process.clock().now_ns(), actuator.is_awake());
+            let block = actuator.tick(now_ns);
+            if block.is_some() || !was_awake {
+                process.note(JournalKind::Timer, now_ns);
+            }
+            if let Some(mut block) = block {
+                actuations.publish(&mut block)?;
+            }
         }
     }
-    actuations.publish(&mut actuator.stop(process.clock().now_ns()))?;
+    actuations.publish(&mut actuator.stop(stopped_ns(&process)))?;
     Ok(())
+}
+
+/// The time at which the actuator stops [ns].
+fn stopped_ns(process: &Process) -> u64 {
+    let now_ns = process.clock().now_ns();
+    process.note(JournalKind::Stopped, now_ns);
+    now_ns
 }

@@ -13,7 +13,7 @@
 use std::rc::Rc;
 
 use runtime::{Handover, Input, Output, Process, QUEUE_DEPTH, Taken, Wheels, monotonic_ns};
-use shared_types::{Actuation, ActuationKind, Header, Odometry, Phase, Role, Scan, Truth, plain_state};
+use shared_types::{Actuation, Header, JournalKind, Odometry, Phase, Role, Scan, Truth, plain_state};
 
 use crate::{Emulator, EmulatorState, Scenario};
 
@@ -169,6 +169,7 @@ impl Robot {
         if !self.stopped {
             (self.stopped, self.rest_published) = (true, false);
             tracing::info!(speed_mps = self.emulator.plant().speed(), "the robot blocks its wheels");
+            process.note(JournalKind::Stopped, self.emulator.now_ns());
             self.emulator.block_at_once();
         }
     }
@@ -222,6 +223,7 @@ impl Robot {
     /// Starts at the start pose, or as a candidate at the place of the robot in charge.
     fn begin(&mut self, process: &mut Process, handed: Handover<RobotState>) -> anyhow::Result<()> {
         self.state.origin_ns = process.clock().now_ns();
+        process.note(JournalKind::Begun, self.state.origin_ns);
         self.state = match (process.join::<RobotState>()?, handed) {
             (Some((_, state)), _) => state,
             (None, Handover::FirstStart) => return Ok(()),
@@ -296,8 +298,8 @@ impl Robot {
 
     fn actuate(&mut self, process: &mut Process, actuation: &Actuation) -> anyhow::Result<()> {
         // An actuation that was received before the stop may be due after it.
-        let drives = actuation.kind != ActuationKind::Block.wire();
-        if !drives || !(self.stopped || process.must_stop()) {
+        if !actuation.drives() || !(self.stopped || process.must_stop()) {
+            process.note(JournalKind::Used, self.emulator.now_ns());
             self.emulator.actuate(actuation);
         }
         let Header { incarnation, sequence, scan_id, .. } = actuation.header;

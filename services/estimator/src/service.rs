@@ -22,8 +22,7 @@ pub fn run() -> anyhow::Result<()> {
         Handover::Lost => true,
     };
     // Actuations that the process before did not receive, such as the block that followed its silence.
-    let now_ns = process.clock().now_ns();
-    process.handed_actuations().iter().for_each(|actuation| estimator.note(actuation, now_ns));
+    process.handed_actuations().for_each(|actuation| estimator.note(&actuation, process.now_ns()));
     if lost {
         tracing::error!("no fresh state to resume from: no pose will be published");
     }
@@ -44,7 +43,7 @@ pub fn run() -> anyhow::Result<()> {
         loop {
             while let Some(newer) = actuation.take() {
                 actuated = newer.header.scan_id;
-                estimator.note(&newer, process.clock().now_ns());
+                estimator.note(&newer, process.now_ns());
                 let state = estimator.state();
                 if state.initialised.is_set() {
                     process.save(&newer.header, &state)?;
@@ -59,7 +58,7 @@ pub fn run() -> anyhow::Result<()> {
             if lost {
                 continue;
             }
-            if let Some(mut pose) = estimator.step(&measured, None, process.clock().now_ns()) {
+            if let Some(mut pose) = estimator.step(&measured, None, process.now_ns()) {
                 poses.publish(&mut pose)?;
                 process.save(&pose.header, &estimator.state())?;
                 last = Some(*measured);

@@ -1,8 +1,10 @@
 //! The process of the role `controller`: pose and obstacles in, one verified command out.
 
 use ocp::Budget;
+use std::cell::Cell;
+
 use runtime::{Handover, Process, join, monotonic_ns};
-use shared_types::{Blocking, Command, Obstacles, Pose, Role, ScannerHealth, StopReason};
+use shared_types::{Blocking, Command, JournalKind, Obstacles, Pose, Role, ScannerHealth, StopReason};
 
 use crate::config::Config;
 use crate::controller::Controller;
@@ -28,6 +30,7 @@ pub fn run() -> anyhow::Result<()> {
         Handover::FirstStart => {}
         Handover::Lost if process.is_in_charge() => {
             tracing::warn!("no fresh state to resume from: the robot has to rest first");
+            process.note(JournalKind::BegunInStop, 0);
             controller.start_in_stop();
         }
         // A candidate plans afresh: it takes over only when it agrees with the process in charge.
@@ -47,10 +50,19 @@ pub fn run() -> anyhow::Result<()> {
         while let Some((pose, obstacles)) = join(&poses, &obstacles) {
             let simulated = process.clock().is_simulated();
             let started_ns = monotonic_ns();
+            let (deadline_ns, readings, is_over) = (started_ns + budget_ns, Cell::new(0), Cell::new(false));
+            let now_ns = || {
+                let now_ns = monotonic_ns();
+                if now_ns >= deadline_ns && !is_over.replace(true) {
+                    process.note(JournalKind::Budget, readings.get());
+                }
+                readings.set(readings.get() + 1);
+                now_ns
+            };
             let budget = if simulated {
                 Budget::Iterations(config.budget_iterations)
             } else {
-                Budget::Deadline { deadline_ns: started_ns + budget_ns, now_ns: &monotonic_ns }
+                Budget::Deadline { deadline_ns, now_ns: &now_ns }
             };
             let mut command = controller.step(&pose, &obstacles, &budget);
             command.solve_ns = if simulated { 0 } else { monotonic_ns() - started_ns };

@@ -6,7 +6,7 @@
 
 use std::cell::Cell;
 
-use shared_types::{Actuation, ActuationKind, BlockReason, Role};
+use shared_types::{Actuation, Role};
 
 use crate::stop::{StopWord, Wheels};
 
@@ -62,28 +62,26 @@ impl Guard {
         }
     }
 
-    /// Turns an actuation that would drive into a block while wheels must not turn.
-    pub(crate) fn hold_back(&self, actuation: &mut Actuation) {
-        if drives(actuation) && self.must_stop() {
-            actuation.kind = ActuationKind::Block.wire();
-            actuation.reason = BlockReason::StopRequested.wire();
-            (actuation.desired_velocity_mps, actuation.sent_velocity_mps) = (0.0, 0.0);
+    /// Turns an actuation that would drive into a block while wheels must not turn; whether it did.
+    pub(crate) fn hold_back(&self, actuation: &mut Actuation) -> bool {
+        let is_held_back = actuation.drives() && self.must_stop();
+        if is_held_back {
+            actuation.hold_back();
         }
-        self.set_wheels(if drives(actuation) { Wheels::Turning } else { Wheels::Blocked });
+        self.set_wheels(if actuation.drives() { Wheels::Turning } else { Wheels::Blocked });
+        is_held_back
     }
 
     /// Whether a robot must not receive an actuation: it would drive, and wheels must not turn.
     pub(crate) fn refuses(&self, actuation: &Actuation) -> bool {
-        self.role == Role::Robot && drives(actuation) && self.must_stop()
+        self.role == Role::Robot && actuation.drives() && self.must_stop()
     }
-}
-
-fn drives(actuation: &Actuation) -> bool {
-    actuation.kind != ActuationKind::Block.wire()
 }
 
 #[cfg(test)]
 mod tests {
+    use shared_types::{ActuationKind, BlockReason};
+
     use super::*;
 
     fn drive() -> Actuation {

@@ -39,6 +39,7 @@ mod guard;
 mod handover;
 mod identity;
 mod input;
+mod journal;
 mod layouts;
 mod link;
 mod logging;

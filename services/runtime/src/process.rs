@@ -11,8 +11,8 @@ use bytemuck::Pod;
 use iceoryx2::prelude::{Node, ipc};
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Actuation, Checkpoint, Described, Device, DeviceState, Directive, Heartbeat, LayoutRow, Layouts, Phase,
-    ProcessState, Role, Sample, SampleType, StageStamps, Topic,
+    Actuation, Checkpoint, Described, Device, DeviceState, Directive, Heartbeat, Journal, JournalKind,
+    LayoutRow, Layouts, Phase, ProcessState, Role, Sample, SampleType, StageStamps, Topic,
 };
 
 use self::waiting::Need;
@@ -23,6 +23,7 @@ use crate::crash::report_crashes;
 use crate::enclosed::Enclosed;
 use crate::guard::Guard;
 use crate::input::{Input, Reader};
+use crate::journal::Notes;
 use crate::orphan::OrphanCleanup;
 use crate::output::{Connect, Output, Writer, may_write};
 use crate::own::{ByteTopic, Member, NamedTopic, Place};
@@ -114,6 +115,7 @@ impl Process {
             role,
             incarnation,
             guard: Guard::new(role, word),
+            notes: Notes::default(),
             tamper: RefCell::new(tamper::take()),
             device: RefCell::new(Device::default()),
             clock: run.clock.clock(),
@@ -130,12 +132,14 @@ impl Process {
         let directive = Input::new(&bus, Rc::clone(&shared))?;
         let heartbeat = Output::new(&bus, Rc::clone(&shared))?;
         let checkpoint = Output::new(&bus, Rc::clone(&shared))?;
+        let journal = Rc::new(Writer::new(&bus, Rc::clone(&shared), Journal::TYPE)?);
+        shared.notes.publish_by(role, &journal);
         Ok(Self {
             directive,
             heartbeat,
             checkpoint,
             inputs: Vec::new(),
-            outputs: Vec::new(),
+            outputs: vec![journal as Rc<dyn Connect>],
             handed_scan: Cell::new(0),
             handed_actuations: RefCell::default(),
             state: ProcessState::Attached,
@@ -183,6 +187,19 @@ impl Process {
     /// The clock of the loop.
     pub fn clock(&self) -> &Clock {
         &self.shared.clock
+    }
+
+    /// The time of the loop, for a stage that is about to use what it has taken [ns]. A replay hands it the same time, so
+    /// nothing that an output follows from may come from another clock.
+    pub fn now_ns(&self) -> u64 {
+        let now_ns = self.shared.clock.now_ns();
+        self.note(JournalKind::Used, now_ns);
+        now_ns
+    }
+
+    /// Notes in the journal what outputs follow from and no sample shows.
+    pub fn note(&self, kind: JournalKind, value: u64) {
+        self.shared.notes.note(kind, value);
     }
 
     /// The newest directive; its `stop` is 1 also when [`Process::must_stop`].

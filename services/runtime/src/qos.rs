@@ -90,6 +90,10 @@ pub(crate) fn qos(topic: Topic, period_ns: u64) -> Qos {
         Topic::Heartbeat => Qos { publishers: 16, buffer: PROCESS_QUEUE, borrowed: 4, ..stream },
         // In lock-step each scan is granted by one: a recorder takes them a few scans later.
         Topic::Directive => Qos { publishers: 2, buffer: PROCESS_QUEUE, borrowed: 2, history: 1, ..stream },
+        // Recorders alone read them. A process publishes more than one for a scan where it has waited.
+        Topic::Journal => {
+            Qos { publishers: 16, subscribers: 8, buffer: buffer.max(32), borrowed: 4, history: 0 }
+        }
         Topic::Checkpoint => Qos { publishers: 16, subscribers: 12, buffer: 4, borrowed: 2, history: 1 },
     }
 }

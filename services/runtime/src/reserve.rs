@@ -179,6 +179,7 @@ pub(crate) fn process_bytes(role: Role, period_ns: u64) -> u64 {
     let written = TOPICS.iter().filter(|topic| topic.writer() == Some(role));
     let common = output(Topic::Heartbeat)
         + output(Topic::Checkpoint)
+        + output(Topic::Journal)
         + input(Topic::Checkpoint)
         + input(Topic::Directive);
     let outputs: u64 = written.map(|topic| output(*topic) + input(*topic)).sum();

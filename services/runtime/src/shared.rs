@@ -2,11 +2,12 @@
 
 use std::cell::{Cell, RefCell};
 
-use shared_types::{Device, Directive, Header, Role, StageStamps, Topic, YOUNG_NS};
+use shared_types::{Device, Directive, Header, JournalKind, Role, StageStamps, Topic, YOUNG_NS};
 
 use crate::Clock;
 use crate::counters::Counters;
 use crate::guard::Guard;
+use crate::journal::Notes;
 use crate::tamper::Tamper;
 
 /// Inputs older than this many scan periods are dropped when they arrive, unless they are younger than [`YOUNG_NS`].
@@ -21,6 +22,8 @@ pub(crate) struct Shared {
     pub(crate) stamps: Cell<StageStamps>,
     pub(crate) directive: RefCell<Directive>,
     pub(crate) guard: Guard,
+    /// For the journal.
+    pub(crate) notes: Notes,
     /// Fault injection, where the run allows it.
     pub(crate) tamper: RefCell<Option<Box<dyn Tamper>>>,
     /// What the devices behind this process do, for the heartbeat.
@@ -55,6 +58,9 @@ impl Shared {
         let woken_ns = if self.clock.is_simulated() { now } else { self.stamps.get().woken_ns };
         self.stamps.set(StageStamps { woken_ns, taken_ns: now, ..StageStamps::default() });
         self.counters.take(self.role, topic, header);
+        if topic.writer().is_some() {
+            self.notes.note_sample(JournalKind::Taken, topic, header);
+        }
     }
 
     /// Time from an input to the next [ns]: as long as the last one when scans are regular, else the scan period.

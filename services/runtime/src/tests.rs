@@ -1,5 +1,6 @@
 //! Samples through real shared memory: what comes out of an input, and what never does.
 
+mod journal;
 mod preparing;
 mod queues;
 mod reserve;
@@ -62,6 +63,7 @@ impl Lab {
             role,
             incarnation,
             guard: crate::guard::Guard::new(role, None),
+            notes: crate::journal::Notes::default(),
             tamper: RefCell::default(),
             device: RefCell::default(),
             clock: Clock::simulated(),

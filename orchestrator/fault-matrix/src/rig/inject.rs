@@ -36,7 +36,9 @@ impl Rig {
             Topic::Command => self.wires.command.break_with(fault_of),
             Topic::Actuation if fault.at_robot => self.wires.to_robot.break_with(fault_of),
             Topic::Actuation => self.wires.actuation.break_with(fault_of),
-            Topic::Heartbeat | Topic::Directive | Topic::Checkpoint | Topic::Truth => return false,
+            Topic::Heartbeat | Topic::Directive | Topic::Checkpoint | Topic::Truth | Topic::Journal => {
+                return false;
+            }
         }
         true
     }

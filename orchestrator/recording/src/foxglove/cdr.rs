@@ -1,4 +1,4 @@
-//! Encodes messages as CDR, little endian.
+//! Encodes messages as CDR, little endian, and decodes those of logs.
 
 use crate::schema::ENCAPSULATION;
 
@@ -65,6 +65,44 @@ impl Cdr {
     }
 }
 
+/// A message that is being decoded.
+pub(super) struct Decoder<'a> {
+    content: &'a [u8],
+    at: usize,
+}
+
+impl<'a> Decoder<'a> {
+    /// Of what follows the encapsulation.
+    pub(super) fn new(content: &'a [u8]) -> Self {
+        Self { content, at: 0 }
+    }
+
+    pub(super) fn u8(&mut self) -> Option<u8> {
+        self.take(1).map(|bytes| bytes[0])
+    }
+
+    pub(super) fn u32(&mut self) -> Option<u32> {
+        self.at = self.at.next_multiple_of(4);
+        self.take(4)?.try_into().ok().map(u32::from_le_bytes)
+    }
+
+    pub(super) fn text(&mut self) -> Option<&'a str> {
+        let length = self.u32()? as usize;
+        std::str::from_utf8(self.take(length)?.strip_suffix(b"\0")?).ok()
+    }
+
+    /// Seconds and nanoseconds.
+    pub(super) fn time(&mut self) -> Option<[u32; 2]> {
+        Some([self.u32()?, self.u32()?])
+    }
+
+    fn take(&mut self, length: usize) -> Option<&'a [u8]> {
+        let bytes = self.content.get(self.at..self.at.checked_add(length)?)?;
+        self.at += length;
+        Some(bytes)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -74,5 +112,20 @@ mod tests {
         let mut cdr = Cdr::new();
         cdr.text("ab").f64(1.0);
         assert_eq!(cdr.finish(), b"\0\x01\0\0\x03\0\0\0ab\0\0\0\0\0\0\0\0\xf0\x3f".to_vec());
+    }
+
+    #[test]
+    fn what_was_encoded_is_decoded_and_a_cut_message_is_not() {
+        let mut cdr = Cdr::new();
+        cdr.time(7_000_000_009).u8(3).text("late").text("robot");
+        let data = cdr.finish().split_off(ENCAPSULATION.len());
+        let decode = |data: &[u8]| {
+            let mut cdr = Decoder::new(data);
+            Some((cdr.time()?, cdr.u8()?, cdr.text()?.to_owned(), cdr.text()?.to_owned()))
+        };
+        assert_eq!(decode(&data), Some(([7, 9], 3, "late".to_owned(), "robot".to_owned())));
+        for length in 0..data.len() {
+            assert_eq!(decode(&data[..length]), None);
+        }
     }
 }

@@ -3,11 +3,10 @@
 use console::exit::{Exit, Failure};
 use runtime::{
     Bus, ClockKind, Domain, HandoverData, Observer, Publisher, Realtime, RunSettings, Shutdown, StopWord,
-    monotonic_ns, settings_file, write_handover,
+    TopicPublisher, monotonic_ns, settings_file, write_handover,
 };
 use shared_types::{
-    Actuation, Authority, Checkpoint, Command, Directive, Fault, Heartbeat, Obstacles, Odometry, Phase, Pose,
-    ProcessState, Role, Sample, Scan,
+    Authority, Checkpoint, Directive, Fault, Heartbeat, Phase, ProcessState, Role, Sample, Topic,
 };
 use supervision::child::{Child, Launch};
 use supervision::child_log::ChildLog;
@@ -37,7 +36,8 @@ const OTHERS: u32 = 100;
 pub(super) struct Bench<'a, S: Sample> {
     // Dropped in this order: the process, the ports, the bus, and last all files of the system.
     child: Child,
-    publishers: Publishers,
+    /// Of the topics that the role reads, with the number of the last sample.
+    publishers: Vec<(Topic, TopicPublisher, u64)>,
     outputs: Observer<S>,
     heartbeats: Observer<Heartbeat>,
     directives: Publisher<Directive>,
@@ -48,15 +48,6 @@ pub(super) struct Bench<'a, S: Sample> {
     _bus: Bus,
     _stop_word: StopWord,
     _lock: SystemLock,
-}
-
-struct Publishers {
-    scan: Publisher<Scan>,
-    odometry: Publisher<Odometry>,
-    pose: Publisher<Pose>,
-    obstacles: Publisher<Obstacles>,
-    command: Publisher<Command>,
-    actuation: Publisher<Actuation>,
 }
 
 impl<'a, S: Sample> Bench<'a, S> {
@@ -81,14 +72,8 @@ impl<'a, S: Sample> Bench<'a, S> {
             let incarnation = if *other == role { PROCESS } else { OTHERS + other.wire() };
             directive.authority[other.index()] = Authority { incarnation, ..Authority::default() };
         }
-        let publishers = Publishers {
-            scan: Publisher::new(&bus)?,
-            odometry: Publisher::new(&bus)?,
-            pose: Publisher::new(&bus)?,
-            obstacles: Publisher::new(&bus)?,
-            command: Publisher::new(&bus)?,
-            actuation: Publisher::new(&bus)?,
-        };
+        let publisher = |topic: &Topic| Ok((*topic, TopicPublisher::new(&bus, *topic)?, 0));
+        let publishers = role.reads().iter().map(publisher).collect::<anyhow::Result<_>>()?;
         let outputs = Observer::waking(&bus)?;
         let (heartbeats, directives) = (Observer::new(&bus)?, Publisher::new(&bus)?);
         let handover = state.map(|state| HandoverData {
@@ -124,16 +109,17 @@ impl<'a, S: Sample> Bench<'a, S> {
     }
 
     /// Publishes an input.
-    pub(super) fn publish(&mut self, input: Input) -> anyhow::Result<()> {
-        let Publishers { scan, odometry, pose, obstacles, command, actuation } = &mut self.publishers;
-        match input {
-            Input::Scan(sample) => publish(scan, *sample),
-            Input::Odometry(sample) => publish(odometry, *sample),
-            Input::Pose(sample) => publish(pose, *sample),
-            Input::Obstacles(sample) => publish(obstacles, *sample),
-            Input::Command(sample) => publish(command, *sample),
-            Input::Actuation(sample) => publish(actuation, *sample),
-        }
+    pub(super) fn publish(&mut self, mut input: Input) -> anyhow::Result<()> {
+        let of_topic = |(topic, ..): &&mut (Topic, TopicPublisher, u64)| *topic == input.topic;
+        let Some((topic, publisher, sequence)) = self.publishers.iter_mut().find(of_topic) else {
+            return Ok(());
+        };
+        *sequence += 1;
+        let sample = input.bytes_mut();
+        let header = (topic.sample_type().header_mut)(sample);
+        header.incarnation = OTHERS + topic.writer().map_or(0, Role::wire);
+        (header.layout, header.sequence) = (topic.layout(), *sequence);
+        Ok(publisher.publish(sample)?)
     }
 
     /// The first answer to a scan, and what is wrong with it; `None` if there is none in time.
@@ -202,12 +188,6 @@ impl<'a, S: Sample> Bench<'a, S> {
         }
         Ok(())
     }
-}
-
-fn publish<S: Sample>(publisher: &mut Publisher<S>, mut sample: S) -> anyhow::Result<()> {
-    let writer = S::TOPIC.writer().map_or(0, Role::wire);
-    sample.header_mut().incarnation = OTHERS + writer;
-    Ok(publisher.publish(&mut sample, true)?)
 }
 
 /// The recorded settings, in simulated time and without the privileges of the recorded drive.

@@ -9,12 +9,16 @@ use shared_types::Sample;
 pub(crate) struct Lane<S> {
     pub(crate) samples: Vec<S>,
     by_scan: BTreeMap<u64, Vec<usize>>,
+    /// By incarnation and sequence number.
+    by_number: BTreeMap<(u32, u64), usize>,
 }
 
 impl<S: Sample> Lane<S> {
     pub(super) fn add(&mut self, bytes: &[u8]) {
         let sample: &S = bytemuck::from_bytes(bytes);
-        self.by_scan.entry(sample.header().scan_id).or_default().push(self.samples.len());
+        let header = sample.header();
+        self.by_scan.entry(header.scan_id).or_default().push(self.samples.len());
+        self.by_number.insert((header.incarnation, header.sequence), self.samples.len());
         self.samples.push(*sample);
     }
 
@@ -28,11 +32,15 @@ impl<S: Sample> Lane<S> {
         self.by_scan.keys().copied()
     }
 
+    /// The sample of a process with this number.
+    pub(crate) fn of_number(&self, incarnation: u32, sequence: u64) -> Option<&S> {
+        self.by_number.get(&(incarnation, sequence)).map(|index| &self.samples[*index])
+    }
+
     /// The samples of a process, by number.
-    pub(crate) fn of_process(&self, incarnation: u32) -> Vec<&S> {
-        let mut found: Vec<&S> =
-            self.samples.iter().filter(|sample| sample.header().incarnation == incarnation).collect();
-        found.sort_by_key(|sample| sample.header().sequence);
-        found
+    pub(crate) fn of_process(&self, incarnation: u32) -> impl Iterator<Item = &S> {
+        self.by_number
+            .range((incarnation, 0)..=(incarnation, u64::MAX))
+            .map(|(_, index)| &self.samples[*index])
     }
 }

@@ -105,9 +105,6 @@ impl Session {
         }
         for text in injected {
             self.warn(&text);
-            if let Some(recorder) = &mut self.companion {
-                recorder.note(&text);
-            }
         }
         restarts.into_iter().try_for_each(|role| self.handle(Event::RestartRequested { role }))
     }

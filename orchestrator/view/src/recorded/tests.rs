@@ -73,6 +73,11 @@ fn drive(name: &str) -> File {
             };
             tape.sample(Topic::Command, bytes_of(&command)).unwrap();
         }
+        if scan_id == 60 {
+            tape.log("orchestrator", "WARN estimator (ekf) ended: killed by signal 9").unwrap();
+            tape.log("robot", " INFO wheels may turn").unwrap();
+            tape.log("robot", " WARN no directives: wheels are blocked").unwrap();
+        }
         let kind = ActuationKind::Drive.wire();
         let actuation = Actuation {
             header: header::<Actuation>(scan_id, of(Role::Actuator), Role::Actuator),
@@ -118,6 +123,15 @@ fn a_restart_is_an_event_and_the_processes_are_those_of_the_time() {
     let texts: Vec<&str> =
         history["events"].as_array().unwrap().iter().map(|event| event["text"].as_str().unwrap()).collect();
     assert!(texts.contains(&"estimator restarted as incarnation 12"), "{texts:?}");
+    let logged: Vec<&str> =
+        texts.into_iter().filter(|text| text.contains('(') || text.contains(": ")).collect();
+    assert_eq!(
+        logged,
+        ["estimator (ekf) ended: killed by signal 9", "robot:  WARN no directives: wheels are blocked"]
+    );
+    let times: Vec<f64> =
+        history["events"].as_array().unwrap().iter().map(|event| event["time_s"].as_f64().unwrap()).collect();
+    assert!(times.is_sorted() && times.iter().any(|time_s| (5.5..6.5).contains(time_s)), "{times:?}");
     let mut restarts = |at_s: f64| {
         let frame = json(&drive.frame(at_s).unwrap());
         let row = &frame["system"]["status"]["processes"][1];

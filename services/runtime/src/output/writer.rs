@@ -4,7 +4,7 @@
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 
-use shared_types::{Actuation, Role, SampleType, Topic};
+use shared_types::{Actuation, JournalKind, Role, SampleType, Topic};
 
 use crate::bell::LINE;
 use crate::counters::count;
@@ -48,7 +48,7 @@ impl Writer {
         Ok(())
     }
 
-    pub(super) fn publish_silently(&self, sample: &mut [u8]) -> Result<(), RuntimeError> {
+    pub(crate) fn publish_silently(&self, sample: &mut [u8]) -> Result<(), RuntimeError> {
         self.complete(sample);
         self.send(sample)
     }
@@ -58,6 +58,7 @@ impl Writer {
         let sample = place.bytes();
         fill(sample);
         self.complete(sample);
+        self.publish_journal(sample)?;
         self.stamp(sample);
         if self.is_sent(sample) {
             self.send_place(place)?;
@@ -73,8 +74,9 @@ impl Writer {
         }
         if of.topic == Topic::Actuation
             && let Ok(actuation) = bytemuck::try_from_bytes_mut::<Actuation>(sample)
+            && shared.guard.hold_back(actuation)
         {
-            shared.guard.hold_back(actuation);
+            shared.notes.note(JournalKind::HeldBack, 0);
         }
         let is_answer = (of.is_answer)(sample);
         let header = (of.header_mut)(sample);
@@ -91,6 +93,7 @@ impl Writer {
     }
 
     pub(super) fn send(&self, sample: &mut [u8]) -> Result<(), RuntimeError> {
+        self.publish_journal(sample)?;
         let mut place = self.loan()?;
         self.stamp(sample);
         if !self.is_sent(sample) {
@@ -102,10 +105,26 @@ impl Writer {
 
     pub(super) fn wake(&self) {
         self.ringer.ring();
+        self.take_next_place();
+        self.shared.notes.take_next_place();
+    }
+
+    /// Takes the place of the next sample.
+    pub(crate) fn take_next_place(&self) {
         let mut next = self.next.borrow_mut();
         if next.is_none() {
             *next = self.publisher.loan().ok();
         }
+    }
+
+    /// Before the first output of the role for a scan: what it follows from.
+    fn publish_journal(&self, sample: &mut [u8]) -> Result<(), RuntimeError> {
+        let (topic, shared) = (self.of.topic, &*self.shared);
+        if shared.role.writes().first() != Some(&topic) {
+            return Ok(());
+        }
+        let header = (self.of.header)(sample);
+        shared.notes.publish(header.scan_id, header.sequence)
     }
 
     fn stamp(&self, sample: &mut [u8]) {

@@ -1,6 +1,6 @@
 //! The state that a process saves for its successor.
 
-use shared_types::{Actuation, Checkpoint, Described, Header};
+use shared_types::{Actuation, Checkpoint, Described, Header, JournalKind, Topic};
 
 use super::waiting::Need;
 use super::{CHECKPOINT_AGE_NS, HANDOVER_AGE_NS, JOIN_NS, Process};
@@ -23,7 +23,9 @@ impl Process {
     pub fn save_checkpoint(&self, header: &Header, mut checkpoint: Checkpoint) -> Result<(), RuntimeError> {
         checkpoint.header = header.answer();
         checkpoint.issued_ns = monotonic_ns();
-        self.checkpoint.publish_silently(&mut checkpoint)
+        self.checkpoint.publish_silently(&mut checkpoint)?;
+        self.note(JournalKind::Saved, checkpoint.header.sequence);
+        Ok(())
     }
 
     /// The state of the process before this one, if it was saved less than half a second before that process ended.
@@ -65,13 +67,20 @@ impl Process {
             *self.handed_actuations.borrow_mut() = data.actuations;
         }
         self.handed_scan.set(data.checkpoint.header.scan_id);
+        self.note_resumed(&data.checkpoint);
         Ok(Handover::State(data.checkpoint))
     }
 
     /// The newest actuations sent before this process was started, oldest first: for a role that reads them and got a
     /// state from [`Process::resume`]. The process before this one may not have received the last of them.
-    pub fn handed_actuations(&self) -> Vec<Actuation> {
-        self.handed_actuations.take()
+    pub fn handed_actuations(&self) -> impl Iterator<Item = Actuation> {
+        let notes = &self.shared.notes;
+        let handed = self.handed_actuations.take().into_iter();
+        handed.inspect(|actuation| notes.note_sample(JournalKind::Taken, Topic::Actuation, &actuation.header))
+    }
+
+    fn note_resumed(&self, checkpoint: &Checkpoint) {
+        self.shared.notes.note_sample(JournalKind::Resumed, Topic::Checkpoint, &checkpoint.header);
     }
 
     /// The scan after which the state from [`Process::resume`] was saved; 0 without one.
@@ -115,6 +124,9 @@ impl Process {
                 let is_fresh = checkpoint.header.incarnation == incumbent && checkpoint.issued_ns >= begun_ns;
                 if is_fresh && checkpoint.role == self.shared.role.wire() {
                     is_accepted = accept(checkpoint);
+                    if is_accepted {
+                        self.note_resumed(checkpoint);
+                    }
                 }
             })?;
         }

@@ -2,16 +2,20 @@
 
 use std::path::PathBuf;
 
+use report::Outcome;
 use rustix::process::Signal;
 use scanloop_tests::{SHORT_CORRIDOR, SHORT_FREE, System};
 use shared_types::Role;
 
 use super::{EXECUTABLE, json, recorder_of, replayed, text};
 
+const FAULTY_CONTROLLER: &str = env!("CARGO_BIN_EXE_faulty-controller");
+const RING: [&str; 2] = ["--set", "recording.ring_s=60"];
+
 #[test]
 fn a_kill_leaves_one_file_with_the_seconds_before_it_and_the_restart_and_it_is_replayed_to_the_bit() {
     let mut system = System::new(EXECUTABLE);
-    system.start(&[&SHORT_CORRIDOR[..], &["--set", "recording.ring_s=60"]].concat());
+    system.start(&[&SHORT_CORRIDOR[..], &RING].concat());
     system.wait_until("two seconds are driven", |system| {
         system.status().is_some_and(|status| status.scan > 20)
     });
@@ -39,9 +43,71 @@ fn a_kill_leaves_one_file_with_the_seconds_before_it_and_the_restart_and_it_is_r
 }
 
 #[test]
+fn a_collision_and_a_stop_in_mid_drive_leave_a_file_that_is_replayed_to_the_bit() {
+    // It appears where no stop is possible.
+    let sudden = ["sudden", "--set", "obstacle.0.appears_ahead_m=0.1"];
+    let mut system = System::new(EXECUTABLE);
+    system.start(&[&sudden[..], &RING].concat());
+    assert_eq!(system.wait().code(), Some(3), "{}", system.stderr());
+    assert_eq!(system.report().outcome, Outcome::Collision);
+    assert_last_is_replayed(&system);
+
+    let mut system = System::new(EXECUTABLE);
+    system.start(&[&SHORT_CORRIDOR[..], &RING].concat());
+    system.wait_until("two seconds are driven", |system| {
+        system.status().is_some_and(|status| status.scan > 20)
+    });
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    assert_eq!(system.wait().code(), Some(1), "{}", system.stderr());
+    assert_eq!(system.report().outcome, Outcome::Interrupted);
+    assert_last_is_replayed(&system);
+}
+
+#[test]
+fn a_rollback_leaves_a_file_that_is_replayed_but_for_the_other_program() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&[&SHORT_CORRIDOR[..], &RING].concat());
+    let hangs = [
+        "swap",
+        "controller",
+        "--standby-scans",
+        "40",
+        "--json",
+        "--",
+        FAULTY_CONTROLLER,
+        "hang-after",
+        "30",
+    ];
+    let certificate = json(&system.run(&hangs));
+    assert_eq!(certificate["outcome"], "rolled_back", "{certificate}");
+    system.wait();
+    let replay = assert_last_is_replayed(&system);
+    let reasons = replay["reasons"].to_string();
+    assert!(reasons.contains("not_compared: the process is no implementation of this program"), "{replay}");
+}
+
+/// The newest file of an incident: each output that can be recomputed is identical, and only those of other programs can't.
+fn assert_last_is_replayed(system: &System) -> serde_json::Value {
+    let named = system.report().incidents;
+    let file = named.last().unwrap_or_else(|| panic!("no incident: {}", system.stderr()));
+    let (replay, code) = replayed(system, file, &[]);
+    assert_eq!((code, &replay["identical"]), (0, &replay["compared"]), "{replay}");
+    assert!(replay["compared"].as_u64() > Some(100), "{replay}");
+    let reasons = replay["reasons"].as_array().expect("of a test").iter();
+    for reason in reasons {
+        assert!(
+            reason["reason"].as_str().is_some_and(|reason| reason.starts_with("not_compared")),
+            "{replay}"
+        );
+    }
+    system.assert_nothing_left();
+    replay
+}
+
+#[test]
 fn a_drive_that_lands_leaves_no_file_of_an_incident() {
     let mut system = System::new(EXECUTABLE);
-    system.start(&[&SHORT_FREE[..], &["--set", "recording.ring_s=60"]].concat());
+    system.start(&[&SHORT_FREE[..], &RING].concat());
     assert!(recorder_of(&system).is_some());
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
     assert_eq!((incidents_of(&system), system.report().incidents), (vec![], vec![]));

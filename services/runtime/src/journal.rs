@@ -1,0 +1,69 @@
+//! The journal of a process: what it has taken, which times it was told, and what else its outputs follow from.
+//!
+//! Entries gather in memory. The writer of the first output of the role publishes them before that output, so there
+//! is no output without its journal.
+
+use std::cell::RefCell;
+use std::rc::{Rc, Weak};
+
+use bytemuck::bytes_of_mut;
+use shared_types::{Header, Journal, JournalEntry, JournalKind, Role, Topic};
+
+use crate::RuntimeError;
+use crate::output::Writer;
+
+/// What a process did since its last output.
+#[derive(Default)]
+pub(crate) struct Notes {
+    open: RefCell<Journal>,
+    /// The writer shares this with the process, so it is not kept alive from here.
+    writer: RefCell<Weak<Writer>>,
+}
+
+impl Notes {
+    /// Publishes by this writer from now on.
+    pub(crate) fn publish_by(&self, role: Role, writer: &Rc<Writer>) {
+        self.open.borrow_mut().role = role.wire();
+        *self.writer.borrow_mut() = Rc::downgrade(writer);
+    }
+
+    /// Notes a number.
+    pub(crate) fn note(&self, kind: JournalKind, value: u64) {
+        self.add(JournalEntry { kind: kind.wire() as u16, value, ..JournalEntry::default() });
+    }
+
+    /// Notes a sample.
+    pub(crate) fn note_sample(&self, kind: JournalKind, topic: Topic, header: &Header) {
+        let Header { incarnation, sequence, .. } = *header;
+        let (kind, topic) = (kind.wire() as u16, topic as u16);
+        self.add(JournalEntry { kind, topic, incarnation, value: sequence });
+    }
+
+    fn add(&self, entry: JournalEntry) {
+        if self.open.borrow_mut().push(entry) {
+            return;
+        }
+        // A journal that could not be published is missing in the sequence.
+        let _ = self.publish(0, 0);
+        self.open.borrow_mut().push(entry);
+    }
+
+    /// Publishes what was noted, before the output of a scan with this sequence number, or before more entries (0).
+    pub(crate) fn publish(&self, scan_id: u64, output: u64) -> Result<(), RuntimeError> {
+        let mut open = self.open.borrow_mut();
+        (open.header.scan_id, open.output) = (scan_id, output);
+        let writer = self.writer.borrow().upgrade();
+        let published = writer.map_or(Ok(()), |writer| writer.publish_silently(bytes_of_mut(&mut *open)));
+        let used = (open.length as usize).min(open.entries.len());
+        open.entries[..used].fill(JournalEntry::default());
+        open.length = 0;
+        published
+    }
+
+    /// Takes the place of the next journal, while no process waits for this one.
+    pub(crate) fn take_next_place(&self) {
+        if let Some(writer) = self.writer.borrow().upgrade() {
+            writer.take_next_place();
+        }
+    }
+}
