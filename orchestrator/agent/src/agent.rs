@@ -123,6 +123,8 @@ impl Agent {
                     run_id,
                     incarnation,
                     state: State::Unknown,
+                    stopped: false,
+                    wheels: None,
                     last_lines: Vec::new(),
                 });
             };
@@ -154,11 +156,8 @@ impl Agent {
         if let Some(start) = &down.start
             && !self.file.implementations.contains(&start.implementation)
         {
-            let allowed = self.file.implementations.join(", ");
-            return Some(format!(
-                "implementation {} is not one that its agent.toml allows: {allowed}",
-                start.implementation
-            ));
+            let (wanted, allowed) = (&start.implementation, self.file.implementations.join(", "));
+            return Some(format!("agent.toml: implementations = {wanted} is not allowed: one of {allowed}"));
         }
         let other = self.served.as_ref().filter(|served| served.run_id != down.run_id && served.is_wanted());
         other.map(|served| format!("its agent serves system {} already", served.system_id))

@@ -11,6 +11,7 @@ mod common_clock;
 mod control;
 mod counters;
 mod credentials;
+mod flows;
 mod frame;
 mod gate;
 mod link;

@@ -114,6 +114,11 @@ pub(crate) fn clock_key(run_id: &str, what: &str, host: &str) -> String {
     format!("scanloop/{run_id}/clock/{what}/{host}")
 }
 
+/// The name under which a host is told which topics cross there.
+pub(crate) fn table_key(run_id: &str, host: &str) -> String {
+    format!("scanloop/{run_id}/table/{host}")
+}
+
 /// The name under which a host reports.
 pub(crate) fn status_key(run_id: &str, host: &str) -> String {
     format!("scanloop/{run_id}/status/{host}")

@@ -94,6 +94,8 @@ pub struct LinkedHost {
     pub round_trip_ns: u64,
     /// How often its clock, or that of the orchestrator, stood still or jumped.
     pub clocks_lost: u64,
+    /// Number of the newest directive that was published there.
+    pub directive: u64,
     /// What became of samples there.
     pub counts: LinkCounts,
 }

@@ -4,6 +4,8 @@
 //! skipped.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod swap;
+
 use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
@@ -311,7 +313,7 @@ fn an_agent_starts_only_what_its_file_names() {
     assert_eq!(hosts.system.wait().code(), Some(4), "{}", hosts.system.stderr());
     let stderr = hosts.system.stderr();
     assert!(
-        stderr.contains("implementation nmpc is not one that its agent.toml allows: ekf, ellipses"),
+        stderr.contains("host lab: agent.toml: implementations = nmpc is not allowed: one of ekf, ellipses"),
         "{stderr}"
     );
     hosts.end();
