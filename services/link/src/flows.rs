@@ -68,9 +68,11 @@ impl Flows {
         let (into, incoming) = sync_channel(INCOMING);
         for topic in topics.iter().copied() {
             let (channel, shared) = (into.clone(), Arc::clone(&self.link));
-            let key = topic_key(&self.link.table.run_id, topic, "*");
-            self._subscribers.push(subscribe(&self.session, key, move |_, frame| {
-                if channel.try_send((topic, frame.to_vec())).is_err() {
+            let key = |from: &str| topic_key(&self.link.table.run_id, topic, from);
+            // While a writer moves, its topic crosses both ways: what this host has sent comes back to it.
+            let own = key(&self.link.table.here);
+            self._subscribers.push(subscribe(&self.session, key("*"), move |name, frame| {
+                if name != own && channel.try_send((topic, frame.to_vec())).is_err() {
                     shared.counters.old.add(1);
                 }
             })?);
