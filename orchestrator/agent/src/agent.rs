@@ -22,6 +22,10 @@ const POLL: Duration = Duration::from_millis(5);
 const CONNECTED_MS: u64 = 300;
 /// Messages of all processes had the time to come when the connection lasts for this long [ns].
 const STEADY_NS: u64 = 1_000_000_000;
+/// The end of a process is told this often when the agent ends, because a message may be lost.
+const LAST_REPEATS: usize = 3;
+/// Time between two of these messages.
+const LAST_PAUSE: Duration = Duration::from_millis(20);
 /// Time before a link that has ended is started again [ns].
 const LINK_RESTART_NS: u64 = 500_000_000;
 
@@ -61,6 +65,7 @@ pub fn run(path: &Path, logs: &Path) -> anyhow::Result<Exit> {
         agent.take_messages()?;
         agent.watch();
     }
+    agent.end_processes();
     agent.end_served();
     Ok(Exit::Done)
 }
@@ -173,6 +178,15 @@ impl Agent {
         }
         if self.served.as_ref().is_some_and(Served::has_ended) {
             self.end_served();
+        }
+    }
+
+    /// Ends all processes, and tells the orchestrator while the link lives.
+    fn end_processes(&mut self) {
+        let ended = self.served.as_mut().map_or_else(Vec::new, Served::end);
+        for up in ended.iter().cycle().take(LAST_REPEATS * ended.len()) {
+            let _ = self.answer(up);
+            std::thread::sleep(LAST_PAUSE);
         }
     }
 

@@ -60,6 +60,7 @@ impl HubLink {
             here: HUB.to_owned(),
             run_id: domain.run_id().to_owned(),
             period_ns: system.period_ns(),
+            orphan_timeout_ns: system.run_settings(false).orphan_timeout_ns,
             peers: system.hosts.iter().map(peer_of).collect(),
             credentials,
             ..LinkTable::default()

@@ -22,6 +22,8 @@ const STOPPED_REPEAT_NS: u64 = 20_000_000;
 const FIRST_REPEAT_NS: u64 = 50_000_000;
 /// An agent that has not answered once within this time can't be reached [ns].
 const REACH_NS: u64 = 8_000_000_000;
+/// After `orphan_timeout_s` without an orchestrator the processes of a host end within this time, the robot last [ns].
+const ORPHAN_END_NS: u64 = 2_000_000_000;
 /// Longest sleep.
 const POLL: Duration = Duration::from_millis(20);
 /// Largest answer [bytes].
@@ -51,7 +53,9 @@ pub fn run(host: &str, implementation: &str) -> anyhow::Result<Exit> {
         start: Some(start_of(&domain, &table, host, role, incarnation, implementation)?),
     };
     let stop_word = StopWord::inherited()?;
-    let (begun_ns, mut sent_ns, mut is_known) = (monotonic_ns(), 0, false);
+    let ended_ns = table.orphan_timeout_ns.saturating_add(ORPHAN_END_NS);
+    let begun_ns = monotonic_ns();
+    let (mut heard_ns, mut sent_ns, mut is_known) = (begun_ns, 0, false);
     let mut answer = vec![0; ANSWER_BYTES];
     loop {
         let now_ns = monotonic_ns();
@@ -88,12 +92,18 @@ pub fn run(host: &str, implementation: &str) -> anyhow::Result<Exit> {
                  transport of the system file, and the same version of scanloop"
             )));
         }
+        if is_known && now_ns.saturating_sub(heard_ns) > ended_ns {
+            return Err(Failure::process(format!(
+                "host {host}: nothing came from its agent for {:.1} s; by then its processes have ended",
+                ended_ns as f64 * 1e-9
+            )));
+        }
         let Ok(length) = socket.recv(&mut answer) else { continue };
         let Ok(up) = serde_json::from_slice::<Up>(&answer[..length]) else { continue };
         if up.run_id != down.run_id || up.incarnation != incarnation {
             continue;
         }
-        is_known = true;
+        (is_known, heard_ns) = (true, monotonic_ns());
         // What it reported before it knew of a stop does not confirm that stop.
         if let (Some(word), Some(wheels)) = (&stop_word, up.wheels)
             && up.stopped == down.stopped

@@ -60,6 +60,7 @@ impl Served {
             here: host.to_owned(),
             run_id: down.run_id.clone(),
             period_ns: start.period_ns,
+            orphan_timeout_ns: 0,
             sends: start.sends.clone(),
             receives: start.receives.clone(),
             peers: Vec::new(),
@@ -186,6 +187,18 @@ impl Served {
         !self.is_wanted() && self.processes.iter().all(|process| process.ended.is_some())
     }
 
+    /// Ends all processes: the wheels are blocked first, and a robot ends at rest. Returns a message for each.
+    pub(crate) fn end(&mut self) -> Vec<Up> {
+        let is_running = |process: &mut ServedProcess| matches!(process.child.try_wait(), Ok(None));
+        if self.processes.iter_mut().any(is_running) {
+            halt::end_own_run(&self.domain, &self.stop_word);
+        }
+        let ended = self.watch(false);
+        // A robot that is not known to rest is left.
+        self.processes.iter_mut().for_each(|process| process.child.release());
+        ended
+    }
+
     fn state_of(&self, incarnation: u32) -> Option<Up> {
         let process = self.processes.iter().find(|process| process.incarnation == incarnation)?;
         let running = || (State::Running { pid: process.child.pid() }, Vec::new());
@@ -204,19 +217,8 @@ fn has_wheels(role: Role) -> bool {
 }
 
 impl Drop for Served {
-    /// Where a robot runs, the wheels are blocked first, and it ends at rest.
     fn drop(&mut self) {
-        let robots = |processes: &mut [ServedProcess]| {
-            let robots = processes.iter_mut().filter(|process| process.role == Role::Robot);
-            robots.filter_map(|process| matches!(process.child.try_wait(), Ok(None)).then_some(())).count()
-        };
-        if robots(&mut self.processes) == 0 {
-            return;
-        }
-        halt::end_own_run(&self.domain, &self.stop_word);
-        if robots(&mut self.processes) > 0 {
-            self.processes.iter_mut().for_each(|process| process.child.release());
-        }
+        let _ = self.end();
     }
 }
 

@@ -30,12 +30,13 @@ pub(crate) enum Place<'a> {
 /// # Errors
 /// What Zenoh refuses, as a sentence.
 pub(crate) fn join(place: &Place<'_>, credentials: Option<&str>) -> anyhow::Result<Session> {
-    let (mode, listen, connect) = match place {
-        Place::Hub(endpoints) => ("router", Vec::new(), endpoints.clone()),
-        Place::Agent(endpoint) => ("peer", vec![*endpoint], Vec::new()),
+    let (listen, connect) = match place {
+        Place::Hub(endpoints) => (Vec::new(), endpoints.clone()),
+        Place::Agent(endpoint) => (vec![*endpoint], Vec::new()),
     };
     let mut settings = vec![
-        ("mode", format!("{mode:?}")),
+        // Peers would expect a connection between each two; routers forward for each other, through the hub.
+        ("mode", "\"router\"".to_owned()),
         ("listen/endpoints", format!("{listen:?}")),
         ("connect/endpoints", format!("{connect:?}")),
         ("connect/timeout_ms", "-1".to_owned()),

@@ -25,6 +25,9 @@ pub struct LinkTable {
     pub run_id: String,
     /// Scan period [ns].
     pub period_ns: u64,
+    /// Processes end after this time without a directive [ns].
+    #[serde(default)]
+    pub orphan_timeout_ns: u64,
     /// Topics that other hosts need from this one.
     pub sends: Vec<String>,
     /// Topics that this host needs from others.

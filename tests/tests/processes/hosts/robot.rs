@@ -178,3 +178,25 @@ fn an_agent_that_ends_blocks_the_wheels_and_ends_the_robot_at_rest() {
     assert_eq!(hosts.system.wait().code(), Some(4), "{} {}", hosts.system.stderr(), hosts.messages());
     hosts.end();
 }
+
+#[test]
+fn a_host_that_is_gone_for_good_ends_the_run_and_its_processes_end_by_themselves() {
+    let Some(mut hosts) = TwoHosts::with("the death of the host of a robot", &ROBOT) else { return };
+    hosts.start_agent();
+    hosts.start(&[&SHORTENED_LONG[..], &["--set", "orphan_timeout_s=1"]].concat());
+    hosts.system.wait_until_driving();
+    let (_, agent) = &mut hosts.agents[0];
+    agent.kill().unwrap();
+    agent.wait().unwrap();
+    assert_eq!(hosts.system.wait().code(), Some(4), "{} {}", hosts.system.stderr(), hosts.messages());
+    let stderr = hosts.system.stderr();
+    assert!(stderr.contains("host bot: nothing came from its agent for 3.0 s"), "{stderr}");
+    hosts.system.assert_nothing_left();
+    hosts.system.wait_until("its processes have ended", |_| processes_of(&hosts.other_id()).is_empty());
+    hosts.agents.clear();
+    // An agent that is started again removes what is left, and serves the next run.
+    hosts.start_agent();
+    hosts.start(&SHORT_FREE);
+    assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
+    hosts.end();
+}
