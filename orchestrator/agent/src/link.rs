@@ -70,15 +70,8 @@ impl HubLink {
         let path = logs.join("link.log");
         let log = ChildLog::open(&path).with_context(|| path.display().to_string())?;
         let (domain, status) = (domain.clone(), LinkStatus::default());
-        let mut link = Self {
-            domain,
-            table,
-            log,
-            child: None,
-            status,
-            read_ns: 0,
-            connected_ns: BTreeMap::new(),
-        };
+        let mut link =
+            Self { domain, table, log, child: None, status, read_ns: 0, connected_ns: BTreeMap::new() };
         link.launch()?;
         Ok(Some(link))
     }
@@ -142,7 +135,11 @@ impl HubLink {
         let is_wide = |host: &LinkedHost| host.is_locked && host.bound_ns > self.table.period_ns / 10;
         let (was_connected, was_wide) =
             before.map_or((false, false), |host| (host.is_connected, is_wide(host)));
+        let was_refused = before.is_some_and(|host| host.refused == now.refused);
         match (was_connected, now.is_connected) {
+            _ if !now.refused.is_empty() && !was_refused => {
+                Some(format!("host {name}: refused: {}", now.refused))
+            }
             (true, false) => Some(format!("host {name}: nothing comes from it")),
             (false, true) if before.is_some_and(|host| !host.version.is_empty()) => {
                 Some(format!("host {name}: connected again"))

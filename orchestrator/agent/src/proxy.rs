@@ -6,9 +6,9 @@ use std::time::Duration;
 use anyhow::Context;
 use console::exit::{Exit, Failure};
 use runtime::{
-    CANDIDATE_VARIABLE, Domain, INCARNATION_VARIABLE, LINK_SOCKET, LinkTable, Priority, RESTART_VARIABLE,
-    ROLE_VARIABLE, Shutdown, StopWord, Wheels, link_version, monotonic_ns, own_settings_file, print,
-    reply_socket, settings_file,
+    CANDIDATE_VARIABLE, Domain, INCARNATION_VARIABLE, LINK_SOCKET, LinkStatus, LinkTable, Priority,
+    RESTART_VARIABLE, ROLE_VARIABLE, Shutdown, StopWord, Wheels, link_version, monotonic_ns,
+    own_settings_file, print, reply_socket, settings_file,
 };
 use rustix::process::{Signal, getpid, kill_process};
 use shared_types::Role;
@@ -87,6 +87,11 @@ pub fn run(host: &str, implementation: &str) -> anyhow::Result<Exit> {
         if !is_known && now_ns.saturating_sub(begun_ns) > REACH_NS {
             let endpoint =
                 table.peers.iter().find(|peer| peer.name == host).map_or("", |peer| &peer.endpoint);
+            let status = LinkStatus::read(&domain).ok().flatten();
+            let refused = status.as_ref().and_then(|status| status.host(host)).map(|host| &host.refused);
+            if let Some(reason) = refused.filter(|reason| !reason.is_empty()) {
+                return Err(Failure::process(format!("host {host}: refused: {endpoint}: {reason}")));
+            }
             return Err(Failure::process(format!(
                 "host {host}: no agent answers at {endpoint}; start `scanloop agent` there with the name, address and \
                  transport of the system file, and the same version of scanloop"

@@ -335,7 +335,8 @@ impl Swap {
             && self.announced_ns.is_some_and(|since_ns| now_ns.saturating_sub(since_ns) >= ACKNOWLEDGE_NS)
         {
             let limit_s = ACKNOWLEDGE_NS / 1_000_000_000;
-            return self.refuse(format!("a host has not acknowledged the handover within {limit_s} s"), actions);
+            return self
+                .refuse(format!("a host has not acknowledged the handover within {limit_s} s"), actions);
         }
         if self.stage == Stage::Shadowing
             && let Some(reason) = self.comparison.timed_out(now_ns, &self.plan)

@@ -31,6 +31,9 @@ pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
 /// Another host: its clock, and the samples that it dropped.
 fn host_line(host: &LinkedHost) -> String {
     let LinkedHost { name, offset_ns, bound_ns, round_trip_ns, clocks_lost, counts, .. } = host;
+    if !host.refused.is_empty() {
+        return format!("host {name}: refused: {}\n", host.refused);
+    }
     if !host.is_connected {
         return format!("host {name}: not connected\n");
     }

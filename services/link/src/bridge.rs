@@ -18,6 +18,7 @@ use crate::clock::Probe;
 use crate::flows::{Flows, Tables, topics_of};
 use crate::link::Link;
 use crate::network::{self, Place, agent_key, clock_key, publisher, status_key, subscribe, table_key};
+use crate::refusals;
 
 /// Time between two probes of clocks, and until the clock is locked.
 const PROBE: Duration = Duration::from_millis(100);
@@ -220,12 +221,16 @@ pub(crate) fn run_hub(domain: &Domain, table: &LinkTable) -> anyhow::Result<()> 
 }
 
 fn status_of(link: &Link, heard: &BTreeMap<String, (u64, LinkedHost)>, now_ns: u64) -> LinkStatus {
-    let hosts = link.table.peers.iter().map(|peer| match heard.get(&peer.name) {
-        Some((at_ns, host)) => {
-            let is_connected = now_ns.saturating_sub(*at_ns) < SILENT_NS;
-            LinkedHost { is_connected, ..host.clone() }
-        }
-        None => LinkedHost { name: peer.name.clone(), ..LinkedHost::default() },
+    let hosts = link.table.peers.iter().map(|peer| {
+        let host = match heard.get(&peer.name) {
+            Some((at_ns, host)) => {
+                let is_connected = now_ns.saturating_sub(*at_ns) < SILENT_NS;
+                LinkedHost { is_connected, ..host.clone() }
+            }
+            None => LinkedHost { name: peer.name.clone(), ..LinkedHost::default() },
+        };
+        let refused = refusals::reason_at(&peer.endpoint).filter(|_| !host.is_connected);
+        LinkedHost { refused: refused.unwrap_or_default(), ..host }
     });
     LinkStatus { written_ns: now_ns, counts: link.counters.get(), hosts: hosts.collect() }
 }

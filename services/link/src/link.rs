@@ -103,6 +103,7 @@ impl Link {
             name: self.table.here.clone(),
             version: link_version(),
             is_connected: true,
+            refused: String::new(),
             is_locked: offset.is_some(),
             offset_ns: offset.map_or(0, |clock| clock.offset_ns),
             bound_ns: offset.map_or(0, |clock| clock.bound_ns),

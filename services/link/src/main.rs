@@ -18,12 +18,14 @@ mod link;
 mod network;
 mod newest;
 mod receiver;
+mod refusals;
 mod repeats;
 mod sender;
 
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    refusals::watch();
     match arguments::run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

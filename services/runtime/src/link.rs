@@ -87,6 +87,8 @@ pub struct LinkedHost {
     pub version: String,
     /// Whether something came from it within the last second.
     pub is_connected: bool,
+    /// Why no connection to it is made, where one end refuses the other; empty else.
+    pub refused: String,
     /// Whether its clock is locked.
     pub is_locked: bool,
     /// Clock of the orchestrator minus its own [ns].

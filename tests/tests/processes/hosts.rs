@@ -4,6 +4,7 @@
 //! skipped.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod refusals;
 mod robot;
 mod swap;
 
@@ -304,54 +305,6 @@ fn hosts_that_trust_each_other_drive_over_an_encrypted_link() {
     hosts.start(&SHORT_FREE);
     assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
     assert_eq!(hosts.system.report().scans.unaccounted, 0);
-    hosts.end();
-}
-
-#[test]
-fn a_host_with_certificates_of_another_authority_gets_no_sample() {
-    let Some(mut hosts) = TwoHosts::new("a foreign certificate") else { return };
-    hosts.trust("keys", "orchestrator", "system.toml");
-    hosts.trust("foreign", "lab", "agent.toml");
-    hosts.start_agent();
-    hosts.start(&SHORT_FREE);
-    assert_eq!(hosts.system.wait().code(), Some(4), "{}", hosts.system.stderr());
-    assert!(
-        hosts.system.stderr().contains("host lab: no agent answers at quic/"),
-        "{}",
-        hosts.system.stderr()
-    );
-    assert!(!hosts.messages().contains("serves system"), "{}", hosts.messages());
-    hosts.end();
-}
-
-#[test]
-fn a_key_that_others_can_read_is_refused() {
-    let Some(hosts) = TwoHosts::new("a key that others can read") else { return };
-    hosts.trust("keys", "orchestrator", "system.toml");
-    let key = hosts.system.folder().join("keys/orchestrator/key.pem");
-    std::fs::set_permissions(&key, std::fs::Permissions::from_mode(0o644)).unwrap();
-    let output =
-        hosts.system.command(&["run", "free", "--system", "system.toml"]).env("PATH", &hosts.path).output();
-    let output = output.unwrap();
-    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(2), "{stderr}");
-    assert!(stderr.contains("keys/orchestrator/key.pem: mode 644 is not allowed: 600"), "{stderr}");
-}
-
-#[test]
-fn an_agent_starts_only_what_its_file_names() {
-    let Some(mut hosts) = TwoHosts::new("an implementation that is not allowed") else { return };
-    let file = hosts.system.folder().join("agent.toml");
-    let text = std::fs::read_to_string(&file).unwrap();
-    write_private(&file, &text.replace(", \"nmpc\"", ""));
-    hosts.start_agent();
-    hosts.start(&SHORT_FREE);
-    assert_eq!(hosts.system.wait().code(), Some(4), "{}", hosts.system.stderr());
-    let stderr = hosts.system.stderr();
-    assert!(
-        stderr.contains("host lab: agent.toml: implementations = nmpc is not allowed: one of ekf, ellipses"),
-        "{stderr}"
-    );
     hosts.end();
 }
 

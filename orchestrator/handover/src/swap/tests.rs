@@ -475,10 +475,7 @@ fn without_an_acknowledgement_the_new_one_is_refused() {
     trial.good_scans(5 + 29);
     assert_eq!(trial.actions.len(), 1, "{:?}", trial.actions);
     trial.good_scans(2);
-    assert_eq!(
-        trial.actions[1..3],
-        [SwapAction::Authorise(authority(OLD, 0, 0)), SwapAction::KillNew]
-    );
+    assert_eq!(trial.actions[1..3], [SwapAction::Authorise(authority(OLD, 0, 0)), SwapAction::KillNew]);
     let certificate = trial.certificate();
     assert_eq!(certificate.outcome, SwapOutcome::Refused);
     assert_eq!(certificate.reason, "a host has not acknowledged the handover within 3 s");

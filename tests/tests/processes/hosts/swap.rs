@@ -17,9 +17,9 @@ fn move_to(hosts: &TwoHosts, role: Role, to: &str) -> Certificate {
         "lab" => assert!(is_there.is_some() && row.host.as_deref() == Some("lab"), "{row:?}"),
         _ => {
             assert_eq!(row.host, None, "{row:?}");
-            hosts.system.wait_until("the one there has ended", |_| {
-                process_of(&hosts.other_id(), role).is_none()
-            });
+            hosts
+                .system
+                .wait_until("the one there has ended", |_| process_of(&hosts.other_id(), role).is_none());
         }
     }
     certificate
