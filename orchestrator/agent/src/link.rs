@@ -112,6 +112,13 @@ impl HubLink {
                     self.connected_ns.remove(&host.name);
                 }
             }
+            let own = [before.stood_still_ms, self.status.stood_still_ms];
+            messages.extend(standstill("this host", own));
+            for host in &self.status.hosts {
+                let host_before = before.host(&host.name).filter(|before| before.is_connected);
+                let own = host_before.map_or([0; 2], |before| [before.stood_still_ms, host.stood_still_ms]);
+                messages.extend(standstill(&format!("host {}", host.name), own));
+            }
             messages.extend(
                 self.status.hosts.iter().filter_map(|host| self.change(before.host(&host.name), host)),
             );
@@ -176,6 +183,12 @@ impl HubLink {
         self.child = Some(child.map_err(|error| Failure::process(format!("{PROGRAM}: {error}")))?);
         Ok(())
     }
+}
+
+/// What a user should know when the time for which a host stood still has grown [ms].
+fn standstill(host: &str, [before, now]: [u64; 2]) -> Option<String> {
+    let lost_s = now.saturating_sub(before) as f64 * 1e-3;
+    (now > before).then(|| format!("{host} stood still for {lost_s:.1} s: suspended, stopped or overloaded"))
 }
 
 /// A host, of which nothing is needed yet.

@@ -8,7 +8,8 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use runtime::{
-    Domain, HUB, LINK_SOCKET, LinkStatus, LinkTable, LinkedHost, Shutdown, monotonic_ns, reply_socket,
+    Domain, HUB, LINK_SOCKET, LinkStatus, LinkTable, LinkedHost, Shutdown, boottime_ns, monotonic_ns,
+    reply_socket,
 };
 use zenoh::pubsub::Subscriber;
 use zenoh::qos::Priority;
@@ -19,6 +20,7 @@ use crate::flows::{Flows, Tables, topics_of};
 use crate::link::Link;
 use crate::network::{self, Place, agent_key, clock_key, publisher, status_key, subscribe, table_key};
 use crate::refusals;
+use crate::standstill::Standstill;
 
 /// Time between two probes of clocks, and until the clock is locked.
 const PROBE: Duration = Duration::from_millis(100);
@@ -133,11 +135,15 @@ impl Bridge {
         let report = publisher(session, status_key(&run_id, &here), Priority::InteractiveHigh)?;
         let shared = Arc::clone(&self.link);
         self.spawn(move || {
-            let mut reported_ns = 0;
+            let (mut reported_ns, mut standstill) = (0, Standstill::default());
             while shared.is_running() {
                 let _ = question.put(monotonic_ns().to_le_bytes().as_slice()).wait();
                 let status = shared.status();
-                std::thread::sleep(if status.is_locked { PROBE } else { PROBE_AT_START });
+                let pause = if status.is_locked { PROBE } else { PROBE_AT_START };
+                std::thread::sleep(pause);
+                if standstill.wake(boottime_ns(), pause.as_nanos() as u64).is_some() {
+                    shared.note_standstill(standstill.lost_ms());
+                }
                 if monotonic_ns().saturating_sub(reported_ns) >= REPORT.as_nanos() as u64 {
                     reported_ns = monotonic_ns();
                     let _ = report.put(status.to_text()).wait();
@@ -197,7 +203,7 @@ pub(crate) fn run_hub(domain: &Domain, table: &LinkTable) -> anyhow::Result<()> 
         );
     }
     let tables = Tables::new(&session, table)?;
-    let (mut message, mut written_ns) = (vec![0; MESSAGE_BYTES], 0);
+    let (mut message, mut written_ns, mut standstill) = (vec![0; MESSAGE_BYTES], 0, Standstill::default());
     while !shutdown.requested() && bridge.link.is_running() && domain.is_current() {
         if let Ok(length) = orders.recv(&mut message) {
             let mut parts = message[..length].splitn(2, |byte| *byte == b'\n');
@@ -209,6 +215,9 @@ pub(crate) fn run_hub(domain: &Domain, table: &LinkTable) -> anyhow::Result<()> 
         let now_ns = monotonic_ns();
         if now_ns.saturating_sub(written_ns) >= REPORT.as_nanos() as u64 {
             written_ns = now_ns;
+            if standstill.wake(boottime_ns(), REPORT.as_nanos() as u64).is_some() {
+                bridge.link.note_standstill(standstill.lost_ms());
+            }
             if let Some(table) = LinkTable::read(domain)? {
                 bridge.extend(&table.receives, &table.sends)?;
                 tables.publish(&table);
@@ -232,5 +241,10 @@ fn status_of(link: &Link, heard: &BTreeMap<String, (u64, LinkedHost)>, now_ns: u
         let refused = refusals::reason_at(&peer.endpoint).filter(|_| !host.is_connected);
         LinkedHost { refused: refused.unwrap_or_default(), ..host }
     });
-    LinkStatus { written_ns: now_ns, counts: link.counters.get(), hosts: hosts.collect() }
+    LinkStatus {
+        written_ns: now_ns,
+        stood_still_ms: link.stood_still_ms(),
+        counts: link.counters.get(),
+        hosts: hosts.collect(),
+    }
 }

@@ -20,6 +20,8 @@ pub(crate) struct Link {
     running: AtomicBool,
     /// When the clock of the orchestrator was answered last [ns].
     answered_ns: AtomicU64,
+    /// For how long this host stood still [ms].
+    stood_still_ms: AtomicU64,
     /// Number of the newest directive that was published here.
     directive: AtomicU64,
     /// Incarnations whose samples came from other hosts, in the order of their first samples.
@@ -36,6 +38,7 @@ impl Link {
             counters: Counters::default(),
             running: AtomicBool::new(true),
             answered_ns: AtomicU64::new(0),
+            stood_still_ms: AtomicU64::new(0),
             directive: AtomicU64::new(0),
             foreign: std::array::from_fn(|_| AtomicU32::new(0)),
             foreign_count: AtomicU64::new(0),
@@ -64,6 +67,16 @@ impl Link {
                 link.end();
             }
         })
+    }
+
+    /// This host stood still for so long until now.
+    pub(crate) fn note_standstill(&self, lost_ms: u64) {
+        self.stood_still_ms.store(lost_ms, Ordering::Relaxed);
+    }
+
+    /// For how long this host stood still [ms].
+    pub(crate) fn stood_still_ms(&self) -> u64 {
+        self.stood_still_ms.load(Ordering::Relaxed)
     }
 
     /// A directive of that number was published here.
@@ -109,6 +122,7 @@ impl Link {
             bound_ns: offset.map_or(0, |clock| clock.bound_ns),
             round_trip_ns: known.as_ref().and_then(|clock| clock.round_trip_ns()).unwrap_or(0),
             clocks_lost: known.as_ref().map_or(0, |clock| clock.lost()),
+            stood_still_ms: self.stood_still_ms(),
             directive: self.directive.load(Ordering::Relaxed),
             counts: self.counters.get(),
         }

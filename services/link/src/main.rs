@@ -21,6 +21,7 @@ mod receiver;
 mod refusals;
 mod repeats;
 mod sender;
+mod standstill;
 
 use std::process::ExitCode;
 

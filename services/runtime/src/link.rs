@@ -99,6 +99,8 @@ pub struct LinkedHost {
     pub round_trip_ns: u64,
     /// How often its clock, or that of the orchestrator, stood still or jumped.
     pub clocks_lost: u64,
+    /// For how long it stood still since its link was started, suspended or stopped [ms].
+    pub stood_still_ms: u64,
     /// Number of the newest directive that was published there.
     pub directive: u64,
     /// What became of samples there.
@@ -111,6 +113,8 @@ pub struct LinkedHost {
 pub struct LinkStatus {
     /// When it was written [ns of CLOCK_MONOTONIC].
     pub written_ns: u64,
+    /// For how long this host stood still since its link was started, suspended or stopped [ms].
+    pub stood_still_ms: u64,
     /// What became of samples at this host.
     pub counts: LinkCounts,
     /// The other hosts.

@@ -200,3 +200,29 @@ fn a_host_that_is_gone_for_good_ends_the_run_and_its_processes_end_by_themselves
     assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
     hosts.end();
 }
+
+#[test]
+fn a_host_that_stood_still_is_named_and_no_old_sample_acts() {
+    let Some(mut hosts) = TwoHosts::new("a host that stands still") else { return };
+    hosts.start_agent();
+    hosts.start(&SHORTENED_LONG);
+    hosts.system.wait_until_driving();
+    // All of the lab: the agent, its link, and the processes.
+    let (_, agent) = &hosts.agents[0];
+    let agent = Pid::from_child(agent);
+    let children = format!("/proc/{0}/task/{0}/children", agent.as_raw_nonzero());
+    let children = std::fs::read_to_string(children).unwrap();
+    let children = children.split_whitespace().filter_map(|pid| Pid::from_raw(pid.parse().unwrap()));
+    let all: Vec<Pid> = children.chain([agent]).collect();
+    assert!(all.len() >= 5, "{all:?}");
+    all.iter().for_each(|pid| kill_process(*pid, Signal::STOP).unwrap());
+    hosts
+        .system
+        .wait_until("it is missed", |system| system.stderr().contains("host lab: nothing comes from it"));
+    all.iter().for_each(|pid| kill_process(*pid, Signal::CONT).unwrap());
+    hosts.system.wait_until("it is named", |system| system.stderr().contains("host lab stood still for "));
+    assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
+    let report = hosts.system.report();
+    assert_eq!((report.outcome, report.scans.late), (Outcome::Reached, 0), "{:?}", report.scans);
+    hosts.end();
+}

@@ -2,13 +2,22 @@
 
 use handover::swap::{Certificate, SwapOutcome};
 use scanloop_tests::SHORTENED_LONG;
-use scanloop_tests::swaps::{assert_seamless_swap, swap};
+use scanloop_tests::swaps::{assert_seamless, assert_seamless_swap, swap};
 
 use super::*;
 
-/// Moves a role, and asserts that no scan was missed.
+/// Tries of a move: on a busy machine an output may be late enough for a rollback.
+const TRIES: usize = 3;
+
+/// Moves a role, and asserts that no scan was missed, also by tries that were rolled back.
 fn move_to(hosts: &TwoHosts, role: Role, to: &str) -> Certificate {
-    let certificate = swap(&hosts.system, &[role.name(), "--to", to]);
+    let mut certificate = swap(&hosts.system, &[role.name(), "--to", to]);
+    for _ in 1..TRIES {
+        if certificate.outcome == SwapOutcome::RolledBack {
+            assert_seamless(&certificate);
+            certificate = swap(&hosts.system, &[role.name(), "--to", to]);
+        }
+    }
     assert_seamless_swap(&certificate);
     let (host, is_there) = (to.split_once('@').unwrap().1, process_of(&hosts.other_id(), role));
     let shown = hosts.system.status().unwrap();
@@ -38,7 +47,7 @@ fn the_controller_moves_to_the_robot_and_back_while_it_drives() {
     assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
     let report = hosts.system.report();
     assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Reached, 0), "{:?}", report.scans);
-    assert_eq!(report.swaps.len(), 2);
+    assert_eq!(report.swaps.iter().filter(|swap| swap.outcome == SwapOutcome::Swapped).count(), 2);
     assert_eq!(report.processes.iter().map(|process| process.restarts).collect::<Vec<_>>(), [0; 5]);
     hosts.end();
 }
