@@ -26,6 +26,8 @@ const STEADY_NS: u64 = 1_000_000_000;
 const LAST_REPEATS: usize = 3;
 /// Time between two of these messages.
 const LAST_PAUSE: Duration = Duration::from_millis(20);
+/// An agent that has not run for this long was stopped [ns].
+const STOOD_STILL_NS: u64 = 300_000_000;
 /// Time before a link that has ended is started again [ns].
 const LINK_RESTART_NS: u64 = 500_000_000;
 
@@ -40,6 +42,7 @@ struct Agent {
     offset_ns: Option<i64>,
     /// Since when messages can come without a break [ns].
     connected_ns: Option<u64>,
+    watched_ns: u64,
 }
 
 /// The program `scanloop-link` of this agent.
@@ -59,8 +62,16 @@ pub fn run(path: &Path, logs: &Path) -> anyhow::Result<Exit> {
     let logs = std::path::absolute(logs)?;
     let link = Some(Link::start(&file)?);
     note!("agent {} listens at {}", file.name, file.endpoint());
-    let mut agent =
-        Agent { file, logs, link, link_ended_ns: 0, served: None, offset_ns: None, connected_ns: None };
+    let mut agent = Agent {
+        file,
+        logs,
+        link,
+        link_ended_ns: 0,
+        served: None,
+        offset_ns: None,
+        connected_ns: None,
+        watched_ns: monotonic_ns(),
+    };
     while !shutdown.requested() {
         agent.take_messages()?;
         agent.watch();
@@ -170,6 +181,10 @@ impl Agent {
 
     fn watch(&mut self) {
         let now_ns = monotonic_ns();
+        if now_ns.saturating_sub(std::mem::replace(&mut self.watched_ns, now_ns)) > STOOD_STILL_NS {
+            // The messages of that time were not read: no process is forgotten for want of them.
+            self.connected_ns = None;
+        }
         let could_tell =
             self.connected_ns.is_some_and(|since_ns| now_ns.saturating_sub(since_ns) > STEADY_NS);
         let ended = self.served.as_mut().map_or_else(Vec::new, |served| served.watch(could_tell));
@@ -290,6 +305,7 @@ mod tests {
             served: None,
             offset_ns: None,
             connected_ns: None,
+            watched_ns: 0,
         }
     }
 

@@ -115,8 +115,9 @@ impl HubLink {
             let own = [before.stood_still_ms, self.status.stood_still_ms];
             messages.extend(standstill("this host", own));
             for host in &self.status.hosts {
-                let host_before = before.host(&host.name).filter(|before| before.is_connected);
-                let own = host_before.map_or([0; 2], |before| [before.stood_still_ms, host.stood_still_ms]);
+                let own = before
+                    .host(&host.name)
+                    .map_or([0; 2], |before| [before.stood_still_ms, host.stood_still_ms]);
                 messages.extend(standstill(&format!("host {}", host.name), own));
             }
             messages.extend(
