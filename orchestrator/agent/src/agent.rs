@@ -22,6 +22,12 @@ const POLL: Duration = Duration::from_millis(5);
 const CONNECTED_MS: u64 = 300;
 /// Messages of all processes had the time to come when the connection lasts for this long [ns].
 const STEADY_NS: u64 = 1_000_000_000;
+/// The end of a process is told this often when the agent ends, because a message may be lost.
+const LAST_REPEATS: usize = 3;
+/// Time between two of these messages.
+const LAST_PAUSE: Duration = Duration::from_millis(20);
+/// An agent that has not run for this long was stopped [ns].
+const STOOD_STILL_NS: u64 = 300_000_000;
 /// Time before a link that has ended is started again [ns].
 const LINK_RESTART_NS: u64 = 500_000_000;
 
@@ -36,6 +42,7 @@ struct Agent {
     offset_ns: Option<i64>,
     /// Since when messages can come without a break [ns].
     connected_ns: Option<u64>,
+    watched_ns: u64,
 }
 
 /// The program `scanloop-link` of this agent.
@@ -55,12 +62,21 @@ pub fn run(path: &Path, logs: &Path) -> anyhow::Result<Exit> {
     let logs = std::path::absolute(logs)?;
     let link = Some(Link::start(&file)?);
     note!("agent {} listens at {}", file.name, file.endpoint());
-    let mut agent =
-        Agent { file, logs, link, link_ended_ns: 0, served: None, offset_ns: None, connected_ns: None };
+    let mut agent = Agent {
+        file,
+        logs,
+        link,
+        link_ended_ns: 0,
+        served: None,
+        offset_ns: None,
+        connected_ns: None,
+        watched_ns: monotonic_ns(),
+    };
     while !shutdown.requested() {
         agent.take_messages()?;
         agent.watch();
     }
+    agent.end_processes();
     agent.end_served();
     Ok(Exit::Done)
 }
@@ -123,6 +139,8 @@ impl Agent {
                     run_id,
                     incarnation,
                     state: State::Unknown,
+                    stopped: false,
+                    wheels: None,
                     last_lines: Vec::new(),
                 });
             };
@@ -154,11 +172,8 @@ impl Agent {
         if let Some(start) = &down.start
             && !self.file.implementations.contains(&start.implementation)
         {
-            let allowed = self.file.implementations.join(", ");
-            return Some(format!(
-                "implementation {} is not one that its agent.toml allows: {allowed}",
-                start.implementation
-            ));
+            let (wanted, allowed) = (&start.implementation, self.file.implementations.join(", "));
+            return Some(format!("agent.toml: implementations = {wanted} is not allowed: one of {allowed}"));
         }
         let other = self.served.as_ref().filter(|served| served.run_id != down.run_id && served.is_wanted());
         other.map(|served| format!("its agent serves system {} already", served.system_id))
@@ -166,6 +181,10 @@ impl Agent {
 
     fn watch(&mut self) {
         let now_ns = monotonic_ns();
+        if now_ns.saturating_sub(std::mem::replace(&mut self.watched_ns, now_ns)) > STOOD_STILL_NS {
+            // The messages of that time were not read: no process is forgotten for want of them.
+            self.connected_ns = None;
+        }
         let could_tell =
             self.connected_ns.is_some_and(|since_ns| now_ns.saturating_sub(since_ns) > STEADY_NS);
         let ended = self.served.as_mut().map_or_else(Vec::new, |served| served.watch(could_tell));
@@ -174,6 +193,15 @@ impl Agent {
         }
         if self.served.as_ref().is_some_and(Served::has_ended) {
             self.end_served();
+        }
+    }
+
+    /// Ends all processes, and tells the orchestrator while the link lives.
+    fn end_processes(&mut self) {
+        let ended = self.served.as_mut().map_or_else(Vec::new, Served::end);
+        for up in ended.iter().cycle().take(LAST_REPEATS * ended.len()) {
+            let _ = self.answer(up);
+            std::thread::sleep(LAST_PAUSE);
         }
     }
 
@@ -253,6 +281,55 @@ impl Link {
                     file.listen
                 )))
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use shared_types::Role;
+
+    use super::*;
+
+    fn agent() -> Agent {
+        let file = AgentFile {
+            name: "lab".to_owned(),
+            implementations: vec!["nmpc".to_owned()],
+            ..AgentFile::default()
+        };
+        Agent {
+            file,
+            logs: PathBuf::new(),
+            link: None,
+            link_ended_ns: 0,
+            served: None,
+            offset_ns: None,
+            connected_ns: None,
+            watched_ns: 0,
+        }
+    }
+
+    fn down(version: &str) -> Down {
+        Down {
+            version: version.to_owned(),
+            system_id: "main".to_owned(),
+            run_id: "abcdefghij".to_owned(),
+            incarnation: 7,
+            role: Role::Controller,
+            order: Order::Start,
+            stopped: false,
+            start: None,
+        }
+    }
+
+    #[test]
+    fn an_orchestrator_of_another_version_or_with_other_samples_is_refused_by_name() {
+        let own = link_version();
+        assert_eq!(agent().refuses(&down(&own)), None);
+        let (version, samples) = own.split_once(' ').unwrap();
+        for other in [format!("9.9.9 {samples}"), format!("{version} 0123456789abcdef")] {
+            let reason = agent().refuses(&down(&other)).unwrap();
+            assert!(reason.contains(&own) && reason.contains(&other), "{reason}");
         }
     }
 }

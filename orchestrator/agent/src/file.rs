@@ -22,7 +22,7 @@ settings! {
         /// Folder with the certificates of this host, for transport `quic`; `scanloop agent pair` makes it.
         pub credentials: Option<String> = None, "a folder";
         /// Built-in implementations that an orchestrator may have started here.
-        pub implementations: Vec<String> = Vec::new(), "ekf, ellipses, nmpc";
+        pub implementations: Vec<String> = Vec::new(), "emulator, player, ekf, ellipses, nmpc, actuation";
     }
 }
 
@@ -70,8 +70,7 @@ impl AgentFile {
             return Err(Invalid::new("listen", given(&self.listen), plan::hosts::ADDRESS_RULE));
         }
         plan::hosts::require_credentials(self.transport, self.credentials.as_deref())?;
-        let remote = IMPLEMENTATIONS.iter().filter(|(_, role)| plan::hosts::may_be_elsewhere(*role));
-        let allowed: Vec<&str> = remote.map(|(name, _)| *name).collect();
+        let allowed: Vec<&str> = IMPLEMENTATIONS.iter().map(|(name, _)| *name).collect();
         match self.implementations.iter().find(|name| !allowed.contains(&name.as_str())) {
             Some(name) => {
                 Err(Invalid::new("implementations", name, format!("some of {}", allowed.join(", "))))
@@ -116,10 +115,12 @@ mod tests {
         let refusal = |from: &str, to: &str| read_as(&GOOD.replace(from, to), 0o600).unwrap_err().to_string();
         assert!(refusal("lab", "La").contains("name = La is not allowed"));
         assert!(refusal("127.0.0.1", "0.0.0.0").contains("listen = 0.0.0.0:7411 is not allowed"));
-        let robot = refusal("nmpc", "emulator");
+        let command = refusal("nmpc", "sh");
         assert!(
-            robot.ends_with("implementations = emulator is not allowed: some of ekf, ellipses, nmpc"),
-            "{robot}"
+            command.ends_with(
+                "implementations = sh is not allowed: some of emulator, player, ekf, ellipses, nmpc, actuation"
+            ),
+            "{command}"
         );
         assert!(refusal("\"nmpc\"", "").contains("implementations = [] is not allowed"));
         assert!(refusal("udp", "quic").contains("credentials = (missing) is not allowed: a folder"));

@@ -11,11 +11,12 @@ use anyhow::Context;
 use console::exit::{Exit, Failure};
 use console::note;
 use plan::System;
-use plan::hosts::{crossings, endpoint};
+use plan::hosts::{Crossing, HostEntry, Place, crossings_between, endpoint};
 use runtime::{
     Domain, HUB, INCARNATION_VARIABLE, LinkPeer, LinkStatus, LinkTable, LinkedHost, RUN_ID_VARIABLE,
     monotonic_ns,
 };
+use shared_types::Topic;
 use supervision::child::{Child, Launch, this_program};
 use supervision::child_log::ChildLog;
 
@@ -31,38 +32,67 @@ const SILENT_NS: u64 = 1_000_000_000;
 /// The link of the orchestrator's host.
 pub struct HubLink {
     domain: Domain,
+    table: LinkTable,
     log: ChildLog,
     child: Option<Child>,
     status: LinkStatus,
     read_ns: u64,
-    period_ns: u64,
     /// Since when samples come from a host without a break [ns].
     connected_ns: BTreeMap<String, u64>,
 }
 
 impl HubLink {
-    /// Starts the link of a system whose bus exists; `None` when all processes run on one host.
+    /// Starts the link of a system whose bus exists, and whose roles are at `places`; `None` when its file names no host.
     ///
     /// # Errors
-    /// A system without the program `scanloop-link` (exit code 4), and errors of the file system.
-    pub fn start(domain: &Domain, system: &System, logs: &Path) -> anyhow::Result<Option<Self>> {
-        let Some(mut table) = table_of(domain, system) else { return Ok(None) };
-        table.credentials = system.credentials.as_deref().map(require_private).transpose()?;
+    /// A system without the program `scanloop-link` (exit code 2), and errors of the file system.
+    pub fn start(
+        domain: &Domain,
+        system: &System,
+        places: &[Place<'_>],
+        logs: &Path,
+    ) -> anyhow::Result<Option<Self>> {
+        if system.hosts.is_empty() {
+            return Ok(None);
+        }
+        let credentials = system.credentials.as_deref().map(require_private).transpose()?;
+        let mut table = LinkTable {
+            here: HUB.to_owned(),
+            run_id: domain.run_id().to_owned(),
+            period_ns: system.period_ns(),
+            orphan_timeout_ns: system.run_settings(false).orphan_timeout_ns,
+            peers: system.hosts.iter().map(peer_of).collect(),
+            credentials,
+            ..LinkTable::default()
+        };
+        extend(&mut table, places);
         table.write(domain)?;
         let path = logs.join("link.log");
         let log = ChildLog::open(&path).with_context(|| path.display().to_string())?;
         let (domain, status) = (domain.clone(), LinkStatus::default());
-        let mut link = Self {
-            domain,
-            log,
-            child: None,
-            status,
-            read_ns: 0,
-            period_ns: table.period_ns,
-            connected_ns: BTreeMap::new(),
-        };
+        let mut link =
+            Self { domain, table, log, child: None, status, read_ns: 0, connected_ns: BTreeMap::new() };
         link.launch()?;
         Ok(Some(link))
+    }
+
+    /// Has the topics cross that roles at `places` need. Those that crossed before go on.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn reach(&mut self, places: &[Place<'_>]) -> anyhow::Result<()> {
+        let before = self.table.clone();
+        extend(&mut self.table, places);
+        if self.table != before {
+            self.table.write(&self.domain)?;
+        }
+        Ok(())
+    }
+
+    /// Whether a host has published the directive of that number, or a later one.
+    pub fn has_directive(&self, host: &str, sequence: u64) -> bool {
+        let is_there = |host: &LinkedHost| host.is_connected && host.directive >= sequence;
+        self.status.host(host).is_some_and(is_there)
     }
 
     /// Starts the link again if it has ended, and reads its status; returns what a user should know.
@@ -81,6 +111,14 @@ impl HubLink {
                 } else {
                     self.connected_ns.remove(&host.name);
                 }
+            }
+            let own = [before.stood_still_ms, self.status.stood_still_ms];
+            messages.extend(standstill("this host", own));
+            for host in &self.status.hosts {
+                let own = before
+                    .host(&host.name)
+                    .map_or([0; 2], |before| [before.stood_still_ms, host.stood_still_ms]);
+                messages.extend(standstill(&format!("host {}", host.name), own));
             }
             messages.extend(
                 self.status.hosts.iter().filter_map(|host| self.change(before.host(&host.name), host)),
@@ -102,10 +140,14 @@ impl HubLink {
     /// What has changed at a host that matters to a user.
     fn change(&self, before: Option<&LinkedHost>, now: &LinkedHost) -> Option<String> {
         let name = &now.name;
-        let is_wide = |host: &LinkedHost| host.is_locked && host.bound_ns > self.period_ns / 10;
+        let is_wide = |host: &LinkedHost| host.is_locked && host.bound_ns > self.table.period_ns / 10;
         let (was_connected, was_wide) =
             before.map_or((false, false), |host| (host.is_connected, is_wide(host)));
+        let was_refused = before.is_some_and(|host| host.refused == now.refused);
         match (was_connected, now.is_connected) {
+            _ if !now.refused.is_empty() && !was_refused => {
+                Some(format!("host {name}: refused: {}", now.refused))
+            }
             (true, false) => Some(format!("host {name}: nothing comes from it")),
             (false, true) if before.is_some_and(|host| !host.version.is_empty()) => {
                 Some(format!("host {name}: connected again"))
@@ -144,39 +186,40 @@ impl HubLink {
     }
 }
 
-/// The table of the orchestrator's link; `None` when all processes run on one host.
-fn table_of(domain: &Domain, system: &System) -> Option<LinkTable> {
-    let all = crossings(system);
-    if all.is_empty() {
-        return None;
-    }
-    let names = |from: Option<Option<&str>>, to: Option<Option<&str>>| {
-        let is =
-            |wanted: Option<Option<&str>>, found: Option<&str>| wanted.is_none_or(|wanted| wanted == found);
-        let found = all.iter().filter(|one| is(from, one.from) && is(to, one.to));
-        let mut names: Vec<String> = found.map(|one| one.topic.name().to_owned()).collect();
-        names.sort();
-        names.dedup();
-        names
+/// What a user should know when the time for which a host stood still has grown [ms].
+fn standstill(host: &str, [before, now]: [u64; 2]) -> Option<String> {
+    let lost_s = now.saturating_sub(before) as f64 * 1e-3;
+    (now > before).then(|| format!("{host} stood still for {lost_s:.1} s: suspended, stopped or overloaded"))
+}
+
+/// A host, of which nothing is needed yet.
+fn peer_of(host: &HostEntry) -> LinkPeer {
+    let endpoint = endpoint(host.transport, &host.address);
+    LinkPeer { name: host.name.clone(), endpoint, ..LinkPeer::default() }
+}
+
+/// Adds the topics to the table of the orchestrator's link that roles at `places` need.
+fn extend(table: &mut LinkTable, places: &[Place<'_>]) {
+    let add = |list: &mut Vec<String>, topic: Topic| {
+        if !list.iter().any(|name| name == topic.name()) {
+            list.push(topic.name().to_owned());
+            list.sort();
+        }
     };
-    let peers = plan::hosts::hosts(system).flatten().filter_map(|name| {
-        let host = system.hosts.iter().find(|host| host.name == name)?;
-        Some(LinkPeer {
-            name: name.to_owned(),
-            endpoint: endpoint(host.transport, &host.address),
-            receives: names(None, Some(Some(name))),
-            sends: names(Some(Some(name)), None),
-        })
-    });
-    Some(LinkTable {
-        here: HUB.to_owned(),
-        run_id: domain.run_id().to_owned(),
-        period_ns: system.period_ns(),
-        sends: names(Some(None), None),
-        receives: names(None, Some(None)),
-        peers: peers.collect(),
-        credentials: None,
-    })
+    for Crossing { from, to, topic } in crossings_between(places) {
+        match from {
+            None => add(&mut table.sends, topic),
+            Some(_) if to.is_none() => add(&mut table.receives, topic),
+            Some(_) => {}
+        }
+        for peer in &mut table.peers {
+            if from == Some(&peer.name) {
+                add(&mut peer.sends, topic);
+            } else if to == Some(&peer.name) {
+                add(&mut peer.receives, topic);
+            }
+        }
+    }
 }
 
 /// The folder of certificates as an absolute path, if its key is private and its certificates are valid now.
@@ -229,13 +272,13 @@ pub fn pair(host: &str, address: IpAddr, days: u32, folder: &Path) -> anyhow::Re
 /// The program, beside this one or in `PATH`.
 ///
 /// # Errors
-/// Where it was looked for, and the command that builds it; exit code 4.
+/// Where it was looked for, and the command that builds it; exit code 2.
 pub(crate) fn program() -> anyhow::Result<PathBuf> {
     let beside = this_program().parent().map(|folder| folder.join(PROGRAM));
     let path = std::env::var_os("PATH").unwrap_or_default();
     let in_path = std::env::split_paths(&path).map(|folder| folder.join(PROGRAM));
     beside.into_iter().chain(in_path).find(|file| file.is_file()).ok_or_else(|| {
-        Failure::process(format!(
+        Failure::bad_input(format!(
             "{PROGRAM} is neither beside this program nor in PATH; build it with \
              `cargo build --release --manifest-path services/link/Cargo.toml` and copy it there"
         ))

@@ -33,6 +33,9 @@ pub struct Down {
     pub role: Role,
     /// What is to become of it.
     pub order: Order,
+    /// Whether the run was stopped: the wheels are to be blocked for good.
+    #[serde(default)]
+    pub stopped: bool,
     /// How it is started; only with [`Order::Start`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start: Option<Start>,
@@ -70,6 +73,12 @@ pub struct Up {
     pub incarnation: u32,
     /// Its state.
     pub state: State,
+    /// Whether its host knows that the run was stopped.
+    #[serde(default)]
+    pub stopped: bool,
+    /// What the wheels do by the report of the process, if it controls them; after a stop, by a report since then.
+    #[serde(default)]
+    pub wheels: Option<u64>,
     /// The last lines of its log, once it has ended.
     #[serde(default)]
     pub last_lines: Vec<String>,
@@ -147,6 +156,8 @@ mod tests {
             run_id: "abcdefghij".to_owned(),
             incarnation: 7,
             state: State::Killed { signal: 9 },
+            stopped: true,
+            wheels: Some(2),
             last_lines: vec!["a\nb".to_owned()],
         };
         let text = serde_json::to_string(&up).unwrap();

@@ -6,9 +6,9 @@ use std::time::Duration;
 use anyhow::Context;
 use console::exit::{Exit, Failure};
 use runtime::{
-    CANDIDATE_VARIABLE, Domain, INCARNATION_VARIABLE, LINK_SOCKET, LinkTable, Priority, RESTART_VARIABLE,
-    ROLE_VARIABLE, Shutdown, link_version, monotonic_ns, own_settings_file, print, reply_socket,
-    settings_file,
+    CANDIDATE_VARIABLE, Domain, INCARNATION_VARIABLE, LINK_SOCKET, LinkStatus, LinkTable, Priority,
+    RESTART_VARIABLE, ROLE_VARIABLE, Shutdown, StopWord, Wheels, link_version, monotonic_ns,
+    own_settings_file, print, reply_socket, settings_file,
 };
 use rustix::process::{Signal, getpid, kill_process};
 use shared_types::Role;
@@ -17,9 +17,13 @@ use crate::message::{Down, Order, Start, State, Up, handover_of};
 
 /// Time between two messages, and before the first answer [ns].
 const REPEAT_NS: u64 = 100_000_000;
+/// The same once the run was stopped: the command that stopped it waits for the wheels [ns].
+const STOPPED_REPEAT_NS: u64 = 20_000_000;
 const FIRST_REPEAT_NS: u64 = 50_000_000;
 /// An agent that has not answered once within this time can't be reached [ns].
 const REACH_NS: u64 = 8_000_000_000;
+/// After `orphan_timeout_s` without an orchestrator the processes of a host end within this time, the robot last [ns].
+const ORPHAN_END_NS: u64 = 2_000_000_000;
 /// Longest sleep.
 const POLL: Duration = Duration::from_millis(20);
 /// Largest answer [bytes].
@@ -45,12 +49,19 @@ pub fn run(host: &str, implementation: &str) -> anyhow::Result<Exit> {
         incarnation,
         role,
         order: Order::Start,
+        stopped: false,
         start: Some(start_of(&domain, &table, host, role, incarnation, implementation)?),
     };
-    let (begun_ns, mut sent_ns, mut is_known) = (monotonic_ns(), 0, false);
+    let stop_word = StopWord::inherited()?;
+    let ended_ns = table.orphan_timeout_ns.saturating_add(ORPHAN_END_NS);
+    let begun_ns = monotonic_ns();
+    let (mut heard_ns, mut sent_ns, mut is_known) = (begun_ns, 0, false);
     let mut answer = vec![0; ANSWER_BYTES];
     loop {
         let now_ns = monotonic_ns();
+        if !down.stopped && stop_word.as_ref().is_some_and(|word| !word.is_armed()) {
+            (down.stopped, sent_ns) = (true, 0);
+        }
         if shutdown.requested() && down.order != Order::Terminate {
             (down.order, down.start, sent_ns) = (Order::Terminate, None, 0);
             if !is_known {
@@ -58,7 +69,16 @@ pub fn run(host: &str, implementation: &str) -> anyhow::Result<Exit> {
                 return Ok(Exit::Done);
             }
         }
-        if now_ns.saturating_sub(sent_ns) >= if is_known { REPEAT_NS } else { FIRST_REPEAT_NS } {
+        let repeat_ns = match (down.stopped, is_known) {
+            (true, _) => STOPPED_REPEAT_NS,
+            (false, true) => REPEAT_NS,
+            (false, false) => FIRST_REPEAT_NS,
+        };
+        if now_ns.saturating_sub(sent_ns) >= repeat_ns {
+            if !domain.is_current() {
+                // The system is gone, and its link with it; the agent ends what nothing speaks of any more.
+                return Ok(Exit::Done);
+            }
             let message = format!("{host}\n{}", serde_json::to_string(&down)?);
             // A link that is being started again has no socket for a moment.
             let _ = socket.send_to(message.as_bytes(), domain.directory().join(LINK_SOCKET));
@@ -67,9 +87,20 @@ pub fn run(host: &str, implementation: &str) -> anyhow::Result<Exit> {
         if !is_known && now_ns.saturating_sub(begun_ns) > REACH_NS {
             let endpoint =
                 table.peers.iter().find(|peer| peer.name == host).map_or("", |peer| &peer.endpoint);
+            let status = LinkStatus::read(&domain).ok().flatten();
+            let refused = status.as_ref().and_then(|status| status.host(host)).map(|host| &host.refused);
+            if let Some(reason) = refused.filter(|reason| !reason.is_empty()) {
+                return Err(Failure::process(format!("host {host}: refused: {endpoint}: {reason}")));
+            }
             return Err(Failure::process(format!(
                 "host {host}: no agent answers at {endpoint}; start `scanloop agent` there with the name, address and \
                  transport of the system file, and the same version of scanloop"
+            )));
+        }
+        if is_known && now_ns.saturating_sub(heard_ns) > ended_ns {
+            return Err(Failure::process(format!(
+                "host {host}: nothing came from its agent for {:.1} s; by then its processes have ended",
+                ended_ns as f64 * 1e-9
             )));
         }
         let Ok(length) = socket.recv(&mut answer) else { continue };
@@ -77,7 +108,13 @@ pub fn run(host: &str, implementation: &str) -> anyhow::Result<Exit> {
         if up.run_id != down.run_id || up.incarnation != incarnation {
             continue;
         }
-        is_known = true;
+        (is_known, heard_ns) = (true, monotonic_ns());
+        // What it reported before it knew of a stop does not confirm that stop.
+        if let (Some(word), Some(wheels)) = (&stop_word, up.wheels)
+            && up.stopped == down.stopped
+        {
+            word.report(role, Wheels::from(wheels));
+        }
         match up.state {
             State::Running { .. } if down.order == Order::Start => {
                 (down.order, down.start) = (Order::Run, None)

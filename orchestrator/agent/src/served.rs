@@ -6,9 +6,11 @@ use anyhow::Context;
 use runtime::{
     Bus, CANDIDATE_VARIABLE, Domain, LinkTable, StopWord, monotonic_ns, own_settings_file, write_handover,
 };
+use shared_types::Role;
 use supervision::child::{Child, Launch, this_program};
 use supervision::child_log::ChildLog;
 use supervision::environment::{environment_of, variable};
+use supervision::halt;
 use supervision::lock::{Claim, SystemLock};
 use supervision::supervisor::Exit;
 
@@ -38,6 +40,7 @@ pub(crate) struct Served {
 
 /// One process.
 struct ServedProcess {
+    role: Role,
     incarnation: u32,
     child: Child,
     log: ChildLog,
@@ -57,6 +60,7 @@ impl Served {
             here: host.to_owned(),
             run_id: down.run_id.clone(),
             period_ns: start.period_ns,
+            orphan_timeout_ns: 0,
             sends: start.sends.clone(),
             receives: start.receives.clone(),
             peers: Vec::new(),
@@ -88,6 +92,9 @@ impl Served {
     pub(crate) fn obey(&mut self, down: &Down, offset_ns: Option<i64>, logs: &Path) -> Option<Up> {
         let now_ns = monotonic_ns();
         self.heard_ns = now_ns;
+        if down.stopped {
+            self.stop_word.latch();
+        }
         let known = self.processes.iter().position(|process| process.incarnation == down.incarnation);
         match (known, down.order, &down.start) {
             (Some(index), order, _) => {
@@ -126,6 +133,7 @@ impl Served {
         let child = Child::spawn(&Launch { command, environment }, &log)?;
         let heard_ns = monotonic_ns();
         self.processes.push(ServedProcess {
+            role,
             incarnation,
             child,
             log,
@@ -143,7 +151,14 @@ impl Served {
         let mut ended = Vec::new();
         for process in self.processes.iter_mut().filter(|process| process.ended.is_none()) {
             if could_tell && now_ns.saturating_sub(process.heard_ns) > FORGOTTEN_NS {
-                let _ = process.child.kill();
+                match process.role {
+                    // It ends at rest: a robot that is killed while it moves can't be stopped any more.
+                    Role::Robot => {
+                        self.stop_word.latch();
+                        let _ = process.child.terminate();
+                    }
+                    _ => _ = process.child.kill(),
+                }
             }
             if let Ok(Some(exit)) = process.child.try_wait() {
                 let lines = process.log.last_lines(LAST_LINES).unwrap_or_default();
@@ -172,11 +187,38 @@ impl Served {
         !self.is_wanted() && self.processes.iter().all(|process| process.ended.is_some())
     }
 
+    /// Ends all processes: the wheels are blocked first, and a robot ends at rest. Returns a message for each.
+    pub(crate) fn end(&mut self) -> Vec<Up> {
+        let is_running = |process: &mut ServedProcess| matches!(process.child.try_wait(), Ok(None));
+        if self.processes.iter_mut().any(is_running) {
+            halt::end_own_run(&self.domain, &self.stop_word);
+        }
+        let ended = self.watch(false);
+        // A robot that is not known to rest is left.
+        self.processes.iter_mut().for_each(|process| process.child.release());
+        ended
+    }
+
     fn state_of(&self, incarnation: u32) -> Option<Up> {
         let process = self.processes.iter().find(|process| process.incarnation == incarnation)?;
         let running = || (State::Running { pid: process.child.pid() }, Vec::new());
         let (state, last_lines) = process.ended.clone().unwrap_or_else(running);
-        Some(Up { run_id: self.run_id.clone(), incarnation, state, last_lines })
+        let stopped = !self.stop_word.is_armed();
+        let (wheels, seen_ns) = self.stop_word.wheels(process.role);
+        let is_news = seen_ns > 0 && seen_ns >= self.stop_word.stopped_ns();
+        let wheels = (has_wheels(process.role) && is_news).then_some(wheels as u64);
+        Some(Up { run_id: self.run_id.clone(), incarnation, state, stopped, wheels, last_lines })
+    }
+}
+
+/// Whether the process of a role reports what the wheels do.
+fn has_wheels(role: Role) -> bool {
+    matches!(role, Role::Robot | Role::Actuator)
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        let _ = self.end();
     }
 }
 
@@ -186,7 +228,8 @@ pub(crate) fn refusal(down: &Down, reason: String) -> Up {
 }
 
 fn answer(down: &Down, state: State) -> Up {
-    Up { run_id: down.run_id.clone(), incarnation: down.incarnation, state, last_lines: Vec::new() }
+    let Down { run_id, incarnation, .. } = down.clone();
+    Up { run_id, incarnation, state, stopped: false, wheels: None, last_lines: Vec::new() }
 }
 
 fn state_of(exit: Exit) -> State {

@@ -19,6 +19,10 @@
 //! * **Standby**: the new one is in charge from `from_scan` on. It is rolled back when it ends, when an output is
 //!   invalid or disagrees, or when it has none 1.2 periods after its last one and the old one has. That is before the
 //!   actuator, which waits for 1.5 periods, blocks the wheels; above 125 Hz [`HANG_NS`] is longer than that.
+//! Across hosts a directive may be lost or late. Before the change the new one is announced, with no scan yet. Once all
+//! hosts have acknowledged that, each keeps its samples aside until it learns the scan, so a late directive loses none.
+//! Without an acknowledgement within [`ACKNOWLEDGE_NS`] the new one is refused.
+//!
 //! * **Settling**: the decision is carried out; the scans that the certificate covers are still being recorded.
 //!
 //! Assumptions, and where they fail: both processes fill the stamps of their samples (the runtime does). If one
@@ -66,6 +70,8 @@ pub const HANG_NS: u64 = 4_000_000;
 pub const LOCKSTEP_TIMEOUT_NS: u64 = 500_000_000;
 /// Scans between the newest one and the first of the new process: all processes have the directive by then.
 const NOTICE_SCANS: u64 = 2;
+/// The hosts acknowledge that a process is about to take over within this time, or it is refused [ns].
+pub const ACKNOWLEDGE_NS: u64 = 3_000_000_000;
 /// Recorded scans are waited for this long after the decision [ns].
 const SETTLE_NS: u64 = 2_000_000_000;
 
@@ -92,6 +98,8 @@ pub struct SwapPlan {
     pub period_ns: u64,
     /// Whether time is simulated.
     pub lockstep: bool,
+    /// Whether a change of authority is known everywhere at once; false across hosts, which acknowledge it first.
+    pub is_acknowledged: bool,
 }
 
 /// One of the two processes.
@@ -136,6 +144,8 @@ pub enum SwapEvent {
     Output(Party, Output),
     /// A process ended, and how.
     Exited(Party, String),
+    /// All hosts have the last change of authority; repeated while that holds.
+    Acknowledged,
     /// A scan was recorded; they come in order.
     Recorded(Recorded),
     /// The last event of a turn; time has passed.
@@ -183,6 +193,8 @@ pub struct Swap {
     from_scan: u64,
     until_scan: u64,
     settled_at: u64,
+    /// When the hosts were told who is about to take over.
+    announced_ns: Option<u64>,
     comparison: Comparison,
     scan_record: ScanRecord,
     certificate: Certificate,
@@ -206,6 +218,7 @@ impl Swap {
             from_scan: u64::MAX,
             until_scan: u64::MAX,
             settled_at: 0,
+            announced_ns: None,
             comparison: Comparison::default(),
             scan_record: ScanRecord::default(),
             certificate,
@@ -272,6 +285,7 @@ impl Swap {
                 }
                 Stage::Settling | Stage::Over => {}
             },
+            SwapEvent::Acknowledged => self.plan.is_acknowledged |= self.announced_ns.is_some(),
             SwapEvent::Recorded(recorded) => self.recorded(&recorded),
             SwapEvent::Tick => self.tick(now_ns, &mut actions),
             SwapEvent::RunEnds => self.run_ends(now_ns, &mut actions),
@@ -312,7 +326,17 @@ impl Swap {
             return self.give_up(now_ns, reason, actions);
         }
         if self.stage == Stage::Shadowing && self.comparison.good_in_a_row >= self.plan.shadow_scans {
-            self.take_over(actions);
+            match self.plan.is_acknowledged {
+                true => self.take_over(actions),
+                false => self.announce(now_ns, actions),
+            }
+        }
+        if self.stage == Stage::Shadowing
+            && self.announced_ns.is_some_and(|since_ns| now_ns.saturating_sub(since_ns) >= ACKNOWLEDGE_NS)
+        {
+            let limit_s = ACKNOWLEDGE_NS / 1_000_000_000;
+            return self
+                .refuse(format!("a host has not acknowledged the handover within {limit_s} s"), actions);
         }
         if self.stage == Stage::Shadowing
             && let Some(reason) = self.comparison.timed_out(now_ns, &self.plan)
@@ -321,6 +345,15 @@ impl Swap {
         }
         if self.stage == Stage::Standby && self.comparison.good_in_charge >= self.plan.standby_scans {
             self.commit(now_ns, 0, String::new(), actions);
+        }
+    }
+
+    /// Tells all hosts who is about to take over, from no scan on yet.
+    fn announce(&mut self, now_ns: u64, actions: &mut Vec<SwapAction>) {
+        if self.announced_ns.is_none() {
+            self.announced_ns = Some(now_ns);
+            let (incarnation, previous) = (self.plan.new, self.plan.old);
+            actions.push(SwapAction::Authorise(Authority { incarnation, previous, from_scan: u64::MAX }));
         }
     }
 
@@ -347,7 +380,7 @@ impl Swap {
     }
 
     fn refuse(&mut self, reason: String, actions: &mut Vec<SwapAction>) {
-        if self.stage == Stage::Standby {
+        if self.stage == Stage::Standby || self.announced_ns.is_some() {
             actions.push(SwapAction::Authorise(alone(self.plan.old)));
         }
         actions.push(SwapAction::KillNew);

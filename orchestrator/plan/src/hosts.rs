@@ -1,7 +1,7 @@
 //! The hosts of a system: which process runs where, and which topics cross between them.
 //!
-//! A process without the key `host` runs on the host of the orchestrator. Robot and actuator do so always: then a stop,
-//! a landing and the dead man need no network.
+//! A process without the key `host` runs on the host of the orchestrator. Robot and actuator are on one host: there the
+//! wheels are blocked when nothing comes any more, and that needs no network.
 
 #[cfg(test)]
 mod tests;
@@ -70,25 +70,37 @@ pub struct Crossing<'a> {
     pub topic: Topic,
 }
 
-/// The topics that cross between the hosts of a system.
+/// A role, and a host that it has a process on; `None` is the host of the orchestrator. While a role moves it has two.
+pub type Place<'a> = (Role, Option<&'a str>);
+
+/// Where the roles of a system are when it starts.
+pub fn places(system: &System) -> impl Iterator<Item = Place<'_>> {
+    system.roles().map(|entry| (entry.role(), entry.host.as_deref()))
+}
+
+/// The topics that cross between the hosts of a system when it starts.
+pub fn crossings(system: &System) -> Vec<Crossing<'_>> {
+    crossings_between(&places(system).collect::<Vec<_>>())
+}
+
+/// The topics that cross between hosts.
 ///
 /// A topic of the loop crosses to each host where a role reads it. The orchestrator observes them all. Directives cross to
 /// each host, heartbeats and checkpoints from each to the orchestrator.
-pub fn crossings(system: &System) -> Vec<Crossing<'_>> {
-    let host_of = |role: Role| system.entry(role).and_then(|entry| entry.host.as_deref());
+pub fn crossings_between<'a>(places: &[Place<'a>]) -> Vec<Crossing<'a>> {
+    let mut hosts = vec![None];
+    for (_, host) in places {
+        if !hosts.contains(host) {
+            hosts.push(*host);
+        }
+    }
     let mut found = Vec::new();
     for topic in TOPICS {
-        for to in hosts(system) {
-            let reads = |role: &&Role| host_of(**role) == to && role.reads().contains(&topic);
-            let from = match topic.writer() {
-                Some(writer) => host_of(writer),
-                None => None,
-            };
-            if topic.writer().is_some()
-                && from != to
-                && (to.is_none() || Role::ALL.iter().any(|role| reads(&role)))
-            {
-                found.push(Crossing { from, to, topic });
+        for to in hosts.iter().copied() {
+            let is_read = places.iter().any(|(role, host)| *host == to && role.reads().contains(&topic));
+            let writers = places.iter().filter(|(role, _)| topic.writer() == Some(*role));
+            for (_, from) in writers.filter(|(_, from)| *from != to && (to.is_none() || is_read)) {
+                found.push(Crossing { from: *from, to, topic });
             }
             match topic {
                 Topic::Directive if to.is_some() => found.push(Crossing { from: None, to, topic }),
@@ -144,11 +156,6 @@ pub fn endpoint(transport: Transport, address: &str) -> String {
     format!("{}/{address}{options}", transport.name())
 }
 
-/// Whether the process of a role may run on another host than its orchestrator.
-pub fn may_be_elsewhere(role: Role) -> bool {
-    !matches!(role, Role::Robot | Role::Actuator)
-}
-
 /// Requires certificates for a transport that needs them.
 ///
 /// # Errors
@@ -187,15 +194,13 @@ pub(crate) fn validate(system: &System) -> Result<(), Invalid> {
             return refuse("address", &host.address, "each address once");
         }
     }
-    if hosts(system).count() > 1 {
-        for host in &system.hosts {
-            require_credentials(host.transport, system.credentials.as_deref())?;
-        }
+    for host in &system.hosts {
+        require_credentials(host.transport, system.credentials.as_deref())?;
     }
     for (index, entry) in system.processes.iter().enumerate() {
         validate_process(system, entry).map_err(|invalid| invalid.within(&format!("process[{index}]")))?;
     }
-    require_robot_here(system)?;
+    require_robot_together(system)?;
     if hosts(system).count() > 1 && (system.companions().next().is_some() || !system.topics.is_empty()) {
         let (key, count) = match system.topics.len() {
             0 => ("process.role", "companion".to_owned()),
@@ -227,8 +232,8 @@ fn validate_process(system: &System, entry: &ProcessEntry) -> Result<(), Invalid
     Ok(())
 }
 
-/// The stop needs no network: the wheels are blocked by two processes on one host, and that of the orchestrator.
-fn require_robot_here(system: &System) -> Result<(), Invalid> {
+/// The stop needs no network: the wheels are blocked by two processes on one host.
+fn require_robot_together(system: &System) -> Result<(), Invalid> {
     let [robot, actuator] =
         [Role::Robot, Role::Actuator].map(|role| system.entry(role).and_then(|entry| entry.host.as_deref()));
     if robot != actuator {
@@ -240,14 +245,7 @@ fn require_robot_here(system: &System) -> Result<(), Invalid> {
             "the same for robot and actuator: a stop needs no network",
         ));
     }
-    match robot {
-        Some(host) => Err(Invalid::new(
-            "process.host",
-            format!("{host} for robot and actuator"),
-            "no `host` for robot and actuator: they run where `scanloop run` is typed",
-        )),
-        None => Ok(()),
-    }
+    Ok(())
 }
 
 /// Checks that the id of the system on each of its hosts, `ID-HOST`, is short enough.
@@ -255,7 +253,8 @@ fn require_robot_here(system: &System) -> Result<(), Invalid> {
 /// # Errors
 /// The first host for which it is too long, as a sentence.
 pub fn require_short_ids(system: &System, system_id: &str) -> Result<(), String> {
-    match hosts(system).flatten().find(|host| system_id.len() + 1 + host.len() > MAX_ID) {
+    let mut names = system.hosts.iter().map(|host| &host.name);
+    match names.find(|host| system_id.len() + 1 + host.len() > MAX_ID) {
         Some(host) => Err(format!(
             "system id {system_id} is not allowed: `{system_id}-{host}` on host {host} has more than {MAX_ID} characters"
         )),

@@ -27,7 +27,7 @@ settings! {
         /// All processes end when no directive of an orchestrator has come for this long [s].
         pub orphan_timeout_s: f64 = 30.0, 1.0..=3600.0;
         /// The wheels are blocked when no directive has come for this long, until one comes; without the key 5.0, or
-        /// `orphan_timeout_s` if that is less [s].
+        /// `orphan_timeout_s` if that is less, and 0.5 with the actuator on another host [s].
         pub orphan_stop_s: Option<f64> = None, "0.5 to `orphan_timeout_s`";
         /// The robot as all stages know it. An explicit `robot.KEY` of the scenario also holds here, unless the key is set.
         pub vehicle: Description = Description::default();
@@ -112,7 +112,9 @@ impl System {
 
     /// How long the wheels may turn without a directive [s].
     pub fn orphan_stop_s(&self) -> f64 {
-        self.orphan_stop_s.unwrap_or_else(|| self.orphan_timeout_s.min(ORPHAN_STOP_S))
+        let is_elsewhere = self.entry(Role::Actuator).is_some_and(|entry| entry.host.is_some());
+        let default_s = if is_elsewhere { MIN_ORPHAN_STOP_S } else { ORPHAN_STOP_S };
+        self.orphan_stop_s.unwrap_or_else(|| self.orphan_timeout_s.min(default_s))
     }
 
     /// The scan period [ns].

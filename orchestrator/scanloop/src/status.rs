@@ -31,6 +31,9 @@ pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
 /// Another host: its clock, and the samples that it dropped.
 fn host_line(host: &LinkedHost) -> String {
     let LinkedHost { name, offset_ns, bound_ns, round_trip_ns, clocks_lost, counts, .. } = host;
+    if !host.refused.is_empty() {
+        return format!("host {name}: refused: {}\n", host.refused);
+    }
     if !host.is_connected {
         return format!("host {name}: not connected\n");
     }
@@ -38,9 +41,13 @@ fn host_line(host: &LinkedHost) -> String {
         return format!("host {name}: connected, its clock is not locked\n");
     }
     let us = |ns: u64| ns as f64 * 1e-3;
+    let still = match host.stood_still_ms {
+        0 => String::new(),
+        lost_ms => format!(", stood still for {:.1} s", lost_ms as f64 * 1e-3),
+    };
     let lost = if *clocks_lost > 0 { format!(", lost {clocks_lost} times") } else { String::new() };
     format!(
-        "host {name}: connected, clock {:+.3} s within {:.0} us{lost}, round trip {:.0} us; {} received, dropped {} old, \
+        "host {name}: connected, clock {:+.3} s within {:.0} us{lost}{still}, round trip {:.0} us; {} received, dropped {} old, \
          {} by clock, {} damaged\n",
         *offset_ns as f64 * 1e-9,
         us(*bound_ns),

@@ -13,8 +13,9 @@ use session::control::{Reply, Request, Successor, ask};
 pub struct SuccessorArguments {
     /// Role of the process: robot, estimator, obstacles, controller or actuator. `swap` also takes the name of a companion.
     pub role: String,
-    /// Built-in implementation: emulator, player, ekf, ellipses, nmpc or actuation.
-    #[arg(long, value_name = "IMPLEMENTATION", group = "successor")]
+    /// Built-in implementation: emulator, player, ekf, ellipses, nmpc or actuation. With `@HOST` it runs on that `[[host]]`
+    /// of the system file, or on the host of `run` for `@orchestrator`; without, on the host where the role is.
+    #[arg(long, value_name = "IMPLEMENTATION[@HOST]", group = "successor")]
     pub to: Option<String>,
     /// Program of your own that fills the role, with its arguments.
     #[arg(last = true, value_name = "COMMAND", group = "successor")]
@@ -29,7 +30,12 @@ impl SuccessorArguments {
     pub(crate) fn named(&self) -> anyhow::Result<Successor> {
         let role = self.role.parse().map_err(Failure::bad_input)?;
         let command = (!self.command.is_empty()).then(|| self.command_from_here());
-        Ok(Successor { role, implementation: self.to.clone(), command })
+        let (implementation, host) = match self.to.as_deref().map(|to| to.split_once('@').ok_or(to)) {
+            Some(Ok((name, host))) => (Some(name.to_owned()), Some(host.to_owned())),
+            Some(Err(name)) => (Some(name.to_owned()), None),
+            None => (None, None),
+        };
+        Ok(Successor { role, implementation, command, host })
     }
 
     /// The command as the orchestrator finds it.

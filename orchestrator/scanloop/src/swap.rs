@@ -88,7 +88,7 @@ pub(crate) fn swap(system_id: &str, arguments: &SwapArguments) -> anyhow::Result
 /// Keys that do not belong to one role, values that are not allowed, and as [`swap`]; exit code 2.
 pub(crate) fn set(system_id: &str, arguments: &SetArguments) -> anyhow::Result<Exit> {
     let role = change::role_of(&arguments.set)?;
-    let successor = Successor { role, implementation: None, command: None };
+    let successor = Successor { role, implementation: None, command: None, host: None };
     let request = arguments.gate.request(successor, arguments.set.clone())?;
     finish(&supervision::runs::existing(system_id)?, request, arguments.gate.json)
 }

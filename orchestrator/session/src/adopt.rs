@@ -7,7 +7,6 @@
 //! Where this fails: the kernel does not report how an adopted process ends, so an exit with code 0 counts as a failure;
 //! a swap in progress is over without a certificate; and the sample audit begins with the first scan that is received.
 
-use agent::link::HubLink;
 use console::exit::{Exit, Failure};
 use plan::change;
 use runtime::{Bus, Domain, Priority, RuntimeError, Shutdown, StopWord, latch_on_crash, monotonic_ns, print};
@@ -24,6 +23,7 @@ use crate::own_processes::OwnProcesses;
 use crate::process_registry::{ProcessRegistry, RoleRow, RunFile};
 use crate::results::conclude;
 use crate::session::Session;
+use crate::start::start_link;
 use crate::startup::{RunOptions, Startup};
 use crate::survivors::Survivors;
 
@@ -122,7 +122,7 @@ pub(crate) fn take_over(
     let judged_by = registry.judged_by;
     let generation = directive.header.incarnation;
     let companions = OwnProcesses::new(&bus, domain, &stop_word, &plan, false, generation, &options.out)?;
-    let link = HubLink::start(domain, &plan.system, &options.out.join("logs"))?;
+    let link = start_link(domain, &plan, &fleet, &options)?;
     let startup = Startup {
         bus,
         stop_word,

@@ -124,8 +124,11 @@ pub struct ProcessStatus {
     /// The role.
     #[serde(with = "role_name")]
     pub role: Role,
-    /// Built-in implementation, or the command.
+    /// Built-in implementation, with its host when that is another one, or the command.
     pub implementation: String,
+    /// Name of the host that it runs on; null for the one of the orchestrator.
+    #[serde(default)]
+    pub host: Option<String>,
     /// Process id, 0 when none runs.
     pub pid: i32,
     /// starting, ready, standby, shadow, hung, backoff, failed or stopped.
@@ -227,6 +230,7 @@ impl ProcessStatus {
         Self {
             role,
             implementation: String::new(),
+            host: None,
             pid: 0,
             state,
             restarts: 0,

@@ -67,6 +67,7 @@ fn status(domain: &Domain) -> Option<Status> {
         };
         ProcessStatus {
             implementation: row.entry.label(),
+            host: row.entry.host.clone(),
             pid: process.pid().cast_signed(),
             restarts: survivors.registry.of(row.role).map_or(0, |row| row.restarts),
             cpu_percent: 100.0 * (cpu(process.pid()) - before_s).max(0.0) / elapsed_s.max(1e-3),

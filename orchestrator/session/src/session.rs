@@ -92,6 +92,8 @@ pub struct Session {
     noticed: Noticed,
     /// The bridge to the other hosts, if there are any.
     link: Option<HubLink>,
+    /// Number of the directive with the last change of authority by a swap.
+    authorised: u64,
     /// The first events for the supervisor: to start all processes, or those that were adopted.
     startup: Vec<Event>,
     // Dropped last, in this order: the ports above, the bus, then the processes and all files of the system.
@@ -106,6 +108,8 @@ struct Run {
     scenario: String,
     lockstep: bool,
     period_ns: u64,
+    /// Names of the other hosts of the system file.
+    hosts: Vec<String>,
 }
 
 impl Session {
@@ -163,7 +167,15 @@ impl Session {
             companion: None,
             noticed: Noticed::default(),
             link,
-            run: Run { domain: domain.clone(), stop_word, scenario, lockstep, period_ns },
+            run: Run {
+                domain: domain.clone(),
+                stop_word,
+                scenario,
+                lockstep,
+                period_ns,
+                hosts: plan.system.hosts.iter().map(|host| host.name.clone()).collect(),
+            },
+            authorised: 0,
             startup: events,
             shutdown,
             bus,

@@ -43,7 +43,7 @@ pub fn start(
         logs,
         false,
     )?;
-    let link = HubLink::start(domain, &plan.system, &options.out.join("logs"))?;
+    let link = start_link(domain, plan, &fleet, options)?;
     let companions = OwnProcesses::new(&bus, domain, &stop_word, plan, options.lockstep, 1, &options.out)?;
     let mut directive = Directive::default();
     directive.header.incarnation = 1;
@@ -61,6 +61,23 @@ pub fn start(
         link,
     };
     Session::new(domain, plan, options, startup)
+}
+
+/// Starts the link to the other hosts of a system, for the places of its roles in `fleet`.
+///
+/// # Errors
+/// As [`HubLink::start`].
+pub(crate) fn start_link(
+    domain: &Domain,
+    plan: &Plan,
+    fleet: &Fleet,
+    options: &RunOptions,
+) -> anyhow::Result<Option<HubLink>> {
+    // In lock-step nothing crosses, so that a host of which nothing is used changes nothing.
+    if options.lockstep {
+        return Ok(None);
+    }
+    HubLink::start(domain, &plan.system, &fleet.places().collect::<Vec<_>>(), &options.out.join("logs"))
 }
 
 /// Refuses what does not work across hosts, before anything is made.

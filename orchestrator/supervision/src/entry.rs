@@ -37,7 +37,7 @@ settings! {
         /// Program of your own with its arguments, which fills the role instead.
         pub command: Option<Vec<String>> = None, "a list of texts, instead of `implementation`";
         /// Name of the `[[host]]` that the process runs on; without the key the one where `scanloop run` is typed.
-        pub host: Option<String> = None, "a name of a `[[host]]`; a companion, the robot and the actuator have none";
+        pub host: Option<String> = None, "a name of a `[[host]]`, the same for robot and actuator; a companion has none";
         /// When a process that ended is started again. With `on-failure` an end with exit code 0 ends the run; the robot is
         /// never started again.
         pub restart: Restart = Restart::OnFailure;

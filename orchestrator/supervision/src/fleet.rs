@@ -147,6 +147,13 @@ impl Fleet {
         self.members.get(&role).map(|member| &member.entry)
     }
 
+    /// Where the processes of roles run, candidates included; `None` is this host.
+    pub fn places(&self) -> impl Iterator<Item = (Role, Option<&str>)> {
+        let members = self.members.values().map(|member| &member.entry);
+        let entries = members.chain(self.candidates.iter().map(|process| &process.entry));
+        entries.map(|entry| (entry.role(), entry.host.as_deref()))
+    }
+
     /// The incarnation that fills a role, or did last; 0 before the first.
     pub fn incarnation(&self, role: Role) -> u32 {
         self.members.get(&role).map_or(0, |member| member.incarnation)
@@ -249,10 +256,10 @@ impl Fleet {
         }
     }
 
-    /// Process id, implementation and load of the candidate of that incarnation.
-    pub fn candidate(&mut self, incarnation: u32) -> Option<(u32, String, Load)> {
+    /// Process id, entry and load of the candidate of that incarnation.
+    pub fn candidate(&mut self, incarnation: u32) -> Option<(u32, ProcessEntry, Load)> {
         let process = self.candidates.iter_mut().find(|process| process.incarnation == incarnation)?;
-        Some((process.child.pid(), process.entry.label(), process.load()))
+        Some((process.child.pid(), process.entry.clone(), process.load()))
     }
 
     fn take_candidate(&mut self, incarnation: u32) -> Option<Process> {

@@ -128,7 +128,7 @@ pub fn end_processes(run: &LivingRun) -> Vec<String> {
 }
 
 /// Ends the processes of the run that this orchestrator drove and gives up: first the wheels are blocked.
-pub(crate) fn end_own_run(domain: &Domain, stop_word: &StopWord) {
+pub fn end_own_run(domain: &Domain, stop_word: &StopWord) {
     stop_word.latch();
     let Some(run) = LivingRun::of(domain.run_id()) else { return };
     block(&run);

@@ -1,4 +1,4 @@
-//! The bridge of one host: a thread for each topic that leaves, one for all that arrive, and the probe of clocks.
+//! The bridge of one host: the topics that cross, the probe of clocks, and messages to and from agents.
 
 use std::collections::BTreeMap;
 use std::os::unix::net::UnixDatagram;
@@ -8,20 +8,20 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use runtime::{
-    Domain, HUB, LINK_SOCKET, LinkStatus, LinkTable, LinkedHost, Shutdown, monotonic_ns, reply_socket,
+    Domain, HUB, LINK_SOCKET, LinkStatus, LinkTable, LinkedHost, Shutdown, boottime_ns, monotonic_ns,
+    reply_socket,
 };
-use shared_types::Topic;
 use zenoh::pubsub::Subscriber;
 use zenoh::qos::Priority;
 use zenoh::{Session, Wait};
 
 use crate::clock::Probe;
+use crate::flows::{Flows, Tables, topics_of};
 use crate::link::Link;
-use crate::network::{self, Place, agent_key, clock_key, publisher, status_key, subscribe, topic_key};
-use crate::{receiver, sender};
+use crate::network::{self, Place, agent_key, clock_key, publisher, status_key, subscribe, table_key};
+use crate::refusals;
+use crate::standstill::Standstill;
 
-/// Frames that wait to be published here; a burst beyond that is old anyway.
-const INCOMING: usize = 256;
 /// Time between two probes of clocks, and until the clock is locked.
 const PROBE: Duration = Duration::from_millis(100);
 const PROBE_AT_START: Duration = Duration::from_millis(20);
@@ -35,6 +35,7 @@ const MESSAGE_BYTES: usize = 1 << 20;
 /// A running bridge; it ends when dropped.
 pub(crate) struct Bridge {
     pub(crate) link: Arc<Link>,
+    flows: Arc<Mutex<Flows>>,
     threads: Vec<JoinHandle<()>>,
     _subscribers: Vec<Subscriber<()>>,
 }
@@ -46,44 +47,29 @@ impl Bridge {
     /// Unknown topics, and what Zenoh refuses. Errors of the bus end the link later.
     pub(crate) fn start(session: &Session, domain: &Domain, table: &LinkTable) -> anyhow::Result<Self> {
         let link = Arc::new(Link::new(table));
-        let mut bridge = Self { link: Arc::clone(&link), threads: Vec::new(), _subscribers: Vec::new() };
-        let LinkTable { here, run_id, .. } = table;
-        let topics =
-            |names: &[String]| names.iter().map(|name| name.parse()).collect::<Result<Vec<Topic>, _>>();
-        let (into, receives) = (sync_channel(INCOMING), topics(&table.receives)?);
-        for topic in receives.iter().copied() {
-            let (channel, shared) = (into.0.clone(), Arc::clone(&link));
-            bridge._subscribers.push(subscribe(session, topic_key(run_id, topic, "*"), move |_, frame| {
-                if channel.try_send((topic, frame.to_vec())).is_err() {
-                    shared.counters.old.add(1);
-                }
-            })?);
-        }
-        let (shared, place) = (Arc::clone(&link), domain.clone());
-        bridge.spawn(move || receiver::run(&shared, &place, &receives, &into.1));
-        for topic in topics(&table.sends)? {
-            // States and reports never wait in front of samples that drive.
-            let is_of_loop = topic.writer().is_some() || topic == Topic::Directive;
-            let priority = if is_of_loop { Priority::RealTime } else { Priority::DataHigh };
-            let out = publisher(session, topic_key(run_id, topic, here), priority)?;
-            let (shared, place) = (Arc::clone(&link), domain.clone());
-            bridge.spawn(move || sender::run(shared, &place, topic, out));
-        }
-        match here == HUB {
+        let flows = Arc::new(Mutex::new(Flows::new(&link, session, domain)));
+        let mut bridge = Self { link, flows, threads: Vec::new(), _subscribers: Vec::new() };
+        bridge.extend(&table.receives, &table.sends)?;
+        match table.here == HUB {
             true => bridge.answer_clocks(session)?,
-            false => bridge.follow_clock(session)?,
+            false => {
+                bridge.follow_clock(session)?;
+                bridge.follow_topics(session)?;
+            }
         }
         Ok(bridge)
     }
 
+    /// Has further topics cross; those that do already are left alone.
+    ///
+    /// # Errors
+    /// As [`Bridge::start`].
+    pub(crate) fn extend(&self, receives: &[String], sends: &[String]) -> anyhow::Result<()> {
+        self.flows.lock().unwrap_or_else(PoisonError::into_inner).extend(receives, sends)
+    }
+
     fn spawn(&mut self, work: impl FnOnce() -> anyhow::Result<()> + Send + 'static) {
-        let link = Arc::clone(&self.link);
-        self.threads.push(std::thread::spawn(move || {
-            if let Err(error) = work() {
-                runtime::print(runtime::Priority::Error, &format!("error: scanloop-link: {error:#}"));
-                link.end();
-            }
-        }));
+        self.threads.push(self.link.spawn(work));
     }
 
     /// Answers the question of each host for the time.
@@ -109,6 +95,27 @@ impl Bridge {
         Ok(())
     }
 
+    /// Has topics cross as the orchestrator's link says: a role that moves needs others.
+    fn follow_topics(&mut self, session: &Session) -> anyhow::Result<()> {
+        let LinkTable { run_id, here, .. } = &self.link.table;
+        let (into, tables) = sync_channel(1);
+        self._subscribers.push(subscribe(session, table_key(run_id, here), move |_, text| {
+            // It is repeated.
+            let _ = into.try_send(text.to_vec());
+        })?);
+        let (shared, flows) = (Arc::clone(&self.link), Arc::clone(&self.flows));
+        self.spawn(move || {
+            while shared.is_running() {
+                let Ok(text) = tables.recv_timeout(REPORT) else { continue };
+                if let Some((receives, sends)) = std::str::from_utf8(&text).ok().and_then(topics_of) {
+                    flows.lock().unwrap_or_else(PoisonError::into_inner).extend(&receives, &sends)?;
+                }
+            }
+            Ok(())
+        });
+        Ok(())
+    }
+
     /// Asks for the time, and reports what was found.
     fn follow_clock(&mut self, session: &Session) -> anyhow::Result<()> {
         let LinkTable { run_id, here, .. } = self.link.table.clone();
@@ -128,11 +135,15 @@ impl Bridge {
         let report = publisher(session, status_key(&run_id, &here), Priority::InteractiveHigh)?;
         let shared = Arc::clone(&self.link);
         self.spawn(move || {
-            let mut reported_ns = 0;
+            let (mut reported_ns, mut standstill) = (0, Standstill::default());
             while shared.is_running() {
                 let _ = question.put(monotonic_ns().to_le_bytes().as_slice()).wait();
                 let status = shared.status();
-                std::thread::sleep(if status.is_locked { PROBE } else { PROBE_AT_START });
+                let pause = if status.is_locked { PROBE } else { PROBE_AT_START };
+                std::thread::sleep(pause);
+                if standstill.wake(boottime_ns(), pause.as_nanos() as u64).is_some() {
+                    shared.note_standstill(standstill.lost_ms());
+                }
                 if monotonic_ns().saturating_sub(reported_ns) >= REPORT.as_nanos() as u64 {
                     reported_ns = monotonic_ns();
                     let _ = report.put(status.to_text()).wait();
@@ -148,6 +159,7 @@ impl Drop for Bridge {
     fn drop(&mut self) {
         self.link.end();
         self.threads.drain(..).for_each(|thread| _ = thread.join());
+        self.flows.lock().unwrap_or_else(PoisonError::into_inner).join();
     }
 }
 
@@ -190,7 +202,8 @@ pub(crate) fn run_hub(domain: &Domain, table: &LinkTable) -> anyhow::Result<()> 
             publisher(&session, agent_key(&peer.name, "down"), Priority::InteractiveHigh)?,
         );
     }
-    let (mut message, mut written_ns) = (vec![0; MESSAGE_BYTES], 0);
+    let tables = Tables::new(&session, table)?;
+    let (mut message, mut written_ns, mut standstill) = (vec![0; MESSAGE_BYTES], 0, Standstill::default());
     while !shutdown.requested() && bridge.link.is_running() && domain.is_current() {
         if let Ok(length) = orders.recv(&mut message) {
             let mut parts = message[..length].splitn(2, |byte| *byte == b'\n');
@@ -202,6 +215,13 @@ pub(crate) fn run_hub(domain: &Domain, table: &LinkTable) -> anyhow::Result<()> 
         let now_ns = monotonic_ns();
         if now_ns.saturating_sub(written_ns) >= REPORT.as_nanos() as u64 {
             written_ns = now_ns;
+            if standstill.wake(boottime_ns(), REPORT.as_nanos() as u64).is_some() {
+                bridge.link.note_standstill(standstill.lost_ms());
+            }
+            if let Some(table) = LinkTable::read(domain)? {
+                bridge.extend(&table.receives, &table.sends)?;
+                tables.publish(&table);
+            }
             status_of(&bridge.link, &heard.lock().unwrap_or_else(PoisonError::into_inner), now_ns)
                 .write(domain)?;
         }
@@ -210,12 +230,21 @@ pub(crate) fn run_hub(domain: &Domain, table: &LinkTable) -> anyhow::Result<()> 
 }
 
 fn status_of(link: &Link, heard: &BTreeMap<String, (u64, LinkedHost)>, now_ns: u64) -> LinkStatus {
-    let hosts = link.table.peers.iter().map(|peer| match heard.get(&peer.name) {
-        Some((at_ns, host)) => {
-            let is_connected = now_ns.saturating_sub(*at_ns) < SILENT_NS;
-            LinkedHost { is_connected, ..host.clone() }
-        }
-        None => LinkedHost { name: peer.name.clone(), ..LinkedHost::default() },
+    let hosts = link.table.peers.iter().map(|peer| {
+        let host = match heard.get(&peer.name) {
+            Some((at_ns, host)) => {
+                let is_connected = now_ns.saturating_sub(*at_ns) < SILENT_NS;
+                LinkedHost { is_connected, ..host.clone() }
+            }
+            None => LinkedHost { name: peer.name.clone(), ..LinkedHost::default() },
+        };
+        let refused = refusals::reason_at(&peer.endpoint).filter(|_| !host.is_connected);
+        LinkedHost { refused: refused.unwrap_or_default(), ..host }
     });
-    LinkStatus { written_ns: now_ns, counts: link.counters.get(), hosts: hosts.collect() }
+    LinkStatus {
+        written_ns: now_ns,
+        stood_still_ms: link.stood_still_ms(),
+        counts: link.counters.get(),
+        hosts: hosts.collect(),
+    }
 }

@@ -11,18 +11,22 @@ mod common_clock;
 mod control;
 mod counters;
 mod credentials;
+mod flows;
 mod frame;
 mod gate;
 mod link;
 mod network;
 mod newest;
 mod receiver;
+mod refusals;
 mod repeats;
 mod sender;
+mod standstill;
 
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    refusals::watch();
     match arguments::run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

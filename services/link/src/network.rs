@@ -30,12 +30,13 @@ pub(crate) enum Place<'a> {
 /// # Errors
 /// What Zenoh refuses, as a sentence.
 pub(crate) fn join(place: &Place<'_>, credentials: Option<&str>) -> anyhow::Result<Session> {
-    let (mode, listen, connect) = match place {
-        Place::Hub(endpoints) => ("router", Vec::new(), endpoints.clone()),
-        Place::Agent(endpoint) => ("peer", vec![*endpoint], Vec::new()),
+    let (listen, connect) = match place {
+        Place::Hub(endpoints) => (Vec::new(), endpoints.clone()),
+        Place::Agent(endpoint) => (vec![*endpoint], Vec::new()),
     };
     let mut settings = vec![
-        ("mode", format!("{mode:?}")),
+        // Peers would expect a connection between each two; routers forward for each other, through the hub.
+        ("mode", "\"router\"".to_owned()),
         ("listen/endpoints", format!("{listen:?}")),
         ("connect/endpoints", format!("{connect:?}")),
         ("connect/timeout_ms", "-1".to_owned()),
@@ -112,6 +113,11 @@ pub(crate) fn topic_key(run_id: &str, topic: Topic, from: &str) -> String {
 /// The name under which a host asks for the time, and gets answers.
 pub(crate) fn clock_key(run_id: &str, what: &str, host: &str) -> String {
     format!("scanloop/{run_id}/clock/{what}/{host}")
+}
+
+/// The name under which a host is told which topics cross there.
+pub(crate) fn table_key(run_id: &str, host: &str) -> String {
+    format!("scanloop/{run_id}/table/{host}")
 }
 
 /// The name under which a host reports.

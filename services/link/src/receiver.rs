@@ -82,8 +82,14 @@ impl Inlet {
         match (admit(arriving, limit_ns(topic, period_ns), period_ns), offset) {
             (Ok(()), Some(clock)) => {
                 to_local(of, sample.bytes_mut(), clock);
+                if topic.writer().is_some() {
+                    link.note_foreign(header.incarnation);
+                }
                 self.publisher.publish(sample.bytes())?;
                 counters.received.add(1);
+                if topic == Topic::Directive {
+                    link.note_directive(header.sequence);
+                }
             }
             (Err(Refusal::Old), _) => counters.old.add(1),
             (Err(Refusal::Clock), _) | (Ok(()), None) => counters.clock.add(1),

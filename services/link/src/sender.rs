@@ -65,6 +65,9 @@ impl Sender {
     /// Keeps a sample until all are polled; a newer one of the same publisher replaces it.
     fn note(&mut self, sample: &[u8]) {
         let incarnation = (self.topic.sample_type().header)(sample).incarnation;
+        if self.topic.writer().is_some() && self.link.is_foreign(incarnation) {
+            return;
+        }
         let known = self.waiting[..self.count].iter().position(|(of, _)| *of == incarnation);
         if known.is_some() {
             self.link.counters.replaced.add(1);

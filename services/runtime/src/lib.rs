@@ -71,7 +71,7 @@ mod wake;
 mod waker;
 
 pub use bus::Bus;
-pub use clock::{Clock, monotonic_ns};
+pub use clock::{Clock, boottime_ns, monotonic_ns};
 pub use crash::{latch_on_crash, report_crashes};
 pub use domain::{Domain, remove_bus_files_of};
 pub use environment::{

@@ -25,6 +25,9 @@ pub struct LinkTable {
     pub run_id: String,
     /// Scan period [ns].
     pub period_ns: u64,
+    /// Processes end after this time without a directive [ns].
+    #[serde(default)]
+    pub orphan_timeout_ns: u64,
     /// Topics that other hosts need from this one.
     pub sends: Vec<String>,
     /// Topics that this host needs from others.
@@ -84,6 +87,8 @@ pub struct LinkedHost {
     pub version: String,
     /// Whether something came from it within the last second.
     pub is_connected: bool,
+    /// Why no connection to it is made, where one end refuses the other; empty else.
+    pub refused: String,
     /// Whether its clock is locked.
     pub is_locked: bool,
     /// Clock of the orchestrator minus its own [ns].
@@ -94,6 +99,10 @@ pub struct LinkedHost {
     pub round_trip_ns: u64,
     /// How often its clock, or that of the orchestrator, stood still or jumped.
     pub clocks_lost: u64,
+    /// For how long it stood still since its link was started, suspended or stopped [ms].
+    pub stood_still_ms: u64,
+    /// Number of the newest directive that was published there.
+    pub directive: u64,
     /// What became of samples there.
     pub counts: LinkCounts,
 }
@@ -104,6 +113,8 @@ pub struct LinkedHost {
 pub struct LinkStatus {
     /// When it was written [ns of CLOCK_MONOTONIC].
     pub written_ns: u64,
+    /// For how long this host stood still since its link was started, suspended or stopped [ms].
+    pub stood_still_ms: u64,
     /// What became of samples at this host.
     pub counts: LinkCounts,
     /// The other hosts.

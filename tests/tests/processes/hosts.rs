@@ -4,6 +4,10 @@
 //! skipped.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod refusals;
+mod robot;
+mod swap;
+
 use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
@@ -26,36 +30,52 @@ fn link_folder() -> Option<PathBuf> {
     profiles.into_iter().filter(|folder| age(folder).is_some()).max_by_key(age)
 }
 
-/// A system on two hosts, and the agent of the other one.
+/// A system on several hosts, and the agents of the others.
 struct TwoHosts {
     system: System,
     path: String,
-    agent: Option<Child>,
+    /// Names of the other hosts.
+    names: Vec<String>,
+    agents: Vec<(String, Child)>,
 }
 
 impl TwoHosts {
-    /// `None` where the link was not built.
+    /// Estimator, obstacles and controller in the lab; `None` where the link was not built.
     fn new(test: &str) -> Option<Self> {
+        let lab = [Role::Estimator, Role::Obstacles, Role::Controller].map(|role| (role, "lab"));
+        Self::with(test, &lab)
+    }
+
+    /// Roles on other hosts; `None` where the link was not built.
+    fn with(test: &str, places: &[(Role, &str)]) -> Option<Self> {
         let Some(folder) = link_folder() else {
             println!("skipped: {test}: scanloop-link is not built");
             return None;
         };
         let path = format!("{}:{}", folder.display(), std::env::var("PATH").unwrap_or_default());
-        let (system, port) = (System::new(EXECUTABLE), free_port());
+        let system = System::new(EXECUTABLE);
         let mut text = system_file(10, &[], "", &[]).replace("restart = \"never\"\n", "");
         text = text.replace("role = \"robot\"\n", "role = \"robot\"\nrestart = \"never\"\n");
-        for role in ["estimator", "obstacles", "controller"] {
-            text = text
-                .replace(&format!("role = \"{role}\"\n"), &format!("role = \"{role}\"\nhost = \"lab\"\n"));
+        let mut names: Vec<String> = places.iter().map(|(_, host)| (*host).to_owned()).collect();
+        names.dedup();
+        for (role, host) in places {
+            let row = format!("role = \"{role}\"\n");
+            text = text.replace(&row, &format!("{row}host = \"{host}\"\n"));
         }
-        text += &format!("[[host]]\nname = \"lab\"\naddress = \"127.0.0.1:{port}\"\ntransport = \"udp\"\n");
+        for name in &names {
+            let port = free_port();
+            text += &format!(
+                "[[host]]\nname = \"{name}\"\naddress = \"127.0.0.1:{port}\"\ntransport = \"udp\"\n"
+            );
+            let mut file = format!("name = \"{name}\"\nlisten = \"127.0.0.1:{port}\"\ntransport = \"udp\"\n");
+            file += match name == "lab" {
+                true => "implementations = [\"ekf\", \"ellipses\", \"nmpc\"]\n",
+                false => "implementations = [\"emulator\", \"actuation\", \"nmpc\"]\n",
+            };
+            write_private(&system.folder().join(agent_file(name)), &file);
+        }
         std::fs::write(system.folder().join("system.toml"), text).unwrap();
-        let file = format!(
-            "name = \"lab\"\nlisten = \"127.0.0.1:{port}\"\ntransport = \"udp\"\n\
-             implementations = [\"ekf\", \"ellipses\", \"nmpc\"]\n"
-        );
-        write_private(&system.folder().join("agent.toml"), &file);
-        Some(Self { system, path, agent: None })
+        Some(Self { system, path, names, agents: Vec::new() })
     }
 
     /// Makes certificates in a folder, and has a file use those of a host.
@@ -76,14 +96,19 @@ impl TwoHosts {
         self.start_agent_by(&[]);
     }
 
-    /// Starts the agent by a command that becomes it.
+    /// Starts the agents by a command that becomes each.
     fn start_agent_by(&mut self, by: &[&str]) {
-        let log = std::fs::File::create(self.system.folder().join("agent.txt")).unwrap();
-        let all = [by, &[EXECUTABLE, "agent"]].concat();
-        let mut command = Command::new(all[0]);
-        command.args(&all[1..]).current_dir(self.system.folder()).env("PATH", &self.path);
-        self.agent = Some(command.stdin(Stdio::null()).stderr(log).spawn().unwrap());
-        self.system.wait_until("the agent listens", |_| self.messages().contains("listens at "));
+        for name in self.names.clone() {
+            let log = std::fs::File::create(self.system.folder().join(format!("{name}.txt"))).unwrap();
+            let file = agent_file(&name);
+            let all = [by, &[EXECUTABLE, "agent", &file]].concat();
+            let mut command = Command::new(all[0]);
+            command.args(&all[1..]).current_dir(self.system.folder()).env("PATH", &self.path);
+            self.agents.push((name, command.stdin(Stdio::null()).stderr(log).spawn().unwrap()));
+        }
+        self.system.wait_until("the agents listen", |_| {
+            self.messages().matches("listens at ").count() == self.names.len()
+        });
     }
 
     fn start(&mut self, scenario: &[&str]) {
@@ -93,12 +118,18 @@ impl TwoHosts {
     }
 
     fn messages(&self) -> String {
-        std::fs::read_to_string(self.system.folder().join("agent.txt")).unwrap_or_default()
+        let of = |name: &String| std::fs::read_to_string(self.system.folder().join(format!("{name}.txt")));
+        self.names.iter().filter_map(|name| of(name).ok()).collect()
     }
 
-    /// Id of the system on the other host.
+    /// Id of the system on the first other host.
     fn other_id(&self) -> String {
-        format!("{}-lab", self.system.id())
+        self.id_on(&self.names[0])
+    }
+
+    /// Id of the system on another host.
+    fn id_on(&self, host: &str) -> String {
+        format!("{}-{host}", self.system.id())
     }
 
     /// The status of the link, as its file has it.
@@ -106,30 +137,38 @@ impl TwoHosts {
         LinkStatus::read(&self.system.find()?).ok().flatten()
     }
 
-    /// Ends the agent by a signal, and checks that nothing of the system is left on either host.
+    /// Ends the agents by a signal, and checks that nothing of the system is left on any host.
     fn end(&mut self) {
         self.system.assert_nothing_left();
-        let mut agent = self.agent.take().expect("an agent");
-        kill_process(Pid::from_child(&agent), Signal::TERM).unwrap();
-        assert_eq!(agent.wait().unwrap().code(), Some(0), "{}", self.messages());
-        assert_eq!(processes_of(&self.other_id()), [0; 0]);
-        assert!(Domain::find(&self.other_id()).unwrap().is_none(), "a directory is left");
+        for (name, mut agent) in std::mem::take(&mut self.agents) {
+            kill_process(Pid::from_child(&agent), Signal::TERM).unwrap();
+            assert_eq!(agent.wait().unwrap().code(), Some(0), "{}", self.messages());
+            assert_eq!(processes_of(&self.id_on(&name)), [0; 0]);
+            assert!(Domain::find(&self.id_on(&name)).unwrap().is_none(), "a directory is left");
+        }
     }
 }
 
 impl Drop for TwoHosts {
     fn drop(&mut self) {
-        if let Some(mut agent) = self.agent.take() {
+        for (_, mut agent) in std::mem::take(&mut self.agents) {
             let _ = agent.kill();
             let _ = agent.wait();
         }
-        for pid in processes_of(&self.other_id()).into_iter().filter_map(Pid::from_raw) {
-            let _ = kill_process(pid, Signal::KILL);
-        }
-        if let Ok(Some(domain)) = Domain::find(&self.other_id()) {
-            let _ = domain.remove();
+        for id in self.names.iter().map(|name| self.id_on(name)) {
+            for pid in processes_of(&id).into_iter().filter_map(Pid::from_raw) {
+                let _ = kill_process(pid, Signal::KILL);
+            }
+            if let Ok(Some(domain)) = Domain::find(&id) {
+                let _ = domain.remove();
+            }
         }
     }
+}
+
+/// The file of the agent of a host; `agent` reads the one of the lab unless told otherwise.
+fn agent_file(name: &str) -> String {
+    if name == "lab" { "agent.toml".to_owned() } else { format!("{name}.toml") }
 }
 
 fn free_port() -> u16 {
@@ -266,54 +305,6 @@ fn hosts_that_trust_each_other_drive_over_an_encrypted_link() {
     hosts.start(&SHORT_FREE);
     assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
     assert_eq!(hosts.system.report().scans.unaccounted, 0);
-    hosts.end();
-}
-
-#[test]
-fn a_host_with_certificates_of_another_authority_gets_no_sample() {
-    let Some(mut hosts) = TwoHosts::new("a foreign certificate") else { return };
-    hosts.trust("keys", "orchestrator", "system.toml");
-    hosts.trust("foreign", "lab", "agent.toml");
-    hosts.start_agent();
-    hosts.start(&SHORT_FREE);
-    assert_eq!(hosts.system.wait().code(), Some(4), "{}", hosts.system.stderr());
-    assert!(
-        hosts.system.stderr().contains("host lab: no agent answers at quic/"),
-        "{}",
-        hosts.system.stderr()
-    );
-    assert!(!hosts.messages().contains("serves system"), "{}", hosts.messages());
-    hosts.end();
-}
-
-#[test]
-fn a_key_that_others_can_read_is_refused() {
-    let Some(hosts) = TwoHosts::new("a key that others can read") else { return };
-    hosts.trust("keys", "orchestrator", "system.toml");
-    let key = hosts.system.folder().join("keys/orchestrator/key.pem");
-    std::fs::set_permissions(&key, std::fs::Permissions::from_mode(0o644)).unwrap();
-    let output =
-        hosts.system.command(&["run", "free", "--system", "system.toml"]).env("PATH", &hosts.path).output();
-    let output = output.unwrap();
-    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(2), "{stderr}");
-    assert!(stderr.contains("keys/orchestrator/key.pem: mode 644 is not allowed: 600"), "{stderr}");
-}
-
-#[test]
-fn an_agent_starts_only_what_its_file_names() {
-    let Some(mut hosts) = TwoHosts::new("an implementation that is not allowed") else { return };
-    let file = hosts.system.folder().join("agent.toml");
-    let text = std::fs::read_to_string(&file).unwrap();
-    write_private(&file, &text.replace(", \"nmpc\"", ""));
-    hosts.start_agent();
-    hosts.start(&SHORT_FREE);
-    assert_eq!(hosts.system.wait().code(), Some(4), "{}", hosts.system.stderr());
-    let stderr = hosts.system.stderr();
-    assert!(
-        stderr.contains("implementation nmpc is not one that its agent.toml allows: ekf, ellipses"),
-        "{stderr}"
-    );
     hosts.end();
 }
 

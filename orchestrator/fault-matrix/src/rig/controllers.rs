@@ -79,6 +79,7 @@ impl Controllers {
             tolerance: 1.0,
             period_ns: self.period_ns,
             lockstep: false,
+            is_acknowledged: true,
         };
         self.swap = Some(Swap::new(now_ns, plan));
     }

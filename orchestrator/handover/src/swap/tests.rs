@@ -37,6 +37,7 @@ impl Trial {
             tolerance: 1.0,
             period_ns: PERIOD_NS,
             lockstep: false,
+            is_acknowledged: true,
         };
         change(&mut plan);
         let now_ns = 10 * PERIOD_NS;
@@ -451,4 +452,31 @@ fn the_certificate_counts_answers_and_measures_the_jump_around_the_change_only()
     assert_eq!((certificate.missed_scans, certificate.duplicate_scans), (1, 1));
     assert!((certificate.command_jump_rad - 0.01).abs() < 1e-12);
     assert!((certificate.command_jump_mps - 0.2).abs() < 1e-12);
+}
+
+#[test]
+fn across_hosts_the_new_one_is_announced_before_it_takes_over() {
+    let mut trial = Trial::with(|plan| plan.is_acknowledged = false);
+    trial.send(SwapEvent::Acknowledged);
+    trial.good_scans(6);
+    // An acknowledgement of something before does not count.
+    assert_eq!(trial.actions, [SwapAction::Authorise(authority(NEW, OLD, u64::MAX))]);
+    assert_eq!((trial.swap.stage(), trial.swap.candidate()), (Stage::Shadowing, NEW));
+    trial.send(SwapEvent::Acknowledged);
+    trial.good_scan();
+    assert_eq!(trial.actions[1..], [SwapAction::Authorise(authority(NEW, OLD, 19))]);
+    trial.good_scans(8);
+    assert_eq!(trial.actions[3], SwapAction::Commit);
+}
+
+#[test]
+fn without_an_acknowledgement_the_new_one_is_refused() {
+    let mut trial = Trial::with(|plan| plan.is_acknowledged = false);
+    trial.good_scans(5 + 29);
+    assert_eq!(trial.actions.len(), 1, "{:?}", trial.actions);
+    trial.good_scans(2);
+    assert_eq!(trial.actions[1..3], [SwapAction::Authorise(authority(OLD, 0, 0)), SwapAction::KillNew]);
+    let certificate = trial.certificate();
+    assert_eq!(certificate.outcome, SwapOutcome::Refused);
+    assert_eq!(certificate.reason, "a host has not acknowledged the handover within 3 s");
 }

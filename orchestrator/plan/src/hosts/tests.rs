@@ -88,14 +88,19 @@ fn wrong_hosts_are_refused_with_file_key_and_value() {
 }
 
 #[test]
-fn robot_and_actuator_stay_on_the_host_of_the_orchestrator() {
+fn robot_and_actuator_are_on_one_host() {
     let apart = refusal(LAB, &[("robot", "lab")]);
     assert!(
         apart.contains("process.host = lab for robot, (the one of the orchestrator) for actuator"),
         "{apart}"
     );
-    let away = refusal(LAB, &[("robot", "lab"), ("actuator", "lab")]);
-    assert!(away.ends_with("they run where `scanloop run` is typed"), "{away}");
+    let away = read(LAB, &[("robot", "lab"), ("actuator", "lab")]).unwrap();
+    // Nothing but directives can tell the actuator that its orchestrator is there.
+    assert_eq!((away.orphan_stop_s(), read(LAB, &IN_THE_LAB).unwrap().orphan_stop_s()), (0.5, 5.0));
+    let to_lab: Vec<_> = crossings(&away).into_iter().filter(|one| one.to == Some("lab")).collect();
+    assert_eq!(to_lab.iter().map(|one| one.topic).collect::<Vec<_>>(), [Topic::Command, Topic::Directive]);
+    let unnamed = refusal("", &[("robot", "lab"), ("actuator", "lab")]);
+    assert!(unnamed.contains("process[0].host = lab is not allowed"), "{unnamed}");
 }
 
 #[test]

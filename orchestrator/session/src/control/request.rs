@@ -1,5 +1,6 @@
 //! What can be asked of a running orchestrator.
 
+use runtime::HUB;
 use serde::{Deserialize, Serialize};
 use shared_types::Role;
 use supervision::entry::{ProcessEntry, role_name};
@@ -65,6 +66,9 @@ pub struct Successor {
     pub implementation: Option<String>,
     /// Program and arguments.
     pub command: Option<Vec<String>>,
+    /// Name of the host for the implementation; without it, the one where the role is.
+    #[serde(default)]
+    pub host: Option<String>,
 }
 
 /// The request for a swap.
@@ -95,19 +99,35 @@ pub struct ShadowRequest {
 }
 
 impl Successor {
-    /// The entry of the process: that of the running process, with another program.
+    /// The entry of the process: that of the running process, with another program, or on another one of `hosts`.
     ///
     /// # Errors
     /// The reason why it can't be started.
-    pub(crate) fn entry(&self, live: &ProcessEntry) -> Result<ProcessEntry, String> {
+    pub(crate) fn entry(&self, live: &ProcessEntry, hosts: &[String]) -> Result<ProcessEntry, String> {
         let (implementation, command) = (self.implementation.clone(), self.command.clone());
+        let host = match self.host.as_deref() {
+            None => live.host.clone(),
+            Some(HUB) => None,
+            Some(name) if hosts.iter().any(|host| host == name) => Some(name.to_owned()),
+            Some(name) => {
+                let names = [hosts, &[HUB.to_owned()]].concat().join(", ");
+                return Err(format!("host = {name} is not allowed: one of {names}"));
+            }
+        };
+        if host != live.host && matches!(self.role, Role::Robot | Role::Actuator) {
+            let name = self.host.as_deref().unwrap_or_default();
+            return Err(format!(
+                "host = {name} is not allowed for {}: robot and actuator stay on one host, so that a stop needs no network",
+                self.role
+            ));
+        }
         if let (Some(host), Some(command)) = (&live.host, &command) {
             let command = command.join(" ");
             return Err(format!(
                 "command = {command} is not allowed: an `implementation`, because the role is on host {host}"
             ));
         }
-        let entry = ProcessEntry { implementation, command, ..live.clone() };
+        let entry = ProcessEntry { implementation, command, host, ..live.clone() };
         entry.validate().map_err(|invalid| invalid.to_string())?;
         Ok(entry)
     }

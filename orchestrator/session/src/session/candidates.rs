@@ -52,6 +52,10 @@ pub(super) struct Live<'a> {
     pub(super) entry: &'a ProcessEntry,
     /// The system drives, and the process is ready.
     pub(super) is_ready: bool,
+    /// Names of the other hosts of the system.
+    pub(super) hosts: &'a [String],
+    /// Whether all roles are on the host of the orchestrator.
+    pub(super) is_on_one_host: bool,
 }
 
 impl<'a> Live<'a> {
@@ -59,10 +63,20 @@ impl<'a> Live<'a> {
     ///
     /// # Errors
     /// A role without a process.
-    pub(super) fn of(role: Role, fleet: &'a Fleet, supervisor: &Supervisor) -> Result<Self, String> {
+    pub(super) fn of(
+        role: Role,
+        fleet: &'a Fleet,
+        supervisor: &Supervisor,
+        hosts: &'a [String],
+    ) -> Result<Self, String> {
         let entry = fleet.entry(role).ok_or_else(|| format!("no process of role {role}"))?;
         let is_ready = supervisor.process(role).is_some_and(|view| view.state == VisibleState::Ready);
-        Ok(Self { entry, is_ready: is_ready && supervisor.phase() == Phase::Driving })
+        Ok(Self {
+            entry,
+            is_ready: is_ready && supervisor.phase() == Phase::Driving,
+            hosts,
+            is_on_one_host: fleet.places().all(|(_, host)| host.is_none()),
+        })
     }
 
     /// Passes when the system drives and the process is ready; `purpose` is what it is not ready for else.
@@ -81,6 +95,7 @@ impl Session {
         if let Some([old, new]) = self.swaps.plan().map(|plan| [plan.old, plan.new]) {
             let (newest, answered) = (self.samples.newest_scan(), self.samples.answered_scan());
             let mut events = vec![SwapEvent::Scans { newest, answered }];
+            events.extend(self.is_acknowledged().then_some(SwapEvent::Acknowledged));
             if let Some(watch) = self.watches.get_mut(&new) {
                 watch.poll(old, new, |party, output| events.push(SwapEvent::Output(party, output)))?;
             }
@@ -97,6 +112,13 @@ impl Session {
             }
         }
         Ok(())
+    }
+
+    /// Whether all hosts with a process have the last change of authority.
+    fn is_acknowledged(&self) -> bool {
+        let Some(link) = &self.link else { return true };
+        let mut hosts = self.fleet.places().filter_map(|(_, host)| host);
+        hosts.all(|host| link.has_directive(host, self.authorised))
     }
 
     /// A process reported its state.
@@ -189,6 +211,7 @@ impl Session {
                         *current = authority;
                         self.directives.changed = true;
                         self.publish_directive()?;
+                        self.authorised = self.directives.current.header.sequence;
                     }
                 }
                 Order::Reject(incarnation) => {
@@ -233,6 +256,11 @@ impl Session {
     fn try_start(&mut self, candidate: Candidate, incarnation: u32, needs_truth: bool) -> anyhow::Result<()> {
         let Candidate { entry, settings } = candidate;
         let role = entry.role();
+        if let Some(link) = &mut self.link {
+            let places: Vec<_> =
+                self.fleet.places().chain(std::iter::once((role, entry.host.as_deref()))).collect();
+            link.reach(&places)?;
+        }
         if let Some(text) = settings {
             self.run.domain.folder().write(&own_settings_file(incarnation), text.as_bytes())?;
         }

@@ -23,7 +23,7 @@ impl Session {
         let (mut restarts, mut injected, mut is_stop) = (Vec::new(), Vec::new(), false);
         let status = Reply::Status(Box::new(self.status()));
         let Self { control, swaps, shadows, companions, fleet, supervisor, run, .. } = self;
-        let live = |role| Live::of(role, fleet, supervisor);
+        let live = |role| Live::of(role, fleet, supervisor, &run.hosts);
         control.serve(|request| match request {
             Request::Status => status.clone(),
             Request::Swap(_)

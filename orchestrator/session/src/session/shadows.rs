@@ -76,7 +76,7 @@ impl Shadows {
     /// # Errors
     /// The reason why it is refused.
     pub(super) fn ask(&mut self, request: &ShadowRequest, live: &Live) -> Result<u64, String> {
-        let entry = request.successor.entry(live.entry)?;
+        let entry = request.successor.entry(live.entry, live.hosts)?;
         if self.concern(entry.role()) {
             return Err(format!("a process runs in the shadow of {} already", entry.role()));
         }

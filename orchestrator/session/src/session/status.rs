@@ -30,6 +30,7 @@ impl Session {
             let load = self.fleet.load(view.role);
             ProcessStatus {
                 implementation: self.fleet.label(view.role),
+                host: self.fleet.entry(view.role).and_then(|entry| entry.host.clone()),
                 pid: view.pid.map_or(0, u32::cast_signed),
                 restarts: view.restarts,
                 cpu_percent: load.cpu_percent,
@@ -71,10 +72,11 @@ impl Session {
         incarnation: u32,
         state: VisibleState,
     ) {
-        let Some((pid, implementation, load)) = self.fleet.candidate(incarnation) else { return };
+        let Some((pid, entry, load)) = self.fleet.candidate(incarnation) else { return };
         let Some(index) = rows.iter().rposition(|row| row.role == role) else { return };
         let row = ProcessStatus {
-            implementation,
+            implementation: entry.label(),
+            host: entry.host,
             pid: pid.cast_signed(),
             cpu_percent: load.cpu_percent,
             memory_kib: load.memory_kib,

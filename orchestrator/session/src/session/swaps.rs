@@ -140,7 +140,7 @@ impl Swaps {
         let SwapRequest { successor, set, shadow_scans, standby_scans, tolerance } = request;
         let entry = match settings {
             Some(_) => live.entry.clone(),
-            None => successor.entry(live.entry)?,
+            None => successor.entry(live.entry, live.hosts)?,
         };
         let to =
             if set.is_empty() { entry.label() } else { format!("{} with {}", entry.label(), set.join(", ")) };
@@ -191,6 +191,7 @@ impl Swaps {
             tolerance,
             period_ns: self.period_ns,
             lockstep: self.lockstep,
+            is_acknowledged: live.is_on_one_host && candidate.entry.host.is_none(),
         };
         self.asked = Some(Asked { plan, candidate, since_ns: now_ns, purpose });
         Ok(self.ended.len() as u64 + 1)

@@ -13,9 +13,12 @@ const SHADOW: u32 = 9;
 
 fn ask(shadows: &mut Shadows, is_ready: bool) -> Result<u64, String> {
     let (implementation, command) = (None, Some(vec!["./new".to_owned()]));
-    let successor = Successor { role: Role::Controller, implementation, command };
+    let successor = Successor { role: Role::Controller, implementation, command, host: None };
     let entry = ProcessEntry::of(Role::Controller, &["./old".to_owned()]);
-    shadows.ask(&ShadowRequest { successor, duration_ms: 1000 }, &Live { entry: &entry, is_ready })
+    shadows.ask(
+        &ShadowRequest { successor, duration_ms: 1000 },
+        &Live { entry: &entry, is_ready, hosts: &[], is_on_one_host: true },
+    )
 }
 
 fn begin(shadows: &mut Shadows, started: Result<(), String>) -> Option<Order> {

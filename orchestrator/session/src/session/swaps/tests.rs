@@ -17,12 +17,12 @@ fn entry() -> ProcessEntry {
 
 fn request(shadow_scans: u64) -> SwapRequest {
     let (implementation, command) = (None, Some(vec!["./new".to_owned()]));
-    let successor = Successor { role: Role::Controller, implementation, command };
+    let successor = Successor { role: Role::Controller, implementation, command, host: None };
     SwapRequest { successor, set: Vec::new(), shadow_scans, standby_scans: 2, tolerance: 1.0 }
 }
 
 fn ask(swaps: &mut Swaps, request: &SwapRequest, is_ready: bool) -> Result<u64, String> {
-    swaps.ask(0, request, None, &Live { entry: &entry(), is_ready })
+    swaps.ask(0, request, None, &Live { entry: &entry(), is_ready, hosts: &[], is_on_one_host: true })
 }
 
 /// A swap of the controller that was started.
@@ -111,9 +111,9 @@ fn a_good_process_is_authorised_promoted_and_certified() {
 fn changed_settings_go_with_the_program_that_runs() {
     let mut swaps = Swaps::new(PERIOD_NS, false);
     let set = vec!["controller.intervals=7".to_owned(), "controller.horizon_s=2".to_owned()];
-    let successor = Successor { role: Role::Controller, implementation: None, command: None };
+    let successor = Successor { role: Role::Controller, implementation: None, command: None, host: None };
     let request = SwapRequest { successor, set, ..request(5) };
-    let live = &Live { entry: &entry(), is_ready: true };
+    let live = &Live { entry: &entry(), is_ready: true, hosts: &[], is_on_one_host: true };
     swaps.ask(0, &request, Some("file".to_owned()), live).unwrap();
     let candidate = swaps.due(0, 0, |_| None).unwrap();
     assert_eq!(candidate, Candidate { entry: entry(), settings: Some("file".to_owned()) });
@@ -124,7 +124,7 @@ fn changed_settings_go_with_the_program_that_runs() {
 #[test]
 fn a_restart_is_a_swap_without_a_certificate_in_the_report() {
     let mut swaps = Swaps::new(PERIOD_NS, false);
-    swaps.restart(0, &Live { entry: &entry(), is_ready: true }).unwrap();
+    swaps.restart(0, &Live { entry: &entry(), is_ready: true, hosts: &[], is_on_one_host: true }).unwrap();
     swaps.begin(0, [OLD, NEW], Ok(()));
     let orders: Vec<Order> = (11..=40).flat_map(|scan| good_scan(&mut swaps, scan)).collect();
     assert!(

@@ -1,0 +1,137 @@
+//! Hosts that do not trust each other, and files that are refused: each is named with what is wrong.
+
+use std::io::{BufRead, BufReader};
+
+use super::*;
+
+/// What the run prints about an end of the link whose certificate the authority of the other has not signed.
+const FOREIGN: &str = "another authority has signed it";
+
+/// The folder of certificates `keys`, whose certificate of the lab has expired.
+fn expire(hosts: &TwoHosts) {
+    let made = Command::new(link_folder().unwrap().join("scanloop-link"))
+        .args(["pair", "keys", "lab", "127.0.0.1", "-1"])
+        .current_dir(hosts.system.folder())
+        .status();
+    assert!(made.unwrap().success());
+    // The orchestrator's is made again, and valid.
+    let valid = hosts.system.folder().join("keys/orchestrator");
+    let expired = hosts.system.folder().join("expired");
+    std::fs::rename(hosts.system.folder().join("keys/lab"), &expired).unwrap();
+    hosts.trust("keys", "orchestrator", "system.toml");
+    assert!(valid.exists() && expired.exists());
+}
+
+#[test]
+fn a_host_with_certificates_of_another_authority_is_named_at_both_ends_and_gets_no_sample() {
+    let Some(mut hosts) = TwoHosts::new("a foreign certificate") else { return };
+    hosts.trust("keys", "orchestrator", "system.toml");
+    hosts.trust("foreign", "lab", "agent.toml");
+    hosts.start_agent();
+    hosts.start(&SHORT_FREE);
+    hosts.system.wait_until("status names it", |system| {
+        let status = system.status();
+        status.is_some_and(|status| status.hosts.iter().any(|host| host.refused.contains(FOREIGN)))
+    });
+    let shown = hosts.system.run(&["status"]);
+    let shown = String::from_utf8_lossy(&shown.stderr).into_owned();
+    assert!(shown.contains("host lab: refused: its certificate is not accepted: "), "{shown}");
+    assert_eq!(hosts.system.wait().code(), Some(4), "{}", hosts.system.stderr());
+    let stderr = hosts.system.stderr();
+    assert!(stderr.contains("host lab: refused: quic/127.0.0.1:") && stderr.contains(FOREIGN), "{stderr}");
+    let messages = hosts.messages();
+    let there = "refused: a peer that has connected: it does not accept the certificate of this host";
+    assert!(messages.contains(there) && messages.contains(FOREIGN), "{messages}");
+    assert!(!messages.contains("serves system"), "{messages}");
+    hosts.end();
+}
+
+#[test]
+fn a_host_whose_certificate_has_expired_is_named() {
+    let Some(mut hosts) = TwoHosts::new("an expired certificate") else { return };
+    expire(&hosts);
+    let file = std::fs::read_to_string(hosts.system.folder().join("agent.toml")).unwrap();
+    let address = file.lines().find_map(|line| line.strip_prefix("listen = \"")?.strip_suffix('"')).unwrap();
+    // The agent itself would refuse to start with it.
+    let link = Command::new(link_folder().unwrap().join("scanloop-link"))
+        .args(["agent", "lab", &format!("quic/{address}?rel=0"), "expired"])
+        .current_dir(hosts.system.folder())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn();
+    let mut link = link.unwrap();
+    let mut line = String::new();
+    BufReader::new(link.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    assert_eq!(line, "listening\n");
+    hosts.start(&SHORT_FREE);
+    assert_eq!(hosts.system.wait().code(), Some(4), "{}", hosts.system.stderr());
+    let stderr = hosts.system.stderr();
+    assert!(stderr.contains("its certificate is not accepted: it has expired"), "{stderr}");
+    drop(link.stdin.take());
+    assert!(link.wait().unwrap().success());
+    hosts.system.assert_nothing_left();
+}
+
+#[test]
+fn an_expired_certificate_of_this_host_is_refused_with_its_file() {
+    let Some(hosts) = TwoHosts::new("an expired certificate of this host") else { return };
+    expire(&hosts);
+    let path = hosts.system.folder().join("agent.toml");
+    let text = std::fs::read_to_string(&path).unwrap().replace("transport = \"udp\"\n", "");
+    write_private(&path, &format!("credentials = \"expired\"\n{text}"));
+    let system = std::fs::read_to_string(hosts.system.folder().join("system.toml")).unwrap();
+    let system = system.replace("credentials = \"keys/orchestrator\"", "credentials = \"expired\"");
+    std::fs::write(hosts.system.folder().join("expired.toml"), system).unwrap();
+    for arguments in [&["agent"][..], &["run", "free", "--system", "expired.toml"]] {
+        let output = hosts.system.command(arguments).env("PATH", &hosts.path).output().unwrap();
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {stderr}");
+        assert!(
+            stderr.contains("credentials: ") && stderr.contains("expired/certificate.pem: it is valid from"),
+            "{stderr}"
+        );
+    }
+}
+
+#[test]
+fn a_key_that_others_can_read_is_refused() {
+    let Some(hosts) = TwoHosts::new("a key that others can read") else { return };
+    hosts.trust("keys", "orchestrator", "system.toml");
+    let key = hosts.system.folder().join("keys/orchestrator/key.pem");
+    std::fs::set_permissions(&key, std::fs::Permissions::from_mode(0o644)).unwrap();
+    let output =
+        hosts.system.command(&["run", "free", "--system", "system.toml"]).env("PATH", &hosts.path).output();
+    let output = output.unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    assert!(stderr.contains("keys/orchestrator/key.pem: mode 644 is not allowed: 600"), "{stderr}");
+}
+
+#[test]
+fn without_the_program_of_the_link_a_system_of_several_hosts_is_refused_with_the_command_that_builds_it() {
+    let Some(hosts) = TwoHosts::new("a link that is not there") else { return };
+    let output = hosts.system.run(&["run", "free", "--system", "system.toml"]);
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    let command = "cargo build --release --manifest-path services/link/Cargo.toml";
+    assert!(stderr.contains("scanloop-link is neither") && stderr.contains(command), "{stderr}");
+    hosts.system.assert_nothing_left();
+}
+
+#[test]
+fn an_agent_starts_only_what_its_file_names() {
+    let Some(mut hosts) = TwoHosts::new("an implementation that is not allowed") else { return };
+    let file = hosts.system.folder().join("agent.toml");
+    let text = std::fs::read_to_string(&file).unwrap();
+    write_private(&file, &text.replace(", \"nmpc\"", ""));
+    hosts.start_agent();
+    hosts.start(&SHORT_FREE);
+    assert_eq!(hosts.system.wait().code(), Some(4), "{}", hosts.system.stderr());
+    let stderr = hosts.system.stderr();
+    assert!(
+        stderr.contains("host lab: agent.toml: implementations = nmpc is not allowed: one of ekf, ellipses"),
+        "{stderr}"
+    );
+    hosts.end();
+}
