@@ -36,10 +36,12 @@ pub enum Kind {
     ScannerAndKill,
     /// A worn robot on a noisy course.
     Worn,
+    /// At 200 Hz, where inputs often come while a process works.
+    Fast,
 }
 
 /// All kinds.
-pub const KINDS: [Kind; 10] = [
+pub const KINDS: [Kind; 11] = [
     Kind::Lockstep,
     Kind::Kill,
     Kind::Swap,
@@ -50,6 +52,7 @@ pub const KINDS: [Kind; 10] = [
     Kind::Worn,
     Kind::Walls,
     Kind::ScannerInLockstep,
+    Kind::Fast,
 ];
 
 /// Roles whose death does not end the run.
@@ -113,6 +116,7 @@ pub fn check(executable: &str, kind: Kind, seed: u64) -> (ReplayTally, String) {
     let own: &[&str] = match kind {
         Kind::Walls => &["walls", "--duration", "15"],
         Kind::Worn => &["noisy", "--set", "robot.preset=worn", "--set", "goal.x_m=7", "--duration", "12"],
+        Kind::Fast => &["endless", "--set", "rate_hz=200", "--duration", "9"],
         _ => &SHORT_CORRIDOR,
     };
     let faults: &[&str] =

@@ -26,8 +26,9 @@ fn another_setting_is_judged_by_the_bounds_of_a_swap() {
 }
 
 #[test]
-fn drives_with_a_kill_a_hang_and_late_samples_are_replayed_to_the_bit() {
-    let kinds = [(Kind::Kill, 3), (Kind::Hang, 5), (Kind::Late, 7), (Kind::ScannerInLockstep, 9)];
+fn drives_with_a_kill_a_hang_late_samples_and_200_scans_a_second_are_replayed_to_the_bit() {
+    let kinds =
+        [(Kind::Kill, 3), (Kind::Hang, 5), (Kind::Late, 7), (Kind::ScannerInLockstep, 9), (Kind::Fast, 11)];
     std::thread::scope(|scope| {
         for (kind, seed) in kinds {
             scope.spawn(move || {
