@@ -19,10 +19,9 @@
 //! * **Standby**: the new one is in charge from `from_scan` on. It is rolled back when it ends, when an output is
 //!   invalid or disagrees, or when it has none 1.2 periods after its last one and the old one has. That is before the
 //!   actuator, which waits for 1.5 periods, blocks the wheels; above 125 Hz [`HANG_NS`] is longer than that.
-//! Across hosts a directive may be lost or late. Before the change the new one is announced, with no scan yet. Once all
-//! hosts have acknowledged that, each keeps its samples aside until it learns the scan, so a late directive loses none.
-//! Without an acknowledgement within [`ACKNOWLEDGE_NS`] the new one is refused.
-//!
+//! * **Across hosts** a directive may be lost or late. Before the change the new one is announced, with no scan yet. Once all
+//!   hosts have acknowledged that, each keeps its samples aside until it learns the scan, so a late directive loses none.
+//!   Without an acknowledgement within [`ACKNOWLEDGE_NS`] the new one is refused.
 //! * **Settling**: the decision is carried out; the scans that the certificate covers are still being recorded.
 //!
 //! Assumptions, and where they fail: both processes fill the stamps of their samples (the runtime does). If one
