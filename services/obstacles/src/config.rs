@@ -1,7 +1,11 @@
 //! Settings of the description.
 
+use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 use vehicle::{Ascending, Description, Invalid, Setting, Surroundings, settings};
+
+/// A body beside the track may seem to reach so far across its line [m].
+const BESIDE_NOISE_M: f64 = 0.05;
 
 /// How large the ellipses are that cover an obstacle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -87,6 +91,17 @@ impl Config {
         let beyond = if self.walls { f64::INFINITY } else { self.beside_m };
         let [low, high] = self.wall_y_m;
         [low - beyond, high + beyond]
+    }
+
+    /// Whether a body at rest with these corners is beyond those lines; by noise it may reach 5 cm across.
+    pub(crate) fn is_beside(&self, corners: impl IntoIterator<Item = Vector2<f64>>) -> bool {
+        let [low, high] = self.beside_y_m();
+        let (mut right, mut left) = (true, true);
+        for corner in corners {
+            right &= corner.y < low + BESIDE_NOISE_M;
+            left &= corner.y > high - BESIDE_NOISE_M;
+        }
+        right || left
     }
 
     /// Where walls end the view across the track when nothing stands on it [m]; `None` in open surroundings.

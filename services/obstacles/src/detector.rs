@@ -17,7 +17,7 @@ use crate::outlines::Outlines;
 use crate::points::{Beams, Place, Point};
 use crate::state::{ObstaclesState, TRACKS, TrackState};
 use crate::track::{IDS_PER_BODY, MAX_BODY, Track};
-use crate::tracks::{Tracks, is_beside};
+use crate::tracks::Tracks;
 
 const _: () = assert!(MAX_PIECES <= IDS_PER_BODY as usize);
 
@@ -165,7 +165,7 @@ impl ObstacleDetector {
         if !self.evidence.receive(&self.beams, scan, place, &self.returns, elapsed) {
             return 0;
         }
-        self.outlines.find(&self.config, scan, place, &mut self.points, &self.tracks);
+        self.outlines.find(&self.config, scan, place, &mut self.points, self.tracks.expected());
         self.tracks.sight(&self.outlines, place, elapsed);
         self.mark_fixed();
         let fixed = &self.fixed;
@@ -200,7 +200,7 @@ impl ObstacleDetector {
         let Tracks { list, directions, .. } = &mut self.tracks;
         for track in list.iter_mut().filter(|track| track.confirmed) {
             let rectangle = track.rectangle(directions);
-            if !track.moving && is_beside(&self.config, rectangle.corners()) {
+            if !track.moving && self.config.is_beside(rectangle.corners()) {
                 continue;
             }
             let growth = track.growth();

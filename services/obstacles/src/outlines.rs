@@ -9,7 +9,6 @@ use crate::part::Known;
 use crate::points::{Place, Point};
 use crate::segment::Segments;
 use crate::state::TRACKS;
-use crate::tracks::{Tracks, is_beside};
 use crate::walls::Walls;
 
 /// Returns nearer than this to where a body is expected belong to it [m]; at 1 m/s it moves 0.1 m between scans.
@@ -55,16 +54,16 @@ impl Outlines {
         }
     }
 
-    /// Finds the outlines among `points`, without those on walls, and the track that each belongs to.
+    /// Finds the outlines among `points`, without those on walls, and which of the `known` bodies each belongs to.
     pub(crate) fn find(
         &mut self,
         config: &Config,
         scan: &Scan,
         place: &Place,
         points: &mut Vec<Point>,
-        tracks: &Tracks,
+        known: impl Iterator<Item = Known>,
     ) {
-        self.outline(config, scan, place, points, tracks);
+        self.outline(config, scan, place, points, known);
         self.associate(config, place);
     }
 
@@ -88,13 +87,13 @@ impl Outlines {
         scan: &Scan,
         place: &Place,
         points: &mut Vec<Point>,
-        tracks: &Tracks,
+        known: impl Iterator<Item = Known>,
     ) {
         let walls = Walls::fit(config, place, points);
         points.retain(|point| walls.leaves(point.at));
         self.segments.find(scan, points, config.range_noise_m, config.beside_y_m());
         self.expected.clear();
-        self.expected.extend(tracks.expected());
+        self.expected.extend(known);
         self.segments.part(&self.expected);
         self.list.clear();
         self.vertices.clear();
@@ -120,9 +119,9 @@ impl Outlines {
         for outline in &mut self.list {
             let vertices = &self.vertices[outline.first..outline.end];
             let mut best = f64::INFINITY;
-            let beside = is_beside(config, vertices.iter().map(|vertex| vertex.at));
+            let beside = config.is_beside(vertices.iter().map(|vertex| vertex.at));
             for (index, (expected, moves)) in self.expected.iter().enumerate() {
-                if !moves && is_beside(config, expected.corners()) != beside {
+                if !moves && config.is_beside(expected.corners()) != beside {
                     continue;
                 }
                 let (mut least, mut sum) = (f64::INFINITY, 0.0);

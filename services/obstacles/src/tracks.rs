@@ -22,8 +22,6 @@ const TOUCHING_M: f64 = 0.04;
 const SPECKLE_MEMORY_S: f64 = 0.35;
 /// When a body that stands should be in view and has shown nothing for this long, the scanner is doubted there [s].
 const DOUBTFUL_S: f64 = 0.25;
-/// A body beside the track may seem to reach so far across its line [m].
-const BESIDE_NOISE_M: f64 = 0.05;
 /// A body further away than this is out of reach: the pose must have jumped [m].
 const LOST_M: f64 = 12.0;
 
@@ -95,7 +93,7 @@ impl Tracks {
             let nearest =
                 vertices.iter().map(|vertex| (vertex.at - place.at).norm()).fold(f64::INFINITY, f64::min);
             if self.list.len() >= TRACKS {
-                if is_beside(&self.config, vertices.iter().map(|vertex| vertex.at)) {
+                if self.config.is_beside(vertices.iter().map(|vertex| vertex.at)) {
                     continue;
                 }
                 let Some(farthest) = least_needed(&self.list, &self.config, place, nearest, &self.directions)
@@ -140,7 +138,7 @@ impl Tracks {
                 Sight::Silent => {
                     track.silent_s += if is_reliable { elapsed } else { 0.0 };
                     if track.stands()
-                        && !is_beside(&self.config, rectangle.corners())
+                        && !self.config.is_beside(rectangle.corners())
                         && track.silent_s > DOUBTFUL_S
                         && let Some(towards) = beams_towards(place, &rectangle)
                     {
@@ -169,7 +167,7 @@ impl Tracks {
                 let standing = !self.list[older].moving && !self.list[younger].moving;
                 let reach = (a.length.hypot(a.width) + b.length.hypot(b.width)) / 2.0 + TOUCHING_M;
                 let touch = standing
-                    && is_beside(&self.config, a.corners()) == is_beside(&self.config, b.corners())
+                    && self.config.is_beside(a.corners()) == self.config.is_beside(b.corners())
                     && (a.centre - b.centre).norm_squared() < reach * reach
                     && a.distance_to_rectangle(b) < TOUCHING_M;
                 if touch {
@@ -204,17 +202,6 @@ impl Tracks {
     }
 }
 
-/// Whether a body is beyond the lines within which bodies at rest are described; it may reach 5 cm across by noise.
-pub(crate) fn is_beside(config: &Config, corners: impl IntoIterator<Item = Vector2<f64>>) -> bool {
-    let [low, high] = config.beside_y_m();
-    let (mut right, mut left) = (true, true);
-    for corner in corners {
-        right &= corner.y < low + BESIDE_NOISE_M;
-        left &= corner.y > high - BESIDE_NOISE_M;
-    }
-    right || left
-}
-
 /// Index of the track that is needed least: the farthest that is at rest beside the track, else the farthest among those not
 /// seen now, when it is farther than `distance`.
 fn least_needed(
@@ -227,7 +214,7 @@ fn least_needed(
     let mut farthest = (distance, None);
     for (index, track) in tracks.iter().enumerate() {
         let rectangle = track.rectangle(directions);
-        let beside = !track.moving && is_beside(config, rectangle.corners());
+        let beside = !track.moving && config.is_beside(rectangle.corners());
         let distance = rectangle.distance_to_point(place.at) + if beside { LOST_M } else { 0.0 };
         if (beside || track.unseen_s > 0.0) && distance > farthest.0 {
             farthest = (distance, Some(index));
