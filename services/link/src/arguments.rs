@@ -1,12 +1,13 @@
 //! The command line: `scanloop-link hub SYSTEM_ID`, `scanloop-link agent NAME ENDPOINT [CREDENTIALS]`,
-//! `scanloop-link pair FOLDER HOST ADDRESS DAYS`, and `scanloop-link check CREDENTIALS`.
+//! `scanloop-link pair FOLDER HOST ADDRESS DAYS`, and `scanloop-link check CREDENTIALS`. By hand, to measure a network:
+//! `scanloop-link echo ADDRESS [CREDENTIALS]` on one host, `scanloop-link ping ADDRESS COUNT [CREDENTIALS]` on another.
 
 use std::path::Path;
 
 use anyhow::bail;
 use runtime::{Domain, LinkTable};
 
-use crate::{bridge, control, credentials};
+use crate::{bridge, control, credentials, ping};
 
 /// Runs the link until its system ends, or its agent does.
 ///
@@ -30,6 +31,12 @@ pub(crate) fn run() -> anyhow::Result<()> {
         ["pair", folder, host, address, days] => {
             credentials::pair(Path::new(folder), host, address.parse()?, days.parse()?)
         }
-        _ => bail!("it is started by `scanloop run` and `scanloop agent`, not by hand"),
+        ["echo", address] => ping::echo(address.parse()?, None),
+        ["echo", address, credentials] => ping::echo(address.parse()?, Some(credentials)),
+        ["ping", address, count] => ping::ping(address.parse()?, None, count.parse()?),
+        ["ping", address, count, credentials] => {
+            ping::ping(address.parse()?, Some(credentials), count.parse()?)
+        }
+        _ => bail!("it is started by `scanloop run` and `scanloop agent`, not by hand; `echo` and `ping` measure"),
     }
 }

@@ -16,9 +16,11 @@ mod gate;
 mod link;
 mod network;
 mod newest;
+mod ping;
 mod receiver;
 mod repeats;
 mod sender;
+mod zeros;
 
 use std::process::ExitCode;
 

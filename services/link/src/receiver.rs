@@ -8,7 +8,7 @@ use std::time::Duration;
 use runtime::{Bus, Domain, TopicPublisher, monotonic_ns};
 use shared_types::Topic;
 
-use crate::frame::{Aligned, published_ns, to_local, unpack};
+use crate::frame::{Aligned, Content, published_ns, to_local, unpack};
 use crate::gate::{Arriving, Refusal, admit, limit_ns};
 use crate::link::Link;
 use crate::newest::{Arrival, Newest};
@@ -58,7 +58,7 @@ pub(crate) fn run(
 impl Inlet {
     fn take(&mut self, link: &Link, topic: Topic, frame: &[u8], sample: &mut Aligned) -> anyhow::Result<()> {
         let (of, counters) = (topic.sample_type(), &link.counters);
-        let Some(sender_bound_ns) = unpack(of, frame, sample) else {
+        let Content::Sample(sender_bound_ns) = unpack(of, frame, sample) else {
             counters.damaged.add(1);
             return Ok(());
         };

@@ -86,7 +86,7 @@ impl Sender {
             self.link.counters.held.add(1);
             return;
         };
-        pack(self.topic.sample_type(), &self.waiting[index].1, offset, &mut self.frame);
+        pack(self.topic.sample_type(), &mut self.waiting[index].1, offset, &mut self.frame);
         self.put();
         self.link.counters.sent.add(1);
         if self.topic.writer().is_some() {
