@@ -124,6 +124,9 @@ impl Served {
         log.begin(&format!("{role} incarnation {incarnation}: {}", start.implementation))?;
         let command = vec![this_program().into(), "service".into(), (&start.implementation).into()];
         let child = Child::spawn(&Launch { command, environment }, &log)?;
+        for refused in Realtime::default().apply_to(child.pid()) {
+            log.begin(&refused)?;
+        }
         let heard_ns = monotonic_ns();
         self.processes.push(ServedProcess {
             incarnation,

@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use anyhow::bail;
-use runtime::{Domain, LinkTable};
+use runtime::{Domain, LinkTable, Realtime};
 
 use crate::{bridge, control, credentials, ping};
 
@@ -23,10 +23,17 @@ pub(crate) fn run() -> anyhow::Result<()> {
         ["hub", system_id] => {
             let domain = Domain::existing(system_id)?;
             let Some(table) = LinkTable::read(&domain)? else { bail!("system `{system_id}` is on one host") };
+            run_soon();
             bridge::run_hub(&domain, &table)
         }
-        ["agent", name, endpoint] => control::run_agent(name, endpoint, None),
-        ["agent", name, endpoint, credentials] => control::run_agent(name, endpoint, Some(credentials)),
+        ["agent", name, endpoint] => {
+            run_soon();
+            control::run_agent(name, endpoint, None)
+        }
+        ["agent", name, endpoint, credentials] => {
+            run_soon();
+            control::run_agent(name, endpoint, Some(credentials))
+        }
         ["check", folder] => credentials::check(Path::new(folder)),
         ["pair", folder, host, address, days] => {
             credentials::pair(Path::new(folder), host, address.parse()?, days.parse()?)
@@ -37,6 +44,16 @@ pub(crate) fn run() -> anyhow::Result<()> {
         ["ping", address, count, credentials] => {
             ping::ping(address.parse()?, Some(credentials), count.parse()?)
         }
-        _ => bail!("it is started by `scanloop run` and `scanloop agent`, not by hand; `echo` and `ping` measure"),
+        _ => bail!(
+            "it is started by `scanloop run` and `scanloop agent`, not by hand; `echo` and `ping` measure"
+        ),
+    }
+}
+
+/// Asks the kernel to run this process soon when a sample wakes it, as all processes of the loop do. Threads that start later
+/// inherit it.
+fn run_soon() {
+    for refused in Realtime::default().apply_to(std::process::id()) {
+        runtime::print(runtime::Priority::Warning, &refused);
     }
 }

@@ -1,8 +1,7 @@
-//! The bridge of one host: a thread for each topic that leaves, one for all that arrive, and the probe of clocks.
+//! The bridge of one host: a thread for each topic that leaves, a receiver of all that arrive, and the probe of clocks.
 
 use std::collections::BTreeMap;
 use std::os::unix::net::UnixDatagram;
-use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -18,10 +17,9 @@ use zenoh::{Session, Wait};
 use crate::clock::Probe;
 use crate::link::Link;
 use crate::network::{self, Place, agent_key, clock_key, publisher, status_key, subscribe, topic_key};
-use crate::{receiver, sender};
+use crate::receiver::Receiver;
+use crate::sender;
 
-/// Frames that wait to be published here; a burst beyond that is old anyway.
-const INCOMING: usize = 256;
 /// Time between two probes of clocks, and until the clock is locked.
 const PROBE: Duration = Duration::from_millis(100);
 const PROBE_AT_START: Duration = Duration::from_millis(20);
@@ -35,32 +33,30 @@ const MESSAGE_BYTES: usize = 1 << 20;
 /// A running bridge; it ends when dropped.
 pub(crate) struct Bridge {
     pub(crate) link: Arc<Link>,
+    receiver: Arc<Receiver>,
     threads: Vec<JoinHandle<()>>,
-    _subscribers: Vec<Subscriber<()>>,
+    subscribers: Vec<Subscriber<()>>,
 }
 
 impl Bridge {
     /// Starts to forward the topics of the table between the bus of `domain` and the network.
     ///
     /// # Errors
-    /// Unknown topics, and what Zenoh refuses. Errors of the bus end the link later.
+    /// Unknown topics, what Zenoh refuses, and errors of the bus.
     pub(crate) fn start(session: &Session, domain: &Domain, table: &LinkTable) -> anyhow::Result<Self> {
         let link = Arc::new(Link::new(table));
-        let mut bridge = Self { link: Arc::clone(&link), threads: Vec::new(), _subscribers: Vec::new() };
         let LinkTable { here, run_id, .. } = table;
         let topics =
             |names: &[String]| names.iter().map(|name| name.parse()).collect::<Result<Vec<Topic>, _>>();
-        let (into, receives) = (sync_channel(INCOMING), topics(&table.receives)?);
-        for topic in receives.iter().copied() {
-            let (channel, shared) = (into.0.clone(), Arc::clone(&link));
-            bridge._subscribers.push(subscribe(session, topic_key(run_id, topic, "*"), move |_, frame| {
-                if channel.try_send((topic, frame.to_vec())).is_err() {
-                    shared.counters.old.add(1);
-                }
-            })?);
+        let receives = topics(&table.receives)?;
+        let receiver = Arc::new(Receiver::open(&link, domain, receives.clone())?);
+        let mut bridge =
+            Self { link: Arc::clone(&link), receiver, threads: Vec::new(), subscribers: Vec::new() };
+        for (index, topic) in receives.into_iter().enumerate() {
+            let receiver = Arc::clone(&bridge.receiver);
+            let key = topic_key(run_id, topic, "*");
+            bridge.subscribers.push(subscribe(session, key, move |_, frame| receiver.take(index, frame))?);
         }
-        let (shared, place) = (Arc::clone(&link), domain.clone());
-        bridge.spawn(move || receiver::run(&shared, &place, &receives, &into.1));
         for topic in topics(&table.sends)? {
             // States and reports never wait in front of samples that drive.
             let is_of_loop = topic.writer().is_some() || topic == Topic::Directive;
@@ -91,7 +87,7 @@ impl Bridge {
         let (asked, open) = (clock_key(&self.link.table.run_id, "ask", "*"), session.clone());
         let run_id = self.link.table.run_id.clone();
         let mut answers = BTreeMap::new();
-        self._subscribers.push(subscribe(session, asked, move |key, question| {
+        self.subscribers.push(subscribe(session, asked, move |key, question| {
             let received_ns = monotonic_ns();
             let host = key.rsplit('/').next().unwrap_or_default().to_owned();
             let Some(sent) = question.first_chunk::<8>() else { return };
@@ -113,7 +109,7 @@ impl Bridge {
     fn follow_clock(&mut self, session: &Session) -> anyhow::Result<()> {
         let LinkTable { run_id, here, .. } = self.link.table.clone();
         let shared = Arc::clone(&self.link);
-        self._subscribers.push(subscribe(session, clock_key(&run_id, "answer", &here), move |_, stamps| {
+        self.subscribers.push(subscribe(session, clock_key(&run_id, "answer", &here), move |_, stamps| {
             let returned_ns = monotonic_ns();
             let stamp =
                 |index: usize| stamps.get(8 * index..)?.first_chunk().map(|bytes| u64::from_le_bytes(*bytes));
@@ -148,6 +144,8 @@ impl Drop for Bridge {
     fn drop(&mut self) {
         self.link.end();
         self.threads.drain(..).for_each(|thread| _ = thread.join());
+        self.subscribers.clear();
+        self.receiver.close();
     }
 }
 
@@ -217,5 +215,6 @@ fn status_of(link: &Link, heard: &BTreeMap<String, (u64, LinkedHost)>, now_ns: u
         }
         None => LinkedHost { name: peer.name.clone(), ..LinkedHost::default() },
     });
-    LinkStatus { written_ns: now_ns, counts: link.counters.get(), hosts: hosts.collect() }
+    let losses = link.losses.recent(now_ns);
+    LinkStatus { written_ns: now_ns, counts: link.counters.get(), losses, hosts: hosts.collect() }
 }

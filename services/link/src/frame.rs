@@ -67,6 +67,12 @@ pub(crate) struct Aligned {
 }
 
 impl Aligned {
+    /// Copies bytes.
+    pub(crate) fn fill(&mut self, bytes: &[u8]) {
+        self.resize(bytes.len());
+        self.bytes_mut().copy_from_slice(bytes);
+    }
+
     /// Makes room for so many bytes; it allocates only when they are more than ever before.
     fn resize(&mut self, length: usize) {
         self.words.resize(length.div_ceil(8).max(self.words.len()), 0);
@@ -112,12 +118,7 @@ mod tests {
         let mut pose = Pose { x_m: f64::NAN, ..Pose::default() };
         pose.header.layout = Pose::LAYOUT;
         let (mut frame, mut sample) = (Vec::new(), Aligned::default());
-        pack(
-            Pose::TYPE,
-            bytemuck::bytes_of_mut(&mut pose),
-            Offset { offset_ns: 0, bound_ns: 3 },
-            &mut frame,
-        );
+        pack(Pose::TYPE, bytemuck::bytes_of_mut(&mut pose), Offset { offset_ns: 0, bound_ns: 3 }, &mut frame);
         assert_eq!(unpack(Pose::TYPE, &frame, &mut sample), Content::Sample(3));
     }
 

@@ -1,4 +1,4 @@
-//! What all threads of a link share: its table, the common clock, and the counters.
+//! What all threads of a link share: its table, the common clock, and what became of samples.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
@@ -6,12 +6,14 @@ use runtime::{HUB, LinkTable, LinkedHost, link_version, monotonic_ns};
 
 use crate::common_clock::CommonClock;
 use crate::counters::Counters;
+use crate::losses::Losses;
 
 /// The state of a link.
 pub(crate) struct Link {
     pub(crate) table: LinkTable,
     pub(crate) clock: CommonClock,
     pub(crate) counters: Counters,
+    pub(crate) losses: Losses,
     running: AtomicBool,
     /// When the clock of the orchestrator was answered last [ns].
     answered_ns: AtomicU64,
@@ -24,6 +26,7 @@ impl Link {
             table: table.clone(),
             clock: if table.here == HUB { CommonClock::Own } else { CommonClock::followed() },
             counters: Counters::default(),
+            losses: Losses::default(),
             running: AtomicBool::new(true),
             answered_ns: AtomicU64::new(0),
         }
@@ -63,6 +66,7 @@ impl Link {
             round_trip_ns: known.as_ref().and_then(|clock| clock.round_trip_ns()).unwrap_or(0),
             clocks_lost: known.as_ref().map_or(0, |clock| clock.lost()),
             counts: self.counters.get(),
+            losses: self.losses.recent(monotonic_ns()),
         }
     }
 }

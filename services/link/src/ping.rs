@@ -98,10 +98,7 @@ pub(crate) fn ping(address: SocketAddr, credentials: Option<&str>, count: usize)
 }
 
 /// Zenoh's transports: name, endpoint and certificates.
-fn zenoh_places(
-    address: SocketAddr,
-    credentials: Option<&str>,
-) -> Vec<(&'static str, String, Option<&str>)> {
+fn zenoh_places(address: SocketAddr, credentials: Option<&str>) -> Vec<(&'static str, String, Option<&str>)> {
     let at = |name: &str, next: u16| {
         let place = SocketAddr::new(address.ip(), address.port().saturating_add(next));
         format!("{name}/{place}?rel=0")
