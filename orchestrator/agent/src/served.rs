@@ -4,7 +4,8 @@ use std::path::Path;
 
 use anyhow::Context;
 use runtime::{
-    Bus, CANDIDATE_VARIABLE, Domain, LinkTable, StopWord, monotonic_ns, own_settings_file, write_handover,
+    Bus, CANDIDATE_VARIABLE, Domain, LinkTable, Realtime, StopWord, monotonic_ns, own_settings_file,
+    write_handover,
 };
 use supervision::child::{Child, Launch, this_program};
 use supervision::child_log::ChildLog;

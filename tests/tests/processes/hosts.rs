@@ -4,6 +4,8 @@
 //! skipped.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod network;
+
 use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
