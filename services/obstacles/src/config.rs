@@ -29,8 +29,11 @@ settings! {
         pub track_x_m: [f64; 2] = [-1e4, 1e4], Ascending(-1e4..=1e4);
         /// Returns within this distance of a wall belong to the wall [m].
         pub wall_band_m: f64 = 0.12, 0.02..=0.5;
-        /// Returns farther than this outside of the track are ignored where it has no walls [m].
+        /// Obstacles at rest farther than this outside of the track are not described where it has no walls [m].
         pub beside_m: f64 = 0.6, 0.0..=10.0;
+        /// Returns farther than this outside of the track are ignored where it has no walls: up to there, obstacles that
+        /// move are described [m].
+        pub watch_m: f64 = 1.5, 0.0..=10.0;
         /// Size of the ellipses: `tight` leaves gaps open that the robot fits through, `source` is (7.35) as printed.
         pub cover: CoverRule = CoverRule::Tight;
         /// With `tight`: distance that the body keeps from an obstacle while its centre is outside of the ellipses [m].
@@ -77,6 +80,13 @@ impl Config {
     pub(crate) fn first_sight_m(&self) -> f64 {
         let sudden_m = self.vehicle.length_m / 2.0 + self.vehicle.sudden_m;
         self.near_m.max(sudden_m + 3.0 * self.range_noise_m)
+    }
+
+    /// Between these, obstacles at rest are described, across the track [m].
+    pub(crate) fn beside_y_m(&self) -> [f64; 2] {
+        let beyond = if self.walls { f64::INFINITY } else { self.beside_m };
+        let [low, high] = self.wall_y_m;
+        [low - beyond, high + beyond]
     }
 
     /// Where walls end the view across the track when nothing stands on it [m]; `None` in open surroundings.

@@ -13,69 +13,30 @@ use vehicle::geometry::Rectangle;
 use crate::Config;
 use crate::ellipse::{MAX_PIECES, cover};
 use crate::evidence::Evidence;
-use crate::outline::{Vertex, trace};
+use crate::outlines::Outlines;
 use crate::points::{Beams, Place, Point};
-use crate::segment::Segments;
-use crate::shape::Directions;
 use crate::state::{ObstaclesState, TRACKS, TrackState};
-use crate::track::{Track, View};
-use crate::visibility::{Sight, beams_towards, sight};
-use crate::walls::Walls;
+use crate::track::{IDS_PER_BODY, MAX_BODY, Track};
+use crate::tracks::{Tracks, is_beside};
 
-/// Identity of an ellipse: that of its body times this, plus the number of the piece.
-const IDS_PER_BODY: u32 = 8;
 const _: () = assert!(MAX_PIECES <= IDS_PER_BODY as usize);
-/// Identities of bodies wrap after this many, so that those of ellipses fit a u32.
-const MAX_BODY: u32 = u32::MAX / IDS_PER_BODY - 1;
-/// Returns nearer than this to where a body is expected belong to it [m]; at 1 m/s it moves 0.1 m between scans.
-const GATE_M: f64 = 0.2;
-/// Growth of the gate with the distance: three standard deviations of a yaw that is off by 0.01 rad.
-const GATE_PER_M: f64 = 0.03;
-/// Bodies nearer to each other than this are one [m].
-const TOUCHING_M: f64 = 0.04;
-/// A body that is not confirmed is forgotten after this time [s].
-const SPECKLE_MEMORY_S: f64 = 0.35;
-/// When a body that stands should be in view and has shown nothing for this long, the scanner is doubted there [s].
-const DOUBTFUL_S: f64 = 0.25;
-/// Scans that must have shown a body before it counts as standing.
-const STANDING: u32 = 5;
-/// A body further away than this is out of reach: the pose must have jumped [m].
-const LOST_M: f64 = 12.0;
 
 /// Detects and tracks obstacles; one call per scan.
 #[derive(Debug, Clone)]
 pub struct ObstacleDetector {
     config: Config,
     beams: Beams,
-    directions: Directions,
     acquired_ns: u64,
     pose: [f64; 3],
-    last_body: u32,
-    tracks: Vec<Track>,
+    tracks: Tracks,
     evidence: Evidence,
     // Buffers of one step.
     returns: Vec<Point>,
     points: Vec<Point>,
-    segments: Segments,
-    outlines: Vec<Outline>,
-    vertices: Vec<Vertex>,
-    view: Vec<Vertex>,
-    boxes: Vec<Rectangle>,
+    outlines: Outlines,
     drawn: Vec<Drawn>,
     /// For each beam whether its return is of something that does not move.
     fixed: Vec<bool>,
-}
-
-/// Outline of one cluster: a range of the vertices.
-#[derive(Debug, Clone, Copy)]
-struct Outline {
-    first: usize,
-    end: usize,
-    returns: usize,
-    edges: Vector2<f64>,
-    may_start: bool,
-    /// Index of the track that it belongs to.
-    track: Option<usize>,
 }
 
 /// An ellipse before it is sorted into the sample.
@@ -99,17 +60,11 @@ impl ObstacleDetector {
             fixed: vec![false; BEAMS],
             config,
             beams: Beams::new(),
-            directions: Directions::new(),
             acquired_ns: 0,
             pose: [0.0; 3],
-            last_body: 0,
-            tracks: Vec::with_capacity(TRACKS + 1),
+            tracks: Tracks::new(config),
             points: Vec::with_capacity(BEAMS),
-            segments: Segments::with_capacity(),
-            outlines: Vec::with_capacity(BEAMS),
-            vertices: Vec::with_capacity(4 * BEAMS),
-            view: Vec::with_capacity(4 * BEAMS),
-            boxes: Vec::with_capacity(TRACKS + 1),
+            outlines: Outlines::with_capacity(),
             drawn: Vec::with_capacity(TRACKS * MAX_PIECES),
         })
     }
@@ -119,9 +74,7 @@ impl ObstacleDetector {
     /// With a pose that is not finite nothing is detected: the known bodies count as unseen.
     pub fn step(&mut self, scan: &Scan, pose: &Pose) -> Obstacles {
         let elapsed = self.elapse(scan.header.acquired_ns);
-        for track in &mut self.tracks {
-            track.predict(elapsed);
-        }
+        self.tracks.predict(elapsed);
         let place = Place::of(pose, &self.config.vehicle);
         if place.is_some() {
             self.pose = [pose.x_m, pose.y_m, pose.yaw_rad];
@@ -133,7 +86,7 @@ impl ObstacleDetector {
                 0
             }
         };
-        self.expire();
+        self.tracks.expire(self.pose);
         let health = self.evidence.health(if pose.speed_mps.is_finite() { pose.speed_mps } else { 0.0 });
         self.describe(scan.header.answer_both(&pose.header), overflow, health)
     }
@@ -154,14 +107,14 @@ impl ObstacleDetector {
     /// All that the next step depends on.
     pub fn state(&self) -> ObstaclesState {
         let mut tracks = [TrackState::default(); TRACKS];
-        for (state, track) in tracks.iter_mut().zip(&self.tracks) {
+        for (state, track) in tracks.iter_mut().zip(&self.tracks.list) {
             *state = track.to_state();
         }
         ObstaclesState {
             acquired_ns: self.acquired_ns,
             pose: self.pose,
-            last_body: self.last_body,
-            count: self.tracks.len().min(TRACKS) as u32,
+            last_body: self.tracks.last_body,
+            count: self.tracks.list.len().min(TRACKS) as u32,
             tracks,
             evidence: self.evidence.state(),
         }
@@ -189,9 +142,9 @@ impl ObstacleDetector {
         self.evidence.resume(&state.evidence, &self.beams);
         self.acquired_ns = state.acquired_ns;
         self.pose = state.pose;
-        self.last_body = state.last_body;
-        self.tracks.clear();
-        self.tracks.extend(state.tracks[..count].iter().filter_map(sound));
+        self.tracks.last_body = state.last_body;
+        self.tracks.list.clear();
+        self.tracks.list.extend(state.tracks[..count].iter().filter_map(sound));
         Ok(())
     }
 
@@ -212,217 +165,44 @@ impl ObstacleDetector {
         if !self.evidence.receive(&self.beams, scan, place, &self.returns, elapsed) {
             return 0;
         }
-        self.outline(scan, place);
-        self.associate(place);
-        self.sight(place, elapsed);
+        self.outlines.find(&self.config, scan, place, &mut self.points, &self.tracks);
+        self.tracks.sight(&self.outlines, place, elapsed);
         self.mark_fixed();
         let fixed = &self.fixed;
         self.evidence.compare(&self.beams, scan, place, &self.returns, |beam| fixed[beam]);
-        let overflow = self.start(place);
-        self.forget(scan, place, elapsed);
-        self.unite();
+        let overflow = self.tracks.start(&self.outlines, place);
+        self.tracks.forget(scan, &self.beams, &mut self.evidence, place, elapsed);
+        self.tracks.unite();
         overflow
     }
 
     /// Marks the beams whose return is outside of the track, on a wall, or on a body that stands.
     fn mark_fixed(&mut self) {
         self.fixed.fill(true);
-        for point in &self.points {
+        let [low, high] = self.config.beside_y_m();
+        for point in self.points.iter().filter(|point| (low..=high).contains(&point.at.y)) {
             self.fixed[point.beam] = false;
         }
-        for (cluster, outline) in self.segments.clusters.iter().zip(&self.outlines) {
-            let stands = |index: usize| {
-                let track = &self.tracks[index];
-                !track.moving && track.sightings >= STANDING
-            };
-            if outline.track.is_some_and(stands) {
-                for member in &self.segments.members[cluster.first..cluster.end] {
-                    self.fixed[member.beam] = true;
+        for (outline, members) in self.outlines.members() {
+            let Some(track) = outline.track.map(|index| &self.tracks.list[index]) else { continue };
+            if track.moving || track.stands() {
+                for member in members {
+                    self.fixed[member.beam] = !track.moving;
                 }
             }
         }
-    }
-
-    /// Segments the scan into outlines of bodies.
-    fn outline(&mut self, scan: &Scan, place: &Place) {
-        let walls = Walls::fit(&self.config, place, &self.points);
-        self.points.retain(|point| walls.leaves(point.at));
-        self.segments.find(scan, &self.points, self.config.range_noise_m);
-        self.outlines.clear();
-        self.vertices.clear();
-        for cluster in &self.segments.clusters {
-            let members = &self.segments.members[cluster.first..cluster.end];
-            let first = self.vertices.len();
-            let edges = trace(cluster, members, place, self.config.range_noise_m, &mut self.vertices);
-            walls.extend(&mut self.vertices, first);
-            let end = self.vertices.len();
-            self.outlines.push(Outline {
-                first,
-                end,
-                returns: members.len(),
-                edges,
-                may_start: cluster.may_start,
-                track: None,
-            });
-        }
-    }
-
-    /// Gives each outline to the track whose expected box it is nearest to.
-    fn associate(&mut self, place: &Place) {
-        self.boxes.clear();
-        self.boxes.extend(self.tracks.iter().map(|track| track.expected(&self.directions)));
-        for outline in &mut self.outlines {
-            let vertices = &self.vertices[outline.first..outline.end];
-            let mut best = f64::INFINITY;
-            for (index, expected) in self.boxes.iter().enumerate() {
-                let (mut least, mut sum) = (f64::INFINITY, 0.0);
-                for vertex in vertices {
-                    let distance = expected.distance_to_point(vertex.at).max(0.0);
-                    least = least.min(distance);
-                    sum += distance;
-                }
-                let gate = GATE_M + GATE_PER_M * (expected.centre - place.at).norm();
-                // The mean decides between two boxes that both touch the outline.
-                let cost = least + 0.1 * sum / vertices.len() as f64;
-                if least < gate && cost < best {
-                    (best, outline.track) = (cost, Some(index));
-                }
-            }
-        }
-    }
-
-    /// Updates each track with all outlines that belong to it.
-    fn sight(&mut self, place: &Place, elapsed: f64) {
-        for (index, track) in self.tracks.iter_mut().enumerate() {
-            self.view.clear();
-            let (mut returns, mut edges) = (0, Vector2::zeros());
-            for outline in self.outlines.iter().filter(|outline| outline.track == Some(index)) {
-                self.view.extend_from_slice(&self.vertices[outline.first..outline.end]);
-                returns += outline.returns;
-                edges += outline.edges;
-            }
-            if returns == 0 {
-                continue;
-            }
-            // Time since it was last seen, which may be longer than a scan.
-            let elapsed = track.unseen_s.max(elapsed);
-            let view = View { vertices: &self.view, edges, returns, robot: place.at, elapsed };
-            track.sight(&view, &self.config, &self.directions);
-            track.confirmed = true;
-        }
-    }
-
-    /// Starts a track for each outline in the window that belongs to none; returns how many did not fit.
-    fn start(&mut self, place: &Place) -> u32 {
-        let mut overflow = 0;
-        for outline in self.outlines.iter().filter(|outline| outline.track.is_none() && outline.may_start) {
-            let vertices = &self.vertices[outline.first..outline.end];
-            let nearest =
-                vertices.iter().map(|vertex| (vertex.at - place.at).norm()).fold(f64::INFINITY, f64::min);
-            if self.tracks.len() >= TRACKS {
-                let Some(farthest) = farthest_unseen(&self.tracks, place, nearest, &self.directions) else {
-                    overflow += 1;
-                    continue;
-                };
-                self.tracks.remove(farthest);
-            }
-            self.last_body = self.last_body % MAX_BODY + 1;
-            let view = View {
-                vertices,
-                edges: outline.edges,
-                returns: outline.returns,
-                robot: place.at,
-                elapsed: 0.0,
-            };
-            let mut track = Track::start(self.last_body, &view, &self.config, &self.directions);
-            // A wall may be near although its ends, the only vertices, are not.
-            let distance = track.rectangle(&self.directions).distance_to_point(place.at);
-            track.confirmed = distance < self.config.first_sight_m();
-            self.tracks.push(track);
-        }
-        overflow
-    }
-
-    /// Forgets bodies whose place is free, or from which nothing has come for too long.
-    fn forget(&mut self, scan: &Scan, place: &Place, elapsed: f64) {
-        let is_reliable = self.evidence.is_reliable();
-        for track in self.tracks.iter_mut().filter(|track| track.unseen_s > 0.0) {
-            let rectangle = track.rectangle(&self.directions);
-            match sight(scan, &self.beams, place, &rectangle) {
-                Sight::Free => track.free = track.free.saturating_add(1),
-                Sight::Taken => track.free = 0,
-                Sight::Silent => {
-                    track.silent_s += if is_reliable { elapsed } else { 0.0 };
-                    let stands = !track.moving && track.sightings >= STANDING;
-                    if stands
-                        && track.silent_s > DOUBTFUL_S
-                        && let Some(beams) = beams_towards(place, &rectangle)
-                    {
-                        self.evidence.doubt(beams);
-                    }
-                }
-                Sight::Unknown => {}
-            }
-        }
-        let limit = self.config.free_scans;
-        let memory_s = self.config.memory_s;
-        self.tracks.retain(|track| {
-            track.free < if track.confirmed { limit } else { limit.min(2) } && !track.is_outdated(memory_s)
-        });
-    }
-
-    /// Merges standing bodies that touch: parts of one body that were first seen apart.
-    fn unite(&mut self) {
-        self.boxes.clear();
-        self.boxes.extend(self.tracks.iter().map(|track| track.rectangle(&self.directions)));
-        let mut older = 0;
-        while older < self.tracks.len() {
-            let mut younger = older + 1;
-            while younger < self.tracks.len() {
-                let (a, b) = (&self.boxes[older], &self.boxes[younger]);
-                let standing = !self.tracks[older].moving && !self.tracks[younger].moving;
-                let reach = (a.length.hypot(a.width) + b.length.hypot(b.width)) / 2.0 + TOUCHING_M;
-                let touch = standing
-                    && (a.centre - b.centre).norm_squared() < reach * reach
-                    && a.distance_to_rectangle(b) < TOUCHING_M;
-                if touch {
-                    let part = self.tracks.remove(younger);
-                    self.boxes.remove(younger);
-                    self.tracks[older].absorb(&part, &self.directions);
-                    self.boxes[older] = self.tracks[older].rectangle(&self.directions);
-                } else {
-                    younger += 1;
-                }
-            }
-            older += 1;
-        }
-    }
-
-    /// Forgets bodies that are far behind, out of reach, moved out of sight, or never confirmed.
-    fn expire(&mut self) {
-        let [x, y, yaw] = self.pose;
-        let (config, directions) = (&self.config, &self.directions);
-        self.tracks.retain(|track| {
-            if !track.is_sound() {
-                return false;
-            }
-            let rectangle = track.rectangle(directions);
-            let at = Vector2::new(x, y);
-            let forward = |corner: Vector2<f64>| to_robot(yaw, corner.x - x, corner.y - y).x;
-            let front = rectangle.corners().map(forward).into_iter().fold(f64::NEG_INFINITY, f64::max);
-            let lost = rectangle.distance_to_point(at) > LOST_M || front < -config.keep_behind_m;
-            let gone = track.moving && track.unseen_s > config.moving_memory_s;
-            let speckle = !track.confirmed && track.unseen_s > SPECKLE_MEMORY_S;
-            !(lost || gone || speckle)
-        });
     }
 
     /// The ellipses of all confirmed tracks, nearest ahead first.
     fn describe(&mut self, header: Header, overflow: u32, scanner: ScannerHealth) -> Obstacles {
         let [x, y, yaw] = self.pose;
         self.drawn.clear();
-        for track in self.tracks.iter_mut().filter(|track| track.confirmed) {
-            let rectangle = track.rectangle(&self.directions);
+        let Tracks { list, directions, .. } = &mut self.tracks;
+        for track in list.iter_mut().filter(|track| track.confirmed) {
+            let rectangle = track.rectangle(directions);
+            if !track.moving && is_beside(&self.config, rectangle.corners()) {
+                continue;
+            }
             let growth = track.growth();
             let grown = Rectangle {
                 length: rectangle.length + 2.0 * growth,
@@ -431,7 +211,7 @@ impl ObstacleDetector {
             };
             let [low, high] = track.extent();
             let extent = [low.add_scalar(-growth), high.add_scalar(growth)];
-            let cover = cover(&self.config, &grown, &extent, track.pieces, &self.directions);
+            let cover = cover(&self.config, &grown, &extent, track.pieces, directions);
             track.pieces = cover.list().len() as u32;
             let velocity = track.velocity();
             for (piece, ellipse) in (0..).zip(cover.list()) {
@@ -476,16 +256,4 @@ impl ObstacleDetector {
             items,
         }
     }
-}
-
-/// Index of the track farthest away among those not seen now, when it is farther than `distance`.
-fn farthest_unseen(tracks: &[Track], place: &Place, distance: f64, directions: &Directions) -> Option<usize> {
-    let mut farthest = (distance, None);
-    for (index, track) in tracks.iter().enumerate().filter(|(_, track)| track.unseen_s > 0.0) {
-        let distance = track.rectangle(directions).distance_to_point(place.at);
-        if distance > farthest.0 {
-            farthest = (distance, Some(index));
-        }
-    }
-    farthest.1
 }

@@ -14,12 +14,15 @@ mod ellipse;
 mod evidence;
 mod motion;
 mod outline;
+mod outlines;
+mod part;
 mod points;
 mod segment;
 pub mod service;
 mod shape;
 mod state;
 mod track;
+mod tracks;
 mod visibility;
 mod walls;
 

@@ -55,22 +55,32 @@ pub(crate) struct Segments {
     pub(crate) members: Vec<Point>,
     /// The clusters from right to left.
     pub(crate) clusters: Vec<Cluster>,
+    // Buffers of the parting.
+    pub(crate) parts: Vec<Cluster>,
+    pub(crate) owners: Vec<Option<usize>>,
 }
 
 impl Segments {
     /// Buffers large enough for any scan.
     pub(crate) fn with_capacity() -> Self {
-        Self { members: Vec::with_capacity(BEAMS), clusters: Vec::with_capacity(BEAMS) }
+        Self {
+            members: Vec::with_capacity(BEAMS),
+            clusters: Vec::with_capacity(BEAMS),
+            parts: Vec::with_capacity(BEAMS),
+            owners: Vec::with_capacity(BEAMS),
+        }
     }
 
-    /// Finds the clusters among `points`, which are in the order of beams.
-    pub(crate) fn find(&mut self, scan: &Scan, points: &[Point], range_noise: f64) {
+    /// Finds the clusters among `points`, which are in the order of beams. None reaches across the lines `beside_y`: a body
+    /// at rest ends there, however far what it touches extends.
+    pub(crate) fn find(&mut self, scan: &Scan, points: &[Point], range_noise: f64, beside_y: [f64; 2]) {
         self.members.clear();
         self.clusters.clear();
         let mut first = 0;
         for (index, point) in points.iter().enumerate() {
             if let Some(last) = self.members[first..].last().copied()
-                && !connected(&last, point, range_noise)
+                && !(is_beside(&last, beside_y) == is_beside(point, beside_y)
+                    && connected(&last, point, range_noise))
             {
                 if is_speckle(points, index, &last, range_noise) {
                     continue;
@@ -110,6 +120,11 @@ impl Segments {
         let ends = [end_of(scan, &members[0], false), end_of(scan, &members[members.len() - 1], true)];
         self.clusters.push(Cluster { first, end: self.members.len(), may_start, ends });
     }
+}
+
+/// Whether a return is beyond the lines within which bodies at rest are described.
+fn is_beside(point: &Point, [low, high]: [f64; 2]) -> bool {
+    !(low..=high).contains(&point.at.y)
 }
 
 /// Whether two returns can lie on one surface.

@@ -11,6 +11,12 @@ use crate::segment::End;
 use crate::shape::{DIRECTIONS, Directions, ENDS, Seen, Shape, Sighting, deepen, facing, merge, orient};
 use crate::state::TrackState;
 
+/// Identity of an ellipse: that of its body times this, plus the number of the piece.
+pub(crate) const IDS_PER_BODY: u32 = 8;
+/// Identities of bodies wrap after this many, so that those of ellipses fit a u32.
+pub(crate) const MAX_BODY: u32 = u32::MAX / IDS_PER_BODY - 1;
+/// Scans that must have shown a body before it counts as standing.
+const STANDING: u32 = 5;
 /// Standard deviation along an axis that a sighting does not measure [m].
 const BLIND_M: f64 = 10.0;
 /// A near surface that jumps farther than this has changed its shape and not its place [m].
@@ -140,6 +146,11 @@ impl Track {
     /// How much larger than seen it may be by now, at each side [m].
     pub(crate) fn growth(&self) -> f64 {
         (GROWTH_MPS * self.silent_s).min(MAX_GROWTH_M)
+    }
+
+    /// Whether enough scans have shown it at rest.
+    pub(crate) fn stands(&self) -> bool {
+        !self.moving && self.sightings >= STANDING
     }
 
     /// Velocity, zero unless the body clearly moves [m/s].

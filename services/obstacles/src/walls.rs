@@ -40,10 +40,11 @@ pub(crate) struct Walls {
 impl Walls {
     /// Fits the walls to the points of one scan.
     pub(crate) fn fit(config: &Config, place: &Place, points: &[Point]) -> Self {
-        let outside = |[low, high]: [f64; 2]| [low - config.beside_m, high + config.beside_m];
-        let along = outside(config.track_x_m);
+        let outside = |[low, high]: [f64; 2], by: f64| [low - by, high + by];
+        let along = outside(config.track_x_m, config.beside_m);
         if !config.walls {
-            return Self { sides: None, along, inside: outside(config.wall_y_m), band: 0.0 };
+            let inside = outside(config.wall_y_m, config.beside_m.max(config.watch_m));
+            return Self { sides: None, along, inside, band: 0.0 };
         }
         let sides = config.wall_y_m.map(|y| Wall::fit(config, y, place, points));
         Self { sides: Some(sides), along, inside: config.wall_y_m, band: config.wall_band_m }
@@ -137,6 +138,6 @@ mod tests {
         let config = Config { track_x_m: [0.0, 5.0], ..Config::default() };
         let walls = Walls::fit(&config, &place, &[]);
         assert!(walls.leaves(Vector2::new(5.5, 0.0)) && !walls.leaves(Vector2::new(5.7, 0.0)));
-        assert!(walls.leaves(Vector2::new(3.0, 2.05)) && !walls.leaves(Vector2::new(3.0, -2.15)));
+        assert!(walls.leaves(Vector2::new(3.0, 2.95)) && !walls.leaves(Vector2::new(3.0, -3.05)));
     }
 }

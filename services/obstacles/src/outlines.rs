@@ -1,0 +1,143 @@
+//! Outlines of one scan: what it shows of bodies, and of which tracked body each is.
+
+use nalgebra::Vector2;
+use shared_types::{BEAMS, Scan};
+
+use crate::Config;
+use crate::outline::{Vertex, trace};
+use crate::part::Known;
+use crate::points::{Place, Point};
+use crate::segment::Segments;
+use crate::state::TRACKS;
+use crate::tracks::{Tracks, is_beside};
+use crate::walls::Walls;
+
+/// Returns nearer than this to where a body is expected belong to it [m]; at 1 m/s it moves 0.1 m between scans.
+const GATE_M: f64 = 0.2;
+/// Growth of the gate with the distance: three standard deviations of a yaw that is off by 0.01 rad.
+const GATE_PER_M: f64 = 0.03;
+
+/// Outline of one cluster: a range of the vertices.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Outline {
+    /// Index of its first vertex.
+    first: usize,
+    /// Index behind its last vertex.
+    end: usize,
+    /// Number of its returns.
+    pub(crate) returns: usize,
+    /// Direction of its edges, see [`trace`].
+    pub(crate) edges: Vector2<f64>,
+    /// Whether it is evidence enough for a new body.
+    pub(crate) may_start: bool,
+    /// Index of the track that it belongs to.
+    pub(crate) track: Option<usize>,
+}
+
+/// The outlines of one scan; buffers are kept.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Outlines {
+    /// All outlines, from right to left.
+    pub(crate) list: Vec<Outline>,
+    segments: Segments,
+    vertices: Vec<Vertex>,
+    expected: Vec<Known>,
+}
+
+impl Outlines {
+    /// Buffers large enough for any scan.
+    pub(crate) fn with_capacity() -> Self {
+        Self {
+            list: Vec::with_capacity(BEAMS),
+            segments: Segments::with_capacity(),
+            vertices: Vec::with_capacity(4 * BEAMS),
+            expected: Vec::with_capacity(TRACKS + 1),
+        }
+    }
+
+    /// Finds the outlines among `points`, without those on walls, and the track that each belongs to.
+    pub(crate) fn find(
+        &mut self,
+        config: &Config,
+        scan: &Scan,
+        place: &Place,
+        points: &mut Vec<Point>,
+        tracks: &Tracks,
+    ) {
+        self.outline(config, scan, place, points, tracks);
+        self.associate(config, place);
+    }
+
+    /// The vertices of an outline.
+    pub(crate) fn vertices(&self, outline: &Outline) -> &[Vertex] {
+        &self.vertices[outline.first..outline.end]
+    }
+
+    /// Each outline with its returns.
+    pub(crate) fn members(&self) -> impl Iterator<Item = (&Outline, &[Point])> {
+        let returns = |first: usize, end: usize| &self.segments.members[first..end];
+        self.list
+            .iter()
+            .zip(self.segments.clusters.iter().map(move |cluster| returns(cluster.first, cluster.end)))
+    }
+
+    /// Segments the scan into outlines of bodies.
+    fn outline(
+        &mut self,
+        config: &Config,
+        scan: &Scan,
+        place: &Place,
+        points: &mut Vec<Point>,
+        tracks: &Tracks,
+    ) {
+        let walls = Walls::fit(config, place, points);
+        points.retain(|point| walls.leaves(point.at));
+        self.segments.find(scan, points, config.range_noise_m, config.beside_y_m());
+        self.expected.clear();
+        self.expected.extend(tracks.expected());
+        self.segments.part(&self.expected);
+        self.list.clear();
+        self.vertices.clear();
+        for cluster in &self.segments.clusters {
+            let members = &self.segments.members[cluster.first..cluster.end];
+            let first = self.vertices.len();
+            let edges = trace(cluster, members, place, config.range_noise_m, &mut self.vertices);
+            walls.extend(&mut self.vertices, first);
+            let end = self.vertices.len();
+            self.list.push(Outline {
+                first,
+                end,
+                returns: members.len(),
+                edges,
+                may_start: cluster.may_start,
+                track: None,
+            });
+        }
+    }
+
+    /// Gives each outline to the track whose expected box it is nearest to.
+    fn associate(&mut self, config: &Config, place: &Place) {
+        for outline in &mut self.list {
+            let vertices = &self.vertices[outline.first..outline.end];
+            let mut best = f64::INFINITY;
+            let beside = is_beside(config, vertices.iter().map(|vertex| vertex.at));
+            for (index, (expected, moves)) in self.expected.iter().enumerate() {
+                if !moves && is_beside(config, expected.corners()) != beside {
+                    continue;
+                }
+                let (mut least, mut sum) = (f64::INFINITY, 0.0);
+                for vertex in vertices {
+                    let distance = expected.distance_to_point(vertex.at).max(0.0);
+                    least = least.min(distance);
+                    sum += distance;
+                }
+                let gate = GATE_M + GATE_PER_M * (expected.centre - place.at).norm();
+                // The mean decides between two boxes that both touch the outline.
+                let cost = least + 0.1 * sum / vertices.len() as f64;
+                if least < gate && cost < best {
+                    (best, outline.track) = (cost, Some(index));
+                }
+            }
+        }
+    }
+}

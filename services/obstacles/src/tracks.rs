@@ -1,0 +1,237 @@
+//! All tracked bodies: started, updated, united and forgotten.
+
+use nalgebra::Vector2;
+use shared_types::Scan;
+use vehicle::frame::to_robot;
+use vehicle::geometry::Rectangle;
+
+use crate::Config;
+use crate::evidence::Evidence;
+use crate::outline::Vertex;
+use crate::outlines::Outlines;
+use crate::part::Known;
+use crate::points::{Beams, Place};
+use crate::shape::Directions;
+use crate::state::TRACKS;
+use crate::track::{MAX_BODY, Track, View};
+use crate::visibility::{Sight, beams_towards, sight};
+
+/// Bodies nearer to each other than this are one [m].
+const TOUCHING_M: f64 = 0.04;
+/// A body that is not confirmed is forgotten after this time [s].
+const SPECKLE_MEMORY_S: f64 = 0.35;
+/// When a body that stands should be in view and has shown nothing for this long, the scanner is doubted there [s].
+const DOUBTFUL_S: f64 = 0.25;
+/// A body beside the track may seem to reach so far across its line [m].
+const BESIDE_NOISE_M: f64 = 0.05;
+/// A body further away than this is out of reach: the pose must have jumped [m].
+const LOST_M: f64 = 12.0;
+
+/// The tracked bodies, oldest first; buffers are kept.
+#[derive(Debug, Clone)]
+pub(crate) struct Tracks {
+    /// The bodies.
+    pub(crate) list: Vec<Track>,
+    /// Identity of the body last found.
+    pub(crate) last_body: u32,
+    /// The directions of their reaches.
+    pub(crate) directions: Directions,
+    config: Config,
+    view: Vec<Vertex>,
+    boxes: Vec<Rectangle>,
+}
+
+impl Tracks {
+    /// No bodies, and room for all.
+    pub(crate) fn new(config: Config) -> Self {
+        Self {
+            list: Vec::with_capacity(TRACKS + 1),
+            last_body: 0,
+            config,
+            directions: Directions::new(),
+            view: Vec::with_capacity(4 * shared_types::BEAMS),
+            boxes: Vec::with_capacity(TRACKS + 1),
+        }
+    }
+
+    /// The boxes where the next sightings are expected, and whether the bodies move.
+    pub(crate) fn expected(&self) -> impl Iterator<Item = Known> {
+        self.list.iter().map(|track| (track.expected(&self.directions), track.moving))
+    }
+
+    /// The bodies `elapsed` seconds later.
+    pub(crate) fn predict(&mut self, elapsed: f64) {
+        for track in &mut self.list {
+            track.predict(elapsed);
+        }
+    }
+
+    /// Updates each track with all outlines that belong to it.
+    pub(crate) fn sight(&mut self, outlines: &Outlines, place: &Place, elapsed: f64) {
+        for (index, track) in self.list.iter_mut().enumerate() {
+            self.view.clear();
+            let (mut returns, mut edges) = (0, Vector2::zeros());
+            for outline in outlines.list.iter().filter(|outline| outline.track == Some(index)) {
+                self.view.extend_from_slice(outlines.vertices(outline));
+                returns += outline.returns;
+                edges += outline.edges;
+            }
+            if returns == 0 {
+                continue;
+            }
+            // Time since it was last seen, which may be longer than a scan.
+            let elapsed = track.unseen_s.max(elapsed);
+            let view = View { vertices: &self.view, edges, returns, robot: place.at, elapsed };
+            track.sight(&view, &self.config, &self.directions);
+            track.confirmed = true;
+        }
+    }
+
+    /// Starts a track for each outline in the window that belongs to none; returns how many did not fit.
+    pub(crate) fn start(&mut self, outlines: &Outlines, place: &Place) -> u32 {
+        let mut overflow = 0;
+        for outline in outlines.list.iter().filter(|outline| outline.track.is_none() && outline.may_start) {
+            let vertices = outlines.vertices(outline);
+            let nearest =
+                vertices.iter().map(|vertex| (vertex.at - place.at).norm()).fold(f64::INFINITY, f64::min);
+            if self.list.len() >= TRACKS {
+                if is_beside(&self.config, vertices.iter().map(|vertex| vertex.at)) {
+                    continue;
+                }
+                let Some(farthest) = least_needed(&self.list, &self.config, place, nearest, &self.directions)
+                else {
+                    overflow += 1;
+                    continue;
+                };
+                self.list.remove(farthest);
+            }
+            self.last_body = self.last_body % MAX_BODY + 1;
+            let view = View {
+                vertices,
+                edges: outline.edges,
+                returns: outline.returns,
+                robot: place.at,
+                elapsed: 0.0,
+            };
+            let mut track = Track::start(self.last_body, &view, &self.config, &self.directions);
+            // A wall may be near although its ends, the only vertices, are not.
+            let distance = track.rectangle(&self.directions).distance_to_point(place.at);
+            track.confirmed = distance < self.config.first_sight_m();
+            self.list.push(track);
+        }
+        overflow
+    }
+
+    /// Forgets bodies whose place is free, or from which nothing has come for too long.
+    pub(crate) fn forget(
+        &mut self,
+        scan: &Scan,
+        beams: &Beams,
+        evidence: &mut Evidence,
+        place: &Place,
+        elapsed: f64,
+    ) {
+        let is_reliable = evidence.is_reliable();
+        for track in self.list.iter_mut().filter(|track| track.unseen_s > 0.0) {
+            let rectangle = track.rectangle(&self.directions);
+            match sight(scan, beams, place, &rectangle) {
+                Sight::Free => track.free = track.free.saturating_add(1),
+                Sight::Taken => track.free = 0,
+                Sight::Silent => {
+                    track.silent_s += if is_reliable { elapsed } else { 0.0 };
+                    if track.stands()
+                        && !is_beside(&self.config, rectangle.corners())
+                        && track.silent_s > DOUBTFUL_S
+                        && let Some(towards) = beams_towards(place, &rectangle)
+                    {
+                        evidence.doubt(towards);
+                    }
+                }
+                Sight::Unknown => {}
+            }
+        }
+        let limit = self.config.free_scans;
+        let memory_s = self.config.memory_s;
+        self.list.retain(|track| {
+            track.free < if track.confirmed { limit } else { limit.min(2) } && !track.is_outdated(memory_s)
+        });
+    }
+
+    /// Merges standing bodies that touch: parts of one body that were first seen apart.
+    pub(crate) fn unite(&mut self) {
+        self.boxes.clear();
+        self.boxes.extend(self.list.iter().map(|track| track.rectangle(&self.directions)));
+        let mut older = 0;
+        while older < self.list.len() {
+            let mut younger = older + 1;
+            while younger < self.list.len() {
+                let (a, b) = (&self.boxes[older], &self.boxes[younger]);
+                let standing = !self.list[older].moving && !self.list[younger].moving;
+                let reach = (a.length.hypot(a.width) + b.length.hypot(b.width)) / 2.0 + TOUCHING_M;
+                let touch = standing
+                    && is_beside(&self.config, a.corners()) == is_beside(&self.config, b.corners())
+                    && (a.centre - b.centre).norm_squared() < reach * reach
+                    && a.distance_to_rectangle(b) < TOUCHING_M;
+                if touch {
+                    let part = self.list.remove(younger);
+                    self.boxes.remove(younger);
+                    self.list[older].absorb(&part, &self.directions);
+                    self.boxes[older] = self.list[older].rectangle(&self.directions);
+                } else {
+                    younger += 1;
+                }
+            }
+            older += 1;
+        }
+    }
+
+    /// Forgets bodies that are far behind, out of reach, moved out of sight, or never confirmed.
+    pub(crate) fn expire(&mut self, [x, y, yaw]: [f64; 3]) {
+        let (config, directions) = (&self.config, &self.directions);
+        self.list.retain(|track| {
+            if !track.is_sound() {
+                return false;
+            }
+            let rectangle = track.rectangle(directions);
+            let at = Vector2::new(x, y);
+            let forward = |corner: Vector2<f64>| to_robot(yaw, corner.x - x, corner.y - y).x;
+            let front = rectangle.corners().map(forward).into_iter().fold(f64::NEG_INFINITY, f64::max);
+            let lost = rectangle.distance_to_point(at) > LOST_M || front < -config.keep_behind_m;
+            let gone = track.moving && track.unseen_s > config.moving_memory_s;
+            let speckle = !track.confirmed && track.unseen_s > SPECKLE_MEMORY_S;
+            !(lost || gone || speckle)
+        });
+    }
+}
+
+/// Whether a body is beyond the lines within which bodies at rest are described; it may reach 5 cm across by noise.
+pub(crate) fn is_beside(config: &Config, corners: impl IntoIterator<Item = Vector2<f64>>) -> bool {
+    let [low, high] = config.beside_y_m();
+    let (mut right, mut left) = (true, true);
+    for corner in corners {
+        right &= corner.y < low + BESIDE_NOISE_M;
+        left &= corner.y > high - BESIDE_NOISE_M;
+    }
+    right || left
+}
+
+/// Index of the track that is needed least: the farthest that is at rest beside the track, else the farthest among those not
+/// seen now, when it is farther than `distance`.
+fn least_needed(
+    tracks: &[Track],
+    config: &Config,
+    place: &Place,
+    distance: f64,
+    directions: &Directions,
+) -> Option<usize> {
+    let mut farthest = (distance, None);
+    for (index, track) in tracks.iter().enumerate() {
+        let rectangle = track.rectangle(directions);
+        let beside = !track.moving && is_beside(config, rectangle.corners());
+        let distance = rectangle.distance_to_point(place.at) + if beside { LOST_M } else { 0.0 };
+        if (beside || track.unseen_s > 0.0) && distance > farthest.0 {
+            farthest = (distance, Some(index));
+        }
+    }
+    farthest.1
+}
