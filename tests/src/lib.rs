@@ -8,6 +8,7 @@ pub mod operator;
 pub mod page_hours;
 pub mod player_server;
 pub mod recordings;
+pub mod relay;
 pub mod soak;
 pub mod stranger;
 pub mod swaps;
@@ -182,19 +183,21 @@ impl System {
 
     /// Waits for the end of the run.
     pub fn wait(&mut self) -> ExitStatus {
-        let mut child = self.running.take().expect("a running system");
+        self.wait_at_most(DEADLINE).unwrap_or_else(|| panic!("the run does not end: {}", self.stderr()))
+    }
+
+    /// Waits for the end of the run; `None` when it takes longer than that.
+    pub fn wait_at_most(&mut self, limit: Duration) -> Option<ExitStatus> {
         let started = Instant::now();
-        loop {
+        while started.elapsed() < limit {
+            let child = self.running.as_mut().expect("a running system");
             if let Some(status) = child.try_wait().expect("a child of ours") {
-                return status;
-            }
-            if started.elapsed() > DEADLINE {
-                let _ = child.kill();
-                let _ = child.wait();
-                panic!("the run does not end: {}", self.stderr());
+                self.running = None;
+                return Some(status);
             }
             std::thread::park_timeout(CHECK_INTERVAL);
         }
+        None
     }
 
     /// The report of the run that has ended.

@@ -13,8 +13,8 @@ use console::note;
 use plan::System;
 use plan::hosts::{Crossing, HostEntry, Place, crossings_between, endpoint};
 use runtime::{
-    Domain, HUB, INCARNATION_VARIABLE, LinkPeer, LinkStatus, LinkTable, LinkedHost, RUN_ID_VARIABLE,
-    monotonic_ns,
+    Domain, HUB, INCARNATION_VARIABLE, LinkLoss, LinkPeer, LinkStatus, LinkTable, LinkedHost,
+    RUN_ID_VARIABLE, monotonic_ns,
 };
 use shared_types::Topic;
 use supervision::child::{Child, Launch, this_program};
@@ -166,6 +166,11 @@ impl HubLink {
         let is_silent = now_ns.saturating_sub(self.status.written_ns) > SILENT_NS;
         is_silent
             || self.connected_ns.get(host).is_none_or(|since_ns| now_ns.saturating_sub(*since_ns) < STEADY_NS)
+    }
+
+    /// Samples that were lost between hosts within the last seconds, as the links of all hosts report them.
+    pub fn losses(&self) -> impl Iterator<Item = &LinkLoss> {
+        self.status.losses.iter().chain(self.status.hosts.iter().flat_map(|host| &host.losses))
     }
 
     /// The other hosts.

@@ -4,7 +4,8 @@ use std::path::Path;
 
 use anyhow::Context;
 use runtime::{
-    Bus, CANDIDATE_VARIABLE, Domain, LinkTable, StopWord, monotonic_ns, own_settings_file, write_handover,
+    Bus, CANDIDATE_VARIABLE, Domain, LinkTable, Realtime, StopWord, monotonic_ns, own_settings_file,
+    write_handover,
 };
 use shared_types::Role;
 use supervision::child::{Child, Launch, this_program};
@@ -131,6 +132,9 @@ impl Served {
         log.begin(&format!("{role} incarnation {incarnation}: {}", start.implementation))?;
         let command = vec![this_program().into(), "service".into(), (&start.implementation).into()];
         let child = Child::spawn(&Launch { command, environment }, &log)?;
+        for refused in Realtime::default().apply_to(child.pid()) {
+            log.begin(&refused)?;
+        }
         let heard_ns = monotonic_ns();
         self.processes.push(ServedProcess {
             role,

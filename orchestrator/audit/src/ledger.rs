@@ -12,6 +12,7 @@
 //! Only the newest [`WINDOW`] scans are stored one by one; older ones are only counted.
 
 mod companions;
+mod crossing;
 mod fault;
 mod refused;
 mod rows;

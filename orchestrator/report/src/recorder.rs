@@ -102,6 +102,11 @@ impl Recorder {
         self.ledger.refused(scan_id, rule.name());
     }
 
+    /// A sample of a scan was lost between two hosts: the reason if the scan stays without an answer.
+    pub fn sample_lost(&mut self, scan_id: u64, reason: &'static str) {
+        self.ledger.refused(scan_id, reason);
+    }
+
     /// The robot publishes no truth; for the time before the first scan.
     pub fn expect_no_truth(&mut self) {
         self.estimated = Some(Estimated::default());

@@ -139,10 +139,11 @@ impl Session {
         let (lockstep, period_ns) = (options.lockstep, plan.system.period_ns());
         let entries = Role::ALL.iter().filter_map(|role| fleet.entry(*role));
         let supervisor = Supervisor::new(entries.map(|entry| entry.policy(period_ns)).collect());
-        let audit = match first_scan {
+        let mut audit = match first_scan {
             0 => SampleAudit::midway(),
             _ => SampleAudit::new(lockstep),
         };
+        link.iter().for_each(|_| audit.linked());
         let scenario = plan.scenario.name.clone();
         let mut session = Self {
             control: ControlSocket::open(domain)?,
@@ -246,6 +247,7 @@ impl Session {
         self.samples.poll(&self.directives.current, &mut self.audit.samples)?;
         self.record(true)?;
         self.end_companions()?;
+        self.keep_link();
         self.reconcile(true);
         self.progress.finish();
         let mut result = self.result();
@@ -333,6 +335,7 @@ impl Session {
     fn keep_link(&mut self) {
         let Some(link) = &mut self.link else { return };
         let messages = link.keep();
+        self.audit.samples.lost_between_hosts(link.losses());
         if !messages.is_empty() {
             // One that ended has left its ports.
             self.bus.clean_up_dead_processes();

@@ -1,12 +1,13 @@
 //! The command line: `scanloop-link hub SYSTEM_ID`, `scanloop-link agent NAME ENDPOINT [CREDENTIALS]`,
-//! `scanloop-link pair FOLDER HOST ADDRESS DAYS`, and `scanloop-link check CREDENTIALS`.
+//! `scanloop-link pair FOLDER HOST ADDRESS DAYS`, and `scanloop-link check CREDENTIALS`. By hand, to measure a network:
+//! `scanloop-link echo ADDRESS [CREDENTIALS]` on one host, `scanloop-link ping ADDRESS COUNT [CREDENTIALS]` on another.
 
 use std::path::Path;
 
 use anyhow::bail;
-use runtime::{Domain, LinkTable};
+use runtime::{Domain, LinkTable, Realtime};
 
-use crate::{bridge, control, credentials};
+use crate::{bridge, control, credentials, ping};
 
 /// Runs the link until its system ends, or its agent does.
 ///
@@ -22,14 +23,37 @@ pub(crate) fn run() -> anyhow::Result<()> {
         ["hub", system_id] => {
             let domain = Domain::existing(system_id)?;
             let Some(table) = LinkTable::read(&domain)? else { bail!("system `{system_id}` is on one host") };
+            run_soon();
             bridge::run_hub(&domain, &table)
         }
-        ["agent", name, endpoint] => control::run_agent(name, endpoint, None),
-        ["agent", name, endpoint, credentials] => control::run_agent(name, endpoint, Some(credentials)),
+        ["agent", name, endpoint] => {
+            run_soon();
+            control::run_agent(name, endpoint, None)
+        }
+        ["agent", name, endpoint, credentials] => {
+            run_soon();
+            control::run_agent(name, endpoint, Some(credentials))
+        }
         ["check", folder] => credentials::check(Path::new(folder)),
         ["pair", folder, host, address, days] => {
             credentials::pair(Path::new(folder), host, address.parse()?, days.parse()?)
         }
-        _ => bail!("it is started by `scanloop run` and `scanloop agent`, not by hand"),
+        ["echo", address] => ping::echo(address.parse()?, None),
+        ["echo", address, credentials] => ping::echo(address.parse()?, Some(credentials)),
+        ["ping", address, count] => ping::ping(address.parse()?, None, count.parse()?),
+        ["ping", address, count, credentials] => {
+            ping::ping(address.parse()?, Some(credentials), count.parse()?)
+        }
+        _ => bail!(
+            "it is started by `scanloop run` and `scanloop agent`, not by hand; `echo` and `ping` measure"
+        ),
+    }
+}
+
+/// Asks the kernel to run this process soon when a sample wakes it, as all processes of the loop do. Threads that start later
+/// inherit it.
+fn run_soon() {
+    for refused in Realtime::default().apply_to(std::process::id()) {
+        runtime::print(runtime::Priority::Warning, &refused);
     }
 }

@@ -37,18 +37,18 @@ pub(crate) struct Bridge {
     pub(crate) link: Arc<Link>,
     flows: Arc<Mutex<Flows>>,
     threads: Vec<JoinHandle<()>>,
-    _subscribers: Vec<Subscriber<()>>,
+    subscribers: Vec<Subscriber<()>>,
 }
 
 impl Bridge {
     /// Starts to forward the topics of the table between the bus of `domain` and the network.
     ///
     /// # Errors
-    /// Unknown topics, and what Zenoh refuses. Errors of the bus end the link later.
+    /// Unknown topics, what Zenoh refuses, and errors of the bus.
     pub(crate) fn start(session: &Session, domain: &Domain, table: &LinkTable) -> anyhow::Result<Self> {
         let link = Arc::new(Link::new(table));
         let flows = Arc::new(Mutex::new(Flows::new(&link, session, domain)));
-        let mut bridge = Self { link, flows, threads: Vec::new(), _subscribers: Vec::new() };
+        let mut bridge = Self { link, flows, threads: Vec::new(), subscribers: Vec::new() };
         bridge.extend(&table.receives, &table.sends)?;
         match table.here == HUB {
             true => bridge.answer_clocks(session)?,
@@ -77,7 +77,7 @@ impl Bridge {
         let (asked, open) = (clock_key(&self.link.table.run_id, "ask", "*"), session.clone());
         let run_id = self.link.table.run_id.clone();
         let mut answers = BTreeMap::new();
-        self._subscribers.push(subscribe(session, asked, move |key, question| {
+        self.subscribers.push(subscribe(session, asked, move |key, question| {
             let received_ns = monotonic_ns();
             let host = key.rsplit('/').next().unwrap_or_default().to_owned();
             let Some(sent) = question.first_chunk::<8>() else { return };
@@ -99,7 +99,7 @@ impl Bridge {
     fn follow_topics(&mut self, session: &Session) -> anyhow::Result<()> {
         let LinkTable { run_id, here, .. } = &self.link.table;
         let (into, tables) = sync_channel(1);
-        self._subscribers.push(subscribe(session, table_key(run_id, here), move |_, text| {
+        self.subscribers.push(subscribe(session, table_key(run_id, here), move |_, text| {
             // It is repeated.
             let _ = into.try_send(text.to_vec());
         })?);
@@ -120,7 +120,7 @@ impl Bridge {
     fn follow_clock(&mut self, session: &Session) -> anyhow::Result<()> {
         let LinkTable { run_id, here, .. } = self.link.table.clone();
         let shared = Arc::clone(&self.link);
-        self._subscribers.push(subscribe(session, clock_key(&run_id, "answer", &here), move |_, stamps| {
+        self.subscribers.push(subscribe(session, clock_key(&run_id, "answer", &here), move |_, stamps| {
             let returned_ns = monotonic_ns();
             let stamp =
                 |index: usize| stamps.get(8 * index..)?.first_chunk().map(|bytes| u64::from_le_bytes(*bytes));
@@ -159,6 +159,7 @@ impl Drop for Bridge {
     fn drop(&mut self) {
         self.link.end();
         self.threads.drain(..).for_each(|thread| _ = thread.join());
+        self.subscribers.clear();
         self.flows.lock().unwrap_or_else(PoisonError::into_inner).join();
     }
 }
@@ -245,6 +246,7 @@ fn status_of(link: &Link, heard: &BTreeMap<String, (u64, LinkedHost)>, now_ns: u
         written_ns: now_ns,
         stood_still_ms: link.stood_still_ms(),
         counts: link.counters.get(),
+        losses: link.losses.recent(now_ns),
         hosts: hosts.collect(),
     }
 }

@@ -1,11 +1,10 @@
-//! The topics that cross at one host: a thread for each that leaves, and one for those that arrive.
+//! The topics that cross at one host: a thread for each that leaves, and a receiver of those that arrive.
 //!
 //! When a role moves to another host, more topics cross. The orchestrator's link reads them from its table, which the
 //! orchestrator rewrites, and repeats to each host what that is to send and to receive. A topic that has begun to cross
 //! does so until the run ends.
 
 use std::sync::Arc;
-use std::sync::mpsc::sync_channel;
 use std::thread::JoinHandle;
 
 use runtime::{Domain, LinkTable};
@@ -16,10 +15,8 @@ use zenoh::{Session, Wait};
 
 use crate::link::Link;
 use crate::network::{publisher, subscribe, table_key, topic_key};
-use crate::{receiver, sender};
-
-/// Frames that wait to be published here; a burst beyond that is old anyway.
-const INCOMING: usize = 256;
+use crate::receiver::Receiver;
+use crate::sender;
 
 /// The topics that cross at this host.
 pub(crate) struct Flows {
@@ -29,7 +26,8 @@ pub(crate) struct Flows {
     received: Vec<Topic>,
     sent: Vec<Topic>,
     threads: Vec<JoinHandle<()>>,
-    _subscribers: Vec<Subscriber<()>>,
+    receivers: Vec<Arc<Receiver>>,
+    subscribers: Vec<Subscriber<()>>,
 }
 
 impl Flows {
@@ -42,14 +40,15 @@ impl Flows {
             received: Vec::new(),
             sent: Vec::new(),
             threads: Vec::new(),
-            _subscribers: Vec::new(),
+            receivers: Vec::new(),
+            subscribers: Vec::new(),
         }
     }
 
     /// Has topics cross, unless they do already.
     ///
     /// # Errors
-    /// Unknown topics, and what Zenoh refuses. Errors of the bus end the link later.
+    /// Unknown topics, what Zenoh refuses, and errors of the bus.
     pub(crate) fn extend(&mut self, receives: &[String], sends: &[String]) -> anyhow::Result<()> {
         let new = |names: &[String], known: &mut Vec<Topic>| -> anyhow::Result<Vec<Topic>> {
             let all = names.iter().map(|name| name.parse()).collect::<Result<Vec<Topic>, _>>()?;
@@ -65,20 +64,18 @@ impl Flows {
     }
 
     fn receive(&mut self, topics: Vec<Topic>) -> anyhow::Result<()> {
-        let (into, incoming) = sync_channel(INCOMING);
-        for topic in topics.iter().copied() {
-            let (channel, shared) = (into.clone(), Arc::clone(&self.link));
+        let receiver = Arc::new(Receiver::open(&self.link, &self.domain, topics.clone())?);
+        for (index, topic) in topics.into_iter().enumerate() {
             let key = |from: &str| topic_key(&self.link.table.run_id, topic, from);
             // While a writer moves, its topic crosses both ways: what this host has sent comes back to it.
-            let own = key(&self.link.table.here);
-            self._subscribers.push(subscribe(&self.session, key("*"), move |name, frame| {
-                if name != own && channel.try_send((topic, frame.to_vec())).is_err() {
-                    shared.counters.old.add(1);
+            let (own, shared) = (key(&self.link.table.here), Arc::clone(&receiver));
+            self.subscribers.push(subscribe(&self.session, key("*"), move |name, frame| {
+                if name != own {
+                    shared.take(index, frame);
                 }
             })?);
         }
-        let (shared, domain) = (Arc::clone(&self.link), self.domain.clone());
-        self.threads.push(self.link.spawn(move || receiver::run(&shared, &domain, &topics, &incoming)));
+        self.receivers.push(receiver);
         Ok(())
     }
 
@@ -93,8 +90,10 @@ impl Flows {
         Ok(())
     }
 
-    /// Waits for the end of all threads of a link that has ended.
+    /// Waits for the end of all threads of a link that has ended, and leaves the bus.
     pub(crate) fn join(&mut self) {
+        self.subscribers.clear();
+        self.receivers.drain(..).for_each(|receiver| receiver.close());
         self.threads.drain(..).for_each(|thread| _ = thread.join());
     }
 }

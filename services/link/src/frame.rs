@@ -1,34 +1,47 @@
-//! A sample on its way between hosts: its bytes with all times on the common clock, behind the bound of that clock.
+//! A sample on its way between hosts: its bytes with all times on the common clock and without zeros, behind the bound of
+//! that clock.
 //!
 //! The common clock is that of the orchestrator's host. Every other host maps at its own end, both ways with one
 //! offset, so that the stamps of a scan that was there and back still add up.
 
-use shared_types::{Checkpoint, Directive, Header, Heartbeat, Role, SampleType, Topic, shift_times};
+use shared_types::{Checkpoint, Directive, Fault, Header, Heartbeat, Role, SampleType, Topic, shift_times};
 
 use crate::clock::Offset;
+use crate::zeros;
 
 /// Bytes in front of a sample: what its times may be wrong by [ns], little-endian.
 const BOUND_BYTES: usize = 8;
 
-/// Writes the frame of a sample into `frame`, with its times moved to the common clock.
-///
-/// # Panics
-/// When the sample has not the size of its type.
-pub(crate) fn pack(of: &SampleType, sample: &[u8], clock: Offset, frame: &mut Vec<u8>) {
-    frame.clear();
-    frame.extend_from_slice(&clock.bound_ns.to_le_bytes());
-    frame.extend_from_slice(sample);
-    shift_times(of, &mut frame[BOUND_BYTES..], clock.offset_ns);
+/// What a frame contains.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Content {
+    /// A sample; what its times may be wrong by [ns]. Whether its values may be used is for its readers to decide.
+    Sample(u64),
+    /// A sample that says to be of another layout.
+    OtherLayout,
+    /// Not a sample of this size.
+    Damaged,
 }
 
-/// The bound and the bytes of a sample, into `sample`; `None` when the frame is no sample of this type.
-pub(crate) fn unpack(of: &SampleType, frame: &[u8], sample: &mut Aligned) -> Option<u64> {
-    let (bound, bytes) = frame.split_first_chunk::<BOUND_BYTES>()?;
-    if bytes.len() != of.size {
-        return None;
+/// Writes the frame of a sample into `frame`. The times of the sample are moved to the common clock.
+pub(crate) fn pack(of: &SampleType, sample: &mut [u8], clock: Offset, frame: &mut Vec<u8>) {
+    shift_times(of, sample, clock.offset_ns);
+    frame.clear();
+    frame.extend_from_slice(&clock.bound_ns.to_le_bytes());
+    zeros::pack(sample, frame);
+}
+
+/// Takes the sample out of a frame, into `sample`.
+pub(crate) fn unpack(of: &SampleType, frame: &[u8], sample: &mut Aligned) -> Content {
+    let Some((bound, packed)) = frame.split_first_chunk::<BOUND_BYTES>() else { return Content::Damaged };
+    sample.resize(of.size);
+    if !zeros::unpack(packed, sample.bytes_mut()) {
+        return Content::Damaged;
     }
-    sample.fill(bytes);
-    ((of.check)(sample.bytes()).is_ok()).then_some(u64::from_le_bytes(*bound))
+    match (of.check)(sample.bytes()) {
+        Err(Fault::Layout { .. }) => Content::OtherLayout,
+        _ => Content::Sample(u64::from_le_bytes(*bound)),
+    }
 }
 
 /// Moves the times of a sample from the common clock to the one of this host.
@@ -54,11 +67,16 @@ pub(crate) struct Aligned {
 }
 
 impl Aligned {
-    /// Copies bytes; it allocates only when they are more than ever before.
+    /// Copies bytes.
     pub(crate) fn fill(&mut self, bytes: &[u8]) {
-        self.words.resize(bytes.len().div_ceil(8).max(self.words.len()), 0);
-        self.length = bytes.len();
+        self.resize(bytes.len());
         self.bytes_mut().copy_from_slice(bytes);
+    }
+
+    /// Makes room for so many bytes; it allocates only when they are more than ever before.
+    fn resize(&mut self, length: usize) {
+        self.words.resize(length.div_ceil(8).max(self.words.len()), 0);
+        self.length = length;
     }
 
     /// The bytes.
@@ -85,8 +103,9 @@ mod tests {
         pose.header.stage_mut(Role::Estimator).published_ns = 8_000;
         let here = Offset { offset_ns: -3_000, bound_ns: 17 };
         let (mut frame, mut sample) = (Vec::new(), Aligned::default());
-        pack(Pose::TYPE, bytemuck::bytes_of(&pose), here, &mut frame);
-        assert_eq!(unpack(Pose::TYPE, &frame, &mut sample), Some(17));
+        let mut sent = pose;
+        pack(Pose::TYPE, bytemuck::bytes_of_mut(&mut sent), here, &mut frame);
+        assert_eq!(unpack(Pose::TYPE, &frame, &mut sample), Content::Sample(17));
         let common: &Pose = bytemuck::from_bytes(sample.bytes());
         assert_eq!((common.header.acquired_ns, common.predicted_ns), (1_000, 6_000));
         assert_eq!(published_ns(Topic::Pose, &common.header, sample.bytes()), 5_000);
@@ -95,12 +114,22 @@ mod tests {
     }
 
     #[test]
+    fn a_sample_with_a_value_that_is_not_allowed_is_left_to_its_readers() {
+        let mut pose = Pose { x_m: f64::NAN, ..Pose::default() };
+        pose.header.layout = Pose::LAYOUT;
+        let (mut frame, mut sample) = (Vec::new(), Aligned::default());
+        pack(Pose::TYPE, bytemuck::bytes_of_mut(&mut pose), Offset { offset_ns: 0, bound_ns: 3 }, &mut frame);
+        assert_eq!(unpack(Pose::TYPE, &frame, &mut sample), Content::Sample(3));
+    }
+
+    #[test]
     fn what_is_no_valid_sample_is_dropped() {
-        let mut sample = Aligned::default();
-        let mut frame = vec![0; BOUND_BYTES + size_of::<Pose>()];
-        assert_eq!(unpack(Pose::TYPE, &frame, &mut sample), None, "another layout");
+        let (mut frame, mut sample) = (Vec::new(), Aligned::default());
+        let clock = Offset { offset_ns: 0, bound_ns: 3 };
+        pack(Pose::TYPE, bytemuck::bytes_of_mut(&mut Pose::default()), clock, &mut frame);
+        assert_eq!(unpack(Pose::TYPE, &frame, &mut sample), Content::OtherLayout);
         frame.pop();
-        assert_eq!(unpack(Pose::TYPE, &frame, &mut sample), None, "too short");
-        assert_eq!(unpack(Pose::TYPE, &frame[..5], &mut sample), None);
+        assert_eq!(unpack(Pose::TYPE, &frame, &mut sample), Content::Damaged, "too short");
+        assert_eq!(unpack(Pose::TYPE, &frame[..5], &mut sample), Content::Damaged);
     }
 }

@@ -1,4 +1,4 @@
-//! What all threads of a link share: its table, the common clock, and the counters.
+//! What all threads of a link share: its table, the common clock, and what became of samples.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
@@ -8,6 +8,7 @@ use runtime::{HUB, LinkTable, LinkedHost, link_version, monotonic_ns};
 
 use crate::common_clock::CommonClock;
 use crate::counters::Counters;
+use crate::losses::Losses;
 
 /// Processes of other hosts whose samples are remembered as not ours: all that live at a time, and some before.
 const FOREIGN: usize = 64;
@@ -17,6 +18,7 @@ pub(crate) struct Link {
     pub(crate) table: LinkTable,
     pub(crate) clock: CommonClock,
     pub(crate) counters: Counters,
+    pub(crate) losses: Losses,
     running: AtomicBool,
     /// When the clock of the orchestrator was answered last [ns].
     answered_ns: AtomicU64,
@@ -36,6 +38,7 @@ impl Link {
             table: table.clone(),
             clock: if table.here == HUB { CommonClock::Own } else { CommonClock::followed() },
             counters: Counters::default(),
+            losses: Losses::default(),
             running: AtomicBool::new(true),
             answered_ns: AtomicU64::new(0),
             stood_still_ms: AtomicU64::new(0),
@@ -125,6 +128,7 @@ impl Link {
             stood_still_ms: self.stood_still_ms(),
             directive: self.directive.load(Ordering::Relaxed),
             counts: self.counters.get(),
+            losses: self.losses.recent(monotonic_ns()),
         }
     }
 }

@@ -15,19 +15,29 @@ mod flows;
 mod frame;
 mod gate;
 mod link;
+mod losses;
 mod network;
 mod newest;
+mod ping;
 mod receiver;
 mod refusals;
 mod repeats;
 mod sender;
 mod standstill;
+mod zeros;
 
-use std::process::ExitCode;
+use std::ffi::OsStr;
+use std::os::unix::process::CommandExt;
+use std::process::{Command, ExitCode};
+
+/// Name and value of the variable from which Zenoh takes its threads, at the start of a process only. By default a sample
+/// that arrives passes through three of them; with one for all of reading it wakes a stage without another switch. Writing has
+/// its own: a reader that writes would wait for itself.
+const THREADS: (&str, &str) = ("ZENOH_RUNTIME", "(rx: (handover: acc), app: (handover: acc))");
 
 fn main() -> ExitCode {
     refusals::watch();
-    match arguments::run() {
+    match set_threads().and_then(|()| arguments::run()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             // What a user has to change in files or arguments has exit code 2, as everywhere.
@@ -37,4 +47,15 @@ fn main() -> ExitCode {
             ExitCode::from(if is_input { 2 } else { 4 })
         }
     }
+}
+
+/// Starts this program again in place, with the variable set, unless someone has set it.
+fn set_threads() -> anyhow::Result<()> {
+    if std::env::var_os(THREADS.0).is_some() {
+        return Ok(());
+    }
+    let mut arguments = std::env::args_os();
+    let mut again = Command::new(std::env::current_exe()?);
+    again.arg0(arguments.next().as_deref().unwrap_or(OsStr::new(env!("CARGO_PKG_NAME"))));
+    Err(again.args(arguments).env(THREADS.0, THREADS.1).exec().into())
 }

@@ -12,6 +12,9 @@ use crate::credentials::{AUTHORITY, CERTIFICATE, KEY};
 /// a new one, so that an outage costs this time at least.
 const LEASE_MS: u32 = 1_000;
 
+/// An attempt to connect takes this long at most [ms]. Its datagrams may be lost in an outage; the next one comes after it.
+const OPEN_MS: u32 = 1_000;
+
 /// Places in each queue of the network, as many as it allows.
 const MAX_QUEUE: u32 = 16;
 /// A sample waits this long for a place at most [us].
@@ -48,6 +51,8 @@ pub(crate) fn join(place: &Place<'_>, credentials: Option<&str>) -> anyhow::Resu
         ("scouting/multicast/enabled", "false".to_owned()),
         ("scouting/gossip/enabled", "false".to_owned()),
         ("transport/link/tx/lease", LEASE_MS.to_string()),
+        ("transport/unicast/open_timeout", OPEN_MS.to_string()),
+        ("transport/unicast/accept_timeout", OPEN_MS.to_string()),
         ("transport/link/tx/queue/batching/enabled", "false".to_owned()),
         // Each sample takes a place, a large one several: the samples of a few scans fit.
         ("transport/link/tx/queue/size/real_time", MAX_QUEUE.to_string()),

@@ -6,6 +6,8 @@ const PUBLISHERS: usize = 16;
 /// What the number of a sample says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Arrival {
+    /// It is the first of its publisher.
+    First,
     /// It is newer than all before of its publisher; so many numbers between were never seen.
     New {
         /// Numbers that were skipped.
@@ -43,7 +45,7 @@ impl Newest {
         if let Some(oldest) = self.publishers.iter_mut().min() {
             *oldest = (incarnation, sequence);
         }
-        Arrival::New { missing: 0 }
+        Arrival::First
     }
 }
 
@@ -58,7 +60,7 @@ mod tests {
         let new = |missing| Arrival::New { missing };
         assert_eq!(
             arrivals,
-            [new(0), Arrival::Repeated, new(0), new(2), Arrival::Older, Arrival::Repeated, new(0)]
+            [Arrival::First, Arrival::Repeated, new(0), new(2), Arrival::Older, Arrival::Repeated, new(0)]
         );
     }
 
@@ -66,11 +68,11 @@ mod tests {
     fn publishers_are_told_apart_and_the_oldest_is_forgotten() {
         let mut newest = Newest::default();
         for incarnation in 1..=17 {
-            assert_eq!(newest.arrive(incarnation, 5), Arrival::New { missing: 0 });
+            assert_eq!(newest.arrive(incarnation, 5), Arrival::First);
         }
         assert_eq!(newest.arrive(17, 5), Arrival::Repeated);
         assert_eq!(newest.arrive(2, 4), Arrival::Older);
-        assert_eq!(newest.arrive(1, 5), Arrival::New { missing: 0 }, "it was forgotten");
+        assert_eq!(newest.arrive(1, 5), Arrival::First, "it was forgotten");
     }
 
     /// Whatever the way does to three copies of each sample, each sample counts once at most and in order.
@@ -87,9 +89,13 @@ mod tests {
             }
             let mut missing_sum = 0;
             for sequence in copies {
-                if let Arrival::New { missing } = newest.arrive(1, sequence) {
-                    admitted.push(sequence);
-                    missing_sum += missing;
+                match newest.arrive(1, sequence) {
+                    Arrival::First => admitted.push(sequence),
+                    Arrival::New { missing } => {
+                        admitted.push(sequence);
+                        missing_sum += missing;
+                    }
+                    Arrival::Repeated | Arrival::Older => {}
                 }
             }
             assert!(admitted.windows(2).all(|pair| pair[0] < pair[1]), "{admitted:?}");

@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
-use runtime::{Bus, Domain, TopicObserver, monotonic_ns};
+use runtime::{Bus, Domain, LossReason, TopicObserver, monotonic_ns};
 use shared_types::Topic;
 use zenoh::Wait;
 use zenoh::pubsub::Publisher;
 
-use crate::frame::pack;
+use crate::frame::{Aligned, pack};
 use crate::link::Link;
 use crate::repeats::Repeats;
 
@@ -20,7 +20,7 @@ struct Sender {
     topic: Topic,
     publisher: Publisher<'static>,
     /// The newest sample of each publisher since the last poll.
-    waiting: Vec<(u32, Vec<u8>)>,
+    waiting: Vec<(u32, Aligned)>,
     count: usize,
     frame: Vec<u8>,
     repeats: Repeats,
@@ -64,22 +64,24 @@ pub(crate) fn run(
 impl Sender {
     /// Keeps a sample until all are polled; a newer one of the same publisher replaces it.
     fn note(&mut self, sample: &[u8]) {
-        let incarnation = (self.topic.sample_type().header)(sample).incarnation;
+        let header = self.topic.sample_type().header;
+        let incarnation = header(sample).incarnation;
         if self.topic.writer().is_some() && self.link.is_foreign(incarnation) {
             return;
         }
         let known = self.waiting[..self.count].iter().position(|(of, _)| *of == incarnation);
-        if known.is_some() {
+        if let Some(index) = known {
             self.link.counters.replaced.add(1);
+            let replaced = header(self.waiting[index].1.bytes());
+            self.link.losses.add(self.topic, replaced, LossReason::Newer, monotonic_ns());
         }
         let index = known.unwrap_or(self.count);
         if index == self.waiting.len() {
-            self.waiting.push((incarnation, Vec::with_capacity(self.topic.size())));
+            self.waiting.push((incarnation, Aligned::default()));
         }
         let (of, bytes) = &mut self.waiting[index];
         *of = incarnation;
-        bytes.clear();
-        bytes.extend_from_slice(sample);
+        bytes.fill(sample);
         self.count = self.count.max(index + 1);
     }
 
@@ -87,9 +89,11 @@ impl Sender {
         let now_ns = monotonic_ns();
         let Some(offset) = self.link.clock.offset(now_ns) else {
             self.link.counters.held.add(1);
+            let held = (self.topic.sample_type().header)(self.waiting[index].1.bytes());
+            self.link.losses.add(self.topic, held, LossReason::Clock, now_ns);
             return;
         };
-        pack(self.topic.sample_type(), &self.waiting[index].1, offset, &mut self.frame);
+        pack(self.topic.sample_type(), self.waiting[index].1.bytes_mut(), offset, &mut self.frame);
         self.put();
         self.link.counters.sent.add(1);
         if self.topic.writer().is_some() {

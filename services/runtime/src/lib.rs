@@ -89,10 +89,11 @@ pub use identity::{
 pub use input::{Input, QUEUE_DEPTH, Taken, join};
 pub use layouts::{LAYOUTS_FILE, verify_layouts};
 pub use link::{
-    HUB, LINK_SOCKET, LinkCounts, LinkPeer, LinkStatus, LinkTable, LinkedHost, link_version, reply_socket,
+    HUB, LINK_SOCKET, LinkCounts, LinkLoss, LinkPeer, LinkStatus, LinkTable, LinkedHost, LossReason,
+    link_version, reply_socket,
 };
 pub use logging::{Priority, check_log_filter, print, start_logging, writes_to_journal};
-pub use observer::{Checked, Observer, Publisher, TopicObserver, TopicPublisher};
+pub use observer::{Checked, Observer, Publisher, TopicObserver, TopicPublishers};
 pub use orphan::{LEAVING, LOCK_FILE};
 pub use output::Output;
 pub use own::{

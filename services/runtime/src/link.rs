@@ -77,6 +77,50 @@ pub struct LinkCounts {
     pub damaged: u64,
 }
 
+/// Why samples did not reach the readers on another host.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LossReason {
+    /// They did not arrive.
+    Link,
+    /// They were too old when they arrived.
+    Age,
+    /// The age was not known: the clock was not locked, or its bound was too large.
+    Clock,
+    /// They were of another layout.
+    Layout,
+    /// A newer one was there before they were sent.
+    Newer,
+}
+
+impl LossReason {
+    /// Its name in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Link => "link",
+            Self::Age => "age",
+            Self::Clock => "clock",
+            Self::Layout => "layout",
+            Self::Newer => "newer",
+        }
+    }
+}
+
+/// Samples of one writer, with consecutive numbers, that were lost between two hosts.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LinkLoss {
+    /// Name of the topic.
+    pub topic: String,
+    /// Incarnation of the writer.
+    pub incarnation: u32,
+    /// The first number.
+    pub first: u64,
+    /// The last number.
+    pub last: u64,
+    /// Why they were lost.
+    pub reason: LossReason,
+}
+
 /// One host as its link sees it.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default)]
@@ -105,6 +149,8 @@ pub struct LinkedHost {
     pub directive: u64,
     /// What became of samples there.
     pub counts: LinkCounts,
+    /// Samples of the loop that were lost on the way to it or dropped there within the last seconds.
+    pub losses: Vec<LinkLoss>,
 }
 
 /// What the link of the orchestrator finds.
@@ -117,6 +163,8 @@ pub struct LinkStatus {
     pub stood_still_ms: u64,
     /// What became of samples at this host.
     pub counts: LinkCounts,
+    /// Samples of the loop that were lost on the way to this host or dropped here within the last seconds.
+    pub losses: Vec<LinkLoss>,
     /// The other hosts.
     pub hosts: Vec<LinkedHost>,
 }

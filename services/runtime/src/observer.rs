@@ -1,4 +1,5 @@
 //! Reading topics as an observer, and publishing as the orchestrator, without being a process of the loop.
+#![expect(unsafe_code, reason = "publishers that move from one thread to another")]
 
 use std::cell::{Cell, RefCell};
 use std::marker::PhantomData;
@@ -13,7 +14,7 @@ use crate::port::{BytePublisher, ByteSubscriber, Queue, Received};
 use crate::qos::qos;
 use crate::view::view;
 use crate::waiter::{Ringer, Waiter};
-use crate::{Bus, RuntimeError, monotonic_ns, wait_for};
+use crate::{Bus, Domain, RuntimeError, monotonic_ns, wait_for};
 
 /// Rounds over all publishers in one poll, at most; more than the longest queue of a topic needs.
 const MAX_ROUNDS: usize = 64;
@@ -250,27 +251,39 @@ impl<S: Sample> Publisher<S> {
     }
 }
 
-/// Publishes samples of one topic as bytes, with their headers as they are: for a bridge between buses.
-pub struct TopicPublisher(Enclosed<Sender>);
+/// Publishes samples of some topics as bytes, with their headers as they are: for a bridge between buses. It may move from
+/// one thread to another.
+pub struct TopicPublishers {
+    publishers: Vec<Enclosed<Sender>>,
+    // Dropped last: the ports belong to it.
+    _bus: Bus,
+}
 
-impl TopicPublisher {
-    /// Opens the topic for writing.
+// SAFETY: the parts are not `Send` because they count references to each other without atomic operations. All of them are
+// made in `open` from a bus that nothing else uses, are private, and none is ever handed out; so they move together, and
+// `&mut self` admits one thread at a time.
+unsafe impl Send for TopicPublishers {}
+
+impl TopicPublishers {
+    /// Joins the system as `name`, and opens the topics for writing.
     ///
     /// # Errors
-    /// [`RuntimeError::Bus`] when the topic can't be opened.
-    pub fn new(bus: &Bus, topic: Topic) -> Result<Self, RuntimeError> {
-        Sender::open(bus, topic.sample_type()).map(Self)
+    /// [`RuntimeError::Bus`] when a topic can't be opened.
+    pub fn open(domain: &Domain, name: &str, topics: &[Topic]) -> Result<Self, RuntimeError> {
+        let bus = Bus::open(domain, name)?;
+        let publishers = topics.iter().map(|topic| Sender::open(&bus, topic.sample_type()));
+        Ok(Self { publishers: publishers.collect::<Result<_, _>>()?, _bus: bus })
     }
 
-    /// Publishes, and wakes the readers.
+    /// Publishes on the topic of this place in the list, and wakes the readers.
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
     ///
     /// # Panics
-    /// When the bytes are not as many as the type of the topic has.
-    pub fn publish(&self, sample: &[u8]) -> Result<(), RuntimeError> {
-        self.0.send(sample, true)
+    /// When there is no such place, and when the bytes are not as many as the type of the topic has.
+    pub fn publish(&mut self, index: usize, sample: &[u8]) -> Result<(), RuntimeError> {
+        self.publishers[index].send(sample, true)
     }
 }
 

@@ -4,6 +4,7 @@
 //! skipped.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod network;
 mod refusals;
 mod robot;
 mod swap;

@@ -45,6 +45,9 @@ pub struct LedgerReport {
     pub reordered: u64,
     /// Samples that the orchestrator polled too late to see; their readers counted them.
     pub unobserved: u64,
+    /// Samples that were lost between two hosts, by reason: `link`, `age`, `clock`, `layout` or `newer`.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub link_losses: BTreeMap<String, u64>,
     /// Counts per topic and role that reads it.
     pub topics: Vec<LedgerRow>,
     /// Counts per topic and process beside the loop: topics of your own, and what companions read of the loop.
@@ -73,7 +76,7 @@ pub struct LedgerRow {
     pub used: u64,
     /// Samples that a rule drops: a newer one was used, too old, without authority, bad content.
     pub replaced: u64,
-    /// Samples lost with a process that died.
+    /// Samples lost with a process that died, or between two hosts.
     pub lost: u64,
     /// Samples on their way or waiting at the end.
     pub in_flight: u64,
@@ -83,7 +86,8 @@ pub struct LedgerRow {
     pub duplicates: u64,
     /// Samples that came after a later one and were dropped, part of the residual; must be 0.
     pub reordered: u64,
-    /// Of topics beside the loop: how many were replaced for which reason.
+    /// Of topics beside the loop how many were replaced, of those of the loop how many were lost between hosts, for which
+    /// reason.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub reasons: BTreeMap<String, u64>,
 }

@@ -11,11 +11,13 @@
 
 use std::collections::BTreeMap;
 
+use runtime::{LinkLoss, LossReason};
 use shared_types::{Heartbeat, ProcessState, Role, Sample, Topic};
 
+use super::crossing::Crossing;
 use super::fault::{Fault, Kind};
 use super::refused::{NewRefusal, Refused, RefusedRow};
-use super::rows::{LedgerReport, StrangerRow};
+use super::rows::{LedgerReport, LedgerRow, StrangerRow};
 use super::sweep::{Lack, Sweep};
 use super::topic::{InputReport, TopicLedger};
 use super::{NOT_OBSERVED, ROBOT_HELD_UP, TIMEOUT_NS};
@@ -51,6 +53,9 @@ pub struct SampleAudit {
     /// Robots that died: their last sweep may be incomplete.
     dead: Vec<u32>,
     excused: Vec<(u64, &'static str)>,
+    crossing: Crossing,
+    /// Scans of samples that were lost between two hosts.
+    lost_scans: Vec<(u64, LossReason)>,
     /// The faults so far and their numbers.
     found: LedgerReport,
     /// How many of the faults were returned.
@@ -103,6 +108,21 @@ impl SampleAudit {
     /// An audit of a run that another orchestrator started: counts begin at the first heartbeat of each process.
     pub fn midway() -> Self {
         Self { midway: true, driving: true, ..Self::new(false) }
+    }
+
+    /// The system has several hosts: samples may be lost between them.
+    pub fn linked(&mut self) {
+        self.crossing.link();
+    }
+
+    /// Samples were lost between two hosts; the same report may come any number of times.
+    pub fn lost_between_hosts<'a>(&mut self, losses: impl IntoIterator<Item = &'a LinkLoss>) {
+        losses.into_iter().for_each(|loss| self.crossing.note(loss));
+    }
+
+    /// Scans with a sample that was lost between two hosts, since the last call, each with the reason.
+    pub fn lost_scans(&mut self) -> Vec<(u64, LossReason)> {
+        std::mem::take(&mut self.lost_scans)
     }
 
     /// All processes are connected; the first sample may be published.
@@ -231,6 +251,12 @@ impl SampleAudit {
             self.topics.values_mut().flat_map(|ledger| ledger.reconcile(is_last)).collect();
         found.extend(self.unanswered());
         found.extend(self.lacking(is_last));
+        for (topic, incarnation, sequence, reason) in self.crossing.take_unnamed() {
+            let scan_id = self.topics.get(&topic).map_or(0, |ledger| ledger.scan_of(incarnation, sequence));
+            self.lost_scans.extend((scan_id > 0).then_some((scan_id, reason)));
+        }
+        let now_ns = self.topics.values().map(TopicLedger::polled_ns).max().unwrap_or(0);
+        let found = self.crossing.filter(found, now_ns, is_last);
         found.into_iter().for_each(|fault| self.note(Some(fault)));
         let new = self.found.faults[self.reported..].to_vec();
         self.reported = self.found.faults.len();
@@ -280,7 +306,11 @@ impl SampleAudit {
         let loop_topics = self.topics.iter().filter(|(topic, _)| **topic != Topic::Truth);
         LedgerReport {
             unobserved: self.topics.values().map(TopicLedger::unobserved).sum(),
-            topics: loop_topics.flat_map(|(_, ledger)| ledger.rows()).collect(),
+            topics: loop_topics
+                .flat_map(|(_, ledger)| ledger.rows())
+                .map(|row| self.with_losses(row))
+                .collect(),
+            link_losses: self.crossing.total(),
             refused: self.refused.rows().to_vec(),
             strangers: self
                 .strangers
@@ -290,6 +320,18 @@ impl SampleAudit {
                 .collect(),
             ..self.found.clone()
         }
+    }
+
+    /// Of what is unexplained in a row, the samples that were lost between two hosts.
+    fn with_losses(&self, mut row: LedgerRow) -> LedgerRow {
+        for (reason, count) in self.crossing.counts(&row.topic, &row.reader) {
+            let lost = count.min(row.residual);
+            (row.lost, row.residual) = (row.lost + lost, row.residual - lost);
+            if lost > 0 {
+                row.reasons.insert(reason.name().to_owned(), lost);
+            }
+        }
+        row
     }
 
     fn note_stranger(&mut self, topic: Topic, incarnation: u32, now_ns: u64) {

@@ -243,6 +243,11 @@ impl TopicLedger {
         self.settled.unobserved + self.streams.values().map(|stream| stream.unobserved).sum::<u64>()
     }
 
+    /// The scan of a sample that came or was lost, if it is known; else 0.
+    pub fn scan_of(&self, incarnation: u32, sequence: u64) -> u64 {
+        self.streams.get(&incarnation).map_or(0, |stream| stream.scan_of(sequence))
+    }
+
     fn row(&self, role: Role) -> LedgerRow {
         let mut row = self.settled.rows.get(&role).cloned().unwrap_or_default();
         (row.topic, row.reader) = (self.topic.name().to_owned(), role.name().to_owned());

@@ -148,6 +148,9 @@ impl Session {
         for stranger in self.audit.samples.new_strangers(monotonic_ns(), is_last) {
             self.warn(&stranger.to_string());
         }
+        for (scan_id, reason) in self.audit.samples.lost_scans() {
+            self.recording.recorder.sample_lost(scan_id, reason.name());
+        }
         for (scan_id, reason) in self.audit.samples.excused() {
             self.recording.recorder.scan_excused(scan_id, reason);
         }
