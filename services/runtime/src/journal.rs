@@ -9,7 +9,6 @@ use std::rc::{Rc, Weak};
 use bytemuck::bytes_of_mut;
 use shared_types::{Header, Journal, JournalEntry, JournalKind, Role, Topic};
 
-use crate::RuntimeError;
 use crate::output::Writer;
 
 /// What a process did since its last output.
@@ -43,21 +42,22 @@ impl Notes {
         if self.open.borrow_mut().push(entry) {
             return;
         }
-        // A journal that could not be published is missing in the sequence.
-        let _ = self.publish(0, 0);
+        self.publish(0, 0);
         self.open.borrow_mut().push(entry);
     }
 
     /// Publishes what was noted, before the output of a scan with this sequence number, or before more entries (0).
-    pub(crate) fn publish(&self, scan_id: u64, output: u64) -> Result<(), RuntimeError> {
+    ///
+    /// A journal that can't be published is missing in the sequence: the output matters more.
+    pub(crate) fn publish(&self, scan_id: u64, output: u64) {
         let mut open = self.open.borrow_mut();
         (open.header.scan_id, open.output) = (scan_id, output);
-        let writer = self.writer.borrow().upgrade();
-        let published = writer.map_or(Ok(()), |writer| writer.publish_silently(bytes_of_mut(&mut *open)));
+        if let Some(writer) = self.writer.borrow().upgrade() {
+            let _ = writer.publish_silently(bytes_of_mut(&mut *open));
+        }
         let used = (open.length as usize).min(open.entries.len());
         open.entries[..used].fill(JournalEntry::default());
         open.length = 0;
-        published
     }
 
     /// Takes the place of the next journal, while no process waits for this one.

@@ -58,7 +58,7 @@ impl Writer {
         let sample = place.bytes();
         fill(sample);
         self.complete(sample);
-        self.publish_journal(sample)?;
+        self.publish_journal(sample);
         self.stamp(sample);
         if self.is_sent(sample) {
             self.send_place(place)?;
@@ -93,7 +93,7 @@ impl Writer {
     }
 
     pub(super) fn send(&self, sample: &mut [u8]) -> Result<(), RuntimeError> {
-        self.publish_journal(sample)?;
+        self.publish_journal(sample);
         let mut place = self.loan()?;
         self.stamp(sample);
         if !self.is_sent(sample) {
@@ -118,13 +118,11 @@ impl Writer {
     }
 
     /// Before the first output of the role for a scan: what it follows from.
-    fn publish_journal(&self, sample: &mut [u8]) -> Result<(), RuntimeError> {
-        let (topic, shared) = (self.of.topic, &*self.shared);
-        if shared.role.writes().first() != Some(&topic) {
-            return Ok(());
+    fn publish_journal(&self, sample: &[u8]) {
+        if self.shared.role.writes().first() == Some(&self.of.topic) {
+            let header = (self.of.header)(sample);
+            self.shared.notes.publish(header.scan_id, header.sequence);
         }
-        let header = (self.of.header)(sample);
-        shared.notes.publish(header.scan_id, header.sequence)
     }
 
     fn stamp(&self, sample: &mut [u8]) {
