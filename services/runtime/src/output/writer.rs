@@ -4,10 +4,12 @@
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 
-use shared_types::{Actuation, JournalKind, Role, SampleType, Topic};
+use bytemuck::bytes_of_mut;
+use shared_types::{Actuation, Journal, JournalKind, Role, SampleType, Topic};
 
 use crate::bell::LINE;
 use crate::counters::count;
+use crate::journal::Publish;
 use crate::port::{BytePublisher, Loan};
 use crate::shared::Shared;
 use crate::waiter::Ringer;
@@ -48,7 +50,7 @@ impl Writer {
         Ok(())
     }
 
-    pub(crate) fn publish_silently(&self, sample: &mut [u8]) -> Result<(), RuntimeError> {
+    pub(super) fn publish_silently(&self, sample: &mut [u8]) -> Result<(), RuntimeError> {
         self.complete(sample);
         self.send(sample)
     }
@@ -105,12 +107,12 @@ impl Writer {
 
     pub(super) fn wake(&self) {
         self.ringer.ring();
-        self.take_next_place();
+        self.take_place();
         self.shared.notes.take_next_place();
     }
 
     /// Takes the place of the next sample.
-    pub(crate) fn take_next_place(&self) {
+    fn take_place(&self) {
         let mut next = self.next.borrow_mut();
         if next.is_none() {
             *next = self.publisher.loan().ok();
@@ -185,6 +187,16 @@ pub(crate) trait Connect {
 impl<F: Fn()> Connect for F {
     fn connect(&self) {
         self();
+    }
+}
+
+impl Publish for Writer {
+    fn publish(&self, journal: &mut Journal) {
+        let _ = self.publish_silently(bytes_of_mut(journal));
+    }
+
+    fn take_next_place(&self) {
+        self.take_place();
     }
 }
 
