@@ -13,8 +13,8 @@ use runtime::{
     Publisher, RUN_ID_VARIABLE, RunSettings, RuntimeError, SYSTEM_ID_VARIABLE, settings_file,
 };
 use shared_types::{
-    Authority, Checkpoint, Command, Described, Directive, Fault, Field, Header, Heartbeat, Kind, Obstacles,
-    Odometry, Phase, Pose, ProcessState, Role, Sample, Topic,
+    Authority, Checkpoint, Command, Described, Directive, Fault, Field, Header, Heartbeat, Journal, Kind,
+    Obstacles, Odometry, Phase, Pose, ProcessState, Role, Sample, Topic,
 };
 
 use crate::message::{Arrival, Stamp};
@@ -324,6 +324,7 @@ fn create(domain: &Domain, payload: Payload) -> Result<Bus, RuntimeError> {
     bus.create_topic_for::<Heartbeat>(PARTICIPANTS)?;
     bus.create_topic_for::<Directive>(PARTICIPANTS)?;
     bus.create_topic_for::<Checkpoint>(PARTICIPANTS)?;
+    bus.create_topic_for::<Journal>(PARTICIPANTS)?;
     let Payload::Block(bytes) = payload else {
         bus.create_topic_for::<Odometry>(READERS)?;
         bus.create_topic_for::<Pose>(READERS)?;

@@ -220,12 +220,13 @@ fn decode_struct(fields: &[Field], bytes: &[u8], short: bool) -> Value {
 
 /// The name of a number of an enumeration, which the documentation of its field names; `None` for an unknown number.
 fn name_of(field: &Field, bytes: &[u8]) -> Option<Value> {
-    if field.kind != Kind::Scalar("u32") {
-        return None;
-    }
+    let number = match field.kind {
+        Kind::Scalar("u32") => bytemuck::pod_read_unaligned::<u32>(&bytes[..4]),
+        Kind::Scalar("u16") => u32::from(bytemuck::pod_read_unaligned::<u16>(&bytes[..2])),
+        _ => return None,
+    };
     let mut quoted = field.doc.split('`').skip(1).step_by(2);
     let enumeration = quoted.find_map(|name| ENUMERATIONS.iter().find(|known| known.name == name))?;
-    let number = bytemuck::pod_read_unaligned::<u32>(&bytes[..4]);
     enumeration.values.iter().find(|value| value.number == number).map(|value| json!(value.name))
 }
 

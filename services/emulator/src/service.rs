@@ -223,10 +223,12 @@ impl Robot {
     /// Starts at the start pose, or as a candidate at the place of the robot in charge.
     fn begin(&mut self, process: &mut Process, handed: Handover<RobotState>) -> anyhow::Result<()> {
         self.state.origin_ns = process.clock().now_ns();
-        process.note(JournalKind::Begun, self.state.origin_ns);
         self.state = match (process.join::<RobotState>()?, handed) {
             (Some((_, state)), _) => state,
-            (None, Handover::FirstStart) => return Ok(()),
+            (None, Handover::FirstStart) => {
+                process.note(JournalKind::Begun, self.state.origin_ns);
+                return Ok(());
+            }
             (None, Handover::State(state)) if process.clock().is_simulated() => state,
             // What the robot has done since would be missing.
             (None, _) => anyhow::bail!("there is no fresh state of a robot to continue from"),

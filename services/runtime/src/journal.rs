@@ -6,25 +6,29 @@
 use std::cell::RefCell;
 use std::rc::{Rc, Weak};
 
-use bytemuck::bytes_of_mut;
 use shared_types::{Header, Journal, JournalEntry, JournalKind, Role, Topic};
 
-use crate::RuntimeError;
-use crate::output::Writer;
+/// An output for journals.
+pub(crate) trait Publish {
+    /// Publishes a journal. One that can't be published is missing in the sequence: the output that follows matters more.
+    fn publish(&self, journal: &mut Journal);
+    /// Takes the place of the next journal.
+    fn take_next_place(&self);
+}
 
 /// What a process did since its last output.
 #[derive(Default)]
 pub(crate) struct Notes {
     open: RefCell<Journal>,
-    /// The writer shares this with the process, so it is not kept alive from here.
-    writer: RefCell<Weak<Writer>>,
+    /// The output shares this with the process, so it is not kept alive from here.
+    output: RefCell<Option<Weak<dyn Publish>>>,
 }
 
 impl Notes {
-    /// Publishes by this writer from now on.
-    pub(crate) fn publish_by(&self, role: Role, writer: &Rc<Writer>) {
+    /// Publishes by this output from now on.
+    pub(crate) fn publish_by(&self, role: Role, output: &Rc<dyn Publish>) {
         self.open.borrow_mut().role = role.wire();
-        *self.writer.borrow_mut() = Rc::downgrade(writer);
+        *self.output.borrow_mut() = Some(Rc::downgrade(output));
     }
 
     /// Notes a number.
@@ -43,27 +47,30 @@ impl Notes {
         if self.open.borrow_mut().push(entry) {
             return;
         }
-        // A journal that could not be published is missing in the sequence.
-        let _ = self.publish(0, 0);
+        self.publish(0, 0);
         self.open.borrow_mut().push(entry);
     }
 
     /// Publishes what was noted, before the output of a scan with this sequence number, or before more entries (0).
-    pub(crate) fn publish(&self, scan_id: u64, output: u64) -> Result<(), RuntimeError> {
+    pub(crate) fn publish(&self, scan_id: u64, output: u64) {
         let mut open = self.open.borrow_mut();
         (open.header.scan_id, open.output) = (scan_id, output);
-        let writer = self.writer.borrow().upgrade();
-        let published = writer.map_or(Ok(()), |writer| writer.publish_silently(bytes_of_mut(&mut *open)));
+        if let Some(output) = self.output() {
+            output.publish(&mut open);
+        }
         let used = (open.length as usize).min(open.entries.len());
         open.entries[..used].fill(JournalEntry::default());
         open.length = 0;
-        published
     }
 
     /// Takes the place of the next journal, while no process waits for this one.
     pub(crate) fn take_next_place(&self) {
-        if let Some(writer) = self.writer.borrow().upgrade() {
-            writer.take_next_place();
+        if let Some(output) = self.output() {
+            output.take_next_place();
         }
+    }
+
+    fn output(&self) -> Option<Rc<dyn Publish>> {
+        self.output.borrow().as_ref().and_then(Weak::upgrade)
     }
 }

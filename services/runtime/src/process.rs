@@ -23,7 +23,7 @@ use crate::crash::report_crashes;
 use crate::enclosed::Enclosed;
 use crate::guard::Guard;
 use crate::input::{Input, Reader};
-use crate::journal::Notes;
+use crate::journal::{Notes, Publish};
 use crate::orphan::OrphanCleanup;
 use crate::output::{Connect, Output, Writer, may_write};
 use crate::own::{ByteTopic, Member, NamedTopic, Place};
@@ -133,7 +133,7 @@ impl Process {
         let heartbeat = Output::new(&bus, Rc::clone(&shared))?;
         let checkpoint = Output::new(&bus, Rc::clone(&shared))?;
         let journal = Rc::new(Writer::new(&bus, Rc::clone(&shared), Journal::TYPE)?);
-        shared.notes.publish_by(role, &journal);
+        shared.notes.publish_by(role, &(Rc::clone(&journal) as Rc<dyn Publish>));
         Ok(Self {
             directive,
             heartbeat,

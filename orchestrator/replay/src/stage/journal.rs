@@ -67,7 +67,7 @@ pub(super) fn replay<'d, T: Stage<'d>>(
         // Also those of which no journal tells.
         for output in lane.of_process(incarnation) {
             let header = output.header();
-            if !skipped.told.contains(&header.sequence) && window.holds(header, findings) {
+            if !skipped.settled.contains(&header.sequence) && window.holds(header, findings) {
                 findings.skip(output, skipped.reason);
             }
         }
@@ -75,15 +75,15 @@ pub(super) fn replay<'d, T: Stage<'d>>(
     Ok(())
 }
 
-/// Which outputs of a process need no other word, and why the others are skipped.
+/// Which outputs were compared, counted or left out, and why the others are skipped.
 struct Skipped {
-    told: BTreeSet<u64>,
+    settled: BTreeSet<u64>,
     reason: &'static str,
 }
 
 impl Default for Skipped {
     fn default() -> Self {
-        Self { told: BTreeSet::new(), reason: LOST }
+        Self { settled: BTreeSet::new(), reason: LOST }
     }
 }
 
@@ -112,12 +112,12 @@ fn replay_process<'d, T: Stage<'d>>(
             continue;
         }
         if journal.header.scan_id > window.to {
-            skipped.told.extend(lane.of_process(incarnation).map(|output| output.header().sequence));
+            skipped.settled.extend(lane.of_process(incarnation).map(|output| output.header().sequence));
             return Ok(());
         }
         let recorded = lane.of_number(incarnation, journal.output);
         compare(&mut stage, journal, recorded, &mut unknown, (drive, options, window), findings);
-        skipped.told.insert(journal.output);
+        skipped.settled.insert(journal.output);
     }
     Ok(())
 }

@@ -4,10 +4,12 @@
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 
-use shared_types::{Actuation, JournalKind, Role, SampleType, Topic};
+use bytemuck::bytes_of_mut;
+use shared_types::{Actuation, Journal, JournalKind, Role, SampleType, Topic};
 
 use crate::bell::LINE;
 use crate::counters::count;
+use crate::journal::Publish;
 use crate::port::{BytePublisher, Loan};
 use crate::shared::Shared;
 use crate::waiter::Ringer;
@@ -48,7 +50,7 @@ impl Writer {
         Ok(())
     }
 
-    pub(crate) fn publish_silently(&self, sample: &mut [u8]) -> Result<(), RuntimeError> {
+    pub(super) fn publish_silently(&self, sample: &mut [u8]) -> Result<(), RuntimeError> {
         self.complete(sample);
         self.send(sample)
     }
@@ -58,7 +60,7 @@ impl Writer {
         let sample = place.bytes();
         fill(sample);
         self.complete(sample);
-        self.publish_journal(sample)?;
+        self.publish_journal(sample);
         self.stamp(sample);
         if self.is_sent(sample) {
             self.send_place(place)?;
@@ -93,7 +95,7 @@ impl Writer {
     }
 
     pub(super) fn send(&self, sample: &mut [u8]) -> Result<(), RuntimeError> {
-        self.publish_journal(sample)?;
+        self.publish_journal(sample);
         let mut place = self.loan()?;
         self.stamp(sample);
         if !self.is_sent(sample) {
@@ -105,12 +107,12 @@ impl Writer {
 
     pub(super) fn wake(&self) {
         self.ringer.ring();
-        self.take_next_place();
+        self.take_place();
         self.shared.notes.take_next_place();
     }
 
     /// Takes the place of the next sample.
-    pub(crate) fn take_next_place(&self) {
+    fn take_place(&self) {
         let mut next = self.next.borrow_mut();
         if next.is_none() {
             *next = self.publisher.loan().ok();
@@ -118,13 +120,11 @@ impl Writer {
     }
 
     /// Before the first output of the role for a scan: what it follows from.
-    fn publish_journal(&self, sample: &mut [u8]) -> Result<(), RuntimeError> {
-        let (topic, shared) = (self.of.topic, &*self.shared);
-        if shared.role.writes().first() != Some(&topic) {
-            return Ok(());
+    fn publish_journal(&self, sample: &[u8]) {
+        if self.shared.role.writes().first() == Some(&self.of.topic) {
+            let header = (self.of.header)(sample);
+            self.shared.notes.publish(header.scan_id, header.sequence);
         }
-        let header = (self.of.header)(sample);
-        shared.notes.publish(header.scan_id, header.sequence)
     }
 
     fn stamp(&self, sample: &mut [u8]) {
@@ -187,6 +187,16 @@ pub(crate) trait Connect {
 impl<F: Fn()> Connect for F {
     fn connect(&self) {
         self();
+    }
+}
+
+impl Publish for Writer {
+    fn publish(&self, journal: &mut Journal) {
+        let _ = self.publish_silently(bytes_of_mut(journal));
+    }
+
+    fn take_next_place(&self) {
+        self.take_place();
     }
 }
 

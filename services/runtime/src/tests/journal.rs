@@ -9,6 +9,7 @@ use shared_types::{
 use super::{Lab, pose};
 use crate::Observer;
 use crate::input::Input;
+use crate::journal::Publish;
 use crate::output::{Output, Writer};
 
 fn entry(kind: JournalKind, value: u64) -> JournalEntry {
@@ -20,7 +21,7 @@ fn what_was_taken_and_used_comes_before_the_output_and_what_does_not_fit_in_jour
     let lab = Lab::new();
     let shared = lab.shared(Role::Obstacles, 8);
     let journal = Rc::new(Writer::new(lab.bus(), Rc::clone(&shared), Journal::TYPE).unwrap());
-    shared.notes.publish_by(Role::Obstacles, &journal);
+    shared.notes.publish_by(Role::Obstacles, &(Rc::clone(&journal) as Rc<dyn Publish>));
     let poses = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
     let input = Input::<Pose>::new(lab.bus(), Rc::clone(&shared)).unwrap();
     let output = Output::<Obstacles>::new(lab.bus(), Rc::clone(&shared)).unwrap();
