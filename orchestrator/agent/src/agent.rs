@@ -175,7 +175,10 @@ impl Agent {
             let (wanted, allowed) = (&start.implementation, self.file.implementations.join(", "));
             return Some(format!("agent.toml: implementations = {wanted} is not allowed: one of {allowed}"));
         }
+        // The next run of a system may begin at once, when all of the one before has ended.
+        let follows = |served: &Served| served.system_id == down.system_id && served.is_idle();
         let other = self.served.as_ref().filter(|served| served.run_id != down.run_id && served.is_wanted());
+        let other = other.filter(|served| !follows(served));
         other.map(|served| format!("its agent serves system {} already", served.system_id))
     }
 

@@ -166,7 +166,7 @@ impl Part {
         use std::io::Write as _;
         writeln!(self.child.stdin.as_mut().context("no input")?)?;
         let line = self.line()?;
-        let mut numbers = line.split_whitespace().map(str::parse);
+        let mut numbers = line.split_whitespace().map(str::parse::<f64>);
         let mut next = || numbers.next().context("no number")?.map_err(anyhow::Error::from);
         Ok([next()?, next()?, next()?])
     }
