@@ -46,8 +46,15 @@ fn algorithms_read_no_clock_and_no_file() {
     };
     // The ends of the link between hosts, and programs that measure it; what they decide by is pure.
     let is_link = |path: &Path| {
-        let parts =
-            ["bridge.rs", "control.rs", "credentials.rs", "link.rs", "receiver.rs", "refusals.rs", "sender.rs"];
+        let parts = [
+            "bridge.rs",
+            "control.rs",
+            "credentials.rs",
+            "link.rs",
+            "receiver.rs",
+            "refusals.rs",
+            "sender.rs",
+        ];
         parts.iter().any(|part| *path == root().join("services/link/src").join(part))
             || path.starts_with(root().join("services/link/examples"))
     };
