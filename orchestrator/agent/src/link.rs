@@ -76,7 +76,7 @@ impl HubLink {
         Ok(Some(link))
     }
 
-    /// Has the topics cross that roles at `places` need. Those that crossed before go on.
+    /// Has the topics cross that roles at `places` need. Those that crossed before still do.
     ///
     /// # Errors
     /// Those of the file system.

@@ -188,7 +188,12 @@ impl Served {
 
     /// Whether all of it has ended.
     pub(crate) fn has_ended(&self) -> bool {
-        !self.is_wanted() && self.processes.iter().all(|process| process.ended.is_some())
+        !self.is_wanted() && self.is_idle()
+    }
+
+    /// Whether none of its processes runs.
+    pub(crate) fn is_idle(&self) -> bool {
+        self.processes.iter().all(|process| process.ended.is_some())
     }
 
     /// Ends all processes: the wheels are blocked first, and a robot ends at rest. Returns a message for each.

@@ -1,7 +1,7 @@
 //! Whether a host stood still: suspended, a virtual machine that was stopped, or a link that got no processor.
 //!
-//! A thread that wakes often compares times of CLOCK_BOOTTIME, which goes on while a machine is suspended. A gap that is much
-//! longer than its sleep is time in which nothing ran here. A clock that did not go on meanwhile does not fit its bound
+//! A thread that wakes often compares times of CLOCK_BOOTTIME, which also counts while a machine is suspended. A gap that is
+//! much longer than its sleep is time in which nothing ran here. A clock that stood still meanwhile does not fit its bound
 //! afterwards, and is lost; until it is locked again no sample crosses.
 
 /// Shorter gaps are those of a busy machine [ns].

@@ -10,7 +10,7 @@ pub fn monotonic_ns() -> u64 {
     now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
 }
 
-/// Nanoseconds of CLOCK_BOOTTIME, which goes on while the machine is suspended.
+/// Nanoseconds of CLOCK_BOOTTIME, which also counts while the machine is suspended.
 pub fn boottime_ns() -> u64 {
     let now = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
     now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64

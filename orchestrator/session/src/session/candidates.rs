@@ -257,9 +257,8 @@ impl Session {
         let Candidate { entry, settings } = candidate;
         let role = entry.role();
         if let Some(link) = &mut self.link {
-            let places: Vec<_> =
-                self.fleet.places().chain(std::iter::once((role, entry.host.as_deref()))).collect();
-            link.reach(&places)?;
+            let place = (role, entry.host.as_deref());
+            link.reach(&self.fleet.places().chain([place]).collect::<Vec<_>>())?;
         }
         if let Some(text) = settings {
             self.run.domain.folder().write(&own_settings_file(incarnation), text.as_bytes())?;
