@@ -3,7 +3,7 @@
 use console::exit::{Exit, Failure};
 use runtime::{
     Bus, ClockKind, Domain, HandoverData, Observer, Publisher, Realtime, RunSettings, Shutdown, StopWord,
-    TopicPublisher, monotonic_ns, settings_file, write_handover,
+    TopicPublishers, monotonic_ns, settings_file, write_handover,
 };
 use shared_types::{
     Authority, Checkpoint, Directive, Fault, Heartbeat, Phase, ProcessState, Role, Sample, Topic,
@@ -36,8 +36,9 @@ const OTHERS: u32 = 100;
 pub(super) struct Bench<'a, S: Sample> {
     // Dropped in this order: the process, the ports, the bus, and last all files of the system.
     child: Child,
-    /// Of the topics that the role reads, with the number of the last sample.
-    publishers: Vec<(Topic, TopicPublisher, u64)>,
+    publishers: TopicPublishers,
+    /// The topics that the role reads, with the number of the last sample.
+    inputs: Vec<(Topic, u64)>,
     outputs: Observer<S>,
     heartbeats: Observer<Heartbeat>,
     directives: Publisher<Directive>,
@@ -72,8 +73,8 @@ impl<'a, S: Sample> Bench<'a, S> {
             let incarnation = if *other == role { PROCESS } else { OTHERS + other.wire() };
             directive.authority[other.index()] = Authority { incarnation, ..Authority::default() };
         }
-        let publisher = |topic: &Topic| Ok((*topic, TopicPublisher::new(&bus, *topic)?, 0));
-        let publishers = role.reads().iter().map(publisher).collect::<anyhow::Result<_>>()?;
+        let publishers = TopicPublishers::open(&domain, "replay", role.reads())?;
+        let inputs = role.reads().iter().map(|topic| (*topic, 0)).collect();
         let outputs = Observer::waking(&bus)?;
         let (heartbeats, directives) = (Observer::new(&bus)?, Publisher::new(&bus)?);
         let handover = state.map(|state| HandoverData {
@@ -90,6 +91,7 @@ impl<'a, S: Sample> Bench<'a, S> {
         let mut bench = Self {
             child,
             publishers,
+            inputs,
             outputs,
             heartbeats,
             directives,
@@ -110,16 +112,16 @@ impl<'a, S: Sample> Bench<'a, S> {
 
     /// Publishes an input.
     pub(super) fn publish(&mut self, mut input: Input) -> anyhow::Result<()> {
-        let of_topic = |(topic, ..): &&mut (Topic, TopicPublisher, u64)| *topic == input.topic;
-        let Some((topic, publisher, sequence)) = self.publishers.iter_mut().find(of_topic) else {
+        let Some(index) = self.inputs.iter().position(|(topic, _)| *topic == input.topic) else {
             return Ok(());
         };
+        let (topic, sequence) = &mut self.inputs[index];
         *sequence += 1;
         let sample = input.bytes_mut();
         let header = (topic.sample_type().header_mut)(sample);
         header.incarnation = OTHERS + topic.writer().map_or(0, Role::wire);
         (header.layout, header.sequence) = (topic.layout(), *sequence);
-        Ok(publisher.publish(sample)?)
+        Ok(self.publishers.publish(index, sample)?)
     }
 
     /// The first answer to a scan, and what is wrong with it; `None` if there is none in time.

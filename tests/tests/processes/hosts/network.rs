@@ -206,7 +206,7 @@ fn links_that_are_killed_start_no_storm_of_restarts_and_without_its_agent_the_ro
     outages_ms.sort_unstable();
     println!("{kills} kills of links: restarts {:?}, outages [ms] {outages_ms:?}", restarts());
     assert_eq!(restarts(), [0; 5], "the end of a link is no end of a process");
-    let mut agent = hosts.agent.take().unwrap();
+    let (_, mut agent) = hosts.agents.pop().unwrap();
     agent.kill().unwrap();
     agent.wait().unwrap();
     let killed_ns = monotonic_ns();
