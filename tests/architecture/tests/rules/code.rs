@@ -51,6 +51,7 @@ fn algorithms_read_no_clock_and_no_file() {
             "control.rs",
             "credentials.rs",
             "link.rs",
+            "ping.rs",
             "receiver.rs",
             "refusals.rs",
             "sender.rs",
