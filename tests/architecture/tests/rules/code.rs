@@ -46,7 +46,8 @@ fn algorithms_read_no_clock_and_no_file() {
     };
     // The ends of the link between hosts; what they decide by is pure.
     let is_link = |path: &Path| {
-        let parts = ["bridge.rs", "control.rs", "credentials.rs", "link.rs", "receiver.rs", "sender.rs"];
+        let parts =
+            ["bridge.rs", "control.rs", "credentials.rs", "link.rs", "ping.rs", "receiver.rs", "sender.rs"];
         parts.iter().any(|part| *path == root().join("services/link/src").join(part))
     };
     let of_connections = ["std::time::", "Instant::now", "monotonic_ns"];
