@@ -40,6 +40,13 @@ pub(crate) fn run_agent(name: &str, endpoint: &str, credentials: Option<&str>) -
                 let link = std::sync::Arc::clone(&made.link);
                 std::thread::spawn(move || {
                     while link.is_running() {
+                        if link.is_lost() {
+                            runtime::print(
+                                runtime::Priority::Error,
+                                "error: nothing comes from the orchestrator, starting anew",
+                            );
+                            std::process::exit(1);
+                        }
                         let status = link.status();
                         match status.is_locked {
                             true => say(&format!(

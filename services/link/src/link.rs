@@ -13,6 +13,9 @@ use crate::losses::Losses;
 /// Processes of other hosts whose samples are remembered as not ours: all that live at a time, and some before.
 const FOREIGN: usize = 64;
 
+/// Time without an answer after which the orchestrator counts as lost [ms].
+const LOST_MS: u64 = 2_500;
+
 /// The state of a link.
 pub(crate) struct Link {
     pub(crate) table: LinkTable,
@@ -104,6 +107,12 @@ impl Link {
     /// The clock of the orchestrator was answered.
     pub(crate) fn note_answer(&self, now_ns: u64) {
         self.answered_ns.store(now_ns, Ordering::Relaxed);
+    }
+
+    /// Whether the orchestrator has answered, and does so no longer: the link ends then, and is started anew. A listener of Zenoh over
+    /// UDP that stood still may wait for the reader of a connection that has ended meanwhile, and accept no other one.
+    pub(crate) fn is_lost(&self) -> bool {
+        self.answered_ns.load(Ordering::Relaxed) > 0 && self.silent_ms() > LOST_MS
     }
 
     /// Time since the last answer of the orchestrator's clock [ms].
