@@ -137,7 +137,8 @@ fn a_robot_that_promises_a_truth_and_publishes_none_ends_the_run_with_its_name()
                 report.reason
             );
             let found = report.reason.split("since scan ").nth(1).and_then(|rest| rest.split(';').next());
-            let found: u64 = found.and_then(|scan| scan.parse().ok()).expect("a scan");
+            let found = found.and_then(|scan| scan.parse::<u64>().ok());
+            let found = found.unwrap_or_else(|| panic!("{fault}: {}", report.reason));
             // On a busy machine the orchestrator finds several scans at once when it looks for the first time.
             let is_near = (since..since + 10).contains(&found);
             let named = report.reason.contains(FAULTY) && is_near;
