@@ -63,7 +63,9 @@ impl Outlines {
         points: &mut Vec<Point>,
         known: impl Iterator<Item = Known>,
     ) {
-        self.outline(config, scan, place, points, known);
+        self.expected.clear();
+        self.expected.extend(known);
+        self.outline(config, scan, place, points);
         self.associate(config, place);
     }
 
@@ -81,19 +83,10 @@ impl Outlines {
     }
 
     /// Segments the scan into outlines of bodies.
-    fn outline(
-        &mut self,
-        config: &Config,
-        scan: &Scan,
-        place: &Place,
-        points: &mut Vec<Point>,
-        known: impl Iterator<Item = Known>,
-    ) {
+    fn outline(&mut self, config: &Config, scan: &Scan, place: &Place, points: &mut Vec<Point>) {
         let walls = Walls::fit(config, place, points);
         points.retain(|point| walls.leaves(point.at));
         self.segments.find(scan, points, config.range_noise_m, config.beside_y_m());
-        self.expected.clear();
-        self.expected.extend(known);
         self.segments.part(&self.expected);
         self.list.clear();
         self.vertices.clear();
