@@ -89,7 +89,11 @@ impl Agent {
         let Some(link) = &self.link else {
             std::thread::sleep(POLL);
             if monotonic_ns().saturating_sub(self.link_ended_ns) > LINK_RESTART_NS {
-                self.start_link()?;
+                // Its address was good before: whatever it is now, it may be over.
+                if let Err(error) = self.start_link() {
+                    note!("{error:#}; it is tried again");
+                    self.link_ended_ns = monotonic_ns();
+                }
             }
             return Ok(());
         };

@@ -11,14 +11,14 @@ use runtime::{
     Domain, HUB, LINK_SOCKET, LinkStatus, LinkTable, LinkedHost, Shutdown, boottime_ns, monotonic_ns,
     reply_socket,
 };
-use zenoh::pubsub::Subscriber;
+use zenoh::Wait;
 use zenoh::qos::Priority;
-use zenoh::{Session, Wait};
 
 use crate::clock::Probe;
 use crate::flows::{Flows, Tables, topics_of};
+use crate::inbox::Registration;
 use crate::link::Link;
-use crate::network::{self, Place, agent_key, clock_key, publisher, status_key, subscribe, table_key};
+use crate::network::{self, Network, Place, agent_key, clock_key, status_key, table_key};
 use crate::refusals;
 use crate::standstill::Standstill;
 
@@ -37,7 +37,7 @@ pub(crate) struct Bridge {
     pub(crate) link: Arc<Link>,
     flows: Arc<Mutex<Flows>>,
     threads: Vec<JoinHandle<()>>,
-    subscribers: Vec<Subscriber<()>>,
+    subscribers: Vec<Registration>,
 }
 
 impl Bridge {
@@ -45,7 +45,7 @@ impl Bridge {
     ///
     /// # Errors
     /// Unknown topics, what Zenoh refuses, and errors of the bus.
-    pub(crate) fn start(session: &Session, domain: &Domain, table: &LinkTable) -> anyhow::Result<Self> {
+    pub(crate) fn start(session: &Network, domain: &Domain, table: &LinkTable) -> anyhow::Result<Self> {
         let link = Arc::new(Link::new(table));
         let flows = Arc::new(Mutex::new(Flows::new(&link, session, domain)));
         let mut bridge = Self { link, flows, threads: Vec::new(), subscribers: Vec::new() };
@@ -73,16 +73,16 @@ impl Bridge {
     }
 
     /// Answers the question of each host for the time.
-    fn answer_clocks(&mut self, session: &Session) -> anyhow::Result<()> {
+    fn answer_clocks(&mut self, session: &Network) -> anyhow::Result<()> {
         let (asked, open) = (clock_key(&self.link.table.run_id, "ask", "*"), session.clone());
         let run_id = self.link.table.run_id.clone();
         let mut answers = BTreeMap::new();
-        self.subscribers.push(subscribe(session, asked, move |key, question| {
+        self.subscribers.push(session.subscribe(asked, move |key, question| {
             let received_ns = monotonic_ns();
             let host = key.rsplit('/').next().unwrap_or_default().to_owned();
             let Some(sent) = question.first_chunk::<8>() else { return };
             if !answers.contains_key(&host) {
-                match publisher(&open, clock_key(&run_id, "answer", &host), Priority::RealTime) {
+                match open.publisher(clock_key(&run_id, "answer", &host), Priority::RealTime) {
                     Ok(made) => drop(answers.insert(host.clone(), made)),
                     Err(_) => return,
                 }
@@ -91,18 +91,18 @@ impl Bridge {
                 let stamps = [u64::from_le_bytes(*sent), received_ns, monotonic_ns()];
                 let _ = answer.put(stamps.map(u64::to_le_bytes).concat()).wait();
             }
-        })?);
+        }));
         Ok(())
     }
 
     /// Has topics cross as the orchestrator's link says: a role that moves needs others.
-    fn follow_topics(&mut self, session: &Session) -> anyhow::Result<()> {
+    fn follow_topics(&mut self, session: &Network) -> anyhow::Result<()> {
         let LinkTable { run_id, here, .. } = &self.link.table;
         let (into, tables) = sync_channel(1);
-        self.subscribers.push(subscribe(session, table_key(run_id, here), move |_, text| {
+        self.subscribers.push(session.subscribe(table_key(run_id, here), move |_, text| {
             // It is repeated.
             let _ = into.try_send(text.to_vec());
-        })?);
+        }));
         let (shared, flows) = (Arc::clone(&self.link), Arc::clone(&self.flows));
         self.spawn(move || {
             while shared.is_running() {
@@ -117,10 +117,10 @@ impl Bridge {
     }
 
     /// Asks for the time, and reports what was found.
-    fn follow_clock(&mut self, session: &Session) -> anyhow::Result<()> {
+    fn follow_clock(&mut self, session: &Network) -> anyhow::Result<()> {
         let LinkTable { run_id, here, .. } = self.link.table.clone();
         let shared = Arc::clone(&self.link);
-        self.subscribers.push(subscribe(session, clock_key(&run_id, "answer", &here), move |_, stamps| {
+        self.subscribers.push(session.subscribe(clock_key(&run_id, "answer", &here), move |_, stamps| {
             let returned_ns = monotonic_ns();
             let stamp =
                 |index: usize| stamps.get(8 * index..)?.first_chunk().map(|bytes| u64::from_le_bytes(*bytes));
@@ -130,9 +130,9 @@ impl Bridge {
                 shared.note_answer(returned_ns);
                 clock.probe(Probe { sent_ns, received_ns, answered_ns, returned_ns });
             }
-        })?);
-        let question = publisher(session, clock_key(&run_id, "ask", &here), Priority::RealTime)?;
-        let report = publisher(session, status_key(&run_id, &here), Priority::InteractiveHigh)?;
+        }));
+        let question = session.publisher(clock_key(&run_id, "ask", &here), Priority::RealTime)?;
+        let report = session.publisher(status_key(&run_id, &here), Priority::InteractiveHigh)?;
         let shared = Arc::clone(&self.link);
         self.spawn(move || {
             let (mut reported_ns, mut standstill) = (0, Standstill::default());
@@ -175,15 +175,15 @@ pub(crate) fn run_hub(domain: &Domain, table: &LinkTable) -> anyhow::Result<()> 
     let bridge = Bridge::start(&session, domain, table)?;
     let heard: Arc<Mutex<BTreeMap<String, (u64, LinkedHost)>>> = Arc::default();
     let reports = Arc::clone(&heard);
-    let _reports = subscribe(&session, status_key(&table.run_id, "*"), move |_, text| {
+    let _reports = session.subscribe(status_key(&table.run_id, "*"), move |_, text| {
         if let Some(host) = std::str::from_utf8(text).ok().and_then(LinkedHost::of_text) {
             let mut reports = reports.lock().unwrap_or_else(PoisonError::into_inner);
             reports.insert(host.name.clone(), (monotonic_ns(), host));
         }
-    })?;
+    });
     // What agents answer goes to the process that stands for the one there.
     let (answers, folder) = (UnixDatagram::unbound()?, domain.directory().to_owned());
-    let _answers = subscribe(&session, agent_key("*", "up"), move |_, message| {
+    let _answers = session.subscribe(agent_key("*", "up"), move |_, message| {
         let number =
             message.split(|byte| *byte == b'\n').next().and_then(|line| std::str::from_utf8(line).ok());
         if let Some(incarnation) = number.and_then(|line| line.parse::<u32>().ok()) {
@@ -191,7 +191,7 @@ pub(crate) fn run_hub(domain: &Domain, table: &LinkTable) -> anyhow::Result<()> 
             // A process that has ended has no socket.
             let _ = answers.send_to(text, folder.join(reply_socket(incarnation)));
         }
-    })?;
+    });
     let path = domain.directory().join(LINK_SOCKET);
     let _ = std::fs::remove_file(&path);
     let orders = UnixDatagram::bind(&path)?;
@@ -200,7 +200,7 @@ pub(crate) fn run_hub(domain: &Domain, table: &LinkTable) -> anyhow::Result<()> 
     for peer in &table.peers {
         agents.insert(
             peer.name.clone(),
-            publisher(&session, agent_key(&peer.name, "down"), Priority::InteractiveHigh)?,
+            session.publisher(agent_key(&peer.name, "down"), Priority::InteractiveHigh)?,
         );
     }
     let tables = Tables::new(&session, table)?;

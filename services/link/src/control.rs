@@ -9,12 +9,17 @@ use std::io::{BufRead, Write};
 use std::time::Duration;
 
 use anyhow::Context;
-use runtime::{Domain, LinkTable};
+use runtime::{Domain, LinkTable, monotonic_ns};
 use zenoh::Wait;
 use zenoh::qos::Priority;
 
 use crate::bridge::Bridge;
-use crate::network::{Place, agent_key, join, publisher, subscribe};
+use crate::listener::Listener;
+use crate::network::{Network, Place, agent_key, join};
+
+/// An orchestrator that is connected and from which nothing has come for this long does not know that this end listens [ns]:
+/// its link sends something ten times a second.
+const DEAF_NS: u64 = 1_500_000_000;
 
 /// Runs until the standard input ends.
 ///
@@ -23,12 +28,15 @@ use crate::network::{Place, agent_key, join, publisher, subscribe};
 pub(crate) fn run_agent(name: &str, endpoint: &str, credentials: Option<&str>) -> anyhow::Result<()> {
     let session = join(&Place::Agent(endpoint), credentials)?;
     say("listening");
-    let _orders = subscribe(&session, agent_key(name, "down"), |_, text| {
+    let _orders = session.subscribe(agent_key(name, "down"), |_, text| {
         if let Ok(text) = std::str::from_utf8(text) {
             say(&format!("down {}", text.replace('\n', " ")));
         }
-    })?;
-    let answers = publisher(&session, agent_key(name, "up"), Priority::InteractiveHigh)?;
+    });
+    let answers = session.publisher(agent_key(name, "up"), Priority::InteractiveHigh)?;
+    let network = session.clone();
+    let listener = Listener::of(endpoint);
+    std::thread::spawn(move || watch(&network, listener));
     let mut bridge: Option<Bridge> = None;
     for line in std::io::stdin().lock().lines() {
         let line = line?;
@@ -37,15 +45,11 @@ pub(crate) fn run_agent(name: &str, endpoint: &str, credentials: Option<&str>) -
                 let domain = Domain::existing(system_id)?;
                 let table = LinkTable::read(&domain)?.context("the system has no table of its link")?;
                 let made = Bridge::start(&session, &domain, &table)?;
-                let link = std::sync::Arc::clone(&made.link);
+                let (link, network) = (std::sync::Arc::clone(&made.link), session.clone());
                 std::thread::spawn(move || {
                     while link.is_running() {
-                        if link.is_lost() {
-                            runtime::print(
-                                runtime::Priority::Error,
-                                "error: nothing comes from the orchestrator, starting anew",
-                            );
-                            std::process::exit(1);
+                        if link.is_unanswered() && network.is_connected() {
+                            start_anew("the orchestrator does not answer");
                         }
                         let status = link.status();
                         match status.is_locked {
@@ -73,6 +77,30 @@ pub(crate) fn run_agent(name: &str, endpoint: &str, credentials: Option<&str>) -
         }
     }
     Ok(())
+}
+
+/// Ends this link where nobody can connect any more, or where the orchestrator is connected and nothing comes from it:
+/// what it was told of this end was lost.
+fn watch(network: &Network, mut listener: Option<Listener>) {
+    let mut connected_ns: Option<u64> = None;
+    loop {
+        std::thread::sleep(Duration::from_millis(100));
+        let now_ns = monotonic_ns();
+        connected_ns = network.is_connected().then(|| connected_ns.unwrap_or(now_ns));
+        let silent_ns = connected_ns.map(|since_ns| now_ns.saturating_sub(since_ns.max(network.heard_ns())));
+        if silent_ns.is_some_and(|silent_ns| silent_ns > DEAF_NS) {
+            start_anew("nothing comes from the orchestrator");
+        }
+        if listener.as_mut().is_some_and(Listener::is_stuck) {
+            start_anew("the network is not read");
+        }
+    }
+}
+
+/// Ends this program; the agent starts it again.
+fn start_anew(reason: &str) -> ! {
+    runtime::print(runtime::Priority::Error, &format!("error: {reason}, starting anew"));
+    std::process::exit(1);
 }
 
 /// One line for the agent; when that is gone, the input ends too.

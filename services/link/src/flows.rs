@@ -9,30 +9,31 @@ use std::thread::JoinHandle;
 
 use runtime::{Domain, LinkTable};
 use shared_types::Topic;
-use zenoh::pubsub::{Publisher, Subscriber};
+use zenoh::Wait;
+use zenoh::pubsub::Publisher;
 use zenoh::qos::Priority;
-use zenoh::{Session, Wait};
 
+use crate::inbox::Registration;
 use crate::link::Link;
-use crate::network::{publisher, subscribe, table_key, topic_key};
+use crate::network::{Network, table_key, topic_key};
 use crate::receiver::Receiver;
 use crate::sender;
 
 /// The topics that cross at this host.
 pub(crate) struct Flows {
     link: Arc<Link>,
-    session: Session,
+    session: Network,
     domain: Domain,
     received: Vec<Topic>,
     sent: Vec<Topic>,
     threads: Vec<JoinHandle<()>>,
     receivers: Vec<Arc<Receiver>>,
-    subscribers: Vec<Subscriber<()>>,
+    subscribers: Vec<Registration>,
 }
 
 impl Flows {
     /// No topic crosses yet.
-    pub(crate) fn new(link: &Arc<Link>, session: &Session, domain: &Domain) -> Self {
+    pub(crate) fn new(link: &Arc<Link>, session: &Network, domain: &Domain) -> Self {
         Self {
             link: Arc::clone(link),
             session: session.clone(),
@@ -69,11 +70,11 @@ impl Flows {
             let key = |from: &str| topic_key(&self.link.table.run_id, topic, from);
             // While a writer moves, its topic crosses both ways: what this host has sent comes back to it.
             let (own, shared) = (key(&self.link.table.here), Arc::clone(&receiver));
-            self.subscribers.push(subscribe(&self.session, key("*"), move |name, frame| {
+            self.subscribers.push(self.session.subscribe(key("*"), move |name, frame| {
                 if name != own {
                     shared.take(index, frame);
                 }
-            })?);
+            }));
         }
         self.receivers.push(receiver);
         Ok(())
@@ -84,7 +85,7 @@ impl Flows {
         let is_of_loop = topic.writer().is_some() || topic == Topic::Directive;
         let priority = if is_of_loop { Priority::RealTime } else { Priority::DataHigh };
         let key = topic_key(&self.link.table.run_id, topic, &self.link.table.here);
-        let out = publisher(&self.session, key, priority)?;
+        let out = self.session.publisher(key, priority)?;
         let (shared, domain) = (Arc::clone(&self.link), self.domain.clone());
         self.threads.push(self.link.spawn(move || sender::run(shared, &domain, topic, out)));
         Ok(())
@@ -106,10 +107,10 @@ impl Tables {
     ///
     /// # Errors
     /// What Zenoh refuses.
-    pub(crate) fn new(session: &Session, table: &LinkTable) -> anyhow::Result<Self> {
+    pub(crate) fn new(session: &Network, table: &LinkTable) -> anyhow::Result<Self> {
         let open = |name: &String| {
             let key = table_key(&table.run_id, name);
-            Ok((name.clone(), publisher(session, key, Priority::InteractiveHigh)?))
+            Ok((name.clone(), session.publisher(key, Priority::InteractiveHigh)?))
         };
         Ok(Self(table.peers.iter().map(|peer| open(&peer.name)).collect::<anyhow::Result<_>>()?))
     }

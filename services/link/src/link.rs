@@ -13,7 +13,7 @@ use crate::losses::Losses;
 /// Processes of other hosts whose samples are remembered as not ours: all that live at a time, and some before.
 const FOREIGN: usize = 64;
 
-/// Time without an answer after which the orchestrator counts as lost [ms].
+/// Time without an answer after which something is wrong, if there is a connection [ms].
 const LOST_MS: u64 = 2_500;
 
 /// The state of a link.
@@ -23,7 +23,7 @@ pub(crate) struct Link {
     pub(crate) counters: Counters,
     pub(crate) losses: Losses,
     running: AtomicBool,
-    /// When the clock of the orchestrator was answered last [ns].
+    /// When this link was started, or the clock of the orchestrator was answered last [ns].
     answered_ns: AtomicU64,
     /// For how long this host stood still [ms].
     stood_still_ms: AtomicU64,
@@ -43,7 +43,7 @@ impl Link {
             counters: Counters::default(),
             losses: Losses::default(),
             running: AtomicBool::new(true),
-            answered_ns: AtomicU64::new(0),
+            answered_ns: AtomicU64::new(monotonic_ns()),
             stood_still_ms: AtomicU64::new(0),
             directive: AtomicU64::new(0),
             foreign: std::array::from_fn(|_| AtomicU32::new(0)),
@@ -109,13 +109,13 @@ impl Link {
         self.answered_ns.store(now_ns, Ordering::Relaxed);
     }
 
-    /// Whether the orchestrator has answered, and does so no longer: the link ends then, and is started anew. A listener of Zenoh over
-    /// UDP that stood still may wait for the reader of a connection that has ended meanwhile, and accept no other one.
-    pub(crate) fn is_lost(&self) -> bool {
-        self.answered_ns.load(Ordering::Relaxed) > 0 && self.silent_ms() > LOST_MS
+    /// Whether the orchestrator does not answer for too long. Where it is connected all the same the link ends and is
+    /// started anew: what this end listens to is told once only, in datagrams that may be lost.
+    pub(crate) fn is_unanswered(&self) -> bool {
+        self.silent_ms() > LOST_MS
     }
 
-    /// Time since the last answer of the orchestrator's clock [ms].
+    /// Time since the last answer of the orchestrator's clock, or since the start [ms].
     pub(crate) fn silent_ms(&self) -> u64 {
         monotonic_ns().saturating_sub(self.answered_ns.load(Ordering::Relaxed)) / 1_000_000
     }

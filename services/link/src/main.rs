@@ -14,7 +14,9 @@ mod credentials;
 mod flows;
 mod frame;
 mod gate;
+mod inbox;
 mod link;
+mod listener;
 mod losses;
 mod network;
 mod newest;
@@ -37,6 +39,7 @@ const THREADS: (&str, &str) = ("ZENOH_RUNTIME", "(rx: (handover: acc), app: (han
 
 fn main() -> ExitCode {
     refusals::watch();
+    end_at_a_panic();
     match set_threads().and_then(|()| arguments::run()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
@@ -47,6 +50,16 @@ fn main() -> ExitCode {
             ExitCode::from(if is_input { 2 } else { 4 })
         }
     }
+}
+
+/// Ends this program at a panic of any thread, to be started anew: one of Zenoh's that reads would leave a connection behind
+/// from which nothing comes.
+fn end_at_a_panic() {
+    let print = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        print(panic);
+        std::process::abort();
+    }));
 }
 
 /// Starts this program again in place, with the variable set, unless someone has set it.

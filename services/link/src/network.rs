@@ -1,10 +1,15 @@
 //! Zenoh as the link uses it: its configuration, and the names under which things travel.
 
+use std::sync::Arc;
+
 use anyhow::anyhow;
 use shared_types::Topic;
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::qos::{CongestionControl, Priority};
+use zenoh::sample::Locality;
 use zenoh::{Config, Session, Wait};
+
+use crate::inbox::{Inbox, Registration};
 
 use crate::credentials::{AUTHORITY, CERTIFICATE, KEY};
 
@@ -28,11 +33,23 @@ pub(crate) enum Place<'a> {
     Agent(&'a str),
 }
 
+/// What the names of all messages begin with.
+const NAMES: &str = "scanloop/**";
+
+/// A network that was joined.
+#[derive(Clone)]
+pub(crate) struct Network {
+    session: Session,
+    inbox: Inbox,
+    // Held until the end.
+    _subscriber: Arc<Subscriber<()>>,
+}
+
 /// Joins the network. A hub retries for ever; an agent fails if its address is not one of this machine.
 ///
 /// # Errors
 /// What Zenoh refuses, as a sentence.
-pub(crate) fn join(place: &Place<'_>, credentials: Option<&str>) -> anyhow::Result<Session> {
+pub(crate) fn join(place: &Place<'_>, credentials: Option<&str>) -> anyhow::Result<Network> {
     let (listen, connect) = match place {
         Place::Hub(endpoints) => (Vec::new(), endpoints.clone()),
         Place::Agent(endpoint) => (vec![*endpoint], Vec::new()),
@@ -76,38 +93,48 @@ pub(crate) fn join(place: &Place<'_>, credentials: Option<&str>) -> anyhow::Resu
     for (key, value) in settings {
         config.insert_json5(key, &value).map_err(|error| anyhow!("{key} = {value}: {error}"))?;
     }
-    zenoh::open(config).wait().map_err(|error| match place {
+    let session = zenoh::open(config).wait().map_err(|error| match place {
         Place::Agent(endpoint) => anyhow!("it can't listen at {endpoint}: {error}"),
         Place::Hub(_) => anyhow!("{error}"),
-    })
-}
-
-/// The writing end of a name. Nothing waits: what does not fit into the queue is dropped.
-///
-/// # Errors
-/// What Zenoh refuses.
-pub(crate) fn publisher(
-    session: &Session,
-    key: String,
-    priority: Priority,
-) -> anyhow::Result<Publisher<'static>> {
-    let publisher = session.declare_publisher(key).congestion_control(CongestionControl::Drop);
-    publisher.priority(priority).express(true).wait().map_err(|error| anyhow!("{error}"))
-}
-
-/// Calls `each` with the name and the bytes of all that comes under a name.
-///
-/// # Errors
-/// What Zenoh refuses.
-pub(crate) fn subscribe(
-    session: &Session,
-    key: String,
-    mut each: impl FnMut(&str, &[u8]) + Send + Sync + 'static,
-) -> anyhow::Result<Subscriber<()>> {
+    })?;
+    let inbox = Inbox::default();
+    let shared = inbox.clone();
     let subscriber = session
-        .declare_subscriber(key)
-        .callback_mut(move |sample| each(sample.key_expr().as_str(), &sample.payload().to_bytes()));
-    subscriber.wait().map_err(|error| anyhow!("{error}"))
+        .declare_subscriber(NAMES)
+        .allowed_origin(Locality::Remote)
+        .callback(move |sample| shared.take(sample.key_expr().as_str(), &sample.payload().to_bytes()));
+    let subscriber = Arc::new(subscriber.wait().map_err(|error| anyhow!("{error}"))?);
+    Ok(Network { session, inbox, _subscriber: subscriber })
+}
+
+impl Network {
+    /// The writing end of a name. Nothing waits: what does not fit into the queue is dropped.
+    ///
+    /// # Errors
+    /// What Zenoh refuses.
+    pub(crate) fn publisher(&self, key: String, priority: Priority) -> anyhow::Result<Publisher<'static>> {
+        let publisher = self.session.declare_publisher(key).congestion_control(CongestionControl::Drop);
+        publisher.priority(priority).express(true).wait().map_err(|error| anyhow!("{error}"))
+    }
+
+    /// Calls `each` with the name and the bytes of all that comes under names that fit a pattern ([`Inbox::add`]).
+    pub(crate) fn subscribe(
+        &self,
+        key: String,
+        each: impl FnMut(&str, &[u8]) + Send + 'static,
+    ) -> Registration {
+        self.inbox.add(key, each)
+    }
+
+    /// Whether another host is connected.
+    pub(crate) fn is_connected(&self) -> bool {
+        self.session.info().routers_zid().wait().next().is_some()
+    }
+
+    /// When something came from another host last [ns]; 0 before.
+    pub(crate) fn heard_ns(&self) -> u64 {
+        self.inbox.heard_ns()
+    }
 }
 
 /// The name of a topic of a run. It contains the layout, so samples of another one never arrive.

@@ -12,11 +12,12 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use runtime::monotonic_ns;
-use zenoh::pubsub::{Publisher, Subscriber};
+use zenoh::Wait;
+use zenoh::pubsub::Publisher;
 use zenoh::qos::Priority;
-use zenoh::{Session, Wait};
 
-use crate::network::{Place, join, publisher, subscribe};
+use crate::inbox::Registration;
+use crate::network::{Network, Place, join};
 
 /// Bytes of a message: the mean of scan and command.
 const BYTES: usize = 1_704;
@@ -42,8 +43,8 @@ pub(crate) fn echo(address: SocketAddr, credentials: Option<&str>) -> anyhow::Re
     let mut sessions = Vec::new();
     for (_, endpoint, trusted) in zenoh_places(address, credentials) {
         let session = join(&Place::Agent(&endpoint), trusted)?;
-        let answer = publisher(&session, ANSWER.to_owned(), Priority::RealTime)?;
-        let subscriber = subscribe(&session, ASK.to_owned(), move |_, bytes| _ = answer.put(bytes).wait())?;
+        let answer = session.publisher(ANSWER.to_owned(), Priority::RealTime)?;
+        let subscriber = session.subscribe(ASK.to_owned(), move |_, bytes| _ = answer.put(bytes).wait());
         sessions.push((session, subscriber));
     }
     std::thread::spawn(move || -> std::io::Result<()> {
@@ -176,22 +177,22 @@ struct Zenoh {
     number: u64,
     publisher: Publisher<'static>,
     answers: Receiver<(u64, u64)>,
-    _subscriber: Subscriber<()>,
-    _session: Session,
+    _subscriber: Registration,
+    _session: Network,
 }
 
 impl Zenoh {
     fn new(endpoint: &str, credentials: Option<&str>) -> anyhow::Result<Self> {
         let session = join(&Place::Hub(vec![endpoint]), credentials)?;
         let (into, answers) = channel();
-        let subscriber = subscribe(&session, ANSWER.to_owned(), move |_, bytes| {
+        let subscriber = session.subscribe(ANSWER.to_owned(), move |_, bytes| {
             // The time is taken here, before the other thread is woken.
             let answered_ns = monotonic_ns();
             if let Some(number) = bytes.first_chunk().map(|bytes| u64::from_le_bytes(*bytes)) {
                 let _ = into.send((number, answered_ns));
             }
-        })?;
-        let publisher = publisher(&session, ASK.to_owned(), Priority::RealTime)?;
+        });
+        let publisher = session.publisher(ASK.to_owned(), Priority::RealTime)?;
         let mut way = Self { number: 0, publisher, answers, _subscriber: subscriber, _session: session };
         let started = Instant::now();
         while way.trip()?.is_none() {

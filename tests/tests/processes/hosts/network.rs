@@ -1,8 +1,8 @@
 //! Two hosts with a bad network between them: samples that are lost, late or come as a burst, and links and agents that are
 //! killed. What must hold is read from the outputs of the actuator.
 //!
-//! Three variables make the same tests as long as a measurement needs: `SCANLOOP_HOST_SCANS`, `SCANLOOP_HOST_KILLS` and
-//! `SCANLOOP_HOST_OUTAGES`.
+//! Variables make the same tests as long as a measurement needs: `SCANLOOP_HOST_SCANS`, `SCANLOOP_HOST_KILLS`,
+//! `SCANLOOP_HOST_OUTAGES` and `SCANLOOP_HOST_STARTS`.
 
 use std::cell::RefCell;
 use std::net::SocketAddr;
@@ -186,6 +186,23 @@ fn an_outage_of_an_encrypted_network_blocks_the_wheels_and_no_old_sample_drives_
     hosts.trust("keys", "orchestrator", "system.toml");
     hosts.trust("keys", "lab", "agent.toml");
     outages_block_the_wheels(&mut hosts, &relay, 0.5);
+}
+
+#[test]
+fn hosts_connect_over_a_network_that_loses_one_of_twenty() {
+    let Some((mut hosts, relay)) = relayed("connections over a bad network") else { return };
+    relay.lose(0.05);
+    hosts.start_agent();
+    for _ in 0..number("SCANLOOP_HOST_STARTS", 2) {
+        let begun_ns = monotonic_ns();
+        hosts.start(&["endless", "--duration", "100000"]);
+        hosts.system.wait_until_driving();
+        println!("drives after {} ms", (monotonic_ns() - begun_ns) / 1_000_000);
+        let stop = hosts.system.run(&["stop"]);
+        assert_eq!(stop.status.code(), Some(0), "{}", String::from_utf8_lossy(&stop.stderr));
+        hosts.system.wait();
+    }
+    hosts.end();
 }
 
 #[test]
