@@ -17,7 +17,7 @@ use shared_types::{
     Actuation, Authority, Checkpoint, Command, Directive, Header, Journal, Obstacles, Odometry, Pose, ROLES,
     Role, Sample, Scan, Topic, Truth, topics_of,
 };
-use supervision::entry::ProcessRow;
+use supervision::entry::{ProcessEntry, ProcessRow};
 use toml::Table;
 
 pub(crate) use self::lane::Lane;
@@ -201,7 +201,7 @@ impl Drive {
         for row in rows {
             let implementation = row.entry.implementation.as_deref().unwrap_or_default();
             if row.entry.command.is_some() || !BUILT_IN.contains(&implementation) {
-                self.foreign.insert(row.identity.incarnation, row.entry.label());
+                self.foreign.insert(row.identity.incarnation, typed(&row.entry));
             }
         }
     }
@@ -232,4 +232,12 @@ impl Drive {
             Topic::Heartbeat => {}
         }
     }
+}
+
+/// An implementation, or a command as `--with` reads it.
+fn typed(entry: &ProcessEntry) -> String {
+    let Some(command) = &entry.command else { return entry.label() };
+    let quoted =
+        |word: &String| if word.contains(char::is_whitespace) { format!("\"{word}\"") } else { word.clone() };
+    command.iter().map(quoted).collect::<Vec<_>>().join(" ")
 }

@@ -67,8 +67,35 @@ pub struct Report {
     pub reasons: Vec<Skipped>,
     /// Outputs of scans after the one that decided the outcome, in lock-step; they do not belong to the run.
     pub after_end: u64,
+    /// Processes whose outputs are not compared: programs of your own, drivers of devices, and those without journals.
+    pub not_compared: Vec<NotCompared>,
     /// Stages that can't be replayed, because samples that they read or write have another layout.
     pub not_replayed: Vec<NotReplayed>,
+}
+
+/// A process whose outputs are not compared.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct NotCompared {
+    /// Name of the role.
+    pub role: &'static str,
+    /// The process.
+    pub incarnation: u32,
+    /// The driver, or the command that was started; none for a built-in stage without journals.
+    pub program: Option<String>,
+    /// Whether journals of the process were recorded.
+    pub has_journals: bool,
+    /// The option with which its command is started again and gets the same inputs; none for a robot.
+    pub with: Option<String>,
+}
+
+impl std::fmt::Display for NotCompared {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { role, incarnation, program, has_journals, with } = self;
+        let program = program.as_deref().unwrap_or("built-in");
+        let journals = if *has_journals { "" } else { ", without journals" };
+        write!(formatter, "not compared: {role} {incarnation}, {program}{journals}")?;
+        with.as_ref().map_or(Ok(()), |with| write!(formatter, "; to compare it: {with}"))
+    }
 }
 
 /// A stage that can't be replayed.

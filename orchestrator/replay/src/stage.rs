@@ -20,7 +20,7 @@ use self::estimator::Estimator;
 use self::obstacles::Detector;
 use self::robot::Robot;
 use crate::compare::{Difference, difference, take_over};
-use crate::{Drive, MAX_DIFFERENCES, Options, Report, Skipped, Statistics};
+use crate::{Drive, MAX_DIFFERENCES, NotCompared, Options, Report, Skipped, Statistics};
 
 /// What was found in the outputs of one role.
 #[derive(Debug)]
@@ -111,6 +111,18 @@ impl Findings {
         *self.reasons.entry((S::TOPIC.name(), recorded.header().incarnation, reason)).or_default() += 1;
     }
 
+    /// Names a process whose outputs are not compared.
+    pub(crate) fn leave_out(&mut self, incarnation: u32, drive: &Drive) {
+        let (role, program) = (self.role, drive.foreign(incarnation));
+        self.report.not_compared.push(NotCompared {
+            role: role.name(),
+            incarnation,
+            program: program.map(str::to_owned),
+            has_journals: drive.journals(incarnation).next().is_some(),
+            with: program.filter(|_| role != Role::Robot).map(|program| format!("--with '{role}={program}'")),
+        });
+    }
+
     /// Counts an output that does not belong to the run.
     pub(crate) fn after_end(&mut self) {
         self.report.after_end += 1;
@@ -118,8 +130,18 @@ impl Findings {
 
     /// Adds it to the report of all roles.
     pub(crate) fn add_to(self, report: &mut Report) {
-        let Report { samples, compared, skipped, identical, beyond, differences, after_end, .. } =
-            self.report;
+        let Report {
+            samples,
+            compared,
+            skipped,
+            identical,
+            beyond,
+            differences,
+            after_end,
+            not_compared,
+            ..
+        } = self.report;
+        report.not_compared.extend(not_compared);
         report.samples += samples;
         report.compared += compared;
         report.skipped += skipped;

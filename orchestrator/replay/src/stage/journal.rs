@@ -12,6 +12,7 @@ use crate::{Drive, Options};
 /// An output that can't be recomputed.
 const NO_STATE: &str = "no state of the process was recorded";
 const LOST: &str = "a journal of the process was not recorded";
+const NO_JOURNAL: &str = "no journal of the process was recorded, as before processes published journals";
 const NO_INPUT: &str = "an input was not recorded";
 const FOREIGN: &str = "not_compared: the process is no implementation of this program";
 
@@ -61,8 +62,13 @@ pub(super) fn replay<'d, T: Stage<'d>>(
         let mut skipped = Skipped::default();
         if drive.foreign(incarnation).is_some() {
             skipped.reason = FOREIGN;
+        } else if drive.journals(incarnation).next().is_none() {
+            skipped.reason = NO_JOURNAL;
         } else {
             replay_process::<T>((incarnation, lane), drive, options, &window, findings, &mut skipped)?;
+        }
+        if [FOREIGN, NO_JOURNAL].contains(&skipped.reason) {
+            findings.leave_out(incarnation, drive);
         }
         // Also those of which no journal tells.
         for output in lane.of_process(incarnation) {
@@ -96,7 +102,7 @@ fn replay_process<'d, T: Stage<'d>>(
     findings: &mut Findings,
     skipped: &mut Skipped,
 ) -> anyhow::Result<()> {
-    let nearest = nearest_state(incarnation, drive, options).map(|checkpoint| checkpoint.header.sequence);
+    let nearest = nearest_state(incarnation, drive, options);
     let mut stage = T::begin(drive)?;
     let mut unknown = nearest.map(|_| NO_STATE);
     let mut next = 1;
@@ -180,8 +186,19 @@ fn compare<'d, T: Stage<'d>>(
     }
 }
 
-/// The newest state of the process before the first scan that is asked for.
-fn nearest_state<'d>(incarnation: u32, drive: &'d Drive, options: &Options) -> Option<&'d Checkpoint> {
-    let from = options.from?;
-    drive.checkpoints.of_process(incarnation).filter(|checkpoint| checkpoint.header.scan_id < from).last()
+/// The newest recorded state of the process before its first output that is asked for, by number.
+///
+/// The scan of a state does not tell: an estimator that got an actuation late has saved a state of an earlier scan after
+/// its pose.
+fn nearest_state(incarnation: u32, drive: &Drive, options: &Options) -> Option<u64> {
+    let (from, mut nearest) = (options.from?, None);
+    for journal in drive.journals(incarnation) {
+        let saved = journal.used().iter().filter(|entry| entry.kind == JournalKind::Saved.wire() as u16);
+        let is_recorded = |number: &u64| drive.checkpoints.of_number(incarnation, *number).is_some();
+        nearest = saved.map(|entry| entry.value).filter(is_recorded).last().or(nearest);
+        if journal.output > 0 && journal.header.scan_id >= from {
+            break;
+        }
+    }
+    nearest
 }
