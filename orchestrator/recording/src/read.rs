@@ -179,15 +179,17 @@ impl Recording {
         }
     }
 
-    /// The fields in which the layouts of its samples differ from those of this program.
+    /// The fields in which the layouts of its samples differ from those of this program; a topic that the recording does not
+    /// know has no samples.
     ///
     /// # Errors
     /// A table of layouts that can't be read.
     pub fn layout_differences(contents: &Contents) -> Result<Vec<Difference>, NotALayout> {
         let Some(text) = attachment(contents, LAYOUTS) else { return Ok(Vec::new()) };
-        let (built_in, recorded) = (Layouts::built_in(), text.parse()?);
+        let (built_in, recorded): (_, Layouts) = (Layouts::built_in(), text.parse()?);
+        let is_known = |topic: &&Topic| recorded.rows.iter().any(|row| row.topic == topic.name());
         let of_topic = |topic: &Topic| shared_types::differences(&built_in, &recorded, topic.name());
-        Ok(TOPICS.iter().flat_map(of_topic).collect())
+        Ok(TOPICS.iter().filter(is_known).flat_map(of_topic).collect())
     }
 
     /// Topics whose samples have another layout.
