@@ -57,6 +57,8 @@ pub struct Report {
     pub skipped: u64,
     /// Outputs that are equal to the recorded ones.
     pub identical: u64,
+    /// Outputs that an injected fault has changed, or that come from a robot which it has altered; they are not compared.
+    pub injected: u64,
     /// Outputs that are beyond the bounds of the agreement, with changed keys or other programs.
     pub beyond: u64,
     /// With changed keys or other programs, how their outputs differ from the recorded ones.

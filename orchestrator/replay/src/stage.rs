@@ -50,6 +50,10 @@ impl Findings {
         options: &Options,
     ) {
         self.report.samples += 1;
+        if drive.is_injected(S::TOPIC, recorded.header()) {
+            self.report.injected += 1;
+            return;
+        }
         self.report.compared += 1;
         take_over(recorded, &mut replayed, role);
         drive.keep_pace(recorded.header());
@@ -111,6 +115,12 @@ impl Findings {
         *self.reasons.entry((S::TOPIC.name(), recorded.header().incarnation, reason)).or_default() += 1;
     }
 
+    /// Counts an output of a robot that an injected fault has altered.
+    pub(crate) fn injected(&mut self) {
+        self.report.samples += 1;
+        self.report.injected += 1;
+    }
+
     /// Names a process whose outputs are not compared.
     pub(crate) fn leave_out(&mut self, incarnation: u32, drive: &Drive) {
         let (role, program) = (self.role, drive.foreign(incarnation));
@@ -145,6 +155,7 @@ impl Findings {
         report.samples += samples;
         report.compared += compared;
         report.skipped += skipped;
+        report.injected += injected;
         report.identical += identical;
         report.beyond += beyond;
         report.after_end += after_end;

@@ -76,6 +76,9 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> anyhow::Result<Exit> {
         report.identical,
         report.skipped
     );
+    if report.injected > 0 {
+        note!("{} outputs were changed by an injected fault", report.injected);
+    }
     for skipped in &report.reasons {
         note!(
             "skipped {} of {} by process {}: {}",

@@ -14,6 +14,10 @@ const NO_STATE: &str = "no state of the process was recorded";
 const LOST: &str = "a journal of the process was not recorded";
 const NO_JOURNAL: &str = "no journal of the process was recorded, as before processes published journals";
 const NO_INPUT: &str = "an input was not recorded";
+/// An injected fault alters the robot: a state is that of another robot.
+const ALTERED: &str = "an injected fault altered the robot";
+/// The fault is over, but it has changed the state.
+const RESTORED: &str = "an injected fault had altered the robot";
 const FOREIGN: &str = "not_compared: the process is no implementation of this program";
 
 /// An input that was not recorded.
@@ -73,8 +77,12 @@ pub(super) fn replay<'d, T: Stage<'d>>(
         // Also those of which no journal tells.
         for output in lane.of_process(incarnation) {
             let header = output.header();
-            if !skipped.settled.contains(&header.sequence) && window.holds(header, findings) {
-                findings.skip(output, skipped.reason);
+            if skipped.settled.contains(&header.sequence) || !window.holds(header, findings) {
+                continue;
+            }
+            match drive.is_injected(T::Output::TOPIC, header) {
+                true => findings.injected(),
+                false => findings.skip(output, skipped.reason),
             }
         }
     }
@@ -148,10 +156,12 @@ fn follow<'d, T: Stage<'d>>(
         }
         Ok(JournalKind::Saved) => {
             let is_wanted = nearest.is_none_or(|nearest| entry.value >= nearest);
-            if unknown.is_some() && is_wanted && resume(stage, incarnation) {
+            let is_unknown = unknown.is_some_and(|reason| reason != ALTERED);
+            if is_unknown && is_wanted && resume(stage, incarnation) {
                 *unknown = None;
             }
         }
+        Ok(JournalKind::Altered) => *unknown = Some(if entry.value == 1 { ALTERED } else { RESTORED }),
         Ok(kind) if unknown.is_none() => {
             *unknown = stage.follow(kind, entry.value).err().map(|Missing| NO_INPUT);
         }
@@ -182,6 +192,7 @@ fn compare<'d, T: Stage<'d>>(
             findings.compare(recorded, output, T::ROLE, drive, options);
             stage.compare_others(recorded, drive, options, findings);
         }
+        Err(ALTERED | RESTORED) => findings.injected(),
         Err(reason) => findings.skip(recorded, reason),
     }
 }

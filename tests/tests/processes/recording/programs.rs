@@ -214,7 +214,7 @@ fn a_program_in_place_of_a_stage_with_two_processes_gets_the_inputs_of_both() {
     assert_eq!(restarted.status.code(), Some(0), "{}", String::from_utf8_lossy(&restarted.stderr));
     // Beside the detector in charge, with states of another kind.
     let words: Vec<&str> = command.iter().map(String::as_str).collect();
-    let shadow = [&["shadow", "obstacles", "--scans", "10", "--"], &words[..]].concat();
+    let shadow = [&["shadow", "obstacles", "--for", "2s", "--"], &words[..]].concat();
     let shadowed = system.run(&shadow);
     assert!(matches!(shadowed.status.code(), Some(0 | 1)), "{}", String::from_utf8_lossy(&shadowed.stderr));
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
