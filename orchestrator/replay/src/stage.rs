@@ -149,6 +149,7 @@ impl Findings {
             differences,
             after_end,
             not_compared,
+            injected,
             ..
         } = self.report;
         report.not_compared.extend(not_compared);
