@@ -125,3 +125,21 @@ fn state_before<'a>(
     // A recording that begins in the middle of a drive.
     before.or_else(|| own.iter().chain(&others).find(|_| from > 1)).copied()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drive::tests::{ESTIMATOR, late_actuation};
+
+    #[test]
+    fn a_program_begins_with_the_newest_state_before_the_first_output_that_is_asked_for() {
+        let drive = late_actuation();
+        let mut inputs = Inputs::new(Role::Estimator, &drive);
+        let found = [1, 2, 3, 4].map(|from| {
+            let state = state_before(Role::Estimator, &drive, (from, ESTIMATOR), &mut inputs)?;
+            Some((state.header.sequence, inputs.scan_after(state)))
+        });
+        // State 3 is of scan 1, but the first output after it is of scan 3.
+        assert_eq!(found, [None, Some((1, 2)), Some((3, 3)), Some((4, 4))]);
+    }
+}

@@ -2,6 +2,8 @@
 
 mod keys;
 mod lane;
+#[cfg(test)]
+pub(crate) mod tests;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;

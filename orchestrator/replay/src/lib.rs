@@ -13,10 +13,11 @@ mod drive;
 mod stage;
 
 use std::path::Path;
+use std::sync::Mutex;
 
 use console::exit::Failure;
 use serde::Serialize;
-use shared_types::Role;
+use shared_types::{ROLES, Role};
 
 use crate::compare::Difference;
 pub use crate::drive::Drive;
@@ -181,13 +182,9 @@ pub fn replay(path: &Path, options: &Options) -> anyhow::Result<Report> {
     for (role, command) in options.with.iter().filter(|(role, _)| stages.contains(role)) {
         command::replay(*role, command, drive, options)?.add_to(&mut report);
     }
-    let built_in = stages.iter().filter(|role| of_programs().all(|other| other != **role));
-    let found: Vec<anyhow::Result<Findings>> = std::thread::scope(|scope| {
-        let threads: Vec<_> =
-            built_in.map(|role| scope.spawn(move || stage::replay(*role, drive, options))).collect();
-        let lost = || Err(anyhow::anyhow!("a stage ended with a panic"));
-        threads.into_iter().map(|thread| thread.join().unwrap_or_else(|_| lost())).collect()
-    });
+    let built_in: Vec<Role> =
+        stages.into_iter().filter(|role| of_programs().all(|other| other != *role)).collect();
+    let found = replay_stages(&built_in, drive, options);
     for findings in found {
         findings?.add_to(&mut report);
     }
@@ -198,4 +195,29 @@ pub fn replay(path: &Path, options: &Options) -> anyhow::Result<Report> {
         return Err(Failure::bad_input(format!("{path}: no output of these stages is in these scans")));
     }
     Ok(report)
+}
+
+/// The stages by what they cost: no processor is idle while the longest one ends.
+const BY_COST: [Role; 5] = [Role::Controller, Role::Obstacles, Role::Robot, Role::Estimator, Role::Actuator];
+
+/// Replays stages on as many threads as there are processors; in real time each has its own.
+fn replay_stages(stages: &[Role], drive: &Drive, options: &Options) -> Vec<anyhow::Result<Findings>> {
+    let queue = BY_COST.iter().filter(|role| stages.contains(role));
+    let processors = std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = if options.in_real_time { stages.len() } else { processors.min(stages.len()) };
+    let queue = Mutex::new(queue);
+    let work = || {
+        let mut found = Vec::new();
+        while let Some(role) = queue.lock().ok().and_then(|mut queue| queue.next()) {
+            found.push((role.index(), stage::replay(*role, drive, options)));
+        }
+        found
+    };
+    let mut found: Vec<_> = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+        let lost = || vec![(ROLES, Err(anyhow::anyhow!("a stage ended with a panic")))];
+        threads.into_iter().flat_map(|thread| thread.join().unwrap_or_else(|_| lost())).collect()
+    });
+    found.sort_by_key(|(place, _)| *place);
+    found.into_iter().map(|(_, findings)| findings).collect()
 }

@@ -213,3 +213,18 @@ fn nearest_state(incarnation: u32, drive: &Drive, options: &Options) -> Option<u
     }
     nearest
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drive::tests::{ESTIMATOR, late_actuation};
+
+    #[test]
+    fn a_replay_begins_with_the_newest_state_before_its_first_output() {
+        let drive = late_actuation();
+        let nearest = |from| nearest_state(ESTIMATOR, &drive, &Options { from, ..Options::default() });
+        // State 3 is of scan 1 too, but holds the pose of scan 2.
+        let found = [None, Some(1), Some(2), Some(3), Some(4)].map(nearest);
+        assert_eq!(found, [None, None, Some(1), Some(3), Some(4)]);
+    }
+}
