@@ -117,7 +117,7 @@ fn state_before<'a>(
     inputs: &mut Inputs<'_>,
 ) -> Option<&'a Checkpoint> {
     let states = drive.checkpoints.samples.iter().filter(|state| state.role == role.wire());
-    // Another program may have run beside it, with states of another kind.
+    // Another program may have run in shadow, with states of another kind.
     let (own, others): (Vec<_>, Vec<_>) = states.partition(|state| state.header.incarnation == process);
     // An estimator that got an actuation late has saved a state of an earlier scan after its pose.
     let is_before = |state: &&&Checkpoint| state.header.scan_id < from && inputs.scan_after(state) <= from;

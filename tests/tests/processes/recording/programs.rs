@@ -212,7 +212,7 @@ fn a_program_in_place_of_a_stage_with_two_processes_gets_the_inputs_of_both() {
     system.wait_until("a second is driven", |system| system.status().is_some_and(|status| status.scan > 10));
     let restarted = system.run(&["restart", "estimator"]);
     assert_eq!(restarted.status.code(), Some(0), "{}", String::from_utf8_lossy(&restarted.stderr));
-    // Beside the detector in charge, with states of another kind.
+    // In shadow of the detector in charge, with states of another kind.
     let words: Vec<&str> = command.iter().map(String::as_str).collect();
     let shadow = [&["shadow", "obstacles", "--for", "2s", "--"], &words[..]].concat();
     let shadowed = system.run(&shadow);
