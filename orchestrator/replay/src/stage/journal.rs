@@ -206,7 +206,7 @@ fn nearest_state(incarnation: u32, drive: &Drive, options: &Options) -> Option<u
     for journal in drive.journals(incarnation) {
         let saved = journal.used().iter().filter(|entry| entry.kind == JournalKind::Saved.wire() as u16);
         let is_recorded = |number: &u64| drive.checkpoints.of_number(incarnation, *number).is_some();
-        nearest = saved.map(|entry| entry.value).filter(is_recorded).next_back().or(nearest);
+        nearest = saved.map(|entry| entry.value).rfind(is_recorded).or(nearest);
         if journal.output > 0 && journal.header.scan_id >= from {
             break;
         }

@@ -63,7 +63,7 @@ struct Told {
 impl Told {
     fn of<A: Sample, B: Sample, O: Sample>(file: &Path, role: Role) -> Self {
         let mut told = Self::default();
-        let read = Recording::open(file).unwrap().samples(|_, sample| {
+        let read = Recording::open(file).expect("a recording").samples(|_, sample| {
             let header = *(sample.topic.sample_type().header)(sample.bytes);
             let number = (sample.topic, header.incarnation, header.sequence);
             match sample.topic {
@@ -81,7 +81,7 @@ impl Told {
             }
             Ok(())
         });
-        read.unwrap();
+        read.expect("a whole recording");
         told
     }
 
@@ -99,7 +99,7 @@ impl Told {
                 let journal =
                     journal.unwrap_or_else(|| panic!("journal {journals} of scan {}", output.scan_id));
                 for entry in journal.used() {
-                    match JournalKind::try_from(u32::from(entry.kind)).unwrap() {
+                    match JournalKind::try_from(u32::from(entry.kind)).expect("a kind") {
                         JournalKind::Taken => {
                             let topic = Topic::ALL[usize::from(entry.topic)];
                             taken.push((topic, entry.incarnation, entry.value));
