@@ -98,7 +98,8 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> anyhow::Result<Exit> {
         note!("{} outputs beyond the bounds, with tolerance {tolerance}", report.beyond);
     }
     if report.compared == 0 {
-        let reason = report.reasons.first().map_or("", |skipped| &skipped.reason);
+        let changed = "injected faults have changed all outputs";
+        let reason = report.reasons.first().map_or(changed, |skipped| &skipped.reason);
         return Err(Failure::bad_input(format!("{}: nothing was compared: {reason}", file.display())));
     }
     let is_good = if is_changed { report.beyond == 0 } else { report.is_identical() };
