@@ -322,7 +322,7 @@ class Output:
         builder = self._service.publisher_builder().max_loaned_samples(1)
         self._publisher = builder.backpressure_strategy(iox2.BackpressureStrategy.DiscardData).create()
         self._notifier = process._events(sample).notifier_builder().create()
-        self._is_ours = sample in types.WRITES[process.role]
+        self._place, self._is_ours = None, sample in types.WRITES[process.role]
 
     def publish(self, sample, wake=True):
         """Completes the header of `sample`, publishes a copy of it and wakes its readers."""
@@ -341,7 +341,8 @@ class Output:
                 process.counters["published"] += 1
                 process._publish_journal(header.scan_id, self._sequence)
             stage.published_ns = process.now_ns()
-        delivered = self._publisher.loan_uninit().write_payload(sample).send()
+        place, self._place = self._place or self._publisher.loan_uninit(), None
+        delivered = place.write_payload(sample).send()
         if self._sample is Actuation:
             process.report_wheels(Wheels.TURNING if sample.kind == ActuationKind.DRIVE else Wheels.BLOCKED)
         if delivered < self._service.dynamic_config.number_of_subscribers:
@@ -351,6 +352,12 @@ class Output:
                 self._notifier.notify()
             except iox2.NotifierNotifyError:
                 pass  # a listener that can't be notified finds the sample at its next timeout
+            self._take_place()
+            process._journal._take_place()
+
+    def _take_place(self):
+        """Takes the place of the next sample, while no process waits for this one."""
+        self._place = self._place or self._publisher.loan_uninit()
 
 
 class Process:

@@ -250,3 +250,31 @@ fn number<S: Sample>(sample: &S) -> Number {
 fn published_ns(actuation: &Actuation) -> u64 {
     actuation.header.stage(Role::Actuator).published_ns
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drive::tests::{ESTIMATOR, late_actuation};
+
+    #[test]
+    fn inputs_come_in_the_order_in_which_they_were_taken_and_once() {
+        let drive = late_actuation();
+        let of_scan = |inputs: &mut Inputs<'_>, scan_id| {
+            let header = Header { scan_id, sequence: scan_id, incarnation: ESTIMATOR, ..Header::default() };
+            let taken = inputs.of_output(&header).expect("all were recorded").into_iter();
+            taken.map(|input| (input.topic, input.scan_id)).collect::<Vec<_>>()
+        };
+        let (odometry, actuation) = (Topic::Odometry, Topic::Actuation);
+        let mut inputs = Inputs::new(Role::Estimator, &drive);
+        assert_eq!(of_scan(&mut inputs, 1), [(odometry, 1)]);
+        assert_eq!(of_scan(&mut inputs, 2), [(odometry, 2)]);
+        // In lock-step the program waits for the answer to the scan before, which stands for a newer one.
+        assert_eq!(of_scan(&mut inputs, 3), [(actuation, 1), (actuation, 2), (odometry, 3)]);
+        assert_eq!(of_scan(&mut inputs, 4), [(actuation, 3), (odometry, 4)]);
+        // State 3 contains the actuation, so only its repetition is left.
+        let mut inputs = Inputs::new(Role::Estimator, &drive);
+        inputs.continue_from(&drive.checkpoints.samples[2]);
+        (1..=2).for_each(|scan_id| assert_eq!(of_scan(&mut inputs, scan_id), []));
+        assert_eq!(of_scan(&mut inputs, 3), [(actuation, 2), (odometry, 3)]);
+    }
+}

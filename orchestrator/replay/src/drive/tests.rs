@@ -1,7 +1,9 @@
 //! A drive for tests of where a replay begins.
 
 use bytemuck::bytes_of;
-use shared_types::{Checkpoint, Header, Journal, JournalEntry, JournalKind, Role, Sample, Topic};
+use shared_types::{
+    Actuation, Checkpoint, Header, Journal, JournalEntry, JournalKind, Odometry, Role, Sample, Topic,
+};
 
 use super::Drive;
 
@@ -19,6 +21,11 @@ pub(crate) fn late_actuation() -> Drive {
         let state = Checkpoint { header: header(scan_id, sequence), role, ..Checkpoint::default() };
         drive.add(Checkpoint::TOPIC, 0, bytes_of(&state));
     }
+    let input = |number| Header { scan_id: number, sequence: number, incarnation: 1, ..Header::default() };
+    for number in 1..=4 {
+        drive.add(Topic::Odometry, 0, bytes_of(&Odometry { header: input(number), ..Odometry::default() }));
+    }
+    drive.add(Topic::Actuation, 0, bytes_of(&Actuation { header: input(1), ..Actuation::default() }));
     let taken = |topic: Topic, value| (JournalKind::Taken, topic as u16, value);
     let saved = |value| (JournalKind::Saved, 0, value);
     let told = [
