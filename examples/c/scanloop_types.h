@@ -182,6 +182,8 @@ enum scanloop_journal_kind {
     SCANLOOP_JOURNAL_KIND_BEGUN_IN_STOP = 10, /* The process begins in stop, because the state of the one before it is lost. */
     SCANLOOP_JOURNAL_KIND_RESUMED = 11, /* The process continues from a checkpoint: `incarnation` has published it, with the sequence number `value`. */
     SCANLOOP_JOURNAL_KIND_SAVED = 12, /* The process has published its checkpoint with the sequence number `value`. */
+    SCANLOOP_JOURNAL_KIND_INJECTED = 13, /* An injected fault has changed a sample behind the process: `topic`, `incarnation`, and its sequence number in `value`. */
+    SCANLOOP_JOURNAL_KIND_ALTERED = 14, /* An injected fault alters the emulated robot from now on (`value` 1), or no longer (0). */
 };
 
 /* A part of samples. */

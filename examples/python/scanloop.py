@@ -14,8 +14,8 @@
                 commands.publish(command)
 
 It does what the Rust crate `runtime` does. It waits with a timeout, drops and counts samples that must not be used,
-copies stamps into answers, publishes heartbeats, keeps the start barrier, and ends on SIGTERM and SIGINT. It copies
-samples out of shared memory. It checks their layout, finiteness, counts and `verified`, but no other ranges. The log of
+copies stamps into answers, publishes heartbeats and journals, keeps the start barrier, and ends on SIGTERM and SIGINT.
+It copies samples out of shared memory. It checks their layout, finiteness, counts and `verified`, but no other ranges. The log of
 the process and its heartbeats name each sample that was dropped for its content.
 
 Needs Python 3.11 and the packages of requirements.txt.
@@ -46,6 +46,9 @@ from scanloop_types import (
     Directive,
     Header,
     Heartbeat,
+    Journal,
+    JournalEntry,
+    JournalKind,
     Phase,
     ProcessState,
     Refusal,
@@ -69,6 +72,10 @@ TRIGGERS = {
     Role.CONTROLLER: "obstacles",
     Role.ACTUATOR: "command",
 }
+
+
+# The place of each sample in the table of topics.
+TOPIC_NUMBERS = {sample: number for number, sample in enumerate(types.TOPICS.values())}
 
 
 class Handover(enum.Enum):
@@ -315,7 +322,7 @@ class Output:
         builder = self._service.publisher_builder().max_loaned_samples(1)
         self._publisher = builder.backpressure_strategy(iox2.BackpressureStrategy.DiscardData).create()
         self._notifier = process._events(sample).notifier_builder().create()
-        self._is_ours = sample in types.WRITES[process.role]
+        self._place, self._is_ours = None, sample in types.WRITES[process.role]
 
     def publish(self, sample, wake=True):
         """Completes the header of `sample`, publishes a copy of it and wakes its readers."""
@@ -328,10 +335,14 @@ class Output:
         if self._is_ours:
             stage = header.chain[process.role]
             stage.woken_ns, stage.taken_ns = process._woken_ns, process._taken_ns
-            stage.computed_ns, stage.published_ns = computed_ns, process.now_ns()
+            stage.computed_ns = computed_ns
             process._last_scan = header.scan_id
-            process.counters["published"] += self._sample is types.WRITES[process.role][0]
-        delivered = self._publisher.loan_uninit().write_payload(sample).send()
+            if self._sample is types.WRITES[process.role][0]:
+                process.counters["published"] += 1
+                process._publish_journal(header.scan_id, self._sequence)
+            stage.published_ns = process.now_ns()
+        place, self._place = self._place or self._publisher.loan_uninit(), None
+        delivered = place.write_payload(sample).send()
         if self._sample is Actuation:
             process.report_wheels(Wheels.TURNING if sample.kind == ActuationKind.DRIVE else Wheels.BLOCKED)
         if delivered < self._service.dynamic_config.number_of_subscribers:
@@ -341,6 +352,12 @@ class Output:
                 self._notifier.notify()
             except iox2.NotifierNotifyError:
                 pass  # a listener that can't be notified finds the sample at its next timeout
+            self._take_place()
+            process._journal._take_place()
+
+    def _take_place(self):
+        """Takes the place of the next sample, while no process waits for this one."""
+        self._place = self._place or self._publisher.loan_uninit()
 
 
 class Process:
@@ -373,6 +390,7 @@ class Process:
         self._inputs, self._outputs, self._state = [], [], ProcessState.ATTACHED
         self._directives = Input(self, Directive)
         self._heartbeat, self._checkpoint = Output(self, Heartbeat), Output(self, Checkpoint)
+        self._journal, self._notes = Output(self, Journal), []
         self._listener = self._events(types.TOPICS[TRIGGERS[self.role]]).listener_builder().create()
         self._next_heartbeat_ns, self._directive_seen_ns = 0, time.monotonic_ns()
 
@@ -405,7 +423,7 @@ class Process:
         while self._sleep(MAX_WAIT_NS):
             phase = self.directive.phase
             if phase >= Phase.CONNECTING and self._state == ProcessState.ATTACHED:
-                for output in [*self._outputs, self._checkpoint]:
+                for output in [*self._outputs, self._checkpoint, self._journal]:
                     output._publisher.update_connections()
                 self._enter(ProcessState.CONNECTED)
             if phase >= Phase.DRIVING:
@@ -435,6 +453,7 @@ class Process:
         checkpoint.header = Header.from_buffer_copy(header)
         ctypes.memmove(checkpoint.bytes, state, min(len(state), types.CHECKPOINT_BYTES))
         self._checkpoint.publish(checkpoint, wake=False)
+        self._note(JournalKind.SAVED, checkpoint.header.sequence)
 
     def resume(self, kind):
         """The state that the process before this one has saved: a Handover, and the bytes or None.
@@ -453,15 +472,20 @@ class Process:
             return Handover.LOST, None
         now_ns = time.monotonic_ns()
         age_ns = (min(ended_ns, now_ns) if ended_ns else now_ns) - checkpoint.issued_ns
-        if age_ns > CHECKPOINT_AGE_NS or now_ns - checkpoint.issued_ns > HANDOVER_AGE_NS:
+        is_old = age_ns > CHECKPOINT_AGE_NS or now_ns - checkpoint.issued_ns > HANDOVER_AGE_NS
+        # In lock-step the loop waits while a process starts: its state does not age, and contains all actuations.
+        if is_old and not self.simulated:
             return Handover.LOST, None
         if checkpoint.role != self.role:
             return Handover.LOST, None
         if checkpoint.state_layout != kind:
             return Handover.FOREIGN, None
+        self._note_sample(JournalKind.RESUMED, checkpoint)
         first, size = ctypes.sizeof(Checkpoint) + 8, ctypes.sizeof(Actuation)
-        places = range(first, len(data) - size + 1, size)
+        places = [] if self.simulated else range(first, len(data) - size + 1, size)
         self.handed_actuations = [Actuation.from_buffer_copy(data, place) for place in places]
+        for actuation in self.handed_actuations:
+            self._note_sample(JournalKind.TAKEN, actuation)
         return Handover.STATE, bytes(checkpoint.bytes[: checkpoint.length])
 
     def _verify(self):
@@ -470,7 +494,7 @@ class Process:
                 theirs = read_layouts(file.read())
         except OSError as error:
             _refuse(error)
-        samples = types.READS[self.role] + types.WRITES[self.role] + [Heartbeat, Directive, Checkpoint]
+        samples = types.READS[self.role] + types.WRITES[self.role] + [Heartbeat, Directive, Checkpoint, Journal]
         found = difference(types.layouts(), theirs, [sample.TOPIC for sample in samples])
         if found:
             _refuse(f"built against another layout: {found}; make scanloop_types.py again with `scanloop types --python`")
@@ -507,6 +531,7 @@ class Process:
         if actuation.kind == ActuationKind.DRIVE and self.must_stop():
             actuation.kind, actuation.reason = ActuationKind.BLOCK, BlockReason.STOP_REQUESTED
             actuation.desired_velocity_mps = actuation.sent_velocity_mps = 0.0
+            self._note(JournalKind.HELD_BACK, 0)
 
     def _refuses(self, sample):
         drives = isinstance(sample, Actuation) and sample.kind == ActuationKind.DRIVE
@@ -540,7 +565,25 @@ class Process:
         if self.simulated:
             self._woken_ns = self._taken_ns
         self.counters["used"] += 1
+        self._note_sample(JournalKind.TAKEN, sample)
         return sample
+
+    def _note_sample(self, kind, sample):
+        self._note(kind, sample.header.sequence, TOPIC_NUMBERS[type(sample)], sample.header.incarnation)
+
+    def _note(self, kind, value, topic=0, incarnation=0):
+        """Notes for the journal what the next output follows from."""
+        if len(self._notes) == types.JOURNAL_ENTRIES:
+            self._publish_journal(0, 0)
+        self._notes.append(JournalEntry(kind, topic, incarnation, value))
+
+    def _publish_journal(self, scan_id, output):
+        """Before the first output of the role for a scan, or with 0 before more entries: what was noted since the last."""
+        journal = Journal(role=self.role, length=len(self._notes), output=output)
+        journal.header.scan_id = scan_id
+        journal.entries[: len(self._notes)] = self._notes
+        self._notes.clear()
+        self._journal.publish(journal, wake=False)
 
     def _sleep(self, longest_ns):
         if time.monotonic_ns() >= self._next_heartbeat_ns:

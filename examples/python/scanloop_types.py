@@ -183,6 +183,8 @@ class JournalKind(enum.IntEnum):
     BEGUN_IN_STOP = 10  # The process begins in stop, because the state of the one before it is lost.
     RESUMED = 11  # The process continues from a checkpoint: `incarnation` has published it, with the sequence number `value`.
     SAVED = 12  # The process has published its checkpoint with the sequence number `value`.
+    INJECTED = 13  # An injected fault has changed a sample behind the process: `topic`, `incarnation`, and its sequence number in `value`.
+    ALTERED = 14  # An injected fault alters the emulated robot from now on (`value` 1), or no longer (0).
 
 
 class StageStamps(ctypes.Structure):

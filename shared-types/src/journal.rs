@@ -37,6 +37,10 @@ wire_enum! {
         Resumed = 11 "resumed",
         /// The process has published its checkpoint with the sequence number `value`.
         Saved = 12 "saved",
+        /// An injected fault has changed a sample behind the process: `topic`, `incarnation`, and its sequence number in `value`.
+        Injected = 13 "injected",
+        /// An injected fault alters the emulated robot from now on (`value` 1), or no longer (0).
+        Altered = 14 "altered",
     }
 }
 

@@ -26,10 +26,12 @@ pub const RUN: &str = "run.toml";
 pub struct Recording {
     path: PathBuf,
     reader: Reader<BufReader<File>>,
-    /// The content of the last sample: samples begin at multiples of eight bytes.
+    /// The content of the last sample at its start: samples begin at multiples of eight bytes.
     aligned: Vec<u64>,
     /// Topics whose samples have another layout, once they are known.
     others: Option<BTreeSet<String>>,
+    /// Channels that only viewers read, as far as they are known.
+    drawn: BTreeSet<u16>,
     /// Lines of logs that were read.
     lines: Vec<LogLine>,
 }
@@ -60,7 +62,14 @@ impl Recording {
             return Err(refuse(&"the file is empty"));
         }
         let reader = Reader::new(BufReader::with_capacity(1 << 18, file)).map_err(|error| refuse(&error))?;
-        Ok(Self { path: path.to_owned(), reader, aligned: Vec::new(), others: None, lines: Vec::new() })
+        Ok(Self {
+            path: path.to_owned(),
+            reader,
+            aligned: Vec::new(),
+            others: None,
+            drawn: BTreeSet::new(),
+            lines: Vec::new(),
+        })
     }
 
     /// Its path.
@@ -124,10 +133,13 @@ impl Recording {
                 Err(error) => return Err(refusal(&self.path, &error)),
             };
             let (channel, log_ns) = (message.channel, message.log_ns);
+            if within.is_none() && self.drawn.contains(&channel) {
+                continue;
+            }
             let words = message.data.get(ENCAPSULATION.len()..).unwrap_or_default();
             let length = words.len();
-            self.aligned.clear();
-            self.aligned.resize(length.div_ceil(8), 0);
+            let places = length.div_ceil(8).max(self.aligned.len());
+            self.aligned.resize(places, 0);
             bytemuck::cast_slice_mut::<u64, u8>(&mut self.aligned)[..length].copy_from_slice(words);
             if self.others.is_none() {
                 self.others = Some(self.other_topics()?);
@@ -139,7 +151,9 @@ impl Recording {
             let channels = &self.reader.contents().channels;
             let name = channels.get(&channel).map_or("", |channel| channel.topic.as_str());
             let Some(topic) = topic_of(name) else {
-                if name == CHANNELS[LOG].0 && within.is_none() {
+                if name != CHANNELS[LOG].0 {
+                    self.drawn.insert(channel);
+                } else if within.is_none() {
                     let content = &bytemuck::cast_slice::<u64, u8>(&self.aligned)[..length];
                     self.lines.extend(log_line(log_ns, content));
                 }
@@ -179,15 +193,17 @@ impl Recording {
         }
     }
 
-    /// The fields in which the layouts of its samples differ from those of this program.
+    /// The fields in which the layouts of its samples differ from those of this program; a topic that the recording does not
+    /// know has no samples.
     ///
     /// # Errors
     /// A table of layouts that can't be read.
     pub fn layout_differences(contents: &Contents) -> Result<Vec<Difference>, NotALayout> {
         let Some(text) = attachment(contents, LAYOUTS) else { return Ok(Vec::new()) };
-        let (built_in, recorded) = (Layouts::built_in(), text.parse()?);
+        let (built_in, recorded): (_, Layouts) = (Layouts::built_in(), text.parse()?);
+        let is_known = |topic: &&Topic| recorded.rows.iter().any(|row| row.topic == topic.name());
         let of_topic = |topic: &Topic| shared_types::differences(&built_in, &recorded, topic.name());
-        Ok(TOPICS.iter().flat_map(of_topic).collect())
+        Ok(TOPICS.iter().filter(is_known).flat_map(of_topic).collect())
     }
 
     /// Topics whose samples have another layout.

@@ -1,42 +1,25 @@
 //! Another program in place of a stage: it runs alone in a system of its own, in lock-step, and receives the recorded
 //! inputs of the stage.
 //!
-//! Each output of the process that was in charge is compared with what the program answers to the same inputs. It starts
+//! What the stage took, and in which order, is in its journals; without them it follows from the stamps of its outputs. Each
+//! output of the process that was in charge is compared with what the program answers to the same inputs. It starts
 //! like the first process of its role; a replay that begins later hands it the recorded state, as to a successor.
 
 mod bench;
+mod inputs;
 
-use bytemuck::bytes_of;
 use console::exit::Failure;
 use runtime::Shutdown;
-use shared_types::{Actuation, Checkpoint, Command, Header, Obstacles, Pose, Role, Sample, Topic};
+use shared_types::{Checkpoint, Header, Role, Sample};
 
 use self::bench::Bench;
+use self::inputs::Inputs;
 use crate::drive::Lane;
 use crate::stage::{Findings, Window};
 use crate::{Drive, Options};
 
 /// A program that leaves so many scans in a row unanswered is given up.
 const MAX_UNANSWERED: u32 = 3;
-
-/// A recorded sample that a stage reads.
-pub(crate) struct Input {
-    pub(crate) topic: Topic,
-    /// Samples begin at multiples of eight bytes.
-    words: Vec<u64>,
-}
-
-impl Input {
-    fn of<S: Sample>(sample: &S) -> Self {
-        let mut words = vec![0; size_of::<S>().div_ceil(8)];
-        bytemuck::cast_slice_mut::<u64, u8>(&mut words)[..size_of::<S>()].copy_from_slice(bytes_of(sample));
-        Self { topic: S::TOPIC, words }
-    }
-
-    pub(crate) fn bytes_mut(&mut self) -> &mut [u8] {
-        &mut bytemuck::cast_slice_mut(&mut self.words)[..self.topic.size()]
-    }
-}
 
 /// Replays a role by a program.
 pub(crate) fn replay(
@@ -53,35 +36,10 @@ pub(crate) fn replay(
                 "--with robot is not possible: what a robot measures follows from no recorded input; allowed are estimator, obstacles, controller and actuator",
             ));
         }
-        Role::Estimator => {
-            let mut actuations = Actuations::of(drive);
-            run(role, command, drive, options, found, &drive.poses, |pose: &Pose| {
-                let mut inputs = actuations.before(pose, drive.simulated);
-                let odometry = drive.input(&drive.odometries, Role::Robot, &pose.header)?;
-                inputs.push(Input::of(odometry));
-                Some(inputs)
-            })?;
-        }
-        Role::Obstacles => {
-            run(role, command, drive, options, found, &drive.obstacles, |output: &Obstacles| {
-                let scan = drive.input(&drive.scans, Role::Robot, &output.header)?;
-                let pose = drive.input(&drive.poses, Role::Estimator, &output.header)?;
-                Some(vec![Input::of(scan), Input::of(pose)])
-            })?
-        }
-        Role::Controller => {
-            run(role, command, drive, options, found, &drive.commands, |output: &Command| {
-                let pose = drive.input(&drive.poses, Role::Estimator, &output.header)?;
-                let obstacles = drive.input(&drive.obstacles, Role::Obstacles, &output.header)?;
-                Some(vec![Input::of(pose), Input::of(obstacles)])
-            })?
-        }
-        Role::Actuator => {
-            run(role, command, drive, options, found, &drive.actuations, |output: &Actuation| {
-                let command = drive.input(&drive.commands, Role::Controller, &output.header)?;
-                Some(vec![Input::of(command)])
-            })?
-        }
+        Role::Estimator => run(role, command, drive, options, found, &drive.poses)?,
+        Role::Obstacles => run(role, command, drive, options, found, &drive.obstacles)?,
+        Role::Controller => run(role, command, drive, options, found, &drive.commands)?,
+        Role::Actuator => run(role, command, drive, options, found, &drive.actuations)?,
     }
     Ok(findings)
 }
@@ -94,7 +52,6 @@ fn run<S: Sample>(
     options: &Options,
     findings: &mut Findings,
     lane: &Lane<S>,
-    mut inputs_of: impl FnMut(&S) -> Option<Vec<Input>>,
 ) -> anyhow::Result<()> {
     let window = Window::of(drive, options);
     let outputs: Vec<&S> = lane
@@ -104,9 +61,15 @@ fn run<S: Sample>(
             lane.of_scan(scan_id).find(answers)
         })
         .collect();
-    let Some(first) = outputs.first().map(|output| output.header().scan_id) else { return Ok(()) };
-    let state = state_before(role, drive, options.from.unwrap_or(first));
-    let begin = state.map_or(first.max(options.from.unwrap_or(first)), |state| state.header.scan_id + 1);
+    let mut from_on = outputs.iter().map(|output| output.header());
+    let Some(first) = from_on.find(|header| header.scan_id >= window.from) else { return Ok(()) };
+    let from = options.from.unwrap_or(first.scan_id);
+    let mut inputs = Inputs::new(role, drive);
+    let state = state_before(role, drive, (from, first.incarnation), &mut inputs);
+    let begin = state.map_or(first.scan_id, |state| inputs.scan_after(state));
+    if let Some(state) = state {
+        inputs.continue_from(state);
+    }
     let shutdown = Shutdown::on_signals()?;
     let mut bench = Bench::<S>::start(role, command, drive, state, &shutdown)?;
     let mut unanswered = 0;
@@ -115,17 +78,17 @@ fn run<S: Sample>(
         if header.scan_id > window.to {
             break;
         }
-        // Also those before the state: the inputs that an estimator has received already are left out.
-        let inputs = inputs_of(output);
+        // Also before the state: the inputs that an estimator has received already are left out.
+        let taken = inputs.of_output(&header);
         if header.scan_id < begin {
             continue;
         }
-        let Some(inputs) = inputs else {
+        let Some(taken) = taken else {
             findings.skip(output, "an input was not recorded");
             continue;
         };
         drive.keep_pace(&header);
-        inputs.into_iter().try_for_each(|input| bench.publish(input))?;
+        taken.into_iter().try_for_each(|input| bench.publish(input))?;
         let answer = bench.answer(header.scan_id)?;
         unanswered = if answer.is_some() { 0 } else { unanswered + 1 };
         if unanswered == MAX_UNANSWERED {
@@ -146,51 +109,37 @@ fn run<S: Sample>(
     Ok(())
 }
 
-/// The state that a replay from a scan on begins with; none at the start of a drive.
-fn state_before(role: Role, drive: &Drive, from: u64) -> Option<&Checkpoint> {
-    let mut states = drive.checkpoints.samples.iter().filter(|state| state.role == role.wire());
-    let before = states.clone().rfind(|state| state.header.scan_id < from);
+/// The newest state before the output for a scan, first of its process; none at the start of a drive.
+fn state_before<'a>(
+    role: Role,
+    drive: &'a Drive,
+    (from, process): (u64, u32),
+    inputs: &mut Inputs<'_>,
+) -> Option<&'a Checkpoint> {
+    let states = drive.checkpoints.samples.iter().filter(|state| state.role == role.wire());
+    // Another program may have run in shadow, with states of another kind.
+    let (own, others): (Vec<_>, Vec<_>) = states.partition(|state| state.header.incarnation == process);
+    // An estimator that got an actuation late has saved a state of an earlier scan after its pose.
+    let is_before = |state: &&&Checkpoint| state.header.scan_id < from && inputs.scan_after(state) <= from;
+    let before = own.iter().rev().chain(others.iter().rev()).find(is_before);
     // A recording that begins in the middle of a drive.
-    before.or_else(|| states.find(|_| from > 1))
+    before.or_else(|| own.iter().chain(&others).find(|_| from > 1)).copied()
 }
 
-/// The actuations that an estimator receives, in the order of their publication.
-struct Actuations<'a> {
-    all: Vec<&'a Actuation>,
-    next: usize,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drive::tests::{ESTIMATOR, late_actuation};
 
-impl<'a> Actuations<'a> {
-    fn of(drive: &'a Drive) -> Self {
-        let counts = |actuation: &&Actuation| drive.counts(Role::Actuator, &actuation.header);
-        let mut all: Vec<&Actuation> = drive.actuations.samples.iter().filter(counts).collect();
-        all.sort_by_key(|actuation| (published_ns(actuation), actuation.header.scan_id));
-        Self { all, next: 0 }
+    #[test]
+    fn a_program_begins_with_the_newest_state_before_the_first_output_that_is_asked_for() {
+        let drive = late_actuation();
+        let mut inputs = Inputs::new(Role::Estimator, &drive);
+        let found = [1, 2, 3, 4].map(|from| {
+            let state = state_before(Role::Estimator, &drive, (from, ESTIMATOR), &mut inputs)?;
+            Some((state.header.sequence, inputs.scan_after(state)))
+        });
+        // State 3 is of scan 1, but the first output after it is of scan 3.
+        assert_eq!(found, [None, Some((1, 2)), Some((3, 3)), Some((4, 4))]);
     }
-
-    /// Those that were received before the inputs of a pose. In lock-step an estimator waits for the answer to the scan
-    /// before: where there was none, the newest actuation is repeated under that number.
-    fn before(&mut self, pose: &Pose, simulated: bool) -> Vec<Input> {
-        let taken_ns = pose.header.stage(Role::Estimator).taken_ns;
-        let scan_before = pose.header.scan_id.saturating_sub(1);
-        let is_before = |actuation: &&Actuation| match simulated {
-            true => actuation.header.scan_id <= scan_before,
-            false => published_ns(actuation) < taken_ns,
-        };
-        let length = self.all[self.next..].iter().take_while(|actuation| is_before(actuation)).count();
-        let received = &self.all[self.next..self.next + length];
-        self.next += length;
-        let mut inputs: Vec<Input> = received.iter().map(|actuation| Input::of(*actuation)).collect();
-        if let Some(newest) = self.all[..self.next].last()
-            && newest.header.scan_id < scan_before
-        {
-            let header = Header { scan_id: scan_before, ..newest.header };
-            inputs.push(Input::of(&Actuation { header, ..**newest }));
-        }
-        inputs
-    }
-}
-
-fn published_ns(actuation: &Actuation) -> u64 {
-    actuation.header.stage(Role::Actuator).published_ns
 }

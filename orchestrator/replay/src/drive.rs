@@ -2,6 +2,8 @@
 
 mod keys;
 mod lane;
+#[cfg(test)]
+pub(crate) mod tests;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -14,10 +16,10 @@ use runtime::{monotonic_ns, settings_file, wait_for};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Actuation, Authority, Checkpoint, Command, Directive, Header, Journal, Obstacles, Odometry, Pose, ROLES,
-    Role, Sample, Scan, Topic, Truth, topics_of,
+    Actuation, Authority, Checkpoint, Command, Directive, Header, Journal, JournalEntry, JournalKind,
+    Obstacles, Odometry, Pose, ROLES, Role, Sample, Scan, Topic, Truth, topics_of,
 };
-use supervision::entry::ProcessRow;
+use supervision::entry::{ProcessEntry, ProcessRow};
 use toml::Table;
 
 pub(crate) use self::lane::Lane;
@@ -36,6 +38,8 @@ pub struct Drive {
     pub(crate) checkpoints: Lane<Checkpoint>,
     /// The journals of each process, by number.
     journals: BTreeMap<u32, BTreeMap<u64, Journal>>,
+    /// Samples that an injected fault has changed: topic, incarnation, sequence number.
+    injected: BTreeSet<(u16, u32, u64)>,
     /// Changes of authority per role in their order, and when each was announced [ns].
     authority: [Vec<(u64, Authority)>; ROLES],
     pub(crate) simulated: bool,
@@ -186,6 +190,11 @@ impl Drive {
         in_force.is_some_and(|(_, authority)| authority.accepts(header.incarnation, header.scan_id))
     }
 
+    /// Whether an injected fault has changed a sample.
+    pub(crate) fn is_injected(&self, topic: Topic, header: &Header) -> bool {
+        self.injected.contains(&(topic as u16, header.incarnation, header.sequence))
+    }
+
     /// The journals of a process in their order.
     pub(crate) fn journals(&self, incarnation: u32) -> impl Iterator<Item = &Journal> {
         self.journals.get(&incarnation).into_iter().flat_map(BTreeMap::values)
@@ -201,7 +210,7 @@ impl Drive {
         for row in rows {
             let implementation = row.entry.implementation.as_deref().unwrap_or_default();
             if row.entry.command.is_some() || !BUILT_IN.contains(&implementation) {
-                self.foreign.insert(row.identity.incarnation, row.entry.label());
+                self.foreign.insert(row.identity.incarnation, typed(&row.entry));
             }
         }
     }
@@ -227,9 +236,20 @@ impl Drive {
             Topic::Journal => {
                 let journal: &Journal = bytemuck::from_bytes(bytes);
                 let Header { incarnation, sequence, .. } = journal.header;
+                let is_change = |entry: &&JournalEntry| entry.kind == JournalKind::Injected.wire() as u16;
+                let changed = journal.used().iter().filter(is_change);
+                self.injected.extend(changed.map(|entry| (entry.topic, entry.incarnation, entry.value)));
                 self.journals.entry(incarnation).or_default().insert(sequence, *journal);
             }
             Topic::Heartbeat => {}
         }
     }
+}
+
+/// An implementation, or a command as `--with` reads it.
+fn typed(entry: &ProcessEntry) -> String {
+    let Some(command) = &entry.command else { return entry.label() };
+    let quoted =
+        |word: &String| if word.contains(char::is_whitespace) { format!("\"{word}\"") } else { word.clone() };
+    command.iter().map(quoted).collect::<Vec<_>>().join(" ")
 }

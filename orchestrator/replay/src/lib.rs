@@ -13,10 +13,11 @@ mod drive;
 mod stage;
 
 use std::path::Path;
+use std::sync::Mutex;
 
 use console::exit::Failure;
 use serde::Serialize;
-use shared_types::Role;
+use shared_types::{ROLES, Role};
 
 use crate::compare::Difference;
 pub use crate::drive::Drive;
@@ -57,6 +58,8 @@ pub struct Report {
     pub skipped: u64,
     /// Outputs that are equal to the recorded ones.
     pub identical: u64,
+    /// Outputs that an injected fault has changed, or that come from a robot which it has altered; they are not compared.
+    pub injected: u64,
     /// Outputs that are beyond the bounds of the agreement, with changed keys or other programs.
     pub beyond: u64,
     /// With changed keys or other programs, how their outputs differ from the recorded ones.
@@ -67,8 +70,35 @@ pub struct Report {
     pub reasons: Vec<Skipped>,
     /// Outputs of scans after the one that decided the outcome, in lock-step; they do not belong to the run.
     pub after_end: u64,
+    /// Processes whose outputs are not compared: programs of your own, drivers of devices, and those without journals.
+    pub not_compared: Vec<NotCompared>,
     /// Stages that can't be replayed, because samples that they read or write have another layout.
     pub not_replayed: Vec<NotReplayed>,
+}
+
+/// A process whose outputs are not compared.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct NotCompared {
+    /// Name of the role.
+    pub role: &'static str,
+    /// The process.
+    pub incarnation: u32,
+    /// The driver, or the command that was started; none for a built-in stage without journals.
+    pub program: Option<String>,
+    /// Whether journals of the process were recorded.
+    pub has_journals: bool,
+    /// The option with which its command is started again and gets the same inputs; none for a robot.
+    pub with: Option<String>,
+}
+
+impl std::fmt::Display for NotCompared {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { role, incarnation, program, has_journals, with } = self;
+        let program = program.as_deref().unwrap_or("built-in");
+        let journals = if *has_journals { "" } else { ", without journals" };
+        write!(formatter, "not compared: {role} {incarnation}, {program}{journals}")?;
+        with.as_ref().map_or(Ok(()), |with| write!(formatter, "; to compare it: {with}"))
+    }
 }
 
 /// A stage that can't be replayed.
@@ -152,13 +182,9 @@ pub fn replay(path: &Path, options: &Options) -> anyhow::Result<Report> {
     for (role, command) in options.with.iter().filter(|(role, _)| stages.contains(role)) {
         command::replay(*role, command, drive, options)?.add_to(&mut report);
     }
-    let built_in = stages.iter().filter(|role| of_programs().all(|other| other != **role));
-    let found: Vec<anyhow::Result<Findings>> = std::thread::scope(|scope| {
-        let threads: Vec<_> =
-            built_in.map(|role| scope.spawn(move || stage::replay(*role, drive, options))).collect();
-        let lost = || Err(anyhow::anyhow!("a stage ended with a panic"));
-        threads.into_iter().map(|thread| thread.join().unwrap_or_else(|_| lost())).collect()
-    });
+    let built_in: Vec<Role> =
+        stages.into_iter().filter(|role| of_programs().all(|other| other != *role)).collect();
+    let found = replay_stages(&built_in, drive, options);
     for findings in found {
         findings?.add_to(&mut report);
     }
@@ -169,4 +195,29 @@ pub fn replay(path: &Path, options: &Options) -> anyhow::Result<Report> {
         return Err(Failure::bad_input(format!("{path}: no output of these stages is in these scans")));
     }
     Ok(report)
+}
+
+/// The stages by what they cost: no processor is idle while the longest one ends.
+const BY_COST: [Role; 5] = [Role::Controller, Role::Obstacles, Role::Robot, Role::Estimator, Role::Actuator];
+
+/// Replays stages on as many threads as there are processors; in real time each has its own.
+fn replay_stages(stages: &[Role], drive: &Drive, options: &Options) -> Vec<anyhow::Result<Findings>> {
+    let queue = BY_COST.iter().filter(|role| stages.contains(role));
+    let processors = std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = if options.in_real_time { stages.len() } else { processors.min(stages.len()) };
+    let queue = Mutex::new(queue);
+    let work = || {
+        let mut found = Vec::new();
+        while let Some(role) = queue.lock().ok().and_then(|mut queue| queue.next()) {
+            found.push((role.index(), stage::replay(*role, drive, options)));
+        }
+        found
+    };
+    let mut found: Vec<_> = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+        let lost = || vec![(ROLES, Err(anyhow::anyhow!("a stage ended with a panic")))];
+        threads.into_iter().flat_map(|thread| thread.join().unwrap_or_else(|_| lost())).collect()
+    });
+    found.sort_by_key(|(place, _)| *place);
+    found.into_iter().map(|(_, findings)| findings).collect()
 }

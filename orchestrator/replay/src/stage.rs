@@ -20,7 +20,7 @@ use self::estimator::Estimator;
 use self::obstacles::Detector;
 use self::robot::Robot;
 use crate::compare::{Difference, difference, take_over};
-use crate::{Drive, MAX_DIFFERENCES, Options, Report, Skipped, Statistics};
+use crate::{Drive, MAX_DIFFERENCES, NotCompared, Options, Report, Skipped, Statistics};
 
 /// What was found in the outputs of one role.
 #[derive(Debug)]
@@ -50,6 +50,10 @@ impl Findings {
         options: &Options,
     ) {
         self.report.samples += 1;
+        if drive.is_injected(S::TOPIC, recorded.header()) {
+            self.report.injected += 1;
+            return;
+        }
         self.report.compared += 1;
         take_over(recorded, &mut replayed, role);
         drive.keep_pace(recorded.header());
@@ -111,6 +115,24 @@ impl Findings {
         *self.reasons.entry((S::TOPIC.name(), recorded.header().incarnation, reason)).or_default() += 1;
     }
 
+    /// Counts an output of a robot that an injected fault has altered.
+    pub(crate) fn injected(&mut self) {
+        self.report.samples += 1;
+        self.report.injected += 1;
+    }
+
+    /// Names a process whose outputs are not compared.
+    pub(crate) fn leave_out(&mut self, incarnation: u32, drive: &Drive) {
+        let (role, program) = (self.role, drive.foreign(incarnation));
+        self.report.not_compared.push(NotCompared {
+            role: role.name(),
+            incarnation,
+            program: program.map(str::to_owned),
+            has_journals: drive.journals(incarnation).next().is_some(),
+            with: program.filter(|_| role != Role::Robot).map(|program| format!("--with '{role}={program}'")),
+        });
+    }
+
     /// Counts an output that does not belong to the run.
     pub(crate) fn after_end(&mut self) {
         self.report.after_end += 1;
@@ -118,11 +140,23 @@ impl Findings {
 
     /// Adds it to the report of all roles.
     pub(crate) fn add_to(self, report: &mut Report) {
-        let Report { samples, compared, skipped, identical, beyond, differences, after_end, .. } =
-            self.report;
+        let Report {
+            samples,
+            compared,
+            skipped,
+            identical,
+            beyond,
+            differences,
+            after_end,
+            not_compared,
+            injected,
+            ..
+        } = self.report;
+        report.not_compared.extend(not_compared);
         report.samples += samples;
         report.compared += compared;
         report.skipped += skipped;
+        report.injected += injected;
         report.identical += identical;
         report.beyond += beyond;
         report.after_end += after_end;

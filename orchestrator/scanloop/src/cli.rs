@@ -251,10 +251,11 @@ pub enum Command {
     Record(RecordArguments),
     /// Recompute a recorded drive stage by stage and compare every output with the recorded one.
     ///
-    /// Exit code 0 if all compared outputs are identical, or with `--set` within the bounds; else 1. JSON keys: `scans`,
-    /// `samples`, `compared`, `skipped`, `identical`, `beyond`, `differences` with `topic`, `scan`, `field`, `recorded`,
-    /// `replayed`; `reasons` with `topic`, `incarnation`, `reason`, `samples`; `after_end` (outputs after the last scan of
-    /// a run in lock-step).
+    /// Exit code 0 if all compared outputs are identical, or with `--set` and `--with` within the bounds; else 1, and 2 when
+    /// nothing could be compared. JSON keys: `scans`, `samples`, `compared`, `skipped`, `identical`, `injected` (changed by a
+    /// fault of `scanloop inject`), `beyond`, `differences` with `topic`, `scan`, `field`, `recorded`, `replayed`; `reasons` with `topic`, `incarnation`, `reason`, `samples`;
+    /// `not_compared` (programs of your own, drivers, processes without journals) with `role`, `incarnation`, `program`,
+    /// `has_journals`, `with`; `after_end` (outputs after the last scan of a run in lock-step).
     Replay(ReplayArguments),
     /// Show, repair, cut or export a recording.
     #[command(subcommand)]

@@ -50,7 +50,7 @@ pub struct ReplayArguments {
 /// Replays a recording.
 ///
 /// # Errors
-/// A file, a stage or a key that is not allowed; exit code 2.
+/// A file, a stage or a key that is not allowed, and a recording of which nothing can be compared; exit code 2.
 pub(crate) fn replay(arguments: &ReplayArguments) -> anyhow::Result<Exit> {
     let ReplayArguments { file, stage, from, to, set, with, speed, tolerance, json } = arguments;
     let stages = stage.iter().map(|name| name.parse::<Role>()).collect::<Result<_, _>>();
@@ -76,6 +76,9 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> anyhow::Result<Exit> {
         report.identical,
         report.skipped
     );
+    if report.injected > 0 {
+        note!("{} outputs were changed by an injected fault", report.injected);
+    }
     for skipped in &report.reasons {
         note!(
             "skipped {} of {} by process {}: {}",
@@ -85,6 +88,7 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> anyhow::Result<Exit> {
             skipped.reason
         );
     }
+    report.not_compared.iter().for_each(|process| note!("{process}"));
     for other in &report.not_replayed {
         note!("{} is not replayed, another layout: {}", other.role, other.fields.join("; "));
     }
@@ -93,7 +97,12 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> anyhow::Result<Exit> {
     if is_changed {
         note!("{} outputs beyond the bounds, with tolerance {tolerance}", report.beyond);
     }
-    let is_good = if is_changed { report.compared > 0 && report.beyond == 0 } else { report.is_identical() };
+    if report.compared == 0 {
+        let changed = "injected faults have changed all outputs";
+        let reason = report.reasons.first().map_or(changed, |skipped| &skipped.reason);
+        return Err(Failure::bad_input(format!("{}: nothing was compared: {reason}", file.display())));
+    }
+    let is_good = if is_changed { report.beyond == 0 } else { report.is_identical() };
     Ok(if is_good { Exit::Done } else { Exit::NotReached })
 }
 

@@ -4,7 +4,7 @@
  *
  * Link with libscanloop.so, or with libscanloop.a and -lpthread -ldl -lm. The samples are in scanloop_types.h, which
  * `scanloop types --c` prints. The library does what all processes have in common: it waits, drops and counts samples
- * that do not count, copies stamps, sends heartbeats, waits at the start barrier, and ends on SIGTERM and SIGINT.
+ * that do not count, copies stamps, sends heartbeats and journals, waits at the start barrier, and ends on SIGTERM and SIGINT.
  *
  * A process has one thread that calls these functions, from scanloop_open to scanloop_close. No function waits without
  * a time-out. Functions that return int return one of the results below; for a negative one, scanloop_last_error gives

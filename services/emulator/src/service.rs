@@ -331,22 +331,25 @@ impl Robot {
         // After the samples of the loop: only companions sleep until a truth comes.
         self.truths.iter().for_each(|truths| truths.wake());
         self.state.next_scan = scan_id + 1;
-        self.change_robot(process.period_ns());
+        self.change_robot(process);
         self.save(process, &odometry.header)
     }
 
     /// Continues as the robot of another scenario, if a fault begins or ends.
-    fn change_robot(&mut self, period_ns: u64) {
+    fn change_robot(&mut self, process: &Process) {
         self.fault = (self.faults)().or(self.fault.take());
         let Some(fault) = &self.fault else { return };
         let Some(state) = self.emulator.state(self.state.next_scan - 1) else { return };
         let changed = self.scenario.with(fault).map_err(anyhow::Error::from).and_then(|scenario| {
-            let mut emulator = Emulator::new(&scenario, period_ns);
+            let mut emulator = Emulator::new(&scenario, process.period_ns());
             emulator.resume(&state)?;
             Ok(emulator)
         });
         match changed {
-            Ok(emulator) => self.emulator = emulator,
+            Ok(emulator) => {
+                process.note(JournalKind::Altered, u64::from(!fault.is_empty()));
+                self.emulator = emulator;
+            }
             Err(error) => tracing::warn!(%error, "the fault can't be injected"),
         }
         self.fault = None;

@@ -65,6 +65,11 @@ fn faults_of_samples_robot_and_processes_act_for_their_time_and_are_recorded() {
         is_recorded |= message.data.windows(text.len()).any(|part| part == text);
     }
     assert!(is_recorded, "the recording has the event");
+    // What the faults have changed is told apart from differences.
+    let output = system.run(&["replay", "out/recording.mcap", "--json"]);
+    let replay: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((output.status.code(), &replay["identical"]), (Some(0), &replay["compared"]), "{replay}");
+    assert!(replay["injected"].as_u64() > Some(10) && replay["skipped"] == 0, "{replay}");
     system.assert_nothing_left();
 }
 

@@ -5,7 +5,7 @@ mod advisor;
 mod bytes;
 mod refusals;
 mod robots;
-mod swaps;
+pub(crate) mod swaps;
 mod tables;
 pub(crate) mod tools;
 mod tutorial;

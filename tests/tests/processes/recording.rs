@@ -1,6 +1,8 @@
 //! Drives that are recorded, recordings that are cut off, and replays.
 
 mod incidents;
+mod programs;
+mod refused;
 mod replay;
 
 use std::fs::File;
@@ -20,12 +22,18 @@ const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 /// A recorded drive in lock-step; its system and the recording.
 pub(crate) fn recorded(arguments: &[&str]) -> (System, PathBuf) {
     let system = System::new(EXECUTABLE);
+    let file = recorded_in(&system, arguments);
+    (system, file)
+}
+
+/// A drive in lock-step that is recorded in a given system.
+fn recorded_in(system: &System, arguments: &[&str]) -> PathBuf {
     let report = system.lockstep(&[arguments, &["--record=drive.mcap"]].concat());
     let recording = report.recording.expect("a recording");
     assert_eq!(recording.file, system.folder().join("drive.mcap"));
     assert_eq!((recording.lost, recording.error.as_str()), (0, ""), "{recording:?}");
     assert_eq!(recording.bytes, recording.file.metadata().expect("of a test").len());
-    (system, recording.file)
+    recording.file
 }
 
 fn text(path: &Path) -> &str {
@@ -110,12 +118,12 @@ fn rewrite(from: &Path, to: &Path, topic: &str, change: impl Fn(usize, &mut [u8]
     );
 }
 
-/// Copies a recording with other files and other messages; messages come with topic and sequence.
+/// Copies a recording with other files and other messages, which come with topic and sequence; empty ones are left out.
 fn rewrite_with(
     from: &Path,
     to: &Path,
     file: impl Fn(&str, &[u8]) -> Vec<u8>,
-    mut change: impl FnMut(&str, u32, &mut [u8]),
+    mut change: impl FnMut(&str, u32, &mut Vec<u8>),
 ) {
     let mut reader = Reader::new(File::open(from).expect("of a test")).expect("of a test");
     let mut writer = None;
@@ -136,7 +144,9 @@ fn rewrite_with(
             writer
         });
         change(&contents.channels[&channel].topic, sequence, &mut data);
-        writer.message(channel, sequence, log_ns, &[&data]);
+        if !data.is_empty() {
+            writer.message(channel, sequence, log_ns, &[&data]);
+        }
     }
     writer.expect("of a test").finish().expect("of a test");
 }
@@ -162,30 +172,6 @@ fn a_recording_that_is_cut_off_is_read_and_repaired_up_to_its_last_second() {
         output.status.code() == Some(0) && message.contains("warning") && message.contains("cut off"),
         "{message}"
     );
-}
-
-#[test]
-fn files_that_are_no_recordings_are_refused_and_none_is_replaced() {
-    let system = System::new(EXECUTABLE);
-    let file = |name: &str, bytes: &[u8]| {
-        let path = system.folder().join(name);
-        std::fs::write(&path, bytes).unwrap();
-        path
-    };
-    let empty = file("empty", b"");
-    let foreign = file("foreign", b"#ROSBAG V2.0\n");
-    let short = file("short", &recording::mcap::MAGIC);
-    for (path, reason) in [(&empty, "empty"), (&foreign, "no MCAP file"), (&short, "not one whole second")] {
-        for command in [&["recording", "info"][..], &["replay"]] {
-            let output = system.run(&[command, &[text(path)]].concat());
-            let message = String::from_utf8_lossy(&output.stderr).into_owned();
-            assert_eq!(output.status.code(), Some(2), "{message}");
-            assert!(message.contains(reason) && message.contains(text(path)), "{message}");
-        }
-    }
-    let output = system.run(&["run", "--lockstep", "--quiet", &format!("--record={}", text(&foreign))]);
-    assert_eq!(output.status.code(), Some(2), "{}", String::from_utf8_lossy(&output.stderr));
-    assert_eq!(std::fs::read(&foreign).unwrap(), b"#ROSBAG V2.0\n");
 }
 
 #[test]

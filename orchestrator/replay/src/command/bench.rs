@@ -14,7 +14,7 @@ use supervision::environment::environment_of;
 use supervision::lock::{Claim, SystemLock};
 use toml::Value;
 
-use super::Input;
+use super::inputs::Input;
 use crate::Drive;
 
 /// An answer that has not come after this time does not come [ns].

@@ -12,7 +12,12 @@ use crate::{Drive, Options};
 /// An output that can't be recomputed.
 const NO_STATE: &str = "no state of the process was recorded";
 const LOST: &str = "a journal of the process was not recorded";
+const NO_JOURNAL: &str = "no journal of the process was recorded, as before processes published journals";
 const NO_INPUT: &str = "an input was not recorded";
+/// An injected fault alters the robot: a state is that of another robot.
+const ALTERED: &str = "an injected fault altered the robot";
+/// The fault is over, but it has changed the state.
+const RESTORED: &str = "an injected fault had altered the robot";
 const FOREIGN: &str = "not_compared: the process is no implementation of this program";
 
 /// An input that was not recorded.
@@ -61,14 +66,23 @@ pub(super) fn replay<'d, T: Stage<'d>>(
         let mut skipped = Skipped::default();
         if drive.foreign(incarnation).is_some() {
             skipped.reason = FOREIGN;
+        } else if drive.journals(incarnation).next().is_none() {
+            skipped.reason = NO_JOURNAL;
         } else {
             replay_process::<T>((incarnation, lane), drive, options, &window, findings, &mut skipped)?;
+        }
+        if [FOREIGN, NO_JOURNAL].contains(&skipped.reason) {
+            findings.leave_out(incarnation, drive);
         }
         // Also those of which no journal tells.
         for output in lane.of_process(incarnation) {
             let header = output.header();
-            if !skipped.settled.contains(&header.sequence) && window.holds(header, findings) {
-                findings.skip(output, skipped.reason);
+            if skipped.settled.contains(&header.sequence) || !window.holds(header, findings) {
+                continue;
+            }
+            match drive.is_injected(T::Output::TOPIC, header) {
+                true => findings.injected(),
+                false => findings.skip(output, skipped.reason),
             }
         }
     }
@@ -96,7 +110,7 @@ fn replay_process<'d, T: Stage<'d>>(
     findings: &mut Findings,
     skipped: &mut Skipped,
 ) -> anyhow::Result<()> {
-    let nearest = nearest_state(incarnation, drive, options).map(|checkpoint| checkpoint.header.sequence);
+    let nearest = nearest_state(incarnation, drive, options);
     let mut stage = T::begin(drive)?;
     let mut unknown = nearest.map(|_| NO_STATE);
     let mut next = 1;
@@ -142,10 +156,12 @@ fn follow<'d, T: Stage<'d>>(
         }
         Ok(JournalKind::Saved) => {
             let is_wanted = nearest.is_none_or(|nearest| entry.value >= nearest);
-            if unknown.is_some() && is_wanted && resume(stage, incarnation) {
+            let is_unknown = unknown.is_some_and(|reason| reason != ALTERED);
+            if is_unknown && is_wanted && resume(stage, incarnation) {
                 *unknown = None;
             }
         }
+        Ok(JournalKind::Altered) => *unknown = Some(if entry.value == 1 { ALTERED } else { RESTORED }),
         Ok(kind) if unknown.is_none() => {
             *unknown = stage.follow(kind, entry.value).err().map(|Missing| NO_INPUT);
         }
@@ -176,12 +192,39 @@ fn compare<'d, T: Stage<'d>>(
             findings.compare(recorded, output, T::ROLE, drive, options);
             stage.compare_others(recorded, drive, options, findings);
         }
+        Err(ALTERED | RESTORED) => findings.injected(),
         Err(reason) => findings.skip(recorded, reason),
     }
 }
 
-/// The newest state of the process before the first scan that is asked for.
-fn nearest_state<'d>(incarnation: u32, drive: &'d Drive, options: &Options) -> Option<&'d Checkpoint> {
-    let from = options.from?;
-    drive.checkpoints.of_process(incarnation).filter(|checkpoint| checkpoint.header.scan_id < from).last()
+/// The newest recorded state of the process before its first output that is asked for, by number.
+///
+/// The scan of a state does not tell: an estimator that got an actuation late has saved a state of an earlier scan after
+/// its pose.
+fn nearest_state(incarnation: u32, drive: &Drive, options: &Options) -> Option<u64> {
+    let (from, mut nearest) = (options.from?, None);
+    for journal in drive.journals(incarnation) {
+        let saved = journal.used().iter().filter(|entry| entry.kind == JournalKind::Saved.wire() as u16);
+        let is_recorded = |number: &u64| drive.checkpoints.of_number(incarnation, *number).is_some();
+        nearest = saved.map(|entry| entry.value).rfind(is_recorded).or(nearest);
+        if journal.output > 0 && journal.header.scan_id >= from {
+            break;
+        }
+    }
+    nearest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drive::tests::{ESTIMATOR, late_actuation};
+
+    #[test]
+    fn a_replay_begins_with_the_newest_state_before_its_first_output() {
+        let drive = late_actuation();
+        let nearest = |from| nearest_state(ESTIMATOR, &drive, &Options { from, ..Options::default() });
+        // State 3 is of scan 1 too, but holds the pose of scan 2.
+        let found = [None, Some(1), Some(2), Some(3), Some(4)].map(nearest);
+        assert_eq!(found, [None, None, Some(1), Some(3), Some(4)]);
+    }
 }

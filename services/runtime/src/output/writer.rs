@@ -29,6 +29,8 @@ pub(crate) struct Writer {
     sequence: Cell<u64>,
     /// How many readers there were when last counted.
     readers: Cell<usize>,
+    /// A sample as it was before an injected fault could change it.
+    unchanged: RefCell<Vec<u8>>,
 }
 
 impl Writer {
@@ -41,6 +43,7 @@ impl Writer {
             shared,
             sequence: Cell::new(0),
             readers: Cell::new(usize::MAX),
+            unchanged: RefCell::default(),
         })
     }
 
@@ -134,11 +137,21 @@ impl Writer {
         }
     }
 
-    /// Lets an injected fault change a complete sample; whether it is sent. The guard of the wheels checks it last.
+    /// Lets an injected fault change a complete sample; whether it is sent. The guard of the wheels checks it last. The next
+    /// journal tells what was changed.
     fn is_sent(&self, sample: &mut [u8]) -> bool {
-        let mut tamper = self.shared.tamper.borrow_mut();
-        let Some(tamper) = tamper.as_mut() else { return true };
-        let is_sent = tamper.change(self.of, sample);
+        let (is_sent, is_changed) = {
+            let mut tamper = self.shared.tamper.borrow_mut();
+            let Some(tamper) = tamper.as_mut() else { return true };
+            let mut unchanged = self.unchanged.borrow_mut();
+            unchanged.clear();
+            unchanged.extend_from_slice(sample);
+            (tamper.change(self.of, sample), **unchanged != *sample)
+        };
+        if is_sent && is_changed && self.of.topic.writer().is_some() {
+            let header = (self.of.header)(sample);
+            self.shared.notes.note_sample(JournalKind::Injected, self.of.topic, header);
+        }
         if self.of.topic == Topic::Actuation
             && let Ok(actuation) = bytemuck::try_from_bytes_mut::<Actuation>(sample)
         {

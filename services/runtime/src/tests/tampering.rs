@@ -2,12 +2,15 @@
 
 use std::rc::Rc;
 
-use shared_types::{Actuation, ActuationKind, Pose, Role, SampleType, Topic};
+use shared_types::{
+    Actuation, ActuationKind, Journal, JournalEntry, JournalKind, Pose, Role, Sample, SampleType, Topic,
+};
 
 use super::{Lab, pose};
 use crate::guard::Guard;
 use crate::input::Input;
-use crate::output::Output;
+use crate::journal::Publish;
+use crate::output::{Output, Writer};
 use crate::{Observer, StopWord, Tamper};
 
 /// Loses scan 2, moves x of the others, and lets every actuation drive.
@@ -39,11 +42,20 @@ fn an_injected_fault_changes_and_loses_samples_on_their_way_out() {
     *estimator.tamper.borrow_mut() = Some(Box::new(Test));
     let output = Output::<Pose>::new(lab.bus(), Rc::clone(&estimator)).unwrap();
     let input = Input::<Pose>::new(lab.bus(), lab.shared(Role::Controller, 9)).unwrap();
+    let journal = Rc::new(Writer::new(lab.bus(), Rc::clone(&estimator), Journal::TYPE).unwrap());
+    estimator.notes.publish_by(Role::Estimator, &(Rc::clone(&journal) as Rc<dyn Publish>));
+    let journals = Observer::<Journal>::new(lab.bus()).unwrap();
     input.reader().drain().unwrap();
     (1..=3).for_each(|scan| output.publish(&mut pose(scan, 0.5)).unwrap());
     input.reader().drain().unwrap();
     let taken = std::iter::from_fn(|| input.take()).map(|pose| (pose.header.scan_id, pose.x_m));
     assert_eq!(taken.collect::<Vec<_>>(), [(1, 1.5), (3, 1.5)]);
+    // The next journal tells which sample was changed.
+    let mut told = Vec::new();
+    journals.poll(|journal| told.push(journal.used().to_vec())).unwrap();
+    let kind = JournalKind::Injected.wire() as u16;
+    let first = JournalEntry { kind, topic: Topic::Pose as u16, incarnation: 7, value: 1 };
+    assert_eq!(told, [vec![], vec![first], vec![]]);
 }
 
 #[test]

@@ -50,7 +50,7 @@ fn c_obstacles(system: &System) -> PathBuf {
 }
 
 /// The built-in system with another command in one role.
-pub(super) fn system_with(folder: &Path, role: &str, command: &[&str]) -> String {
+pub(crate) fn system_with(folder: &Path, role: &str, command: &[&str]) -> String {
     let built_in = [
         ("robot", "emulator"),
         ("estimator", "ekf"),
