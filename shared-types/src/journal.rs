@@ -37,6 +37,8 @@ wire_enum! {
         Resumed = 11 "resumed",
         /// The process has published its checkpoint with the sequence number `value`.
         Saved = 12 "saved",
+        /// The sample or state of the next entry was handed over with its times moved by `value` [ns], in two's complement.
+        Moved = 13 "moved",
     }
 }
 

@@ -141,9 +141,9 @@ mod tests {
         actuation.header.layout = Actuation::LAYOUT;
         actuation.header.acquired_ns = 90_000;
         let checkpoint = Checkpoint { issued_ns: 100_000, ..Checkpoint::default() };
-        let data = HandoverData { checkpoint, ended_ns: 120_000, actuations: vec![actuation] };
+        let data = HandoverData { checkpoint, ended_ns: 120_000, actuations: vec![actuation], moved_ns: 0 };
         let there = of_hex(&to_hex(&data), -50_000).unwrap();
-        assert_eq!((there.checkpoint.issued_ns, there.ended_ns), (50_000, 70_000));
+        assert_eq!((there.checkpoint.issued_ns, there.ended_ns, there.moved_ns), (50_000, 70_000, -50_000));
         assert_eq!(there.actuations[0].header.acquired_ns, 40_000);
         let running = of_hex(&to_hex(&HandoverData { ended_ns: 0, ..data }), 7).unwrap();
         assert_eq!(running.ended_ns, 0, "it still runs");

@@ -1,5 +1,6 @@
 //! A recorded drive in memory: its samples by process and by scan, its settings, and who was in charge.
 
+mod clocks;
 mod keys;
 mod lane;
 
@@ -14,12 +15,13 @@ use runtime::{monotonic_ns, settings_file, wait_for};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Actuation, Authority, Checkpoint, Command, Directive, Header, Journal, Obstacles, Odometry, Pose, ROLES,
-    Role, Sample, Scan, Topic, Truth, topics_of,
+    Actuation, Authority, Checkpoint, ClockOffset, Command, Directive, Header, Journal, Obstacles, Odometry,
+    Pose, ROLES, Role, Sample, Scan, Topic, Truth, topics_of,
 };
 use supervision::entry::ProcessRow;
 use toml::Table;
 
+pub(crate) use self::clocks::{Clocks, moved};
 pub(crate) use self::lane::Lane;
 use crate::NotReplayed;
 
@@ -34,6 +36,7 @@ pub struct Drive {
     pub(crate) commands: Lane<Command>,
     pub(crate) actuations: Lane<Actuation>,
     pub(crate) checkpoints: Lane<Checkpoint>,
+    pub(crate) clocks: Clocks,
     /// The journals of each process, by number.
     journals: BTreeMap<u32, BTreeMap<u64, Journal>>,
     /// Changes of authority per role in their order, and when each was announced [ns].
@@ -89,7 +92,7 @@ impl Drive {
         {
             let processes = toml::from_slice::<Processes>(&attached.data)
                 .map_err(|error| refuse(format!("{}: {error}", attached.name)))?;
-            drive.note_foreign(processes.process);
+            drive.note_processes(processes.process);
         }
         Ok(drive)
     }
@@ -196,9 +199,10 @@ impl Drive {
         self.foreign.get(&incarnation).map(String::as_str)
     }
 
-    fn note_foreign(&mut self, rows: Vec<ProcessRow>) {
+    fn note_processes(&mut self, rows: Vec<ProcessRow>) {
         const BUILT_IN: [&str; 5] = ["emulator", "ekf", "ellipses", "nmpc", "actuation"];
         for row in rows {
+            self.clocks.note(&row);
             let implementation = row.entry.implementation.as_deref().unwrap_or_default();
             if row.entry.command.is_some() || !BUILT_IN.contains(&implementation) {
                 self.foreign.insert(row.identity.incarnation, row.entry.label());
@@ -229,6 +233,7 @@ impl Drive {
                 let Header { incarnation, sequence, .. } = journal.header;
                 self.journals.entry(incarnation).or_default().insert(sequence, *journal);
             }
+            Topic::Clock => self.clocks.add(bytemuck::from_bytes::<ClockOffset>(bytes)),
             Topic::Heartbeat => {}
         }
     }
