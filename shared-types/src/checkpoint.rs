@@ -11,7 +11,7 @@ pub const CHECKPOINT_BYTES: usize = 12800;
 
 sample! {
     /// The state of one stateful process after a scan, as bytes of a type that both ends know.
-    pub struct Checkpoint(13024, Checkpoint, 0x0000_0000, "scanloop.Checkpoint.v3", check) {
+    pub struct Checkpoint(13024, Checkpoint, 0x9863_c91a, "scanloop.Checkpoint.v3", check) {
         /// Identity: the scan after which the state was taken
         pub header: Header,
         /// Role of the process, `Role`
@@ -141,7 +141,7 @@ fn check(checkpoint: &Checkpoint) -> Result<(), Fault> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{SampleType, Sample, StageStamps, shift_times};
+    use crate::{Sample, SampleType, StageStamps, shift_times};
 
     #[test]
     fn a_state_is_read_back_only_as_its_own_type() {

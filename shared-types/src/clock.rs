@@ -8,7 +8,7 @@ pub const HOST_NAME_BYTES: usize = 16;
 
 sample! {
     /// Which offset another host has used for the times of all samples of one scan, in both directions.
-    pub struct ClockOffset(232, Clock, 0x0000_0000, "scanloop.ClockOffset.v1", check) {
+    pub struct ClockOffset(232, Clock, 0x6b31_9b9e, "scanloop.ClockOffset.v1", check) {
         /// Identity: the scan; the chain is unused
         pub header: Header,
         /// Name of the host in ASCII, padded with zeros
@@ -57,7 +57,10 @@ mod tests {
     fn an_offset_of_either_sign_is_read_back_exactly() {
         for offset_ns in [0, -1, 86_400_000_000_001, -86_400_000_000_001] {
             let offset = ClockOffset::new("lab", 7, 5_000_000_000, offset_ns, 9);
-            assert_eq!((offset.host_name(), offset.offset_ns(), offset.header.scan_id), ("lab", offset_ns, 7));
+            assert_eq!(
+                (offset.host_name(), offset.offset_ns(), offset.header.scan_id),
+                ("lab", offset_ns, 7)
+            );
         }
     }
 }

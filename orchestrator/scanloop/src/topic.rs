@@ -11,8 +11,8 @@ use runtime::{Bus, Observer, OwnObserver, OwnTopics, RuntimeError, Shutdown, mon
 use serde_json::{Map, Value, json};
 use session::arguments::check_duration;
 use shared_types::{
-    Actuation, Checkpoint, ClockOffset, Command, Directive, ENUMERATIONS, Field, Heartbeat, Journal, Kind, Obstacles,
-    Odometry, Pose, Role, Sample, Scan, TOPICS, Topic, Truth,
+    Actuation, Checkpoint, ClockOffset, Command, Directive, ENUMERATIONS, Field, Heartbeat, Journal, Kind,
+    Obstacles, Odometry, Pose, Role, Sample, Scan, TOPICS, Topic, Truth,
 };
 
 pub(crate) use self::publish::publish;

@@ -65,8 +65,7 @@ impl Followed {
     fn of_scan(&self, scan_id: u64) -> Option<i64> {
         let known = self.scans[(scan_id % SCANS as u64) as usize];
         // One from before the clock was lost is of another clock.
-        let (_, offset_ns, _) =
-            known.filter(|(of, _, lost)| (*of, *lost) == (scan_id, self.clock.lost()))?;
+        let (_, offset_ns, _) = known.filter(|(of, _, lost)| (*of, *lost) == (scan_id, self.clock.lost()))?;
         Some(offset_ns)
     }
 
@@ -140,6 +139,9 @@ mod tests {
     #[test]
     fn at_the_host_of_the_orchestrator_no_time_is_moved() {
         let clock = CommonClock::Own;
-        assert_eq!((clock.offset(5), clock.offset_of(7, 5)), (Some(Offset::default()), Some(Offset::default())));
+        assert_eq!(
+            (clock.offset(5), clock.offset_of(7, 5)),
+            (Some(Offset::default()), Some(Offset::default()))
+        );
     }
 }

@@ -9,7 +9,6 @@ use shared_types::{Checkpoint, Directive, Fault, Header, Heartbeat, Role, Sample
 use crate::clock::Offset;
 use crate::zeros;
 
-
 /// What a frame contains.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Content {

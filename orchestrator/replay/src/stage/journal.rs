@@ -223,9 +223,8 @@ impl<T: Stage> Replayed<'_, T> {
             return;
         };
         let Taking { drive, incarnation, .. } = self.taking;
-        let output = output.and_then(|output| {
-            drive.clocks.to_common(incarnation, &output).ok_or(Missing::Clock.reason())
-        });
+        let output = output
+            .and_then(|output| drive.clocks.to_common(incarnation, &output).ok_or(Missing::Clock.reason()));
         match output {
             Ok(output) => {
                 findings.compare(recorded, output, T::ROLE, drive, options);

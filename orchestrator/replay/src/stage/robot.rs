@@ -76,7 +76,8 @@ impl Stage for Robot {
         let Header { scan_id, incarnation, .. } = recorded.header;
         let is_same = |header: &Header| header.incarnation == incarnation;
         let odometry = drive.odometries.of_scan(scan_id).find(|other| is_same(&other.header));
-        if let Some((odometry, replayed)) = odometry.zip(drive.clocks.to_common(incarnation, &self.odometry)) {
+        if let Some((odometry, replayed)) = odometry.zip(drive.clocks.to_common(incarnation, &self.odometry))
+        {
             findings.compare(odometry, replayed, Self::ROLE, drive, options);
         }
         let truth = drive.truths.of_scan(scan_id).find(|other| is_same(&other.header));

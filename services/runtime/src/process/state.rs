@@ -37,10 +37,12 @@ impl Process {
         Ok(match self.resume_checkpoint()? {
             Handover::FirstStart => Handover::FirstStart,
             Handover::Lost => Handover::Lost,
-            Handover::State(checkpoint) => checkpoint.state_here().map(Handover::State).unwrap_or_else(|error| {
-                tracing::warn!(%error, "the state of the process before this one can't be used");
-                Handover::Lost
-            }),
+            Handover::State(checkpoint) => {
+                checkpoint.state_here().map(Handover::State).unwrap_or_else(|error| {
+                    tracing::warn!(%error, "the state of the process before this one can't be used");
+                    Handover::Lost
+                })
+            }
         })
     }
 
