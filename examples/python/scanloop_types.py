@@ -183,6 +183,7 @@ class JournalKind(enum.IntEnum):
     BEGUN_IN_STOP = 10  # The process begins in stop, because the state of the one before it is lost.
     RESUMED = 11  # The process continues from a checkpoint: `incarnation` has published it, with the sequence number `value`.
     SAVED = 12  # The process has published its checkpoint with the sequence number `value`.
+    MOVED = 13  # The sample or state of the next entry was handed over with its times moved by `value` [ns], in two's complement.
 
 
 class StageStamps(ctypes.Structure):
@@ -601,7 +602,7 @@ class Checkpoint(ctypes.Structure):
     """Topic checkpoint, published once per scan by each stateful process."""
 
     TOPIC = "checkpoint"
-    LAYOUT = 0x1bc33c2c
+    LAYOUT = 0x9863c91a
     _fields_ = [
         ("header", Header),  # Identity: the scan after which the state was taken
         ("role", ctypes.c_uint32),  # Role of the process, `Role`
@@ -609,12 +610,13 @@ class Checkpoint(ctypes.Structure):
         ("length", ctypes.c_uint32),  # How many of `bytes` are used
         ("reserved", ctypes.c_uint32),  # Unused, zero
         ("issued_ns", ctypes.c_uint64),  # When it was published [ns]
+        ("saved_ns", ctypes.c_uint64),  # The same on the clock that the times of the state are of, also on another host; 0 when it is not known [ns]
         ("bytes", ctypes.c_uint8 * 12800),  # The state
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Checkpoint.v2"
+        return "scanloop.Checkpoint.v3"
 
 
 class Truth(ctypes.Structure):
@@ -672,6 +674,24 @@ class Journal(ctypes.Structure):
         return "scanloop.Journal.v1"
 
 
+class ClockOffset(ctypes.Structure):
+    """Topic clock, published once per scan and other host, by the link of the orchestrator's host."""
+
+    TOPIC = "clock"
+    LAYOUT = 0x6b319b9e
+    _fields_ = [
+        ("header", Header),  # Identity: the scan; the chain is unused
+        ("host", ctypes.c_uint8 * 16),  # Name of the host in ASCII, padded with zeros
+        ("common_ns", ctypes.c_uint64),  # A moment on the clock of the orchestrator's host, as in all samples that were recorded there [ns]
+        ("host_ns", ctypes.c_uint64),  # The same moment on the clock of the other host [ns]
+        ("bound_ns", ctypes.c_uint64),  # What the two may be apart by in truth [ns]
+    ]
+
+    @staticmethod
+    def type_name() -> str:
+        return "scanloop.ClockOffset.v1"
+
+
 # The sample of each topic.
 TOPICS = {
     "scan": Scan,
@@ -685,6 +705,7 @@ TOPICS = {
     "checkpoint": Checkpoint,
     "truth": Truth,
     "journal": Journal,
+    "clock": ClockOffset,
 }
 # What each role reads.
 READS = {

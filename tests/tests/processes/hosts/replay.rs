@@ -22,10 +22,10 @@ impl TwoHosts {
         let (report, code) = replayed(&self.system, &self.system.folder().join("drive.mcap"), &[]);
         let count = |key: &str| report[key].as_u64().unwrap();
         assert_eq!((code, count("identical")), (0, count("compared")), "{report}");
-        // A busy machine may lose a journal; then all is skipped until the next recorded state, a second at most.
+        // A busy machine may lose a journal or a state; then all is skipped until the next recorded one, a second at most.
         assert!(20 * count("skipped") < count("samples"), "{report}");
         for skipped in report["reasons"].as_array().unwrap() {
-            assert!(skipped["reason"].as_str().unwrap().ends_with(" was not recorded"), "{report}");
+            assert!(skipped["reason"].as_str().unwrap().ends_with("recorded"), "{report}");
         }
         report
     }
