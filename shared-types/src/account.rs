@@ -173,9 +173,15 @@ impl InputAccount {
         self.writers.iter().find(|span| span.incarnation == incarnation && incarnation != 0)
     }
 
-    /// Samples that were dropped or replaced by a rule.
-    pub fn by_policy(&self) -> u64 {
-        self.replaced + self.overwritten + self.stale + self.foreign + self.invalid
+    /// Samples that were dropped or replaced by a rule, with the name of the reason.
+    pub fn by_rule(&self) -> [(&'static str, u64); 5] {
+        [
+            ("newer", self.replaced),
+            ("queue_full", self.overwritten),
+            ("age", self.stale),
+            ("authority", self.foreign),
+            ("content", self.invalid),
+        ]
     }
 
     fn fill_hole(&mut self, sequence: u64) {

@@ -22,6 +22,8 @@ const STOPPED_REPEAT_NS: u64 = 20_000_000;
 const FIRST_REPEAT_NS: u64 = 50_000_000;
 /// An agent that has not answered once within this time can't be reached [ns].
 const REACH_NS: u64 = 8_000_000_000;
+/// The same while a process is to be swapped, before the swap is refused for its silence [ns].
+const REACH_IN_SWAP_NS: u64 = 2_500_000_000;
 /// After `orphan_timeout_s` without an orchestrator the processes of a host end within this time, the robot last [ns].
 const ORPHAN_END_NS: u64 = 2_000_000_000;
 /// Longest sleep.
@@ -56,6 +58,7 @@ pub fn run(host: &str, implementation: &str) -> anyhow::Result<Exit> {
     let ended_ns = table.orphan_timeout_ns.saturating_add(ORPHAN_END_NS);
     let begun_ns = monotonic_ns();
     let (mut heard_ns, mut sent_ns, mut is_known) = (begun_ns, 0, false);
+    let reach_ns = if variable(CANDIDATE_VARIABLE).is_some() { REACH_IN_SWAP_NS } else { REACH_NS };
     let mut answer = vec![0; ANSWER_BYTES];
     loop {
         let now_ns = monotonic_ns();
@@ -84,7 +87,7 @@ pub fn run(host: &str, implementation: &str) -> anyhow::Result<Exit> {
             let _ = socket.send_to(message.as_bytes(), domain.directory().join(LINK_SOCKET));
             sent_ns = now_ns;
         }
-        if !is_known && now_ns.saturating_sub(begun_ns) > REACH_NS {
+        if !is_known && now_ns.saturating_sub(begun_ns) > reach_ns {
             let endpoint =
                 table.peers.iter().find(|peer| peer.name == host).map_or("", |peer| &peer.endpoint);
             let status = LinkStatus::read(&domain).ok().flatten();

@@ -151,7 +151,9 @@ impl Estimator {
     /// One that is stamped more than a second ahead of `now_ns` is ignored: it would exclude all that follow.
     pub fn note(&mut self, actuation: &Actuation, now_ns: u64) {
         let published_ns = actuation.header.stage(Role::Actuator).published_ns;
-        if published_ns.max(actuation.header.acquired_ns) <= latest(now_ns) {
+        let sent_ns = published_ns.max(actuation.header.acquired_ns);
+        if sent_ns <= latest(now_ns) {
+            self.state.actuated_ns = self.state.actuated_ns.max(sent_ns);
             self.state.motion.note(actuation, self.settings.motion.delay_ns);
         }
     }
@@ -263,16 +265,24 @@ impl Estimator {
         let update = self.update(measured, odometry);
         if self.settings.self_check {
             let acquired_ns = odometry.header.acquired_ns;
+            // Where samples were lost it is not known what the wheels have done, so the measured speed is taken for right.
+            let is_known =
+                self.state.actuated_ns >= self.state.acquired_ns && !self.follows_gap(&odometry.header);
+            let speed_mps = plausible_speed(odometry.speed_mps).unwrap_or(self.state.motion.speed_mps);
+            if !is_known {
+                self.state.motion.expected_mps = speed_mps;
+            }
             let in_force = self.state.motion.in_force(acquired_ns);
             self.state.self_check.observe(&Evidence {
                 acquired_ns,
                 dt_s,
-                speed_mps: plausible_speed(odometry.speed_mps).unwrap_or(self.state.motion.speed_mps),
+                speed_mps,
                 desired_mps: in_force
-                    .filter(|control| control.drives == 1)
+                    .filter(|control| control.drives == 1 && is_known)
                     .map(|control| control.velocity_mps),
                 expected_mps: self.state.motion.expected_mps,
-                innovation: self.settings.gate.then(|| self.normalised(&expected, &update.innovation)),
+                innovation: (self.settings.gate && is_known)
+                    .then(|| self.normalised(&expected, &update.innovation)),
                 refused: self.state.rejected > refused,
                 restarted: self.state.restarts > restarts,
             });

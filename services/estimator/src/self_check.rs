@@ -82,11 +82,12 @@ pub struct Evidence {
     pub dt_s: f64,
     /// Speed measured at the wheels [m/s].
     pub speed_mps: f64,
-    /// Speed desired by the control in force; `None` while wheels are blocked [m/s].
+    /// Speed desired by the control in force; `None` while wheels are blocked, and where it is not known [m/s].
     pub desired_mps: Option<f64>,
     /// Speed that the controls and the lag of the drive explain [m/s].
     pub expected_mps: f64,
-    /// Innovation ahead, to the left and in yaw, in standard deviations; `None` where it is not normalised.
+    /// Innovation ahead, to the left and in yaw, in standard deviations; `None` where it is not normalised, and where the
+    /// control in force is not known.
     pub innovation: Option<[f64; 3]>,
     /// Whether the gate refused the measurement.
     pub refused: bool,

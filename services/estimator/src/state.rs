@@ -19,6 +19,8 @@ plain_state! {
         pub sequence: u64,
         /// Time of the estimate: acquisition of the last odometry [ns]
         pub acquired_ns: u64,
+        /// When the newest actuation was published that is known [ns]
+        pub actuated_ns: u64,
         /// Estimated (yaw, x, y) [rad, m, m]
         pub estimate: [f64; 3],
         /// Covariance of (yaw, x, y), column by column, which is row by row as it is symmetric

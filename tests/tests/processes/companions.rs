@@ -183,7 +183,7 @@ fn with_a_bound_a_companion_takes_over_after_scans_that_agree_and_one_that_diffe
     let (report, _) = reached(system);
     assert_eq!(report.swaps, [refused, swapped]);
     let row = report.ledger.companions.iter().find(|row| row.reader == "reader").unwrap();
-    assert!(row.reasons["no_authority"] >= 5 && row.residual == 0, "samples of the one in shadow: {row:?}");
+    assert!(row.reasons["authority"] >= 5 && row.residual == 0, "samples of the one in shadow: {row:?}");
 }
 
 #[test]

@@ -127,11 +127,11 @@ impl CompanionLedger {
                 + account.missing
                 + account.overwritten,
             used: account.used,
-            replaced: account.by_policy(),
             duplicates: account.duplicate,
             reordered: account.reordered,
             ..LedgerRow::default()
         };
+        row.replace(account);
         *(if reader.has_ended { &mut row.lost } else { &mut row.in_flight }) += account.waiting;
         for known in self.ports.values() {
             let writer = &known.count;
@@ -158,19 +158,7 @@ impl CompanionLedger {
             }
         }
         row.residual = row.published.saturating_sub(row.used + row.replaced + row.lost + row.in_flight);
-        let reasons = [
-            ("newer", account.replaced),
-            ("queue_full", account.overwritten),
-            ("too_old", account.stale),
-            ("no_authority", account.foreign),
-            ("content", account.invalid),
-            ("layout", account.unreadable),
-        ];
-        row.reasons = reasons
-            .into_iter()
-            .filter(|(_, count)| *count > 0)
-            .map(|(name, count)| (name.to_owned(), count))
-            .collect();
+        row.count("layout", account.unreadable);
         row
     }
 }

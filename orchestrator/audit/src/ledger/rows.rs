@@ -5,6 +5,7 @@ use std::fmt;
 
 use runtime::Delays;
 use serde::{Deserialize, Serialize};
+use shared_types::InputAccount;
 
 use super::fault::Fault;
 use super::refused::RefusedRow;
@@ -86,8 +87,8 @@ pub struct LedgerRow {
     pub duplicates: u64,
     /// Samples that came after a later one and were dropped, part of the residual; must be 0.
     pub reordered: u64,
-    /// Of topics beside the loop how many were replaced, of those of the loop how many were lost between hosts, for which
-    /// reason.
+    /// How many were replaced, or lost between two hosts, for which reason: `newer`, `queue_full`, `age`, `authority`,
+    /// `content`, `layout`, `link` or `clock`.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub reasons: BTreeMap<String, u64>,
 }
@@ -144,8 +145,21 @@ impl LedgerRow {
         self.residual += other.residual;
         self.duplicates += other.duplicates;
         self.reordered += other.reordered;
-        for (reason, count) in &other.reasons {
-            *self.reasons.entry(reason.clone()).or_default() += count;
+        other.reasons.iter().for_each(|(reason, count)| self.count(reason, *count));
+    }
+
+    /// Adds the samples that one process has dropped or replaced by a rule.
+    pub(super) fn replace(&mut self, account: &InputAccount) {
+        for (reason, count) in account.by_rule() {
+            self.replaced += count;
+            self.count(reason, count);
+        }
+    }
+
+    /// Adds samples to those of a reason.
+    pub(super) fn count(&mut self, reason: &str, count: u64) {
+        if count > 0 {
+            *self.reasons.entry(reason.to_owned()).or_default() += count;
         }
     }
 }

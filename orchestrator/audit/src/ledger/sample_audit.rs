@@ -324,12 +324,11 @@ impl SampleAudit {
 
     /// Of what is unexplained in a row, the samples that were lost between two hosts.
     fn with_losses(&self, mut row: LedgerRow) -> LedgerRow {
-        for (reason, count) in self.crossing.counts(&row.topic, &row.reader) {
+        let counts: Vec<_> = self.crossing.counts(&row.topic, &row.reader).collect();
+        for (reason, count) in counts {
             let lost = count.min(row.residual);
             (row.lost, row.residual) = (row.lost + lost, row.residual - lost);
-            if lost > 0 {
-                row.reasons.insert(reason.name().to_owned(), lost);
-            }
+            row.count(reason.name(), lost);
         }
         row
     }

@@ -347,7 +347,7 @@ impl Reader {
         let unknown = spans.iter().filter(|(writer, _)| !streams.contains_key(writer));
         row.published += unknown.map(|(_, span)| span.count()).sum::<u64>();
         row.used += counters.used;
-        row.replaced += counters.by_policy();
+        row.replace(counters);
         row.duplicates += counters.duplicate;
         row.reordered += counters.reordered;
         let is_death = end.as_ref().is_some_and(|end| end.is_death);

@@ -1,7 +1,7 @@
 //! The order of samples, what the gate refuses, and what survives; the figures of the source stand in [`figures`].
 
 use proptest::prelude::*;
-use shared_types::{ActuationKind, Header, Sample};
+use shared_types::{ActuationKind, Alarm, Header, Sample};
 use vehicle::{Control, Description};
 
 use super::*;
@@ -274,6 +274,29 @@ proptest! {
                 prop_assert!(pose.nis >= 0.0 && pose.yaw_rad.abs() <= std::f64::consts::PI);
             }
             prop_assert_eq!(estimator.state().check(), Ok(()));
+        }
+    }
+}
+
+#[test]
+fn lost_samples_are_no_evidence_against_the_calibration() {
+    // Outages: the robot blocks its wheels and stands; the actuations that say so are lost as well.
+    for lost in [2, 4, 6, 8] {
+        let mut estimator =
+            Estimator::new(&Config { correction: Some(Mode::Off), ..Config::default() }).unwrap();
+        let (mut x_m, mut scan) = (0.0, 0);
+        for outage in 0..20 {
+            for since in 0..4_i32 {
+                scan += 1;
+                // It drives off again.
+                let speed = 0.9 * (1.0 - 0.5_f64.powi(since + 1));
+                x_m += 0.1 * speed;
+                let pose = estimator.step(&odometry(scan, x_m, speed), None, at(scan)).unwrap();
+                let alarm = Alarm::try_from(pose.alarm).unwrap();
+                assert_eq!(alarm, Alarm::None, "outage {outage} of {lost} scans, {:?}", pose.suspect);
+                estimator.note(&actuation(scan, Control { velocity: 0.9, steering: 0.0 }), at(scan));
+            }
+            scan += lost;
         }
     }
 }

@@ -1,7 +1,8 @@
 //! Two hosts with a bad network between them: samples that are lost, late or come as a burst, and links and agents that are
 //! killed. What must hold is read from the outputs of the actuator.
 //!
-//! Two variables make the same tests as long as a measurement needs: `SCANLOOP_HOST_SCANS` and `SCANLOOP_HOST_KILLS`.
+//! Three variables make the same tests as long as a measurement needs: `SCANLOOP_HOST_SCANS`, `SCANLOOP_HOST_KILLS` and
+//! `SCANLOOP_HOST_OUTAGES`.
 
 use std::cell::RefCell;
 use std::net::SocketAddr;
@@ -66,6 +67,14 @@ impl Outputs {
         });
     }
 
+    /// Waits until this share of a period has passed since a scan was published.
+    fn wait_for_phase(&self, system: &System, phase: f64) {
+        self.poll();
+        let newest_ns = self.seen.borrow().iter().map(scanned_ns).max().expect("an output");
+        let periods = (monotonic_ns() - newest_ns) / PERIOD_NS + 1;
+        self.wait_for_time(system, newest_ns + periods * PERIOD_NS + (phase * PERIOD_NS as f64) as u64);
+    }
+
     /// Waits for a moment, with all outputs received.
     fn wait_for_time(&self, system: &System, until_ns: u64) {
         system.wait_until("time passes", |_| {
@@ -83,15 +92,16 @@ fn scanned_ns(actuation: &Actuation) -> u64 {
     actuation.header.scan_published_ns()
 }
 
-/// A disturbance of the network, from its start to its end.
-fn disturb(hosts: &TwoHosts, outputs: &Outputs, seconds: f64, set: impl Fn(bool)) {
+/// A disturbance of the network, which begins at a phase of the period.
+fn disturb(hosts: &TwoHosts, outputs: &Outputs, phase: f64, seconds: f64, set: impl Fn(bool)) {
+    outputs.wait_for_phase(&hosts.system, phase);
     let began_ns = monotonic_ns();
     set(true);
     let end_ns = began_ns + (1e9 * seconds) as u64;
     outputs.wait_for_time(&hosts.system, end_ns);
     set(false);
     outputs.wait_for_drive(&hosts.system, "it drives again", end_ns);
-    let what = format!("{seconds} s");
+    let what = format!("{seconds} s at phase {phase}");
     // The last command before may answer one period late, and is followed for one and a half.
     let blocked = outputs.drives(began_ns + 5 * PERIOD_NS / 2 + SLACK_NS, end_ns);
     assert!(blocked.is_empty(), "{what}: {} commands drove during the outage", blocked.len());
@@ -118,7 +128,7 @@ fn each_sample_that_the_network_loses_has_a_reason_in_the_ledger() {
     hosts.system.wait_until("thirty scans", |_| scan() > first + 30);
     relay.lose(0.0);
     outputs.wait_for_drive(&hosts.system, "it drives again", monotonic_ns());
-    disturb(&hosts, &outputs, 0.35, |on| relay.hold(on));
+    disturb(&hosts, &outputs, 0.0, 0.35, |on| relay.hold(on));
     drop(outputs);
     assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
     let report = hosts.system.report();
@@ -133,27 +143,49 @@ fn each_sample_that_the_network_loses_has_a_reason_in_the_ledger() {
     hosts.end();
 }
 
-#[test]
-fn an_outage_blocks_the_wheels_and_no_old_sample_drives_them() {
-    let Some((mut hosts, relay)) = relayed("outages") else { return };
+/// Outages of each length, each at the next of several phases.
+fn outages_block_the_wheels(hosts: &mut TwoHosts, relay: &Relay, first_phase: f64) {
     hosts.start_agent();
-    hosts.start(&["free", "--set", "goal.x_m=16"]);
+    hosts.start(&["endless", "--duration", "100000"]);
     hosts.system.wait_until_driving();
     let outputs = Outputs::of(&hosts.system);
-    for seconds in [0.1, 1.0] {
-        disturb(&hosts, &outputs, seconds, |on| relay.cut(on));
-        disturb(&hosts, &outputs, seconds, |on| relay.hold(on));
+    outputs.wait_for_drive(&hosts.system, "it drives", 0);
+    let count = number("SCANLOOP_HOST_OUTAGES", 5);
+    for number in 0..count {
+        let phase = (first_phase + number as f64 * 0.618) % 1.0;
+        match number % 5 {
+            0 => disturb(hosts, &outputs, phase, 0.1, |on| relay.cut(on)),
+            1 => disturb(hosts, &outputs, phase, 0.1, |on| relay.hold(on)),
+            2 => disturb(hosts, &outputs, phase, 1.0, |on| relay.cut(on)),
+            3 => disturb(hosts, &outputs, phase, 1.0, |on| relay.hold(on)),
+            _ => disturb(hosts, &outputs, phase, 3.0, |on| relay.cut(on)),
+        }
     }
-    disturb(&hosts, &outputs, 3.0, |on| relay.cut(on));
     drop(outputs);
-    assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
+    let stop = hosts.system.run(&["stop"]);
+    assert_eq!(stop.status.code(), Some(0), "{}", String::from_utf8_lossy(&stop.stderr));
+    assert_eq!(hosts.system.wait().code(), Some(1), "{} {}", hosts.system.stderr(), hosts.messages());
     let report = hosts.system.report();
-    assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Reached, 0), "{:?}", report.scans);
+    assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Interrupted, 0), "{:?}", report.scans);
     assert_eq!(report.ledger.residual, 0, "{:?}", report.ledger.faults);
     let restarts: Vec<u32> = report.processes.iter().map(|process| process.restarts).collect();
     assert_eq!(restarts, [0; 5], "an outage is no hang");
-    println!("outages: {:?} {:?}", report.scans, report.ledger.link_losses);
+    println!("{count} outages: {:?} {:?}", report.scans, report.ledger.link_losses);
     hosts.end();
+}
+
+#[test]
+fn an_outage_blocks_the_wheels_and_no_old_sample_drives_them() {
+    let Some((mut hosts, relay)) = relayed("outages") else { return };
+    outages_block_the_wheels(&mut hosts, &relay, 0.0);
+}
+
+#[test]
+fn an_outage_of_an_encrypted_network_blocks_the_wheels_and_no_old_sample_drives_them() {
+    let Some((mut hosts, relay)) = relayed("outages over quic") else { return };
+    hosts.trust("keys", "orchestrator", "system.toml");
+    hosts.trust("keys", "lab", "agent.toml");
+    outages_block_the_wheels(&mut hosts, &relay, 0.5);
 }
 
 #[test]

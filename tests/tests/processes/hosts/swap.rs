@@ -64,6 +64,8 @@ fn the_estimator_moves_although_the_lab_reads_its_output() {
     move_to(&hosts, Role::Estimator, "ekf@lab");
     assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
     let report = hosts.system.report();
+    let dropped = report.ledger.topics.iter().filter(|row| row.topic == "pose");
+    assert!(dropped.clone().all(|row| row.reasons["authority"] >= 10), "{:?}", dropped.collect::<Vec<_>>());
     assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Reached, 0), "{:?}", report.scans);
     hosts.assert_replayed();
     hosts.end();
@@ -93,12 +95,14 @@ fn what_may_not_move_is_refused() {
     let path = hosts.system.folder().join("system.toml");
     let text = std::fs::read_to_string(&path).unwrap();
     let here = text.replace("role = \"controller\"\nhost = \"lab\"\n", "role = \"controller\"\n");
-    std::fs::write(path, here).unwrap();
+    let silent =
+        format!("[[host]]\nname = \"desk\"\naddress = \"127.0.0.1:{}\"\ntransport = \"udp\"\n", free_port());
+    std::fs::write(path, here + &silent).unwrap();
     hosts.start_agent();
     hosts.start(&SHORTENED_LONG);
     hosts.system.wait_until_driving();
     for (arguments, message) in [
-        (["controller", "--to", "nmpc@desk"], "host = desk is not allowed: one of lab, orchestrator"),
+        (["controller", "--to", "nmpc@attic"], "host = attic is not allowed: one of lab, desk, orchestrator"),
         (["actuator", "--to", "actuation@lab"], "host = lab is not allowed for actuator: robot and actuator"),
         (["controller", "--to", "ekf@lab"], "implementation = ekf is not allowed: one of nmpc for role"),
     ] {
@@ -107,10 +111,14 @@ fn what_may_not_move_is_refused() {
         assert_eq!(output.status.code(), Some(2), "{stderr}");
         assert!(stderr.contains(message), "{stderr}");
     }
-    let refused = swap(&hosts.system, &["controller", "--to", "nmpc@lab"]);
-    assert_eq!(refused.outcome, SwapOutcome::Refused, "{refused:?}");
-    let reason = "host lab: agent.toml: implementations = nmpc is not allowed: one of ekf, ellipses";
-    assert!(refused.reason.contains(reason), "{refused:?}");
+    for (host, reason) in [
+        ("lab", "host lab: agent.toml: implementations = nmpc is not allowed: one of ekf, ellipses"),
+        ("desk", "host desk: no agent answers at udp/127.0.0.1:"),
+    ] {
+        let refused = swap(&hosts.system, &["controller", "--to", &format!("nmpc@{host}")]);
+        assert_eq!(refused.outcome, SwapOutcome::Refused, "{refused:?}");
+        assert!(refused.reason.contains(reason), "{refused:?}");
+    }
     assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
     hosts.end();
 }
