@@ -5,7 +5,7 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use runtime::{Domain, RuntimeError, TopicPublishers, monotonic_ns};
+use runtime::{Domain, RuntimeError, TopicPublishers};
 use shared_types::{ClockOffset, Sample, Topic};
 
 use crate::clock::Offset;
@@ -38,17 +38,23 @@ impl Offsets {
         Ok(Self(Mutex::new(Outlet { publishers, sequence: 0, hosts: Vec::new() })))
     }
 
-    /// A sample of a host came with this offset of its scan.
+    /// A sample of a host came at `now_ns` with this offset of its scan.
     ///
     /// # Errors
     /// Errors of the bus.
-    pub(crate) fn note(&self, host: &str, scan_id: u64, clock: Offset) -> Result<(), RuntimeError> {
+    pub(crate) fn note(
+        &self,
+        host: &str,
+        scan_id: u64,
+        clock: Offset,
+        now_ns: u64,
+    ) -> Result<(), RuntimeError> {
         let mut outlet = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if !outlet.is_new(host, scan_id, clock.offset_ns) {
             return Ok(());
         }
         let Offset { offset_ns, bound_ns } = clock;
-        let mut offset = ClockOffset::new(host, scan_id, monotonic_ns(), offset_ns, bound_ns);
+        let mut offset = ClockOffset::new(host, scan_id, now_ns, offset_ns, bound_ns);
         outlet.sequence += 1;
         (offset.header.layout, offset.header.sequence) = (ClockOffset::LAYOUT, outlet.sequence);
         outlet.publishers.publish(0, bytemuck::bytes_of(&offset))

@@ -62,7 +62,7 @@ impl Receiver {
         let mut take = |frame: &[u8]| {
             let noted = inlets.take(&self.link, self.topics[index], index, frame)?;
             match (&self.offsets, noted) {
-                (Some(offsets), Some((scan_id, clock))) => offsets.note(host, scan_id, clock),
+                (Some(offsets), Some((scan_id, clock))) => offsets.note(host, scan_id, clock, monotonic_ns()),
                 _ => Ok(()),
             }
         };
