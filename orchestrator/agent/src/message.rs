@@ -1,6 +1,6 @@
 //! What a proxy tells an agent, and what the agent answers.
 
-use runtime::{HandoverData, RuntimeError};
+use runtime::{HandoverData, Realtime, RuntimeError};
 use serde::{Deserialize, Serialize};
 use shared_types::Role;
 use supervision::entry::role_name;
@@ -53,6 +53,8 @@ pub struct Start {
     pub candidate: Option<u32>,
     /// Scan period [ns].
     pub period_ns: u64,
+    /// Processors and priority that it gets.
+    pub realtime: Realtime,
     /// Its settings file.
     pub settings: String,
     /// Topics that cross to the host of the agent.

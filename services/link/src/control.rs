@@ -13,6 +13,7 @@ use runtime::{Domain, LinkTable};
 use zenoh::Wait;
 use zenoh::qos::Priority;
 
+use crate::arguments::run_by;
 use crate::bridge::Bridge;
 use crate::network::{Place, agent_key, join, publisher, subscribe};
 
@@ -36,6 +37,7 @@ pub(crate) fn run_agent(name: &str, endpoint: &str, credentials: Option<&str>) -
             Some(("join", system_id)) => {
                 let domain = Domain::existing(system_id)?;
                 let table = LinkTable::read(&domain)?.context("the system has no table of its link")?;
+                run_by(&table.realtime);
                 let made = Bridge::start(&session, &domain, &table)?;
                 let link = std::sync::Arc::clone(&made.link);
                 std::thread::spawn(move || {
