@@ -35,6 +35,7 @@
 #define SCANLOOP_TOPIC_CHECKPOINT "checkpoint"
 #define SCANLOOP_TOPIC_TRUTH "truth"
 #define SCANLOOP_TOPIC_JOURNAL "journal"
+#define SCANLOOP_TOPIC_CLOCK "clock"
 
 /* The job of one process of the loop. */
 enum scanloop_role {
@@ -184,6 +185,7 @@ enum scanloop_journal_kind {
     SCANLOOP_JOURNAL_KIND_SAVED = 12, /* The process has published its checkpoint with the sequence number `value`. */
     SCANLOOP_JOURNAL_KIND_INJECTED = 13, /* An injected fault has changed a sample behind the process: `topic`, `incarnation`, and its sequence number in `value`. */
     SCANLOOP_JOURNAL_KIND_ALTERED = 14, /* An injected fault alters the emulated robot from now on (`value` 1), or no longer (0). */
+    SCANLOOP_JOURNAL_KIND_MOVED = 15, /* The sample or state of the next entry was handed over with its times moved by `value` [ns], in two's complement. */
 };
 
 /* A part of samples. */
@@ -724,16 +726,18 @@ typedef struct scanloop_checkpoint {
     uint32_t length; /* How many of `bytes` are used */
     uint32_t reserved; /* Unused, zero */
     uint64_t issued_ns; /* When it was published [ns] */
+    uint64_t saved_ns; /* The same on the clock that the times of the state are of, also on another host; 0 when it is not known [ns] */
     uint8_t bytes[12800]; /* The state */
 } scanloop_checkpoint;
-_Static_assert(sizeof(scanloop_checkpoint) == 13016, "scanloop_checkpoint");
+_Static_assert(sizeof(scanloop_checkpoint) == 13024, "scanloop_checkpoint");
 _Static_assert(offsetof(scanloop_checkpoint, header) == 0, "scanloop_checkpoint.header");
 _Static_assert(offsetof(scanloop_checkpoint, role) == 192, "scanloop_checkpoint.role");
 _Static_assert(offsetof(scanloop_checkpoint, state_layout) == 196, "scanloop_checkpoint.state_layout");
 _Static_assert(offsetof(scanloop_checkpoint, length) == 200, "scanloop_checkpoint.length");
 _Static_assert(offsetof(scanloop_checkpoint, reserved) == 204, "scanloop_checkpoint.reserved");
 _Static_assert(offsetof(scanloop_checkpoint, issued_ns) == 208, "scanloop_checkpoint.issued_ns");
-_Static_assert(offsetof(scanloop_checkpoint, bytes) == 216, "scanloop_checkpoint.bytes");
+_Static_assert(offsetof(scanloop_checkpoint, saved_ns) == 216, "scanloop_checkpoint.saved_ns");
+_Static_assert(offsetof(scanloop_checkpoint, bytes) == 224, "scanloop_checkpoint.bytes");
 
 /* Topic truth, published once per scan by the emulated robot. */
 typedef struct scanloop_truth {
@@ -802,6 +806,21 @@ _Static_assert(offsetof(scanloop_journal, role) == 192, "scanloop_journal.role")
 _Static_assert(offsetof(scanloop_journal, length) == 196, "scanloop_journal.length");
 _Static_assert(offsetof(scanloop_journal, output) == 200, "scanloop_journal.output");
 _Static_assert(offsetof(scanloop_journal, entries) == 208, "scanloop_journal.entries");
+
+/* Topic clock, published once per scan and other host, by the link of the orchestrator's host. */
+typedef struct scanloop_clock_offset {
+    scanloop_header header; /* Identity: the scan; the chain is unused */
+    uint8_t host[16]; /* Name of the host in ASCII, padded with zeros */
+    uint64_t common_ns; /* A moment on the clock of the orchestrator's host, as in all samples that were recorded there [ns] */
+    uint64_t host_ns; /* The same moment on the clock of the other host [ns] */
+    uint64_t bound_ns; /* What the two may be apart by in truth [ns] */
+} scanloop_clock_offset;
+_Static_assert(sizeof(scanloop_clock_offset) == 232, "scanloop_clock_offset");
+_Static_assert(offsetof(scanloop_clock_offset, header) == 0, "scanloop_clock_offset.header");
+_Static_assert(offsetof(scanloop_clock_offset, host) == 192, "scanloop_clock_offset.host");
+_Static_assert(offsetof(scanloop_clock_offset, common_ns) == 208, "scanloop_clock_offset.common_ns");
+_Static_assert(offsetof(scanloop_clock_offset, host_ns) == 216, "scanloop_clock_offset.host_ns");
+_Static_assert(offsetof(scanloop_clock_offset, bound_ns) == 224, "scanloop_clock_offset.bound_ns");
 
 /* One field of one sample, as the compiler laid it out. */
 typedef struct scanloop_layout_row {
@@ -1125,7 +1144,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("directive", scanloop_directive, "authority.incarnation", authority[0].incarnation),
     SCANLOOP_VALUE("directive", scanloop_directive, "authority.previous", authority[0].previous),
     SCANLOOP_VALUE("directive", scanloop_directive, "authority.from_scan", authority[0].from_scan),
-    SCANLOOP_SAMPLE("checkpoint", scanloop_checkpoint, "scanloop.Checkpoint.v2"),
+    SCANLOOP_SAMPLE("checkpoint", scanloop_checkpoint, "scanloop.Checkpoint.v3"),
     SCANLOOP_STRUCT("checkpoint", scanloop_checkpoint, "header", "Header", header),
     SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "header.layout", header.layout),
     SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "header.incarnation", header.incarnation),
@@ -1142,6 +1161,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "length", length),
     SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "reserved", reserved),
     SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "issued_ns", issued_ns),
+    SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "saved_ns", saved_ns),
     SCANLOOP_VALUES("checkpoint", scanloop_checkpoint, "bytes", bytes),
     SCANLOOP_SAMPLE("truth", scanloop_truth, "scanloop.Truth.v1"),
     SCANLOOP_STRUCT("truth", scanloop_truth, "header", "Header", header),
@@ -1198,6 +1218,22 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("journal", scanloop_journal, "entries.topic", entries[0].topic),
     SCANLOOP_VALUE("journal", scanloop_journal, "entries.incarnation", entries[0].incarnation),
     SCANLOOP_VALUE("journal", scanloop_journal, "entries.value", entries[0].value),
+    SCANLOOP_SAMPLE("clock", scanloop_clock_offset, "scanloop.ClockOffset.v1"),
+    SCANLOOP_STRUCT("clock", scanloop_clock_offset, "header", "Header", header),
+    SCANLOOP_VALUE("clock", scanloop_clock_offset, "header.layout", header.layout),
+    SCANLOOP_VALUE("clock", scanloop_clock_offset, "header.incarnation", header.incarnation),
+    SCANLOOP_VALUE("clock", scanloop_clock_offset, "header.scan_id", header.scan_id),
+    SCANLOOP_VALUE("clock", scanloop_clock_offset, "header.sequence", header.sequence),
+    SCANLOOP_VALUE("clock", scanloop_clock_offset, "header.acquired_ns", header.acquired_ns),
+    SCANLOOP_STRUCTS("clock", scanloop_clock_offset, "header.chain", "StageStamps", header.chain),
+    SCANLOOP_VALUE("clock", scanloop_clock_offset, "header.chain.woken_ns", header.chain[0].woken_ns),
+    SCANLOOP_VALUE("clock", scanloop_clock_offset, "header.chain.taken_ns", header.chain[0].taken_ns),
+    SCANLOOP_VALUE("clock", scanloop_clock_offset, "header.chain.computed_ns", header.chain[0].computed_ns),
+    SCANLOOP_VALUE("clock", scanloop_clock_offset, "header.chain.published_ns", header.chain[0].published_ns),
+    SCANLOOP_VALUES("clock", scanloop_clock_offset, "host", host),
+    SCANLOOP_VALUE("clock", scanloop_clock_offset, "common_ns", common_ns),
+    SCANLOOP_VALUE("clock", scanloop_clock_offset, "host_ns", host_ns),
+    SCANLOOP_VALUE("clock", scanloop_clock_offset, "bound_ns", bound_ns),
 };
 
 /* The table and its length, the way `scanloop_open` takes them. */

@@ -185,6 +185,7 @@ class JournalKind(enum.IntEnum):
     SAVED = 12  # The process has published its checkpoint with the sequence number `value`.
     INJECTED = 13  # An injected fault has changed a sample behind the process: `topic`, `incarnation`, and its sequence number in `value`.
     ALTERED = 14  # An injected fault alters the emulated robot from now on (`value` 1), or no longer (0).
+    MOVED = 15  # The sample or state of the next entry was handed over with its times moved by `value` [ns], in two's complement.
 
 
 class StageStamps(ctypes.Structure):
@@ -603,7 +604,7 @@ class Checkpoint(ctypes.Structure):
     """Topic checkpoint, published once per scan by each stateful process."""
 
     TOPIC = "checkpoint"
-    LAYOUT = 0x1bc33c2c
+    LAYOUT = 0x9863c91a
     _fields_ = [
         ("header", Header),  # Identity: the scan after which the state was taken
         ("role", ctypes.c_uint32),  # Role of the process, `Role`
@@ -611,12 +612,13 @@ class Checkpoint(ctypes.Structure):
         ("length", ctypes.c_uint32),  # How many of `bytes` are used
         ("reserved", ctypes.c_uint32),  # Unused, zero
         ("issued_ns", ctypes.c_uint64),  # When it was published [ns]
+        ("saved_ns", ctypes.c_uint64),  # The same on the clock that the times of the state are of, also on another host; 0 when it is not known [ns]
         ("bytes", ctypes.c_uint8 * 12800),  # The state
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Checkpoint.v2"
+        return "scanloop.Checkpoint.v3"
 
 
 class Truth(ctypes.Structure):
@@ -674,6 +676,24 @@ class Journal(ctypes.Structure):
         return "scanloop.Journal.v1"
 
 
+class ClockOffset(ctypes.Structure):
+    """Topic clock, published once per scan and other host, by the link of the orchestrator's host."""
+
+    TOPIC = "clock"
+    LAYOUT = 0x6b319b9e
+    _fields_ = [
+        ("header", Header),  # Identity: the scan; the chain is unused
+        ("host", ctypes.c_uint8 * 16),  # Name of the host in ASCII, padded with zeros
+        ("common_ns", ctypes.c_uint64),  # A moment on the clock of the orchestrator's host, as in all samples that were recorded there [ns]
+        ("host_ns", ctypes.c_uint64),  # The same moment on the clock of the other host [ns]
+        ("bound_ns", ctypes.c_uint64),  # What the two may be apart by in truth [ns]
+    ]
+
+    @staticmethod
+    def type_name() -> str:
+        return "scanloop.ClockOffset.v1"
+
+
 # The sample of each topic.
 TOPICS = {
     "scan": Scan,
@@ -687,6 +707,7 @@ TOPICS = {
     "checkpoint": Checkpoint,
     "truth": Truth,
     "journal": Journal,
+    "clock": ClockOffset,
 }
 # What each role reads.
 READS = {

@@ -4,14 +4,14 @@ use bytemuck::Pod;
 
 use crate::describe::{Described, FNV_OFFSET, fingerprint};
 use crate::sample::sample;
-use crate::{Fault, Header, Role};
+use crate::{Fault, Header, Role, shift_state};
 
 /// How many bytes of state a checkpoint can hold.
 pub const CHECKPOINT_BYTES: usize = 12800;
 
 sample! {
     /// The state of one stateful process after a scan, as bytes of a type that both ends know.
-    pub struct Checkpoint(13016, Checkpoint, 0x1bc3_3c2c, "scanloop.Checkpoint.v2", check) {
+    pub struct Checkpoint(13024, Checkpoint, 0x9863_c91a, "scanloop.Checkpoint.v3", check) {
         /// Identity: the scan after which the state was taken
         pub header: Header,
         /// Role of the process, `Role`
@@ -24,6 +24,8 @@ sample! {
         pub reserved: u32,
         /// When it was published [ns]
         pub issued_ns: u64,
+        /// The same on the clock that the times of the state are of, also on another host; 0 when it is not known [ns]
+        pub saved_ns: u64,
         /// The state
         pub bytes: [u8; CHECKPOINT_BYTES],
     }
@@ -101,7 +103,22 @@ impl Checkpoint {
         checkpoint
     }
 
-    /// The state, where both ends know its type.
+    /// What the clock of this host is ahead by of the one that the times of the state are of [ns].
+    pub fn moved_ns(&self) -> i64 {
+        if self.saved_ns == 0 { 0 } else { self.issued_ns.wrapping_sub(self.saved_ns).cast_signed() }
+    }
+
+    /// The state with its times on the clock of this host, where both ends know its type.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::state`].
+    pub fn state_here<S: Pod + Described>(&self) -> Result<S, CheckpointError> {
+        let mut state = self.state::<S>()?;
+        shift_state(&S::KIND, bytemuck::bytes_of_mut(&mut state), self.moved_ns());
+        Ok(state)
+    }
+
+    /// The state as it was saved, where both ends know its type.
     ///
     /// # Errors
     /// [`CheckpointError`] when the type or its length differs.
@@ -124,7 +141,7 @@ fn check(checkpoint: &Checkpoint) -> Result<(), Fault> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::StageStamps;
+    use crate::{Sample, SampleType, StageStamps, shift_times};
 
     #[test]
     fn a_state_is_read_back_only_as_its_own_type() {
@@ -132,5 +149,19 @@ mod tests {
         let checkpoint = Checkpoint::of(Role::Estimator, &state);
         assert_eq!(checkpoint.state::<StageStamps>(), Ok(state));
         assert!(matches!(checkpoint.state::<Header>(), Err(CheckpointError::UnknownState { .. })));
+    }
+
+    #[test]
+    fn on_another_host_the_times_of_a_state_are_those_of_its_clock() {
+        const OF: &SampleType = Checkpoint::TYPE;
+        let state = StageStamps { woken_ns: 0, taken_ns: 5_002, computed_ns: 5_003, published_ns: 5_004 };
+        let mut checkpoint = Checkpoint::of(Role::Estimator, &state);
+        (checkpoint.issued_ns, checkpoint.saved_ns) = (5_010, 5_010);
+        assert_eq!(checkpoint.state_here(), Ok(state));
+        shift_times(OF, bytemuck::bytes_of_mut(&mut checkpoint), -5_000);
+        let here = StageStamps { woken_ns: 0, taken_ns: 2, computed_ns: 3, published_ns: 4 };
+        assert_eq!((checkpoint.moved_ns(), checkpoint.state_here()), (-5_000, Ok(here)));
+        checkpoint.saved_ns = 0;
+        assert_eq!(checkpoint.state_here(), Ok(state), "of a program that does not tell");
     }
 }

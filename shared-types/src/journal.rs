@@ -41,6 +41,8 @@ wire_enum! {
         Injected = 13 "injected",
         /// An injected fault alters the emulated robot from now on (`value` 1), or no longer (0).
         Altered = 14 "altered",
+        /// The sample or state of the next entry was handed over with its times moved by `value` [ns], in two's complement.
+        Moved = 15 "moved",
     }
 }
 

@@ -10,6 +10,7 @@ mod account;
 mod actuation;
 mod authority;
 mod checkpoint;
+mod clock;
 mod command;
 mod constants;
 mod describe;
@@ -39,6 +40,7 @@ pub use account::{Fate, InputAccount, Span, WRITERS};
 pub use actuation::{Actuation, ActuationKind, BlockReason};
 pub use authority::{Admission, Authority, AuthorityFilter};
 pub use checkpoint::{CHECKPOINT_BYTES, Checkpoint, CheckpointError};
+pub use clock::{ClockOffset, HOST_NAME_BYTES};
 pub use command::{
     Blocking, Command, CommandKind, Level, Margin, PLAN_NODES, PlanNode, Sides, SolveStatus, StopReason,
 };
@@ -64,6 +66,6 @@ pub use rule::Rule;
 pub use sample::{Sample, SampleType};
 pub use scan::{BEAMS, FIRST_BEAM_YAW_RAD, FRONT_BEAM, MIN_RANGE_MM, PITCH_RAD, Scan, WINDOW};
 pub use supervision::{Directive, Heartbeat, Phase, ProcessState};
-pub use times::shift_times;
+pub use times::{is_state_time, shift_state, shift_times};
 pub use topic::{TOPICS, Topic};
 pub use truth::Truth;

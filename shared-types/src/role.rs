@@ -74,7 +74,7 @@ impl Topic {
             Self::Obstacles => Some(Role::Obstacles),
             Self::Command => Some(Role::Controller),
             Self::Actuation => Some(Role::Actuator),
-            Self::Heartbeat | Self::Directive | Self::Checkpoint | Self::Journal => None,
+            Self::Heartbeat | Self::Directive | Self::Checkpoint | Self::Journal | Self::Clock => None,
         }
     }
 
@@ -91,6 +91,7 @@ impl Topic {
             Self::Checkpoint => "once per scan by each stateful process",
             Self::Truth => "once per scan by the emulated robot",
             Self::Journal => "by each process before each of its outputs",
+            Self::Clock => "once per scan and other host, by the link of the orchestrator's host",
         }
     }
 }

@@ -17,23 +17,47 @@ const TIMES: [&str; 10] = [
     "plan_start_ns",
 ];
 
+/// The same in the state of a checkpoint, in addition.
+const STATE_TIMES: [&str; 6] = ["actuated_ns", "from_ns", "valid_ns", "told_ns", "started_ns", "origin_ns"];
+
 /// Moves all points in time of a sample by `by_ns`, except those that are zero. The state in a checkpoint is bytes and
 /// stays as it is.
 ///
 /// # Panics
 /// When the bytes are fewer than those of the type.
 pub fn shift_times(of: &SampleType, sample: &mut [u8], by_ns: i64) {
-    shift_fields(of.fields, sample, by_ns);
+    shift_fields(of.fields, sample, &is_time, by_ns);
 }
 
-fn shift_fields(fields: &[Field], bytes: &mut [u8], by_ns: i64) {
+/// Moves all points in time of the state in a checkpoint by `by_ns`, except those that are zero.
+///
+/// # Panics
+/// When the bytes are fewer than those of the type.
+pub fn shift_state(of: &Kind, state: &mut [u8], by_ns: i64) {
+    if let Kind::Struct(_, fields) = of {
+        shift_fields(fields, state, &is_state_time, by_ns);
+    }
+}
+
+/// Whether a field of a sample of this name is a point in time.
+fn is_time(name: &str) -> bool {
+    TIMES.contains(&name)
+}
+
+/// Whether a field of a state of this name is a point in time of the clock of its host.
+pub fn is_state_time(name: &str) -> bool {
+    is_time(name) || STATE_TIMES.contains(&name)
+}
+
+fn shift_fields(fields: &[Field], bytes: &mut [u8], is_time: &impl Fn(&str) -> bool, by_ns: i64) {
     for field in fields {
         match field.kind {
-            Kind::Scalar("u64") if TIMES.contains(&field.name) => shift(&mut bytes[field.offset..], by_ns),
-            Kind::Struct(_, inner) => shift_fields(inner, &mut bytes[field.offset..], by_ns),
+            Kind::Scalar("u64") if is_time(field.name) => shift(&mut bytes[field.offset..], by_ns),
+            Kind::Struct(_, inner) => shift_fields(inner, &mut bytes[field.offset..], is_time, by_ns),
             Kind::Array(element @ Kind::Struct(_, inner), count) => {
                 for index in 0..count {
-                    shift_fields(inner, &mut bytes[field.offset + index * element.size()..], by_ns);
+                    let start = field.offset + index * element.size();
+                    shift_fields(inner, &mut bytes[start..], is_time, by_ns);
                 }
             }
             Kind::Scalar(_) | Kind::Array(..) => {}
@@ -55,8 +79,9 @@ mod tests {
     use super::*;
     use crate::{Heartbeat, Pose, Role, Sample, TOPICS};
 
-    /// Fields that end with `_ns` and hold no point in time.
-    const SPANS: [&str; 3] = ["solve_ns", "sweep_ns", "period_ns"];
+    /// Fields that end with `_ns` and hold no point in time, or one of a clock that they name.
+    const SPANS: [&str; 7] =
+        ["solve_ns", "sweep_ns", "period_ns", "bound_ns", "common_ns", "host_ns", "saved_ns"];
 
     fn names(fields: &[Field], found: &mut Vec<&'static str>) {
         for field in fields {

@@ -27,6 +27,8 @@ named_enum! {
         Truth "truth",
         /// What each process knew when it computed its outputs, [`crate::Journal`]; for replays.
         Journal "journal",
+        /// Offset between the clock of another host and that of the orchestrator, [`crate::ClockOffset`]; for replays.
+        Clock "clock",
     }
 }
 

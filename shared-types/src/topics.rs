@@ -2,8 +2,8 @@
 
 use crate::describe::Field;
 use crate::{
-    Actuation, Checkpoint, Command, Directive, Heartbeat, Journal, Obstacles, Odometry, Pose, Sample,
-    SampleType, Scan, Topic, Truth,
+    Actuation, Checkpoint, ClockOffset, Command, Directive, Heartbeat, Journal, Obstacles, Odometry, Pose,
+    Sample, SampleType, Scan, Topic, Truth,
 };
 
 impl Topic {
@@ -21,6 +21,7 @@ impl Topic {
             Self::Checkpoint => Checkpoint::TYPE,
             Self::Truth => Truth::TYPE,
             Self::Journal => Journal::TYPE,
+            Self::Clock => ClockOffset::TYPE,
         }
     }
 

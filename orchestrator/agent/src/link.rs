@@ -61,6 +61,7 @@ impl HubLink {
             run_id: domain.run_id().to_owned(),
             period_ns: system.period_ns(),
             orphan_timeout_ns: system.run_settings(false).orphan_timeout_ns,
+            realtime: system.realtime.clone(),
             peers: system.hosts.iter().map(peer_of).collect(),
             credentials,
             ..LinkTable::default()

@@ -1,6 +1,6 @@
 //! What a proxy tells an agent, and what the agent answers.
 
-use runtime::{HandoverData, RuntimeError};
+use runtime::{HandoverData, Realtime, RuntimeError};
 use serde::{Deserialize, Serialize};
 use shared_types::Role;
 use supervision::entry::role_name;
@@ -53,6 +53,8 @@ pub struct Start {
     pub candidate: Option<u32>,
     /// Scan period [ns].
     pub period_ns: u64,
+    /// Processors and priority that it gets.
+    pub realtime: Realtime,
     /// Its settings file.
     pub settings: String,
     /// Topics that cross to the host of the agent.
@@ -141,9 +143,9 @@ mod tests {
         actuation.header.layout = Actuation::LAYOUT;
         actuation.header.acquired_ns = 90_000;
         let checkpoint = Checkpoint { issued_ns: 100_000, ..Checkpoint::default() };
-        let data = HandoverData { checkpoint, ended_ns: 120_000, actuations: vec![actuation] };
+        let data = HandoverData { checkpoint, ended_ns: 120_000, actuations: vec![actuation], moved_ns: 0 };
         let there = of_hex(&to_hex(&data), -50_000).unwrap();
-        assert_eq!((there.checkpoint.issued_ns, there.ended_ns), (50_000, 70_000));
+        assert_eq!((there.checkpoint.issued_ns, there.ended_ns, there.moved_ns), (50_000, 70_000, -50_000));
         assert_eq!(there.actuations[0].header.acquired_ns, 40_000);
         let running = of_hex(&to_hex(&HandoverData { ended_ns: 0, ..data }), 7).unwrap();
         assert_eq!(running.ended_ns, 0, "it still runs");

@@ -155,6 +155,7 @@ fn start_of(
         restart: variable(RESTART_VARIABLE).as_deref() == Some("1"),
         candidate: variable(CANDIDATE_VARIABLE).and_then(|text| text.parse().ok()),
         period_ns: table.period_ns,
+        realtime: table.realtime.clone(),
         settings,
         receives: peer.receives.clone(),
         sends: peer.sends.clone(),

@@ -4,8 +4,7 @@ use std::path::Path;
 
 use anyhow::Context;
 use runtime::{
-    Bus, CANDIDATE_VARIABLE, Domain, LinkTable, Realtime, StopWord, monotonic_ns, own_settings_file,
-    write_handover,
+    Bus, CANDIDATE_VARIABLE, Domain, LinkTable, StopWord, monotonic_ns, own_settings_file, write_handover,
 };
 use shared_types::Role;
 use supervision::child::{Child, Launch, this_program};
@@ -62,6 +61,7 @@ impl Served {
             run_id: down.run_id.clone(),
             period_ns: start.period_ns,
             orphan_timeout_ns: 0,
+            realtime: start.realtime.clone(),
             sends: start.sends.clone(),
             receives: start.receives.clone(),
             peers: Vec::new(),
@@ -132,7 +132,7 @@ impl Served {
         log.begin(&format!("{role} incarnation {incarnation}: {}", start.implementation))?;
         let command = vec![this_program().into(), "service".into(), (&start.implementation).into()];
         let child = Child::spawn(&Launch { command, environment }, &log)?;
-        for refused in Realtime::default().apply_to(child.pid()) {
+        for refused in start.realtime.apply_to(child.pid()) {
             log.begin(&refused)?;
         }
         let heard_ns = monotonic_ns();

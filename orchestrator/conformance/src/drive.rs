@@ -131,7 +131,9 @@ impl Drive {
             Topic::Command => Message::Command(Box::new(step.command?)),
             Topic::Actuation => Message::Actuation(Box::new(step.actuation?)),
             Topic::Truth => Message::Truth(Box::new(step.truth)),
-            Topic::Heartbeat | Topic::Directive | Topic::Checkpoint | Topic::Journal => return None,
+            Topic::Heartbeat | Topic::Directive | Topic::Checkpoint | Topic::Journal | Topic::Clock => {
+                return None;
+            }
         })
     }
 

@@ -86,7 +86,7 @@ pub fn crossings(system: &System) -> Vec<Crossing<'_>> {
 /// The topics that cross between hosts.
 ///
 /// A topic of the loop crosses to each host where a role reads it. The orchestrator observes them all. Directives cross to
-/// each host, heartbeats and checkpoints from each to the orchestrator.
+/// each host, heartbeats, checkpoints and journals from each to the orchestrator.
 pub fn crossings_between<'a>(places: &[Place<'a>]) -> Vec<Crossing<'a>> {
     let mut hosts = vec![None];
     for (_, host) in places {
@@ -104,7 +104,7 @@ pub fn crossings_between<'a>(places: &[Place<'a>]) -> Vec<Crossing<'a>> {
             }
             match topic {
                 Topic::Directive if to.is_some() => found.push(Crossing { from: None, to, topic }),
-                Topic::Heartbeat | Topic::Checkpoint if to.is_some() => {
+                Topic::Heartbeat | Topic::Checkpoint | Topic::Journal if to.is_some() => {
                     found.push(Crossing { from: to, to: None, topic });
                 }
                 _ => {}

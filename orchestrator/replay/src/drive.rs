@@ -1,5 +1,6 @@
 //! A recorded drive in memory: its samples by process and by scan, its settings, and who was in charge.
 
+mod clocks;
 mod keys;
 mod lane;
 #[cfg(test)]
@@ -16,12 +17,13 @@ use runtime::{monotonic_ns, settings_file, wait_for};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Actuation, Authority, Checkpoint, Command, Directive, Header, Journal, JournalEntry, JournalKind,
-    Obstacles, Odometry, Pose, ROLES, Role, Sample, Scan, Topic, Truth, topics_of,
+    Actuation, Authority, Checkpoint, ClockOffset, Command, Directive, Header, Journal, JournalEntry,
+    JournalKind, Obstacles, Odometry, Pose, ROLES, Role, Sample, Scan, Topic, Truth, topics_of,
 };
 use supervision::entry::{ProcessEntry, ProcessRow};
 use toml::Table;
 
+pub(crate) use self::clocks::{Clocks, moved};
 pub(crate) use self::lane::Lane;
 use crate::NotReplayed;
 
@@ -36,6 +38,7 @@ pub struct Drive {
     pub(crate) commands: Lane<Command>,
     pub(crate) actuations: Lane<Actuation>,
     pub(crate) checkpoints: Lane<Checkpoint>,
+    pub(crate) clocks: Clocks,
     /// The journals of each process, by number.
     journals: BTreeMap<u32, BTreeMap<u64, Journal>>,
     /// Samples that an injected fault has changed: topic, incarnation, sequence number.
@@ -93,7 +96,7 @@ impl Drive {
         {
             let processes = toml::from_slice::<Processes>(&attached.data)
                 .map_err(|error| refuse(format!("{}: {error}", attached.name)))?;
-            drive.note_foreign(processes.process);
+            drive.note_processes(processes.process);
         }
         Ok(drive)
     }
@@ -205,9 +208,10 @@ impl Drive {
         self.foreign.get(&incarnation).map(String::as_str)
     }
 
-    fn note_foreign(&mut self, rows: Vec<ProcessRow>) {
+    fn note_processes(&mut self, rows: Vec<ProcessRow>) {
         const BUILT_IN: [&str; 5] = ["emulator", "ekf", "ellipses", "nmpc", "actuation"];
         for row in rows {
+            self.clocks.note(&row);
             let implementation = row.entry.implementation.as_deref().unwrap_or_default();
             if row.entry.command.is_some() || !BUILT_IN.contains(&implementation) {
                 self.foreign.insert(row.identity.incarnation, typed(&row.entry));
@@ -241,6 +245,7 @@ impl Drive {
                 self.injected.extend(changed.map(|entry| (entry.topic, entry.incarnation, entry.value)));
                 self.journals.entry(incarnation).or_default().insert(sequence, *journal);
             }
+            Topic::Clock => self.clocks.add(bytemuck::from_bytes::<ClockOffset>(bytes)),
             Topic::Heartbeat => {}
         }
     }

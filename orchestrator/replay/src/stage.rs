@@ -198,13 +198,11 @@ fn is_beyond<S: Sample>(recorded: &S, replayed: &S, tolerance: f64) -> bool {
 pub(crate) fn replay(role: Role, drive: &Drive, options: &Options) -> anyhow::Result<Findings> {
     let mut findings = Findings::new(role, drive);
     match role {
-        Role::Robot => journal::replay::<Robot<'_>>(&drive.scans, drive, options, &mut findings)?,
-        Role::Estimator => journal::replay::<Estimator<'_>>(&drive.poses, drive, options, &mut findings)?,
-        Role::Obstacles => journal::replay::<Detector<'_>>(&drive.obstacles, drive, options, &mut findings)?,
-        Role::Controller => {
-            journal::replay::<Controller<'_>>(&drive.commands, drive, options, &mut findings)?
-        }
-        Role::Actuator => journal::replay::<Actuator<'_>>(&drive.actuations, drive, options, &mut findings)?,
+        Role::Robot => journal::replay::<Robot>(&drive.scans, drive, options, &mut findings)?,
+        Role::Estimator => journal::replay::<Estimator>(&drive.poses, drive, options, &mut findings)?,
+        Role::Obstacles => journal::replay::<Detector>(&drive.obstacles, drive, options, &mut findings)?,
+        Role::Controller => journal::replay::<Controller>(&drive.commands, drive, options, &mut findings)?,
+        Role::Actuator => journal::replay::<Actuator>(&drive.actuations, drive, options, &mut findings)?,
     }
     Ok(findings)
 }

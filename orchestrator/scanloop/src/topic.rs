@@ -11,8 +11,8 @@ use runtime::{Bus, Observer, OwnObserver, OwnTopics, RuntimeError, Shutdown, mon
 use serde_json::{Map, Value, json};
 use session::arguments::check_duration;
 use shared_types::{
-    Actuation, Checkpoint, Command, Directive, ENUMERATIONS, Field, Heartbeat, Journal, Kind, Obstacles,
-    Odometry, Pose, Role, Sample, Scan, TOPICS, Topic, Truth,
+    Actuation, Checkpoint, ClockOffset, Command, Directive, ENUMERATIONS, Field, Heartbeat, Journal, Kind,
+    Obstacles, Odometry, Pose, Role, Sample, Scan, TOPICS, Topic, Truth,
 };
 
 pub(crate) use self::publish::publish;
@@ -37,6 +37,7 @@ pub(crate) fn list(system_id: &str) -> anyhow::Result<String> {
         let writer = match topic {
             Topic::Directive => "orchestrator",
             Topic::Heartbeat | Topic::Checkpoint | Topic::Journal => "all",
+            Topic::Clock => "link",
             _ => topic.writer().map_or("-", Role::name),
         };
         let readers = match topic {
@@ -163,6 +164,7 @@ impl Watch {
             Topic::Checkpoint => of::<Checkpoint>(&bus),
             Topic::Truth => of::<Truth>(&bus),
             Topic::Journal => of::<Journal>(&bus),
+            Topic::Clock => of::<ClockOffset>(&bus),
         }?;
         Self::of(bus, topic.fields(), topic.writer().is_some(), next)
     }

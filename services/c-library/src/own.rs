@@ -6,8 +6,8 @@ use std::ffi::{c_char, c_int, c_void};
 
 use runtime::{ByteTopic, Companion, LoopTopic, TakenBytes};
 use shared_types::{
-    Actuation, Checkpoint, Command, Directive, Heartbeat, Journal, LayoutRow, Obstacles, Odometry, Pose,
-    Sample, Scan, Topic, Truth,
+    Actuation, Checkpoint, ClockOffset, Command, Directive, Heartbeat, Journal, LayoutRow, Obstacles,
+    Odometry, Pose, Sample, Scan, Topic, Truth,
 };
 
 use crate::error::Refusal;
@@ -87,6 +87,7 @@ fn source(companion: &mut Companion, topic: Topic) -> Result<Box<dyn Source>, Re
         Topic::Checkpoint => of::<Checkpoint>(companion),
         Topic::Truth => of::<Truth>(companion),
         Topic::Journal => of::<Journal>(companion),
+        Topic::Clock => of::<ClockOffset>(companion),
     }
 }
 

@@ -2,6 +2,7 @@
 //! `scanloop-link pair FOLDER HOST ADDRESS DAYS`, and `scanloop-link check CREDENTIALS`. By hand, to measure a network:
 //! `scanloop-link echo ADDRESS [CREDENTIALS]` on one host, `scanloop-link ping ADDRESS COUNT [CREDENTIALS]` on another.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use anyhow::bail;
@@ -23,17 +24,11 @@ pub(crate) fn run() -> anyhow::Result<()> {
         ["hub", system_id] => {
             let domain = Domain::existing(system_id)?;
             let Some(table) = LinkTable::read(&domain)? else { bail!("system `{system_id}` is on one host") };
-            run_soon();
+            run_by(&table.realtime);
             bridge::run_hub(&domain, &table)
         }
-        ["agent", name, endpoint] => {
-            run_soon();
-            control::run_agent(name, endpoint, None)
-        }
-        ["agent", name, endpoint, credentials] => {
-            run_soon();
-            control::run_agent(name, endpoint, Some(credentials))
-        }
+        ["agent", name, endpoint] => control::run_agent(name, endpoint, None),
+        ["agent", name, endpoint, credentials] => control::run_agent(name, endpoint, Some(credentials)),
         ["check", folder] => credentials::check(Path::new(folder)),
         ["pair", folder, host, address, days] => {
             credentials::pair(Path::new(folder), host, address.parse()?, days.parse()?)
@@ -50,10 +45,13 @@ pub(crate) fn run() -> anyhow::Result<()> {
     }
 }
 
-/// Asks the kernel to run this process soon when a sample wakes it, as all processes of the loop do. Threads that start later
-/// inherit it.
-fn run_soon() {
-    for refused in Realtime::default().apply_to(std::process::id()) {
+/// Gives all threads of this process the processors and the priority of the processes of the loop; those that start later inherit
+/// them.
+pub(crate) fn run_by(realtime: &Realtime) {
+    let entries = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
+    let threads = entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
+    let refused: BTreeSet<String> = threads.flat_map(|thread| realtime.apply_to(thread)).collect();
+    for refused in refused {
         runtime::print(runtime::Priority::Warning, &refused);
     }
 }

@@ -125,10 +125,10 @@ impl Bridge {
             let stamp =
                 |index: usize| stamps.get(8 * index..)?.first_chunk().map(|bytes| u64::from_le_bytes(*bytes));
             if let (Some(sent_ns), Some(received_ns), Some(answered_ns)) = (stamp(0), stamp(1), stamp(2))
-                && let Some(mut clock) = shared.clock.following()
+                && let Some(mut followed) = shared.clock.following()
             {
                 shared.note_answer(returned_ns);
-                clock.probe(Probe { sent_ns, received_ns, answered_ns, returned_ns });
+                followed.clock.probe(Probe { sent_ns, received_ns, answered_ns, returned_ns });
             }
         }));
         let question = session.publisher(clock_key(&run_id, "ask", &here), Priority::RealTime)?;

@@ -69,12 +69,17 @@ pub(crate) struct HostClock {
 }
 
 /// The offset at one time.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Offset {
     /// What is to be added to our time to get the other one [ns].
     pub(crate) offset_ns: i64,
     /// How wrong it may be [ns].
     pub(crate) bound_ns: u64,
+}
+
+impl Offset {
+    /// In place of one that is not known.
+    pub(crate) const UNKNOWN: Self = Self { offset_ns: 0, bound_ns: u64::MAX };
 }
 
 impl HostClock {

@@ -13,6 +13,7 @@ use runtime::{Domain, LinkTable, monotonic_ns};
 use zenoh::Wait;
 use zenoh::qos::Priority;
 
+use crate::arguments::run_by;
 use crate::bridge::Bridge;
 use crate::listener::Listener;
 use crate::network::{Network, Place, agent_key, join};
@@ -44,6 +45,7 @@ pub(crate) fn run_agent(name: &str, endpoint: &str, credentials: Option<&str>) -
             Some(("join", system_id)) => {
                 let domain = Domain::existing(system_id)?;
                 let table = LinkTable::read(&domain)?.context("the system has no table of its link")?;
+                run_by(&table.realtime);
                 let made = Bridge::start(&session, &domain, &table)?;
                 let (link, network) = (std::sync::Arc::clone(&made.link), session.clone());
                 std::thread::spawn(move || {

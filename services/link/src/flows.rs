@@ -7,7 +7,7 @@
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
-use runtime::{Domain, LinkTable};
+use runtime::{Domain, HUB, LinkTable};
 use shared_types::Topic;
 use zenoh::Wait;
 use zenoh::pubsub::Publisher;
@@ -16,6 +16,7 @@ use zenoh::qos::Priority;
 use crate::inbox::Registration;
 use crate::link::Link;
 use crate::network::{Network, table_key, topic_key};
+use crate::offsets::Offsets;
 use crate::receiver::Receiver;
 use crate::sender;
 
@@ -26,6 +27,7 @@ pub(crate) struct Flows {
     domain: Domain,
     received: Vec<Topic>,
     sent: Vec<Topic>,
+    offsets: Option<Arc<Offsets>>,
     threads: Vec<JoinHandle<()>>,
     receivers: Vec<Arc<Receiver>>,
     subscribers: Vec<Registration>,
@@ -40,6 +42,7 @@ impl Flows {
             domain: domain.clone(),
             received: Vec::new(),
             sent: Vec::new(),
+            offsets: None,
             threads: Vec::new(),
             receivers: Vec::new(),
             subscribers: Vec::new(),
@@ -65,14 +68,18 @@ impl Flows {
     }
 
     fn receive(&mut self, topics: Vec<Topic>) -> anyhow::Result<()> {
-        let receiver = Arc::new(Receiver::open(&self.link, &self.domain, topics.clone())?);
+        if self.offsets.is_none() && self.link.table.here == HUB {
+            self.offsets = Some(Arc::new(Offsets::open(&self.domain)?));
+        }
+        let offsets = self.offsets.clone();
+        let receiver = Arc::new(Receiver::open(&self.link, &self.domain, topics.clone(), offsets)?);
         for (index, topic) in topics.into_iter().enumerate() {
             let key = |from: &str| topic_key(&self.link.table.run_id, topic, from);
             // While a writer moves, its topic crosses both ways: what this host has sent comes back to it.
             let (own, shared) = (key(&self.link.table.here), Arc::clone(&receiver));
             self.subscribers.push(self.session.subscribe(key("*"), move |name, frame| {
                 if name != own {
-                    shared.take(index, frame);
+                    shared.take(index, name.rsplit('/').next().unwrap_or_default(), frame);
                 }
             }));
         }
@@ -81,9 +88,13 @@ impl Flows {
     }
 
     fn send(&mut self, topic: Topic) -> anyhow::Result<()> {
-        // States and reports never wait in front of samples that drive.
-        let is_of_loop = topic.writer().is_some() || topic == Topic::Directive;
-        let priority = if is_of_loop { Priority::RealTime } else { Priority::DataHigh };
+        // States and reports never wait in front of samples that drive, nor journals in front of these.
+        let priority = match topic {
+            Topic::Directive => Priority::RealTime,
+            Topic::Journal => Priority::Data,
+            _ if topic.writer().is_some() => Priority::RealTime,
+            _ => Priority::DataHigh,
+        };
         let key = topic_key(&self.link.table.run_id, topic, &self.link.table.here);
         let out = self.session.publisher(key, priority)?;
         let (shared, domain) = (Arc::clone(&self.link), self.domain.clone());

@@ -1,46 +1,47 @@
 //! A sample on its way between hosts: its bytes with all times on the common clock and without zeros, behind the bound of
-//! that clock.
+//! that clock and the offset by which they were mapped.
 //!
-//! The common clock is that of the orchestrator's host. Every other host maps at its own end, both ways with one
-//! offset, so that the stamps of a scan that was there and back still add up.
+//! The common clock is that of the orchestrator's host. Every other host maps at its own end, all samples of a scan and both
+//! ways with one offset, so that the stamps of a scan that was there and back add up.
 
 use shared_types::{Checkpoint, Directive, Fault, Header, Heartbeat, Role, SampleType, Topic, shift_times};
 
 use crate::clock::Offset;
 use crate::zeros;
 
-/// Bytes in front of a sample: what its times may be wrong by [ns], little-endian.
-const BOUND_BYTES: usize = 8;
-
 /// What a frame contains.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Content {
-    /// A sample; what its times may be wrong by [ns]. Whether its values may be used is for its readers to decide.
-    Sample(u64),
+    /// A sample, and how its times were mapped. Whether its values may be used is for its readers to decide.
+    Sample(Offset),
     /// A sample that says to be of another layout.
     OtherLayout,
     /// Not a sample of this size.
     Damaged,
 }
 
-/// Writes the frame of a sample into `frame`. The times of the sample are moved to the common clock.
+/// Appends the frame of a sample to `frame`. The times of the sample are moved to the common clock.
 pub(crate) fn pack(of: &SampleType, sample: &mut [u8], clock: Offset, frame: &mut Vec<u8>) {
     shift_times(of, sample, clock.offset_ns);
-    frame.clear();
     frame.extend_from_slice(&clock.bound_ns.to_le_bytes());
+    frame.extend_from_slice(&clock.offset_ns.to_le_bytes());
     zeros::pack(sample, frame);
 }
 
 /// Takes the sample out of a frame, into `sample`.
 pub(crate) fn unpack(of: &SampleType, frame: &[u8], sample: &mut Aligned) -> Content {
-    let Some((bound, packed)) = frame.split_first_chunk::<BOUND_BYTES>() else { return Content::Damaged };
+    let Some((bound_ns, rest)) = frame.split_first_chunk() else { return Content::Damaged };
+    let Some((offset_ns, packed)) = rest.split_first_chunk() else { return Content::Damaged };
     sample.resize(of.size);
     if !zeros::unpack(packed, sample.bytes_mut()) {
         return Content::Damaged;
     }
     match (of.check)(sample.bytes()) {
         Err(Fault::Layout { .. }) => Content::OtherLayout,
-        _ => Content::Sample(u64::from_le_bytes(*bound)),
+        _ => Content::Sample(Offset {
+            offset_ns: i64::from_le_bytes(*offset_ns),
+            bound_ns: u64::from_le_bytes(*bound_ns),
+        }),
     }
 }
 
@@ -105,7 +106,7 @@ mod tests {
         let (mut frame, mut sample) = (Vec::new(), Aligned::default());
         let mut sent = pose;
         pack(Pose::TYPE, bytemuck::bytes_of_mut(&mut sent), here, &mut frame);
-        assert_eq!(unpack(Pose::TYPE, &frame, &mut sample), Content::Sample(17));
+        assert_eq!(unpack(Pose::TYPE, &frame, &mut sample), Content::Sample(here));
         let common: &Pose = bytemuck::from_bytes(sample.bytes());
         assert_eq!((common.header.acquired_ns, common.predicted_ns), (1_000, 6_000));
         assert_eq!(published_ns(Topic::Pose, &common.header, sample.bytes()), 5_000);
@@ -118,8 +119,9 @@ mod tests {
         let mut pose = Pose { x_m: f64::NAN, ..Pose::default() };
         pose.header.layout = Pose::LAYOUT;
         let (mut frame, mut sample) = (Vec::new(), Aligned::default());
-        pack(Pose::TYPE, bytemuck::bytes_of_mut(&mut pose), Offset { offset_ns: 0, bound_ns: 3 }, &mut frame);
-        assert_eq!(unpack(Pose::TYPE, &frame, &mut sample), Content::Sample(3));
+        let clock = Offset { offset_ns: 0, bound_ns: 3 };
+        pack(Pose::TYPE, bytemuck::bytes_of_mut(&mut pose), clock, &mut frame);
+        assert_eq!(unpack(Pose::TYPE, &frame, &mut sample), Content::Sample(clock));
     }
 
     #[test]
@@ -130,6 +132,6 @@ mod tests {
         assert_eq!(unpack(Pose::TYPE, &frame, &mut sample), Content::OtherLayout);
         frame.pop();
         assert_eq!(unpack(Pose::TYPE, &frame, &mut sample), Content::Damaged, "too short");
-        assert_eq!(unpack(Pose::TYPE, &frame[..5], &mut sample), Content::Damaged);
+        assert_eq!(unpack(Pose::TYPE, &frame[..15], &mut sample), Content::Damaged);
     }
 }

@@ -5,6 +5,7 @@
 //! old. The transport is Zenoh's; what counts is decided in [`gate`], [`newest`] and [`clock`], which know no network.
 
 mod arguments;
+mod batch;
 mod bridge;
 mod clock;
 mod common_clock;
@@ -20,6 +21,7 @@ mod listener;
 mod losses;
 mod network;
 mod newest;
+mod offsets;
 mod ping;
 mod receiver;
 mod refusals;

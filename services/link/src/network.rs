@@ -75,6 +75,7 @@ pub(crate) fn join(place: &Place<'_>, credentials: Option<&str>) -> anyhow::Resu
         ("transport/link/tx/queue/size/real_time", MAX_QUEUE.to_string()),
         ("transport/link/tx/queue/size/interactive_high", MAX_QUEUE.to_string()),
         ("transport/link/tx/queue/size/data_high", MAX_QUEUE.to_string()),
+        ("transport/link/tx/queue/size/data", MAX_QUEUE.to_string()),
         ("transport/link/tx/queue/congestion_control/drop/wait_before_drop", WAIT_BEFORE_DROP_US.to_string()),
     ];
     if let Some(folder) = credentials {

@@ -1,18 +1,22 @@
-//! Sends the newest samples of one topic to the other hosts.
+//! Sends the newest samples of one topic to the other hosts; of journals, all.
 
 use std::sync::Arc;
 
-use runtime::{Bus, Domain, LossReason, TopicObserver, monotonic_ns};
+use runtime::{Bus, Domain, LossReason, TopicObserver, monotonic_ns, observer_queue};
 use shared_types::Topic;
 use zenoh::Wait;
 use zenoh::pubsub::Publisher;
 
+use crate::batch::Batch;
+use crate::clock::Offset;
 use crate::frame::{Aligned, pack};
 use crate::link::Link;
 use crate::repeats::Repeats;
 
-/// Longest sleep, after which the end of the link is noticed [ns].
+/// Longest sleep, after which the end of the link is noticed [ns]. Journals, which wake no reader, are sent so often.
 const POLL_NS: u64 = 50_000_000;
+/// Journals in one message at least: as many as may wait at a recorder, where the queue is shortest.
+const MIN_BATCH: usize = 32;
 
 /// One topic on its way out.
 struct Sender {
@@ -24,6 +28,12 @@ struct Sender {
     count: usize,
     frame: Vec<u8>,
     repeats: Repeats,
+    batch: Batch,
+}
+
+/// Whether each sample of a topic counts, and not only the newest.
+pub(crate) fn is_batched(topic: Topic) -> bool {
+    topic == Topic::Journal
 }
 
 /// Sends the samples of a topic until the link ends.
@@ -45,13 +55,19 @@ pub(crate) fn run(
         publisher,
         waiting: Vec::new(),
         count: 0,
-        frame: Vec::with_capacity(topic.size() + 8),
+        frame: Vec::with_capacity(2 * topic.size()),
         repeats: Repeats::default(),
+        batch: Batch::default(),
     };
     while sender.link.is_running() {
         let wait_ns = sender.repeats.wait_ns(monotonic_ns()).unwrap_or(POLL_NS);
         observer.wait(wait_ns.min(POLL_NS));
         sender.count = 0;
+        if is_batched(topic) {
+            observer.poll(&mut |sample| sender.add(sample))?;
+            sender.send_batch();
+            continue;
+        }
         observer.poll(&mut |sample| sender.note(sample))?;
         match sender.count {
             0 => sender.repeat(),
@@ -85,15 +101,45 @@ impl Sender {
         self.count = self.count.max(index + 1);
     }
 
+    /// Adds a journal to the next message. Its times are those of this host, and stay.
+    fn add(&mut self, sample: &[u8]) {
+        let (of, link) = (self.topic.sample_type(), &self.link);
+        let known = link.clock.known((of.header)(sample).scan_id, monotonic_ns());
+        let most = observer_queue(of.size, link.table.period_ns).max(MIN_BATCH);
+        if self.waiting.is_empty() {
+            self.waiting.push((0, Aligned::default()));
+        }
+        let journal = &mut self.waiting[0].1;
+        journal.fill(sample);
+        let is_lost = self.batch.add(most, |frame| {
+            pack(of, journal.bytes_mut(), known.unwrap_or(Offset::UNKNOWN), frame);
+        });
+        self.link.counters.replaced.add(u64::from(is_lost));
+    }
+
+    fn send_batch(&mut self) {
+        if let Some(first) = self.batch.take(&mut self.frame) {
+            self.put();
+            self.link.counters.sent.add(first);
+        }
+    }
+
     fn send(&mut self, index: usize) {
         let now_ns = monotonic_ns();
-        let Some(offset) = self.link.clock.offset(now_ns) else {
+        let (of, sample) = (self.topic.sample_type(), &mut self.waiting[index].1);
+        let header = *(of.header)(sample.bytes());
+        let clock = &self.link.clock;
+        let offset = match self.topic.writer() {
+            Some(_) => clock.offset_of(header.scan_id, now_ns),
+            None => clock.offset(now_ns),
+        };
+        let Some(offset) = offset else {
             self.link.counters.held.add(1);
-            let held = (self.topic.sample_type().header)(self.waiting[index].1.bytes());
-            self.link.losses.add(self.topic, held, LossReason::Clock, now_ns);
+            self.link.losses.add(self.topic, &header, LossReason::Clock, now_ns);
             return;
         };
-        pack(self.topic.sample_type(), self.waiting[index].1.bytes_mut(), offset, &mut self.frame);
+        self.frame.clear();
+        pack(of, sample.bytes_mut(), offset, &mut self.frame);
         self.put();
         self.link.counters.sent.add(1);
         if self.topic.writer().is_some() {

@@ -34,6 +34,8 @@ pub struct HandoverData {
     /// The newest actuations, oldest first and without repetitions, for a role that reads them; the state contains
     /// some of them.
     pub actuations: Vec<Actuation>,
+    /// By how much their times were moved, to the clock of this host [ns].
+    pub moved_ns: i64,
 }
 
 impl HandoverData {
@@ -53,15 +55,17 @@ impl HandoverData {
         if self.ended_ns != 0 {
             self.ended_ns = self.ended_ns.saturating_add_signed(by_ns).max(1);
         }
+        self.moved_ns = self.moved_ns.saturating_add(by_ns);
         self
     }
 
-    /// The checkpoint, the time, then the actuations.
+    /// The checkpoint, the time, the actuations, then by how much they were moved.
     pub fn to_bytes(&self) -> Vec<u8> {
-        let parts: [&[u8]; 3] = [
+        let parts: [&[u8]; 4] = [
             bytemuck::bytes_of(&self.checkpoint),
             &self.ended_ns.to_le_bytes(),
             bytemuck::cast_slice(&self.actuations),
+            &self.moved_ns.to_le_bytes(),
         ];
         parts.concat()
     }
@@ -70,11 +74,14 @@ impl HandoverData {
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let (checkpoint, rest) = bytes.split_at_checked(size_of::<Checkpoint>())?;
         let (ended_ns, rest) = rest.split_first_chunk::<8>()?;
-        let actuations = rest.chunks_exact(size_of::<Actuation>()).map(bytemuck::pod_read_unaligned);
+        let chunks = rest.chunks_exact(size_of::<Actuation>());
+        let moved_ns = chunks.remainder().first_chunk().map_or(0, |bytes| i64::from_le_bytes(*bytes));
+        let actuations = chunks.map(bytemuck::pod_read_unaligned);
         Some(Self {
             checkpoint: bytemuck::pod_read_unaligned(checkpoint),
             ended_ns: u64::from_le_bytes(*ended_ns),
             actuations: actuations.filter(|actuation: &Actuation| actuation.check().is_ok()).collect(),
+            moved_ns,
         })
     }
 }
@@ -114,7 +121,7 @@ mod tests {
     #[test]
     fn a_state_ages_until_the_process_that_left_it_ended() {
         let checkpoint = Checkpoint { issued_ns: 1_000, ..Checkpoint::default() };
-        let data = |ended_ns| HandoverData { checkpoint, ended_ns, actuations: Vec::new() };
+        let data = |ended_ns| HandoverData { checkpoint, ended_ns, actuations: Vec::new(), moved_ns: 0 };
         assert_eq!(data(0).age_ns(5_000), 4_000, "it still runs");
         assert_eq!(data(1_200).age_ns(5_000), 200);
         assert_eq!(data(900).age_ns(5_000), 0, "the state is newer than the last heartbeat");
@@ -125,8 +132,8 @@ mod tests {
         let mut actuation = Actuation { desired_velocity_mps: 0.5, ..Actuation::default() };
         actuation.header.layout = Actuation::LAYOUT;
         let damaged = Actuation { desired_velocity_mps: f64::NAN, ..actuation };
-        let data =
-            HandoverData { checkpoint: Checkpoint::default(), ended_ns: 7, actuations: vec![actuation; 3] };
+        let checkpoint = Checkpoint::default();
+        let data = HandoverData { checkpoint, ended_ns: 7, actuations: vec![actuation; 3], moved_ns: -5 };
         let with_damage =
             HandoverData { actuations: vec![actuation, damaged, actuation, actuation], ..data.clone() };
         assert_eq!(HandoverData::from_bytes(&data.to_bytes()).as_ref(), Some(&data));

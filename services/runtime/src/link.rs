@@ -5,7 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Domain, RuntimeError};
+use crate::{Domain, Realtime, RuntimeError};
 
 /// Name of the table.
 const TABLE_FILE: &str = "link.toml";
@@ -17,7 +17,7 @@ pub const LINK_SOCKET: &str = "link.sock";
 pub const HUB: &str = "orchestrator";
 
 /// What a link does on its host.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct LinkTable {
     /// Name of this host.
     pub here: String,
@@ -28,6 +28,9 @@ pub struct LinkTable {
     /// Processes end after this time without a directive [ns].
     #[serde(default)]
     pub orphan_timeout_ns: u64,
+    /// Processors and priority of the link, and of the processes that an agent starts.
+    #[serde(default)]
+    pub realtime: Realtime,
     /// Topics that other hosts need from this one.
     pub sends: Vec<String>,
     /// Topics that this host needs from others.

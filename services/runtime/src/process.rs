@@ -66,7 +66,8 @@ pub struct Process {
     inputs: Vec<Enclosed<Rc<Reader>>>,
     outputs: Vec<Rc<dyn Connect>>,
     handed_scan: Cell<u64>,
-    handed_actuations: RefCell<Vec<Actuation>>,
+    /// Newest actuations sent before this process was started, and by how much their times were moved [ns].
+    handed_actuations: RefCell<(Vec<Actuation>, i64)>,
     state: ProcessState,
     next_heartbeat_ns: u64,
     directive_seen_ns: u64,

@@ -94,6 +94,8 @@ pub(crate) fn qos(topic: Topic, period_ns: u64) -> Qos {
         Topic::Journal => {
             Qos { publishers: 16, subscribers: 8, buffer: buffer.max(32), borrowed: 4, history: 0 }
         }
+        // Recorders alone read them.
+        Topic::Clock => Qos { subscribers: 8, borrowed: 4, ..stream },
         Topic::Checkpoint => Qos { publishers: 16, subscribers: 12, buffer: 4, borrowed: 2, history: 1 },
     }
 }

@@ -6,6 +6,7 @@
 
 mod network;
 mod refusals;
+mod replay;
 mod robot;
 mod swap;
 
@@ -91,6 +92,19 @@ impl TwoHosts {
         let path = self.system.folder().join(file);
         let text = std::fs::read_to_string(&path).unwrap().replace("transport = \"udp\"\n", "");
         write_private(&path, &format!("credentials = \"{folder}/{host}\"\n{text}"));
+    }
+
+    /// [`TwoHosts::new`] with an agent that runs; the clock of the lab is a day ahead. `None` also without root.
+    fn ahead(test: &str) -> Option<Self> {
+        const AHEAD: [&str; 6] = ["unshare", "-T", "--monotonic", "86400", "--boottime", "86400"];
+        let made = Command::new(AHEAD[0]).args(&AHEAD[1..]).arg("true").status();
+        if !made.is_ok_and(|status| status.success()) {
+            println!("skipped: {test}: no time namespace can be made; it needs root");
+            return None;
+        }
+        let mut hosts = Self::new(test)?;
+        hosts.start_agent_by(&AHEAD);
+        Some(hosts)
     }
 
     fn start_agent(&mut self) {
@@ -216,15 +230,8 @@ fn estimator_obstacles_and_controller_drive_the_robot_from_another_host() {
 
 #[test]
 fn a_host_whose_clock_is_a_day_ahead_drives_the_robot_with_stamps_that_add_up() {
-    const AHEAD: [&str; 6] = ["unshare", "-T", "--monotonic", "86400", "--boottime", "86400"];
-    let test = "a clock that is a day ahead";
-    if !Command::new(AHEAD[0]).args(&AHEAD[1..]).arg("true").status().is_ok_and(|status| status.success()) {
-        println!("skipped: {test}: no time namespace can be made; it needs root");
-        return;
-    }
-    let Some(mut hosts) = TwoHosts::new(test) else { return };
-    hosts.start_agent_by(&AHEAD);
-    hosts.start(&SHORT_FREE);
+    let Some(mut hosts) = TwoHosts::ahead("a clock that is a day ahead") else { return };
+    hosts.start_recorded(&SHORT_FREE);
     hosts.system.wait_until_driving();
     let lab = hosts.link().unwrap().host("lab").unwrap().clone();
     assert!(lab.offset_ns.abs_diff(-86_400_000_000_000) <= lab.bound_ns, "{lab:?}");
@@ -234,6 +241,7 @@ fn a_host_whose_clock_is_a_day_ahead_drives_the_robot_with_stamps_that_add_up() 
     // No stage took a day, nor less than nothing.
     let latency = &report.latency_us.scan_to_actuation;
     assert!(latency.count > 20 && latency.max < 1e6, "{latency:?}");
+    hosts.assert_replayed();
     hosts.end();
 }
 
@@ -303,9 +311,10 @@ fn hosts_that_trust_each_other_drive_over_an_encrypted_link() {
     hosts.trust("keys", "lab", "agent.toml");
     hosts.start_agent();
     assert!(hosts.messages().contains("listens at quic/"), "{}", hosts.messages());
-    hosts.start(&SHORT_FREE);
+    hosts.start_recorded(&SHORT_FREE);
     assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
     assert_eq!(hosts.system.report().scans.unaccounted, 0);
+    hosts.assert_replayed();
     hosts.end();
 }
 

@@ -46,7 +46,7 @@ fn json(output: &Output) -> Value {
 }
 
 /// The report of a replay, and its exit code.
-fn replayed(system: &System, file: &Path, arguments: &[&str]) -> (Value, i32) {
+pub(crate) fn replayed(system: &System, file: &Path, arguments: &[&str]) -> (Value, i32) {
     let output = system.run(&[&["replay", text(file), "--json"], arguments].concat());
     (json(&output), output.status.code().expect("of a test"))
 }
@@ -103,7 +103,7 @@ fn a_flipped_bit_is_found_with_its_field() {
 }
 
 /// Copies a recording; `change` gets the number and the bytes of each message of a channel.
-fn rewrite(from: &Path, to: &Path, topic: &str, change: impl Fn(usize, &mut [u8])) {
+pub(crate) fn rewrite(from: &Path, to: &Path, topic: &str, change: impl Fn(usize, &mut [u8])) {
     let mut number = 0;
     rewrite_with(
         from,

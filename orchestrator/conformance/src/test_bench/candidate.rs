@@ -17,9 +17,10 @@ impl TestBench<'_> {
     pub(crate) fn spawn(&mut self, restart: bool, checkpoint: Option<&Checkpoint>) -> Result<(), Trouble> {
         let role = self.suite.role;
         let handover = checkpoint.map(|checkpoint| HandoverData {
-            checkpoint: Checkpoint { issued_ns: monotonic_ns(), ..*checkpoint },
+            checkpoint: Checkpoint { issued_ns: monotonic_ns(), saved_ns: 0, ..*checkpoint },
             ended_ns: 0,
             actuations: Vec::new(),
+            moved_ns: 0,
         });
         write_handover(&self.domain, role, handover.as_ref())?;
         let environment = environment_of(&self.domain, &self.stop_word, role, self.incarnation, restart);

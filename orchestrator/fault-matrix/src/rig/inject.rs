@@ -36,7 +36,12 @@ impl Rig {
             Topic::Command => self.wires.command.break_with(fault_of),
             Topic::Actuation if fault.at_robot => self.wires.to_robot.break_with(fault_of),
             Topic::Actuation => self.wires.actuation.break_with(fault_of),
-            Topic::Heartbeat | Topic::Directive | Topic::Checkpoint | Topic::Truth | Topic::Journal => {
+            Topic::Heartbeat
+            | Topic::Directive
+            | Topic::Checkpoint
+            | Topic::Truth
+            | Topic::Journal
+            | Topic::Clock => {
                 return false;
             }
         }

@@ -32,8 +32,11 @@ fn with_estimator_obstacles_and_controller_elsewhere_three_topics_cross_there() 
         found.map(|one| one.topic.name()).collect::<Vec<_>>()
     };
     assert_eq!(names(None, Some("lab")), ["scan", "odometry", "actuation", "directive"]);
-    assert_eq!(names(Some("lab"), None), ["pose", "obstacles", "command", "heartbeat", "checkpoint"]);
-    assert_eq!(crossings(&system).len(), 9);
+    assert_eq!(
+        names(Some("lab"), None),
+        ["pose", "obstacles", "command", "heartbeat", "checkpoint", "journal"]
+    );
+    assert_eq!(crossings(&system).len(), 10);
     let text = describe(&system);
     assert!(text.contains("  on lab (quic 127.0.0.1:7411): estimator, obstacles, controller\n"), "{text}");
     assert!(text.contains("  crosses from here to lab: scan, odometry, actuation, directive\n"), "{text}");

@@ -77,10 +77,14 @@ impl<'a, S: Sample> Bench<'a, S> {
         let inputs = role.reads().iter().map(|topic| (*topic, 0)).collect();
         let outputs = Observer::waking(&bus)?;
         let (heartbeats, directives) = (Observer::new(&bus)?, Publisher::new(&bus)?);
+        // Its times become those of the inputs: of the orchestrator's clock.
+        let now_ns = monotonic_ns();
+        let saved_ns = |state: &Checkpoint| now_ns.wrapping_add_signed(-state.moved_ns());
         let handover = state.map(|state| HandoverData {
-            checkpoint: Checkpoint { issued_ns: monotonic_ns(), ..*state },
+            checkpoint: Checkpoint { issued_ns: now_ns, saved_ns: saved_ns(state), ..*state },
             ended_ns: 0,
             actuations: Vec::new(),
+            moved_ns: 0,
         });
         write_handover(&domain, role, handover.as_ref())?;
         let log = ChildLog::open(&domain.directory().join("command.log"))?;

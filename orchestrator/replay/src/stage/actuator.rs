@@ -3,41 +3,42 @@
 use actuation::{ActuatorState, Config};
 use shared_types::{Actuation, Command, JournalEntry, JournalKind, Role};
 
-use super::journal::{Missing, Stage};
+use super::journal::{Missing, Stage, Taking};
 use crate::Drive;
 
 /// The process of an actuator.
-pub(super) struct Actuator<'d> {
+pub(super) struct Actuator {
     actuator: actuation::Actuator,
-    command: Option<&'d Command>,
+    command: Result<Command, Missing>,
     output: Option<Actuation>,
     /// The port makes the next output a block.
     is_held_back: bool,
 }
 
-impl<'d> Stage<'d> for Actuator<'d> {
+impl Stage for Actuator {
     type Output = Actuation;
     type State = ActuatorState;
     const ROLE: Role = Role::Actuator;
 
-    fn begin(drive: &'d Drive) -> anyhow::Result<Self> {
+    fn begin(drive: &Drive) -> anyhow::Result<Self> {
         let config: Config = drive.table(Role::Actuator, "actuator")?;
         let actuator = actuation::Actuator::new(config, drive.period_ns)?;
-        Ok(Self { actuator, command: None, output: None, is_held_back: false })
+        Ok(Self { actuator, command: Err(Missing::Input), output: None, is_held_back: false })
     }
 
     fn resume(&mut self, state: &ActuatorState) -> bool {
         self.actuator.resume(state).is_ok()
     }
 
-    fn take(&mut self, entry: &JournalEntry, drive: &'d Drive) {
-        self.command = drive.commands.of_number(entry.incarnation, entry.value);
+    fn take(&mut self, entry: &JournalEntry, taking: &Taking<'_>) {
+        self.command = taking.sample(&taking.drive.commands, entry);
     }
 
     fn follow(&mut self, kind: JournalKind, value: u64) -> Result<(), Missing> {
         match kind {
             JournalKind::Used => {
-                self.output = Some(self.actuator.answer(self.command.ok_or(Missing)?, value));
+                let command = self.command.as_ref().map_err(|missing| *missing)?;
+                self.output = Some(self.actuator.answer(command, value));
             }
             JournalKind::Timer => self.output = self.actuator.tick(value),
             JournalKind::Stopped => self.output = Some(self.actuator.stop(value)),
@@ -50,7 +51,7 @@ impl<'d> Stage<'d> for Actuator<'d> {
     }
 
     fn output(&mut self, _: u64) -> Result<Actuation, Missing> {
-        let mut output = self.output.take().ok_or(Missing)?;
+        let mut output = self.output.take().ok_or(Missing::Input)?;
         if std::mem::take(&mut self.is_held_back) && output.drives() {
             output.hold_back();
         }

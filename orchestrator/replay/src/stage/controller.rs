@@ -5,14 +5,14 @@ use std::cell::Cell;
 use nmpc::{Budget, Config, ControllerState};
 use shared_types::{Command, JournalEntry, JournalKind, Obstacles, Pose, Role, Topic};
 
-use super::journal::{Missing, Stage};
+use super::journal::{Missing, Stage, Taking};
 use crate::Drive;
 
 /// The process of a controller.
-pub(super) struct Controller<'d> {
+pub(super) struct Controller {
     controller: nmpc::Controller,
-    pose: Option<&'d Pose>,
-    obstacles: Option<&'d Obstacles>,
+    pose: Result<Pose, Missing>,
+    obstacles: Result<Obstacles, Missing>,
     /// In simulated time, the budget of a solution.
     iterations: Option<u32>,
     /// After how many readings of the clock the budget of this scan ends.
@@ -21,17 +21,18 @@ pub(super) struct Controller<'d> {
     is_changed: bool,
 }
 
-impl<'d> Stage<'d> for Controller<'d> {
+impl Stage for Controller {
     type Output = Command;
     type State = ControllerState;
     const ROLE: Role = Role::Controller;
 
-    fn begin(drive: &'d Drive) -> anyhow::Result<Self> {
+    fn begin(drive: &Drive) -> anyhow::Result<Self> {
         let config: Config = drive.table(Role::Controller, "controller")?;
         let iterations = drive.simulated.then_some(config.budget_iterations);
         let controller = nmpc::Controller::new(config)?;
         let is_changed = drive.is_changed;
-        Ok(Self { controller, pose: None, obstacles: None, iterations, readings: None, is_changed })
+        let (pose, obstacles) = (Err(Missing::Input), Err(Missing::Input));
+        Ok(Self { controller, pose, obstacles, iterations, readings: None, is_changed })
     }
 
     fn resume(&mut self, state: &ControllerState) -> bool {
@@ -39,11 +40,11 @@ impl<'d> Stage<'d> for Controller<'d> {
         true
     }
 
-    fn take(&mut self, entry: &JournalEntry, drive: &'d Drive) {
+    fn take(&mut self, entry: &JournalEntry, taking: &Taking<'_>) {
         if entry.topic == Topic::Pose as u16 {
-            self.pose = drive.poses.of_number(entry.incarnation, entry.value);
+            self.pose = taking.sample(&taking.drive.poses, entry);
         } else {
-            self.obstacles = drive.obstacles.of_number(entry.incarnation, entry.value);
+            self.obstacles = taking.sample(&taking.drive.obstacles, entry);
         }
     }
 
@@ -57,7 +58,8 @@ impl<'d> Stage<'d> for Controller<'d> {
     }
 
     fn output(&mut self, _: u64) -> Result<Command, Missing> {
-        let (pose, obstacles) = self.pose.zip(self.obstacles).ok_or(Missing)?;
+        let pose = self.pose.as_ref().map_err(|missing| *missing)?;
+        let obstacles = self.obstacles.as_ref().map_err(|missing| *missing)?;
         let (ends_after, read) = (self.readings.take().filter(|_| !self.is_changed), Cell::new(0));
         let now_ns = || {
             let is_over = ends_after.is_some_and(|readings| read.get() >= readings);

@@ -3,28 +3,28 @@
 use estimator::{Config, EstimatorState};
 use shared_types::{Actuation, JournalEntry, JournalKind, Odometry, Pose, Role, Topic};
 
-use super::journal::{Missing, Stage};
+use super::journal::{Missing, Stage, Taking};
 use crate::Drive;
 
 /// The process of an estimator.
-pub(super) struct Estimator<'d> {
+pub(super) struct Estimator {
     estimator: estimator::Estimator,
-    taken: Option<Input<'d>>,
+    taken: Option<Result<Input, Missing>>,
     pose: Option<Pose>,
 }
 
 /// What an estimator takes.
-enum Input<'d> {
-    Actuation(&'d Actuation),
-    Odometry(&'d Odometry),
+enum Input {
+    Actuation(Actuation),
+    Odometry(Odometry),
 }
 
-impl<'d> Stage<'d> for Estimator<'d> {
+impl Stage for Estimator {
     type Output = Pose;
     type State = EstimatorState;
     const ROLE: Role = Role::Estimator;
 
-    fn begin(drive: &'d Drive) -> anyhow::Result<Self> {
+    fn begin(drive: &Drive) -> anyhow::Result<Self> {
         let config: Config = drive.table(Role::Estimator, "estimator")?;
         Ok(Self { estimator: estimator::Estimator::new(&config)?, taken: None, pose: None })
     }
@@ -33,26 +33,25 @@ impl<'d> Stage<'d> for Estimator<'d> {
         self.estimator.resume(state).is_ok()
     }
 
-    fn take(&mut self, entry: &JournalEntry, drive: &'d Drive) {
-        let JournalEntry { incarnation, value, .. } = *entry;
-        self.taken = if entry.topic == Topic::Actuation as u16 {
-            drive.actuations.of_number(incarnation, value).map(Input::Actuation)
+    fn take(&mut self, entry: &JournalEntry, taking: &Taking<'_>) {
+        self.taken = Some(if entry.topic == Topic::Actuation as u16 {
+            taking.sample(&taking.drive.actuations, entry).map(Input::Actuation)
         } else {
-            drive.odometries.of_number(incarnation, value).map(Input::Odometry)
-        };
+            taking.sample(&taking.drive.odometries, entry).map(Input::Odometry)
+        });
     }
 
     fn follow(&mut self, kind: JournalKind, value: u64) -> Result<(), Missing> {
         if kind == JournalKind::Used {
-            match self.taken.take().ok_or(Missing)? {
-                Input::Actuation(actuation) => self.estimator.note(actuation, value),
-                Input::Odometry(odometry) => self.pose = self.estimator.step(odometry, None, value),
+            match self.taken.take().ok_or(Missing::Input)?? {
+                Input::Actuation(actuation) => self.estimator.note(&actuation, value),
+                Input::Odometry(odometry) => self.pose = self.estimator.step(&odometry, None, value),
             }
         }
         Ok(())
     }
 
     fn output(&mut self, _: u64) -> Result<Pose, Missing> {
-        self.pose.take().ok_or(Missing)
+        self.pose.take().ok_or(Missing::Input)
     }
 }

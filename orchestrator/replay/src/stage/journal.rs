@@ -1,30 +1,67 @@
 //! Replays the processes of a role by their journals: each takes, uses and decides the same in the same order.
+//!
+//! A process on another host is replayed on the clock of its host: what it took is mapped there, and what it published is
+//! mapped back, by the offset that its host has used for each scan.
 
 use std::collections::BTreeSet;
 
 use bytemuck::Pod;
-use shared_types::{Checkpoint, Described, Journal, JournalEntry, JournalKind, Role, Sample};
+use shared_types::{Checkpoint, Described, Journal, JournalEntry, JournalKind, Role, Sample, shift_state};
 
 use super::{Findings, Window};
-use crate::drive::Lane;
+use crate::drive::{Lane, moved};
 use crate::{Drive, Options};
 
 /// An output that can't be recomputed.
 const NO_STATE: &str = "no state of the process was recorded";
 const LOST: &str = "a journal of the process was not recorded";
 const NO_JOURNAL: &str = "no journal of the process was recorded, as before processes published journals";
-const NO_INPUT: &str = "an input was not recorded";
 /// An injected fault alters the robot: a state is that of another robot.
 const ALTERED: &str = "an injected fault altered the robot";
 /// The fault is over, but it has changed the state.
 const RESTORED: &str = "an injected fault had altered the robot";
 const FOREIGN: &str = "not_compared: the process is no implementation of this program";
 
-/// An input that was not recorded.
-pub(super) struct Missing;
+/// What was not recorded although a process had it.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Missing {
+    /// A sample.
+    Input,
+    /// The clock of its host in the scan of a sample.
+    Clock,
+}
+
+impl Missing {
+    fn reason(self) -> &'static str {
+        match self {
+            Self::Input => "an input was not recorded",
+            Self::Clock => "the clock of the host of the process was not recorded",
+        }
+    }
+}
+
+/// How a process has taken samples.
+pub(super) struct Taking<'d> {
+    /// The samples.
+    pub(super) drive: &'d Drive,
+    incarnation: u32,
+    /// The next one was handed over, with its times moved by this [ns].
+    moved_ns: Option<i64>,
+}
+
+impl Taking<'_> {
+    /// A sample as the process had it.
+    pub(super) fn sample<S: Sample>(&self, lane: &Lane<S>, entry: &JournalEntry) -> Result<S, Missing> {
+        let recorded = lane.of_number(entry.incarnation, entry.value).ok_or(Missing::Input)?;
+        match self.moved_ns {
+            Some(by_ns) => Ok(moved(recorded, by_ns)),
+            None => self.drive.clocks.to_local(self.incarnation, recorded).ok_or(Missing::Clock),
+        }
+    }
+}
 
 /// The algorithm of one role, as its process calls it.
-pub(super) trait Stage<'d>: Sized {
+pub(super) trait Stage: Sized {
     /// The first output of the role.
     type Output: Sample;
     /// What its checkpoints hold.
@@ -33,11 +70,11 @@ pub(super) trait Stage<'d>: Sized {
     const ROLE: Role;
 
     /// A process that begins without a state.
-    fn begin(drive: &'d Drive) -> anyhow::Result<Self>;
+    fn begin(drive: &Drive) -> anyhow::Result<Self>;
     /// Continues from a state; false when it can't be used.
     fn resume(&mut self, state: &Self::State) -> bool;
     /// Remembers a sample that the process has taken.
-    fn take(&mut self, entry: &JournalEntry, drive: &'d Drive);
+    fn take(&mut self, entry: &JournalEntry, taking: &Taking<'_>);
     /// Does what the process did: any kind of entry but those about samples and checkpoints.
     fn follow(&mut self, kind: JournalKind, value: u64) -> Result<(), Missing>;
     /// The output for a scan.
@@ -54,9 +91,9 @@ pub(super) trait Stage<'d>: Sized {
 }
 
 /// Replays all processes of a role.
-pub(super) fn replay<'d, T: Stage<'d>>(
-    lane: &'d Lane<T::Output>,
-    drive: &'d Drive,
+pub(super) fn replay<T: Stage>(
+    lane: &Lane<T::Output>,
+    drive: &Drive,
     options: &Options,
     findings: &mut Findings,
 ) -> anyhow::Result<()> {
@@ -102,26 +139,25 @@ impl Default for Skipped {
 }
 
 /// Replays one process from its start, or from the first recorded state behind each gap.
-fn replay_process<'d, T: Stage<'d>>(
-    (incarnation, lane): (u32, &'d Lane<T::Output>),
-    drive: &'d Drive,
+fn replay_process<T: Stage>(
+    (incarnation, lane): (u32, &Lane<T::Output>),
+    drive: &Drive,
     options: &Options,
     window: &Window,
     findings: &mut Findings,
     skipped: &mut Skipped,
 ) -> anyhow::Result<()> {
     let nearest = nearest_state(incarnation, drive, options);
-    let mut stage = T::begin(drive)?;
-    let mut unknown = nearest.map(|_| NO_STATE);
+    let taking = Taking { drive, incarnation, moved_ns: None };
+    let mut process =
+        Replayed { stage: T::begin(drive)?, taking, nearest, unknown: nearest.map(|_| NO_STATE) };
     let mut next = 1;
     for journal in drive.journals(incarnation) {
         if journal.header.sequence != next {
-            unknown = Some(if next == 1 { NO_STATE } else { LOST });
+            process.unknown = Some(if next == 1 { NO_STATE } else { LOST });
         }
         next = journal.header.sequence + 1;
-        for entry in journal.used() {
-            follow(&mut stage, entry, incarnation, nearest, drive, &mut unknown);
-        }
+        journal.used().iter().for_each(|entry| process.follow(entry));
         if journal.output == 0 {
             continue;
         }
@@ -130,70 +166,91 @@ fn replay_process<'d, T: Stage<'d>>(
             return Ok(());
         }
         let recorded = lane.of_number(incarnation, journal.output);
-        compare(&mut stage, journal, recorded, &mut unknown, (drive, options, window), findings);
+        process.compare(journal, recorded, (options, window), findings);
         skipped.settled.insert(journal.output);
     }
     Ok(())
 }
 
-/// Does what one entry states; `unknown` is why the state of the stage is not that of the process.
-fn follow<'d, T: Stage<'d>>(
-    stage: &mut T,
-    entry: &JournalEntry,
-    incarnation: u32,
+/// A process that is replayed.
+struct Replayed<'d, T> {
+    stage: T,
+    taking: Taking<'d>,
+    /// Number of the state that it begins with, if it does not begin with its start.
     nearest: Option<u64>,
-    drive: &'d Drive,
-    unknown: &mut Option<&'static str>,
-) {
-    let resume = |stage: &mut T, incarnation: u32| {
-        let state = drive.checkpoints.of_number(incarnation, entry.value).map(Checkpoint::state::<T::State>);
-        matches!(state, Some(Ok(state)) if stage.resume(&state))
-    };
-    match JournalKind::try_from(u32::from(entry.kind)) {
-        Ok(JournalKind::Taken) => stage.take(entry, drive),
-        Ok(JournalKind::Resumed) => {
-            *unknown = if resume(stage, entry.incarnation) { None } else { Some(NO_STATE) };
-        }
-        Ok(JournalKind::Saved) => {
-            let is_wanted = nearest.is_none_or(|nearest| entry.value >= nearest);
-            let is_unknown = unknown.is_some_and(|reason| reason != ALTERED);
-            if is_unknown && is_wanted && resume(stage, incarnation) {
-                *unknown = None;
-            }
-        }
-        Ok(JournalKind::Altered) => *unknown = Some(if entry.value == 1 { ALTERED } else { RESTORED }),
-        Ok(kind) if unknown.is_none() => {
-            *unknown = stage.follow(kind, entry.value).err().map(|Missing| NO_INPUT);
-        }
-        _ => {}
-    }
+    /// Why the state of the stage is not that of the process.
+    unknown: Option<&'static str>,
 }
 
-/// Compares the output that follows a journal.
-fn compare<'d, T: Stage<'d>>(
-    stage: &mut T,
-    journal: &Journal,
-    recorded: Option<&T::Output>,
-    unknown: &mut Option<&'static str>,
-    (drive, options, window): (&Drive, &Options, &Window),
-    findings: &mut Findings,
-) {
-    let output = match *unknown {
-        Some(reason) => Err(reason),
-        None => stage.output(journal.header.scan_id).map_err(|Missing| NO_INPUT),
-    };
-    *unknown = output.as_ref().err().copied();
-    // One that was not recorded may have been removed by an injected fault.
-    let Some(recorded) = recorded.filter(|recorded| window.holds(recorded.header(), findings)) else {
-        return;
-    };
-    match output {
-        Ok(output) => {
-            findings.compare(recorded, output, T::ROLE, drive, options);
-            stage.compare_others(recorded, drive, options, findings);
+impl<T: Stage> Replayed<'_, T> {
+    /// Does what one entry states.
+    fn follow(&mut self, entry: &JournalEntry) {
+        match JournalKind::try_from(u32::from(entry.kind)) {
+            Ok(JournalKind::Moved) => self.taking.moved_ns = Some(entry.value.cast_signed()),
+            Ok(JournalKind::Taken) => {
+                self.stage.take(entry, &self.taking);
+                self.taking.moved_ns = None;
+            }
+            Ok(JournalKind::Resumed) => {
+                let moved_ns = self.taking.moved_ns.take().unwrap_or(0);
+                let is_known = self.resume(entry.incarnation, entry.value, moved_ns);
+                self.unknown = if is_known { None } else { Some(NO_STATE) };
+            }
+            Ok(JournalKind::Saved) => {
+                let is_wanted = self.nearest.is_none_or(|nearest| entry.value >= nearest);
+                let incarnation = self.taking.incarnation;
+                let is_unknown = self.unknown.is_some_and(|reason| reason != ALTERED);
+                if is_unknown && is_wanted && self.resume(incarnation, entry.value, 0) {
+                    self.unknown = None;
+                }
+            }
+            Ok(JournalKind::Altered) => {
+                self.unknown = Some(if entry.value == 1 { ALTERED } else { RESTORED });
+            }
+            Ok(kind) if self.unknown.is_none() => {
+                self.unknown = self.stage.follow(kind, entry.value).err().map(Missing::reason);
+            }
+            _ => {}
         }
-        Err(ALTERED | RESTORED) => findings.injected(),
-        Err(reason) => findings.skip(recorded, reason),
+    }
+
+    /// Continues from the state that a process has saved with this number, with its times moved; false where it was not
+    /// recorded.
+    fn resume(&mut self, incarnation: u32, sequence: u64, moved_ns: i64) -> bool {
+        let saved = self.taking.drive.checkpoints.of_number(incarnation, sequence);
+        let Some(Ok(mut state)) = saved.map(Checkpoint::state::<T::State>) else { return false };
+        shift_state(&T::State::KIND, bytemuck::bytes_of_mut(&mut state), moved_ns);
+        self.stage.resume(&state)
+    }
+
+    /// Compares the output that follows a journal.
+    fn compare(
+        &mut self,
+        journal: &Journal,
+        recorded: Option<&T::Output>,
+        (options, window): (&Options, &Window),
+        findings: &mut Findings,
+    ) {
+        let output = match self.unknown {
+            Some(reason) => Err(reason),
+            None => self.stage.output(journal.header.scan_id).map_err(Missing::reason),
+        };
+        self.unknown = output.as_ref().err().copied();
+        // One that was not recorded may have been removed by an injected fault.
+        let Some(recorded) = recorded.filter(|recorded| window.holds(recorded.header(), findings)) else {
+            return;
+        };
+        let Taking { drive, incarnation, .. } = self.taking;
+        let output = output
+            .and_then(|output| drive.clocks.to_common(incarnation, &output).ok_or(Missing::Clock.reason()));
+        match output {
+            Ok(output) => {
+                findings.compare(recorded, output, T::ROLE, drive, options);
+                self.stage.compare_others(recorded, drive, options, findings);
+            }
+            Err(ALTERED | RESTORED) => findings.injected(),
+            Err(reason) => findings.skip(recorded, reason),
+        }
     }
 }
 
@@ -216,8 +273,54 @@ fn nearest_state(incarnation: u32, drive: &Drive, options: &Options) -> Option<u
 
 #[cfg(test)]
 mod tests {
+    use actuation::ActuatorState;
+    use emulator::service::RobotState;
+    use estimator::EstimatorState;
+    use nmpc::ControllerState;
+    use obstacles::ObstaclesState;
+    use shared_types::{Field, Kind, is_state_time};
+
     use super::*;
     use crate::drive::tests::{ESTIMATOR, late_actuation};
+
+    /// Fields of states that end with `_ns` and hold no point in time of a clock: spans, and times since the start of a run.
+    const SPANS: [&str; 7] = [
+        "clock_ns",
+        "plant_ns",
+        "last_actuation_ns",
+        "reported_ns",
+        "longest_blind_ns",
+        "arrives_ns",
+        "sweep_ns",
+    ];
+
+    fn names(kind: &Kind, found: &mut Vec<&'static str>) {
+        match kind {
+            Kind::Scalar(_) => {}
+            Kind::Array(element, _) => names(element, found),
+            Kind::Struct(_, fields) => fields.iter().for_each(|Field { name, kind, .. }| {
+                found.push(name);
+                names(kind, found);
+            }),
+        }
+    }
+
+    #[test]
+    fn every_field_in_nanoseconds_of_a_state_is_a_point_in_time_or_none() {
+        let mut found = Vec::new();
+        for kind in [
+            &RobotState::KIND,
+            &EstimatorState::KIND,
+            &ObstaclesState::KIND,
+            &ControllerState::KIND,
+            &ActuatorState::KIND,
+        ] {
+            names(kind, &mut found);
+        }
+        for name in found.iter().filter(|name| name.ends_with("_ns")) {
+            assert!(is_state_time(name) != SPANS.contains(name), "{name}");
+        }
+    }
 
     #[test]
     fn a_replay_begins_with_the_newest_state_before_its_first_output() {

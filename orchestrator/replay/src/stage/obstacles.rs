@@ -3,35 +3,36 @@
 use obstacles::{Config, ObstacleDetector, ObstaclesState};
 use shared_types::{JournalEntry, JournalKind, Obstacles, Pose, Role, Scan, Topic};
 
-use super::journal::{Missing, Stage};
+use super::journal::{Missing, Stage, Taking};
 use crate::Drive;
 
 /// The process of an obstacle detector.
-pub(super) struct Detector<'d> {
+pub(super) struct Detector {
     detector: ObstacleDetector,
-    scan: Option<&'d Scan>,
-    pose: Option<&'d Pose>,
+    scan: Result<Scan, Missing>,
+    pose: Result<Pose, Missing>,
 }
 
-impl<'d> Stage<'d> for Detector<'d> {
+impl Stage for Detector {
     type Output = Obstacles;
     type State = ObstaclesState;
     const ROLE: Role = Role::Obstacles;
 
-    fn begin(drive: &'d Drive) -> anyhow::Result<Self> {
+    fn begin(drive: &Drive) -> anyhow::Result<Self> {
         let config: Config = drive.table(Role::Obstacles, "obstacles")?;
-        Ok(Self { detector: ObstacleDetector::new(config)?, scan: None, pose: None })
+        let (scan, pose) = (Err(Missing::Input), Err(Missing::Input));
+        Ok(Self { detector: ObstacleDetector::new(config)?, scan, pose })
     }
 
     fn resume(&mut self, state: &ObstaclesState) -> bool {
         self.detector.resume(state).is_ok()
     }
 
-    fn take(&mut self, entry: &JournalEntry, drive: &'d Drive) {
+    fn take(&mut self, entry: &JournalEntry, taking: &Taking<'_>) {
         if entry.topic == Topic::Scan as u16 {
-            self.scan = drive.scans.of_number(entry.incarnation, entry.value);
+            self.scan = taking.sample(&taking.drive.scans, entry);
         } else {
-            self.pose = drive.poses.of_number(entry.incarnation, entry.value);
+            self.pose = taking.sample(&taking.drive.poses, entry);
         }
     }
 
@@ -40,7 +41,8 @@ impl<'d> Stage<'d> for Detector<'d> {
     }
 
     fn output(&mut self, _: u64) -> Result<Obstacles, Missing> {
-        let (scan, pose) = self.scan.zip(self.pose).ok_or(Missing)?;
+        let scan = self.scan.as_ref().map_err(|missing| *missing)?;
+        let pose = self.pose.as_ref().map_err(|missing| *missing)?;
         Ok(self.detector.step(scan, pose))
     }
 }

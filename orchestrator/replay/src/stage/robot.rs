@@ -5,30 +5,30 @@ use emulator::{Emulator, Scenario};
 use shared_types::{Actuation, Header, JournalEntry, JournalKind, Odometry, Role, Scan, Truth};
 
 use super::Findings;
-use super::journal::{Missing, Stage};
+use super::journal::{Missing, Stage, Taking};
 use crate::{Drive, Options};
 
 /// The process of an emulated robot.
-pub(super) struct Robot<'d> {
+pub(super) struct Robot {
     emulator: Emulator,
     /// When the drive began [ns].
     origin_ns: u64,
-    actuation: Option<&'d Actuation>,
+    actuation: Result<Actuation, Missing>,
     odometry: Odometry,
     truth: Truth,
 }
 
-impl<'d> Stage<'d> for Robot<'d> {
+impl Stage for Robot {
     type Output = Scan;
     type State = RobotState;
     const ROLE: Role = Role::Robot;
 
-    fn begin(drive: &'d Drive) -> anyhow::Result<Self> {
+    fn begin(drive: &Drive) -> anyhow::Result<Self> {
         let scenario: Scenario = drive.table(Role::Robot, "scenario")?;
         Ok(Self {
             emulator: Emulator::new(&scenario, drive.period_ns),
             origin_ns: 0,
-            actuation: None,
+            actuation: Err(Missing::Input),
             odometry: Odometry::default(),
             truth: Truth::default(),
         })
@@ -39,16 +39,17 @@ impl<'d> Stage<'d> for Robot<'d> {
         self.emulator.resume(&state.emulator).is_ok()
     }
 
-    fn take(&mut self, entry: &JournalEntry, drive: &'d Drive) {
-        self.actuation = drive.actuations.of_number(entry.incarnation, entry.value);
+    fn take(&mut self, entry: &JournalEntry, taking: &Taking<'_>) {
+        self.actuation = taking.sample(&taking.drive.actuations, entry);
     }
 
     fn follow(&mut self, kind: JournalKind, value: u64) -> Result<(), Missing> {
         match kind {
             JournalKind::Begun => self.origin_ns = value,
             JournalKind::Used => {
+                let actuation = self.actuation.as_ref().map_err(|missing| *missing)?;
                 self.emulator.advance_to(value);
-                self.emulator.actuate(self.actuation.ok_or(Missing)?);
+                self.emulator.actuate(actuation);
             }
             JournalKind::Stopped => {
                 self.emulator.advance_to(value);
@@ -74,11 +75,14 @@ impl<'d> Stage<'d> for Robot<'d> {
     fn compare_others(&mut self, recorded: &Scan, drive: &Drive, options: &Options, findings: &mut Findings) {
         let Header { scan_id, incarnation, .. } = recorded.header;
         let is_same = |header: &Header| header.incarnation == incarnation;
-        if let Some(odometry) = drive.odometries.of_scan(scan_id).find(|other| is_same(&other.header)) {
-            findings.compare(odometry, self.odometry, Self::ROLE, drive, options);
+        let odometry = drive.odometries.of_scan(scan_id).find(|other| is_same(&other.header));
+        if let Some((odometry, replayed)) = odometry.zip(drive.clocks.to_common(incarnation, &self.odometry))
+        {
+            findings.compare(odometry, replayed, Self::ROLE, drive, options);
         }
-        if let Some(truth) = drive.truths.of_scan(scan_id).find(|other| is_same(&other.header)) {
-            findings.compare(truth, self.truth, Self::ROLE, drive, options);
+        let truth = drive.truths.of_scan(scan_id).find(|other| is_same(&other.header));
+        if let Some((truth, replayed)) = truth.zip(drive.clocks.to_common(incarnation, &self.truth)) {
+            findings.compare(truth, replayed, Self::ROLE, drive, options);
         }
     }
 }

@@ -295,6 +295,6 @@ impl Session {
         let checkpoint = *self.vitals.checkpoint(role)?;
         let reads_actuations = role.reads().contains(&Topic::Actuation);
         let actuations = self.samples.recent_actuations().filter(|_| reads_actuations).copied().collect();
-        Some(HandoverData { checkpoint, ended_ns: 0, actuations })
+        Some(HandoverData { checkpoint, ended_ns: 0, actuations, moved_ns: 0 })
     }
 }

@@ -23,6 +23,7 @@ impl Process {
     pub fn save_checkpoint(&self, header: &Header, mut checkpoint: Checkpoint) -> Result<(), RuntimeError> {
         checkpoint.header = header.answer();
         checkpoint.issued_ns = monotonic_ns();
+        checkpoint.saved_ns = checkpoint.issued_ns;
         self.checkpoint.publish_silently(&mut checkpoint)?;
         self.note(JournalKind::Saved, checkpoint.header.sequence);
         Ok(())
@@ -36,10 +37,12 @@ impl Process {
         Ok(match self.resume_checkpoint()? {
             Handover::FirstStart => Handover::FirstStart,
             Handover::Lost => Handover::Lost,
-            Handover::State(checkpoint) => checkpoint.state().map(Handover::State).unwrap_or_else(|error| {
-                tracing::warn!(%error, "the state of the process before this one can't be used");
-                Handover::Lost
-            }),
+            Handover::State(checkpoint) => {
+                checkpoint.state_here().map(Handover::State).unwrap_or_else(|error| {
+                    tracing::warn!(%error, "the state of the process before this one can't be used");
+                    Handover::Lost
+                })
+            }
         })
     }
 
@@ -64,7 +67,7 @@ impl Process {
                 tracing::warn!(age_ms, waited_ms, "the state of the process before this one is too old");
                 return Ok(Handover::Lost);
             }
-            *self.handed_actuations.borrow_mut() = data.actuations;
+            self.handed_actuations.replace((data.actuations, data.moved_ns));
         }
         self.handed_scan.set(data.checkpoint.header.scan_id);
         self.note_resumed(&data.checkpoint);
@@ -75,11 +78,17 @@ impl Process {
     /// state from [`Process::resume`]. The process before this one may not have received the last of them.
     pub fn handed_actuations(&self) -> impl Iterator<Item = Actuation> {
         let notes = &self.shared.notes;
-        let handed = self.handed_actuations.take().into_iter();
-        handed.inspect(|actuation| notes.note_sample(JournalKind::Taken, Topic::Actuation, &actuation.header))
+        let (handed, moved_ns) = self.handed_actuations.take();
+        handed.into_iter().inspect(move |actuation| {
+            notes.note(JournalKind::Moved, moved_ns.cast_unsigned());
+            notes.note_sample(JournalKind::Taken, Topic::Actuation, &actuation.header);
+        })
     }
 
     fn note_resumed(&self, checkpoint: &Checkpoint) {
+        if checkpoint.moved_ns() != 0 {
+            self.note(JournalKind::Moved, checkpoint.moved_ns().cast_unsigned());
+        }
         self.shared.notes.note_sample(JournalKind::Resumed, Topic::Checkpoint, &checkpoint.header);
     }
 
@@ -99,7 +108,7 @@ impl Process {
     pub fn join<T: bytemuck::Pod + Described>(&mut self) -> Result<Option<(u64, T)>, RuntimeError> {
         let mut newest = None;
         self.join_checkpoint(&mut |checkpoint| {
-            newest = checkpoint.state().ok().map(|state| (checkpoint.header.scan_id, state));
+            newest = checkpoint.state_here().ok().map(|state| (checkpoint.header.scan_id, state));
             newest.is_some()
         })?;
         Ok(newest)

@@ -74,10 +74,11 @@ fn a_robot_and_a_lab_are_driven_by_an_orchestrator_on_a_third_host() {
     let places = [ROBOT.as_slice(), &lab].concat();
     let Some(mut hosts) = TwoHosts::with("a robot and a lab", &places) else { return };
     hosts.start_agent();
-    hosts.start(&SHORT_FREE);
+    hosts.start_recorded(&SHORT_FREE);
     assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
     let report = hosts.system.report();
     assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Reached, 0), "{:?}", report.scans);
+    hosts.assert_replayed();
     hosts.end();
 }
 

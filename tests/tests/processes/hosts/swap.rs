@@ -38,7 +38,7 @@ fn move_to(hosts: &TwoHosts, role: Role, to: &str) -> Certificate {
 fn the_controller_moves_to_the_robot_and_back_while_it_drives() {
     let Some(mut hosts) = TwoHosts::new("a controller that moves") else { return };
     hosts.start_agent();
-    hosts.start(&SHORTENED_LONG);
+    hosts.start_recorded(&SHORTENED_LONG);
     hosts.system.wait_until_driving();
     let here = move_to(&hosts, Role::Controller, "nmpc@orchestrator");
     assert_eq!((here.from.as_str(), here.to.as_str()), ("nmpc@lab", "nmpc"));
@@ -49,6 +49,7 @@ fn the_controller_moves_to_the_robot_and_back_while_it_drives() {
     assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Reached, 0), "{:?}", report.scans);
     assert_eq!(report.swaps.iter().filter(|swap| swap.outcome == SwapOutcome::Swapped).count(), 2);
     assert_eq!(report.processes.iter().map(|process| process.restarts).collect::<Vec<_>>(), [0; 5]);
+    hosts.assert_replayed();
     hosts.end();
 }
 
@@ -57,7 +58,7 @@ fn the_controller_moves_to_the_robot_and_back_while_it_drives() {
 fn the_estimator_moves_although_the_lab_reads_its_output() {
     let Some(mut hosts) = TwoHosts::new("an estimator that moves") else { return };
     hosts.start_agent();
-    hosts.start(&SHORTENED_LONG);
+    hosts.start_recorded(&SHORTENED_LONG);
     hosts.system.wait_until_driving();
     move_to(&hosts, Role::Estimator, "ekf@orchestrator");
     move_to(&hosts, Role::Estimator, "ekf@lab");
@@ -66,6 +67,22 @@ fn the_estimator_moves_although_the_lab_reads_its_output() {
     let dropped = report.ledger.topics.iter().filter(|row| row.topic == "pose");
     assert!(dropped.clone().all(|row| row.reasons["authority"] >= 10), "{:?}", dropped.collect::<Vec<_>>());
     assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Reached, 0), "{:?}", report.scans);
+    hosts.assert_replayed();
+    hosts.end();
+}
+
+#[test]
+fn the_state_of_a_role_that_moves_has_the_times_of_its_new_host() {
+    let Some(mut hosts) = TwoHosts::ahead("a move to a clock that is a day behind") else { return };
+    hosts.start_recorded(&SHORTENED_LONG);
+    hosts.system.wait_until_driving();
+    move_to(&hosts, Role::Estimator, "ekf@orchestrator");
+    move_to(&hosts, Role::Controller, "nmpc@orchestrator");
+    move_to(&hosts, Role::Estimator, "ekf@lab");
+    assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
+    let report = hosts.system.report();
+    assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Reached, 0), "{:?}", report.scans);
+    hosts.assert_replayed();
     hosts.end();
 }
 

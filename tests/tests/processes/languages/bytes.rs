@@ -121,6 +121,16 @@ fn compare(folder: &Path, command: &mut Command) {
     }
 }
 
+/// The struct of a topic in C: `scanloop_clock_offset` for `scanloop.ClockOffset.v1`.
+fn struct_of(topic: Topic) -> String {
+    let name = topic.type_name().split('.').nth(1).unwrap_or_default();
+    let letters = name.chars().flat_map(|letter| {
+        let gap = letter.is_ascii_uppercase().then_some('_');
+        gap.into_iter().chain([letter.to_ascii_lowercase()])
+    });
+    format!("scanloop{}", letters.collect::<String>())
+}
+
 #[test]
 fn every_sample_is_the_same_bytes_in_c() {
     let system = System::new(EXECUTABLE);
@@ -131,10 +141,10 @@ fn every_sample_is_the_same_bytes_in_c() {
          sizeof(place), place); place = value; } while (0)\n",
     );
     for topic in TOPICS {
-        let name = topic.name();
+        let (name, of) = (topic.name(), struct_of(topic));
         let _ = writeln!(
             program,
-            "static int {name}(void) {{\nstatic scanloop_{name} s;\nFILE *file = fopen(\"{name}.in\", \"rb\");\n\
+            "static int of_{name}(void) {{\nstatic {of} s;\nFILE *file = fopen(\"{name}.in\", \"rb\");\n\
              if (!file || fread(&s, sizeof s, 1, file) != 1 || fgetc(file) != EOF) return 1;\nfclose(file);"
         );
         for (number, leaf) in leaves(topic).iter().enumerate() {
@@ -156,7 +166,7 @@ fn every_sample_is_the_same_bytes_in_c() {
              return fclose(file);\n}}"
         );
     }
-    let calls: Vec<String> = TOPICS.iter().map(|topic| format!("{topic}()")).collect();
+    let calls: Vec<String> = TOPICS.iter().map(|topic| format!("of_{topic}()")).collect();
     let _ = writeln!(program, "int main(void) {{ return {}; }}", calls.join(" || "));
     let (source, binary) = (system.folder().join("samples.c"), system.folder().join("samples"));
     std::fs::write(&source, program).unwrap();
