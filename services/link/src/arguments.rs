@@ -2,12 +2,12 @@
 //! `scanloop-link pair FOLDER HOST ADDRESS DAYS`, and `scanloop-link check CREDENTIALS`. By hand, to measure a network:
 //! `scanloop-link echo ADDRESS [CREDENTIALS]` on one host, `scanloop-link ping ADDRESS COUNT [CREDENTIALS]` on another.
 
-use std::collections::BTreeSet;
 use std::path::Path;
 
 use anyhow::bail;
-use runtime::{Domain, LinkTable, Realtime};
+use runtime::{Domain, LinkTable};
 
+use crate::threads::run_by;
 use crate::{bridge, control, credentials, ping};
 
 /// Runs the link until its system ends, or its agent does.
@@ -42,16 +42,5 @@ pub(crate) fn run() -> anyhow::Result<()> {
         _ => bail!(
             "it is started by `scanloop run` and `scanloop agent`, not by hand; `echo` and `ping` measure"
         ),
-    }
-}
-
-/// Gives all threads of this process the processors and the priority of the processes of the loop; those that start later inherit
-/// them.
-pub(crate) fn run_by(realtime: &Realtime) {
-    let entries = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
-    let threads = entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
-    let refused: BTreeSet<String> = threads.flat_map(|thread| realtime.apply_to(thread)).collect();
-    for refused in refused {
-        runtime::print(runtime::Priority::Warning, &refused);
     }
 }

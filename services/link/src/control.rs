@@ -13,10 +13,10 @@ use runtime::{Domain, LinkTable, monotonic_ns};
 use zenoh::Wait;
 use zenoh::qos::Priority;
 
-use crate::arguments::run_by;
 use crate::bridge::Bridge;
 use crate::listener::Listener;
 use crate::network::{Network, Place, agent_key, join};
+use crate::threads::run_by;
 
 /// An orchestrator that is connected and from which nothing has come for this long does not know that this end listens [ns]:
 /// its link sends something ten times a second.

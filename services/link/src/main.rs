@@ -28,6 +28,7 @@ mod refusals;
 mod repeats;
 mod sender;
 mod standstill;
+mod threads;
 mod zeros;
 
 use std::ffi::OsStr;
