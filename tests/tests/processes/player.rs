@@ -284,7 +284,7 @@ fn drives(scenario: &str, more: impl Fn(&PlayerServer) -> String) {
     let server = server(scenario);
     let mut system = System::new(EXECUTABLE);
     let file = system_file(&system, server.port(), &more(&server));
-    system.start(&["--system", &file, scenario]);
+    system.start(&["--system", &file, scenario, "--record"]);
     system.wait_until("base and scanner run", |system| shows(system, "running", ""));
     assert_eq!(system.status().unwrap().judged_by, Some(JudgedBy::Estimate));
     let status = system.wait();
@@ -294,6 +294,13 @@ fn drives(scenario: &str, more: impl Fn(&PlayerServer) -> String) {
     assert_eq!((truth.collided, report.scans.unaccounted), (0, 0), "{:?}", report.scans);
     assert_eq!(report.differences, [], "the scenario tells nothing about this robot");
     assert!(truth.goal_distance_m < 0.15 && truth.min_clearance_m > 0.05, "{truth:?}");
+    // What the devices measured follows from no recorded input; all other stages are recomputed.
+    let replay = system.run(&["replay", "out/recording.mcap", "--json"]);
+    let found: serde_json::Value = serde_json::from_slice(&replay.stdout).unwrap();
+    assert_eq!((replay.status.code(), &found["identical"]), (Some(0), &found["compared"]), "{found}");
+    let left_out = found["not_compared"].as_array().unwrap();
+    assert!(left_out.len() == 1 && left_out[0]["with"].is_null(), "{found}");
+    assert_eq!((&left_out[0]["role"], &left_out[0]["program"]), (&"robot".into(), &"player".into()));
     system.assert_nothing_left();
     assert!(guards(server.port()).is_empty());
 }
