@@ -8,8 +8,8 @@
 //! Assumed: the obstacles are described correctly. Obstacles out of sight are not known here; they are seen before
 //! the plan gets to them, because the scanner reaches 2 m further than the horizon.
 
-use vehicle::Control;
 use vehicle::bounds::ROUNDING;
+use vehicle::{Control, State};
 
 use crate::braking::Stopping;
 use crate::config::Config;
@@ -28,8 +28,12 @@ pub(crate) const VERIFIED_S: f64 = 2.72;
 const BLOCKED_AFTER: [f64; 3] = [1.0, 1.5, 2.0];
 /// Smallest velocity of the model [m/s].
 const SLOWEST_MPS: f64 = 0.01;
-/// Largest step along a slide [m].
+/// Largest step along a slide, and where no margin covers what happens between two steps [m].
 const SLIDE_STEP_M: f64 = 0.08;
+const FINE_SLIDE_STEP_M: f64 = 0.01;
+/// Steps between two samples of a plan where no margin covers what happens between them: 7 mm of a robot and a body that
+/// approach each other with 1.4 m/s.
+const FINE_STEPS: usize = 10;
 
 /// Evidence that a plan may be driven: only [`Verdict::verified`] makes it, and the command takes its controls from it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -104,7 +108,9 @@ pub(crate) fn verify(scene: &Scene, controls: &[Control], rollout: &mut Rollout)
     let mut behind_goal = false;
     for (index, sample) in rollout.samples.iter().enumerate() {
         behind_goal |= sample.state.x > scene.config.goal.x_m + BEHIND_GOAL_M;
-        if let Some(violation) = scene.check(&baseline, sample) {
+        let before = index.checked_sub(1).filter(|_| scene.escapes).map(|before| &rollout.samples[before]);
+        let found = before.and_then(|before| touched_between(scene, &baseline, before, sample));
+        if let Some(violation) = found.or_else(|| scene.check(&baseline, sample)) {
             let intervals = index.saturating_sub(1) / PIECES;
             let violation = (!behind_goal || intervals == 0).then_some((violation, sample.t));
             let slid = slide(scene, &baseline, &first, &rollout.samples[..index]);
@@ -113,6 +119,19 @@ pub(crate) fn verify(scene: &Scene, controls: &[Control], rollout: &mut Rollout)
     }
     let violation = slide(scene, &baseline, &first, &rollout.samples);
     Verdict { first, intervals: controls.len(), violation }
+}
+
+/// The first contact between two samples of a plan, which are so near that the robot drives straight.
+fn touched_between(scene: &Scene, baseline: &Baseline, from: &Sampled, to: &Sampled) -> Option<Violation> {
+    let State { x, y, yaw, .. } = from.state;
+    (1..FINE_STEPS).find_map(|step| {
+        let share = step as f64 / FINE_STEPS as f64;
+        let at = |from: f64, to: f64| from + share * (to - from);
+        let (t, speed) = (at(from.t, to.t), at(from.speed, to.speed));
+        let state =
+            State { x: at(x, to.state.x), y: at(y, to.state.y), yaw: at(yaw, to.state.yaw), ..to.state };
+        scene.touched(baseline, scene.margin.sum(t, speed), t, &state)
+    })
 }
 
 /// The first contact of a robot that blocks its wheels instead of following the plan's next command.
@@ -156,7 +175,8 @@ fn slide_from(scene: &Scene, baseline: &Baseline, control: &Control, start: &Sam
     let stopping = Stopping::new(scene.config, scene.config.period_s, scene.margin.age_s());
     let (deceleration, speed) = (stopping.deceleration_mps2, start.speed * stopping.speed_ratio);
     let length = stopping.slide(start.speed);
-    let steps = (length / SLIDE_STEP_M).ceil().max(1.0);
+    let step_m = if scene.escapes { FINE_SLIDE_STEP_M } else { SLIDE_STEP_M };
+    let steps = (length / step_m).ceil().max(1.0);
     let parameters = scene.config.vehicle.parameters();
     let (mut state, mut before) = (start.state, speed);
     (1..=steps as usize).find_map(|step| {
