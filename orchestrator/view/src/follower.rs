@@ -41,6 +41,8 @@ pub enum News<'a> {
 pub struct Follower {
     statuses: Statuses,
     known: Known,
+    /// The run that was found, until its end was told: its bus may fail before.
+    found: Option<Domain>,
     attached: Option<Attached>,
     answers: u64,
     next_try_ns: u64,
@@ -55,6 +57,7 @@ impl Follower {
         Ok(Self {
             statuses: Statuses::start(system_id)?,
             known: Known::default(),
+            found: None,
             attached: None,
             answers: 0,
             next_try_ns: 0,
@@ -102,14 +105,14 @@ impl Follower {
             return;
         }
         self.next_try_ns = now_ns + RETRY_NS;
-        if self.attached.as_ref().is_some_and(|attached| !attached.domain.is_current()) {
-            self.attached = None;
+        if self.found.as_ref().is_some_and(|domain| !domain.is_current()) {
+            (self.found, self.attached) = (None, None);
             each(News::Gone);
         }
         let Some(domain) = self.known.domain.as_ref().filter(|_| self.attached.is_none()) else { return };
         // A run that starts has not created its topics yet: the next try finds them.
         if let Ok(attached) = Attached::open(domain) {
-            self.attached = Some(attached);
+            (self.found, self.attached) = (Some(domain.clone()), Some(attached));
             each(News::Found(domain));
         }
     }
