@@ -81,7 +81,7 @@ pub(crate) fn run_agent(name: &str, endpoint: &str, credentials: Option<&str>) -
     Ok(())
 }
 
-/// Ends this link where nobody can connect any more, or where the orchestrator is connected and nothing comes from it:
+/// Ends this link where no other end can connect any more, or where the orchestrator is connected and nothing comes from it:
 /// what it was told of this end was lost.
 fn watch(network: &Network, mut listener: Option<Listener>) {
     let mut connected_ns: Option<u64> = None;

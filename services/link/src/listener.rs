@@ -1,7 +1,7 @@
 //! Whether the socket that an agent listens with is read.
 //!
 //! Zenoh reads all connections over UDP in one task, which waits for the reader of each. Where that has ended, because the
-//! connection has, the task waits for ever, and nobody can connect any more. So the kernel is asked whether datagrams wait.
+//! connection has, the task waits for ever, and no other end can connect any more. So the kernel is asked whether datagrams wait.
 
 use std::net::SocketAddr;
 
@@ -24,7 +24,7 @@ impl Listener {
         Some(Self { port: address.parse::<SocketAddr>().ok()?.port(), waiting_ns: None })
     }
 
-    /// Whether nobody reads it; to be asked several times a second.
+    /// Whether it is not read; to be asked several times a second.
     pub(crate) fn is_stuck(&mut self) -> bool {
         let tables = ["/proc/self/net/udp", "/proc/self/net/udp6"];
         let waits = tables.iter().filter_map(|path| std::fs::read_to_string(path).ok());
@@ -56,7 +56,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn datagrams_that_nobody_reads_are_noticed_after_a_second() {
+    fn datagrams_that_are_not_read_are_noticed_after_a_second() {
         let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
         let address = socket.local_addr().unwrap();
         let mut listener = Listener::of(&format!("udp/{address}?rel=0")).unwrap();
