@@ -3,6 +3,7 @@
 pub mod audit;
 mod delays;
 pub mod long_drive;
+pub mod machine;
 pub mod namespace;
 pub mod operator;
 pub mod page_hours;

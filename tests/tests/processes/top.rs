@@ -3,10 +3,12 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::process::{Child, ExitStatus};
+use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
-use scanloop_tests::System;
+use scanloop_tests::machine::waits_of;
 use scanloop_tests::terminal::Terminal;
+use scanloop_tests::{DEADLINE, System};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -30,15 +32,16 @@ fn wait_for_text(system: &System, terminal: &Terminal, text: &str) {
 
 /// Waits for the end of a process and checks that the terminal is as before.
 fn end(system: &System, terminal: &Terminal, mut view: Child) -> ExitStatus {
-    let mut status = None;
-    let ended = std::cell::RefCell::new((&mut view, &mut status));
-    system.wait_until("the view ends", |_| {
-        let (view, status) = &mut *ended.borrow_mut();
-        **status = view.try_wait().unwrap();
-        status.is_some()
-    });
+    let started = Instant::now();
+    let status = loop {
+        if let Some(status) = view.try_wait().unwrap() {
+            break status;
+        }
+        assert!(started.elapsed() < DEADLINE, "the view does not end: {}", waits_of(view.id()));
+        std::thread::park_timeout(Duration::from_millis(10));
+    };
     system.wait_until("the terminal is restored", |_| terminal.is_restored());
-    status.unwrap()
+    status
 }
 
 fn stop(mut system: System) {
@@ -152,5 +155,6 @@ fn without_a_terminal_or_a_system_there_is_no_view() {
     let terminal = Terminal::new(80, 24);
     let view = terminal.spawn(system.command(&["top"]));
     assert_eq!(end(&system, &terminal, view).code(), Some(2));
-    assert!(terminal.output().contains("is not running"), "{}", terminal.output());
+    // What was written is read by another thread.
+    system.wait_until("the reason is shown", |_| terminal.output().contains("is not running"));
 }
