@@ -1,7 +1,9 @@
 //! Checks in which the robot moves: rolled by hand, or driven slowly, and stopped.
 
+mod body;
 mod deceleration;
 mod halt;
+mod registration;
 
 use console::note;
 use plan::System;
@@ -11,6 +13,7 @@ use super::LiveArguments;
 use super::bench::{Bench, Order};
 use super::feed::{Point, free_ahead_m};
 use super::finding::{Finding, Outcome};
+use body::{Stop, Track};
 use deceleration::Deceleration;
 use halt::Halt;
 
@@ -42,6 +45,12 @@ const REST_NS: u64 = 3_000_000_000;
 const RUN_UP_S: f64 = 1.2;
 /// A way to stop that is free beyond each run-up [m].
 const STOP_M: f64 = 0.3;
+/// Scans that are waited for when the odometry rests: locked wheels may slide on [count].
+const SETTLING_SCANS: usize = 8;
+/// Ways that the scans and the odometry show differ, if by more standard errors than this, and by this way per stop [m].
+const SLIDE: (f64, f64) = (3.0, 0.002);
+/// The odometry shows another motion than the scans, if theirs is less than this share of it.
+const SEEN_SHARE: f64 = 0.5;
 /// Time between the warning and the drive [ns].
 const WARNING_NS: u64 = 3_000_000_000;
 
@@ -88,22 +97,35 @@ impl Moved {
     }
 
     /// Judges the stops by their sum: one alone may be delayed by a busy computer.
-    fn judge_stops(&mut self, halts: &[Halt], vehicle: &Description) {
+    ///
+    /// Encoders of locked wheels do not count what the body slides, so the scans decide where they show another way.
+    fn judge_stops(&mut self, stops: &[Stop], vehicle: &Description) {
         let described_mps2 = vehicle.blocked_deceleration_mps2;
+        let judged = Judged::of(stops);
+        let halts = &judged.halts;
         let sum = |of: &dyn Fn(&Halt) -> f64| halts.iter().map(of).sum::<f64>();
         let (covered_m, allowed_m) =
             (sum(&|halt| halt.distance_m), sum(&|halt| halt.allowed_m(described_mps2)));
         let found = deceleration::fit(halts);
-        let Deceleration { estimate_mps2, entered_mps2 } = found;
+        let friction_mps2 = vehicle.tyre_friction * vehicle::tyre::GRAVITY_MPS2;
         let (count, fastest) = (halts.len(), halts.iter().map(|halt| halt.speed_mps).fold(0.0, f64::max));
         let plural = if count == 1 { "stop" } else { "stops" };
+        let way = format!("{covered_m:.3} m in {count} {plural} from up to {fastest:.2} m/s{}", judged.by);
+        let tyres = format!("{friction_mps2:.1} m/s^2 by vehicle.tyre_friction = {}", vehicle.tyre_friction);
+        if covered_m <= 0.0 || found.entered_mps2 > friction_mps2 {
+            let measured = format!("{way}: shorter than friction allows, so this is not the way of the body");
+            let allowed = format!("up to {tyres}");
+            self.add(Finding::of("stop", false, measured, allowed));
+            return;
+        }
+        let found = found.at_most(friction_mps2);
+        let Deceleration { estimate_mps2, entered_mps2 } = found;
+        let limit =
+            if estimate_mps2 >= friction_mps2 { format!(", no more than {tyres}") } else { String::new() };
         self.add(Finding::of(
             "stop",
             covered_m <= allowed_m,
-            format!(
-                "{covered_m:.3} m in {count} {plural} from up to {fastest:.2} m/s: {estimate_mps2:.2} m/s^2, with the error \
-                 at least {entered_mps2}"
-            ),
+            format!("{way}: {estimate_mps2:.2} m/s^2, with the error at least {entered_mps2}{limit}"),
             format!("up to {allowed_m:.3} m by vehicle.blocked_deceleration_mps2 = {described_mps2}"),
         ));
         self.deceleration = Some(found);
@@ -117,17 +139,46 @@ impl Moved {
     }
 }
 
+/// The stops that count, and by what they were measured.
+struct Judged {
+    halts: Vec<Halt>,
+    by: String,
+}
+
+impl Judged {
+    fn of(stops: &[Stop]) -> Self {
+        let seen: Vec<(Halt, f64, Halt)> = stops
+            .iter()
+            .filter_map(|stop| stop.seen.map(|(halt, error_m)| (halt, error_m, stop.counted)))
+            .collect();
+        let sum = |of: &dyn Fn(&(Halt, f64, Halt)) -> f64| seen.iter().map(of).sum::<f64>();
+        let [seen_m, counted_m] =
+            [sum(&|(halt, ..)| halt.distance_m), sum(&|(.., counted)| counted.distance_m)];
+        let error_m =
+            SLIDE.0 * sum(&|(_, error_m, _)| error_m * error_m).sqrt() + SLIDE.1 * seen.len() as f64;
+        if (seen_m - counted_m).abs() > error_m {
+            let by = format!(
+                " by the scans, of which the odometry counted {counted_m:.3} m: it does not show what locked wheels slide"
+            );
+            return Self { halts: seen.into_iter().map(|(halt, ..)| halt).collect(), by };
+        }
+        let by =
+            if seen.is_empty() { " by the odometry alone, as the scans do not show the way" } else { "" };
+        Self { halts: stops.iter().map(|stop| stop.counted).collect(), by: by.to_owned() }
+    }
+}
+
 /// Asks the operator to move the robot.
 fn by_hand(bench: &mut Bench, limit_s: f64, moved: &mut Moved) -> anyhow::Result<()> {
     let limit_ns = (limit_s * 1e9) as u64;
     note!("roll the robot ahead by hand, half a metre (within {limit_s} s)");
     let start = place(bench);
     bench.until(limit_ns, |bench| (place(bench).ahead_m - start.ahead_m).abs() >= MIN_AHEAD_M)?;
-    moved.add(ahead(place(bench).ahead_m - start.ahead_m));
+    moved.add(ahead(place(bench).ahead_m - start.ahead_m, None));
     note!("turn the robot to the left by hand, 30 degrees (within {limit_s} s)");
     let start = place(bench);
     bench.until(limit_ns, |bench| (place(bench).left_rad - start.left_rad).abs() >= MIN_LEFT_RAD)?;
-    moved.add(left(place(bench).left_rad - start.left_rad, MIN_LEFT_RAD));
+    moved.add(left(place(bench).left_rad - start.left_rad, MIN_LEFT_RAD, None));
     Ok(())
 }
 
@@ -151,11 +202,13 @@ fn drive(
         return Ok(());
     }
     let start = place(bench);
+    let mut track = Track::begin(&bench.feed, &system.vehicle);
     let is_free = leg(bench, system, Order::Drive(speed_mps, 0.0), straight_m)?;
     let moved_m = place(bench).ahead_m - start.ahead_m;
+    let straight = track.follow(&bench.feed, speed_mps, &system.vehicle);
     // The way of a robot that was stopped early is too short to be judged, but its direction is not.
     if is_free || moved_m < -MIN_BACK_M {
-        moved.add(ahead(moved_m));
+        moved.add(ahead(moved_m, straight.map(|body| body.ahead_m)));
     }
     if !is_free || moved_m < MIN_AHEAD_M {
         bench.order(Order::Block);
@@ -167,7 +220,9 @@ fn drive(
     let is_free = leg(bench, system, Order::Drive(speed_mps, LEFT_RAD), left_m)?;
     let end = place(bench);
     if is_free {
-        moved.add(left(end.left_rad - start.left_rad, MIN_DRIVEN_LEFT_RAD));
+        let turned = track.follow(&bench.feed, speed_mps, &system.vehicle);
+        let seen_rad = straight.zip(turned).map(|(before, after)| after.left_rad - before.left_rad);
+        moved.add(left(end.left_rad - start.left_rad, MIN_DRIVEN_LEFT_RAD, seen_rad));
     } else {
         moved.add(Finding::skipped("left", NOT_FREE));
     }
@@ -200,7 +255,7 @@ fn is_seen_free(bench: &Bench, system: &System) -> bool {
     let feed = &bench.feed;
     let oldest_ns = place(bench).at_ns.saturating_sub(MAX_SCAN_PERIODS * system.period_ns());
     let is_stop = feed.observed.health.is_some_and(|health| health.state().is_stop());
-    let scan = feed.newest_scan.as_ref().filter(|scan| scan.header.acquired_ns >= oldest_ns);
+    let scan = feed.newest_scan().filter(|scan| scan.header.acquired_ns >= oldest_ns);
     !is_stop && scan.is_some_and(|scan| free_ahead_m(scan, &system.vehicle) >= NEAR_M)
 }
 
@@ -219,8 +274,7 @@ fn stops(
         let length_m = RUN_UP_S * speed_mps;
         let has_room = bench
             .feed
-            .newest_scan
-            .as_ref()
+            .newest_scan()
             .is_some_and(|scan| free_ahead_m(scan, vehicle) >= length_m + NEAR_M + STOP_M);
         if halts.len() >= arguments.stops || !has_room {
             moved.judge_stops(&halts, vehicle);
@@ -243,7 +297,7 @@ fn stops(
 }
 
 /// Blocks the wheels and measures how the robot comes to rest; `None` when it does not.
-fn stop(bench: &mut Bench, vehicle: &Description) -> anyhow::Result<Option<Halt>> {
+fn stop(bench: &mut Bench, vehicle: &Description) -> anyhow::Result<Option<Stop>> {
     bench.order(Order::Block);
     bench.until(REST_NS, |bench| bench.ordered_ns().is_some())?;
     let blocked_ns = bench.ordered_ns().unwrap_or(u64::MAX);
@@ -251,13 +305,16 @@ fn stop(bench: &mut Bench, vehicle: &Description) -> anyhow::Result<Option<Halt>
         let way = &bench.feed.observed.way;
         halt::rests(way) && way.last().is_some_and(|point| point.at_ns > blocked_ns)
     })?;
-    let measured = halt::measure(&bench.feed.observed.way, blocked_ns, vehicle.command_delay_s);
-    Ok(measured.filter(|_| has_rested))
+    let settled = bench.feed.observed.way.len() + SETTLING_SCANS;
+    bench.until(REST_NS, |bench| bench.feed.observed.way.len() >= settled)?;
+    let counted = halt::measure(&bench.feed.observed.way, blocked_ns, vehicle.command_delay_s);
+    let seen = body::stop(&bench.feed, blocked_ns, vehicle);
+    Ok(counted.filter(|_| has_rested).map(|counted| Stop { counted, seen }))
 }
 
 /// Why the robot must not be driven; `None` when its way is free.
 fn blocked(bench: &Bench, system: &System) -> Option<String> {
-    let Some(scan) = &bench.feed.newest_scan else { return Some("no scan has ranges".to_owned()) };
+    let Some(scan) = bench.feed.newest_scan() else { return Some("no scan has ranges".to_owned()) };
     let free_m = free_ahead_m(scan, &system.vehicle);
     (free_m < FREE_M).then(|| format!("{free_m:.2} m are free ahead, the drive needs {FREE_M} m"))
 }
@@ -266,12 +323,28 @@ fn place(bench: &Bench) -> Point {
     bench.feed.observed.way.last().copied().unwrap_or_default()
 }
 
-fn ahead(moved_m: f64) -> Finding {
-    let allowed = format!("at least {MIN_AHEAD_M:+} m");
-    Finding::of("ahead", moved_m >= MIN_AHEAD_M, format!("odometry moved by {moved_m:+.2} m"), allowed)
+/// Judges the way by the odometry, and by the scans where they show one.
+fn ahead(moved_m: f64, seen_m: Option<f64>) -> Finding {
+    let (measured, allowed) =
+        (format!("odometry moved by {moved_m:+.2} m"), format!("at least {MIN_AHEAD_M:+} m"));
+    match seen_m.filter(|seen_m| *seen_m < SEEN_SHARE * moved_m) {
+        Some(seen_m) if moved_m >= MIN_AHEAD_M => {
+            let measured = format!("{measured}, the body by {seen_m:+.2} m by the scans");
+            Finding::of("ahead", false, measured, format!("{allowed}, of both"))
+        }
+        _ => Finding::of("ahead", moved_m >= MIN_AHEAD_M, measured, allowed),
+    }
 }
 
-fn left(turned_rad: f64, min_rad: f64) -> Finding {
-    let allowed = format!("at least {min_rad:+} rad");
-    Finding::of("left", turned_rad >= min_rad, format!("odometry turned by {turned_rad:+.2} rad"), allowed)
+/// The same for the turn.
+fn left(turned_rad: f64, min_rad: f64, seen_rad: Option<f64>) -> Finding {
+    let (measured, allowed) =
+        (format!("odometry turned by {turned_rad:+.2} rad"), format!("at least {min_rad:+} rad"));
+    match seen_rad.filter(|seen_rad| *seen_rad < SEEN_SHARE * turned_rad) {
+        Some(seen_rad) if turned_rad >= min_rad => {
+            let measured = format!("{measured}, the body by {seen_rad:+.2} rad by the scans");
+            Finding::of("left", false, measured, format!("{allowed}, of both"))
+        }
+        _ => Finding::of("left", turned_rad >= min_rad, measured, allowed),
+    }
 }
