@@ -192,7 +192,7 @@ fn a_case_that_could_not_see_what_it_is_about_is_no_pass() {
     // Without a recommended case it may fill the role.
     for (role, fault, case) in [
         ("robot", "stuck", "jitter"),
-        ("controller", "never", "names-its-reason"),
+        ("controller", "halts", "names-its-reason"),
         ("obstacles", "nothing", "nearest-first"),
         ("obstacles", "nothing", "keeps-identity"),
     ] {

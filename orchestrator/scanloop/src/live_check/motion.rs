@@ -204,29 +204,36 @@ fn drive(
     let start = place(bench);
     let mut track = Track::begin(&bench.feed, &system.vehicle);
     let is_free = leg(bench, system, Order::Drive(speed_mps, 0.0), straight_m)?;
-    let moved_m = place(bench).ahead_m - start.ahead_m;
-    let straight = track.follow(&bench.feed, speed_mps, &system.vehicle);
-    // The way of a robot that was stopped early is too short to be judged, but its direction is not.
-    if is_free || moved_m < -MIN_BACK_M {
-        moved.add(ahead(moved_m, straight.map(|body| body.ahead_m)));
-    }
+    let (moved_m, straight_ns) = (place(bench).ahead_m - start.ahead_m, newest_ns(bench));
     if !is_free || moved_m < MIN_AHEAD_M {
         bench.order(Order::Block);
         bench.until(REST_NS, |bench| halt::rests(&bench.feed.observed.way))?;
+        // The way of a robot that was stopped early is too short to be judged, but its direction is not.
+        if is_free || moved_m < -MIN_BACK_M {
+            moved.add(ahead(moved_m, None));
+        }
         moved.skip(if is_free { "`ahead` failed" } else { NOT_FREE });
         return Ok(());
     }
     let start = place(bench);
     let is_free = leg(bench, system, Order::Drive(speed_mps, LEFT_RAD), left_m)?;
-    let end = place(bench);
+    let (turned_rad, left_ns) = (place(bench).left_rad - start.left_rad, newest_ns(bench));
+    let first = stop(bench, &system.vehicle)?;
+    let straight = track.follow(&bench.feed, straight_ns, speed_mps, &system.vehicle);
+    moved.add(ahead(moved_m, straight.map(|body| body.ahead_m)));
     if is_free {
-        let turned = track.follow(&bench.feed, speed_mps, &system.vehicle);
+        let turned = track.follow(&bench.feed, left_ns, speed_mps, &system.vehicle);
         let seen_rad = straight.zip(turned).map(|(before, after)| after.left_rad - before.left_rad);
-        moved.add(left(end.left_rad - start.left_rad, MIN_DRIVEN_LEFT_RAD, seen_rad));
+        moved.add(left(turned_rad, MIN_DRIVEN_LEFT_RAD, seen_rad));
     } else {
         moved.add(Finding::skipped("left", NOT_FREE));
     }
-    stops(bench, system, arguments, moved)
+    stops(bench, system, arguments, first, moved)
+}
+
+/// Time of the newest scan [ns].
+fn newest_ns(bench: &Bench) -> u64 {
+    bench.feed.newest_scan().map_or(0, |scan| scan.header.acquired_ns)
 }
 
 /// Length of the run-ups to all stops but the first [m].
@@ -259,16 +266,18 @@ fn is_seen_free(bench: &Bench, system: &System) -> bool {
     !is_stop && scan.is_some_and(|scan| free_ahead_m(scan, &system.vehicle) >= NEAR_M)
 }
 
-/// Stops from the speed, and from half of it in turn, as long as the way is free; compares the stops with the description.
+/// After the first stop stops from half of the speed, and from all of it in turn, as long as the way is free; compares the
+/// stops with the description.
 fn stops(
     bench: &mut Bench,
     system: &System,
     arguments: &LiveArguments,
+    first: Option<Stop>,
     moved: &mut Moved,
 ) -> anyhow::Result<()> {
     let vehicle = &system.vehicle;
-    let mut halts = Vec::new();
-    while let Some(halt) = stop(bench, vehicle)? {
+    let (mut halts, mut newest) = (Vec::new(), first);
+    while let Some(halt) = newest {
         halts.push(halt);
         let speed_mps = if halts.len() % 2 == 1 { arguments.speed / 2.0 } else { arguments.speed };
         let length_m = RUN_UP_S * speed_mps;
@@ -286,6 +295,7 @@ fn stops(
             moved.judge_stops(&halts, vehicle);
             return Ok(());
         }
+        newest = stop(bench, vehicle)?;
     }
     moved.add(Finding::of(
         "stop",

@@ -73,16 +73,23 @@ impl Track {
         Self { surroundings: at_rest(&feed.scans_seen, 0, vehicle), pose: [0.0; 3], at_ns, is_seen: false }
     }
 
-    /// Follows all scans since; how far the body is ahead of where it began [m] and how far it has turned to the left
-    /// [rad], `None` where the scans do not show it.
-    pub(super) fn follow(&mut self, feed: &Feed, speed_mps: f64, vehicle: &Description) -> Option<Point> {
+    /// Follows the scans until `until_ns`; how far the body is ahead of where it began [m] and how far it has turned to
+    /// the left [rad], `None` where the scans do not show it. Takes long: call it while the robot rests.
+    pub(super) fn follow(
+        &mut self,
+        feed: &Feed,
+        until_ns: u64,
+        speed_mps: f64,
+        vehicle: &Description,
+    ) -> Option<Point> {
         let surroundings = self.surroundings.as_ref()?;
-        for scan in feed.scans_seen.iter().filter(|scan| scan.header.acquired_ns > self.at_ns) {
+        let is_next = |scan: &&Scan| (self.at_ns + 1..=until_ns).contains(&scan.header.acquired_ns);
+        for scan in feed.scans_seen.iter().filter(is_next) {
             let found = surroundings.locate(scan, speed_mps, self.pose, vehicle);
             self.is_seen = found.is_some();
             self.pose = found.map_or(self.pose, |shift| shift.pose);
         }
-        self.at_ns = feed.newest_scan().map_or(self.at_ns, |scan| scan.header.acquired_ns);
+        self.at_ns = until_ns;
         let [ahead_m, _, left_rad] = self.pose;
         self.is_seen.then_some(Point { at_ns: self.at_ns, ahead_m, left_rad })
     }
