@@ -217,8 +217,9 @@ impl Estimator {
     /// actuation, which the robot received.
     fn is_known(&self, header: &Header, age_ns: u64, interval_ns: u64) -> bool {
         let is_late = age_ns > self.state.usual_age_ns.saturating_add(interval_ns / LATE_SHARE);
-        let was_told =
-            self.state.actuated_ns >= self.state.acquired_ns || self.state.motion.controls().is_empty();
+        let motion = &self.state.motion;
+        let was_told = self.state.actuated_ns >= self.state.acquired_ns || motion.controls().is_empty();
+        let was_told = was_told && motion.remembers(self.state.acquired_ns);
         was_told && !self.is_cut() && !is_late && !self.follows_gap(header)
     }
 

@@ -29,16 +29,21 @@ const MIN_DRIVEN_LEFT_RAD: f64 = 0.03;
 const LEGS_M: [f64; 2] = [0.5, 0.4];
 /// Steering angle of the second leg; the actuator may send up to 0.12 [rad].
 const LEFT_RAD: f64 = 0.08;
-/// Both legs, the way to stop and a reserve must be free in front of the body at the start [m].
-const FREE_M: f64 = 1.5;
+/// Beyond both legs and the way to stop this must be free in front of the body at the start [m].
+const RESERVE_M: f64 = 0.2;
 /// The drive ends when the newest scan with ranges is older than this many periods.
 const MAX_SCAN_PERIODS: u64 = 3;
 /// A way by the odometry against the order that is no noise [m].
 const MIN_BACK_M: f64 = 0.05;
 /// Why the drive ended early.
 const NOT_FREE: &str = "something is near, or the scanner does not see: the wheels are blocked";
-/// The drive ends when something is nearer to the front of the body [m].
+/// See [`near_m`] [m].
 const NEAR_M: f64 = 0.4;
+/// Part of [`near_m`] that stays free [m].
+const NEAR_RESERVE_M: f64 = 0.1;
+/// A body that comes into view is in a scan after a period, which is published within another one, and the block is obeyed
+/// within a third.
+const BLIND_PERIODS: f64 = 3.0;
 /// Blocked wheels rest within this time [ns].
 const REST_NS: u64 = 3_000_000_000;
 /// Run-up to each further stop: the robot reaches its speed, and then keeps it for half a second [s].
@@ -74,7 +79,9 @@ pub(super) fn findings(
     let mut moved = Moved { findings: Vec::new(), deceleration: None };
     let obstacle = before.iter().find(|finding| finding.outcome == Outcome::Failed);
     if arguments.drive {
-        match obstacle.map(|finding| format!("`{}` failed", finding.name)).or_else(|| blocked(bench, system))
+        match obstacle
+            .map(|finding| format!("`{}` failed", finding.name))
+            .or_else(|| blocked(bench, system, arguments.speed))
         {
             Some(reason) => moved.skip(&reason),
             None => drive(bench, system, arguments, &mut moved)?,
@@ -98,7 +105,7 @@ impl Moved {
 
     /// Judges the stops by their sum: one alone may be delayed by a busy computer.
     ///
-    /// Encoders of locked wheels do not count what the body slides, so the scans decide where they show another way.
+    /// Encoders of locked wheels do not count what the body slides, so the scans decide where they show the way.
     fn judge_stops(&mut self, stops: &[Stop], vehicle: &Description) {
         let described_mps2 = vehicle.blocked_deceleration_mps2;
         let judged = Judged::of(stops);
@@ -146,25 +153,29 @@ struct Judged {
 }
 
 impl Judged {
+    /// The stops as the scans show them; those of the odometry only if the scans show none.
     fn of(stops: &[Stop]) -> Self {
         let seen: Vec<(Halt, f64, Halt)> = stops
             .iter()
             .filter_map(|stop| stop.seen.map(|(halt, error_m)| (halt, error_m, stop.counted)))
             .collect();
+        if seen.is_empty() {
+            let by = " by the odometry alone, as the scans do not show the way".to_owned();
+            return Self { halts: stops.iter().map(|stop| stop.counted).collect(), by };
+        }
         let sum = |of: &dyn Fn(&(Halt, f64, Halt)) -> f64| seen.iter().map(of).sum::<f64>();
         let [seen_m, counted_m] =
             [sum(&|(halt, ..)| halt.distance_m), sum(&|(.., counted)| counted.distance_m)];
         let error_m =
             SLIDE.0 * sum(&|(_, error_m, _)| error_m * error_m).sqrt() + SLIDE.1 * seen.len() as f64;
-        if (seen_m - counted_m).abs() > error_m {
-            let by = format!(
-                " by the scans, of which the odometry counted {counted_m:.3} m: it does not show what locked wheels slide"
-            );
-            return Self { halts: seen.into_iter().map(|(halt, ..)| halt).collect(), by };
-        }
-        let by =
-            if seen.is_empty() { " by the odometry alone, as the scans do not show the way" } else { "" };
-        Self { halts: stops.iter().map(|stop| stop.counted).collect(), by: by.to_owned() }
+        let by = if (seen_m - counted_m).abs() > error_m {
+            format!(
+                " by the scans, of which the odometry counted {counted_m:.3} m: it does not show what wheels slide"
+            )
+        } else {
+            " by the scans".to_owned()
+        };
+        Self { halts: seen.into_iter().map(|(halt, ..)| halt).collect(), by }
     }
 }
 
@@ -197,7 +208,7 @@ fn drive(
         WARNING_NS / 1_000_000_000
     );
     bench.until(WARNING_NS, |_| false)?;
-    if !is_seen_free(bench, system) {
+    if !is_seen_free(bench, system, speed_mps) {
         moved.skip(NOT_FREE);
         return Ok(());
     }
@@ -251,19 +262,27 @@ fn leg(bench: &mut Bench, system: &System, order: Order, length_m: f64) -> anyho
     let mut is_free = true;
     bench.order(order);
     bench.until(limit_ns, |bench| {
-        is_free = is_seen_free(bench, system);
+        is_free = is_seen_free(bench, system, speed_mps);
         !is_free || (place(bench).ahead_m - start_m).abs() >= length_m
     })?;
     Ok(is_free)
 }
 
+/// The drive ends when something is nearer than this to the front of the body: the way until the newest scan has blocked
+/// the wheels, and to rest as described, or [`NEAR_M`] [m].
+fn near_m(system: &System, speed_mps: f64) -> f64 {
+    let blind_s = BLIND_PERIODS * system.period_ns() as f64 * 1e-9 + system.vehicle.command_delay_s;
+    let slide_m = speed_mps * speed_mps / (2.0 * system.vehicle.blocked_deceleration_mps2);
+    NEAR_M.max(speed_mps * blind_s + slide_m + NEAR_RESERVE_M)
+}
+
 /// Whether a scanner that works sees nothing near in the way of the robot.
-fn is_seen_free(bench: &Bench, system: &System) -> bool {
+fn is_seen_free(bench: &Bench, system: &System, speed_mps: f64) -> bool {
     let feed = &bench.feed;
     let oldest_ns = place(bench).at_ns.saturating_sub(MAX_SCAN_PERIODS * system.period_ns());
     let is_stop = feed.observed.health.is_some_and(|health| health.state().is_stop());
     let scan = feed.newest_scan().filter(|scan| scan.header.acquired_ns >= oldest_ns);
-    !is_stop && scan.is_some_and(|scan| free_ahead_m(scan, &system.vehicle) >= NEAR_M)
+    !is_stop && scan.is_some_and(|scan| free_ahead_m(scan, &system.vehicle) >= near_m(system, speed_mps))
 }
 
 /// After the first stop stops from half of the speed, and from all of it in turn, as long as the way is free; compares the
@@ -284,7 +303,7 @@ fn stops(
         let has_room = bench
             .feed
             .newest_scan()
-            .is_some_and(|scan| free_ahead_m(scan, vehicle) >= length_m + NEAR_M + STOP_M);
+            .is_some_and(|scan| free_ahead_m(scan, vehicle) >= length_m + near_m(system, speed_mps) + STOP_M);
         if halts.len() >= arguments.stops || !has_room {
             moved.judge_stops(&halts, vehicle);
             return Ok(());
@@ -323,10 +342,11 @@ fn stop(bench: &mut Bench, vehicle: &Description) -> anyhow::Result<Option<Stop>
 }
 
 /// Why the robot must not be driven; `None` when its way is free.
-fn blocked(bench: &Bench, system: &System) -> Option<String> {
+fn blocked(bench: &Bench, system: &System, speed_mps: f64) -> Option<String> {
     let Some(scan) = bench.feed.newest_scan() else { return Some("no scan has ranges".to_owned()) };
     let free_m = free_ahead_m(scan, &system.vehicle);
-    (free_m < FREE_M).then(|| format!("{free_m:.2} m are free ahead, the drive needs {FREE_M} m"))
+    let needed_m = LEGS_M.iter().sum::<f64>() + near_m(system, speed_mps) + RESERVE_M;
+    (free_m < needed_m).then(|| format!("{free_m:.2} m are free ahead, the drive needs {needed_m:.2} m"))
 }
 
 fn place(bench: &Bench) -> Point {

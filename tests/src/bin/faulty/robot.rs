@@ -171,7 +171,7 @@ impl Device {
     }
 
     fn stamp_ns(&self, fault: &str, now_ns: u64, scan_id: u64, acquired_ns: u64) -> u64 {
-        let run_ns = acquired_ns - self.origin_ns;
+        let run_ns = acquired_ns.saturating_sub(self.origin_ns);
         match fault {
             "foreign" => run_ns,
             "drifts" => acquired_ns - run_ns / 50,

@@ -113,7 +113,7 @@ impl Surroundings {
         // Directions that nothing shows stay where the guess has them.
         let weak = Matrix3::from_diagonal(&Vector3::new(1e-3, 1e-3, 1e-3));
         let inverse = (information + weak).try_inverse()?;
-        let variance = (squares / f64::from(count)).max(MIN_RANGE_ERROR_M.powi(2));
+        let variance = (squares / count as f64).max(MIN_RANGE_ERROR_M.powi(2));
         Some((-(inverse * slope), (variance / facing).sqrt()))
     }
 
