@@ -4,6 +4,7 @@ mod body;
 mod deceleration;
 mod halt;
 mod registration;
+mod verdict;
 
 use console::note;
 use plan::System;
@@ -15,7 +16,6 @@ use super::feed::{Point, free_ahead_m};
 use super::finding::{Finding, Outcome};
 use body::{Stop, Track};
 use deceleration::Deceleration;
-use halt::Halt;
 
 /// Names of these checks.
 pub(super) const NAMES: [&str; 3] = ["ahead", "left", "stop"];
@@ -52,8 +52,6 @@ const RUN_UP_S: f64 = 1.2;
 const STOP_M: f64 = 0.3;
 /// Scans that are waited for when the odometry rests: locked wheels may slide on [count].
 const SETTLING_SCANS: usize = 8;
-/// Ways that the scans and the odometry show differ, if by more standard errors than this, and by this way per stop [m].
-const SLIDE: (f64, f64) = (3.0, 0.002);
 /// The odometry shows another motion than the scans, if theirs is less than this share of it.
 const SEEN_SHARE: f64 = 0.5;
 /// Time between the warning and the drive [ns].
@@ -103,39 +101,11 @@ impl Moved {
         self.findings.push(finding);
     }
 
-    /// Judges the stops by their sum: one alone may be delayed by a busy computer.
-    ///
-    /// Encoders of locked wheels do not count what the body slides, so the scans decide where they show the way.
+    /// Judges all stops.
     fn judge_stops(&mut self, stops: &[Stop], vehicle: &Description) {
-        let described_mps2 = vehicle.blocked_deceleration_mps2;
-        let judged = Judged::of(stops);
-        let halts = &judged.halts;
-        let sum = |of: &dyn Fn(&Halt) -> f64| halts.iter().map(of).sum::<f64>();
-        let (covered_m, allowed_m) =
-            (sum(&|halt| halt.distance_m), sum(&|halt| halt.allowed_m(described_mps2)));
-        let found = deceleration::fit(halts);
-        let friction_mps2 = vehicle.tyre_friction * vehicle::tyre::GRAVITY_MPS2;
-        let (count, fastest) = (halts.len(), halts.iter().map(|halt| halt.speed_mps).fold(0.0, f64::max));
-        let plural = if count == 1 { "stop" } else { "stops" };
-        let way = format!("{covered_m:.3} m in {count} {plural} from up to {fastest:.2} m/s{}", judged.by);
-        let tyres = format!("{friction_mps2:.1} m/s^2 by vehicle.tyre_friction = {}", vehicle.tyre_friction);
-        if covered_m <= 0.0 || found.entered_mps2 > friction_mps2 {
-            let measured = format!("{way}: shorter than friction allows, so this is not the way of the body");
-            let allowed = format!("up to {tyres}");
-            self.add(Finding::of("stop", false, measured, allowed));
-            return;
-        }
-        let found = found.at_most(friction_mps2);
-        let Deceleration { estimate_mps2, entered_mps2 } = found;
-        let limit =
-            if estimate_mps2 >= friction_mps2 { format!(", no more than {tyres}") } else { String::new() };
-        self.add(Finding::of(
-            "stop",
-            covered_m <= allowed_m,
-            format!("{way}: {estimate_mps2:.2} m/s^2, with the error at least {entered_mps2}{limit}"),
-            format!("up to {allowed_m:.3} m by vehicle.blocked_deceleration_mps2 = {described_mps2}"),
-        ));
-        self.deceleration = Some(found);
+        let (finding, deceleration) = verdict::judge(stops, vehicle);
+        self.add(finding);
+        self.deceleration = deceleration;
     }
 
     /// Skips all checks that were not made.
@@ -143,39 +113,6 @@ impl Moved {
         for name in &NAMES[self.findings.len()..] {
             self.add(Finding::skipped(name, reason));
         }
-    }
-}
-
-/// The stops that count, and by what they were measured.
-struct Judged {
-    halts: Vec<Halt>,
-    by: String,
-}
-
-impl Judged {
-    /// The stops as the scans show them; those of the odometry only if the scans show none.
-    fn of(stops: &[Stop]) -> Self {
-        let seen: Vec<(Halt, f64, Halt)> = stops
-            .iter()
-            .filter_map(|stop| stop.seen.map(|(halt, error_m)| (halt, error_m, stop.counted)))
-            .collect();
-        if seen.is_empty() {
-            let by = " by the odometry alone, as the scans do not show the way".to_owned();
-            return Self { halts: stops.iter().map(|stop| stop.counted).collect(), by };
-        }
-        let sum = |of: &dyn Fn(&(Halt, f64, Halt)) -> f64| seen.iter().map(of).sum::<f64>();
-        let [seen_m, counted_m] =
-            [sum(&|(halt, ..)| halt.distance_m), sum(&|(.., counted)| counted.distance_m)];
-        let error_m =
-            SLIDE.0 * sum(&|(_, error_m, _)| error_m * error_m).sqrt() + SLIDE.1 * seen.len() as f64;
-        let by = if (seen_m - counted_m).abs() > error_m {
-            format!(
-                " by the scans, of which the odometry counted {counted_m:.3} m: it does not show what wheels slide"
-            )
-        } else {
-            " by the scans".to_owned()
-        };
-        Self { halts: seen.into_iter().map(|(halt, ..)| halt).collect(), by }
     }
 }
 
