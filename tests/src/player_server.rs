@@ -1,7 +1,7 @@
 //! A Player 3 server with an emulated robot, written from the description of the protocol.
 //!
-//! As Stage, it has no watchdog: the robot follows the last command until another one comes, or until no client has the
-//! base open. Its scanner and its odometry are those of the emulator, without the imperfections that a calibration
+//! As Stage, it has no watchdog unless one is set: the robot follows the last command until another one comes, or until
+//! no client has the base open. Its scanner and its odometry are those of the emulator, without the imperfections that a calibration
 //! undoes. A Hokuyo scanner stands on the robot too, at a port of its own. Faults of both can be switched on.
 
 mod client;
@@ -45,6 +45,10 @@ pub enum Fault {
     Floods = 3,
     /// It stops in the middle of a sweep.
     HalfSweep = 4,
+    /// The network is away: neither data nor commands pass. Both come late when this ends.
+    Held = 5,
+    /// The same, but the data are lost.
+    Cut = 6,
 }
 
 /// A running server; it ends when it is dropped.
@@ -80,6 +84,7 @@ impl PlayerServer {
             hokuyo: Arc::clone(&hokuyo),
             fault: Arc::clone(&fault),
             clients: Vec::new(),
+            held: Vec::new(),
         };
         let its_end = Arc::clone(&ends);
         let thread = std::thread::Builder::new().spawn(move || server.run(&its_end))?;
@@ -121,6 +126,11 @@ impl PlayerServer {
         locked(&self.world).received.clone()
     }
 
+    /// Blocks the wheels after this time without a command [ns].
+    pub fn set_watchdog(&self, after_ns: u64) {
+        locked(&self.world).watchdog_ns = Some(after_ns);
+    }
+
     /// Switches a fault on, or all off.
     pub fn set_fault(&self, fault: Fault) {
         self.fault.store(fault as u8, Ordering::SeqCst);
@@ -146,6 +156,8 @@ struct Server {
     hokuyo: Arc<Mutex<Hokuyo>>,
     fault: Arc<AtomicU8>,
     clients: Vec<Client>,
+    /// Data that the network holds.
+    held: Vec<world::Data>,
 }
 
 impl Server {
@@ -162,8 +174,11 @@ impl Server {
             self.clients.extend(Client::new(stream, self.port, world.time_s()));
         }
         let fault = self.fault.load(Ordering::SeqCst);
-        self.clients.retain_mut(|client| client.serve(&mut world).is_ok());
-        world.is_open = self.clients.iter().any(Client::has_base);
+        let is_away = fault == Fault::Held as u8 || fault == Fault::Cut as u8;
+        if !is_away {
+            self.clients.retain_mut(|client| client.serve(&mut world).is_ok());
+            world.is_open = self.clients.iter().any(Client::has_base);
+        }
         let data = world.advance(monotonic_ns());
         drop(world);
         let mut hokuyo = locked(&self.hokuyo);
@@ -172,7 +187,13 @@ impl Server {
         }
         hokuyo.serve();
         drop(hokuyo);
+        if is_away {
+            self.held.extend(data.filter(|_| fault == Fault::Held as u8));
+            return;
+        }
+        let held = std::mem::take(&mut self.held);
         for client in &mut self.clients {
+            held.iter().for_each(|data| client.deliver(data));
             match (&data, fault) {
                 (Some(data), 0) => client.deliver(data),
                 (Some(data), 4) => {

@@ -165,6 +165,42 @@ fn every_case_finds_a_fault() {
     assert!(wrong.is_empty(), "not found: {wrong:?}");
 }
 
+/// Cases of one program, with their outcome each.
+fn outcomes(role: &str, program: &str, fault: &str, cases: &[&str]) -> (Vec<Outcome>, Option<i32>, String) {
+    let mut arguments = vec!["--rate", "20", "--tries", "1", "--jobs", "8", role];
+    cases.iter().for_each(|case| arguments.extend(["--only", case]));
+    arguments.extend(["--", FAULTY, program, fault]);
+    let (report, output) = suite(&arguments);
+    assert_eq!(report.not_observed, cases.len(), "{}", stderr(&output));
+    (report.cases.iter().map(|case| case.outcome).collect(), output.status.code(), stderr(&output))
+}
+
+#[test]
+fn a_case_that_could_not_see_what_it_is_about_is_no_pass() {
+    // A robot at a wall, a controller that never drives, and a detector that reports nothing.
+    for (role, fault, cases) in [
+        ("robot", "stuck", &["increments", "gaps", "device-restart", "half-a-scan"][..]),
+        ("controller", "never", &["stops-before-a-barrier", "stale", "authority", "pause"]),
+        ("obstacles", "nothing", &["no-phantoms"]),
+        ("obstacles", "always-blind", &["range-factor", "mounting-angle"]),
+    ] {
+        let (outcomes, code, text) = outcomes(role, role, fault, cases);
+        assert_eq!(outcomes, vec![Outcome::NotObserved; cases.len()], "{text}");
+        assert_eq!(code, Some(1), "{text}");
+        assert!(text.contains("not observed  ") && text.contains("was not seen to meet all"), "{text}");
+    }
+    // Without a recommended case it may fill the role.
+    for (role, fault, case) in [
+        ("robot", "stuck", "jitter"),
+        ("controller", "halts", "names-its-reason"),
+        ("obstacles", "nothing", "nearest-first"),
+        ("obstacles", "nothing", "keeps-identity"),
+    ] {
+        let (_, code, text) = outcomes(role, role, fault, &[case]);
+        assert_eq!(code, Some(0), "{text}");
+    }
+}
+
 #[test]
 fn the_table_of_faults_has_every_case_of_every_role() {
     let mut tried: BTreeSet<(&str, &str)> = BTreeSet::new();

@@ -18,14 +18,19 @@
 #define REST_MPS 1e-3        /* below this speed the wheels rest */
 #define TURN 6.283185307179586
 #define MAX_MISSING 3              /* periods without data, or broken sweeps in a row, that are a fault */
-#define MAX_STATES 64              /* states of the base, more than it sends in two scan periods */
+#define MAX_STATES 256             /* states of the base, more than it sends in two scan periods */
+#define MAX_DELAY_NS (1000u * MS)  /* no message is delayed by more: an older stamp is one of a device that was restarted */
+#define WINDOW_NS (5000u * MS)     /* when all messages of this time are late by JUMP_NS, the device's clock stood still */
+#define JUMP_NS (20 * (int64_t)MS)
 
 /* The clock of one device. A restart of the device starts the mapping anew. */
 struct device_clock {
     int is_known;
     int64_t offset_ns; /* smallest arrival minus stamp: that with the smallest delay */
     uint64_t stamp_ns, arrived_ns;
-    unsigned restarts;
+    uint64_t window_ns; /* start of a window, and its smallest arrival minus stamp */
+    int64_t least_ns;
+    unsigned restarts, overtaken;
 };
 
 struct state {
@@ -56,17 +61,44 @@ static double wrap(double angle_rad) {
     return rest <= -TURN / 2 ? rest + TURN : rest;
 }
 
-/* When data with this stamp would have arrived with the smallest delay, on CLOCK_MONOTONIC. */
+static int64_t smaller(int64_t one, int64_t other) {
+    return one < other ? one : other;
+}
+
+/* Whether a stamp before the newest one is of a message that was overtaken. A restarted device has lost most of its count.
+ * Nothing newer comes from one whose clock was set back. */
+static int is_overtaken(const struct device_clock *clock, uint64_t stamp_ns, uint64_t arrived_ns) {
+    uint64_t since_ns = arrived_ns - clock->arrived_ns, delay_ns = since_ns + clock->stamp_ns - stamp_ns;
+    return delay_ns <= MAX_DELAY_NS || (stamp_ns >= clock->stamp_ns / 2 && since_ns <= MAX_DELAY_NS);
+}
+
+/* When data with this stamp would have arrived with the smallest delay, on CLOCK_MONOTONIC; 0 for a message that was
+ * overtaken by others, whose data are old. */
 static uint64_t map_stamp(struct device_clock *clock, uint64_t stamp_ns, uint64_t arrived_ns) {
     int64_t found_ns = (int64_t)(arrived_ns - stamp_ns);
     if (clock->is_known && stamp_ns < clock->stamp_ns) {
+        if (is_overtaken(clock, stamp_ns, arrived_ns)) {
+            clock->overtaken++;
+            return 0;
+        }
         clock->restarts++;
         clock->is_known = 0;
     }
+    if (!clock->is_known) {
+        clock->is_known = 1;
+        clock->offset_ns = clock->least_ns = found_ns;
+        clock->window_ns = clock->arrived_ns = arrived_ns;
+    }
     /* 200 ppm: more than two crystals drift apart. */
-    int64_t known_ns = clock->offset_ns + (int64_t)((arrived_ns - clock->arrived_ns) / 5000);
-    clock->offset_ns = clock->is_known && known_ns < found_ns ? known_ns : found_ns;
-    clock->is_known = 1;
+    clock->offset_ns = smaller(found_ns, clock->offset_ns + (int64_t)((arrived_ns - clock->arrived_ns) / 5000));
+    clock->least_ns = smaller(found_ns, clock->least_ns);
+    if (arrived_ns - clock->window_ns > WINDOW_NS) {
+        if (clock->least_ns > clock->offset_ns + JUMP_NS) {
+            clock->offset_ns = clock->least_ns;
+        }
+        clock->window_ns = arrived_ns;
+        clock->least_ns = found_ns;
+    }
     clock->stamp_ns = stamp_ns;
     clock->arrived_ns = arrived_ns;
     return stamp_ns + (uint64_t)clock->offset_ns;
@@ -152,6 +184,7 @@ static void report_devices(const struct driver *driver) {
     uint64_t now_ns = scanloop_now_ns(driver->process), limit_ns = MAX_MISSING * driver->period_ns;
     uint32_t state = SCANLOOP_DEVICE_STATE_FAULT;
     const char *reason = "";
+    char overtaken[64] = "";
     if (driver->base_ns == 0 || driver->scanner_ns == 0) {
         state = SCANLOOP_DEVICE_STATE_CONNECTING;
         reason = driver->base_ns == 0 ? "base: no data yet" : "scanner: no sweep yet";
@@ -162,6 +195,11 @@ static void report_devices(const struct driver *driver) {
     } else if (driver->broken >= MAX_MISSING) {
         reason = "scanner: all sweeps break off";
     } else {
+        unsigned count = driver->base_clock.overtaken + driver->scanner_clock.overtaken;
+        if (count > 0) {
+            snprintf(overtaken, sizeof overtaken, "%u messages were overtaken by others", count);
+        }
+        reason = overtaken;
         state = SCANLOOP_DEVICE_STATE_RUNNING;
     }
     scanloop_report_device(driver->process, state, reason);
@@ -189,17 +227,23 @@ static void read_device(struct driver *driver) {
     struct pose pose;
     if (read_odometry(&driver->device, now_ns, &stamp_ns, &pose)) {
         unsigned restarts = driver->base_clock.restarts;
-        uint64_t time_ns = map_stamp(&driver->base_clock, stamp_ns, now_ns) - base_delay_ns(&driver->device);
-        add_state(driver, time_ns, &pose, driver->base_clock.restarts > restarts);
-        driver->speed_mps = pose.speed_mps;
+        uint64_t time_ns = map_stamp(&driver->base_clock, stamp_ns, now_ns);
+        if (time_ns != 0) {
+            add_state(driver, time_ns - base_delay_ns(&driver->device), &pose, driver->base_clock.restarts > restarts);
+            driver->speed_mps = pose.speed_mps;
+        }
         driver->base_ns = now_ns;
     }
-    if (read_scan(&driver->device, now_ns, &driver->sweep)) {
-        driver->front_ns =
-            map_stamp(&driver->scanner_clock, driver->sweep.stamp_ns, now_ns) - scan_delay_ns(&driver->device);
-        driver->waits = is_next(driver, driver->front_ns);
+    struct sweep sweep;
+    if (read_scan(&driver->device, now_ns, &sweep)) {
+        uint64_t time_ns = map_stamp(&driver->scanner_clock, sweep.stamp_ns, now_ns);
+        if (time_ns != 0) {
+            driver->sweep = sweep;
+            driver->front_ns = time_ns - scan_delay_ns(&driver->device);
+            driver->waits = is_next(driver, driver->front_ns);
+        }
         driver->scanner_ns = now_ns;
-        driver->broken = driver->sweep.beams == SCANLOOP_BEAMS ? 0 : driver->broken + 1;
+        driver->broken = sweep.beams == SCANLOOP_BEAMS ? 0 : driver->broken + 1;
     }
 }
 

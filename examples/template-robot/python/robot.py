@@ -23,25 +23,43 @@ END_NS = 800_000_000  # a process that is asked to end is killed after one secon
 VELOCITY_MAX_MPS, STEERING_MAX_RAD, SLACK = 2.0, 0.12, 1e-9  # what the actuator may send; else it is not obeyed
 REST_MPS = 1e-3  # below this speed the wheels rest
 MAX_MISSING = 3  # periods without data, or broken sweeps in a row, that are a fault
-MAX_STATES = 64  # states of the base, more than it sends in two scan periods
+MAX_STATES = 256  # states of the base, more than it sends in two scan periods
+MAX_DELAY_NS = 1_000_000_000  # no message is delayed by more: an older stamp is one of a device that was restarted
+WINDOW_NS, JUMP_NS = 5_000_000_000, 20_000_000  # when all messages of a window are this late, the device's clock stood still
 
 
 class DeviceClock:
     """The clock of one device. A restart of the device starts the mapping anew."""
 
     def __init__(self):
-        self._offset_ns, self._stamp_ns, self._arrived_ns, self.restarts = None, 0, 0, 0
+        self._offset_ns, self._stamp_ns, self._arrived_ns = None, 0, 0
+        self._window_ns, self._least_ns = 0, 0  # the smallest arrival minus stamp since the start of a window
+        self.restarts, self.overtaken = 0, 0
 
     def map(self, stamp_ns, arrived_ns):
-        """When data with this stamp would have arrived with the smallest delay, on CLOCK_MONOTONIC."""
+        """When data with this stamp would have arrived with the smallest delay, on CLOCK_MONOTONIC.
+
+        None for a message that was overtaken by others: its data are old."""
+        since_ns, found_ns = arrived_ns - self._arrived_ns, arrived_ns - stamp_ns
         if stamp_ns < self._stamp_ns:
+            delay_ns = since_ns + self._stamp_ns - stamp_ns
+            # A restarted device has lost most of its count. Nothing newer comes from one whose clock was set back.
+            has_lost_count = stamp_ns < self._stamp_ns // 2
+            if delay_ns <= MAX_DELAY_NS or not (has_lost_count or since_ns > MAX_DELAY_NS):
+                self.overtaken += 1
+                return None
             self.restarts, self._offset_ns = self.restarts + 1, None
-        found_ns = arrived_ns - stamp_ns
-        if self._offset_ns is not None:
-            drifted_ns = (arrived_ns - self._arrived_ns) // 5000  # 200 ppm: more than two crystals drift apart
-            found_ns = min(found_ns, self._offset_ns + drifted_ns)
-        self._offset_ns, self._stamp_ns, self._arrived_ns = found_ns, stamp_ns, arrived_ns
-        return stamp_ns + found_ns
+        if self._offset_ns is None:
+            self._offset_ns, self._window_ns, self._least_ns = found_ns, arrived_ns, found_ns
+        drifted_ns = since_ns // 5000  # 200 ppm: more than two crystals drift apart
+        self._offset_ns = min(found_ns, self._offset_ns + drifted_ns)
+        self._least_ns = min(found_ns, self._least_ns)
+        if arrived_ns - self._window_ns > WINDOW_NS:
+            if self._least_ns > self._offset_ns + JUMP_NS:
+                self._offset_ns = self._least_ns
+            self._window_ns, self._least_ns = arrived_ns, found_ns
+        self._stamp_ns, self._arrived_ns = stamp_ns, arrived_ns
+        return stamp_ns + self._offset_ns
 
 
 def wrap(angle):
@@ -155,7 +173,8 @@ class Driver:
             return DeviceState.FAULT, "scanner: sends no sweeps"
         if self._broken >= MAX_MISSING:
             return DeviceState.FAULT, "scanner: all sweeps break off"
-        return DeviceState.RUNNING, ""
+        overtaken = self._base_clock.overtaken + self._scanner_clock.overtaken
+        return DeviceState.RUNNING, f"{overtaken} messages were overtaken by others" if overtaken else ""
 
     def _read(self):
         """Reads what base and scanner have measured, and maps their stamps to CLOCK_MONOTONIC."""
@@ -163,16 +182,20 @@ class Driver:
         if state := self._device.read_odometry(now_ns):
             stamp_ns, pose = state
             restarts = self._base_clock.restarts
-            time_ns = self._base_clock.map(stamp_ns, now_ns) - self._device.base_delay_ns
-            self._history.add(time_ns, pose, self._base_clock.restarts > restarts)
-            self._speed_mps = pose.speed_mps
+            time_ns = self._base_clock.map(stamp_ns, now_ns)
+            if time_ns is not None:
+                restarted = self._base_clock.restarts > restarts
+                self._history.add(time_ns - self._device.base_delay_ns, pose, restarted)
+                self._speed_mps = pose.speed_mps
             self._arrived_ns[0] = now_ns
         if sweep := self._device.read_scan(now_ns):
             stamp_ns, ranges = sweep
             self._arrived_ns[1] = now_ns
             self._broken = 0 if len(ranges) == BEAMS else self._broken + 1
-            front_ns = self._scanner_clock.map(stamp_ns, now_ns) - self._device.scan_delay_ns
-            self._waiting = (front_ns, ranges) if self._is_next(front_ns) else None
+            time_ns = self._scanner_clock.map(stamp_ns, now_ns)
+            if time_ns is not None:
+                front_ns = time_ns - self._device.scan_delay_ns
+                self._waiting = (front_ns, ranges) if self._is_next(front_ns) else None
 
     def _is_next(self, front_ns):
         """Whether a front beam is after the one before; logs a gap."""

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::suite::Suite;
 
-pub(crate) use super::trouble::{Trouble, Verdict, failed, passed_if, require, skipped};
+pub(crate) use super::trouble::{Trouble, Verdict, failed, observed, passed_if, require, skipped};
 
 /// One requirement and the function that finds out whether it is met.
 #[derive(Clone, Copy)]
@@ -70,6 +70,8 @@ pub enum Outcome {
     Passed,
     /// It is not.
     Failed,
+    /// What it is about did not happen, so nothing is known.
+    NotObserved,
     /// It does not apply to this implementation.
     Skipped,
 }
@@ -90,6 +92,7 @@ impl Outcome {
         match self {
             Self::Passed => "passed",
             Self::Failed => "failed",
+            Self::NotObserved => "not observed",
             Self::Skipped => "skipped",
         }
     }

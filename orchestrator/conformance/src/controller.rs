@@ -5,7 +5,7 @@ use shared_types::{
     ScannerState, StopReason, Suspect,
 };
 
-use super::case::{Case, Trouble, Verdict, failed, passed_if, require};
+use super::case::{Case, Trouble, Verdict, failed, observed, passed_if, require};
 use super::drive::{Course, Drive};
 use super::message::{Message, Received};
 use super::suite::{Setup, Suite};
@@ -96,6 +96,8 @@ fn stops_before_a_barrier(suite: &Suite) -> Verdict {
         })?;
         require(*reason != StopReason::None.wire(), || "it stops without a reason".to_owned())?;
     }
+    let driven = driven(&free_track(suite)?)?.len();
+    observed(driven > 0, || "it does not drive on a free track either".to_owned())?;
     Ok(format!("{} stops, {IN_FRONT_M} m before a barrier", commands.len()))
 }
 
@@ -135,6 +137,10 @@ fn lands(suite: &Suite) -> Verdict {
     let kind = CommandKind::try_from(last.kind).map_or("nothing known", CommandKind::name);
     let distance_m = drive.step(last.header.scan_id).truth.goal_distance_m;
     let is_landing = last.kind == CommandKind::Land.wire();
+    let first = received[0].message.sample::<Command>()?;
+    observed(!is_landing || first.kind != CommandKind::Land.wire(), || {
+        "it lands also half a metre before the goal".to_owned()
+    })?;
     passed_if(is_landing, format!("`{kind}` at {distance_m:.3} m from the goal"))
 }
 
@@ -251,6 +257,8 @@ fn names_its_reason(suite: &Suite) -> Verdict {
             format!("scan {}: kind {kind}, level {level}, reason {reason}", header.scan_id)
         })?;
     }
+    let driven = driven(&all)?.len();
+    observed((1..all.len()).contains(&driven), || format!("{driven} of {} commands drive", all.len()))?;
     Ok(format!("{} commands", all.len()))
 }
 

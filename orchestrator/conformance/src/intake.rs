@@ -5,7 +5,7 @@
 
 use shared_types::{Authority, Fault, Heartbeat, Topic};
 
-use super::case::{Case, Trouble, Verdict, failed, require};
+use super::case::{Case, Trouble, Verdict, failed, observed, require};
 use super::message::Message;
 use super::suite::Suite;
 use super::test_bench::{ANSWER_NS, FOREIGN, TestBench, incarnation_of, inputs_of};
@@ -259,7 +259,11 @@ fn contradiction(bench: &mut TestBench<'_>) -> Result<[u64; 2], Trouble> {
 /// A candidate that has answered some scans of the drive.
 fn mid_drive(suite: &Suite) -> Result<TestBench<'_>, Trouble> {
     let mut bench = suite.started_at(FIRST_SCAN)?;
-    bench.rounds(3)?;
+    let answers = bench.rounds(3)?;
+    // A process that always blocks the wheels would never show that it uses what it must not.
+    observed(answers.iter().any(|answer| !answer.message.is_harmless()), || {
+        "it does not drive with good samples either".to_owned()
+    })?;
     Ok(bench)
 }
 

@@ -116,7 +116,7 @@ pub fn conformance(arguments: &ConformanceArguments) -> anyhow::Result<Exit> {
     if arguments.json {
         data(&serde_json::to_string_pretty(&report)?)?;
     }
-    Ok(if report.failed == 0 { Exit::Done } else { Exit::NotReached })
+    Ok(if report.is_met() { Exit::Done } else { Exit::NotReached })
 }
 
 /// The cases of a role in the order in which they are played.
@@ -220,10 +220,10 @@ fn play_all(cases: &[Case], suite: &Suite, arguments: &ConformanceArguments) -> 
     Ok(verdicts)
 }
 
-/// Plays a case that failed again, as often as it may be tried.
+/// Plays a case that failed or observed nothing again, as often as it may be tried.
 fn play_again(case: &Case, suite: &Suite, mut verdict: Verdict, tries: u32) -> Verdict {
     for _ in 1..case.tries.min(tries) {
-        if !matches!(verdict, Err(Trouble::Failed(_))) {
+        if !matches!(verdict, Err(Trouble::Failed(_) | Trouble::NotObserved(_))) {
             break;
         }
         verdict = (case.play)(suite);

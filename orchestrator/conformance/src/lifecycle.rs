@@ -7,7 +7,7 @@ use rustix::process::{Pid, Signal, getpgid, kill_process_group};
 use shared_types::{Phase, ProcessState, Role};
 use supervision::supervisor::Exit;
 
-use super::case::{Case, Trouble, Verdict, failed, require};
+use super::case::{Case, Trouble, Verdict, failed, observed, require};
 use super::suite::{Setup, Suite};
 use super::test_bench::{ANSWER_NS, TestBench};
 
@@ -144,7 +144,10 @@ fn joins_late(suite: &Suite) -> Verdict {
 
 fn pause(suite: &Suite) -> Verdict {
     let mut bench = suite.started_at(30)?;
-    bench.rounds(5)?;
+    let answers = bench.rounds(5)?;
+    observed(answers.iter().any(|answer| !answer.message.is_harmless()), || {
+        "it does not drive before the pause either".to_owned()
+    })?;
     let periods = (PAUSE_S * 1e9 / suite.period_ns as f64) as usize;
     send(&bench, Signal::STOP)?;
     if suite.role == Role::Robot {

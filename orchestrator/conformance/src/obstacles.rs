@@ -4,7 +4,7 @@ pub(crate) mod scanner;
 
 use shared_types::{Obstacle, Obstacles};
 
-use super::case::{Case, Trouble, Verdict, require};
+use super::case::{Case, Trouble, Verdict, observed, require};
 use super::drive::Course;
 use super::suite::{Setup, Suite};
 use super::test_bench::TestBench;
@@ -73,6 +73,10 @@ fn no_phantoms(suite: &Suite) -> Verdict {
         let Obstacles { header, count, .. } = received.message.sample()?;
         require(*count == 0, || format!("scan {}: {count} ellipses on an empty track", header.scan_id))?;
     }
+    drop(bench);
+    let with_a_box = before_the_box(suite)?.rounds(SCANS)?;
+    let last = with_a_box[SCANS - 1].message.sample::<Obstacles>()?;
+    observed(last.count > 0, || "it reports no obstacle where there is one either".to_owned())?;
     Ok(format!("{} scans of an empty track", 2 * SCANS))
 }
 
@@ -91,7 +95,7 @@ fn nearest_first(suite: &Suite) -> Verdict {
             require(near < far, || format!("scan {scan_id}: the farther box is listed first"))?;
         }
     }
-    require(both > 0, || "it never reported both boxes".to_owned())?;
+    observed(both > 0, || "it never reported both boxes".to_owned())?;
     Ok(format!("{both} scans with both boxes"))
 }
 
@@ -102,6 +106,7 @@ fn keeps_identity(suite: &Suite) -> Verdict {
         ids.extend(obstacles.list().iter().find(|item| covers_the_box(item)).map(|item| item.id));
     }
     let scans = ids.len();
+    observed(scans > 1, || format!("it reported the box in {scans} scans"))?;
     ids.dedup();
     require(ids.len() == 1, || format!("{} numbers in {scans} scans: {ids:?}", ids.len()))?;
     Ok(format!("number {} in {scans} scans", ids[0]))

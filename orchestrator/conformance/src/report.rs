@@ -19,6 +19,8 @@ pub struct Report {
     pub failed: usize,
     /// Recommended cases that were not.
     pub not_recommended: usize,
+    /// Cases, required and recommended, that did not see what they are about.
+    pub not_observed: usize,
     /// Cases that do not apply.
     pub skipped: usize,
     /// All cases in the order in which they were played.
@@ -44,7 +46,16 @@ impl Report {
     /// A report without cases.
     pub(crate) fn new(role: &str, command: &str) -> Self {
         let (role, command) = (role.to_owned(), command.to_owned());
-        Self { role, command, passed: 0, failed: 0, not_recommended: 0, skipped: 0, cases: Vec::new() }
+        Self {
+            role,
+            command,
+            passed: 0,
+            failed: 0,
+            not_recommended: 0,
+            not_observed: 0,
+            skipped: 0,
+            cases: Vec::new(),
+        }
     }
 
     /// Adds a case.
@@ -55,12 +66,14 @@ impl Report {
         let (outcome, reason) = match verdict {
             Ok(reason) => (Outcome::Passed, reason),
             Err(Trouble::Failed(reason)) => (Outcome::Failed, reason),
+            Err(Trouble::NotObserved(reason)) => (Outcome::NotObserved, reason),
             Err(Trouble::Skipped(reason)) => (Outcome::Skipped, reason),
             Err(Trouble::Broken(error)) => return Err(error),
         };
         match (outcome, case.level) {
             (Outcome::Passed, _) => self.passed += 1,
             (Outcome::Skipped, _) => self.skipped += 1,
+            (Outcome::NotObserved, _) => self.not_observed += 1,
             (Outcome::Failed, Level::Required) => self.failed += 1,
             (Outcome::Failed, Level::Recommended) => self.not_recommended += 1,
         }
@@ -76,21 +89,33 @@ impl Report {
 
     /// The last line: how many passed.
     pub(crate) fn summary(&self) -> String {
-        let Self { role, passed, failed, not_recommended, skipped, .. } = self;
-        let verdict =
-            if *failed == 0 { "may fill the role" } else { "does not meet what is required of the role" };
+        let Self { role, passed, failed, not_recommended, not_observed, skipped, .. } = self;
+        let verdict = match (*failed, self.is_met()) {
+            (_, true) => "may fill the role",
+            (0, false) => "was not seen to meet all that is required of the role",
+            (_, false) => "does not meet what is required of the role",
+        };
         format!(
-            "{passed} passed, {failed} required and {not_recommended} recommended failed, {skipped} skipped: it {verdict} {role}"
+            "{passed} passed, {failed} required and {not_recommended} recommended failed, {not_observed} not observed, \
+             {skipped} skipped: it {verdict} {role}"
         )
+    }
+
+    /// Whether all required cases that apply have passed.
+    pub(crate) fn is_met(&self) -> bool {
+        let is_missed = |case: &CaseReport| {
+            case.level == Level::Required && matches!(case.outcome, Outcome::Failed | Outcome::NotObserved)
+        };
+        !self.cases.iter().any(is_missed)
     }
 }
 
 impl fmt::Display for CaseReport {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (outcome, level) = (self.outcome.name(), self.level.name());
-        write!(formatter, "{outcome:<8}{:<28}{level:<13}{}", self.name, self.reason)?;
-        if self.outcome == Outcome::Failed {
-            write!(formatter, "\n{:<8}required: {}", "", self.requirement)?;
+        write!(formatter, "{outcome:<14}{:<28}{level:<13}{}", self.name, self.reason)?;
+        if matches!(self.outcome, Outcome::Failed | Outcome::NotObserved) {
+            write!(formatter, "\n{:<14}required: {}", "", self.requirement)?;
         }
         Ok(())
     }

@@ -8,7 +8,7 @@ mod motion;
 use shared_types::{Odometry, Phase, Topic};
 
 use super::answers::{own_stamps, same_twice};
-use super::case::{Case, Trouble, Verdict, failed, passed_if, require};
+use super::case::{Case, Trouble, Verdict, failed, observed, passed_if, require};
 use super::ranges::valid;
 use super::suite::{Setup, Suite};
 use super::test_bench::{ANSWER_NS, Order, TestBench};
@@ -133,7 +133,12 @@ fn increments(suite: &Suite) -> Verdict {
             format!("scan {}: dx, dy and dt are off by {off:?}", now.header.scan_id)
         })?;
     }
-    Ok(format!("{} increments", all.len() - 1))
+    let moved =
+        all.windows(2).filter(|pair| (pair[1].x_m, pair[1].y_m) != (pair[0].x_m, pair[0].y_m)).count();
+    observed(moved >= SCANS / 3, || {
+        format!("the reported pose changed in {moved} of {} scans", all.len() - 1)
+    })?;
+    Ok(format!("{} increments, {moved} of them with a motion", all.len() - 1))
 }
 
 fn stopping(suite: &Suite) -> Verdict {

@@ -12,6 +12,8 @@ pub(crate) type Verdict = Result<String, Trouble>;
 pub(crate) enum Trouble {
     /// The implementation does not meet the requirement.
     Failed(String),
+    /// The case did not see what it is about, so it proves nothing.
+    NotObserved(String),
     /// The requirement does not apply to it.
     Skipped(String),
     /// The suite itself could not continue.
@@ -39,6 +41,11 @@ impl From<std::io::Error> for Trouble {
 /// Fails the case with `reason` unless `holds`.
 pub(crate) fn require(holds: bool, reason: impl FnOnce() -> String) -> Result<(), Trouble> {
     if holds { Ok(()) } else { failed(reason()) }
+}
+
+/// Proves nothing, for `reason`, unless the case has `seen` what it is about.
+pub(crate) fn observed(seen: bool, reason: impl FnOnce() -> String) -> Result<(), Trouble> {
+    if seen { Ok(()) } else { Err(Trouble::NotObserved(reason())) }
 }
 
 /// What was measured: the case passes with it if the requirement `holds`, else it fails with it.

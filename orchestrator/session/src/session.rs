@@ -16,6 +16,7 @@ mod reconciliation;
 mod recording;
 mod registry_file;
 mod requests;
+mod run_limits;
 mod shadows;
 mod status;
 mod swaps;
@@ -51,6 +52,7 @@ use incidents::Noticed;
 use reconciliation::Reconciliation;
 use recording::{Recording, ScanObserver};
 use registry_file::RegistryFile;
+use run_limits::RunLimits;
 use shadows::Shadows;
 use swaps::Swaps;
 
@@ -71,6 +73,7 @@ pub struct Session {
     /// Their rows in the report, once the loop has ended.
     companion_reports: Vec<report::CompanionReport>,
     conclusion: Conclusion,
+    limits: RunLimits,
     audit: Reconciliation,
     recording: Recording,
     vitals: Vitals,
@@ -153,6 +156,7 @@ impl Session {
             companions,
             companion_reports: Vec::new(),
             conclusion: Conclusion::new(lockstep, period_ns),
+            limits: RunLimits::new(&plan.scenario, options.duration_s, period_ns),
             audit: Reconciliation::new(audit, lockstep),
             recording: Recording::new(domain.run_id(), &plan.scenario, options, first_scan, period_ns),
             vitals: Vitals::new(&bus)?,
@@ -227,6 +231,7 @@ impl Session {
             self.reap()?;
             self.serve()?;
             self.record(false)?;
+            self.end_by_clock();
             self.require_truth();
             self.advance_audit();
             self.advance_end()?;
@@ -381,15 +386,25 @@ impl Session {
             if let Some(companion) = &mut self.companion {
                 companion.belongs(scan.header.scan_id);
             }
-            if self.conclusion.is_open()
-                && let Some((outcome, reason)) = self.recording.judge(&scan)
-            {
-                self.decide(outcome, &reason);
+            if self.conclusion.is_open() {
+                let decided = self.recording.judge(&scan);
+                self.limits.judged(self.recording.wheels_are_blocked());
+                decided.into_iter().for_each(|(outcome, reason)| self.decide(outcome, &reason));
             }
             let orders = self.swaps.recorded(monotonic_ns(), &scan);
             self.follow(orders)?;
         }
         Ok(())
+    }
+
+    /// Ends a run in real time by the clock of this computer, where no stamps of scans do.
+    fn end_by_clock(&mut self) {
+        if !self.run.lockstep
+            && self.drives()
+            && let Some((outcome, reason)) = self.limits.count(monotonic_ns())
+        {
+            self.decide(outcome, &reason);
+        }
     }
 
     /// Blocks the wheels by the stop word and ends the run when the actuator turns them against a command to block them,

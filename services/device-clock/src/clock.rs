@@ -1,6 +1,6 @@
 //! The mapping: stamps and arrivals in, times on CLOCK_MONOTONIC out.
 
-use crate::counter::Counter;
+use crate::counter::{Counter, Order};
 use crate::envelope::{Envelope, Line, SETTLED};
 use crate::settings::Settings;
 
@@ -16,7 +16,9 @@ const SUSPECTED: u32 = 20;
 pub enum Event {
     /// As expected, also when it arrived late.
     Regular,
-    /// Before the stamp of the previous sample: the device was restarted, or its clock was set back.
+    /// Before the newest stamp: the sample was overtaken by others. Its time is right, and it is to be dropped.
+    Overtaken,
+    /// So far before the newest stamp that no delay explains it: the device was restarted, or its clock was set back.
     Backwards,
     /// The clock of the device jumped by this time; positive is forwards [ns].
     Jumped(i64),
@@ -94,7 +96,7 @@ impl DeviceClock {
     pub fn new(settings: Settings) -> Self {
         Self {
             settings,
-            counter: Counter::new(settings.tick_ns, settings.wrap_ticks),
+            counter: Counter::new(&settings),
             envelope: Envelope::new(settings.max_drift_ppm),
             reference: None,
             delay: Delay {
@@ -113,8 +115,9 @@ impl DeviceClock {
         let (sent_ns, received_ns) = (sent_ns.min(MAX_TIME_NS), received_ns.min(MAX_TIME_NS));
         let stamp_ns = self.counter.extend(ticks, received_ns);
         let event = match self.counter.keep(stamp_ns, received_ns) {
-            true => self.restart(Event::Backwards),
-            false => Event::Regular,
+            Order::Newest => Event::Regular,
+            Order::Overtaken => return Event::Overtaken,
+            Order::Restarted => self.restart(Event::Backwards),
         };
         let offset_at = |time_ns: u64| time_ns.cast_signed().saturating_sub(stamp_ns);
         let low_ns = offset_at(sent_ns).saturating_sub(self.settings.resolution_ns.cast_signed());
@@ -136,8 +139,12 @@ impl DeviceClock {
         let arrived_ns = arrived_ns.min(MAX_TIME_NS);
         let stamp_ns = self.counter.extend(ticks, arrived_ns);
         let mut event = match self.counter.keep(stamp_ns, arrived_ns) {
-            true => self.restart(Event::Backwards),
-            false => Event::Regular,
+            Order::Newest => Event::Regular,
+            Order::Overtaken => {
+                let (time_ns, error_ns) = self.mapped(stamp_ns, arrived_ns);
+                return Mapped { time_ns: time_ns.min(arrived_ns), error_ns, event: Event::Overtaken };
+            }
+            Order::Restarted => self.restart(Event::Backwards),
         };
         let offset_ns = arrived_ns.cast_signed().saturating_sub(stamp_ns);
         let excess_ns = self.excess_ns(offset_ns, arrived_ns);

@@ -1,5 +1,18 @@
 //! Counters of a device that wrap.
 
+use crate::settings::Settings;
+
+/// What a stamp is next to those before.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Order {
+    /// Not before the newest one.
+    Newest,
+    /// Before the newest one: its message was overtaken.
+    Overtaken,
+    /// So far before the newest one that no delay explains it.
+    Restarted,
+}
+
 /// Extends the stamps of a device to a count that does not wrap.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Counter {
@@ -7,13 +20,21 @@ pub(crate) struct Counter {
     tick_ns: i64,
     /// Ticks after which the counter is zero again.
     wrap_ticks: Option<i64>,
+    /// A stamp that is even older than the newest one is of a device that was restarted, or of a clock that was set back;
+    /// 0 where messages keep their order [ns].
+    max_overtaken_ns: i64,
     /// The newest stamp, extended, and when it arrived [ticks, ns].
     last: Option<(i64, u64)>,
 }
 
 impl Counter {
-    pub(crate) fn new(tick_ns: u64, wrap_ticks: Option<u64>) -> Self {
-        Self { tick_ns: to_signed(tick_ns).max(1), wrap_ticks: wrap_ticks.map(to_signed), last: None }
+    pub(crate) fn new(settings: &Settings) -> Self {
+        Self {
+            tick_ns: to_signed(settings.tick_ns).max(1),
+            wrap_ticks: settings.wrap_ticks.map(to_signed),
+            max_overtaken_ns: to_signed(settings.max_overtaken_ns),
+            last: None,
+        }
     }
 
     /// The stamp that a device should have at `time_ns`, extended [ns].
@@ -37,12 +58,29 @@ impl Counter {
         extended.saturating_mul(self.tick_ns)
     }
 
-    /// Keeps a stamp of [`Self::extend`] as the newest; true when it is before the one kept until now.
-    pub(crate) fn keep(&mut self, stamp_ns: i64, arrived_ns: u64) -> bool {
+    /// Keeps a stamp of [`Self::extend`], unless its message was overtaken.
+    pub(crate) fn keep(&mut self, stamp_ns: i64, arrived_ns: u64) -> Order {
         let ticks = stamp_ns / self.tick_ns;
-        let is_before = self.last.is_some_and(|(last, _)| ticks < last);
-        self.last = Some((ticks, arrived_ns));
-        is_before
+        let order = self.last.map_or(Order::Newest, |last| self.order(last, ticks, arrived_ns));
+        if order != Order::Overtaken {
+            self.last = Some((ticks, arrived_ns));
+        }
+        order
+    }
+
+    /// A restarted device has lost most of its count. One whose clock was set back has not; but messages are overtaken by
+    /// others, and none has come since.
+    fn order(&self, (last, last_ns): (i64, u64), ticks: i64, arrived_ns: u64) -> Order {
+        if ticks >= last {
+            return Order::Newest;
+        }
+        let since_ns = arrived_ns.wrapping_sub(last_ns).cast_signed();
+        let late_ns = since_ns.saturating_add(last.saturating_sub(ticks).saturating_mul(self.tick_ns));
+        let count = |ticks: i64| self.wrap_ticks.map_or(ticks, |wrap| ticks.rem_euclid(wrap));
+        let has_lost_count = count(ticks) < count(last) / 2;
+        let is_alone = since_ns > self.max_overtaken_ns;
+        let is_restarted = late_ns > self.max_overtaken_ns && (has_lost_count || is_alone);
+        if is_restarted || self.max_overtaken_ns == 0 { Order::Restarted } else { Order::Overtaken }
     }
 }
 
@@ -57,19 +95,24 @@ mod tests {
 
     const MS: u64 = 1_000_000;
 
+    /// A counter of milliseconds that does not wrap, on a line on which messages overtake each other.
+    fn overtaking() -> Settings {
+        Settings { tick_ns: MS, ..Settings::nanoseconds() }
+    }
+
     #[test]
     fn a_wrap_continues_the_count() {
-        let mut counter = Counter::new(MS, Some(1 << 24));
+        let mut counter = Counter::new(&Settings::milliseconds_of_24_bits());
         let first = counter.extend((1 << 24) - 50, 5);
-        assert!(!counter.keep(first, 5));
+        assert_eq!(counter.keep(first, 5), Order::Newest);
         let second = counter.extend(50, 5 + 100 * MS);
         assert_eq!(second - first, 100 * MS as i64);
-        assert!(!counter.keep(second, 5 + 100 * MS));
+        assert_eq!(counter.keep(second, 5 + 100 * MS), Order::Newest);
     }
 
     #[test]
     fn a_gap_longer_than_the_counter_is_extended_by_the_time_that_passed() {
-        let mut counter = Counter::new(MS, Some(1 << 24));
+        let mut counter = Counter::new(&Settings::milliseconds_of_24_bits());
         let first = counter.extend(1000, 0);
         counter.keep(first, 0);
         let gap_ms = 2 * (1 << 24) + 7;
@@ -78,10 +121,32 @@ mod tests {
 
     #[test]
     fn a_restart_counts_backwards() {
-        let mut counter = Counter::new(MS, Some(1 << 24));
+        let mut counter = Counter::new(&Settings::milliseconds_of_24_bits());
         let first = counter.extend(5000, 0);
         counter.keep(first, 0);
         let second = counter.extend(0, 100 * MS);
-        assert!(counter.keep(second, 100 * MS));
+        assert_eq!(counter.keep(second, 100 * MS), Order::Restarted);
+    }
+
+    #[test]
+    fn a_message_that_was_overtaken_is_no_restart_however_old_it_is() {
+        let mut counter = Counter::new(&overtaking());
+        let mut at = |stamp_ms: i64, arrived_ms: u64| counter.keep(stamp_ms * MS as i64, arrived_ms * MS);
+        assert_eq!(at(5000, 0), Order::Newest);
+        // Stamped 60 ms and 2.4 s before, and overtaken.
+        assert_eq!([at(4940, 1), at(2600, 2)], [Order::Overtaken; 2]);
+        assert_eq!(at(5000, 3), Order::Newest);
+        // 1 s is the largest delay: 1.1 s older, when others have come, is no restart of a clock that counts on.
+        assert_eq!(at(3900, 4), Order::Overtaken);
+        // Set back by 1.1 s: nothing newer comes for more than a second.
+        assert_eq!([at(4900, 1003), at(4905, 1005)], [Order::Overtaken, Order::Restarted]);
+    }
+
+    #[test]
+    fn a_device_that_starts_again_within_a_second_seems_late() {
+        let mut counter = Counter::new(&overtaking());
+        assert_eq!(counter.keep(400 * MS as i64, 0), Order::Newest);
+        assert_eq!(counter.keep(0, 500 * MS), Order::Overtaken, "as one of 900 ms delay");
+        assert_eq!(counter.keep(0, 601 * MS), Order::Restarted);
     }
 }

@@ -33,8 +33,12 @@
 //! * The clocks drift by at most [`Settings::max_drift_ppm`]. The drift is estimated, so that older values remain useful.
 //! * Some samples arrive without additional delay: at least one within some seconds at 10 Hz.
 //!
-//! A stamp that counts backwards, and one that differs from its expected value, start the mapping anew ([`Event`]). A
-//! jump back by less than [`Settings::jump_ns`] is not seen as one; the mapping follows it within three minutes.
+//! Messages may overtake each other: one whose stamp is before the newest has the event [`Event::Overtaken`], changes
+//! nothing, and is to be dropped. A stamp that is so old that no delay explains it
+//! ([`Settings::max_overtaken_ns`]), and one that differs from its
+//! expected value, start the mapping anew ([`Event`]). A jump back by less than [`Settings::jump_ns`] is not seen as one;
+//! the mapping follows it within three minutes. Not seen either is a device that restarts within a second of its start:
+//! its data seem overtaken until they reach the newest stamp, and late after that, until they count as a jump.
 
 mod clock;
 mod counter;

@@ -11,6 +11,9 @@ pub struct Settings {
     pub resolution_ns: u64,
     /// Largest drift between the clocks; the error bound grows by it with age [ppm].
     pub max_drift_ppm: f64,
+    /// A message with an older stamp than others before it is no longer under way than they were by more; 0 on lines that
+    /// keep the order [ns].
+    pub max_overtaken_ns: u64,
     /// Larger deviations from the expected stamp count as a jump of the device's clock [ns].
     pub jump_ns: u64,
     /// Smallest delay from stamp to arrival, while no round trip has shown it [ns].
@@ -22,10 +25,11 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// A counter of milliseconds with 24 bits: Hokuyo scanners.
+    /// A counter of milliseconds with 24 bits: Hokuyo scanners, whose lines keep the order.
     pub fn milliseconds_of_24_bits() -> Self {
         let tick_ns = 1_000_000;
-        Self { tick_ns, wrap_ticks: Some(1 << 24), resolution_ns: tick_ns, ..Self::nanoseconds() }
+        let wrap_ticks = Some(1 << 24);
+        Self { tick_ns, wrap_ticks, resolution_ns: tick_ns, max_overtaken_ns: 0, ..Self::nanoseconds() }
     }
 
     /// Stamps in nanoseconds that never wrap: drivers that stamp with a system clock.
@@ -35,6 +39,7 @@ impl Settings {
             wrap_ticks: None,
             resolution_ns: 1_000_000,
             max_drift_ppm: 200.0,
+            max_overtaken_ns: 1_000_000_000,
             jump_ns: 20_000_000,
             delay_ns: 0,
             delay_error_ns: 0,

@@ -144,7 +144,8 @@ fn drive(device: &mut Device, clock: &mut DeviceClock, from_ns: u64, seconds: u6
     let mut events = Vec::new();
     for number in 0..seconds * 10 {
         let (error_ns, bound_ns, event) = device.deliver(clock, from_ns + number * 100 * MS);
-        assert!(error_ns <= bound_ns, "{error_ns} > {bound_ns} in scan {number}");
+        let is_used = event != Event::Overtaken;
+        assert!(!is_used || error_ns <= bound_ns, "{error_ns} > {bound_ns} in scan {number}");
         if event != Event::Regular {
             events.push(event);
         }
@@ -153,8 +154,17 @@ fn drive(device: &mut Device, clock: &mut DeviceClock, from_ns: u64, seconds: u6
 }
 
 fn synchronised() -> (Device, DeviceClock) {
+    synchronised_with(Settings::milliseconds_of_24_bits())
+}
+
+/// The counter of a Hokuyo scanner on a line on which messages overtake each other.
+fn overtaking() -> Settings {
+    Settings { max_overtaken_ns: SECOND, ..Settings::milliseconds_of_24_bits() }
+}
+
+fn synchronised_with(settings: Settings) -> (Device, DeviceClock) {
     let mut device = Device::new(5, 40.0, 1_000_000, quiet);
-    let mut clock = DeviceClock::new(Settings::milliseconds_of_24_bits());
+    let mut clock = DeviceClock::new(settings);
     device.synchronise(&mut clock, START_NS);
     assert_eq!(drive(&mut device, &mut clock, START_NS + SECOND, 90), []);
     (device, clock)
@@ -174,6 +184,38 @@ fn a_restart_of_the_device_is_seen_at_once() {
     device.first_ms = 0;
     device.first_ms = (1 << 24) - (device.ticks(START_NS + 91 * SECOND) - 3);
     assert_eq!(drive(&mut device, &mut clock, START_NS + 91 * SECOND, 60), [Event::Backwards]);
+}
+
+/// A line on which messages overtake each other: each takes 20 to 60 ms, whatever the others take.
+#[test]
+fn messages_that_overtake_each_other_are_told_and_change_nothing() {
+    let mut device = Device::new(7, 40.0, 1_000_000, quiet);
+    let mut clock = DeviceClock::new(Settings { delay_ns: 20 * MS, ..overtaking() });
+    let delayed = |number: u64| START_NS + number * 20 * MS + 20 * MS + (device.uniform() * 40e6) as u64;
+    let mut arrivals: Vec<(u64, u64)> = (0..20_000).map(delayed).zip(0..).collect();
+    arrivals.sort_unstable();
+    let (mut newest, mut overtaken) = (0, 0);
+    for (arrived_ns, number) in arrivals {
+        let stamped_ns = START_NS + number * 20 * MS;
+        let mapped = clock.arrival(device.ticks(stamped_ns), arrived_ns);
+        assert_eq!(mapped.event == Event::Overtaken, number < newest, "{number} after {newest}: {mapped:?}");
+        assert!(mapped.time_ns.abs_diff(stamped_ns) <= mapped.error_ns, "{number}: {mapped:?}");
+        newest = newest.max(number);
+        overtaken += u64::from(mapped.event == Event::Overtaken);
+    }
+    assert!(overtaken > 2_000, "{overtaken}");
+}
+
+#[test]
+fn a_clock_that_is_set_back_is_seen_after_a_second() {
+    let (mut device, mut clock) = synchronised_with(overtaking());
+    device.first_ms -= 10_000;
+    let events = drive(&mut device, &mut clock, START_NS + 91 * SECOND, 60);
+    // Nothing newer comes for a second: nine to eleven scans with their jitter.
+    let (last, dropped) = events.split_last().expect("an event");
+    assert_eq!(*last, Event::Backwards, "{events:?}");
+    let is_overtaken = dropped.iter().all(|event| *event == Event::Overtaken);
+    assert!(is_overtaken && (9..=11).contains(&dropped.len()), "{events:?}");
 }
 
 #[test]

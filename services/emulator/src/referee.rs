@@ -159,6 +159,11 @@ impl Referee {
         self.decide(&sight, None)
     }
 
+    /// Whether the wheels have been blocked since the last scan that was observed, or for longer.
+    pub fn wheels_are_blocked(&self) -> bool {
+        self.blocked_since_s.is_some()
+    }
+
     /// Why the run ended; empty while it lasts.
     pub fn reason(&self) -> &str {
         &self.reason

@@ -96,14 +96,28 @@ impl CorrectionState {
         }
     }
 
+    /// Distance from the last report to the next one [m].
+    pub fn way_m(&self, reported: Planar) -> f64 {
+        (reported.x - self.reported_x_m).hypot(reported.y - self.reported_y_m)
+    }
+
     /// The corrected pose for the next report, `dt` seconds after the one before, at `speed` [m/s].
+    ///
+    /// The distance driven is `way_m` [m], or without it that of a speed which changed evenly.
     ///
     /// Source note: (7.39) and (7.40) take drift and yaw at the beginning of the interval. Here both, and the speed,
     /// are means of beginning and end: at 100 ms the printed form lags by dds dt / 2 of the distance, 0.1 m over 40 s.
-    pub fn correct(&mut self, drift: &Drift, reported: Planar, speed: f64, dt: f64) -> Planar {
+    pub fn correct(
+        &mut self,
+        drift: &Drift,
+        reported: Planar,
+        speed: f64,
+        dt: f64,
+        way_m: Option<f64>,
+    ) -> Planar {
         let (dx, dy) = (reported.x - self.reported_x_m, reported.y - self.reported_y_m);
         let turn = wrap_angle(reported.yaw - self.reported_yaw_rad);
-        let distance = dt * (self.speed_mps + speed) / 2.0;
+        let distance = way_m.unwrap_or(dt * (self.speed_mps + speed) / 2.0);
         let middle_yaw = self.reported_yaw_rad + turn / 2.0;
         *self = Self {
             reported_yaw_rad: reported.yaw,
@@ -178,7 +192,7 @@ mod tests {
         let mut state = CorrectionState::begin(at(0), 1.0);
         let mut corrected = at(0);
         for step in 1..=10 * seconds {
-            corrected = state.correct(drift, at(step), 1.0, 0.1);
+            corrected = state.correct(drift, at(step), 1.0, 0.1, None);
         }
         corrected
     }
@@ -218,7 +232,7 @@ mod tests {
             let mut state = CorrectionState::begin(Planar::default(), 0.0);
             for _ in 0..100 {
                 assert_eq!(
-                    state.correct(&drift(mode, 0.01, 0.053), Planar::default(), 0.0, 0.1),
+                    state.correct(&drift(mode, 0.01, 0.053), Planar::default(), 0.0, 0.1, None),
                     Planar::default()
                 );
             }
@@ -240,7 +254,7 @@ mod tests {
         for step in 1..=200 {
             let (exact, noise) = (0.099 * f64::from(step), if step % 2 == 0 { 0.05 } else { -0.05 });
             let corrected =
-                state.correct(&correction, Planar { yaw: 0.0, x: exact + noise, y: noise }, 1.0, 0.1);
+                state.correct(&correction, Planar { yaw: 0.0, x: exact + noise, y: noise }, 1.0, 0.1, None);
             assert!((corrected.x - 0.1 * f64::from(step) - noise).abs() < 1e-9);
             assert!((corrected.y - noise).abs() < 1e-9);
         }

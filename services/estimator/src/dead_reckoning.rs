@@ -36,6 +36,8 @@ pub struct Step {
     pub seconds: f64,
     /// Distance driven [m].
     pub distance_m: f64,
+    /// Standard deviation of the distance that blocked wheels may have slid [m].
+    pub slid_m: f64,
     /// Displacement along the track [m].
     pub dx_m: f64,
     /// Lateral displacement [m].
@@ -47,17 +49,18 @@ pub struct Step {
 impl DeadReckoning {
     /// Adds the errors of one step.
     pub fn grow(&mut self, sources: &Sources, step: &Step) {
-        let Step { seconds, distance_m, dx_m, dy_m, yaw_rad } = *step;
+        let Step { seconds, distance_m, slid_m, dx_m, dy_m, yaw_rad } = *step;
         let mut transition = Matrix4::identity();
         (transition[(1, 0)], transition[(2, 0)]) = (-dy_m, dx_m);
         // The bias turns the way of this step by half of what it turns the robot.
         let by_bias = Vector4::new(seconds, -dy_m * seconds / 2.0, dx_m * seconds / 2.0, 1.0);
         transition.set_column(3, &by_bias);
         let (sin, cos) = yaw_rad.sin_cos();
-        let slip = Vector4::new(0.0, cos, sin, 0.0) * sources.slip_m;
+        let ahead = Vector4::new(0.0, cos, sin, 0.0);
+        let ahead_variance = sources.slip_m * sources.slip_m * distance_m + slid_m * slid_m;
         let turn = Vector4::new(1.0, -dy_m / 2.0, dx_m / 2.0, 0.0) * sources.yaw_rad;
         let mut covariance = transition * self.matrix() * transition.transpose();
-        covariance += slip * slip.transpose() * distance_m + turn * turn.transpose() * seconds;
+        covariance += ahead * ahead.transpose() * ahead_variance + turn * turn.transpose() * seconds;
         covariance[(3, 3)] += sources.bias_radps * sources.bias_radps * seconds;
         // Rounding makes the two halves differ.
         let symmetric = (covariance + covariance.transpose()) / 2.0;
@@ -85,7 +88,7 @@ mod tests {
         let mut state = DeadReckoning::default();
         let (dy_m, dx_m) = (0.1 * yaw_rad.sin(), 0.1 * yaw_rad.cos());
         for _ in 0..10 * seconds {
-            state.grow(&sources, &Step { seconds: 0.1, distance_m: 0.1, dx_m, dy_m, yaw_rad });
+            state.grow(&sources, &Step { seconds: 0.1, distance_m: 0.1, slid_m: 0.0, dx_m, dy_m, yaw_rad });
         }
         state
     }
@@ -128,7 +131,10 @@ mod tests {
     #[test]
     fn a_robot_at_rest_drifts_in_yaw_only() {
         let mut state = DeadReckoning::default();
-        state.grow(&SOURCES, &Step { seconds: 10.0, distance_m: 0.0, dx_m: 0.0, dy_m: 0.0, yaw_rad: 0.3 });
+        state.grow(
+            &SOURCES,
+            &Step { seconds: 10.0, distance_m: 0.0, slid_m: 0.0, dx_m: 0.0, dy_m: 0.0, yaw_rad: 0.3 },
+        );
         let pose = state.of_pose();
         assert!(pose[(0, 0)] > 0.0 && pose[(1, 1)] == 0.0 && pose[(2, 2)] == 0.0);
     }

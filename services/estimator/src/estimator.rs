@@ -10,8 +10,12 @@
 //!
 //! * after several such samples in a row, because then the estimate is wrong;
 //! * after a longer gap;
-//! * after a short gap with a sample that does not fit, if the robot can have driven there: the controls sent during
-//!   the gap may be unknown.
+//! * after an outage, in which the actuator blocked the wheels by itself, if the robot can have driven there: it may not
+//!   have received the block;
+//! * with another sample that does not fit, if the robot can have driven there and it is not known what its wheels were
+//!   told: samples were lost or came late, or there was no actuation.
+//!
+//! Samples of the last two kinds are no evidence against the calibration, whatever lost or delayed them.
 
 use std::hint::black_box;
 
@@ -39,11 +43,21 @@ const MAX_AHEAD_NS: u64 = 1_000_000_000;
 /// 99.9 % quantiles of the chi-squared distribution with one, two and three degrees of freedom.
 const GATE: [f64; 3] = [10.828, 13.816, 16.266];
 
-/// Tolerance of the distance [m] and the turn [rad] that a robot can have driven in a gap: five standard deviations.
-const REACH_MARGIN: (f64, f64) = (0.1, 0.05);
+/// Tolerance of the distance and the turn that a robot can have driven, in standard deviations of the measurement.
+const REACH_SIGMA: f64 = 5.0;
 
 /// How much sharper than by the geometry of its axles a robot may turn.
 const SHARPER: f64 = 1.08;
+
+/// Standard deviation of a number that is anywhere between two bounds, as share of their distance.
+const UNIFORM: f64 = 0.289;
+
+/// A sample is late when it comes this share of its interval later than usual: the actuation before it was late too, or
+/// is the one for the scan before.
+const LATE_SHARE: u64 = 2;
+
+/// Share by which the usual age of a sample follows an older one: scans that come late for seconds are usual.
+const AGE_SHARE: u64 = 8;
 
 /// The interval of Q in the settings [s].
 const NOISE_INTERVAL_S: f64 = 0.1;
@@ -99,28 +113,35 @@ impl Estimator {
         let acquired_ns = odometry.header.acquired_ns;
         let speed = plausible_speed(odometry.speed_mps).unwrap_or(self.state.motion.speed_mps);
         let (from, from_mps) = (self.state.estimate, self.state.motion.speed_mps);
+        let age_ns = now_ns.saturating_sub(acquired_ns);
         let update = if self.state.initialised.is_set() {
-            let dt = (acquired_ns - self.state.acquired_ns) as f64 * 1e-9;
-            let measured = self.state.correction.correct(&self.settings.drift, reported, speed, dt);
+            let interval_ns = acquired_ns - self.state.acquired_ns;
+            let dt = interval_ns as f64 * 1e-9;
+            let (is_known, is_cut) = (self.is_known(&odometry.header, age_ns, interval_ns), self.is_cut());
+            // The speeds at both ends tell nothing about the way between them when the robot may have braked.
+            let way_m = is_cut.then(|| self.state.correction.way_m(reported));
+            let measured = self.state.correction.correct(&self.settings.drift, reported, speed, dt, way_m);
             let before = self.state;
-            let gap_explains = self.follows_gap(&odometry.header) && self.is_in_reach(measured, speed, dt);
+            let can_be_there = self.is_in_reach(measured, speed, dt);
             let mut update = None;
-            if dt <= self.settings.max_gap_s {
+            if dt <= self.settings.max_gap_s && !(is_cut && can_be_there && self.settings.gate) {
                 self.predict(odometry, dt);
-                update = Some(self.update_and_check(measured, odometry, dt));
-                if gap_explains && self.state.rejected > before.rejected {
-                    // Undo the comparison: the gap explains the misfit, so it is no evidence against the calibration.
+                update = Some(self.update_and_check(measured, odometry, dt, is_known));
+                if !is_known && can_be_there && self.state.rejected > before.rejected {
+                    // Undo the comparison: the misfit is explained, so it is no evidence against the calibration.
                     (self.state, update) = (before, None);
                 }
             }
             let update = update.unwrap_or_else(|| {
                 self.restart(measured, odometry);
+                self.state.misfit = before.misfit;
                 Update::default()
             });
-            self.drift(from, from_mps, dt);
+            self.drift(from, from_mps, dt, is_cut);
             update
         } else {
             self.state.correction = CorrectionState::begin(reported, speed);
+            self.state.usual_age_ns = age_ns;
             self.begin(reported, odometry);
             Update::default()
         };
@@ -128,6 +149,7 @@ impl Estimator {
         self.state.incarnation = odometry.header.incarnation;
         self.state.sequence = odometry.header.sequence;
         self.state.acquired_ns = acquired_ns;
+        self.note_age(age_ns);
         Some(self.pose(odometry, &update, now_ns))
     }
 
@@ -154,6 +176,10 @@ impl Estimator {
         let sent_ns = published_ns.max(actuation.header.acquired_ns);
         if sent_ns <= latest(now_ns) {
             self.state.actuated_ns = self.state.actuated_ns.max(sent_ns);
+            if actuation.answers == 0 && !actuation.drives() {
+                self.state.unheard_ns =
+                    self.state.unheard_ns.max(sent_ns.saturating_add(self.settings.motion.delay_ns));
+            }
             self.state.motion.note(actuation, self.settings.motion.delay_ns);
         }
     }
@@ -187,6 +213,29 @@ impl Estimator {
         header.incarnation == self.state.incarnation && header.sequence > self.state.sequence + 1
     }
 
+    /// Whether it is known what the wheels were told since the last sample: no sample is missing or late, and there was an
+    /// actuation, which the robot received.
+    fn is_known(&self, header: &Header, age_ns: u64, interval_ns: u64) -> bool {
+        let is_late = age_ns > self.state.usual_age_ns.saturating_add(interval_ns / LATE_SHARE);
+        let motion = &self.state.motion;
+        let was_told = self.state.actuated_ns >= self.state.acquired_ns || motion.controls().is_empty();
+        let was_told = was_told && motion.remembers(self.state.acquired_ns);
+        was_told && !self.is_cut() && !is_late && !self.follows_gap(header)
+    }
+
+    /// Whether the actuator blocked the wheels by itself since the last sample: it had no commands because no data came. So
+    /// the robot may not have received the block either, and followed the command before until its own watchdog acted.
+    fn is_cut(&self) -> bool {
+        self.state.unheard_ns > self.state.acquired_ns
+    }
+
+    /// Follows the time that samples usually take to come: the shortest one, or a longer one that lasts.
+    fn note_age(&mut self, age_ns: u64) {
+        let usual_ns = self.state.usual_age_ns;
+        self.state.usual_age_ns =
+            age_ns.min(usual_ns.saturating_add(age_ns.saturating_sub(usual_ns) / AGE_SHARE));
+    }
+
     /// Whether the robot can have driven from the estimate to a place within `dt`: forwards, and at most at the largest of
     /// its last speed, its measured speed and the speeds sent.
     fn is_in_reach(&self, place: Planar, speed: f64, dt: f64) -> bool {
@@ -199,9 +248,12 @@ impl Estimator {
         let (dx, dy) = (place.x - x, place.y - y);
         let ahead_m = dx * yaw.cos() + dy * yaw.sin();
         let sharpest = SENT_STEERING_MAX_RAD * SHARPER * self.settings.motion.parameters.yaw_rate_gain();
-        ahead_m >= -REACH_MARGIN.0
-            && dx.hypot(dy) <= way_m + REACH_MARGIN.0
-            && wrap_angle(place.yaw - yaw).abs() <= way_m * sharpest + REACH_MARGIN.1
+        let [yaw_margin, x_margin, y_margin] =
+            self.settings.measurement_noise.map(|variance| REACH_SIGMA * variance.sqrt());
+        let margin_m = x_margin.max(y_margin);
+        ahead_m >= -margin_m
+            && dx.hypot(dy) <= way_m + margin_m
+            && wrap_angle(place.yaw - yaw).abs() <= way_m * sharpest + yaw_margin
     }
 
     fn begin(&mut self, measured: Planar, odometry: &Odometry) {
@@ -218,13 +270,20 @@ impl Estimator {
     }
 
     /// Adds the drift of the odometry since the estimate before, [`crate::dead_reckoning`].
-    fn drift(&mut self, [yaw, x, y]: [f64; 3], from_mps: f64, seconds: f64) {
+    ///
+    /// Encoders do not count what locked wheels slide. In an outage it is not known how the robot braked, so it may have
+    /// slid for all that it has lost of its speed.
+    fn drift(&mut self, [yaw, x, y]: [f64; 3], from_mps: f64, seconds: f64, is_cut: bool) {
         let [to_yaw, to_x, to_y] = self.state.estimate;
+        let (dx_m, dy_m, to_mps) = (to_x - x, to_y - y, self.state.motion.speed_mps);
+        let lost = (from_mps * from_mps - to_mps * to_mps).max(0.0);
+        let slid_m = UNIFORM * lost / (2.0 * self.settings.motion.blocked_deceleration_mps2);
         let step = Step {
             seconds,
-            distance_m: f64::midpoint(from_mps, self.state.motion.speed_mps) * seconds,
-            dx_m: to_x - x,
-            dy_m: to_y - y,
+            distance_m: if is_cut { dx_m.hypot(dy_m) } else { f64::midpoint(from_mps, to_mps) * seconds },
+            slid_m: if is_cut && self.settings.noise_turns { slid_m } else { 0.0 },
+            dx_m,
+            dy_m,
             yaw_rad: yaw + wrap_angle(to_yaw - yaw) / 2.0,
         };
         self.state.drift.grow(&self.settings.dead_reckoning, &step);
@@ -260,16 +319,20 @@ impl Estimator {
     }
 
     /// Measurement update, followed by the check of the calibration.
-    fn update_and_check(&mut self, measured: Planar, odometry: &Odometry, dt_s: f64) -> Update {
+    fn update_and_check(
+        &mut self,
+        measured: Planar,
+        odometry: &Odometry,
+        dt_s: f64,
+        is_known: bool,
+    ) -> Update {
         let (expected, refused, restarts) = (self.filter(), self.state.rejected, self.state.restarts);
         let update = self.update(measured, odometry);
         if self.settings.self_check {
             let acquired_ns = odometry.header.acquired_ns;
-            // Where samples were lost it is not known what the wheels have done, so the measured speed is taken for right.
-            let is_known =
-                self.state.actuated_ns >= self.state.acquired_ns && !self.follows_gap(&odometry.header);
             let speed_mps = plausible_speed(odometry.speed_mps).unwrap_or(self.state.motion.speed_mps);
             if !is_known {
+                // Nothing shows what the speed should be.
                 self.state.motion.expected_mps = speed_mps;
             }
             let in_force = self.state.motion.in_force(acquired_ns);

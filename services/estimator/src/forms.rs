@@ -81,7 +81,7 @@ pub fn errors(robot: Robot, form: Form, seconds: f64) -> Vec<[f64; 2]> {
             (truth, believed) = (next, next_believed);
         }
         let pose = Planar { yaw: believed.yaw, x: reported.x, y: reported.y };
-        let corrected = correction.correct(&drift, pose, 1.0, PERIOD_S);
+        let corrected = correction.correct(&drift, pose, 1.0, PERIOD_S, None);
         found.push([report as f64 * PERIOD_S, (corrected.x - truth.x).hypot(corrected.y - truth.y)]);
     }
     found

@@ -146,6 +146,11 @@ impl MotionState {
         &self.controls[..(self.count as usize).min(HISTORY)]
     }
 
+    /// Whether all controls since a time are remembered: a process that was suspended may have received more.
+    pub(crate) fn remembers(&self, since_ns: u64) -> bool {
+        self.controls().len() < HISTORY || self.in_force(since_ns).is_some()
+    }
+
     /// Begins at a measured speed, with sideslip and yaw rate settled under the control in force.
     pub fn begin(&mut self, model: &MotionModel, at_ns: u64, measured_mps: f64) {
         self.speed_mps = plausible_speed(measured_mps).unwrap_or(0.0);

@@ -21,6 +21,10 @@ plain_state! {
         pub acquired_ns: u64,
         /// When the newest actuation was published that is known [ns]
         pub actuated_ns: u64,
+        /// When the newest block that the actuator decided by itself takes effect, if the robot receives it [ns]
+        pub unheard_ns: u64,
+        /// Time from the acquisition of a sample to its use that is usual [ns]
+        pub usual_age_ns: u64,
         /// Estimated (yaw, x, y) [rad, m, m]
         pub estimate: [f64; 3],
         /// Covariance of (yaw, x, y), column by column, which is row by row as it is symmetric

@@ -174,6 +174,7 @@ fn fingerprint(config: &Config) -> u64 {
         let mut actuation = Actuation {
             header,
             kind: kind.wire(),
+            answers: 1,
             desired_velocity_mps: 0.5 + 0.2 * (2.0 * time_s).sin(),
             desired_steering_rad: 0.05 * (1.5 * time_s).sin(),
             ..Actuation::default()

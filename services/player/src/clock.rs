@@ -2,7 +2,7 @@
 //!
 //! Drivers stamp with the time of day, Stage with its simulated time. Both are seconds as a number of 64 bits.
 
-use device_clock::{DeviceClock, Settings};
+use device_clock::{DeviceClock, Event, Settings};
 
 /// Largest stamp that is used [s]: a hundred years.
 const MAX_S: f64 = 3.2e9;
@@ -20,9 +20,10 @@ impl ServerClock {
         Self(DeviceClock::new(Settings { delay_ns, resolution_ns: RESOLUTION_NS, ..Settings::nanoseconds() }))
     }
 
-    /// Maps the stamp of a message that arrived at `arrived_ns` [ns].
-    pub fn arrival(&mut self, time_s: f64, arrived_ns: u64) -> u64 {
-        self.0.arrival(ticks(time_s), arrived_ns).time_ns.min(arrived_ns)
+    /// Maps the stamp of a message that arrived at `arrived_ns`; `None` for one that was overtaken by others [ns].
+    pub fn arrival(&mut self, time_s: f64, arrived_ns: u64) -> Option<u64> {
+        let mapped = self.0.arrival(ticks(time_s), arrived_ns);
+        (mapped.event != Event::Overtaken).then(|| mapped.time_ns.min(arrived_ns))
     }
 
     /// Maps the stamp of another message of the same server; `None` before the first [`Self::arrival`].

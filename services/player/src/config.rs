@@ -104,7 +104,7 @@ settings! {
         pub delay_s: f64 = 0.0, 0.0..=0.1;
         /// At the start, the driver tries to connect for this long [s].
         pub connect_timeout_s: f64 = 5.0, 0.1..=8.0;
-        /// The connection is renewed when no data have come for this long [s].
+        /// The connection is renewed when no data have come for this long, and for two scan periods [s].
         pub silence_s: f64 = 1.0, 0.2..=60.0;
     }
 }

@@ -2,21 +2,30 @@
 
 use crate::motion::Motion;
 
-/// Remembered states: more than a second at 10 Hz, and a quarter at 50 Hz.
-const REMEMBERED: usize = 16;
+/// Remembered states: two scan periods of 1 s at 100 Hz.
+const REMEMBERED: usize = 256;
 /// A state this much older than a sweep counts as of the same time [ns].
 const SAME_TIME_NS: u64 = 5_000_000;
 
 /// The newest motions of the base.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct Motions {
     newest_last: [Motion; REMEMBERED],
     count: usize,
 }
 
+impl Default for Motions {
+    fn default() -> Self {
+        Self { newest_last: [Motion::default(); REMEMBERED], count: 0 }
+    }
+}
+
 impl Motions {
-    /// Adds a motion; one that is not newer than the newest replaces it.
+    /// Adds a motion; one of the time of the newest replaces it, and an older one changes nothing.
     pub fn add(&mut self, motion: Motion) {
+        if self.newest().is_some_and(|newest| motion.time_ns < newest.time_ns) {
+            return;
+        }
         let is_newer = self.newest().is_none_or(|newest| motion.time_ns > newest.time_ns);
         if is_newer && self.count == REMEMBERED {
             self.newest_last.rotate_left(1);
@@ -76,10 +85,11 @@ mod tests {
     }
 
     #[test]
-    fn a_state_that_is_not_newer_replaces_the_newest() {
+    fn a_state_of_the_same_time_replaces_the_newest_and_an_older_one_does_not() {
         let mut motions = Motions::default();
         motions.add(motion(100, 1.0));
         motions.add(motion(100, 2.0));
+        motions.add(motion(99, 3.0));
         assert_eq!((motions.count, motions.newest().unwrap().pose[0]), (1, 2.0));
     }
 }

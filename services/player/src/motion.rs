@@ -5,6 +5,9 @@ use std::f64::consts::TAU;
 use crate::config::{Config, DriveCommand};
 use crate::message::State;
 
+/// Tolerance of a place that the odometry reports, at any speed: noise of a real base [m].
+const REACH_M: f64 = 0.1;
+
 /// What drives the wheels: a velocity [m/s], and a steering angle [rad] or a yaw rate [rad/s].
 ///
 /// `steering_rad` is the angle of both axles of the robot; its path has the curvature 2 tan(angle) / axle distance. A
@@ -51,6 +54,18 @@ impl Motion {
         let way_m = self.speed_mps * elapsed_s;
         let [x_m, y_m, yaw_rad] = self.pose;
         Self { time_ns, pose: [x_m + way_m * cos, y_m + way_m * sin, yaw_rad + turned], ..*self }
+    }
+
+    /// Whether the robot can have driven from here to `later`: forwards, at up to the larger of both speeds and of
+    /// `ordered_mps`, with a tolerance of a tenth and of [`REACH_M`].
+    ///
+    /// Another place is that of a server that was started anew, with its odometry at zero.
+    pub fn reaches(&self, later: &Self, ordered_mps: f64) -> bool {
+        let seconds = later.time_ns.saturating_sub(self.time_ns) as f64 * 1e-9;
+        let fastest_mps = self.speed_mps.max(later.speed_mps).max(ordered_mps);
+        let (dx, dy) = (later.pose[0] - self.pose[0], later.pose[1] - self.pose[1]);
+        let (sin, cos) = self.pose[2].sin_cos();
+        dx * cos + dy * sin >= -REACH_M && dx.hypot(dy) <= 1.1 * fastest_mps * seconds + REACH_M
     }
 
     /// The motion between two at a time between theirs.
@@ -144,6 +159,30 @@ mod tests {
         assert!((moved.pose[0] - 0.1).abs() < 1e-4 && (moved.pose[2] - 0.05).abs() < 1e-12);
         assert!((moved.pose[1] - 0.0025).abs() < 1e-5);
         assert_eq!(moved.at(0).pose[2], 0.0);
+    }
+
+    #[test]
+    fn speed_times_time_decides_what_is_a_jump() {
+        let at = |time_ms: u64, x_m: f64, speed_mps: f64| Motion {
+            time_ns: time_ms * 1_000_000,
+            pose: [x_m, 0.0, 0.0],
+            speed_mps,
+            ..Motion::default()
+        };
+        let from = at(0, 5.0, 1.0);
+        // An outage in which the base drove on, and one in which it stopped.
+        for (time_ms, x_m) in [(1_200, 6.2), (3_000, 8.0), (1_200, 5.2), (100, 5.1)] {
+            assert!(from.reaches(&at(time_ms, x_m, 0.0), 0.0), "{time_ms} ms, {x_m} m");
+        }
+        // Its odometry at zero, or elsewhere: 1.2 s at 1 m/s are 1.32 m with a tenth, and 0.1 m.
+        for (time_ms, x_m) in [(1_200, 0.0), (1_200, 4.8), (1_200, 6.43), (100, 5.4), (60_000, 4.0)] {
+            assert!(!from.reaches(&at(time_ms, x_m, 0.0), 0.0), "{time_ms} ms, {x_m} m");
+        }
+        // It was told to drive faster than it did.
+        let slow = at(0, 5.0, 0.1);
+        assert!(!slow.reaches(&at(1_000, 5.9, 0.0), 0.1) && slow.reaches(&at(1_000, 5.9, 0.0), 0.8));
+        let turned = Motion { pose: [5.0, 0.0, FRAC_PI_2], ..from };
+        assert!(turned.reaches(&Motion { pose: [5.0, 0.9, 0.0], ..at(1_000, 5.0, 0.0) }, 0.0));
     }
 
     #[test]

@@ -13,8 +13,9 @@ use crate::motion::Motion;
 
 /// A sweep waits for the state of its time for this share of a period.
 const WAIT_SHARE: u64 = 4;
-/// The front beam is at most this many periods older than the arrival of its sweep; an older stamp is wrong.
-const MAX_AGE_PERIODS: u64 = 1;
+/// A sweep whose front beam is older is dropped: it is late, or its stamp is wrong. With another age it would be placed
+/// where the robot was at another time.
+const MAX_AGE_PERIODS: u64 = 2;
 /// A state is moved on by at most this many periods: the base is silent, or the connection is lost.
 const MAX_AHEAD_PERIODS: u64 = 2;
 /// Sweeps that are closer together than this share of a period are one too many.
@@ -50,7 +51,8 @@ pub struct Sensing {
     waiting: Option<Waiting>,
     /// Time of the newest front beam [ns].
     front_ns: u64,
-    /// Sweeps that were not used: too close to the one before, or replaced before there was a state.
+    /// Sweeps that were not used: too old, too close to the one before, or replaced before there was a state; and states
+    /// that were overtaken by others.
     dropped: u64,
 }
 
@@ -75,9 +77,12 @@ impl Sensing {
         self.waiting = None;
     }
 
-    /// Takes a state of the base; false when a number in it is not finite.
+    /// Takes a state of the base, unless newer ones have overtaken it; false when a number in it is not finite.
     pub fn state(&mut self, state: &State, time_s: f64, arrived_ns: u64) -> bool {
-        let time_ns = self.clock.arrival(time_s, arrived_ns);
+        let Some(time_ns) = self.clock.arrival(time_s, arrived_ns) else {
+            self.dropped += 1;
+            return true;
+        };
         let motion = Motion::of(&self.config, state, time_ns);
         motion.inspect(|motion| self.motions.add(*motion)).is_some()
     }
@@ -98,11 +103,14 @@ impl Sensing {
         arrived_ns: u64,
     ) {
         let oldest_ns = arrived_ns.saturating_sub(MAX_AGE_PERIODS * self.period_ns);
-        let front_ns = front_ns.clamp(oldest_ns, arrived_ns);
-        if front_ns < self.front_ns + self.period_ns / MIN_SPACING_SHARE || self.waiting.is_some() {
+        let newest_ns =
+            self.waiting.map_or(self.front_ns + self.period_ns / MIN_SPACING_SHARE, |it| it.front_ns);
+        let front_ns = front_ns.min(arrived_ns);
+        let is_used = front_ns >= oldest_ns.max(newest_ns);
+        if !is_used || self.waiting.is_some() {
             self.dropped += 1;
         }
-        if front_ns >= self.front_ns + self.period_ns / MIN_SPACING_SHARE {
+        if is_used {
             let until_ns = arrived_ns + self.period_ns / WAIT_SHARE;
             self.waiting = Some(Waiting { ranges_mm, is_missing, front_ns, until_ns });
         }
@@ -134,7 +142,7 @@ impl Sensing {
         self.motions.newest()
     }
 
-    /// Sweeps that were not used.
+    /// Sweeps and states that were not used.
     pub fn dropped(&self) -> u64 {
         self.dropped
     }
@@ -212,6 +220,48 @@ mod tests {
         assert!(sensing.state(&state(2.2), 3.8 + 2.15, 3152 * MS));
         let front_ns = sensing.next(3300 * MS).unwrap().motion.time_ns;
         assert!((3100 * MS..=3200 * MS).contains(&front_ns), "{front_ns}");
+    }
+
+    #[test]
+    fn data_that_were_overtaken_are_dropped_and_counted_and_move_nothing() {
+        let mut sensing = running();
+        assert!(sensing.state(&state(1.7), 3.8 + 1.7, 2950 * MS));
+        assert!((sensing.newest().unwrap().pose[0] - 1.9).abs() < 1e-9 && sensing.dropped() == 1);
+        // Of two sweeps that wait, the newer one stays.
+        sensing.sweep([700; BEAMS], 3.8 + 1.97, 2990 * MS);
+        sensing.sweep([800; BEAMS], 3.8 + 1.95, 2991 * MS);
+        let measured = sensing.next(3020 * MS).unwrap();
+        assert_eq!((measured.ranges_mm, sensing.dropped()), ([700; BEAMS], 2));
+        assert!((measured.motion.pose[0] - 1.97).abs() < 1e-3, "{measured:?}");
+    }
+
+    #[test]
+    fn after_the_clock_of_the_server_stood_still_no_scan_gets_a_time_that_it_does_not_have() {
+        for stall_ms in [60, 150, 400, 1500] {
+            let mut sensing = running();
+            let (mut scans, mut last_ns) = (Vec::new(), 0);
+            for step in 20..140_u64 {
+                // The robot drives on at 1 m/s; stamps are 60 ms and more behind.
+                let arrived_ns = (1002 + 100 * step + stall_ms) * MS;
+                let time_s = 3.8 + 0.1 * step as f64;
+                assert!(sensing.state(&state(0.1 * step as f64), time_s, arrived_ns));
+                sensing.sweep([700; BEAMS], time_s, arrived_ns);
+                let Some(measured) = sensing.next(arrived_ns + 30 * MS) else { continue };
+                assert!(measured.motion.time_ns > last_ns);
+                last_ns = measured.motion.time_ns;
+                // The pose is the one with the stamp of the scan.
+                assert!(
+                    (measured.motion.pose[0] - 0.1 * step as f64).abs() < 1e-3,
+                    "{stall_ms}: {measured:?}"
+                );
+                scans.push(step);
+            }
+            // After five seconds it is known that its clock, and not the line, is late.
+            assert!(
+                scans.contains(&139) && (scans.contains(&21) == (stall_ms < 200)),
+                "{stall_ms}: {scans:?}"
+            );
+        }
     }
 
     #[test]

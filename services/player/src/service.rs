@@ -30,9 +30,6 @@ const SLEEP_NS: u64 = 20_000_000;
 const REST_NS: u64 = 700_000_000;
 /// A slower robot rests [m/s]: real odometry has noise.
 const RESTING_MPS: f64 = 0.01;
-/// A robot that comes to rest after a loss of the connection slides less than this. A longer way is a server that was
-/// started anew, with its odometry at zero [m].
-const JUMP_M: f64 = 1.0;
 /// Mounting of the scanner that is reported and described may differ by this [m, rad].
 const MOUNTING: f64 = 0.01;
 /// Limits of sent values are kept up to rounding.
@@ -94,8 +91,10 @@ struct Driver {
     sensing: Sensing,
     devices: Devices,
     anchor: Option<Anchor>,
-    /// The pose that the server reported last.
-    reported: [f64; 3],
+    /// The motion of the last scan, as the server reported it.
+    reported: Motion,
+    /// Largest velocity that was sent since the last scan [m/s].
+    ordered_mps: f64,
     /// The odometry that was published last.
     last: Option<Odometry>,
     /// Time of the first front beam [ns].
@@ -105,6 +104,8 @@ struct Driver {
     drives_until_ns: Option<u64>,
     /// Whether the block was logged.
     is_stopped: bool,
+    /// So many dropped messages are logged next.
+    next_logged: u64,
 }
 
 impl Driver {
@@ -140,12 +141,14 @@ impl Driver {
             sensing: Sensing::new(&config, period_ns),
             devices: Devices::new(config.scan == ScanSource::Urg, monotonic_ns()),
             anchor: None,
-            reported: [0.0; 3],
+            reported: Motion::default(),
+            ordered_mps: 0.0,
             last: None,
             first_ns: 0,
             scan: Scan { sweep_ns: sweep_ns.clamp(1, period_ns), period_ns, ..Scan::default() },
             drives_until_ns: None,
             is_stopped: false,
+            next_logged: 1,
             config,
         })
     }
@@ -166,6 +169,7 @@ impl Driver {
         self.publish(process)?;
         self.obey(process, ends || process.must_stop());
         process.report_wheels(self.wheels());
+        self.log_dropped();
         let (state, reason) = self.devices.shown();
         process.report_device(state, reason);
         Ok(())
@@ -193,6 +197,15 @@ impl Driver {
             }
             Event::Scanner(device) => self.devices.set_scanner(device),
             Event::Lost(lost) => self.lose(&lost),
+        }
+    }
+
+    /// Logs how many messages were dropped, each time when they are twice as many.
+    fn log_dropped(&mut self) {
+        let dropped = self.sensing.dropped();
+        if dropped >= self.next_logged {
+            self.next_logged = 2 * dropped;
+            tracing::warn!(dropped, "sweeps or states came late, or after newer ones, and were dropped");
         }
     }
 
@@ -238,6 +251,7 @@ impl Driver {
         let axle_distance_m = self.vehicle.front_m + self.vehicle.rear_m;
         let numbers = sent(&self.config, axle_distance_m, velocity_mps, steering_rad);
         if self.give(Order::Drive(numbers)) {
+            self.ordered_mps = self.ordered_mps.max(velocity_mps);
             self.drives_until_ns = Some(monotonic_ns() + TIMEOUT_PERIODS * self.period_ns);
         }
     }
@@ -303,12 +317,12 @@ impl Driver {
     fn odometry(&mut self, motion: &Motion) -> Odometry {
         let last = self.last;
         let place = last.map_or(self.start, |last| [last.x_m, last.y_m, last.yaw_rad]);
-        let jump_m = (motion.pose[0] - self.reported[0]).hypot(motion.pose[1] - self.reported[1]);
-        if last.is_some() && jump_m > JUMP_M {
-            tracing::warn!(jump_m, "the odometry has jumped: the robot is taken to be where it was");
+        if last.is_some() && !self.reported.reaches(motion, self.ordered_mps) {
+            let (from, to) = (self.reported.pose, motion.pose);
+            tracing::warn!(?from, ?to, "the odometry has jumped: the robot is taken to be where it was");
             self.anchor = None;
         }
-        self.reported = motion.pose;
+        (self.reported, self.ordered_mps) = (*motion, 0.0);
         let anchor = *self.anchor.get_or_insert_with(|| Anchor::new(motion.pose, place));
         let [x_m, y_m, yaw_rad] = anchor.on_track(motion.pose);
         let mut odometry = Odometry { x_m, y_m, yaw_rad, speed_mps: motion.speed_mps, ..Odometry::default() };

@@ -1,7 +1,7 @@
 //! The connection to a scanner: a serial line or TCP, never blocking.
 
 use std::io;
-use std::net::ToSocketAddrs;
+use std::net::{SocketAddr, ToSocketAddrs};
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::path::Path;
 
@@ -26,6 +26,8 @@ pub(crate) enum Read {
 pub(crate) struct Link {
     descriptor: OwnedFd,
     is_made: bool,
+    /// Addresses of the name that are still to be tried.
+    others: std::vec::IntoIter<SocketAddr>,
 }
 
 impl Link {
@@ -35,22 +37,44 @@ impl Link {
     /// A device that can't be opened or is no serial line, and a name that can't be resolved.
     pub(crate) fn open(place: &Place, bit_rate: u32) -> io::Result<Self> {
         match place {
-            Place::Device(path) => Ok(Self { descriptor: open_device(path, bit_rate)?, is_made: true }),
-            Place::Tcp(address) => Ok(Self { descriptor: begin_connection(address)?, is_made: false }),
+            Place::Device(path) => {
+                let others = Vec::new().into_iter();
+                Ok(Self { descriptor: open_device(path, bit_rate)?, is_made: true, others })
+            }
+            Place::Tcp(name) => Self::to(name.to_socket_addrs()?.collect()),
         }
     }
 
-    /// Whether the connection is made.
+    /// Begins a connection to the first of these addresses that answers.
+    fn to(addresses: Vec<SocketAddr>) -> io::Result<Self> {
+        let mut others = addresses.into_iter();
+        let unknown = io::Error::new(io::ErrorKind::NotFound, "the name has no address");
+        Ok(Self { descriptor: begin_next(&mut others, unknown)?, is_made: false, others })
+    }
+
+    /// Whether the connection is made. Where an address refuses it, the next one of the name is tried.
     ///
     /// # Errors
-    /// A connection that was refused.
+    /// A connection that was refused by all addresses.
     pub(crate) fn is_made(&mut self) -> io::Result<bool> {
         if !self.is_made && self.wait(0, PollFlags::OUT)? {
-            sockopt::socket_error(&self.descriptor)??;
+            if let Err(refused) = sockopt::socket_error(&self.descriptor)? {
+                self.try_next(refused.into())?;
+                return Ok(false);
+            }
             sockopt::set_tcp_nodelay(&self.descriptor, true)?;
             self.is_made = true;
         }
         Ok(self.is_made)
+    }
+
+    /// Gives up the connection that is being made for this reason, and begins one to the next address of the name.
+    ///
+    /// # Errors
+    /// The reason why no address was reached: the last one.
+    pub(crate) fn try_next(&mut self, reason: io::Error) -> io::Result<()> {
+        self.descriptor = begin_next(&mut self.others, reason)?;
+        Ok(())
     }
 
     /// Waits until bytes can be read, or a connection is made, but not longer than `limit_ns`.
@@ -120,14 +144,71 @@ fn open_device(path: &Path, bit_rate: u32) -> io::Result<OwnedFd> {
     Ok(descriptor)
 }
 
-fn begin_connection(address: &str) -> io::Result<OwnedFd> {
-    let unknown = || io::Error::new(io::ErrorKind::NotFound, "the name has no address");
-    let address = address.to_socket_addrs()?.next().ok_or_else(unknown)?;
+/// Begins a connection to the first of the addresses for which that is possible; the others remain.
+///
+/// # Errors
+/// `failed`, or why no connection could be begun.
+fn begin_next(addresses: &mut std::vec::IntoIter<SocketAddr>, mut failed: io::Error) -> io::Result<OwnedFd> {
+    for address in addresses {
+        match begin_connection(&address) {
+            Ok(descriptor) => return Ok(descriptor),
+            Err(error) => failed = error,
+        }
+    }
+    Err(failed)
+}
+
+fn begin_connection(address: &SocketAddr) -> io::Result<OwnedFd> {
     let family = if address.is_ipv4() { AddressFamily::INET } else { AddressFamily::INET6 };
     let flags = SocketFlags::NONBLOCK | SocketFlags::CLOEXEC;
     let descriptor = socket_with(family, SocketType::STREAM, flags, None)?;
-    match connect(&descriptor, &address) {
+    match connect(&descriptor, address) {
         Ok(()) | Err(Errno::INPROGRESS) => Ok(descriptor),
         Err(error) => Err(error.into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::{Ipv4Addr, TcpListener};
+
+    use super::*;
+
+    fn listener() -> (TcpListener, SocketAddr) {
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+        let address = listener.local_addr().unwrap();
+        (listener, address)
+    }
+
+    /// Waits until a connection is made or refused.
+    fn made(link: &mut Link) -> io::Result<()> {
+        while !link.is_made()? {
+            link.wait_for_input(10_000_000)?;
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn every_address_of_a_name_is_tried_in_turn() {
+        let closed = [listener().1, listener().1];
+        let (open, address) = listener();
+        let mut link = Link::to(vec![closed[0], closed[1], address]).unwrap();
+        made(&mut link).unwrap();
+        assert!(open.accept().is_ok());
+        let refused = Link::to(closed.to_vec()).and_then(|mut link| made(&mut link)).unwrap_err();
+        assert_eq!(refused.kind(), io::ErrorKind::ConnectionRefused);
+        assert_eq!(Link::to(Vec::new()).unwrap_err().to_string(), "the name has no address");
+    }
+
+    #[test]
+    fn a_connection_that_is_given_up_goes_on_with_the_next_address() {
+        let [(silent, first), (open, second)] = [listener(), listener()];
+        let mut link = Link::to(vec![first, second]).unwrap();
+        let late = || io::Error::new(io::ErrorKind::TimedOut, "late");
+        link.try_next(late()).unwrap();
+        made(&mut link).unwrap();
+        assert!(open.accept().is_ok());
+        assert_eq!(link.try_next(late()).unwrap_err().kind(), io::ErrorKind::TimedOut);
+        drop(silent);
     }
 }

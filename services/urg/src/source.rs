@@ -14,7 +14,7 @@ use crate::state::{Counters, Reading, SourceState};
 
 /// A lost connection is made again after this time [ns].
 const RECONNECT_NS: u64 = 500_000_000;
-/// A connection that is not made within this time is given up [ns].
+/// A connection that is not made within this time is given up, and the next address of the name is tried [ns].
 const CONNECT_NS: u64 = 2_000_000_000;
 /// Bytes that one read takes: nearly four scans.
 const BUFFER: usize = 8192;
@@ -206,7 +206,14 @@ impl Source {
                 self.session.connected(now_ns);
             }
             Ok(false) if now_ns < self.retry_ns => {}
-            Ok(false) => self.close("the connection is not made in time"),
+            Ok(false) => {
+                let late =
+                    std::io::Error::new(std::io::ErrorKind::TimedOut, "the connection is not made in time");
+                match link.try_next(late) {
+                    Ok(()) => self.retry_ns = now_ns.saturating_add(CONNECT_NS),
+                    Err(error) => self.close(&error.to_string()),
+                }
+            }
             Err(error) => self.close(&error.to_string()),
         }
     }

@@ -1,6 +1,6 @@
 //! The emulated robot with a fault, for tests of swaps and of `check --live`.
 //!
-//! `faulty-robot none | nan | jump | backwards | rolled SIGN | slow | hang-after N | exit-after N`
+//! `faulty-robot none | nan | jump | backwards | rolled SIGN | locked | spinning | slow | hang-after N | exit-after N`
 
 use emulator::service::run_with;
 use shared_types::{Odometry, Scan, Truth};
@@ -31,6 +31,24 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 (odometry.yaw_rad, odometry.dyaw_rad) = (0.02 * steps, 0.02 * sign);
             })
         }
+        // Its encoders do not count what blocked wheels slide, at 5 m/s^2.
+        ["locked"] => {
+            let (mut before_mps, mut slid_m) = (0.0_f64, 0.0);
+            run_with(move |_, odometry: &mut Odometry, truth: &mut Truth| {
+                let slides_m = (before_mps.powi(2) - truth.speed_mps.powi(2)) / 10.0;
+                before_mps = truth.speed_mps;
+                if truth.blocked == 1 && slides_m > 0.0 {
+                    slid_m += slides_m;
+                    (odometry.dx_m, odometry.speed_mps) = (odometry.dx_m - slides_m, 0.0);
+                }
+                odometry.x_m -= slid_m;
+            })
+        }
+        // Its wheels turn three times as fast as it drives.
+        ["spinning"] => run_with(|_, odometry: &mut Odometry, _| {
+            (odometry.x_m, odometry.dx_m) = (3.0 * odometry.x_m, 3.0 * odometry.dx_m);
+            odometry.speed_mps *= 3.0;
+        }),
         // Its scanner has two thirds of the rate.
         ["slow"] => run_with(|_, _, _| _ = runtime::wait_for(&[], 150_000_000)),
         ["hang-after", limit] => {
@@ -56,7 +74,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
         _ => {
             return Err(
-                "usage: faulty-robot none|nan|jump|backwards|rolled SIGN|slow|hang-after N|exit-after N"
+                "usage: faulty-robot none|nan|jump|backwards|rolled SIGN|locked|spinning|slow|hang-after N|exit-after N"
                     .into(),
             );
         }

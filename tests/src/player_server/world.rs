@@ -39,6 +39,10 @@ pub(super) struct World {
     next_scan: u64,
     command: Actuation,
     commanded_ns: u64,
+    /// The robot blocks its wheels after this time without a command [ns].
+    pub(super) watchdog_ns: Option<u64>,
+    /// When the last command came [ns].
+    heard_ns: u64,
     pub(super) truth: Truth,
     pub(super) received: Vec<(u64, Received)>,
     /// Whether a client has the base open.
@@ -59,6 +63,8 @@ impl World {
             next_scan: 1,
             command: Actuation::default(),
             commanded_ns: 0,
+            watchdog_ns: None,
+            heard_ns: 0,
             truth: Truth::default(),
             received: Vec::new(),
             is_open: false,
@@ -82,6 +88,7 @@ impl World {
     /// Follows a command with a velocity and the steering angle of a car with half the axle distance.
     pub(super) fn command(&mut self, velocity_mps: f64, steering_rad: f64) {
         let stops = velocity_mps == 0.0;
+        self.heard_ns = monotonic_ns();
         self.received.push((
             monotonic_ns(),
             if stops { Received::Stop } else { Received::Drive(velocity_mps, steering_rad) },
@@ -103,6 +110,10 @@ impl World {
             self.received.push((now_ns, Received::Closed));
         }
         self.was_open = self.is_open;
+        let drives = self.command.kind == ActuationKind::Drive.wire();
+        if drives && self.watchdog_ns.is_some_and(|after_ns| now_ns > self.heard_ns + after_ns) {
+            self.command(0.0, 0.0);
+        }
         let elapsed_ns = now_ns - self.origin_ns;
         self.emulator.advance_to(elapsed_ns);
         if elapsed_ns >= self.commanded_ns + REPEAT_NS {

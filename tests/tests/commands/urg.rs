@@ -2,10 +2,11 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::io::{BufRead, BufReader};
-use std::net::TcpListener;
+use std::net::{TcpListener, ToSocketAddrs};
 use std::process::{Child, Stdio};
 
 use scanloop_tests::System;
+use scanloop_tests::namespace::is_inside;
 use serde_json::Value;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -42,6 +43,31 @@ fn info_prints_what_a_scanner_tells_about_itself() {
     let info: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!((&info["model"], &info["fits"]), (&"URG-04LX(emulated)".into(), &true.into()));
     assert_eq!((&info["version"]["SERI"], &info["state"]["LASR"]), (&"E0000001".into(), &"OFF".into()));
+}
+
+/// A name with two addresses; the scanner listens at the second one.
+#[test]
+fn every_address_of_a_name_is_tried() {
+    let hosts = "printf '::1 twin\\n127.0.0.1 twin\\n' > /tmp/scanloop-twin-$$ && \
+                 mount --bind /tmp/scanloop-twin-$$ /etc/hosts && rm /tmp/scanloop-twin-$$ &&";
+    if !is_inside(concat!(module_path!(), "::every_address_of_a_name_is_tried"), hosts, |_| {}) {
+        return;
+    }
+    let system = System::new(EXECUTABLE);
+    let scanner = Scanner::start(&system, &["--tcp", "127.0.0.1:0"]);
+    let place = scanner.place.replace("127.0.0.1", "twin");
+    let addresses: Vec<_> = place.to_socket_addrs().unwrap().collect();
+    assert_eq!(addresses.len(), 2);
+    if !addresses[0].is_ipv6() {
+        eprintln!("skipped: this machine has no IPv6, whose address would be tried first");
+        return;
+    }
+    let output = system.run(&["urg", "info", "--json", "--tcp", &place]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let closed = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let output = system.run(&["urg", "info", "--tcp", &format!("twin:{closed}")]);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(!output.status.success() && message.contains("Connection refused"), "{message}");
 }
 
 #[test]

@@ -86,6 +86,44 @@ fn an_odometry_of_the_wrong_sign_fails_when_the_robot_drives() {
 }
 
 #[test]
+fn wheels_that_slide_uncounted_are_measured_by_the_scans() {
+    let system = System::new(EXECUTABLE);
+    let file = faulty(&system, &["locked"]);
+    let (code, outcomes, report) = check(&system, &["--drive", "--speed", "0.8", "--system", &file]);
+    assert_eq!((code, outcomes["stop"].as_str()), (Some(0), "ok"), "{report:#}");
+    let measured = report["checks"][9]["measured"].as_str().unwrap();
+    assert!(measured.contains("by the scans, of which the odometry counted"), "{report:#}");
+    let estimate = report["deceleration_estimate_mps2"].as_f64().unwrap();
+    let entered = report["blocked_deceleration_mps2"].as_f64().unwrap();
+    // 64 mm from 0.8 m/s at 5 m/s^2, seen to some millimetres.
+    assert!((4.2..=6.0).contains(&estimate) && (2.5..=estimate).contains(&entered), "{report:#}");
+}
+
+#[test]
+fn a_way_to_rest_that_friction_forbids_gives_no_advice() {
+    let system = System::new(EXECUTABLE);
+    let file = faulty(&system, &["locked"]);
+    // Nothing stands around that would show the motion.
+    let open = ["track.surroundings=open", "obstacle.0.appears_s=1000"].map(|set| ["--set", set]).concat();
+    let arguments = [&["--drive", "--speed", "0.8", "--system", &file], &open[..]].concat();
+    let (code, outcomes, report) = check(&system, &arguments);
+    assert_eq!((code, outcomes["stop"].as_str()), (Some(1), "failed"), "{report:#}");
+    assert!(report["blocked_deceleration_mps2"].is_null(), "{report:#}");
+    let stop = &report["checks"][9];
+    assert!(stop["measured"].as_str().unwrap().contains("shorter than friction allows"), "{report:#}");
+    assert_eq!(stop["allowed"], "up to 7.8 m/s^2 by vehicle.tyre_friction = 0.8");
+}
+
+#[test]
+fn wheels_that_turn_faster_than_the_body_drives_fail() {
+    let system = System::new(EXECUTABLE);
+    let file = faulty(&system, &["spinning"]);
+    let (code, outcomes, report) = check(&system, &["--drive", "--speed", "0.8", "--system", &file]);
+    assert_eq!((code, outcomes["ahead"].as_str()), (Some(1), "failed"), "{report:#}");
+    assert!(report["checks"][7]["measured"].as_str().unwrap().contains("by the scans"), "{report:#}");
+}
+
+#[test]
 fn motions_by_hand_show_the_direction_of_the_odometry() {
     let system = System::new(EXECUTABLE);
     for (sign, expected) in [("1", "ok"), ("-1", "failed")] {

@@ -25,6 +25,7 @@ mod player;
 mod private_place;
 mod recording;
 mod restart;
+mod run_limits;
 mod service_manager;
 mod set;
 mod shadow;

@@ -414,7 +414,7 @@ fn the_run_goes_on_after_the_server_was_silent() {
     let server = server("corridor");
     let mut system = System::new(EXECUTABLE);
     let file = system_file(&system, server.port(), "silence_s = 0.3");
-    system.start(&["--system", &file, "corridor"]);
+    system.start(&["--system", &file, "corridor", "--set", "stop_final_s=60"]);
     system.wait_until("it drives", |_| server.truth().x_m > 1.0 && server.speed_mps() > 0.5);
     let silent_since_ns = runtime::monotonic_ns();
     server.set_fault(Fault::Stalls);
@@ -430,6 +430,47 @@ fn the_run_goes_on_after_the_server_was_silent() {
     assert_eq!((status.code(), system.report().outcome), (Some(0), Outcome::Reached), "{}", system.stderr());
     let truth = server.truth();
     assert!(truth.goal_distance_m < 0.15 && truth.collided == 0, "what it slid is not forgotten: {truth:?}");
+}
+
+/// Drives 10 m with outages, each from a place on for a time [m, s]; the goal is reached by the truth.
+fn survives_outages(watchdog_ns: Option<u64>, outages: &[(Fault, f64, u64)]) {
+    let server = server("free");
+    watchdog_ns.into_iter().for_each(|after_ns| server.set_watchdog(after_ns));
+    let mut system = System::new(EXECUTABLE);
+    let file = system_file(&system, server.port(), "");
+    system.start(&["--system", &file, "free", "--set", "stop_final_s=30"]);
+    for (fault, from_m, for_ms) in outages {
+        system.wait_until("it drives", |_| server.truth().x_m > *from_m && server.speed_mps() > 0.8);
+        let until_ns = runtime::monotonic_ns() + for_ms * 1_000_000;
+        server.set_fault(*fault);
+        system.wait_until("the outage is over", |_| runtime::monotonic_ns() >= until_ns);
+        server.set_fault(Fault::None);
+    }
+    let status = system.wait();
+    assert_eq!((status.code(), system.report().outcome), (Some(0), Outcome::Reached), "{}", system.stderr());
+    let truth = server.truth();
+    assert!(truth.goal_distance_m < 0.15, "{truth:?}: {}", system.stderr());
+    system.assert_nothing_left();
+}
+
+#[test]
+fn after_outages_the_pose_is_where_the_robot_is_and_it_drives_on() {
+    // The robot has a watchdog of 0.3 s, and the driver forwards what comes late.
+    let outages = [(Fault::Held, 1.0, 500), (Fault::Held, 3.0, 1_000), (Fault::Held, 5.5, 1_500)];
+    survives_outages(Some(300_000_000), &outages);
+}
+
+#[test]
+fn after_outages_without_their_data_it_drives_on() {
+    let outages =
+        [(Fault::Cut, 1.0, 300), (Fault::Cut, 2.5, 700), (Fault::Cut, 4.5, 1_300), (Fault::Cut, 6.5, 2_500)];
+    survives_outages(Some(300_000_000), &outages);
+}
+
+#[test]
+fn a_base_that_drives_on_for_more_than_a_metre_in_an_outage_has_not_jumped() {
+    // The wheels follow the last command, as those of Stage; the driver leaves the server after a second.
+    survives_outages(None, &[(Fault::Cut, 2.0, 1_200), (Fault::Held, 5.0, 1_500)]);
 }
 
 #[test]

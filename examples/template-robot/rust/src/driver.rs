@@ -36,6 +36,9 @@ pub(crate) struct Driver {
     arrived_ns: [Option<u64>; 2],
     /// Sweeps that broke off since the last whole one.
     broken: u64,
+    /// Messages that came after newer ones and were dropped, and the text for `scanloop status`.
+    overtaken: u64,
+    remark: String,
     /// The odometry published last.
     last: Odometry,
     /// When the wheels were told to drive last; `None` while they are blocked [ns].
@@ -58,6 +61,8 @@ impl Driver {
             waiting: None,
             arrived_ns: [None; 2],
             broken: 0,
+            overtaken: 0,
+            remark: String::new(),
             last: Odometry::default(),
             told_ns: None,
             speed_mps: 0.0,
@@ -127,7 +132,7 @@ impl Driver {
     }
 
     /// What base and scanner do, and why.
-    fn devices(&self, now_ns: u64, period_ns: u64) -> (DeviceState, &'static str) {
+    fn devices(&self, now_ns: u64, period_ns: u64) -> (DeviceState, &str) {
         let is_silent = |arrived_ns: u64| now_ns.saturating_sub(arrived_ns) > MAX_MISSING * period_ns;
         match self.arrived_ns {
             [None, _] => (DeviceState::Connecting, "base: no data yet"),
@@ -137,7 +142,7 @@ impl Driver {
                 (DeviceState::Fault, "scanner: sends no sweeps")
             }
             _ if self.broken >= MAX_MISSING => (DeviceState::Fault, "scanner: all sweeps break off"),
-            _ => (DeviceState::Running, ""),
+            _ => (DeviceState::Running, &self.remark),
         }
     }
 
@@ -146,17 +151,31 @@ impl Driver {
         let now_ns = process.clock().now_ns();
         if let Some((stamp_ns, pose)) = self.device.read_odometry(now_ns) {
             let mapped = self.base_clock.arrival(stamp_ns, now_ns);
-            // A base that was restarted counts from zero again, its clock and its odometry.
-            self.history.add(mapped.time_ns, pose, mapped.event == Event::Backwards);
-            self.speed_mps = pose.speed_mps;
+            if self.is_in_order(mapped.event) {
+                // A base that was restarted counts from zero again, its clock and its odometry.
+                self.history.add(mapped.time_ns, pose, mapped.event == Event::Backwards);
+                self.speed_mps = pose.speed_mps;
+            }
             self.arrived_ns[0] = Some(now_ns);
         }
         if let Some(sweep) = self.device.read_scan(now_ns) {
-            let front_ns = self.scanner_clock.arrival(sweep.stamp_ns, now_ns).time_ns;
+            let mapped = self.scanner_clock.arrival(sweep.stamp_ns, now_ns);
             self.arrived_ns[1] = Some(now_ns);
             self.broken = if sweep.beams == BEAMS { 0 } else { self.broken + 1 };
-            self.waiting = self.is_next(front_ns, process.period_ns()).then_some((front_ns, sweep));
+            if self.is_in_order(mapped.event) {
+                let is_next = self.is_next(mapped.time_ns, process.period_ns());
+                self.waiting = is_next.then_some((mapped.time_ns, sweep));
+            }
         }
+    }
+
+    /// Whether a message is newer than those before. One that was overtaken is old: it is counted and dropped.
+    fn is_in_order(&mut self, event: Event) -> bool {
+        if event == Event::Overtaken {
+            self.overtaken += 1;
+            self.remark = format!("{} messages were overtaken by others", self.overtaken);
+        }
+        event != Event::Overtaken
     }
 
     /// Whether a front beam is after the one before; logs a gap.

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::f64::consts::{PI, TAU};
 
 /// States that are kept: more than a base sends in two scan periods.
-const MAX_STATES: usize = 64;
+const MAX_STATES: usize = 256;
 
 /// Pose and speed of the base.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]

@@ -15,7 +15,7 @@ use emulator::Scenario;
 use emulator::scenario::{Obstacle, Scanner, Shape};
 
 use super::{BOX_M, covers_the_box};
-use crate::case::{Case, Trouble, Verdict, failed, require};
+use crate::case::{Case, Trouble, Verdict, failed, observed, require};
 use crate::drive::Course;
 use crate::message::Message;
 use crate::suite::{Setup, Suite};
@@ -178,14 +178,16 @@ fn contradicts_motion(suite: &Suite, fault: impl FnOnce(&mut Scanner)) -> Verdic
     let drive = suite.drive(Course::Corridor)?;
     let moved = |scan_id: u64| drive.step(scan_id).truth.x_m - drive.step(1).truth.x_m;
     let (begins, ends) = (drive.scan_at(MOVED_M), drive.scan_at(MOVED_M + 1.0));
-    let mut first_m = None;
+    let (mut first_m, mut drove) = (None, false);
     for scan_id in 1..ends {
         let described = failing.round()?;
+        drove |= !stops(&described);
         first_m = stops(&described).then(|| first_m.unwrap_or(moved(scan_id)));
         require(scan_id < begins || first_m.is_some(), || {
             format!("state `{}` after {:.2} m of way", state(&described), moved(scan_id))
         })?;
     }
+    observed(drove, || "it stops the robot from the first scan on, before anything moves".to_owned())?;
     Ok(format!("stops after {:.2} m of way", first_m.unwrap_or(0.0)))
 }
 
@@ -326,9 +328,11 @@ impl<'a> Failing<'a> {
             fault(&mut scenario.scanner);
             scenario.scanner.from_s = onset_s;
         })?;
+        let mut last = Obstacles::default();
         for _ in first_scan..failing.onset {
-            failing.round()?;
+            last = failing.round()?;
         }
+        observed(!stops(&last), || format!("state `{}` at rest before the fault", state(&last)))?;
         Ok(failing)
     }
 

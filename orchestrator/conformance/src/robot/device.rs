@@ -6,7 +6,7 @@
 use shared_types::{BEAMS, Header, MIN_RANGE_MM, Odometry, Scan, Topic};
 
 use super::motion::FORWARD;
-use crate::case::{Case, Trouble, Verdict, failed, passed_if, require};
+use crate::case::{Case, Trouble, Verdict, failed, observed, passed_if, require};
 use crate::suite::{Setup, Suite};
 
 /// Scans of a case.
@@ -15,6 +15,12 @@ const SCANS: usize = 50;
 const AFTER_FRONT: f64 = 0.45;
 /// A half of a scan with fewer returns is not compared.
 const RETURNS: usize = 50;
+/// With fewer pairs of scans that show what a case is about, it proves nothing.
+const MIN_OBSERVED: usize = SCANS / 5;
+/// A robot that moves less between two scans may see the same twice [m].
+const MOVED_M: f64 = 0.005;
+/// Way after which a base that counts from zero again would be seen [m].
+const MIN_WAY_M: f64 = 0.2;
 /// Below this speed way and time are not compared [m/s].
 const DRIVING_MPS: f64 = 0.2;
 /// How much the way between two stamps may differ from speed times time.
@@ -112,7 +118,7 @@ fn jitter(suite: &Suite) -> Verdict {
         count += 1;
         off += usize::from((way_m(before, now) - expected_m).abs() > WAY_ERROR * expected_m.abs());
     }
-    require(count >= SCANS / 5, || format!("it drove in {count} of {SCANS} scans"))?;
+    observed(count >= MIN_OBSERVED, || format!("it drove in {count} of {SCANS} scans"))?;
     passed_if(off <= count / 10, format!("way and time contradict the speed in {off} of {count} scans"))
 }
 
@@ -128,14 +134,23 @@ fn way_m(before: &Odometry, now: &Odometry) -> f64 {
 
 fn gaps(suite: &Suite) -> Verdict {
     let measured = measured(suite)?;
+    let mut shown = 0;
     for pair in measured.windows(2) {
         let ((earlier, before), (scan, now)) = (&pair[0], &pair[1]);
-        let repeats = returns(&scan.ranges_mm) >= RETURNS && scan.ranges_mm == earlier.ranges_mm;
-        require(!repeats || way_m(before, now) < 0.01, || {
+        if returns(&scan.ranges_mm) < RETURNS || way_m(before, now) < MOVED_M {
+            continue;
+        }
+        shown += 1;
+        require(scan.ranges_mm != earlier.ranges_mm, || {
             format!("scan {} repeats the ranges of the scan before", scan.header.scan_id)
         })?;
     }
     let missing = measured.iter().filter(|(scan, _)| scan.missing.is_set()).count();
+    if missing <= SCANS / 2 {
+        observed(shown >= MIN_OBSERVED, || {
+            format!("it moved and saw something in {shown} of {SCANS} scans")
+        })?;
+    }
     passed_if(
         missing <= SCANS / 2,
         format!("{missing} of {SCANS} scans are marked as missing, no ranges repeat"),
@@ -148,8 +163,9 @@ fn returns(ranges_mm: &[u16]) -> usize {
 }
 
 fn device_restart(suite: &Suite) -> Verdict {
+    let measured = measured(suite)?;
     let mut farthest_m = 0.0_f64;
-    for pair in measured(suite)?.windows(2) {
+    for pair in measured.windows(2) {
         let ((_, before), (_, now)) = (&pair[0], &pair[1]);
         let (way_m, turn_rad) = (way_m(before, now), (now.yaw_rad - before.yaw_rad).sin().abs());
         let allowed_m = 2.0 * before.speed_mps.abs().max(now.speed_mps.abs()) * seconds(before, now) + 0.05;
@@ -161,26 +177,37 @@ fn device_restart(suite: &Suite) -> Verdict {
         })?;
         farthest_m = farthest_m.max(way_m);
     }
+    let moved_m = way_m(&measured[0].1, &measured[SCANS - 1].1);
+    observed(moved_m >= MIN_WAY_M, || format!("its pose moved by {moved_m:.3} m: a restart would not show"))?;
     Ok(format!("at most {farthest_m:.3} m between two scans"))
 }
 
 fn half_a_scan(suite: &Suite) -> Verdict {
-    let mut scans: Vec<Scan> = measured(suite)?.into_iter().map(|(scan, _)| scan).collect();
-    scans.retain(|scan| !scan.missing.is_set());
-    let mut empty: Vec<usize> = scans.iter().map(empty_end).collect();
+    let mut scans = measured(suite)?;
+    scans.retain(|(scan, _)| !scan.missing.is_set());
+    let mut empty: Vec<usize> = scans.iter().map(|(scan, _)| empty_end(scan)).collect();
+    let mut shown = 0;
     for pair in scans.windows(2) {
+        let ((earlier, before), (scan, now)) = (&pair[0], &pair[1]);
         let halves = [0..BEAMS / 2, BEAMS / 2..BEAMS];
-        let [first, second] = halves.map(|half| {
-            let (before, now) = (&pair[0].ranges_mm[half.clone()], &pair[1].ranges_mm[half]);
-            before == now && returns(now) >= RETURNS
+        let sees = halves.each_ref().map(|half| returns(&scan.ranges_mm[half.clone()]) >= RETURNS);
+        let [first, second] = [0, 1].map(|index| {
+            let half = halves[index].clone();
+            sees[index] && earlier.ranges_mm[half.clone()] == scan.ranges_mm[half]
         });
         require(first == second, || {
-            format!("half of scan {} is that of the scan before", pair[1].header.scan_id)
+            format!("half of scan {} is that of the scan before", scan.header.scan_id)
         })?;
+        shown += usize::from(sees == [true; 2] && way_m(before, now) >= MOVED_M);
     }
     empty.sort_unstable();
     let (usual, most) =
         (empty.get(empty.len() / 2).copied().unwrap_or(0), empty.last().copied().unwrap_or(0));
+    if most <= usual + BEAMS / 4 {
+        observed(shown >= MIN_OBSERVED, || {
+            format!("it moved and saw something on both sides in {shown} of {SCANS} scans")
+        })?;
+    }
     passed_if(
         !scans.is_empty() && most <= usual + BEAMS / 4,
         format!("{} scans; at most {most} beams at an end are zero, usually {usual}", scans.len()),

@@ -1,5 +1,7 @@
 //! The samples of a robot, received and reduced to what the checks need.
 
+use std::collections::VecDeque;
+
 use runtime::{Bus, Observer, RuntimeError};
 use shared_types::{Obstacles, Odometry, Scan, ScannerHealth, WINDOW};
 use vehicle::Description;
@@ -13,9 +15,12 @@ pub(super) struct Feed {
     pub(super) observed: Observed,
     /// The newest odometry.
     pub(super) newest: Option<Odometry>,
-    /// The newest scan with ranges.
-    pub(super) newest_scan: Option<Box<Scan>>,
+    /// The newest scans with ranges, the newest last.
+    pub(super) scans_seen: VecDeque<Scan>,
 }
+
+/// Scans that are kept: a leg of the drive at 40 Hz.
+const KEPT_SCANS: usize = 256;
 
 /// What came so far.
 #[derive(Debug, Default)]
@@ -63,7 +68,7 @@ impl Feed {
             obstacles: Observer::new(bus)?,
             observed: Observed::default(),
             newest: None,
-            newest_scan: None,
+            scans_seen: VecDeque::with_capacity(KEPT_SCANS),
         })
     }
 
@@ -74,6 +79,11 @@ impl Feed {
         self.obstacles.connect();
     }
 
+    /// The newest scan with ranges.
+    pub(super) fn newest_scan(&self) -> Option<&Scan> {
+        self.scans_seen.back()
+    }
+
     /// Takes all that came; returns whether odometry did.
     pub(super) fn poll(&mut self) -> Result<bool, RuntimeError> {
         let Observed { sweeps, odometries, invalid, health, way } = &mut self.observed;
@@ -81,7 +91,10 @@ impl Feed {
         *invalid += self.scans.poll(|scan| {
             sweeps.push(Sweep::of(scan));
             if !scan.missing.is_set() {
-                self.newest_scan = Some(Box::new(*scan));
+                if self.scans_seen.len() == KEPT_SCANS {
+                    self.scans_seen.pop_front();
+                }
+                self.scans_seen.push_back(*scan);
             }
         })?;
         *invalid += self.odometries.poll(|odometry| {

@@ -1,7 +1,10 @@
 //! Checks in which the robot moves: rolled by hand, or driven slowly, and stopped.
 
+mod body;
 mod deceleration;
 mod halt;
+mod registration;
+mod verdict;
 
 use console::note;
 use plan::System;
@@ -11,8 +14,8 @@ use super::LiveArguments;
 use super::bench::{Bench, Order};
 use super::feed::{Point, free_ahead_m};
 use super::finding::{Finding, Outcome};
+use body::{Stop, Track};
 use deceleration::Deceleration;
-use halt::Halt;
 
 /// Names of these checks.
 pub(super) const NAMES: [&str; 3] = ["ahead", "left", "stop"];
@@ -26,22 +29,31 @@ const MIN_DRIVEN_LEFT_RAD: f64 = 0.03;
 const LEGS_M: [f64; 2] = [0.5, 0.4];
 /// Steering angle of the second leg; the actuator may send up to 0.12 [rad].
 const LEFT_RAD: f64 = 0.08;
-/// Both legs, the way to stop and a reserve must be free in front of the body at the start [m].
-const FREE_M: f64 = 1.5;
+/// Beyond both legs and the way to stop this must be free in front of the body at the start [m].
+const RESERVE_M: f64 = 0.2;
 /// The drive ends when the newest scan with ranges is older than this many periods.
 const MAX_SCAN_PERIODS: u64 = 3;
 /// A way by the odometry against the order that is no noise [m].
 const MIN_BACK_M: f64 = 0.05;
 /// Why the drive ended early.
 const NOT_FREE: &str = "something is near, or the scanner does not see: the wheels are blocked";
-/// The drive ends when something is nearer to the front of the body [m].
+/// See [`near_m`] [m].
 const NEAR_M: f64 = 0.4;
+/// Part of [`near_m`] that stays free [m].
+const NEAR_RESERVE_M: f64 = 0.1;
+/// A body that comes into view is in a scan after a period, which is published within another one, and the block is obeyed
+/// within a third.
+const BLIND_PERIODS: f64 = 3.0;
 /// Blocked wheels rest within this time [ns].
 const REST_NS: u64 = 3_000_000_000;
 /// Run-up to each further stop: the robot reaches its speed, and then keeps it for half a second [s].
 const RUN_UP_S: f64 = 1.2;
 /// A way to stop that is free beyond each run-up [m].
 const STOP_M: f64 = 0.3;
+/// Scans that are waited for when the odometry rests: locked wheels may slide on [count].
+const SETTLING_SCANS: usize = 8;
+/// The odometry shows another motion than the scans, if theirs is less than this share of it.
+const SEEN_SHARE: f64 = 0.5;
 /// Time between the warning and the drive [ns].
 const WARNING_NS: u64 = 3_000_000_000;
 
@@ -65,7 +77,9 @@ pub(super) fn findings(
     let mut moved = Moved { findings: Vec::new(), deceleration: None };
     let obstacle = before.iter().find(|finding| finding.outcome == Outcome::Failed);
     if arguments.drive {
-        match obstacle.map(|finding| format!("`{}` failed", finding.name)).or_else(|| blocked(bench, system))
+        match obstacle
+            .map(|finding| format!("`{}` failed", finding.name))
+            .or_else(|| blocked(bench, system, arguments.speed))
         {
             Some(reason) => moved.skip(&reason),
             None => drive(bench, system, arguments, &mut moved)?,
@@ -87,26 +101,11 @@ impl Moved {
         self.findings.push(finding);
     }
 
-    /// Judges the stops by their sum: one alone may be delayed by a busy computer.
-    fn judge_stops(&mut self, halts: &[Halt], vehicle: &Description) {
-        let described_mps2 = vehicle.blocked_deceleration_mps2;
-        let sum = |of: &dyn Fn(&Halt) -> f64| halts.iter().map(of).sum::<f64>();
-        let (covered_m, allowed_m) =
-            (sum(&|halt| halt.distance_m), sum(&|halt| halt.allowed_m(described_mps2)));
-        let found = deceleration::fit(halts);
-        let Deceleration { estimate_mps2, entered_mps2 } = found;
-        let (count, fastest) = (halts.len(), halts.iter().map(|halt| halt.speed_mps).fold(0.0, f64::max));
-        let plural = if count == 1 { "stop" } else { "stops" };
-        self.add(Finding::of(
-            "stop",
-            covered_m <= allowed_m,
-            format!(
-                "{covered_m:.3} m in {count} {plural} from up to {fastest:.2} m/s: {estimate_mps2:.2} m/s^2, with the error \
-                 at least {entered_mps2}"
-            ),
-            format!("up to {allowed_m:.3} m by vehicle.blocked_deceleration_mps2 = {described_mps2}"),
-        ));
-        self.deceleration = Some(found);
+    /// Judges all stops.
+    fn judge_stops(&mut self, stops: &[Stop], vehicle: &Description) {
+        let (finding, deceleration) = verdict::judge(stops, vehicle);
+        self.add(finding);
+        self.deceleration = deceleration;
     }
 
     /// Skips all checks that were not made.
@@ -123,11 +122,11 @@ fn by_hand(bench: &mut Bench, limit_s: f64, moved: &mut Moved) -> anyhow::Result
     note!("roll the robot ahead by hand, half a metre (within {limit_s} s)");
     let start = place(bench);
     bench.until(limit_ns, |bench| (place(bench).ahead_m - start.ahead_m).abs() >= MIN_AHEAD_M)?;
-    moved.add(ahead(place(bench).ahead_m - start.ahead_m));
+    moved.add(ahead(place(bench).ahead_m - start.ahead_m, None));
     note!("turn the robot to the left by hand, 30 degrees (within {limit_s} s)");
     let start = place(bench);
     bench.until(limit_ns, |bench| (place(bench).left_rad - start.left_rad).abs() >= MIN_LEFT_RAD)?;
-    moved.add(left(place(bench).left_rad - start.left_rad, MIN_LEFT_RAD));
+    moved.add(left(place(bench).left_rad - start.left_rad, MIN_LEFT_RAD, None));
     Ok(())
 }
 
@@ -146,32 +145,43 @@ fn drive(
         WARNING_NS / 1_000_000_000
     );
     bench.until(WARNING_NS, |_| false)?;
-    if !is_seen_free(bench, system) {
+    if !is_seen_free(bench, system, speed_mps) {
         moved.skip(NOT_FREE);
         return Ok(());
     }
     let start = place(bench);
+    let mut track = Track::begin(&bench.feed, &system.vehicle);
     let is_free = leg(bench, system, Order::Drive(speed_mps, 0.0), straight_m)?;
-    let moved_m = place(bench).ahead_m - start.ahead_m;
-    // The way of a robot that was stopped early is too short to be judged, but its direction is not.
-    if is_free || moved_m < -MIN_BACK_M {
-        moved.add(ahead(moved_m));
-    }
+    let (moved_m, straight_ns) = (place(bench).ahead_m - start.ahead_m, newest_ns(bench));
     if !is_free || moved_m < MIN_AHEAD_M {
         bench.order(Order::Block);
         bench.until(REST_NS, |bench| halt::rests(&bench.feed.observed.way))?;
+        // The way of a robot that was stopped early is too short to be judged, but its direction is not.
+        if is_free || moved_m < -MIN_BACK_M {
+            moved.add(ahead(moved_m, None));
+        }
         moved.skip(if is_free { "`ahead` failed" } else { NOT_FREE });
         return Ok(());
     }
     let start = place(bench);
     let is_free = leg(bench, system, Order::Drive(speed_mps, LEFT_RAD), left_m)?;
-    let end = place(bench);
+    let (turned_rad, left_ns) = (place(bench).left_rad - start.left_rad, newest_ns(bench));
+    let first = stop(bench, &system.vehicle)?;
+    let straight = track.follow(&bench.feed, straight_ns, speed_mps, &system.vehicle);
+    moved.add(ahead(moved_m, straight.map(|body| body.ahead_m)));
     if is_free {
-        moved.add(left(end.left_rad - start.left_rad, MIN_DRIVEN_LEFT_RAD));
+        let turned = track.follow(&bench.feed, left_ns, speed_mps, &system.vehicle);
+        let seen_rad = straight.zip(turned).map(|(before, after)| after.left_rad - before.left_rad);
+        moved.add(left(turned_rad, MIN_DRIVEN_LEFT_RAD, seen_rad));
     } else {
         moved.add(Finding::skipped("left", NOT_FREE));
     }
-    stops(bench, system, arguments, moved)
+    stops(bench, system, arguments, first, moved)
+}
+
+/// Time of the newest scan [ns].
+fn newest_ns(bench: &Bench) -> u64 {
+    bench.feed.newest_scan().map_or(0, |scan| scan.header.acquired_ns)
 }
 
 /// Length of the run-ups to all stops but the first [m].
@@ -189,39 +199,48 @@ fn leg(bench: &mut Bench, system: &System, order: Order, length_m: f64) -> anyho
     let mut is_free = true;
     bench.order(order);
     bench.until(limit_ns, |bench| {
-        is_free = is_seen_free(bench, system);
+        is_free = is_seen_free(bench, system, speed_mps);
         !is_free || (place(bench).ahead_m - start_m).abs() >= length_m
     })?;
     Ok(is_free)
 }
 
+/// The drive ends when something is nearer than this to the front of the body: the way until the newest scan has blocked
+/// the wheels, and to rest as described, or [`NEAR_M`] [m].
+fn near_m(system: &System, speed_mps: f64) -> f64 {
+    let blind_s = BLIND_PERIODS * system.period_ns() as f64 * 1e-9 + system.vehicle.command_delay_s;
+    let slide_m = speed_mps * speed_mps / (2.0 * system.vehicle.blocked_deceleration_mps2);
+    NEAR_M.max(speed_mps * blind_s + slide_m + NEAR_RESERVE_M)
+}
+
 /// Whether a scanner that works sees nothing near in the way of the robot.
-fn is_seen_free(bench: &Bench, system: &System) -> bool {
+fn is_seen_free(bench: &Bench, system: &System, speed_mps: f64) -> bool {
     let feed = &bench.feed;
     let oldest_ns = place(bench).at_ns.saturating_sub(MAX_SCAN_PERIODS * system.period_ns());
     let is_stop = feed.observed.health.is_some_and(|health| health.state().is_stop());
-    let scan = feed.newest_scan.as_ref().filter(|scan| scan.header.acquired_ns >= oldest_ns);
-    !is_stop && scan.is_some_and(|scan| free_ahead_m(scan, &system.vehicle) >= NEAR_M)
+    let scan = feed.newest_scan().filter(|scan| scan.header.acquired_ns >= oldest_ns);
+    !is_stop && scan.is_some_and(|scan| free_ahead_m(scan, &system.vehicle) >= near_m(system, speed_mps))
 }
 
-/// Stops from the speed, and from half of it in turn, as long as the way is free; compares the stops with the description.
+/// After the first stop stops from half of the speed, and from all of it in turn, as long as the way is free; compares the
+/// stops with the description.
 fn stops(
     bench: &mut Bench,
     system: &System,
     arguments: &LiveArguments,
+    first: Option<Stop>,
     moved: &mut Moved,
 ) -> anyhow::Result<()> {
     let vehicle = &system.vehicle;
-    let mut halts = Vec::new();
-    while let Some(halt) = stop(bench, vehicle)? {
+    let (mut halts, mut newest) = (Vec::new(), first);
+    while let Some(halt) = newest {
         halts.push(halt);
         let speed_mps = if halts.len() % 2 == 1 { arguments.speed / 2.0 } else { arguments.speed };
         let length_m = RUN_UP_S * speed_mps;
         let has_room = bench
             .feed
-            .newest_scan
-            .as_ref()
-            .is_some_and(|scan| free_ahead_m(scan, vehicle) >= length_m + NEAR_M + STOP_M);
+            .newest_scan()
+            .is_some_and(|scan| free_ahead_m(scan, vehicle) >= length_m + near_m(system, speed_mps) + STOP_M);
         if halts.len() >= arguments.stops || !has_room {
             moved.judge_stops(&halts, vehicle);
             return Ok(());
@@ -232,6 +251,7 @@ fn stops(
             moved.judge_stops(&halts, vehicle);
             return Ok(());
         }
+        newest = stop(bench, vehicle)?;
     }
     moved.add(Finding::of(
         "stop",
@@ -243,7 +263,7 @@ fn stops(
 }
 
 /// Blocks the wheels and measures how the robot comes to rest; `None` when it does not.
-fn stop(bench: &mut Bench, vehicle: &Description) -> anyhow::Result<Option<Halt>> {
+fn stop(bench: &mut Bench, vehicle: &Description) -> anyhow::Result<Option<Stop>> {
     bench.order(Order::Block);
     bench.until(REST_NS, |bench| bench.ordered_ns().is_some())?;
     let blocked_ns = bench.ordered_ns().unwrap_or(u64::MAX);
@@ -251,27 +271,47 @@ fn stop(bench: &mut Bench, vehicle: &Description) -> anyhow::Result<Option<Halt>
         let way = &bench.feed.observed.way;
         halt::rests(way) && way.last().is_some_and(|point| point.at_ns > blocked_ns)
     })?;
-    let measured = halt::measure(&bench.feed.observed.way, blocked_ns, vehicle.command_delay_s);
-    Ok(measured.filter(|_| has_rested))
+    let settled = bench.feed.observed.way.len() + SETTLING_SCANS;
+    bench.until(REST_NS, |bench| bench.feed.observed.way.len() >= settled)?;
+    let counted = halt::measure(&bench.feed.observed.way, blocked_ns, vehicle.command_delay_s);
+    let seen = body::stop(&bench.feed, blocked_ns, vehicle);
+    Ok(counted.filter(|_| has_rested).map(|counted| Stop { counted, seen }))
 }
 
 /// Why the robot must not be driven; `None` when its way is free.
-fn blocked(bench: &Bench, system: &System) -> Option<String> {
-    let Some(scan) = &bench.feed.newest_scan else { return Some("no scan has ranges".to_owned()) };
+fn blocked(bench: &Bench, system: &System, speed_mps: f64) -> Option<String> {
+    let Some(scan) = bench.feed.newest_scan() else { return Some("no scan has ranges".to_owned()) };
     let free_m = free_ahead_m(scan, &system.vehicle);
-    (free_m < FREE_M).then(|| format!("{free_m:.2} m are free ahead, the drive needs {FREE_M} m"))
+    let needed_m = LEGS_M.iter().sum::<f64>() + near_m(system, speed_mps) + RESERVE_M;
+    (free_m < needed_m).then(|| format!("{free_m:.2} m are free ahead, the drive needs {needed_m:.2} m"))
 }
 
 fn place(bench: &Bench) -> Point {
     bench.feed.observed.way.last().copied().unwrap_or_default()
 }
 
-fn ahead(moved_m: f64) -> Finding {
-    let allowed = format!("at least {MIN_AHEAD_M:+} m");
-    Finding::of("ahead", moved_m >= MIN_AHEAD_M, format!("odometry moved by {moved_m:+.2} m"), allowed)
+/// Judges the way by the odometry, and by the scans where they show one.
+fn ahead(moved_m: f64, seen_m: Option<f64>) -> Finding {
+    let (measured, allowed) =
+        (format!("odometry moved by {moved_m:+.2} m"), format!("at least {MIN_AHEAD_M:+} m"));
+    match seen_m.filter(|seen_m| *seen_m < SEEN_SHARE * moved_m) {
+        Some(seen_m) if moved_m >= MIN_AHEAD_M => {
+            let measured = format!("{measured}, the body by {seen_m:+.2} m by the scans");
+            Finding::of("ahead", false, measured, format!("{allowed}, of both"))
+        }
+        _ => Finding::of("ahead", moved_m >= MIN_AHEAD_M, measured, allowed),
+    }
 }
 
-fn left(turned_rad: f64, min_rad: f64) -> Finding {
-    let allowed = format!("at least {min_rad:+} rad");
-    Finding::of("left", turned_rad >= min_rad, format!("odometry turned by {turned_rad:+.2} rad"), allowed)
+/// The same for the turn.
+fn left(turned_rad: f64, min_rad: f64, seen_rad: Option<f64>) -> Finding {
+    let (measured, allowed) =
+        (format!("odometry turned by {turned_rad:+.2} rad"), format!("at least {min_rad:+} rad"));
+    match seen_rad.filter(|seen_rad| *seen_rad < SEEN_SHARE * turned_rad) {
+        Some(seen_rad) if turned_rad >= min_rad => {
+            let measured = format!("{measured}, the body by {seen_rad:+.2} rad by the scans");
+            Finding::of("left", false, measured, format!("{allowed}, of both"))
+        }
+        _ => Finding::of("left", turned_rad >= min_rad, measured, allowed),
+    }
 }

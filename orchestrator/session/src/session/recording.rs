@@ -82,6 +82,11 @@ impl Recording {
         scan.actuations.iter().for_each(|sample| self.digests.add(sample));
     }
 
+    /// Whether the wheels have been blocked without a break until the scan that was judged last.
+    pub(super) fn wheels_are_blocked(&self) -> bool {
+        self.referee.wheels_are_blocked()
+    }
+
     /// How the run ends and why, if this scan, which was added, decides it.
     pub(super) fn judge(&mut self, scan: &ScanRecord) -> Option<(Outcome, String)> {
         let time_s = self.recorder.duration_s();

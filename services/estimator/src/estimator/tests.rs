@@ -38,6 +38,7 @@ fn actuation(scan: u64, control: Control) -> Actuation {
     Actuation {
         header,
         kind: ActuationKind::Drive.wire(),
+        answers: 1,
         desired_velocity_mps: control.velocity,
         desired_steering_rad: control.steering,
         ..Actuation::default()
@@ -201,6 +202,62 @@ fn a_jump_in_a_gap_that_the_robot_cannot_have_driven_is_refused() {
         let sample = Odometry { yaw_rad: yaw, ..odometry(9, x, 1.0) };
         assert_eq!(estimator.step(&sample, None, at(9)).unwrap().rejected, 1, "{x} {yaw}");
     }
+}
+
+/// The estimate after a lost sample, of a robot at 1 m/s whose measurements have a noise of 20 mm and 10 mrad.
+fn refused_after_a_lost_sample(x_m: f64, yaw_rad: f64) -> u64 {
+    let (mut estimator, _) = straight(&ideal(), 5);
+    let sample = Odometry { yaw_rad, ..odometry(7, x_m, 1.0) };
+    estimator.step(&sample, None, at(7)).unwrap().rejected
+}
+
+#[test]
+fn the_reach_after_a_gap_ends_five_standard_deviations_beyond_the_way() {
+    // From 0.5 m and 1 m/s: 0.2 m in 0.2 s, and 0.1 m of noise to either side, as the robot can't drive back.
+    let [beyond, before] = [0.7 + 0.1, 0.5 - 0.1];
+    assert_eq!([beyond - 0.005, beyond + 0.005].map(|x_m| refused_after_a_lost_sample(x_m, 0.0)), [0, 1]);
+    assert_eq!([before + 0.005, before - 0.005].map(|x_m| refused_after_a_lost_sample(x_m, 0.0)), [0, 1]);
+    // At most 0.12 rad times 1.08 times 5.397 1/m in 0.2 m, and 0.05 rad of noise.
+    let turn = 0.2 * 0.12 * 1.08 * 5.397 + 0.05;
+    assert_eq!([turn - 0.003, turn + 0.003].map(|yaw| refused_after_a_lost_sample(0.7, yaw)), [0, 1]);
+    assert_eq!([turn - 0.003, turn + 0.003].map(|yaw| refused_after_a_lost_sample(0.7, -yaw)), [0, 1]);
+}
+
+#[test]
+fn the_reach_follows_the_noise_of_the_measurement() {
+    let config = Config { measurement_noise: Some([1e-4, 1.6e-3, 1.6e-3]), ..ideal() };
+    let refused = |x_m| {
+        let (mut estimator, _) = straight(&config, 5);
+        estimator.step(&odometry(7, x_m, 1.0), None, at(7)).unwrap().rejected
+    };
+    // Five times 40 mm beyond 0.7 m.
+    assert_eq!([0.895, 0.905].map(refused), [0, 1]);
+}
+
+#[test]
+fn a_sample_that_comes_late_is_no_evidence_and_one_that_is_on_time_is() {
+    for (late_ns, refused) in [(0, 1), (40_000_000, 1), (60_000_000, 0), (2_000_000_000, 0)] {
+        let mut estimator = Estimator::new(&ideal()).unwrap();
+        for scan in 1..=20 {
+            estimator.step(&odometry(scan, 0.1 * scan as f64, 1.0), None, at(scan)).unwrap();
+            estimator.note(&actuation(scan, Control { velocity: 1.0, steering: 0.0 }), at(scan));
+        }
+        // A tenth less than the way of 0.1 m, and 20 mm of noise five times: it may have stood.
+        let pose = estimator.step(&odometry(21, 1.92, 0.0), None, at(21) + late_ns).unwrap();
+        assert_eq!(pose.rejected, refused, "{late_ns} ns late");
+    }
+}
+
+#[test]
+fn scans_that_are_always_late_become_evidence() {
+    let mut estimator = Estimator::new(&ideal()).unwrap();
+    let late_ns = |scan| if scan > 5 { 80_000_000 } else { 0 };
+    for scan in 1..=40 {
+        estimator.step(&odometry(scan, 0.1 * scan as f64, 1.0), None, at(scan) + late_ns(scan)).unwrap();
+        estimator.note(&actuation(scan, Control { velocity: 1.0, steering: 0.0 }), at(scan));
+    }
+    let pose = estimator.step(&odometry(41, 3.92, 0.0), None, at(41) + late_ns(41)).unwrap();
+    assert_eq!(pose.rejected, 1);
 }
 
 #[test]

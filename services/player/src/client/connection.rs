@@ -29,6 +29,8 @@ const SEND: Duration = Duration::from_millis(50);
 const SLEEP_NS: u64 = 20_000_000;
 /// A server that sends more in a second floods [bytes, messages]. A scanner with 40 Hz and 1,081 beams takes 0.4 MB/s.
 const FLOOD: [usize; 2] = [16_000_000, 20_000];
+/// Without data for fewer scan periods, of which `timeout_ns` has two, a server is not silent: slow scanners have long ones.
+const MIN_SILENT_PERIODS: u64 = 2;
 const SECOND_NS: u64 = 1_000_000_000;
 
 /// Serves one connection until the driver ends.
@@ -37,7 +39,7 @@ const SECOND_NS: u64 = 1_000_000_000;
 /// Why the connection was lost; the wheels are stopped then.
 pub(super) fn serve(config: &Config, timeout_ns: u64, outlet: &Outlet) -> Result<(), Lost> {
     let server = connect(config)?;
-    let mut connection = Connection::new(config, &server);
+    let mut connection = Connection::new(config, timeout_ns, &server);
     let Some(session) = connection.open(outlet)? else { return Ok(()) };
     let base = Base { index: config.position2d, command: config.command };
     let mut guard = Guarded::start(&outlet.scanloop, &server, base, timeout_ns)?;
@@ -80,6 +82,8 @@ struct Connection<'a> {
     /// Bytes and messages since the start of the present second [ns].
     traffic: [usize; 2],
     second_ns: u64,
+    /// Base and scanner send data at least this often [ns].
+    silence_ns: u64,
     /// When base and scanner sent data last [ns].
     data_ns: [u64; 2],
     /// Time stamp of the newest sweep [s].
@@ -89,11 +93,12 @@ struct Connection<'a> {
 }
 
 impl<'a> Connection<'a> {
-    fn new(config: &'a Config, server: &'a TcpStream) -> Self {
+    fn new(config: &'a Config, timeout_ns: u64, server: &'a TcpStream) -> Self {
         let now_ns = monotonic_ns();
         Self {
             config,
             server,
+            silence_ns: ((config.silence_s * 1e9) as u64).max(timeout_ns / 2 * MIN_SILENT_PERIODS),
             stream: Stream::default(),
             beams: None,
             traffic: [0; 2],
@@ -195,12 +200,11 @@ impl<'a> Connection<'a> {
     }
 
     fn require_data(&self, session: &Session, now_ns: u64) -> Result<(), Lost> {
-        let limit_ns = (self.config.silence_s * 1e9) as u64;
         let names = ["base", "scanner"];
         let devices = if session.scanner.is_some() { 2 } else { 1 };
         for (what, data_ns) in names.into_iter().zip(self.data_ns).take(devices) {
             let silent_ns = now_ns.saturating_sub(data_ns);
-            if silent_ns > limit_ns {
+            if silent_ns > self.silence_ns {
                 return Err(Lost::Silent { what, silent_ms: silent_ns / 1_000_000 });
             }
         }

@@ -2,7 +2,7 @@
 
 use nmpc::{Budget, Controller, ControllerState};
 use runtime::{Process, join};
-use shared_types::{Command, CommandKind, Obstacles, Pose, Role, ScannerHealth, StopReason};
+use shared_types::{Command, CommandKind, Level, Obstacles, Pose, Role, ScannerHealth, StopReason};
 
 use crate::Outcome;
 
@@ -10,7 +10,7 @@ use crate::Outcome;
 const LAST_SCAN: u64 = 25;
 
 /// Faults: `never`, `blind`, `never-lands`, `careless`, `mute`, `planless`, `unverified`, `too-fast`, `not-finite`,
-/// `bad-state`.
+/// `bad-state`, `halts`.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Controller)?;
     let config = process.settings::<nmpc::Config>("controller")?;
@@ -36,6 +36,10 @@ pub(crate) fn run(fault: &str) -> Outcome {
             }
             let mut command = controller.step(&pose, &obstacles, &budget);
             match fault {
+                "halts" => {
+                    command.kind = CommandKind::Stop.wire();
+                    (command.level, command.reason) = (Level::Stop.wire(), StopReason::Blocked.wire());
+                }
                 "never" => command.kind = CommandKind::Stop.wire(),
                 "never-lands" if command.kind == CommandKind::Land.wire() => {
                     command.kind = CommandKind::Stop.wire()

@@ -11,7 +11,7 @@ use crate::Outcome;
 const SPOILED: u64 = 15;
 
 /// Faults: `small`, `phantom`, `needs-returns`, `far-first`, `renumbers`, `forgets`, `unpaired`, `trusting`, `timid`,
-/// `unforgiving`, `needs-scans`, `keeps`, `travels`; from the scan [`SPOILED`] on `nan`, `heap`, `inside`.
+/// `unforgiving`, `needs-scans`, `keeps`, `travels`, `nothing`, `always-blind`; from the scan [`SPOILED`] on `nan`, `heap`, `inside`.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Obstacles)?;
     let mut detector = obstacles::ObstacleDetector::new(process.settings::<obstacles::Config>("obstacles")?)?;
@@ -105,6 +105,8 @@ fn spoil(fault: &str, description: &mut Obstacles, memory: &mut Memory) {
         }
         "far-first" => list.reverse(),
         "renumbers" => list.iter_mut().for_each(|item| item.id += 100 * memory.count),
+        "nothing" => list.clear(),
+        "always-blind" => health.state = ScannerState::Blind.wire(),
         "forgets" => list.retain(|item| item.unseen_s == 0.0),
         "keeps" => list.clone_from(&memory.known),
         "travels" => list.iter_mut().for_each(|item| item.x_m += memory.way_m),

@@ -9,7 +9,8 @@ use crate::{Outcome, everything};
 /// Faults of its outputs: `halves`, `stamps`, `nan`, `jumps`, `truthless`, `runs-ahead`, `random`, `restless`,
 /// `stubborn`, which is truthless and does not end either, and `withholding` and `forgetful`, which open the topic of the
 /// truth and publish none on it, or none from scan 20 on. Of its device: those of [`Device`]. Of its inputs: `mirrored`, `rolls`, `tireless`,
-/// `trusts`, `believes`, `repeats`.
+/// `trusts`, `believes`, `repeats`, and `stuck`, which stands whatever it is told. Of
+/// what comes at all: `scanless`, `silent`, and `timeless` and `backward`, whose stamps stand still and run backwards.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Robot)?;
     let scenario = process.settings::<Scenario>("scenario")?;
@@ -17,7 +18,8 @@ pub(crate) fn run(fault: &str) -> Outcome {
     let actuations = process.input::<Actuation>()?;
     let scans = process.output::<Scan>()?;
     let odometries = process.output::<Odometry>()?;
-    let is_truthless = ["truthless", "stubborn"].contains(&fault);
+    let is_truthless =
+        ["truthless", "stubborn", "scanless", "silent", "timeless", "backward"].contains(&fault);
     let truths = if is_truthless { None } else { Some(process.output::<Truth>()?) };
     let (_bus, all) = everything::<Actuation>()?;
     if !process.start()? {
@@ -65,6 +67,9 @@ pub(crate) fn run(fault: &str) -> Outcome {
         if !simulated {
             emulator.advance_to(process.clock().now_ns() - origin_ns);
         }
+        if fault == "stuck" {
+            told.clear();
+        }
         for mut actuation in told {
             last = actuation;
             obey(fault, &mut actuation);
@@ -85,8 +90,11 @@ pub(crate) fn run(fault: &str) -> Outcome {
         for header in [&mut scan.header, &mut odometry.header, &mut truth.header] {
             header.scan_id = scan_id;
             header.acquired_ns = origin_ns + emulator.acquired_ns(scan_id);
-            if fault == "stamps" {
-                header.acquired_ns += process.period_ns();
+            match fault {
+                "stamps" => header.acquired_ns += process.period_ns(),
+                "timeless" if scan_id > 5 => header.acquired_ns = origin_ns + emulator.acquired_ns(5),
+                "backward" if scan_id > 5 => header.acquired_ns -= 2 * emulator.acquired_ns(scan_id - 5),
+                _ => {}
             }
         }
         match fault {
@@ -100,10 +108,12 @@ pub(crate) fn run(fault: &str) -> Outcome {
         if let Some(truths) = truths.as_ref().filter(|_| !keeps_truth) {
             truths.publish_silently(&mut truth)?;
         }
-        if fault != "halves" || !scan_id.is_multiple_of(4) {
+        if fault != "scanless" && fault != "silent" && (fault != "halves" || !scan_id.is_multiple_of(4)) {
             scans.publish(&mut scan)?;
         }
-        odometries.publish(&mut odometry)?;
+        if fault != "silent" {
+            odometries.publish(&mut odometry)?;
+        }
         scan_id += 1;
     }
 }
@@ -161,7 +171,7 @@ impl Device {
     }
 
     fn stamp_ns(&self, fault: &str, now_ns: u64, scan_id: u64, acquired_ns: u64) -> u64 {
-        let run_ns = acquired_ns - self.origin_ns;
+        let run_ns = acquired_ns.saturating_sub(self.origin_ns);
         match fault {
             "foreign" => run_ns,
             "drifts" => acquired_ns - run_ns / 50,

@@ -28,6 +28,16 @@ pub(in super::super) struct Deceleration {
     pub(in super::super) entered_mps2: f64,
 }
 
+impl Deceleration {
+    /// The same, as far as tyres can decelerate; to be entered is the tenth below.
+    pub(super) fn at_most(self, limit_mps2: f64) -> Self {
+        Self {
+            estimate_mps2: self.estimate_mps2.min(limit_mps2),
+            entered_mps2: self.entered_mps2.min((10.0 * limit_mps2).floor() / 10.0),
+        }
+    }
+}
+
 /// The deceleration by all stops; there must be one.
 pub(super) fn fit(halts: &[Halt]) -> Deceleration {
     let first = Fit::new(halts, DISTANCE_M);

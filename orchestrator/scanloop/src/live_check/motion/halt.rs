@@ -10,9 +10,12 @@ const RESOLUTION_M: f64 = 0.002;
 /// A single stop may take this much longer than described: delays of the command and of a busy computer [s].
 const TOLERANCE_S: f64 = 0.02;
 /// The speed before the block is the mean over this time [ns].
-const SPEED_NS: u64 = 500_000_000;
+pub(super) const SPEED_NS: u64 = 500_000_000;
 /// At rest, the odometry moves less than this in three samples [m].
 const REST_M: f64 = 5e-4;
+/// Fewer places of the body before the block show no speed.
+const MIN_PLACES: usize = 3;
+
 /// How the robot came to rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Halt {
@@ -37,6 +40,23 @@ pub(super) fn measure(way: &[Point], blocked_ns: u64, delay_s: f64) -> Option<Ha
     let speed_mps = (last.ahead_m - first.ahead_m) / seconds(first.at_ns, last.at_ns);
     let at_block_m = last.ahead_m + speed_mps * (seconds(last.at_ns, blocked_ns) + delay_s);
     (speed_mps > 0.02).then_some(Halt { speed_mps, distance_m: rest.ahead_m - at_block_m })
+}
+
+/// Speed and distance of the same stop from places of the body, each with its time [ns] and its way [m] to the place of
+/// rest; `None` when there are too few.
+pub(super) fn of_body(places: &[(u64, f64)], blocked_ns: u64, delay_s: f64) -> Option<Halt> {
+    if places.len() < MIN_PLACES {
+        return None;
+    }
+    // A line through the places: the speed is the same until the block.
+    let since_s = |at_ns: u64| (at_ns as f64 - blocked_ns as f64) * 1e-9;
+    let mean = |of: &dyn Fn(&(u64, f64)) -> f64| places.iter().map(of).sum::<f64>() / places.len() as f64;
+    let (time_s, way_m) = (mean(&|place| since_s(place.0)), mean(&|place| place.1));
+    let spread = mean(&|place| (since_s(place.0) - time_s).powi(2));
+    let slope = mean(&|place| (since_s(place.0) - time_s) * (place.1 - way_m)) / spread;
+    let speed_mps = -slope;
+    let distance_m = way_m + slope * (0.0 - time_s) - speed_mps * delay_s;
+    (speed_mps > 0.02).then_some(Halt { speed_mps, distance_m })
 }
 
 impl Halt {
@@ -75,6 +95,20 @@ mod tests {
         }
         let weak = measure(&way(2.0), 1_030_000_000, 0.02).unwrap();
         assert!(weak.distance_m > weak.allowed_m(5.0));
+    }
+
+    #[test]
+    fn places_of_the_body_show_the_same_stop() {
+        for deceleration in [0.5, 2.0, 5.0] {
+            let way = way(deceleration);
+            let rest_m = way.last().unwrap().ahead_m;
+            let before = way.iter().filter(|point| (500_000_000..1_030_000_000).contains(&point.at_ns));
+            let places: Vec<_> = before.map(|point| (point.at_ns, rest_m - point.ahead_m)).collect();
+            let halt = of_body(&places, 1_030_000_000, 0.02).unwrap();
+            assert!((halt.distance_m - 0.25 / (2.0 * deceleration)).abs() < 1e-9, "{halt:?}");
+            assert!((halt.speed_mps - 0.5).abs() < 1e-9, "{halt:?}");
+        }
+        assert_eq!(of_body(&[(1, 0.2), (2, 0.1)], 3, 0.0), None);
     }
 
     #[test]
