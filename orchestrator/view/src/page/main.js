@@ -9,7 +9,7 @@ import { draw } from "./map.js";
 import { legend, panels, stateOf } from "./panels.js";
 import { bounds, past } from "./past.js";
 import { player } from "./player.js";
-import { connect, startTime } from "./stream.js";
+import { connect, startTime } from "./link.js";
 import { SPAN_S, timeline } from "./timeline.js";
 
 const by = (id) => document.getElementById(id);
