@@ -127,6 +127,7 @@ impl Terminal {
         settings(&self.far) == self.before
             && last("\x1b[?1049h").is_none_or(|entered| last("\x1b[?1049l") > Some(entered))
             && last("\x1b[?25l").is_none_or(|hidden| last("\x1b[?25h") > Some(hidden))
+            && last("\x1b[?2004h").is_none_or(|asked| last("\x1b[?2004l") > Some(asked))
     }
 }
 

@@ -13,10 +13,10 @@ use rustix::fd::BorrowedFd;
 use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open};
 use rustix::termios::{OptionalActions, Termios, isatty, tcgetattr, tcsetattr};
 
-/// Switches to the alternate screen and hides the cursor.
-pub const ENTER: &[u8] = b"\x1b[?1049h\x1b[?25l";
+/// Switches to the alternate screen, hides the cursor, and asks that pasted text is marked as such.
+pub const ENTER: &[u8] = b"\x1b[?1049h\x1b[?25l\x1b[?2004h";
 /// Plain letters, the cursor shown, and the screen as it was before [`ENTER`].
-pub const LEAVE: &[u8] = b"\x1b[0m\x1b[?25h\x1b[?1049l";
+pub const LEAVE: &[u8] = b"\x1b[0m\x1b[?2004l\x1b[?25h\x1b[?1049l";
 /// No wait is without a timeout [ns].
 const POLL_NS: u64 = 1_000_000_000;
 

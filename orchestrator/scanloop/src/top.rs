@@ -10,7 +10,7 @@ mod keys;
 mod model;
 mod terminal;
 
-use std::io::{self, Read};
+use std::io;
 use std::os::fd::AsFd;
 use std::process::{Command, Stdio};
 use std::sync::mpsc::{Sender, channel};
@@ -26,14 +26,14 @@ use supervision::child::this_program;
 
 use draw::built_in;
 use feed::Feed;
-use keys::Key;
+use keys::{Key, Keyboard};
 use model::Model;
 use terminal::Screen;
 
 /// Time between two pictures.
 const PICTURE: Duration = Duration::from_millis(100);
 /// Bytes of keys that are taken at once.
-const KEY_BYTES: usize = 64;
+const KEY_BYTES: usize = 1024;
 
 /// Arguments of `top`.
 #[derive(Debug, Args)]
@@ -82,11 +82,12 @@ fn show(system_id: &str, of_run: bool) -> anyhow::Result<Exit> {
     let (sender, notes) = channel();
     let mut terminal = ratatui_core::terminal::Terminal::new(Screen::enter()?)?;
     terminal.clear()?;
+    let mut keyboard = Keyboard::default();
     let mut next = Instant::now();
     loop {
         let left = next.saturating_duration_since(Instant::now());
         wait_for(&[io::stdin().as_fd(), shutdown.descriptor()], left.as_nanos() as u64);
-        if shutdown.requested() || !answer_keys(&mut model, &sender)? {
+        if shutdown.requested() || !answer_keys(&mut keyboard, &mut model, &sender)? {
             return Ok(Exit::Done);
         }
         notes.try_iter().for_each(|text| model.note(text));
@@ -101,17 +102,18 @@ fn show(system_id: &str, of_run: bool) -> anyhow::Result<Exit> {
 }
 
 /// Does what the pressed keys ask for; false when the view ends.
-fn answer_keys(model: &mut Model, notes: &Sender<String>) -> anyhow::Result<bool> {
+fn answer_keys(keyboard: &mut Keyboard, model: &mut Model, notes: &Sender<String>) -> anyhow::Result<bool> {
     if !wait_for(&[io::stdin().as_fd()], 0) {
         return Ok(true);
     }
     let mut bytes = [0; KEY_BYTES];
-    let count = match io::stdin().lock().read(&mut bytes) {
+    // Not through the buffer of `io::stdin`: a wait does not see what it holds.
+    let count = match rustix::io::read(io::stdin(), &mut bytes) {
         // The terminal is gone.
         Ok(0) | Err(_) => return Ok(false),
         Ok(count) => count,
     };
-    for key in keys::keys(&bytes[..count]) {
+    for key in keyboard.keys(&bytes[..count], Instant::now()) {
         let role = model.role();
         match key {
             Key::Quit => return Ok(false),

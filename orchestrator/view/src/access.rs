@@ -1,11 +1,14 @@
 //! Who may read and who may control.
 //!
 //! Everybody who reaches the port may load the page itself: it holds no data. Data needs the token of the printed link,
-//! or a connection that a process of the same user made on this machine. Control always needs the token. A request
-//! whose `Host` is not the address it came to is refused: otherwise a web site could point its own name to this machine
-//! and read through the browser of a user.
+//! or a connection that a process of the same user made on this machine. Control always needs the token.
+//!
+//! A web site may point its own name to this machine and ask through the browser of a user. Its requests carry that name
+//! as `Host`, so names are refused. An address or `localhost` can't be pointed elsewhere: with any port they are a page
+//! that was opened through a tunnel, and the token decides. Without the token, `Host` must be the very address of the
+//! connection.
 
-use std::net::{IpAddr, SocketAddr};
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 
 use crate::http::Request;
 use crate::peer::uid_of_peer;
@@ -56,7 +59,7 @@ pub(crate) enum Need {
 /// Why a request is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) enum Refusal {
-    /// `Host` is missing or is not the address of the connection.
+    /// `Host` is missing or is a name that a site may have pointed here.
     Host,
     /// `Origin` is another site.
     Origin,
@@ -68,7 +71,7 @@ impl Refusal {
     /// What the client is told.
     pub(crate) fn text(self) -> &'static str {
         match self {
-            Self::Host => "open the page by its address, not by another name",
+            Self::Host => "open the page by an address or as localhost, not by another name",
             Self::Origin => "requests of other sites are refused",
             Self::Token => "open the link that `scanloop view` printed: it carries the token",
         }
@@ -86,7 +89,7 @@ pub(crate) fn admit(
     peer: SocketAddr,
     local: SocketAddr,
 ) -> Result<(), Refusal> {
-    let host = request.host.as_deref().filter(|host| is_own(host, local)).ok_or(Refusal::Host)?;
+    let host = request.host.as_deref().filter(|host| is_unnamed(host)).ok_or(Refusal::Host)?;
     let is_same = |origin: &str| origin.strip_prefix("http://") == Some(host);
     if !request.origin.as_deref().is_none_or(is_same) {
         return Err(Refusal::Origin);
@@ -94,7 +97,9 @@ pub(crate) fn admit(
     let has_token = || request.token.as_deref().is_some_and(|given| token.is(given));
     let is_this_user = || {
         let own = rustix::process::geteuid().as_raw();
-        peer.ip().is_loopback() && uid_of_peer(peer, local).is_some_and(|uid| uid == own || uid == 0)
+        is_own(host, local)
+            && peer.ip().to_canonical().is_loopback()
+            && uid_of_peer(peer, local).is_some_and(|uid| uid == own || uid == 0)
     };
     let admitted = match need {
         Need::Page => true,
@@ -104,13 +109,23 @@ pub(crate) fn admit(
     if admitted { Ok(()) } else { Err(Refusal::Token) }
 }
 
+/// Whether `host` is an address or `localhost`, which no web site can point to another machine.
+fn is_unnamed(host: &str) -> bool {
+    let (name, port) = match host.rsplit_once(':') {
+        Some((name, port)) if !port.contains(']') => (name, port),
+        _ => (host, "80"),
+    };
+    let bare = name.strip_prefix('[').and_then(|inner| inner.strip_suffix(']'));
+    let is_address = match bare {
+        Some(inner) => inner.parse::<Ipv6Addr>().is_ok(),
+        None => name.parse::<Ipv4Addr>().is_ok(),
+    };
+    port.parse::<u16>().is_ok() && (is_address || name.eq_ignore_ascii_case("localhost"))
+}
+
 /// Whether `host` is the address at which the connection arrived.
 fn is_own(host: &str, local: SocketAddr) -> bool {
-    let ip = match local.ip() {
-        IpAddr::V6(ip) => ip.to_canonical(),
-        ip => ip,
-    };
-    let port = local.port();
+    let (ip, port) = (local.ip().to_canonical(), local.port());
     let named = host.parse::<SocketAddr>().is_ok_and(|given| given == SocketAddr::new(ip, port));
     named || ip.is_loopback() && host == format!("localhost:{port}") || port == 80 && host == ip.to_string()
 }
@@ -151,25 +166,67 @@ mod tests {
     }
 
     #[test]
-    fn only_the_own_address_is_a_host() {
-        for host in ["127.0.0.1:7117", "localhost:7117"] {
-            assert_eq!(admitted(Need::Page, &request(host, None, None)), Ok(()), "{host}");
-        }
+    fn names_that_a_site_can_point_here_are_refused_even_with_the_token() {
+        let token = "f".repeat(32);
         for host in [
             "evil.example:7117",
-            "127.0.0.1",
-            "127.0.0.1:80",
-            "127.0.0.2:7117",
-            "localhost",
+            "evil.example",
+            "localhost.evil.example:7117",
+            "127.0.0.1.evil.example",
             "",
-            "[::1]:7117",
+            ":7117",
+            "127.0.0.1:port",
+            "127.0.0.1:99999",
+            "0x7f000001:7117",
+            "::1",
+            "[::1",
+            "[evil]:7117",
+            "user@127.0.0.1:7117",
         ] {
-            assert_eq!(admitted(Need::Page, &request(host, None, None)), Err(Refusal::Host), "{host}");
+            for need in [Need::Page, Need::Data, Need::Control] {
+                let refused = admitted(need, &request(host, None, Some(&token)));
+                assert_eq!(refused, Err(Refusal::Host), "{host}");
+            }
         }
         assert_eq!(admitted(Need::Page, &Request::default()), Err(Refusal::Host));
+    }
+
+    #[test]
+    fn through_a_tunnel_the_token_decides() {
+        let token = "f".repeat(32);
+        for host in
+            ["localhost:8391", "127.0.0.1:80", "localhost", "[::1]:8391", "192.168.0.7:7117", "LocalHost:1"]
+        {
+            let origin = format!("http://{host}");
+            for need in [Need::Page, Need::Data, Need::Control] {
+                assert_eq!(admitted(need, &request(host, Some(&origin), Some(&token))), Ok(()), "{host}");
+            }
+            assert_eq!(admitted(Need::Page, &request(host, None, None)), Ok(()), "{host}");
+            assert_eq!(admitted(Need::Data, &request(host, None, None)), Err(Refusal::Token), "{host}");
+        }
+    }
+
+    #[test]
+    fn the_own_address_is_compared_with_its_port() {
+        assert!(is_own("127.0.0.1:7117", local()) && is_own("localhost:7117", local()));
+        assert!(!is_own("127.0.0.1:80", local()) && !is_own("127.0.0.2:7117", local()));
         assert!(is_own("[::1]:80", "[::1]:80".parse().unwrap()));
         assert!(is_own("192.168.0.7:7117", "[::ffff:192.168.0.7]:7117".parse().unwrap()));
         assert!(!is_own("localhost:7117", "192.168.0.7:7117".parse().unwrap()));
+    }
+
+    #[test]
+    fn a_user_needs_no_token_at_any_loopback_address() {
+        for (host, at) in [("127.0.0.1:0", "127.0.0.1"), ("[::]:0", "127.0.0.1"), ("[::]:0", "::1")] {
+            let Ok(listener) = std::net::TcpListener::bind(host) else { continue };
+            let port = listener.local_addr().unwrap().port();
+            let address = SocketAddr::new(at.parse().unwrap(), port);
+            let Ok(_client) = std::net::TcpStream::connect(address) else { continue };
+            let (server, peer) = listener.accept().unwrap();
+            let asked = request(&address.to_string(), None, None);
+            let found = admit(&Token("f".repeat(32)), Need::Data, &asked, peer, server.local_addr().unwrap());
+            assert_eq!(found, Ok(()), "{host} at {at}");
+        }
     }
 
     #[test]

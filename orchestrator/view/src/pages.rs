@@ -8,7 +8,9 @@ const FILES: &[(&str, &str, &str)] = &[
     ("/page.css", "text/css; charset=utf-8", include_str!("page/page.css")),
     ("/icon.svg", "image/svg+xml", include_str!("page/icon.svg")),
     ("/main.js", SCRIPT, include_str!("page/main.js")),
+    ("/link.js", SCRIPT, include_str!("page/link.js")),
     ("/stream.js", SCRIPT, include_str!("page/stream.js")),
+    ("/worker.js", SCRIPT, include_str!("page/worker.js")),
     ("/map.js", SCRIPT, include_str!("page/map.js")),
     ("/bodies.js", SCRIPT, include_str!("page/bodies.js")),
     ("/camera.js", SCRIPT, include_str!("page/camera.js")),
@@ -41,7 +43,7 @@ mod tests {
         for (name, _, content) in FILES {
             let foreign = content.replace("http://www.w3.org/2000/svg", "");
             assert!(!foreign.contains("http://") && !foreign.contains("https://"), "{name}");
-            for after in ["src=\"", "href=\"", "from \"."] {
+            for after in ["src=\"", "href=\"", "from \".", "SharedWorker(\""] {
                 for path in content.split(after).skip(1).filter_map(|rest| rest.split('"').next()) {
                     assert!(is_known(path), "{name} asks for {path}");
                 }

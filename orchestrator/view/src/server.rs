@@ -19,14 +19,18 @@ use crate::child::{Parent, inherited};
 use crate::http::{Failed, Method, Request, Response, Status, read_request};
 use crate::hub::Hub;
 use crate::live::Live;
+use crate::peer::{Peer, Places, peer_of};
 use crate::recorded::RecordedDrive;
 use crate::source::{Source, Still};
 use crate::{pages, stream};
 
-/// Most connections at once.
-const MAX_CONNECTIONS: usize = 64;
-/// Most streams among them: a browser opens at most six to one server.
-const MAX_STREAMS: usize = 24;
+/// Most connections of one user or of one other machine: a browser opens at most six to one server.
+const MAX_CONNECTIONS: usize = 48;
+/// Most connections of all but the own user together.
+const MAX_OTHERS: usize = 96;
+/// Most streams of one user or of one other machine, and of all but the own user: half of the connections, so that
+/// there is always one for a request.
+const MAX_STREAMS: (usize, usize) = (MAX_CONNECTIONS / 2, MAX_OTHERS / 2);
 /// The collector polls the source so often [ns].
 const POLL_NS: u64 = 25_000_000;
 /// Pause after the machine refused a connection [ns].
@@ -115,7 +119,9 @@ struct Site {
     actions: Actions,
     /// The recording that is shown instead of a running system.
     recorded: Option<Mutex<RecordedDrive>>,
-    streams: AtomicUsize,
+    streams: Arc<Places>,
+    /// Streams that are sent.
+    sent: AtomicUsize,
     /// What was logged: each kind of refusal is logged once.
     logged: Mutex<HashSet<&'static str>>,
 }
@@ -128,7 +134,8 @@ impl Site {
             token,
             actions,
             recorded: recorded.map(Mutex::new),
-            streams: AtomicUsize::new(0),
+            streams: Places::new(MAX_STREAMS.0, MAX_STREAMS.1),
+            sent: AtomicUsize::new(0),
             logged: Mutex::default(),
         })
     }
@@ -136,7 +143,7 @@ impl Site {
     fn end(&self) {
         self.hub.end();
         let until = Instant::now() + FAREWELL;
-        while self.streams.load(Ordering::SeqCst) > 0 && Instant::now() < until {
+        while self.sent.load(Ordering::SeqCst) > 0 && Instant::now() < until {
             wait_for(&[], 10_000_000);
         }
     }
@@ -148,13 +155,12 @@ impl Site {
     }
 
     /// Answers the request of one connection.
-    fn serve(&self, stream: &mut TcpStream, peer: SocketAddr) {
+    fn serve(&self, stream: &mut TcpStream, peer: SocketAddr, local: SocketAddr, holder: Peer) {
         let _ = stream.set_write_timeout(Some(WRITE_TIMEOUT));
-        let Ok(local) = stream.local_addr() else { return };
         let response = match read_request(stream) {
             Ok((request, body)) => match self.route(&request, &body, peer, local) {
                 Some(response) => response,
-                None => return self.stream(stream),
+                None => return self.stream(stream, holder),
             },
             Err(Failed::Gone) => return,
             Err(Failed::Refused(status)) => {
@@ -221,44 +227,51 @@ impl Site {
         Response::text(Status::Forbidden, refusal.text())
     }
 
-    fn stream(&self, stream: &mut TcpStream) {
-        if self.streams.fetch_add(1, Ordering::SeqCst) < MAX_STREAMS {
-            stream::send(stream, &self.hub);
-        } else {
+    fn stream(&self, stream: &mut TcpStream, holder: Peer) {
+        let Some(_place) = self.streams.take(holder) else {
+            self.log_once("one user or machine has too many pages open");
             let _ = Response::text(Status::Unavailable, "too many pages are open").write(stream);
-        }
-        self.streams.fetch_sub(1, Ordering::SeqCst);
+            return;
+        };
+        self.sent.fetch_add(1, Ordering::SeqCst);
+        stream::send(stream, &self.hub);
+        self.sent.fetch_sub(1, Ordering::SeqCst);
     }
 }
 
 fn start_accepting(listener: TcpListener, site: Arc<Site>) -> anyhow::Result<()> {
     listener.set_nonblocking(true)?;
     std::thread::Builder::new().name("accept".to_owned()).spawn(move || {
-        // Each connection holds one more reference.
-        let places = Arc::new(());
+        let places = Places::new(MAX_CONNECTIONS, MAX_OTHERS);
         loop {
             wait_for(&[listener.as_fd()], ACCEPT_NS);
             match listener.accept() {
-                Ok((stream, peer)) if Arc::strong_count(&places) <= MAX_CONNECTIONS => {
-                    let (site, place) = (Arc::clone(&site), Arc::clone(&places));
-                    let serve = move || {
-                        let mut stream = stream;
-                        if stream.set_nonblocking(false).is_ok() {
-                            site.serve(&mut stream, peer);
-                        }
-                        drop(place);
-                    };
-                    // Without a thread the connection is closed.
-                    let _ =
-                        std::thread::Builder::new().name("page".to_owned()).stack_size(STACK).spawn(serve);
-                }
-                Ok(_) => site.log_once("there are too many connections"),
+                Ok((stream, peer)) => accept(&site, &places, stream, peer),
                 Err(error) if error.kind() == std::io::ErrorKind::WouldBlock => {}
                 Err(_) => _ = wait_for(&[], REFUSED_PAUSE_NS),
             }
         }
     })?;
     Ok(())
+}
+
+/// Serves a connection in a thread of its own, if its peer has a place left.
+fn accept(site: &Arc<Site>, places: &Arc<Places>, stream: TcpStream, peer: SocketAddr) {
+    let Ok(local) = stream.local_addr() else { return };
+    let holder = peer_of(peer, local);
+    let Some(place) = places.take(holder) else {
+        return site.log_once("one user or machine holds too many connections");
+    };
+    let site = Arc::clone(site);
+    let serve = move || {
+        let _place = place;
+        let mut stream = stream;
+        if stream.set_nonblocking(false).is_ok() {
+            site.serve(&mut stream, peer, local, holder);
+        }
+    };
+    // Without a thread the connection is closed.
+    let _ = std::thread::Builder::new().name("page".to_owned()).stack_size(STACK).spawn(serve);
 }
 
 #[cfg(test)]

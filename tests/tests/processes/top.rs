@@ -115,6 +115,27 @@ fn keys_restart_a_role_and_stop_the_system() {
 }
 
 #[test]
+fn a_pasted_text_stops_nothing() {
+    let (system, terminal, view) = view();
+    let text = "a sentence of letters that are keys, s and r and w and q, longer than what is read at once "
+        .repeat(30);
+    terminal.press(&text);
+    terminal.press(&format!("\x1b[200~s\n{text}\x1b[201~"));
+    // A key after it counts, once the terminal has been quiet.
+    system.wait_until("the help is shown", |_| {
+        std::thread::park_timeout(Duration::from_millis(200));
+        terminal.press("?");
+        terminal.screen(24).iter().any(|line| line.contains("blocks the wheels at once"))
+    });
+    let scan = system.status().unwrap().scan;
+    system.wait_until("it drives on", |system| system.status().is_some_and(|status| status.scan > scan + 3));
+    assert_eq!(system.status().unwrap().state, "driving");
+    terminal.press("q");
+    assert_eq!(end(&system, &terminal, view).code(), Some(0));
+    stop(system);
+}
+
+#[test]
 fn a_run_shows_itself_and_prints_its_summary_afterwards() {
     let system = System::new(EXECUTABLE);
     let terminal = Terminal::new(80, 24);

@@ -1,5 +1,7 @@
 //! Keys from the bytes of a terminal.
 
+use std::time::{Duration, Instant};
+
 /// What a key asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Key {
@@ -23,57 +25,116 @@ pub(super) enum Key {
     Role(usize),
 }
 
-/// The keys in these bytes; what means nothing is left out.
-pub(super) fn keys(bytes: &[u8]) -> Vec<Key> {
-    let mut keys = Vec::new();
-    let mut rest = bytes;
-    while let [first, after @ ..] = rest {
-        rest = after;
-        keys.extend(match first {
-            b'q' => Some(Key::Quit),
-            0x03 => Some(Key::Interrupt),
-            b'?' | b'h' => Some(Key::Help),
-            b's' => Some(Key::Stop),
-            b'r' => Some(Key::Restart),
-            b'w' => Some(Key::Swap),
-            b'k' => Some(Key::Up),
-            b'j' => Some(Key::Down),
-            b'1'..=b'5' => Some(Key::Role(usize::from(first - b'1'))),
-            0x1b => {
-                let (key, taken) = sequence(after);
-                rest = &after[taken..];
-                key
-            }
-            _ => None,
-        });
-    }
-    keys
+/// A terminal puts this before and after a text that is pasted, once [`console::screen::ENTER`] has asked for it.
+const PASTE: (&[u8], &[u8]) = (b"200", b"201");
+/// Not all terminals do. More letters at once than a person types are pasted as well.
+const MAX_TYPED: usize = 3;
+/// What follows a pasted text within this time belongs to it: a long text comes in pieces.
+const PAUSE: Duration = Duration::from_millis(150);
+/// Longest escape sequence that may come in two pieces [bytes].
+const MAX_SEQUENCE: usize = 32;
+
+/// What the bytes of a terminal ask for, from one read to the next. Pasted text asks for nothing.
+#[derive(Debug, Default)]
+pub(super) struct Keyboard {
+    /// The start of an escape sequence whose end has not come.
+    pending: Vec<u8>,
+    is_pasting: bool,
+    /// When the last piece of a pasted text came.
+    pasted: Option<Instant>,
 }
 
-/// The key of an escape sequence after its first byte, and how many bytes it has.
-fn sequence(bytes: &[u8]) -> (Option<Key>, usize) {
-    let ([b'[', body @ ..] | [b'O', body @ ..]) = bytes else { return (None, 0) };
-    let Some(last) = body.iter().position(|byte| (0x40..=0x7e).contains(byte)) else {
-        return (None, bytes.len());
-    };
-    let key = match body[last] {
-        b'A' => Some(Key::Up),
-        b'B' => Some(Key::Down),
-        _ => None,
-    };
-    (key, last + 2)
+impl Keyboard {
+    /// The keys in bytes that came at `now`; what means nothing is left out.
+    pub(super) fn keys(&mut self, bytes: &[u8], now: Instant) -> Vec<Key> {
+        let mut all = std::mem::take(&mut self.pending);
+        all.extend(bytes);
+        let (mut keys, mut letters, mut rest) = (Vec::new(), 0, all.as_slice());
+        while let [first, after @ ..] = rest {
+            rest = after;
+            if let (0x1b, [b'[' | b'O', body @ ..]) = (first, after) {
+                let Some(last) = body.iter().position(|byte| (0x40..=0x7e).contains(byte)) else {
+                    if after.len() < MAX_SEQUENCE {
+                        self.pending = [&[0x1b], after].concat();
+                    }
+                    break;
+                };
+                rest = &body[last + 1..];
+                match (&body[..last], body[last]) {
+                    (number, b'~') if number == PASTE.0 => self.is_pasting = true,
+                    (number, b'~') if number == PASTE.1 => self.is_pasting = false,
+                    (_, b'A') if !self.is_pasting => keys.push(Key::Up),
+                    (_, b'B') if !self.is_pasting => keys.push(Key::Down),
+                    _ => {}
+                }
+            } else if !self.is_pasting {
+                letters += usize::from(!first.is_ascii_control());
+                keys.extend(key(*first));
+            }
+        }
+        let goes_on = self.pasted.is_some_and(|came| now.saturating_duration_since(came) < PAUSE);
+        if letters > MAX_TYPED || goes_on {
+            self.pasted = Some(now);
+            // Ctrl-C is in no text.
+            keys.retain(|key| *key == Key::Interrupt);
+        }
+        keys
+    }
+}
+
+/// The key of one byte.
+fn key(byte: u8) -> Option<Key> {
+    Some(match byte {
+        b'q' => Key::Quit,
+        0x03 => Key::Interrupt,
+        b'?' | b'h' => Key::Help,
+        b's' => Key::Stop,
+        b'r' => Key::Restart,
+        b'w' => Key::Swap,
+        b'k' => Key::Up,
+        b'j' => Key::Down,
+        b'1'..=b'5' => Key::Role(usize::from(byte - b'1')),
+        _ => return None,
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn keys(bytes: &[u8]) -> Vec<Key> {
+        Keyboard::default().keys(bytes, Instant::now())
+    }
+
     #[test]
     fn letters_and_arrows_are_keys_and_other_sequences_are_not() {
         assert_eq!(keys(b"s\x1b[A\x1b[1;5Bq"), [Key::Stop, Key::Up, Key::Down, Key::Quit]);
         assert_eq!(keys(b"\x1bOB3\x03"), [Key::Down, Key::Role(2), Key::Interrupt]);
-        // The letters of a sequence ask for nothing: no s of a pasted or unknown sequence stops a robot.
+        // The letters of a sequence ask for nothing: no s of an unknown sequence stops a robot.
         assert_eq!(keys(b"\x1b[15~\x1b[200;3s\x1b[<0;1"), []);
         assert_eq!(keys(&[0x80, 0xff, b' ', 0x1b]), []);
+    }
+
+    #[test]
+    fn a_pasted_text_asks_for_nothing_however_it_is_split() {
+        let text = b"\x1b[200~s\x1b[A sr\nq\x1b[201~j";
+        for split in 0..text.len() {
+            let mut keyboard = Keyboard::default();
+            let now = Instant::now();
+            let mut found = keyboard.keys(&text[..split], now);
+            found.extend(keyboard.keys(&text[split..], now + Duration::from_millis(1)));
+            assert_eq!(found, [Key::Down], "split at {split}");
+        }
+    }
+
+    #[test]
+    fn many_letters_at_once_are_pasted_and_so_is_what_follows_at_once() {
+        let mut keyboard = Keyboard::default();
+        let at = |ms| Instant::now() + Duration::from_millis(ms);
+        assert_eq!(keyboard.keys(b"stop the robot", at(0)), []);
+        assert_eq!(keyboard.keys(b"s", at(5)), [], "the last piece of it");
+        assert_eq!(keyboard.keys(b"\x03", at(10)), [Key::Interrupt]);
+        assert_eq!(keyboard.keys(b"s", at(1000)), [Key::Stop]);
+        assert_eq!(keyboard.keys(b"?2r", at(2000)), [Key::Help, Key::Role(1), Key::Restart]);
     }
 }

@@ -9,9 +9,8 @@ export function obstacle({ context, at, scale, colour }, item) {
   context.strokeStyle = colour.cover;
   context.fillStyle = colour.cover;
   context.beginPath();
+  // The robot's centre keeps out of the ellipse, its body out of the box: only the box is filled.
   context.ellipse(x, y, item.a_m * scale, item.b_m * scale, 0, 0, TAU);
-  context.globalAlpha = isRemembered ? 0.05 : 0.13;
-  context.fill();
   context.globalAlpha = isRemembered ? 0.65 : 1;
   context.setLineDash(isRemembered ? [4, 4] : []);
   context.stroke();
@@ -55,7 +54,7 @@ export function robot({ context, at, scale, colour }, frame, body, course) {
     context.save();
     context.translate(x, y);
     context.rotate(-pose.yaw_rad);
-    paint((length * scale) / 2, (width * scale) / 2);
+    paint(Math.max(4, (length * scale) / 2), Math.max(3, (width * scale) / 2));
     context.restore();
   };
   const isBlocked = frame.row.blocked === 1;
@@ -70,6 +69,10 @@ export function robot({ context, at, scale, colour }, frame, body, course) {
     context.moveTo(l * 0.72, 0);
     context.lineTo(l * 0.2, w * 0.55);
     context.lineTo(l * 0.2, -w * 0.55);
+    context.fill();
+    // The centre.
+    context.beginPath();
+    context.arc(0, 0, Math.min(3, w / 3), 0, TAU);
     context.fill();
   });
   if (body.truth) {

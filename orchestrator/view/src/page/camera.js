@@ -2,7 +2,8 @@
 
 import { sizeOf } from "./charts.js";
 
-const MIN_SCALE = 4;
+// Ten kilometres on a small screen.
+const MIN_SCALE = 0.02;
 const MAX_SCALE = 400;
 
 /** A camera over a canvas; calls `changed` when it has moved by hand. */

@@ -60,7 +60,7 @@ export function charts(canvas, rows, course, until_s, colour) {
 
 function draw(context, rows, strip, { top, each, width, until_s }, colour) {
   const { low, high, digits } = strip;
-  const left = 108;
+  const left = 132;
   const y = (value) => top + each * (1 - (Math.min(high, Math.max(low, value)) - low) / (high - low));
   const x = (time_s) => left + (width - left) * (1 - (until_s - time_s) / SPAN_S);
   context.fillStyle = colour.back;
@@ -85,6 +85,13 @@ function draw(context, rows, strip, { top, each, width, until_s }, colour) {
   }
   if (strip.thin) curve(context, rows, strip.thin, x, y, colour.muted, 1.2);
   curve(context, rows, strip.thick, x, y, strip.style, 2);
+  // The ends of the axis.
+  context.fillStyle = colour.muted;
+  context.font = "10px system-ui, sans-serif";
+  context.textAlign = "right";
+  context.fillText(+high.toFixed(2), left - 4, top + 9);
+  context.fillText(+low.toFixed(2), left - 4, top + each - 1);
+  context.textAlign = "left";
   const last = rows.at(-1)?.[strip.thick];
   context.fillStyle = colour.muted;
   context.font = "11px system-ui, sans-serif";

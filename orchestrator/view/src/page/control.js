@@ -1,6 +1,6 @@
 // Control: stop, restart, swap, set and inject, each with its certificate or its refusal.
 
-import { ask, hasToken } from "./stream.js";
+import { ask, hasToken, urgent } from "./link.js";
 
 const ROLES = ["estimator", "obstacles", "controller", "actuator", "robot"];
 
@@ -13,7 +13,8 @@ export function control(panel, form, result, stop) {
     result.hidden = false;
     result.textContent = `${action.action} …`;
     try {
-      const response = await ask("/control", { method: "POST", body: JSON.stringify(action), headers: { "Content-Type": "application/json" } });
+      const send = action.action === "stop" ? urgent : ask;
+      const response = await send("/control", { method: "POST", body: JSON.stringify(action), headers: { "Content-Type": "application/json" } });
       const text = await response.text();
       result.textContent = response.ok ? describe(JSON.parse(text)) : `refused: ${text}`;
     } catch (error) {

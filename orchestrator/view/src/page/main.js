@@ -9,7 +9,7 @@ import { draw } from "./map.js";
 import { legend, panels, stateOf } from "./panels.js";
 import { bounds, past } from "./past.js";
 import { player } from "./player.js";
-import { connect, startTime } from "./stream.js";
+import { connect, startTime } from "./link.js";
 import { SPAN_S, timeline } from "./timeline.js";
 
 const by = (id) => document.getElementById(id);
@@ -232,9 +232,7 @@ by("legend-button").addEventListener("click", toggleLegend);
 function fit() {
   const track = page.course?.track;
   if (!track?.x_m) return;
-  const goal_x = page.course.goal?.x_m ?? track.x_m[1];
-  const x = track.x_m[1] - track.x_m[0] > 60 ? [(body?.x_m ?? 0) - 10, (body?.x_m ?? 0) + 20] : [track.x_m[0], Math.max(goal_x + 1, Math.min(track.x_m[1], goal_x + 4))];
-  eye.fit(x, track.y_m);
+  eye.fit(track.x_m, track.y_m);
 }
 
 function toggleLegend() {

@@ -1,6 +1,7 @@
 // The map: everything the loop knows, to scale, in the plane of the track.
 
 import { obstacle, robot, segment } from "./bodies.js";
+import { niceAbove } from "./charts.js";
 
 const TAU = 2 * Math.PI;
 const SECTOR_BEAMS = 11;
@@ -49,7 +50,7 @@ function ground({ context, at, colour, scale }, course, width, height) {
 }
 
 function grid(context, at, colour, scale, width, height, below) {
-  const step = [0.5, 1, 2, 5, 10, 20, 50].find((step) => step * scale >= 55) ?? 100;
+  const step = Math.max(0.5, niceAbove(55 / scale));
   const [x0, y0] = at(0, 0);
   // Below the track, or at the lower edge of the map.
   const labels = Math.min(height - 6, Math.max(14, at(0, below ?? -Infinity)[1] + 15));
@@ -67,6 +68,7 @@ function grid(context, at, colour, scale, width, height, below) {
   for (let k = lowest; y0 - k * step * scale > 0; k++) {
     const y = Math.round(y0 - k * step * scale) + 0.5;
     segment(context, 0, y, width, y);
+    context.fillText(`${+(k * step).toFixed(1)}`, 4, y - 3);
   }
 }
 
@@ -203,7 +205,7 @@ function ranges(scan) {
 }
 
 function scaleBar({ context, scale, colour }, width, height) {
-  const metres = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20].find((metres) => metres * scale >= 70) ?? 50;
+  const metres = niceAbove(70 / scale);
   // On a phone the lower edge belongs to the events.
   const [right, y] = width < 600 ? [16 + metres * scale, 28] : [width - 16, height - 16];
   context.strokeStyle = colour.ink;
@@ -211,5 +213,5 @@ function scaleBar({ context, scale, colour }, width, height) {
   context.lineWidth = 2;
   segment(context, right - metres * scale, y, right, y);
   context.font = "12px system-ui, sans-serif";
-  context.fillText(`${metres} m`, right - metres * scale, y - 6);
+  context.fillText(metres < 1000 ? `${+metres.toFixed(3)} m` : `${metres / 1000} km`, right - metres * scale, y - 6);
 }

@@ -123,24 +123,33 @@ export function panels(by) {
 /** What the colours of the map mean. */
 export function legend(place, colour) {
   const entries = [
-    ["robot", "robot", (c) => rect(c)], ["truth", "true body and path", (c) => line(c)],
-    ["estimate", "estimated path", (c) => line(c, "4 3")], ["plan", "plan, with body and margin", (c) => rect(c, 0.25)],
-    ["cover", "obstacle and its cover", (c) => rect(c, 0.3)], ["cover", "remembered, not seen now", (c) => line(c, "3 3")],
+    ["robot", "robot, with its centre", (c) => rect(c)], ["truth", "true body and path", (c) => line(c)],
+    ["estimate", "estimated path", (c) => line(c, "4 3")],
+    ["estimate", "where the centre is with 95 %", (c) => oval(c, 0.1)],
+    ["plan", "plan, with body and margin", (c) => rect(c, 0.25)],
+    ["body", "obstacle: the body keeps out", (c) => rect(c)],
+    ["cover", "its ellipse: the centre keeps out", (c) => oval(c)],
+    ["cover", "remembered, not seen now", (c) => line(c, "3 3")],
+    ["ink", "number and speed of an obstacle", (c) => label(c, "4")],
+    ["muted", "#4: fourth process of its role", (c) => label(c, "#4")],
     ["scan", "returns of the scanner", (c) => dots(c)], ["stop", "sector without evidence", (c) => rect(c, 0.15)],
     ["goal", "goal", (c) => rect(c, 0.3)],
   ];
   const svg = (inner) => {
     const made = document.createElementNS("http://www.w3.org/2000/svg", "svg");
     made.setAttribute("viewBox", "0 0 26 14");
-    for (const [name, attributes] of inner) {
+    for (const [name, attributes, text = ""] of inner) {
       const part = document.createElementNS("http://www.w3.org/2000/svg", name);
       Object.entries(attributes).forEach(([key, value]) => part.setAttribute(key, value));
+      part.textContent = text;
       made.append(part);
     }
     return made;
   };
   const rect = (fill, opacity = 1) => [["rect", { width: 26, height: 12, y: 1, rx: 3, fill, "fill-opacity": opacity, stroke: fill }]];
   const line = (stroke, dash = "") => [["path", { d: "M0 7 H26", stroke, "stroke-width": 2, "stroke-dasharray": dash }]];
+  const oval = (stroke, opacity = 0) => [["ellipse", { cx: 13, cy: 7, rx: 12, ry: 6, stroke, fill: stroke, "fill-opacity": opacity }]];
+  const label = (fill, text) => [["text", { x: 0, y: 11, fill, "font-size": 10 }, text]];
   const dots = (fill) => [3, 9, 15, 21].map((cx) => ["circle", { cx, cy: 7, r: 1.6, fill }]);
   place.replaceChildren(...entries.map(([key, text, draw]) => {
     const row = document.createElement("div");

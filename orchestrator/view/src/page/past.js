@@ -1,6 +1,6 @@
 // Earlier frames: those of a running system by number, those of a recording by time.
 
-import { ask } from "./stream.js";
+import { ask } from "./link.js";
 import { SPAN_S } from "./timeline.js";
 
 /** What the time axis shows [s]. */
