@@ -64,7 +64,7 @@ impl NewFile {
         let is_device = leads_to_device(path);
         let there = path.symlink_metadata().ok().filter(|_| !is_device);
         if existing == Existing::Keep && there.is_some() {
-            return Err(refusal(path, KEPT));
+            return Err(refusal(path, TAKEN));
         }
         let made = match is_device {
             true => OpenOptions::new().write(true).open(path).map(|file| (file, None)),
@@ -92,7 +92,7 @@ impl NewFile {
     pub fn publish(mut self) -> anyhow::Result<File> {
         if let Some(place) = &self.place {
             place.rename(self.existing).map_err(|error| match error {
-                Errno::EXIST => refusal(&self.path, KEPT),
+                Errno::EXIST => refusal(&self.path, TAKEN),
                 error => refusal(&self.path, io::Error::from(error)),
             })?;
             self.place = None;
@@ -145,8 +145,8 @@ impl Place {
     }
 }
 
-/// Why a file is not replaced.
-const KEPT: &str = "the file exists; name another one, or replace it with --force";
+/// Why a file is not made: its name is taken.
+const TAKEN: &str = "the file exists; name another one, or replace it with --force";
 
 /// Writes a whole file in place of one of its name.
 ///
@@ -279,7 +279,7 @@ mod tests {
         assert_eq!((std::fs::read_to_string(&path).unwrap().as_str(), names(folder.path())), ("new", 1));
         assert_eq!(path.metadata().unwrap().permissions().mode() & 0o777, 0o600);
         let message = NewFile::create(&path, Existing::Keep, &[]).unwrap_err().to_string();
-        assert!(message.ends_with(KEPT), "{message}");
+        assert!(message.ends_with(TAKEN), "{message}");
     }
 
     #[test]
@@ -289,7 +289,7 @@ mod tests {
         let file = NewFile::create(&path, Existing::Keep, &[]).unwrap();
         std::fs::write(&path, "own").unwrap();
         let message = file.finish().unwrap_err().to_string();
-        assert!(message.ends_with(KEPT), "{message}");
+        assert!(message.ends_with(TAKEN), "{message}");
         assert_eq!((std::fs::read_to_string(&path).unwrap().as_str(), names(folder.path())), ("own", 1));
     }
 

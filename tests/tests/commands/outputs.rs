@@ -134,14 +134,18 @@ fn links_in_a_shared_folder_are_not_followed() {
         std::fs::write(place(name), "stays").unwrap();
     }
     // The shell has the process id that the command will have.
-    let script = "ln -s ../victim shared/.scanloop-$$; ln -s ../victim.svg shared/observability.svg; \
-                  ln -s ../victim shared/.observability.svg.$$.tmp; exec \"$0\" \"$@\"";
-    let mut command = std::process::Command::new("sh");
-    command.args(["-c", script, EXECUTABLE, "analyse", "observability", "--out", "shared", "--force"]);
-    let output = command.current_dir(system.folder()).stdin(Stdio::null()).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    for name in ["victim", "victim.svg"] {
-        assert_eq!(std::fs::read_to_string(place(name)).unwrap(), "stays");
+    let plants = "ln -s ../victim shared/.scanloop-$$; ln -s ../victim shared/.observability.svg.$$.tmp; ";
+    let picture = "ln -s ../victim.svg shared/observability.svg; ";
+    for (script, force) in [(plants.to_owned(), None), (plants.to_owned() + picture, Some("--force"))] {
+        let _ = std::fs::remove_file(place("shared/observability.svg"));
+        let mut command = std::process::Command::new("sh");
+        command.args(["-c", &(script + "exec \"$0\" \"$@\""), EXECUTABLE]);
+        command.args(["analyse", "observability", "--out", "shared"]).args(force);
+        let output = command.current_dir(system.folder()).stdin(Stdio::null()).output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        for name in ["victim", "victim.svg"] {
+            assert_eq!(std::fs::read_to_string(place(name)).unwrap(), "stays");
+        }
     }
     assert!(!place("shared/observability.svg").is_symlink());
     // Nor is the link of a log.
