@@ -30,6 +30,7 @@ use rustix::process::{
     Pid, PidfdFlags, Signal, WaitId, WaitIdOptions, kill_process_group, pidfd_open, pidfd_send_signal, waitid,
 };
 
+pub use self::script::require_script;
 use crate::child_log::ChildLog;
 use crate::supervisor::Exit;
 

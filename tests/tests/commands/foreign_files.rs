@@ -129,6 +129,9 @@ fn a_process_that_is_no_program_is_named_for_what_it_is() {
         let (code, text) = printed(&system, &arguments);
         assert_eq!(code, 4, "{text}");
         assert!(text.contains("./stage` can't be executed: ") && text.contains(reason), "{text}");
+        for command in ["swap", "shadow", "conformance"] {
+            refused(&system, &[command, "controller", "--", "./stage"], &["`./stage` can't", reason]);
+        }
     }
     system.assert_nothing_left();
 }

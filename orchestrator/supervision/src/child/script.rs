@@ -7,10 +7,28 @@ use std::path::Path;
 /// The kernel reads so much of a script to find its interpreter [bytes].
 const START_BYTES: u64 = 256;
 
+/// Passes when a program is not a script that can't be executed; also when there is no such file.
+///
+/// # Errors
+/// The program, the line, and what is wrong there.
+pub fn require_script(program: &Path) -> Result<(), String> {
+    let start = start(program);
+    let fault = match start.strip_prefix(b"#!") {
+        Some(_) => spoilt_first_line(program).or_else(|| missing_interpreter(program)),
+        // What else is no text may be a program that the kernel was taught to execute.
+        None => (!start.is_empty() && is_text(&start)).then(|| why_not_executed(program)),
+    };
+    fault.map_or(Ok(()), |fault| Err(format!("command `{}` can't be executed: {fault}", program.display())))
+}
+
+fn is_text(start: &[u8]) -> bool {
+    let is_cut = |error: std::str::Utf8Error| error.error_len().is_none();
+    !start.contains(&0) && std::str::from_utf8(start).map_or_else(is_cut, |_| true)
+}
+
 /// What a file is that the kernel does not know how to execute.
 pub(super) fn why_not_executed(program: &Path) -> String {
     let start = start(program);
-    let is_text = |bytes: &[u8]| !bytes.contains(&0) && std::str::from_utf8(bytes).is_ok();
     match start.as_slice() {
         [] => "the file is empty".to_owned(),
         [0xef, 0xbb, 0xbf, ..] => "it begins with a byte order mark; save it as UTF-8 without one".to_owned(),
