@@ -81,7 +81,7 @@ pub fn main() -> ExitCode {
 }
 
 fn run() -> anyhow::Result<Exit> {
-    let cli = Cli::parse();
+    let cli: Cli = console::output::arguments();
     runtime::check_log_filter()?;
     runtime::start_logging();
     match cli.command {

@@ -9,11 +9,12 @@ mod ratio;
 mod results;
 mod table;
 
-use std::path::Path;
+use std::path::PathBuf;
 
 use anyhow::Context;
 use commands::bench::scheduling::{self, Scheduling};
 use console::exit::{Exit, Failure};
+use console::out_folder::OutFolder;
 use console::output::data;
 use console::progress::Steps;
 use hops::{Contender, HopError, Plan, Policy};
@@ -23,11 +24,17 @@ pub(crate) use self::arguments::TransportArguments;
 use self::results::{Measured, Results, Skipped, figures};
 use crate::load::Load;
 
+/// The files of the results.
+const DATA: &str = "transport.json";
+const TABLE: &str = "transport.csv";
+
 /// Measures all contenders at all rates and prints the comparison.
 ///
 /// # Errors
 /// Options that this machine can't meet, and a chain of this bus that does not run.
 pub(crate) fn transport(arguments: &TransportArguments) -> anyhow::Result<Exit> {
+    let files = |out: &PathBuf| OutFolder::claim(out, &[DATA, TABLE], arguments.force);
+    let files = arguments.out.as_ref().map(files).transpose()?;
     let base = plan(arguments, &Scheduling::read(&arguments.scheduling)?)?;
     let shutdown = Shutdown::on_signals()?;
     let (contenders, skipped) = contenders(arguments);
@@ -54,9 +61,9 @@ pub(crate) fn transport(arguments: &TransportArguments) -> anyhow::Result<Exit> 
         [one] => serde_json::to_string_pretty(one)?,
         several => serde_json::to_string_pretty(several)?,
     };
-    if let Some(folder) = &arguments.out {
-        write(folder, "transport.json", &json)?;
-        write(folder, "transport.csv", &csv)?;
+    if let Some(files) = files {
+        files.write(DATA, json.as_bytes())?;
+        files.write(TABLE, csv.as_bytes())?;
     }
     if arguments.json {
         data(&json)?;
@@ -176,13 +183,6 @@ fn add_rows(csv: &mut String, rate_hz: f64, measured: &[Measured]) {
             ));
         }
     }
-}
-
-fn write(folder: &Path, name: &str, text: &str) -> anyhow::Result<()> {
-    let path = folder.join(name);
-    std::fs::create_dir_all(folder)
-        .and_then(|()| std::fs::write(&path, text))
-        .map_err(|error| Failure::bad_input(format!("--out {}: {error}", path.display())))
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use console::exit::Failure;
+use console::new_file::{self, Scratch};
 use figures::Figures;
 use serde::Serialize;
 use serde_json::Value;
@@ -65,25 +66,16 @@ pub(super) fn program() -> anyhow::Result<PathBuf> {
     Ok(program)
 }
 
-/// A folder that is removed when dropped.
-struct Folder(PathBuf);
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
-}
-
 /// Runs a system of that shape for so long.
 pub(super) fn measure(program: &Path, shape: &Shape, duration_s: f64) -> anyhow::Result<Measured> {
     let id = format!("scale{}", std::process::id());
-    let folder = Folder(std::env::temp_dir().join(format!("scanloop-{id}")));
-    let (system, out) = (folder.0.join("system.toml"), folder.0.join("out"));
-    std::fs::create_dir_all(&folder.0)?;
+    let scratch = Scratch::new()?;
+    let folder = scratch.path();
+    let (system, out) = (folder.join("system.toml"), folder.join("out"));
     let own = std::env::current_exe().context("the path of this program")?;
     let layout = format!("name = \"Bytes\"\n[[field]]\nname = \"content\"\ntype = \"u8[{}]\"\n", shape.bytes);
-    std::fs::write(folder.0.join("bytes.toml"), layout)?;
-    std::fs::write(&system, text(shape, &own))?;
+    new_file::write(&folder.join("bytes.toml"), layout.as_bytes())?;
+    new_file::write(&system, text(shape, &own).as_bytes())?;
     let call = |arguments: &[&str]| {
         let mut command = Command::new(program);
         command.args(["--system-id", &id]).args(arguments).stdin(Stdio::null());

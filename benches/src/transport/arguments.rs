@@ -45,6 +45,9 @@ pub(crate) struct TransportArguments {
     /// Folder for `transport.json` and `transport.csv`, the figures of every round.
     #[arg(long, value_name = "DIR", value_parser = folder())]
     pub out: Option<PathBuf>,
+    /// Replace files in the folder that this program did not write.
+    #[arg(long)]
+    pub force: bool,
 }
 
 /// How processes wait.

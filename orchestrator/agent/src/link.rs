@@ -256,15 +256,20 @@ pub(crate) fn require_private(folder: &str) -> anyhow::Result<String> {
 /// Makes certificates for the orchestrator and for a host, and prints where they are.
 ///
 /// # Errors
-/// A name or address that is not allowed, and a folder that can't be written; exit code 2.
-pub fn pair(host: &str, address: IpAddr, days: u32, folder: &Path) -> anyhow::Result<Exit> {
+/// A name or address that is not allowed, a folder that is not private or can't be written, and a host that has its
+/// certificate already, unless `force`; exit code 2.
+pub fn pair(host: &str, address: IpAddr, days: u32, folder: &Path, force: bool) -> anyhow::Result<Exit> {
     if !plan::hosts::is_name(host) {
         return Err(Failure::bad_input(format!("HOST {host} is not allowed: {}", plan::hosts::NAME_RULE)));
     }
     let (address, days) = (address.to_string(), days.to_string());
-    let made = Command::new(program()?).arg("pair").arg(folder).args([host, &address, &days]).status()?;
-    if !made.success() {
-        return Err(Failure::bad_input(format!("no certificates were made in {}", folder.display())));
+    let mut command = Command::new(program()?);
+    command.arg("pair").arg(folder).args([host, &address, &days]).args(force.then_some("--force"));
+    let made = command.stdin(Stdio::null()).output()?;
+    if !made.status.success() {
+        let reason = String::from_utf8_lossy(&made.stderr);
+        let reason = reason.trim().trim_start_matches("error: ");
+        return Err(Failure::bad_input(format!("no certificates were made: {reason}")));
     }
     let folder = std::path::absolute(folder)?;
     note!(

@@ -30,7 +30,7 @@ mod test_bench;
 mod trouble;
 
 use std::ffi::OsString;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::Context;
@@ -44,6 +44,7 @@ pub use report::{CaseReport, Report};
 use console::exit::{Exit, Failure};
 use console::note;
 use console::output::data;
+use supervision::child::require_script;
 use supervision::entry::IMPLEMENTATIONS;
 
 use case::Case;
@@ -178,6 +179,7 @@ fn candidate(role: Role, arguments: &ConformanceArguments) -> anyhow::Result<(Ve
             )))
         }
         (None, false) => {
+            require_script(Path::new(&arguments.command[0])).map_err(Failure::bad_input)?;
             let label: Vec<_> = arguments.command.iter().map(|argument| argument.to_string_lossy()).collect();
             Ok((arguments.command.clone(), label.join(" ")))
         }

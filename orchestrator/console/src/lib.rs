@@ -2,6 +2,8 @@
 
 pub mod exit;
 pub mod limits;
+pub mod new_file;
+pub mod out_folder;
 pub mod output;
 pub mod progress;
 pub mod screen;

@@ -1,12 +1,16 @@
 //! Output of commands: text for people to standard error, data to standard output.
 
 use std::ffi::OsString;
-use std::fs::File;
-use std::io::{self, ErrorKind, Write};
+use std::io::{self, ErrorKind, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use clap::Parser;
 use clap::builder::{OsStringValueParser, TypedValueParser};
+
+use runtime::printable;
+
+use crate::new_file;
 
 /// Writes text for people; errors are ignored, because the command has done its work already.
 #[macro_export]
@@ -14,15 +18,44 @@ macro_rules! note {
     ($($text:tt)*) => { runtime::print(runtime::Priority::Notice, &format!($($text)*)) };
 }
 
-/// Writes data and ends its last line; false when the reader has closed the pipe, as in `| head`.
+/// Moves to the upper left corner and clears what is below.
+const REDRAW: &str = "\x1b[H\x1b[J";
+
+/// Writes data and ends its last line; false when the reader has closed the pipe, as in `| head`. Words of files and of
+/// other programs in it are written as [`printable`] shows them; JSON keeps its meaning.
 ///
 /// # Errors
 /// Data that can't be written, to a full disk for example: a command that was asked for it has failed.
 pub fn data(text: &str) -> anyhow::Result<bool> {
+    write("", &printable(text))
+}
+
+/// [`data`] that replaces what it wrote before, where standard output is a terminal.
+///
+/// # Errors
+/// As [`data`].
+pub fn redraw(text: &str) -> anyhow::Result<bool> {
+    write(if io::stdout().is_terminal() { REDRAW } else { "" }, &printable(text))
+}
+
+/// The arguments of a command; without them it ends here, as clap has it.
+pub fn arguments<A: Parser>() -> A {
+    A::try_parse().unwrap_or_else(|error| {
+        if !error.use_stderr() {
+            error.exit();
+        }
+        // Names of files may stand in it, as after `scanloop check *`.
+        runtime::print(runtime::Priority::Error, &error.render().to_string());
+        std::process::exit(error.exit_code());
+    })
+}
+
+fn write(before: &str, text: &str) -> anyhow::Result<bool> {
     let end = if text.is_empty() || text.ends_with('\n') { "" } else { "\n" };
     let mut output = io::stdout().lock();
     let written = output
-        .write_all(text.as_bytes())
+        .write_all(before.as_bytes())
+        .and_then(|()| output.write_all(text.as_bytes()))
         .and_then(|()| output.write_all(end.as_bytes()))
         .and_then(|()| output.flush());
     match written {
@@ -47,9 +80,7 @@ pub fn require_writable(folder: &Path) -> Result<(), String> {
     let missing = |path: &&Path| matches!(path.metadata(), Err(error) if error.kind() == ErrorKind::NotFound);
     let folder = std::path::absolute(folder).map_err(|error| error.to_string())?;
     let there = folder.ancestors().find(|path| !missing(path)).unwrap_or(&folder);
-    let probe = there.join(format!(".scanloop-{}", std::process::id()));
-    let made = File::create(&probe).and_then(|_| std::fs::remove_file(&probe));
-    made.map_err(|error| {
+    new_file::probe(there).map_err(|error| {
         format!("no file can be made in {}: {error}; name a folder that you may write to", there.display())
     })
 }

@@ -6,6 +6,7 @@ use std::ops::RangeInclusive;
 use std::path::Path;
 
 use console::exit::Failure;
+use console::new_file::{Existing, NewFile};
 
 use crate::mcap::{Channel, Contents, Reader, Schema, Writer};
 use crate::read::refusal;
@@ -34,10 +35,8 @@ pub fn copy(from: &Path, to: &Path, force: bool, times: RangeInclusive<u64>) -> 
     };
     let input = File::open(from).map_err(|error| refuse(from, &error))?;
     let mut reader = Reader::new(BufReader::new(input)).map_err(|error| refusal(from, &error))?;
-    if !force && to.exists() {
-        return Err(refuse(to, &"the file exists; name another one, or replace it with --force"));
-    }
-    let mut copy: Option<(Writer<BufWriter<File>>, usize, usize)> = None;
+    let mut output = Some(NewFile::create(to, Existing::forced(force), &[from])?);
+    let mut copy: Option<(Writer<BufWriter<NewFile>>, usize, usize)> = None;
     let (mut first_ns, mut copied) = (None, Copied::default());
     let mut damage = None;
     loop {
@@ -57,8 +56,7 @@ pub fn copy(from: &Path, to: &Path, force: bool, times: RangeInclusive<u64>) -> 
             continue;
         }
         let contents = reader.contents();
-        if copy.is_none() {
-            let file = File::create(to).map_err(|error| refuse(to, &error))?;
+        if let Some(file) = output.take() {
             copy = Some((begin(file, contents)?, contents.attachments.len(), contents.metadata.len()));
         }
         if let Some((writer, ..)) = &mut copy {
@@ -81,12 +79,14 @@ pub fn copy(from: &Path, to: &Path, force: bool, times: RangeInclusive<u64>) -> 
         writer.metadata(&known.name, &known.map)?;
     }
     copied.was_complete = contents.is_complete && damage.is_none();
-    copied.bytes = writer.finish()?.1;
+    let (output, bytes) = writer.finish()?;
+    copied.bytes = bytes;
+    output.into_inner().map_err(|error| refuse(to, &error))?.finish()?;
     Ok(copied)
 }
 
 /// A new file with the definitions and attachments that were read until now.
-fn begin(file: File, contents: &Contents) -> anyhow::Result<Writer<BufWriter<File>>> {
+fn begin(file: NewFile, contents: &Contents) -> anyhow::Result<Writer<BufWriter<NewFile>>> {
     let schemas: Vec<Schema> = contents.schemas.values().cloned().collect();
     let place =
         |schema: u16| contents.schemas.keys().position(|number| *number == schema).unwrap_or_default();

@@ -1,11 +1,12 @@
 //! Recordings for other programs: tables of comma-separated values, and bags of ROS 2.
 
+use std::borrow::Cow;
 use std::fmt::Write as _;
-use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{BufWriter, IntoInnerError, Write};
 use std::path::Path;
 
 use console::exit::Failure;
+use console::new_file::{Existing, NewFile};
 use shared_types::{Field, Kind, TOPICS, Topic};
 
 use crate::copy::copy;
@@ -19,7 +20,7 @@ use crate::read::Recording;
 pub fn csv(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
     let mut recording = Recording::open(from)?;
     make(folder)?;
-    let mut tables: Vec<Option<BufWriter<File>>> = TOPICS.iter().map(|_| None).collect();
+    let mut tables: Vec<Option<BufWriter<NewFile>>> = TOPICS.iter().map(|_| None).collect();
     let mut rows = 0;
     recording.samples(|_, sample| {
         if sample.topic == Topic::Checkpoint {
@@ -29,10 +30,9 @@ pub fn csv(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
         let fields = sample.topic.fields();
         if table.is_none() {
             let path = folder.join(format!("{}.csv", sample.topic));
-            refuse_existing(&path, force)?;
             let mut names = String::from("log_ns");
             columns(fields, "", &mut names);
-            let mut file = BufWriter::new(File::create(&path)?);
+            let mut file = BufWriter::new(NewFile::create(&path, Existing::forced(force), &[from])?);
             writeln!(file, "{names}")?;
             *table = Some(file);
         }
@@ -44,8 +44,8 @@ pub fn csv(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
         }
         Ok(())
     })?;
-    for table in tables.iter_mut().flatten() {
-        table.flush()?;
+    for table in tables.into_iter().flatten() {
+        table.into_inner().map_err(IntoInnerError::into_error)?.finish()?;
     }
     Ok(rows)
 }
@@ -57,8 +57,8 @@ pub fn csv(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
 pub fn rosbag2(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
     let info = Info::read(from)?;
     make(folder)?;
-    let description = folder.join("metadata.yaml");
-    refuse_existing(&description, force)?;
+    let path = folder.join("metadata.yaml");
+    let mut description = NewFile::create(&path, Existing::forced(force), &[from])?;
     let name = "recording.mcap";
     copy(from, &folder.join(name), force, 0..=u64::MAX)?;
     let mut recording = Recording::open(from)?;
@@ -78,6 +78,7 @@ pub fn rosbag2(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
     for channel in contents.channels.values() {
         let (topic, schema) = (&channel.topic, contents.schemas.get(&channel.schema));
         let (kind, count) = (schema.map_or("", |schema| &schema.name), info.channels[topic]);
+        let (topic, kind) = (yaml(topic), yaml(kind));
         let _ = write!(
             text,
             "    - topic_metadata:\n        name: {topic}\n        type: {kind}\n        \
@@ -90,7 +91,8 @@ pub fn rosbag2(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
          files:\n    - path: {name}\n      starting_time:\n        nanoseconds_since_epoch: {start_ns}\n      \
          duration:\n        nanoseconds: {duration_ns}\n      message_count: {total}\n"
     );
-    std::fs::write(&description, text)?;
+    description.write_all(text.as_bytes())?;
+    description.finish()?;
     Ok(total)
 }
 
@@ -99,14 +101,15 @@ fn make(folder: &Path) -> anyhow::Result<()> {
         .map_err(|error| Failure::bad_input(format!("{}: {error}", folder.display())))
 }
 
-fn refuse_existing(path: &Path, force: bool) -> anyhow::Result<()> {
-    match !force && path.exists() {
-        true => Err(Failure::bad_input(format!(
-            "{}: the file exists; name another folder, or replace it with --force",
-            path.display()
-        ))),
-        false => Ok(()),
+/// A text as a value of YAML: names of other programs may hold anything.
+fn yaml(text: &str) -> Cow<'_, str> {
+    let is_plain = |letter: char| letter.is_ascii_alphanumeric() || matches!(letter, '/' | '_' | '.' | '-');
+    if text.starts_with(|first: char| first == '/' || first.is_ascii_alphabetic())
+        && text.chars().all(is_plain)
+    {
+        return Cow::Borrowed(text);
     }
+    Cow::Owned(serde_json::Value::from(text).to_string())
 }
 
 /// Adds the names of all numbers, as `,header.chain.0.woken_ns`.

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use runtime::one_line;
 use serde::Serialize;
 
 use crate::read::{Recording, metadata, refusal};
@@ -93,14 +94,17 @@ impl std::fmt::Display for Info {
         let state = if self.complete { "complete" } else { "cut off" };
         let megabytes = self.bytes as f64 * 1e-6;
         writeln!(formatter, "{}: {state}, {:.1} s in {time}, {megabytes:.2} MB", self.file, self.duration_s)?;
-        writeln!(formatter, "run {} of {} on {}", self.run_id, self.program, self.machine)?;
+        let [run_id, program, machine] =
+            [&self.run_id, &self.program, &self.machine].map(|word| one_line(word));
+        writeln!(formatter, "run {run_id} of {program} on {machine}")?;
         match self.lost {
             Some(lost) => writeln!(formatter, "{lost} samples lost")?,
             None => writeln!(formatter, "lost samples are not known: the end is missing")?,
         }
         for difference in &self.layout_differences {
-            writeln!(formatter, "another layout: {difference}")?;
+            writeln!(formatter, "another layout: {}", one_line(difference))?;
         }
-        self.channels.iter().try_for_each(|(topic, count)| writeln!(formatter, "{count:>9} {topic}"))
+        let mut channels = self.channels.iter();
+        channels.try_for_each(|(topic, count)| writeln!(formatter, "{count:>9} {}", one_line(topic)))
     }
 }

@@ -12,12 +12,13 @@ mod opening;
 mod queue;
 mod ring;
 
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use console::exit::Failure;
+use console::new_file::{Existing, NewFile};
 use runtime::{Bus, Domain, PROCESSES_FILE, Shutdown, TopicObserver, monotonic_ns, wait_for};
 use serde::{Deserialize, Serialize};
 use shared_types::{TOPICS, Topic};
@@ -174,8 +175,6 @@ fn create(path: &Path, force: bool) -> anyhow::Result<File> {
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).map_err(|error| refuse(&error))?;
     }
-    if !force && path.exists() {
-        return Err(refuse(&"the file exists; name another one, or replace it with --force"));
-    }
-    OpenOptions::new().write(true).create(true).truncate(true).open(path).map_err(|error| refuse(&error))
+    // It is read while it grows, so it has its name from the start.
+    NewFile::create(path, Existing::forced(force), &[])?.publish()
 }

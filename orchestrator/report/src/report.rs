@@ -25,7 +25,6 @@ use self::write::join_leaves;
 pub use self::parts::{
     BlockingReport, CompanionReport, Difference, MarginReport, RecordingReport, ScannerReport, ScannerStatus,
 };
-pub use self::write::write_atomically;
 
 /// Version of the fields; it grows when a field changes its meaning, not when one is added.
 pub const SCHEMA: u32 = 1;
@@ -281,14 +280,6 @@ impl Report {
         Ok(join_leaves(&serde_json::to_string_pretty(self)?))
     }
 
-    /// Writes the report to `path`, all of it or nothing.
-    ///
-    /// # Errors
-    /// The first error of the file system.
-    pub fn write(&self, path: &Path) -> io::Result<()> {
-        write_atomically(path, self.to_json()?.as_bytes())
-    }
-
     /// Reads a report; fields it does not know are left out, missing ones have their defaults.
     ///
     /// # Errors
@@ -439,19 +430,6 @@ mod tests {
         let short = Report { ride: Some(None), ..report() };
         assert!(of(&short)["ride"].is_null() && of(&short).get("ride").is_some());
         assert_eq!(serde_json::from_str::<Report>(&short.to_json().unwrap()).unwrap(), short);
-    }
-
-    #[test]
-    fn a_report_replaces_the_one_before_and_leaves_no_other_file() {
-        let folder = std::env::temp_dir().join(format!("scanloop-report-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        let path = folder.join("report.json");
-        Report::default().write(&path).unwrap();
-        report().write(&path).unwrap();
-        assert_eq!(Report::read(&path).unwrap(), report());
-        assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1);
-        std::fs::remove_dir_all(&folder).unwrap();
-        assert!(report().write(&path).is_err(), "the folder is gone");
     }
 
     #[test]

@@ -9,9 +9,7 @@ mod drift;
 mod intervals;
 mod observability;
 
-use std::path::{Path, PathBuf};
-
-use anyhow::Context;
+use console::out_folder::OutFolder;
 use serde::Serialize;
 
 pub use arguments::{
@@ -60,18 +58,13 @@ fn publish(
     data: &impl Serialize,
     is_good: bool,
 ) -> anyhow::Result<Exit> {
-    let path = write(&output.out, name, &chart::draw(chart)?)?;
+    let name = format!("{name}.svg");
+    let results = OutFolder::claim(&output.out, &[&name], output.force)?;
+    let path = results.write(&name, chart::draw(chart)?.as_bytes())?;
     note!("{table}");
     note!("picture         {}", path.display());
     print_json(output.json, data)?;
     Ok(if is_good { Exit::Done } else { Exit::NotReached })
-}
-
-fn write(folder: &Path, name: &str, svg: &str) -> anyhow::Result<PathBuf> {
-    std::fs::create_dir_all(folder).with_context(|| format!("{}", folder.display()))?;
-    let path = folder.join(format!("{name}.svg"));
-    std::fs::write(&path, svg).with_context(|| format!("{}", path.display()))?;
-    Ok(path)
 }
 
 /// The error of an option that is not allowed.

@@ -4,9 +4,8 @@
 
 mod arguments;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use anyhow::Context;
 use calibration::file::{DriftPart, Origin, SteeringPart, VelocityPart};
 use calibration::record::{self, CircleRun, Record, SineRow, StraightRun};
 use calibration::{CalibrationFile, Chart, Estimate, drift, drive, steering, velocity};
@@ -15,12 +14,13 @@ use emulator::Scenario;
 pub use arguments::{CalibrateArguments, Kind};
 
 use console::exit::{Exit, Failure};
+use console::new_file::{self, require_apart};
 use console::note;
-use console::user_file::{self, DATA_BYTES};
+use console::out_folder::OutFolder;
+use console::user_file;
 use plan::Choice;
 use plan::{Plan, calibration_file};
 use report::picture::panels;
-use report::write_atomically;
 
 use crate::print_json;
 
@@ -40,23 +40,28 @@ struct Found {
 /// # Errors
 /// Runs that cannot be read or are refused, with the reason, exit code 2; errors of the file system.
 pub(crate) fn calibrate(arguments: &CalibrateArguments) -> anyhow::Result<Exit> {
+    let name = arguments.kind.name();
+    let [table, picture] = ["csv", "svg"].map(|ending| format!("{name}.{ending}"));
+    let names = if arguments.drive { vec![picture.as_str(), table.as_str()] } else { vec![picture.as_str()] };
+    let out = OutFolder::claim(&arguments.out, &names, arguments.force)?;
+    let into = arguments.into.clone().unwrap_or_else(|| arguments.out.join("calibration.toml"));
+    let inputs: Vec<&Path> = arguments.files.iter().map(PathBuf::as_path).collect();
+    out.require_apart(&inputs)?;
+    require_apart(&into, &inputs)?;
     let found = match arguments.kind {
         Kind::Velocity => of_velocity(arguments),
         Kind::Steering => of_steering(arguments),
         Kind::Drift => of_drift(arguments),
     }?;
-    let into = arguments.into.clone().unwrap_or_else(|| arguments.out.join("calibration.toml"));
     let merged = merge(&into, &found.file)?;
 
-    let out = &arguments.out;
-    std::fs::create_dir_all(out)
-        .map_err(|error| Failure::bad_input(format!("--out {}: {error}", out.display())))?;
-    let name = arguments.kind.name();
-    if let Some(table) = &found.table {
-        write(&out.join(format!("{name}.csv")), table, "table")?;
+    let tell = |what: &str, path: &Path| note!("{what:<15} {}", path.display());
+    if let Some(text) = &found.table {
+        tell("table", &out.write(&table, text.as_bytes())?);
     }
-    write(&out.join(format!("{name}.svg")), &panels::draw(&found.charts)?, "picture")?;
-    write(&into, &merged.to_toml(), "calibration")?;
+    tell("picture", &out.write(&picture, panels::draw(&found.charts)?.as_bytes())?);
+    new_file::write(&into, merged.to_toml().as_bytes())?;
+    tell("calibration", &into);
     note!("{}", found.text);
     print_json(arguments.json, &found.file)?;
     Ok(Exit::Done)
@@ -126,8 +131,8 @@ fn collect<R: Record>(
     let mut runs: Vec<R> = Vec::new();
     for path in &arguments.files {
         let name = path.display().to_string();
-        let text = user_file::read(path, DATA_BYTES)
-            .map_err(|error| Failure::bad_input(format!("{name}: {error}")))?;
+        let text =
+            user_file::read_table(path).map_err(|error| Failure::bad_input(format!("{name}: {error}")))?;
         let mut more = record::read::<R>(&text, &name).map_err(Failure::bad_input)?;
         record::append(&mut runs, &mut more);
     }
@@ -144,12 +149,6 @@ fn merge(path: &Path, new: &CalibrationFile) -> anyhow::Result<CalibrationFile> 
         steering: new.steering.clone().or(old.steering),
         drift: new.drift.clone().or(old.drift),
     })
-}
-
-fn write(path: &Path, text: &str, what: &str) -> anyhow::Result<()> {
-    write_atomically(path, text.as_bytes()).with_context(|| format!("{}", path.display()))?;
-    note!("{what:<15} {}", path.display());
-    Ok(())
 }
 
 fn shown(estimate: &Estimate, scale: f64, unit: &str) -> String {

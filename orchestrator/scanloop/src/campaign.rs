@@ -11,11 +11,9 @@ mod run;
 mod summary;
 mod text;
 
-use std::path::Path;
-
-use anyhow::Context;
 use console::exit::Exit;
 use console::note;
+use console::out_folder::OutFolder;
 use console::progress::Steps;
 
 use crate::cores::on_all_cores;
@@ -24,20 +22,24 @@ use arguments::CampaignArguments;
 use run::CourseRun;
 use summary::Summary;
 
+/// The file of the picture.
+const PICTURE: &str = "gaps.svg";
+
 /// Drives the courses and prints how they ended; exit code 3 after a contact that is not excused, 1 when another course was
 /// bad.
 ///
 /// # Errors
 /// Wrong arguments, exit code 2; errors of the file system.
 pub(crate) fn campaign(arguments: &CampaignArguments) -> anyhow::Result<Exit> {
+    let results = OutFolder::claim(&arguments.out, &[PICTURE], arguments.force)?;
     let runs = drive_all(arguments)?;
     let mut summary = Summary::of(&runs);
     for run in runs.iter().filter(|run| failures::is_bad(run)) {
-        summary.add_bad(failures::save(run, arguments)?);
+        summary.add_bad(failures::save(run, arguments, &results)?);
     }
     note!("{}", text::text(&summary, &failures::settings(arguments)));
     if let Some(picture) = picture::draw(&summary.families, arguments.robot.name())? {
-        write_picture(&arguments.out, &picture)?;
+        note!("picture         {}", results.write(PICTURE, picture.as_bytes())?.display());
     }
     print_json(arguments.json, &summary)?;
     Ok(match (summary.collision, summary.bad.is_empty()) {
@@ -57,12 +59,4 @@ fn drive_all(arguments: &CampaignArguments) -> anyhow::Result<Vec<CourseRun>> {
     let runs =
         on_all_cores(courses.len(), |index| CourseRun::of(courses[index], arguments), || steps.step(""));
     runs.into_iter().collect()
-}
-
-fn write_picture(out: &Path, picture: &str) -> anyhow::Result<()> {
-    std::fs::create_dir_all(out).with_context(|| format!("--out {}", out.display()))?;
-    let path = out.join("gaps.svg");
-    std::fs::write(&path, picture).with_context(|| format!("{}", path.display()))?;
-    note!("picture         {}", path.display());
-    Ok(())
 }

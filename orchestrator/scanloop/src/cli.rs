@@ -324,6 +324,9 @@ pub struct FaultsArguments {
     /// Folder for `faults.html` and `faults.json`.
     #[arg(long, value_name = "DIR", default_value = "out/faults", value_parser = console::output::folder())]
     pub out: PathBuf,
+    /// Replace files in the folder that this program did not write.
+    #[arg(long)]
+    pub force: bool,
 }
 
 /// Arguments of `price`.
@@ -341,6 +344,9 @@ pub struct PriceArguments {
     /// Folder for the picture.
     #[arg(long, value_name = "DIR", default_value = "out/price", value_parser = console::output::folder())]
     pub out: PathBuf,
+    /// Replace files in the folder that this program did not write.
+    #[arg(long)]
+    pub force: bool,
     /// The choice of robot and system.
     #[command(flatten)]
     pub choice: Choice,
@@ -384,6 +390,9 @@ pub enum AgentCommand {
         /// Folder for certificates and keys.
         #[arg(long, value_name = "DIR", default_value = "hosts", value_parser = console::output::folder())]
         out: PathBuf,
+        /// Replace the key and the certificate that the host has there, and those of the orchestrator.
+        #[arg(long)]
+        force: bool,
     },
 }
 

@@ -11,13 +11,14 @@ mod story;
 mod system;
 mod watch;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
-use anyhow::Context;
 use clap::{Args, ValueEnum};
 use console::exit::{Exit, Failure};
+use console::new_file::Scratch;
 use console::note;
+use console::out_folder::OutFolder;
 use runtime::Shutdown;
 use session::arguments::out_folder;
 use shared_types::Role;
@@ -28,6 +29,9 @@ use show::Show;
 use story::Story;
 use system::{Interrupted, System};
 
+/// The files of the results.
+const DATA: &str = "demo.json";
+const PAGE: &str = "demo.html";
 /// Time between two acts, to look at the page.
 const PAUSE: Duration = Duration::from_secs(4);
 
@@ -43,6 +47,9 @@ pub struct DemoArguments {
     /// Folder for `demo.html`, one file to send to somebody, for `demo.json`, and for the report and the logs of the drive.
     #[arg(long, value_name = "DIR", value_parser = console::output::folder())]
     pub out: Option<PathBuf>,
+    /// Replace files in the folder that this program did not write.
+    #[arg(long)]
+    pub force: bool,
     /// Port of the live page on 127.0.0.1; 0 for any free one.
     #[arg(long, value_name = "PORT", default_value_t = 0, conflicts_with = "fast")]
     pub port: u16,
@@ -112,12 +119,13 @@ pub(crate) fn demo(system_id: Option<&str>, arguments: &DemoArguments) -> anyhow
             "system `{id}` exists already: the demo starts a system of its own, name another one"
         )));
     }
-    let scratch = Scratch::new(&id)?;
+    let scratch = Scratch::new()?;
     let drive = match &arguments.out {
         Some(out) => out_folder(out.clone())?,
-        None => scratch.0.clone(),
+        None => scratch.path().to_owned(),
     };
-    let system = System::new(id, scratch.0.clone(), drive.join("drive"));
+    let results = OutFolder::claim(&drive, &[DATA, PAGE], arguments.force)?;
+    let system = System::new(id, scratch.path().to_owned(), drive.join("drive"));
     let pause = if arguments.fast { Duration::ZERO } else { PAUSE };
     let mut show = Show { system, watch: None, story: Story::new(), claims, shutdown: &shutdown, pause };
     let port = (!arguments.fast).then_some(arguments.port);
@@ -137,10 +145,10 @@ pub(crate) fn demo(system_id: Option<&str>, arguments: &DemoArguments) -> anyhow
         show.claims.claims.len()
     );
     if let Some(out) = &arguments.out {
-        write(out, "demo.json", &(serde_json::to_string_pretty(&show.claims)? + "\n"))?;
+        results.write(DATA, (serde_json::to_string_pretty(&show.claims)? + "\n").as_bytes())?;
         let picture = std::fs::read_to_string(out.join("drive/drive.svg")).ok();
-        write(out, "demo.html", &page::html(&show.claims, &show.story, picture.as_deref()))?;
-        note!("page            {}", out.join("demo.html").display());
+        let page = page::html(&show.claims, &show.story, picture.as_deref());
+        note!("page            {}", results.write(PAGE, page.as_bytes())?.display());
     }
     print_json(arguments.json, &show.claims)?;
     Ok(if show.claims.held { Exit::Done } else { Exit::NotReached })
@@ -203,27 +211,5 @@ fn settle(show: &mut Show<'_>, played: anyhow::Result<()>) -> anyhow::Result<boo
             Ok(false)
         }
         Ok(()) => Ok(true),
-    }
-}
-
-fn write(out: &Path, name: &str, text: &str) -> anyhow::Result<()> {
-    let path = out.join(name);
-    std::fs::write(&path, text).map_err(|error| Failure::bad_input(format!("{}: {error}", path.display())))
-}
-
-/// A folder for the outputs of commands, which is removed at the end.
-struct Scratch(PathBuf);
-
-impl Scratch {
-    fn new(id: &str) -> anyhow::Result<Self> {
-        let folder = std::env::temp_dir().join(format!("scanloop-{id}"));
-        std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
-        Ok(Self(folder))
-    }
-}
-
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
     }
 }

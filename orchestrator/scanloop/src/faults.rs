@@ -9,11 +9,9 @@ mod page;
 mod system;
 mod watch;
 
-use std::path::Path;
-
-use anyhow::Context;
 use console::exit::{Exit, Failure};
 use console::note;
+use console::out_folder::OutFolder;
 use console::progress::Steps;
 use fault_matrix::{Cell, Simulation, Verdict};
 use faults::{Fault, Phase};
@@ -36,6 +34,10 @@ struct Matrix {
     skipped: Vec<String>,
 }
 
+/// The files of the results.
+const DATA: &str = "faults.json";
+const PAGE: &str = "faults.html";
+
 /// What one cell gave: its result, or why it can't run here.
 type Driven = Result<Cell, String>;
 
@@ -52,9 +54,12 @@ pub(crate) fn faults(arguments: &FaultsArguments) -> anyhow::Result<Exit> {
         console::output::data(&names)?;
         return Ok(Exit::Done);
     }
+    let results = OutFolder::claim(&arguments.out, &[DATA, PAGE], arguments.force)?;
     let matrix = drive(&chosen)?;
     note!("{}", text(&matrix));
-    write(&arguments.out, &matrix)?;
+    results.write(DATA, serde_json::to_string_pretty(&matrix)?.as_bytes())?;
+    let page = results.write(PAGE, page::html(&matrix.cells).as_bytes())?;
+    note!("page            {}", page.display());
     print_json(arguments.json, &matrix)?;
     Ok(if matrix.failed == 0 { Exit::Done } else { Exit::NotReached })
 }
@@ -148,18 +153,6 @@ fn text(matrix: &Matrix) -> String {
     }
     skipped.iter().for_each(|reason| text += &format!("skipped         {reason}\n"));
     text
-}
-
-fn write(out: &Path, matrix: &Matrix) -> anyhow::Result<()> {
-    std::fs::create_dir_all(out).with_context(|| format!("--out {}", out.display()))?;
-    for (file, text) in
-        [("faults.json", serde_json::to_string_pretty(matrix)?), ("faults.html", page::html(&matrix.cells))]
-    {
-        let path = out.join(file);
-        std::fs::write(&path, text).with_context(|| format!("{}", path.display()))?;
-    }
-    note!("page            {}", out.join("faults.html").display());
-    Ok(())
 }
 
 #[cfg(test)]

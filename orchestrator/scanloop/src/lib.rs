@@ -30,10 +30,10 @@ pub mod urg;
 use std::process::ExitCode;
 use std::time::Duration;
 
-use clap::{CommandFactory, Parser};
+use clap::CommandFactory;
 use console::exit::{Exit, exit_of};
 use console::limits;
-use console::output::data;
+use console::output::{arguments, data};
 use serde::Serialize;
 use session::{adopt, run};
 use view::{Verb, ViewOfRun};
@@ -62,7 +62,7 @@ pub fn program(command: fn() -> anyhow::Result<Exit>) -> ExitCode {
 /// Not inlined: its large frame comes after the check of the stack.
 #[inline(never)]
 fn parse_and_run() -> anyhow::Result<Exit> {
-    let cli = Cli::parse();
+    let cli: Cli = arguments();
     runtime::check_log_filter()?;
     if matches!(
         cli.command,
@@ -125,8 +125,8 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Conformance(arguments) => conformance::conformance(arguments),
         Command::Shadow(arguments) => shadow::shadow(&cli.system_id, arguments),
         Command::Service { name } => service::run(name),
-        Command::Agent { command: Some(AgentCommand::Pair { host, address, days, out }), .. } => {
-            agent::link::pair(host, *address, *days, out)
+        Command::Agent { command: Some(AgentCommand::Pair { host, address, days, out, force }), .. } => {
+            agent::link::pair(host, *address, *days, out, *force)
         }
         Command::Agent { command: None, file, out } => {
             runtime::start_logging();

@@ -12,11 +12,9 @@ mod picture;
 mod search;
 mod text;
 
-use std::path::Path;
-
-use anyhow::Context;
 use console::exit::Exit;
 use console::note;
+use console::out_folder::OutFolder;
 use console::progress::Steps;
 use plan::Plan;
 use serde::Serialize;
@@ -26,6 +24,9 @@ use crate::print_json;
 use condition::{Condition, Varied};
 use costs::Costs;
 use measure::{Figures, Measurement};
+
+/// The file of the picture.
+const PICTURE: &str = "price.svg";
 
 /// The figures under one condition.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -60,11 +61,13 @@ struct Price {
 /// # Errors
 /// Wrong arguments, exit code 2; errors of the file system.
 pub(crate) fn price(arguments: &PriceArguments) -> anyhow::Result<Exit> {
+    let results = OutFolder::claim(&arguments.out, &[PICTURE], arguments.force)?;
     let base = condition::base(arguments)?;
     base.warnings.iter().for_each(|warning| note!("{warning}"));
     let price = measured(arguments, &base);
     note!("{}", text::text(&price));
-    write_picture(&arguments.out, &price)?;
+    let picture = results.write(PICTURE, picture::draw(&price)?.as_bytes())?;
+    note!("picture         {}", picture.display());
     print_json(arguments.json, &price)?;
     Ok(if price.contacts == 0 { Exit::Done } else { Exit::Collision })
 }
@@ -91,14 +94,6 @@ fn row(condition: &Condition, figures: Figures) -> Row {
     let Condition { varied, latency_ms, rate_hz, pose_sigma_m, .. } = *condition;
     let Figures { smallest_gap_m, stopping_distance_m, speed_mps, notes, .. } = figures;
     Row { varied, latency_ms, rate_hz, pose_sigma_m, smallest_gap_m, stopping_distance_m, speed_mps, notes }
-}
-
-fn write_picture(out: &Path, price: &Price) -> anyhow::Result<()> {
-    std::fs::create_dir_all(out).with_context(|| format!("--out {}", out.display()))?;
-    let path = out.join("price.svg");
-    std::fs::write(&path, picture::draw(price)?).with_context(|| format!("{}", path.display()))?;
-    note!("picture         {}", path.display());
-    Ok(())
 }
 
 #[cfg(test)]

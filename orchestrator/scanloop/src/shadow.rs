@@ -44,6 +44,7 @@ pub fn shadow(system_id: &str, arguments: &ShadowArguments) -> anyhow::Result<Ex
     if command.is_empty() && successor.to.is_none() {
         return Err(Failure::bad_input("a command is missing after `--`"));
     }
+    successor.require_script()?;
     let domain = &supervision::runs::existing(system_id)?;
     let shutdown = Shutdown::on_signals()?;
     let request = ShadowRequest { successor: successor.named()?, duration_ms: duration.as_millis() as u64 };

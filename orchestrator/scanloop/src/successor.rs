@@ -6,6 +6,7 @@ use clap::{ArgGroup, Args};
 use console::exit::Failure;
 use runtime::Domain;
 use session::control::{Reply, Request, Successor, ask};
+use supervision::child::require_script;
 
 /// The role, and the process for it.
 #[derive(Debug, Clone, Args)]
@@ -36,6 +37,15 @@ impl SuccessorArguments {
             None => (None, None),
         };
         Ok(Successor { role, implementation, command, host })
+    }
+
+    /// Passes when the program of the command is not a script that can't be executed.
+    ///
+    /// # Errors
+    /// The program and the line; exit code 2.
+    pub(crate) fn require_script(&self) -> anyhow::Result<()> {
+        let program = self.command.first().map_or(Ok(()), |program| require_script(Path::new(program)));
+        program.map_err(Failure::bad_input)
     }
 
     /// The command as the orchestrator finds it.

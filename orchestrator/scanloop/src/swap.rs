@@ -67,6 +67,10 @@ pub struct GateArguments {
 /// # Errors
 /// An unknown role or implementation, a system that is not running or already swaps a process; exit code 2.
 pub(crate) fn swap(system_id: &str, arguments: &SwapArguments) -> anyhow::Result<Exit> {
+    // A file that is watched may be written just now.
+    if !arguments.watch {
+        arguments.successor.require_script()?;
+    }
     if arguments.successor.role.parse::<Role>().is_err()
         && is_companion(system_id, &arguments.successor.role)
         && !arguments.successor.command.is_empty()

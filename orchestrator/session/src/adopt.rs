@@ -21,7 +21,7 @@ use supervision::supervisor::{Event, MIN_HANG_AFTER_MS};
 use crate::arguments::{AdoptArguments, check_duration, out_folder};
 use crate::own_processes::OwnProcesses;
 use crate::process_registry::{ProcessRegistry, RoleRow, RunFile};
-use crate::results::conclude;
+use crate::results::{claim, conclude};
 use crate::session::Session;
 use crate::start::start_link;
 use crate::startup::{RunOptions, Startup};
@@ -77,6 +77,8 @@ pub(crate) fn take_over(
         return Err(refused("its process registry is missing or empty".to_owned()));
     }
     let out = out_folder(arguments.out.clone().unwrap_or(run.out))?;
+    // The run has claimed its own folder already.
+    let results = claim(&out, arguments.force || arguments.out.is_none())?;
     let bus = Bus::take_over(domain, plan.system.period_ns()).map_err(|error| match error {
         RuntimeError::SharedMemory(_) => error.into(),
         other => refused(other.to_string()),
@@ -140,7 +142,7 @@ pub(crate) fn take_over(
         session.keep_ring(&options.out, plan.system.recording.ring_s);
     }
     session.resume_end(registry.outcome, registry.reason);
-    conclude(session, &plan, &options.out)
+    conclude(session, &plan, &results)
 }
 
 /// Fills each role with the process in charge, or else with the one before it. Returns the events for the supervisor,

@@ -19,6 +19,9 @@ pub struct RunArguments {
     /// Folder for `report.json`, the picture and the logs; default `out/SCENARIO`.
     #[arg(long, value_name = "DIR", value_parser = console::output::folder())]
     pub out: Option<PathBuf>,
+    /// Replace files in the folder that this program did not write: `report.json`, `drive.svg`.
+    #[arg(long)]
+    pub force: bool,
     /// End the run after this many driven seconds, as `timeout`.
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     pub duration: Option<f64>,
@@ -55,6 +58,9 @@ pub struct AdoptArguments {
     /// Folder for the results; default: that of the run.
     #[arg(long, value_name = "DIR", value_parser = console::output::folder())]
     pub out: Option<PathBuf>,
+    /// Replace files in the folder that this program did not write: `report.json`, `drive.svg`.
+    #[arg(long)]
+    pub force: bool,
     /// End the run after this many driven seconds since its start, as `timeout`.
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     pub duration: Option<f64>,

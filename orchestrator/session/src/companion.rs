@@ -3,7 +3,7 @@
 //! It is no process of the run: it has no role and no authority, and it is neither restarted nor adopted. In lock-step
 //! the grants wait for it while it copies; one that copies nothing for [`SILENT_NS`] is not waited for any more.
 
-use std::fs::File;
+use std::fs::OpenOptions;
 use std::io::{Read, Write};
 use std::os::fd::AsFd;
 use std::os::unix::process::CommandExt;
@@ -12,6 +12,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 use anyhow::Context;
 use console::exit::Failure;
+use console::new_file::open_log;
 use report::RecordingReport;
 use runtime::{Domain, monotonic_ns, wait_for};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
@@ -84,7 +85,8 @@ impl Companion {
         if let Some(folder) = log.parent() {
             std::fs::create_dir_all(folder).with_context(|| format!("{}", folder.display()))?;
         }
-        let errors = File::create(log).with_context(|| format!("{}", log.display()))?;
+        let errors = open_log(log, OpenOptions::new().create(true).write(true).truncate(true))
+            .with_context(|| format!("{}", log.display()))?;
         let mut process = Command::new(this_program())
             .args(["--system-id", domain.system_id(), "record", "--companion", "--force"])
             .args(ring_s.map(|seconds| format!("--ring={seconds}")))

@@ -1,17 +1,16 @@
 //! The results of a run: its report, its picture, its summary.
 
-use std::io;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
 use console::exit::Exit;
+use console::out_folder::OutFolder;
 use emulator::scenario::{Obstacle, Shape};
 use emulator::scene::{PlacedObstacle, Scene};
 use emulator::{JudgedBy, Scenario};
 use plan::Plan;
 use plan::difference::Property;
 use report::recorder::Recorder;
-use report::{Difference, Report, picture, summary, write_atomically};
+use report::{Difference, Report, picture, summary};
 use vehicle::frame::to_track;
 
 use crate::session::Session;
@@ -19,8 +18,20 @@ use crate::session::Session;
 /// A moving obstacle is drawn at so many places at most.
 const MAX_PLACES: f64 = 20.0;
 
+const REPORT: &str = "report.json";
+const PICTURE: &str = "drive.svg";
+
+/// The folder of the results of a run. A report of a version that kept no list of its results is known by its keys.
+///
+/// # Errors
+/// A file of one of the names that no run has written, unless `force`; exit code 2.
+pub(crate) fn claim(out: &Path, force: bool) -> anyhow::Result<OutFolder> {
+    let is_older = || Report::read(&out.join(REPORT)).is_ok_and(|report| report.schema > 0);
+    OutFolder::claim(out, &[REPORT, PICTURE], force || !OutFolder::has_list(out) && is_older())
+}
+
 /// Drives to the end, writes the results and prints the summary.
-pub(crate) fn conclude(mut session: Session, plan: &Plan, out: &Path) -> anyhow::Result<Exit> {
+pub(crate) fn conclude(mut session: Session, plan: &Plan, out: &OutFolder) -> anyhow::Result<Exit> {
     let result = session.drive()?;
     let (recorder, digests) = session.finish();
     let report = Report { digests: digests.texts(), ..recorder.report(&result) };
@@ -28,7 +39,7 @@ pub(crate) fn conclude(mut session: Session, plan: &Plan, out: &Path) -> anyhow:
     let has_truth = report.judged_by == JudgedBy::Truth;
     let report = Report { differences: if has_truth { differences(plan) } else { Vec::new() }, ..report };
     let written = write_results(&report, &plan.scenario, &recorder, out);
-    runtime::print(runtime::Priority::Notice, &summary::text(&report, Some(&near(out))));
+    runtime::print(runtime::Priority::Notice, &summary::text(&report, Some(&near(out.folder()))));
     if let Err(error) = written {
         // The drive is over: a full disk does not change its outcome.
         runtime::print(runtime::Priority::Error, &format!("error: the results were not written: {error:#}"));
@@ -63,20 +74,16 @@ fn write_results(
     report: &Report,
     scenario: &Scenario,
     recorder: &Recorder,
-    out: &Path,
+    out: &OutFolder,
 ) -> anyhow::Result<()> {
-    let (report_file, picture_file) = (out.join("report.json"), out.join("drive.svg"));
-    let report_written = or_none(&report_file, report.write(&report_file));
+    // The file of an earlier run goes when that of this run can't be written.
+    let write = |name: &str, text: &str| {
+        let written = out.write(name, text.as_bytes());
+        written.map(drop).inspect_err(|_| out.remove(name))
+    };
+    let report_written = write(REPORT, &report.to_json()?);
     let drawing = picture::draw(&scene_of(scenario, report), &recorder.drive())?;
-    report_written.and(or_none(&picture_file, write_atomically(&picture_file, drawing.as_bytes())))
-}
-
-/// Removes the file of an earlier run when that of this run was not written.
-fn or_none(path: &Path, written: io::Result<()>) -> anyhow::Result<()> {
-    if written.is_err() {
-        let _ = std::fs::remove_file(path);
-    }
-    written.with_context(|| format!("{}", path.display()))
+    report_written.and(write(PICTURE, &drawing))
 }
 
 /// A path as it is seen from the working folder.

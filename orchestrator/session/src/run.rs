@@ -5,29 +5,32 @@ use std::path::{Path, PathBuf};
 use console::exit::{Exit, Failure};
 use console::output::require_writable;
 use faults::PERMIT_FILE;
-use plan::{Plan, difference};
+use plan::{Choice, Plan, difference};
 use runtime::{Domain, RuntimeError, Shutdown};
 use shared_types::Role;
 use supervision::lock::{Claim, clear};
 
 use crate::adopt;
 use crate::arguments::{AdoptArguments, RunArguments, check_duration, out_folder};
-use crate::results::conclude;
+use crate::results::{claim, conclude};
 use crate::start::start;
 use crate::startup::RunOptions;
 use crate::survivors::Survivors;
 use crate::top_view::TopView;
+
+/// The recording of a run that names no other file.
+const RECORDING: &str = "recording.mcap";
 
 /// Drives a scenario and writes its report.
 ///
 /// # Errors
 /// Bad input, a process that could not be kept running, and errors of the bus or the file system.
 pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
-    let RunArguments { out, duration, quiet, .. } = arguments;
+    let RunArguments { out, force, duration, quiet, .. } = arguments;
     if arguments.top {
         TopView::require_terminal()?;
     }
-    let to_adopt = AdoptArguments { out: out.clone(), duration: *duration, quiet: *quiet };
+    let to_adopt = AdoptArguments { out: out.clone(), force: *force, duration: *duration, quiet: *quiet };
     if arguments.adopt {
         return adopt::adopt(system_id, &to_adopt);
     }
@@ -53,9 +56,16 @@ pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
         clear(&domain, lock)?;
     }
     let out = out_folder(out.clone().unwrap_or_else(|| PathBuf::from("out").join(&plan.scenario.name)))?;
+    let results = claim(&out, *force)?;
+    let Choice { system, calibration, .. } = &arguments.choice;
+    let inputs = [arguments.scenario.as_deref().map(Path::new), system.as_deref(), calibration.as_deref()];
+    results.require_apart(&inputs.into_iter().flatten().collect::<Vec<_>>())?;
     let recording = match &arguments.record {
         Some(Some(file)) => Some(new_file(file)?),
-        Some(None) => Some(out.join("recording.mcap")),
+        Some(None) => {
+            results.claim_growing(RECORDING)?;
+            Some(out.join(RECORDING))
+        }
         None => None,
     };
     let (domain, lock) = Claim::take_new(system_id)?;
@@ -76,7 +86,7 @@ pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
     } else if !options.lockstep && plan.system.recording.ring_s > 0.0 {
         session.keep_ring(&options.out, plan.system.recording.ring_s);
     }
-    conclude(session, &plan, &options.out)
+    conclude(session, &plan, &results)
 }
 
 /// Lets the processes of a run take faults.

@@ -13,20 +13,24 @@
 //! outlives an orchestrator that is killed, on purpose: the loop drives on without it. Dropping a [`Child`] kills its
 //! process.
 
+mod script;
+
 use std::ffi::OsString;
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::os::unix::process::CommandExt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use runtime::{Identified, Seen, identify, processes_of};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
 use rustix::process::{
     Pid, PidfdFlags, Signal, WaitId, WaitIdOptions, kill_process_group, pidfd_open, pidfd_send_signal, waitid,
 };
 
+pub use self::script::require_script;
 use crate::child_log::ChildLog;
 use crate::supervisor::Exit;
 
@@ -57,6 +61,14 @@ pub enum ChildError {
     /// The program may not be executed.
     #[error("command `{0}` may not be executed: permission denied")]
     NotExecutable(String),
+    /// The kernel can't execute the file, or not with the interpreter that its first line names.
+    #[error("command `{command}` can't be executed: {reason}")]
+    NoProgram {
+        /// The program.
+        command: String,
+        /// What the file is instead, with what is to be done.
+        reason: String,
+    },
     /// Anything else that the kernel refused.
     #[error("command `{command}` could not be started: {source}")]
     Refused {
@@ -107,8 +119,16 @@ impl Child {
         NOT_INHERITED.iter().for_each(|variable| _ = command.env_remove(variable));
         command.stdin(Stdio::null()).process_group(0);
         command.stdout(log.output().map_err(refused)?).stderr(log.output().map_err(refused)?);
+        let no_program = |reason| ChildError::NoProgram { command: name(), reason };
+        if let Some(reason) = script::spoilt_first_line(Path::new(program)) {
+            return Err(no_program(reason));
+        }
         let mut process = command.spawn().map_err(|source| match source.kind() {
-            io::ErrorKind::NotFound => ChildError::NotFound(name()),
+            _ if source.raw_os_error() == Some(Errno::NOEXEC.raw_os_error()) => {
+                no_program(script::why_not_executed(Path::new(program)))
+            }
+            io::ErrorKind::NotFound => script::missing_interpreter(Path::new(program))
+                .map_or_else(|| ChildError::NotFound(name()), no_program),
             io::ErrorKind::PermissionDenied => ChildError::NotExecutable(name()),
             _ => refused(source),
         })?;

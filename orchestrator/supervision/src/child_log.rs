@@ -14,6 +14,8 @@ use std::io::{self, Write};
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
+use console::new_file::open_log;
+
 /// A longer file is trimmed [bytes]: the output of a day of lifecycle lines, and nothing to a disk or a tmpfs.
 pub const TRIM_ABOVE_BYTES: u64 = 1 << 20;
 
@@ -45,8 +47,8 @@ impl ChildLog {
         if let Some(folder) = path.parent() {
             std::fs::create_dir_all(folder)?;
         }
-        let append = OpenOptions::new().create(true).append(true).read(true).open(path)?;
-        let edit = OpenOptions::new().write(true).open(path)?;
+        let append = open_log(path, OpenOptions::new().create(true).append(true).read(true))?;
+        let edit = open_log(path, OpenOptions::new().write(true))?;
         Ok(Self { path: path.to_owned(), append, edit })
     }
 
@@ -152,7 +154,8 @@ impl ChildLog {
 
 /// A line without what could move the cursor or colour the terminal, and not too long.
 fn printable(line: &str) -> String {
-    let mut clean: String = line.chars().filter(|c| !c.is_control() || *c == '\t').take(MAX_LINE).collect();
+    let line = runtime::printable(line);
+    let mut clean: String = line.chars().take(MAX_LINE).collect();
     if line.chars().nth(MAX_LINE).is_some() {
         clean.push_str("...");
     }
@@ -211,7 +214,7 @@ pub(crate) mod tests {
         let scratch = Scratch::new();
         let log = scratch.log();
         (&log.append).write_all(b"\x1b[31mred\x07\tand \xff bad\r\n").unwrap();
-        assert_eq!(log.last_lines(1).unwrap(), ["[31mred\tand \u{fffd} bad"]);
+        assert_eq!(log.last_lines(1).unwrap(), ["\\u001b[31mred\\u0007\tand \u{fffd} bad"]);
         write(&log, &format!("{}\n", "x".repeat(1000)));
         assert_eq!(log.last_lines(1).unwrap()[0].len(), MAX_LINE + 3);
     }

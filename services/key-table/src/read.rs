@@ -12,8 +12,23 @@ use crate::Invalid;
 pub fn parse(text: &str) -> Result<Table, String> {
     text.parse::<Table>().map_err(|error| {
         let line = error.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
-        format!("line {line}: {}", error.message().replace('\n', ", "))
+        let foreign = text.lines().nth(line - 1).and_then(typographic).unwrap_or_default();
+        format!("line {line}: {}{foreign}", error.message().replace('\n', ", "))
     })
+}
+
+/// What is to be said of a line that a program for letters has written: `“` instead of `"`.
+fn typographic(line: &str) -> Option<String> {
+    let instead = |letter: char| match letter {
+        '\u{201c}'..='\u{201f}' | '\u{ab}' | '\u{bb}' => Some('"'),
+        '\u{2018}'..='\u{201b}' => Some('\''),
+        '\u{2010}'..='\u{2015}' | '\u{2212}' => Some('-'),
+        '\u{a0}' | '\u{2007}' | '\u{202f}' => Some(' '),
+        _ => None,
+    };
+    let code = line.split('#').next()?;
+    let (found, plain) = code.chars().find_map(|letter| Some((letter, instead(letter)?)))?;
+    Some(format!("; it has {found} (U+{:04X}), write {plain}", found as u32))
 }
 
 /// The struct in a table, with names and types of its keys checked, rules not yet.

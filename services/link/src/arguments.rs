@@ -1,5 +1,5 @@
 //! The command line: `scanloop-link hub SYSTEM_ID`, `scanloop-link agent NAME ENDPOINT [CREDENTIALS]`,
-//! `scanloop-link pair FOLDER HOST ADDRESS DAYS`, and `scanloop-link check CREDENTIALS`. By hand, to measure a network:
+//! `scanloop-link pair FOLDER HOST ADDRESS DAYS [--force]`, and `scanloop-link check CREDENTIALS`. By hand, to measure a network:
 //! `scanloop-link echo ADDRESS [CREDENTIALS]` on one host, `scanloop-link ping ADDRESS COUNT [CREDENTIALS]` on another.
 
 use std::path::Path;
@@ -30,8 +30,9 @@ pub(crate) fn run() -> anyhow::Result<()> {
         ["agent", name, endpoint] => control::run_agent(name, endpoint, None),
         ["agent", name, endpoint, credentials] => control::run_agent(name, endpoint, Some(credentials)),
         ["check", folder] => credentials::check(Path::new(folder)),
-        ["pair", folder, host, address, days] => {
-            credentials::pair(Path::new(folder), host, address.parse()?, days.parse()?)
+        ["pair", folder, host, address, days, rest @ ..] if rest.is_empty() || rest == ["--force"] => {
+            let force = !rest.is_empty();
+            credentials::pair(Path::new(folder), host, address.parse()?, days.parse()?, force)
         }
         ["echo", address] => ping::echo(address.parse()?, None),
         ["echo", address, credentials] => ping::echo(address.parse()?, Some(credentials)),

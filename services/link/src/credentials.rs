@@ -4,10 +4,7 @@
 //! the certificate of the authority, its own certificate, and its own key. A peer whose certificate the authority has not
 //! signed, or that has expired, is refused by the handshake of QUIC.
 
-use std::fs::OpenOptions;
-use std::io::{ErrorKind, Write};
 use std::net::IpAddr;
-use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::Path;
 
 use anyhow::{Context, bail};
@@ -15,7 +12,7 @@ use rcgen::{
     BasicConstraints, CertificateParams, DnType, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair,
     KeyUsagePurpose, SanType,
 };
-use runtime::HUB;
+use runtime::{Folder, HUB, RuntimeError};
 use time::{Duration, OffsetDateTime};
 
 /// Files of a host.
@@ -29,15 +26,32 @@ const BEFORE: Duration = Duration::hours(1);
 /// How long the authority is valid; each certificate has its own time within this.
 const AUTHORITY_DAYS: i64 = 3650;
 
-/// Makes certificates for the orchestrator and for `host` at `address`, valid for `days`, in folders below `folder`.
+/// Makes certificates for the orchestrator and for `host` at `address`, valid for `days`, in folders below `folder`. What the
+/// orchestrator has, and is still valid, stays.
 ///
 /// # Errors
-/// A folder that can't be written, and an authority in it that can't be read.
-pub(crate) fn pair(folder: &Path, host: &str, address: IpAddr, days: i64) -> anyhow::Result<()> {
-    make_folder(folder)?;
-    let issuer = authority(folder)?;
-    let authority_pem = std::fs::read_to_string(folder.join(AUTHORITY))?;
+/// A folder that is not private or can't be written, an authority in it that can't be read, and a host that has a certificate
+/// already, unless `force`.
+pub(crate) fn pair(
+    folder: &Path,
+    host: &str,
+    address: IpAddr,
+    days: i64,
+    force: bool,
+) -> anyhow::Result<()> {
+    let all = open_or_make(Folder::open(folder)?, || Folder::make(folder))?;
+    if !force && all.contains(host) {
+        bail!(
+            "{}: the host has been paired already; name another folder, or replace its key with --force",
+            folder.join(host).display()
+        );
+    }
+    let issuer = authority(&all)?;
+    let authority_pem = all.read_text(AUTHORITY)?;
     for (name, address) in [(HUB, None), (host, Some(address))] {
+        if name == HUB && !force && check(&folder.join(HUB)).is_ok() {
+            continue;
+        }
         let mut params = CertificateParams::new(vec![name.to_owned()])?;
         params.subject_alt_names.extend(address.map(SanType::IpAddress));
         params.distinguished_name.push(DnType::CommonName, name);
@@ -48,11 +62,10 @@ pub(crate) fn pair(folder: &Path, host: &str, address: IpAddr, days: i64) -> any
         limit(&mut params, days);
         let key = KeyPair::generate()?;
         let certificate = params.signed_by(&key, &issuer)?;
-        let own = folder.join(name);
-        make_folder(&own)?;
-        write(&own.join(AUTHORITY), &authority_pem)?;
-        write(&own.join(CERTIFICATE), &certificate.pem())?;
-        write(&own.join(KEY), &key.serialize_pem())?;
+        let own = open_or_make(all.folder(name)?, || all.make_folder(name))?;
+        write(&own, AUTHORITY, &authority_pem)?;
+        write(&own, CERTIFICATE, &certificate.pem())?;
+        write(&own, KEY, &key.serialize_pem())?;
     }
     Ok(())
 }
@@ -65,6 +78,9 @@ pub(crate) fn check(folder: &Path) -> anyhow::Result<()> {
     for name in [AUTHORITY, CERTIFICATE] {
         let path = folder.join(name);
         let text = std::fs::read(&path).with_context(|| path.display().to_string())?;
+        if text.starts_with(b"\xff\xfe") || text.starts_with(b"\xfe\xff") {
+            bail!("{}: it is a text in UTF-16; save it as ASCII", path.display());
+        }
         let (_, pem) = x509_parser::pem::parse_x509_pem(&text).with_context(|| path.display().to_string())?;
         let certificate = pem.parse_x509().with_context(|| path.display().to_string())?;
         let validity = certificate.validity();
@@ -80,20 +96,20 @@ pub(crate) fn check(folder: &Path) -> anyhow::Result<()> {
 }
 
 /// The authority of a folder, which is made with the first pair.
-fn authority(folder: &Path) -> anyhow::Result<Issuer<'static, KeyPair>> {
-    let [certificate, key] = [AUTHORITY, AUTHORITY_KEY].map(|name| folder.join(name));
+fn authority(folder: &Folder) -> anyhow::Result<Issuer<'static, KeyPair>> {
     let mut params = CertificateParams::new(Vec::<String>::new())?;
     params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
     params.distinguished_name.push(DnType::CommonName, "scanloop hosts");
     params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
-    if key.exists() {
-        let pem = std::fs::read_to_string(&key).with_context(|| key.display().to_string())?;
-        return Ok(Issuer::new(params, KeyPair::from_pem(&pem).with_context(|| key.display().to_string())?));
+    if folder.contains(AUTHORITY_KEY) {
+        let name = || folder.path().join(AUTHORITY_KEY).display().to_string();
+        let key = KeyPair::from_pem(&folder.read_text(AUTHORITY_KEY)?).with_context(name)?;
+        return Ok(Issuer::new(params, key));
     }
     limit(&mut params, AUTHORITY_DAYS);
     let pair = KeyPair::generate()?;
-    write(&certificate, &params.self_signed(&pair)?.pem())?;
-    write(&key, &pair.serialize_pem())?;
+    write(folder, AUTHORITY, &params.self_signed(&pair)?.pem())?;
+    write(folder, AUTHORITY_KEY, &pair.serialize_pem())?;
     Ok(Issuer::new(params, pair))
 }
 
@@ -103,21 +119,19 @@ fn limit(params: &mut CertificateParams, days: i64) {
     (params.not_before, params.not_after) = (now - BEFORE, now + Duration::days(days));
 }
 
-fn make_folder(path: &Path) -> anyhow::Result<()> {
-    match std::fs::DirBuilder::new().mode(0o700).create(path) {
-        Err(error) if error.kind() != ErrorKind::AlreadyExists => {
-            Err(error).with_context(|| path.display().to_string())
-        }
-        _ => Ok(()),
-    }
+/// A folder of keys, as private as those of running systems are.
+fn open_or_make(
+    there: Option<Folder>,
+    make: impl FnOnce() -> Result<Folder, RuntimeError>,
+) -> Result<Folder, RuntimeError> {
+    there.map_or_else(make, Ok)
 }
 
-/// Writes a file that only its owner may read.
-fn write(path: &Path, text: &str) -> anyhow::Result<()> {
-    let _ = std::fs::remove_file(path);
-    let file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(path);
-    let written = file.and_then(|mut file| file.write_all(text.as_bytes()));
-    written.with_context(|| path.display().to_string())
+/// Writes a file that only its owner may read, and syncs it: a lost key is a host that nobody can reach.
+fn write(folder: &Folder, name: &str, text: &str) -> anyhow::Result<()> {
+    folder.write(name, text.as_bytes())?;
+    let synced = std::fs::File::open(folder.by_descriptor(name)).and_then(|file| file.sync_all());
+    synced.with_context(|| folder.path().join(name).display().to_string())
 }
 
 #[cfg(test)]
@@ -135,9 +149,12 @@ mod tests {
     fn certificates_of_a_pair_are_valid_and_keys_are_private() {
         let folder = folder("good");
         let address = "10.9.0.2".parse().unwrap();
-        pair(&folder, "lab", address, 7).unwrap();
-        let authority = std::fs::read(folder.join(AUTHORITY)).unwrap();
-        pair(&folder, "desk", address, 7).unwrap();
+        pair(&folder, "lab", address, 7, false).unwrap();
+        let contents = || [AUTHORITY, "orchestrator/key.pem"].map(|name| std::fs::read(folder.join(name)).unwrap());
+        let before = contents();
+        pair(&folder, "desk", address, 7, false).unwrap();
+        assert!(contents() == before, "authority and orchestrator keep their keys");
+        let [authority, _] = before;
         for host in [HUB, "lab", "desk"] {
             check(&folder.join(host)).unwrap();
             assert_eq!(std::fs::read(folder.join(host).join(AUTHORITY)).unwrap(), authority, "{host}");
@@ -149,9 +166,27 @@ mod tests {
     }
 
     #[test]
+    fn a_host_keeps_its_key_and_a_folder_that_others_can_enter_is_refused() {
+        let folder = folder("again");
+        let address = "10.9.0.2".parse().unwrap();
+        pair(&folder, "lab", address, 7, false).unwrap();
+        let key = || std::fs::read(folder.join("lab").join(KEY)).unwrap();
+        let before = key();
+        let message = pair(&folder, "lab", address, 7, false).unwrap_err().to_string();
+        assert!(message.contains("lab: the host has been paired already"), "{message}");
+        assert!(key() == before);
+        pair(&folder, "lab", address, 7, true).unwrap();
+        assert!(key() != before);
+        std::fs::set_permissions(&folder, std::fs::Permissions::from_mode(0o755)).unwrap();
+        let message = pair(&folder, "desk", address, 7, true).unwrap_err().to_string();
+        assert!(message.contains("has mode 0755 instead of 0700"), "{message}");
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
     fn an_expired_certificate_is_named() {
         let folder = folder("expired");
-        pair(&folder, "lab", "10.9.0.2".parse().unwrap(), -1).unwrap();
+        pair(&folder, "lab", "10.9.0.2".parse().unwrap(), -1, false).unwrap();
         let message = check(&folder.join("lab")).unwrap_err().to_string();
         assert!(message.contains("lab/certificate.pem: it is valid from"), "{message}");
         std::fs::remove_dir_all(&folder).unwrap();

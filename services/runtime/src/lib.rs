@@ -111,6 +111,8 @@ pub use shared_memory::Shortage;
 pub use shutdown::Shutdown;
 pub use stop::{StopWord, Wheels};
 pub use tamper::{Tamper, tamper_with};
-pub use terminal::{flush_terminal, hold_terminal, is_terminal, printable, show_live_line, start_terminal};
+pub use terminal::{
+    flush_terminal, hold_terminal, is_terminal, one_line, printable, show_live_line, start_terminal,
+};
 pub use wake::wait_for;
 pub use waker::Waker;

@@ -13,7 +13,7 @@ use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::prelude::*;
 
 use crate::RuntimeError;
-use crate::terminal::{self, LogLine, is_terminal, printable};
+use crate::terminal::{self, LogLine, printable};
 
 /// Names the stream of the journal that systemd gave to a service, as `DEVICE:INODE`.
 const JOURNAL_VARIABLE: &str = "JOURNAL_STREAM";
@@ -76,7 +76,8 @@ pub fn start_logging() {
     let filter = filter().unwrap_or_else(|_| default_filter());
     let is_journal = writes_to_journal();
     let lines = tracing_subscriber::fmt::layer()
-        .with_ansi(is_terminal())
+        // Whole lines go through the filter of `printable`, which leaves no colours.
+        .with_ansi(false)
         // A failed log write must not panic.
         .log_internal_errors(false)
         .without_time()

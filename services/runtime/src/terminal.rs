@@ -9,7 +9,9 @@
 //! The live line is one line at the bottom of a terminal that is redrawn. Only the newest one is kept.
 
 use std::collections::VecDeque;
+use std::fmt::Write as _;
 use std::io::{self, IsTerminal, Write};
+use std::ops::RangeInclusive;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -203,9 +205,46 @@ pub(crate) fn write(bytes: Vec<u8>) {
     }
 }
 
-/// A text without control characters, which could move the cursor or colour the terminal: names come from files.
+/// A text for a terminal: names come from files and from other programs, and control characters could move the cursor,
+/// colour the terminal or write to its clipboard; others turn the order of letters round. They are shown as `\u001b`,
+/// which in JSON is the same letter. Of an end of line `\r\n` only `\n` stays.
 pub fn printable(text: &str) -> String {
-    text.chars().filter(|letter| !letter.is_control() || matches!(letter, '\n' | '\t')).collect()
+    let mut shown = String::with_capacity(text.len());
+    for letter in text.chars().filter(|letter| *letter != '\r') {
+        if matches!(letter, '\n' | '\t') || !is_of_control(letter) {
+            shown.push(letter);
+        } else {
+            let units = &mut [0; 2];
+            letter.encode_utf16(units).iter().for_each(|unit| _ = write!(shown, "\\u{unit:04x}"));
+        }
+    }
+    shown
+}
+
+/// [`printable`] for a word within a line: ends of lines and tabs are shown too, so that it makes no lines of its own.
+pub fn one_line(word: &str) -> String {
+    let shown = |letter: char| match letter {
+        '\n' => "\\n".to_owned(),
+        '\t' => "\\t".to_owned(),
+        letter => letter.to_string(),
+    };
+    printable(word).chars().map(shown).collect()
+}
+
+/// Whether a terminal obeys a letter instead of showing it.
+fn is_of_control(letter: char) -> bool {
+    /// Marks and overrides of the direction of writing, ends of lines and paragraphs, annotations, tags.
+    const UNSEEN: [RangeInclusive<char>; 8] = [
+        '\u{61c}'..='\u{61c}',
+        '\u{200e}'..='\u{200f}',
+        '\u{2028}'..='\u{202e}',
+        '\u{2066}'..='\u{206f}',
+        '\u{feff}'..='\u{feff}',
+        '\u{fff9}'..='\u{fffb}',
+        '\u{1d173}'..='\u{1d17a}',
+        '\u{e0000}'..='\u{e007f}',
+    ];
+    letter.is_control() || UNSEEN.iter().any(|range| range.contains(&letter))
 }
 
 /// Writes to standard error; false when some of it could not be written.
@@ -236,7 +275,7 @@ pub(crate) struct LogLine {
 
 impl Write for LogLine {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        write([self.prefix.as_bytes(), bytes].concat());
+        write((self.prefix.clone() + &printable(&String::from_utf8_lossy(bytes))).into_bytes());
         Ok(bytes.len())
     }
 
@@ -272,7 +311,10 @@ mod tests {
 
     #[test]
     fn escape_sequences_lose_what_makes_them_work() {
-        assert_eq!(printable("a\x1b[31mred\x07\u{9b}2J\r\n\tb\u{7f}"), "a[31mred2J\n\tb");
+        let shown = "a\\u001b[31mred\\u0007\\u009b2J\n\tb\\u007f";
+        assert_eq!(printable("a\x1b[31mred\x07\u{9b}2J\r\n\tb\u{7f}"), shown);
+        assert_eq!(printable("\u{202e}fdp.exe \u{e0041}"), "\\u202efdp.exe \\udb40\\udc41");
+        assert_eq!(one_line("scan\n   99 pose\t"), "scan\\n   99 pose\\t");
         assert_eq!(printable("goal 1.0 m  rob\u{25cf} \u{e4}"), "goal 1.0 m  rob\u{25cf} \u{e4}");
     }
 }

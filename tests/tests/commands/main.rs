@@ -9,6 +9,8 @@ mod bench_transport;
 mod calibrate;
 mod campaign;
 mod description;
+mod foreign_files;
+mod outputs;
 mod reference;
 mod scenarios;
 mod urg;

@@ -1,9 +1,10 @@
 //! The last seconds of a drive in memory, as compressed chunks that are written to a file when something happens.
 
 use std::collections::VecDeque;
-use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
+
+use console::new_file::{Existing, NewFile};
 
 use super::opening::Opening;
 use crate::mcap::{Chunk, OpenChunk};
@@ -53,24 +54,19 @@ impl Ring {
         self.end_chunk()?;
         let Some((lost_before, _)) = self.chunks.front() else { return Ok(None) };
         let path = self.folder.join(format!("incident-{scan_id}.mcap"));
-        let part = path.with_extension("part");
-        let lost = self.lost - lost_before;
-        let saved = self.write(&part, lost).and_then(|()| std::fs::rename(&part, &path));
-        if let Err(error) = saved {
-            let _ = std::fs::remove_file(&part);
-            return Err(error);
-        }
+        self.write(&path, self.lost - lost_before)?;
         remove_oldest(&self.folder)?;
         Ok(Some(path))
     }
 
     fn write(&self, path: &Path, lost: u64) -> io::Result<()> {
-        let mut writer = self.opening.begin(BufWriter::new(File::create(path)?))?;
+        let file = NewFile::create(path, Existing::Replace, &[]).map_err(io::Error::other)?;
+        let mut writer = self.opening.begin(BufWriter::new(file))?;
         self.chunks.iter().try_for_each(|(_, chunk)| writer.chunk(chunk))?;
         let samples: u64 = self.chunks.iter().map(|(_, chunk)| chunk.messages()).sum();
         let counts = [("samples", samples), ("lost", lost), ("last_scan", 0)];
         writer.metadata("end", &counts.map(|(key, count)| (key.to_owned(), count.to_string())))?;
-        writer.finish().map(|_| ())
+        writer.finish()?.0.into_inner()?.finish().map_err(io::Error::other)
     }
 }
 
@@ -109,7 +105,8 @@ impl Target for Ring {
 
 /// Removes the oldest files of incidents.
 fn remove_oldest(folder: &Path) -> io::Result<()> {
-    let is_incident = |name: &str| name.starts_with("incident-") && name.ends_with(".mcap");
+    let number = |name: &str| name.strip_prefix("incident-")?.strip_suffix(".mcap")?.parse::<u64>().ok();
+    let is_incident = |name: &str| number(name).is_some();
     let mut files: Vec<_> = std::fs::read_dir(folder)?
         .flatten()
         .filter(|entry| entry.file_name().to_str().is_some_and(is_incident))

@@ -1,24 +1,4 @@
-//! Files that are written whole or not at all, and JSON that people can read.
-
-use std::io::{self, Write};
-use std::path::Path;
-
-/// Writes a file under a temporary name and renames it, so that it is never seen half-written.
-///
-/// # Errors
-/// The first error of the file system; the temporary file is removed then.
-pub fn write_atomically(path: &Path, content: &[u8]) -> io::Result<()> {
-    let name = path.file_name().ok_or_else(|| io::Error::from(io::ErrorKind::InvalidInput))?;
-    let temporary = path.with_file_name(format!(".{}.{}.tmp", name.to_string_lossy(), std::process::id()));
-    let written = std::fs::File::create(&temporary)
-        .and_then(|mut file| file.write_all(content).and_then(|()| file.sync_all()))
-        .and_then(|()| std::fs::rename(&temporary, path));
-    if written.is_err() {
-        // The error that counts is the first one.
-        let _ = std::fs::remove_file(&temporary);
-    }
-    written
-}
+//! JSON that people can read.
 
 /// Maximum length of a line with a joined object or array.
 const MAX_LINE: usize = 200;

@@ -41,6 +41,9 @@ pub struct OutputArguments {
     /// Folder for the picture.
     #[arg(long, value_name = "DIR", default_value = "out/analyse", value_parser = console::output::folder())]
     pub out: PathBuf,
+    /// Replace files in the folder that this program did not write.
+    #[arg(long)]
+    pub force: bool,
 }
 
 /// Options of `analyse drift`.

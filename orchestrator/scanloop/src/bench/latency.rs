@@ -17,6 +17,7 @@ mod text;
 mod trace;
 
 use std::cell::RefCell;
+use std::path::PathBuf;
 use std::rc::Rc;
 
 use figures::PROFILE;
@@ -26,6 +27,7 @@ use runtime::Shutdown;
 pub use self::arguments::{Compute, LatencyArguments};
 use console::exit::{Exit, Failure};
 use console::note;
+use console::out_folder::OutFolder;
 use plan::Choice;
 use plan::Plan;
 use report::{Outcome, Report};
@@ -52,6 +54,8 @@ const SCENARIO: &str = "endless";
 /// Bad arguments, scheduling that the kernel refuses, and what `run` fails with.
 pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::Result<Exit> {
     arguments.check()?;
+    let files = |out: &PathBuf| OutFolder::claim(out, &files::NAMES, arguments.force);
+    let files = arguments.out.as_ref().map(files).transpose()?;
     let plan = plan(arguments, &Scheduling::read(&arguments.scheduling)?)?;
     warn_of_profile();
     let load = if arguments.load { Some(Load::start()?) } else { None };
@@ -104,9 +108,9 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
         ..of_report(&report)
     };
     note!("{}", text::text(&results));
-    if let Some(out) = &arguments.out {
-        files::write(out, &results, &collector, &noise)?;
-        note!("{:<18} {}", "files", out.display());
+    if let Some(files) = &files {
+        files::write(files, &results, &collector, &noise)?;
+        note!("{:<18} {}", "files", files.folder().display());
     }
     print_json(arguments.json, &results)?;
     Ok(exit(&report))

@@ -13,6 +13,7 @@ use std::path::PathBuf;
 use clap::Args;
 use console::exit::Exit;
 use console::note;
+use console::out_folder::OutFolder;
 use console::progress::Steps;
 use plan::Choice;
 
@@ -36,6 +37,9 @@ pub struct RideArguments {
     /// Folder for the problems of the optimum, one file per course (benches/peers/ride_optimum.py solves them).
     #[arg(long, value_name = "DIR", value_parser = console::output::folder())]
     pub problems: Option<PathBuf>,
+    /// Replace files in the folder that this program did not write.
+    #[arg(long)]
+    pub force: bool,
     /// Print JSON to standard output.
     #[arg(long)]
     pub json: bool,
@@ -50,12 +54,14 @@ pub struct RideArguments {
 /// Bad files and settings; exit code 2.
 pub(crate) fn ride(arguments: &RideArguments) -> anyhow::Result<Exit> {
     let courses = course::all(arguments)?;
+    let problems = |folder: &PathBuf| OutFolder::claim(folder, &[], arguments.force);
+    let problems = arguments.problems.as_ref().map(problems).transpose()?;
     let mut steps = Steps::new(courses.len() as u64, "courses");
     let measured = on_all_cores(courses.len(), |index| courses[index].measure(), || steps.step(""));
     let mut rows: Vec<Row> = Vec::new();
     for (course, measured) in courses.iter().zip(measured) {
         let (row, optimum) = measured?;
-        if let (Some(folder), Some(optimum)) = (&arguments.problems, optimum) {
+        if let (Some(folder), Some(optimum)) = (&problems, optimum) {
             problems::write(folder, &row.name, &optimum)?;
         }
         rows.push(Row { seed: course.seed(), ..row });

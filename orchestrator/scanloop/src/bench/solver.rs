@@ -19,7 +19,7 @@ use std::path::Path;
 use console::exit::{Exit, Failure};
 use console::note;
 use console::progress::Steps;
-use console::user_file::{self, DATA_BYTES};
+use console::user_file;
 use figures::PROFILE;
 use ocp::{Budget, Collocation, Problem, Solution, Solver, SolverSettings, Status, Trajectory};
 use serde::Serialize;
@@ -115,7 +115,7 @@ pub fn solver(arguments: &SolverArguments, allocations: Option<AllocationCount>)
 
 fn read(file: Option<&Path>) -> anyhow::Result<Vec<Case>> {
     let Some(file) = file else { return cases::parse(SHIPPED).map_err(anyhow::Error::msg) };
-    let text = user_file::read(file, DATA_BYTES)
+    let text = user_file::read_table(file)
         .map_err(|error| Failure::bad_input(format!("--cases {}: {error}", file.display())))?;
     cases::parse(&text).map_err(|error| Failure::bad_input(format!("{}: {error}", file.display())))
 }

@@ -53,6 +53,9 @@ pub struct CalibrateArguments {
     /// Folder for the picture of the residuals and the table of driven runs.
     #[arg(long, value_name = "DIR", default_value = "out/calibration", value_parser = console::output::folder())]
     pub out: PathBuf,
+    /// Replace files in the folder that this program did not write.
+    #[arg(long)]
+    pub force: bool,
     /// Calibration file that receives the result; its other parts stay; default `DIR/calibration.toml`.
     #[arg(long, value_name = "FILE")]
     pub into: Option<PathBuf>,

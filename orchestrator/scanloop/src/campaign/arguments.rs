@@ -32,6 +32,9 @@ pub struct CampaignArguments {
     /// Folder for the scenario files of bad courses.
     #[arg(long, value_name = "DIR", default_value = "out/campaign", value_parser = console::output::folder())]
     pub out: PathBuf,
+    /// Replace files in the folder that this program did not write.
+    #[arg(long)]
+    pub force: bool,
 }
 
 /// The true robot of a campaign.

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use anyhow::Context;
+use console::out_folder::OutFolder;
 use emulator::Outcome;
 use emulator::judge::Verdict;
 use serde::Serialize;
@@ -38,12 +38,13 @@ fn is_wrong(run: &CourseRun) -> bool {
 ///
 /// # Errors
 /// Errors of the file system.
-pub(super) fn save(run: &CourseRun, arguments: &CampaignArguments) -> anyhow::Result<BadCourse> {
+pub(super) fn save(
+    run: &CourseRun,
+    arguments: &CampaignArguments,
+    results: &OutFolder,
+) -> anyhow::Result<BadCourse> {
     let (scenario, _) = run.course.scenario(arguments);
     let cause = if is_wrong(run) { run.judgement.cause.clone() } else { WITHOUT_REST.to_owned() };
-    let folder = arguments.out.join(&cause);
-    std::fs::create_dir_all(&folder).with_context(|| format!("--out {}", arguments.out.display()))?;
-    let path = folder.join(format!("{}.toml", scenario.name));
     let mut reason = run.reason.clone();
     if run.without_rest > 0 {
         let _ = write!(reason, ", {} scans without a way to rest", run.without_rest);
@@ -51,7 +52,7 @@ pub(super) fn save(run: &CourseRun, arguments: &CampaignArguments) -> anyhow::Re
     let set = settings(arguments);
     let text =
         format!("# {}: {reason}\n# scanloop run --lockstep FILE{set}\n{}", run.outcome, scenario.to_toml());
-    std::fs::write(&path, text).with_context(|| format!("{}", path.display()))?;
+    let path = results.write(&format!("{cause}/{}.toml", scenario.name), text.as_bytes())?;
     let (seed, family) = (run.course.seed, run.course.kind.name());
     Ok(BadCourse { seed, family, cause, outcome: run.outcome, reason, scenario: path })
 }

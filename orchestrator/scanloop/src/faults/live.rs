@@ -5,6 +5,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
+use console::new_file::Scratch;
 use fault_matrix::course::{begins, live_scenario, settings};
 use fault_matrix::{Course, Finding, Limits, Observed, Place, Simulation, judge};
 use faults::{Fault, Injection, Phase, ProcessAction, ProcessFault};
@@ -157,12 +158,14 @@ fn in_a_namespace(fault: &Fault, phase: Phase) -> anyhow::Result<Driven> {
     if !may_mount.is_ok_and(|status| status.success()) {
         return Ok(Err(format!("{cell}: mounting is not permitted")));
     }
-    let out = std::env::temp_dir().join(format!("scanloop-faults-{}", std::process::id()));
+    let out = Scratch::new()?;
     let mut command = Command::new("unshare");
     command.args(["-m", "sh", "-c", MOUNT]).arg(std::env::current_exe().context("path of this executable")?);
-    command.args(["faults", "--json", "--only", &format!("{cell}*"), "--out"]).arg(&out).env(INSIDE, "1");
+    command
+        .args(["faults", "--json", "--only", &format!("{cell}*"), "--out"])
+        .arg(out.path())
+        .env(INSIDE, "1");
     let output = command.stdin(Stdio::null()).output().context("unshare")?;
-    let _ = std::fs::remove_dir_all(&out);
     let printed = || String::from_utf8_lossy(&output.stderr).into_owned();
     let matrix: Matrix =
         serde_json::from_slice(&output.stdout).with_context(|| format!("{cell}: {}", printed()))?;

@@ -1,12 +1,13 @@
 //! A system of real processes for one cell, in a folder of its own; dropping it leaves nothing behind.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use console::exit::Failure;
+use console::new_file::{self, Scratch};
 use emulator::Scenario;
 use faults::ProcessName;
 use runtime::Domain;
@@ -28,7 +29,7 @@ static NEXT: AtomicU32 = AtomicU32::new(0);
 /// The system of a cell.
 pub(super) struct CellSystem {
     id: String,
-    folder: PathBuf,
+    scratch: Scratch,
     orchestrator: Child,
     /// Process ids by role, once it drives.
     processes: Vec<(Role, Pid)>,
@@ -43,16 +44,16 @@ impl CellSystem {
         // A system id has 16 letters at most.
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
         let id = format!("f{}-{number}", std::process::id());
-        let folder = std::env::temp_dir().join(format!("scanloop-{id}"));
-        std::fs::create_dir_all(&folder).with_context(|| format!("{}", folder.display()))?;
-        std::fs::write(folder.join("scenario.toml"), scenario.to_toml())?;
+        let scratch = Scratch::new()?;
+        let folder = scratch.path();
+        new_file::write(&folder.join("scenario.toml"), scenario.to_toml().as_bytes())?;
         let orphan_stop = format!("orphan_stop_s={ORPHAN_STOP_S}");
         let arguments = ["run", "scenario.toml", "--quiet", "--out", "out", "--set", orphan_stop.as_str()];
         let arguments = [&arguments[..], &["--set", "recording.ring_s=0"]].concat();
-        let mut command = command_of(&id, &folder)?;
+        let mut command = command_of(&id, folder)?;
         command.args(arguments).stderr(std::fs::File::create(folder.join("stderr.txt"))?);
         let orchestrator = command.spawn().context("scanloop run")?;
-        Ok(Self { id, folder, orchestrator, processes: Vec::new() })
+        Ok(Self { id, scratch, orchestrator, processes: Vec::new() })
     }
 
     /// Another command for this system, which is started and not waited for.
@@ -60,7 +61,7 @@ impl CellSystem {
     /// # Errors
     /// A program that can't be started.
     pub(super) fn begin(&self, arguments: &[&str]) -> anyhow::Result<Child> {
-        let mut command = command_of(&self.id, &self.folder)?;
+        let mut command = command_of(&self.id, self.scratch.path())?;
         command.args(arguments).stderr(Stdio::null());
         command.spawn().with_context(|| format!("scanloop {}", arguments.join(" ")))
     }
@@ -82,7 +83,8 @@ impl CellSystem {
                 return Ok(domain);
             }
             if self.has_ended() || started.elapsed() > START_TIMEOUT {
-                let text = std::fs::read_to_string(self.folder.join("stderr.txt")).unwrap_or_default();
+                let text =
+                    std::fs::read_to_string(self.scratch.path().join("stderr.txt")).unwrap_or_default();
                 return Err(Failure::process(format!("the system of a cell does not drive: {text}")));
             }
             std::thread::sleep(PAUSE);
@@ -111,7 +113,7 @@ impl CellSystem {
 
     /// The report of the run, if it wrote one.
     pub(super) fn report(&self) -> Option<report::Report> {
-        report::Report::read(&self.folder.join("out/report.json")).ok()
+        report::Report::read(&self.scratch.path().join("out/report.json")).ok()
     }
 
     /// Ends the system.
@@ -139,7 +141,6 @@ impl CellSystem {
 impl Drop for CellSystem {
     fn drop(&mut self) {
         self.end();
-        let _ = std::fs::remove_dir_all(&self.folder);
     }
 }
 

@@ -93,9 +93,12 @@ pub struct LogArguments {
     /// The scanner.
     #[command(flatten)]
     pub scanner: ScannerArguments,
-    /// The file; an existing one is replaced.
+    /// The file, which grows with each scan.
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
+    /// Replace a file of that name.
+    #[arg(long)]
+    pub force: bool,
 }
 
 /// Arguments of `urg emulate`.

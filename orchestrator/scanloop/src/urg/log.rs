@@ -9,6 +9,7 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 
 use console::exit::{Exit, Failure};
+use console::new_file::{Existing, NewFile};
 use console::note;
 use shared_types::Scan;
 use urg::Reading;
@@ -21,6 +22,7 @@ const BEFORE: usize = 24;
 
 /// Writes scans until the end.
 pub(super) fn log(arguments: &LogArguments) -> anyhow::Result<Exit> {
+    let mut new = Some(NewFile::create(&arguments.file, Existing::forced(arguments.force), &[])?);
     let mut scanner = Scanner::open(&arguments.scanner)?;
     let refused =
         |error: std::io::Error| Failure::bad_input(format!("{}: {error}", arguments.file.display()));
@@ -29,12 +31,11 @@ pub(super) fn log(arguments: &LogArguments) -> anyhow::Result<Exit> {
     let (mut count, mut missing, mut error_ns, mut span_ns) = (0_u64, 0_u64, 0, (u64::MAX, 0));
     while let Some(reading) = scanner.next(&mut scan)? {
         // Not before the scanner has given a scan: a wrong address replaces no file.
-        let file = match &mut file {
-            Some(file) => file,
-            None => file.insert(BufWriter::new(File::create(&arguments.file).map_err(refused)?)),
-        };
+        if let Some(new) = new.take() {
+            file = Some(BufWriter::new(new.publish()?));
+        }
         write_line(&mut line, &reading, &scan);
-        file.write_all(line.as_bytes()).map_err(refused)?;
+        file.as_mut().map_or(Ok(()), |file| file.write_all(line.as_bytes())).map_err(refused)?;
         count += 1;
         missing += u64::from(reading.is_missing);
         error_ns = error_ns.max(reading.error_ns);

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::io::IsTerminal;
 
 use console::exit::{Exit, Failure};
-use console::output::data;
+use console::output::redraw;
 use rustix::termios::tcgetwinsize;
 use shared_types::{BEAMS, FRONT_BEAM, MIN_RANGE_MM, Scan};
 use urg::Reading;
@@ -14,10 +14,6 @@ use super::scanner::Scanner;
 
 /// Size of the picture where the terminal's is unknown [characters].
 const SIZE: (usize, usize) = (72, 24);
-/// Moves to the top left corner.
-const HOME: &str = "\x1b[H";
-/// Clears what is below.
-const CLEAR_BELOW: &str = "\x1b[J";
 /// Dots of a character, in columns and rows.
 const DOTS: (usize, usize) = (2, 4);
 /// Bit of each dot of a Braille character, by row and column.
@@ -40,8 +36,7 @@ pub(super) fn plot(arguments: &PlotArguments) -> anyhow::Result<Exit> {
             headline(&reading, &scan, count),
             picture(&scan, arguments.range, columns, rows)
         );
-        let text = if is_terminal { format!("{HOME}{CLEAR_BELOW}{picture}") } else { picture };
-        if !data(&text)? {
+        if !redraw(&picture)? {
             break;
         }
     }

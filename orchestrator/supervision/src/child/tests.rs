@@ -50,6 +50,33 @@ fn the_exit_code_and_the_output_come_back() {
 }
 
 #[test]
+fn a_file_that_is_no_program_is_named_for_what_it_is() {
+    use std::os::unix::fs::PermissionsExt;
+
+    let scratch = Scratch::new();
+    let log = scratch.log();
+    let file = scratch.0.join("stage");
+    let refusal = |content: &[u8]| {
+        std::fs::write(&file, content).unwrap();
+        std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o700)).unwrap();
+        let launch = Launch { command: vec![file.clone().into()], ..Launch::default() };
+        Child::spawn(&launch, &log).unwrap_err().to_string()
+    };
+    for (content, expected) in [
+        (&b"echo hello\n"[..], "line 1: a script must begin with `#!`"),
+        (b"\xef\xbb\xbf#!/bin/sh\n", "it begins with a byte order mark"),
+        (b"\xff\xfe#\0!\0", "it is a text in UTF-16"),
+        (b"#!/bin/sh\r\necho\r\n", "line 1: it ends with CR LF"),
+        (b"#!/no/such/sh\n", "line 1: there is no interpreter `/no/such/sh`"),
+        (b"", "the file is empty"),
+        (b"\x7fELF\x02\x01", "it is a program for another kind of processor"),
+    ] {
+        let message = refusal(content);
+        assert!(message.contains("stage` can't be executed: ") && message.contains(expected), "{message}");
+    }
+}
+
+#[test]
 fn environment_and_empty_input_are_as_asked() {
     let scratch = Scratch::new();
     let log = scratch.log();

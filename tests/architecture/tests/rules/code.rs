@@ -129,3 +129,63 @@ fn the_orchestrator_prints_without_panic_and_wait() {
         }
     }
 }
+
+/// `console::new_file` syncs files under a random name and renames them, and follows no link; other ways do not.
+#[test]
+fn files_of_users_are_made_in_one_place() {
+    const OTHERS: [(&str, &str); 14] = [
+        ("orchestrator/console/src/new_file.rs", "the place itself, and the opening of logs"),
+        ("orchestrator/console/src/out_folder.rs", "its list grows, opened as a log is"),
+        ("orchestrator/console/src/user_file.rs", "reads"),
+        ("orchestrator/supervision/src/child_log.rs", "a log, opened by `new_file`"),
+        ("orchestrator/session/src/companion.rs", "a log, opened by `new_file`"),
+        ("orchestrator/supervision/src/realtime.rs", "a device of the kernel"),
+        ("orchestrator/scanloop/src/demo/system.rs", "outputs of processes in a private folder"),
+        ("orchestrator/scanloop/src/faults/system.rs", "outputs of processes in a private folder"),
+        ("orchestrator/scanloop/src/faults/act.rs", "fills shared memory, made with O_EXCL"),
+        ("services/runtime/src", "private folders of running systems, used by descriptor"),
+        ("services/faults/build.rs", "built, not run"),
+        ("benches/hops/src/driver.rs", "outputs of processes in a private folder"),
+        ("benches/hops/src/wiring.rs", "a private folder"),
+        ("services/link/src/credentials.rs", "private folders, by `runtime::Folder`"),
+    ];
+    let words = ["File::create", "fs::write(", "OpenOptions", "File::options", "fs::rename(", "fs::copy("];
+    let others = OTHERS.map(|(path, _)| path);
+    for path in
+        ["orchestrator", "services", "benches"].iter().flat_map(|folder| sources(&root().join(folder)))
+    {
+        let is_test = path.ends_with("tests.rs")
+            || path
+                .components()
+                .any(|part| ["tests", "examples", "peers"].iter().any(|name| part.as_os_str() == *name));
+        if is_test || within(&path, &others) {
+            continue;
+        }
+        let text = std::fs::read_to_string(&path).unwrap();
+        let text = text.split("#[cfg(test)]").next().unwrap_or_default().replace("NewFile::create", "");
+        for word in words {
+            assert!(!text.contains(word), "{}: {word}: use console::new_file", path.display());
+        }
+    }
+    for path in others {
+        assert!(root().join(path).exists(), "{path} is not there");
+    }
+}
+
+/// `console::output::data` filters what a terminal would obey, and ends no command when the reader has gone.
+#[test]
+fn standard_output_is_written_in_one_place() {
+    let others = [
+        "orchestrator/console/src/output.rs",
+        // Messages to the orchestrator, through a pipe.
+        "orchestrator/recording/src/recorder/companion.rs",
+        // Asks for the size of the terminal.
+        "orchestrator/scanloop/src/urg/plot.rs",
+    ];
+    for folder in ["orchestrator", "benches/src"] {
+        for path in sources(&root().join(folder)).into_iter().filter(|path| !within(path, &others)) {
+            let text = std::fs::read_to_string(&path).unwrap();
+            assert!(!text.contains("stdout()"), "{}: use console::output", path.display());
+        }
+    }
+}

@@ -59,6 +59,9 @@ pub struct LatencyArguments {
     /// Folder for histograms, pictures, a trace and `report.json`.
     #[arg(long, value_name = "DIR", value_parser = console::output::folder())]
     pub out: Option<PathBuf>,
+    /// Replace files in the folder that this program did not write.
+    #[arg(long)]
+    pub force: bool,
     /// Print no progress.
     #[arg(long)]
     pub quiet: bool,

@@ -1,39 +1,46 @@
 //! The files of a bench: `report.json`, `latency.hlog`, `.hgrm` of both series, two pictures and the trace.
 
-use std::fmt::Write as _;
-use std::path::Path;
-
-use anyhow::Context;
+use console::out_folder::OutFolder;
 use figures::Distribution;
 use hdrhistogram::Histogram;
 use report::picture::chart;
-use report::write_atomically;
+use std::fmt::Write as _;
 
 use super::collector::Collector;
 use super::results::LatencyResults;
 use super::{pictures, trace};
+
+/// The names of all files.
+pub(crate) const NAMES: [&str; 7] = [
+    "report.json",
+    "latency.hlog",
+    "scan_to_actuation.hgrm",
+    "scan_to_actuation_corrected.hgrm",
+    "histogram.svg",
+    "ccdf.svg",
+    "trace.json",
+];
 
 /// Writes all files into a folder.
 ///
 /// # Errors
 /// The first error of the file system, with the file.
 pub(crate) fn write(
-    folder: &Path,
+    files: &OutFolder,
     results: &LatencyResults,
     collector: &Collector,
     noise: &Distribution,
 ) -> anyhow::Result<()> {
-    let put = |name: &str, text: &str| {
-        let path = folder.join(name);
-        write_atomically(&path, text.as_bytes()).with_context(|| format!("{}", path.display()))
-    };
-    put("report.json", &(serde_json::to_string_pretty(results)? + "\n"))?;
-    put("latency.hlog", &log(results))?;
-    put("scan_to_actuation.hgrm", &percentiles(collector.reaction.histogram()))?;
-    put("scan_to_actuation_corrected.hgrm", &percentiles(collector.corrected.histogram()))?;
-    put("histogram.svg", &chart::draw(&pictures::histogram(collector, noise, results))?)?;
-    put("ccdf.svg", &chart::draw(&pictures::exceedance(collector, noise, results))?)?;
-    put("trace.json", &trace::text(&collector.stored()))
+    let texts = [
+        serde_json::to_string_pretty(results)? + "\n",
+        log(results),
+        percentiles(collector.reaction.histogram()),
+        percentiles(collector.corrected.histogram()),
+        chart::draw(&pictures::histogram(collector, noise, results))?,
+        chart::draw(&pictures::exceedance(collector, noise, results))?,
+        trace::text(&collector.stored()),
+    ];
+    NAMES.iter().zip(texts).try_for_each(|(name, text)| files.write(name, text.as_bytes()).map(drop))
 }
 
 /// A HdrHistogram log: all series of the stretches of the run, with their names as tags.

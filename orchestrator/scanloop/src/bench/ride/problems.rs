@@ -1,8 +1,6 @@
 //! The problems of an optimum as files, so that another solver can check them.
 
-use std::path::Path;
-
-use anyhow::Context;
+use console::out_folder::OutFolder;
 use ocp::{Problem, Trajectory};
 use ride::optimum::{Optimum, Plan};
 use serde_json::{Value, json};
@@ -12,12 +10,10 @@ use vehicle::{Control, State};
 ///
 /// # Errors
 /// Errors of the file system.
-pub(super) fn write(folder: &Path, name: &str, optimum: &Optimum) -> anyhow::Result<()> {
-    std::fs::create_dir_all(folder).with_context(|| format!("--problems {}", folder.display()))?;
-    let path = folder.join(format!("{name}.json"));
+pub(super) fn write(folder: &OutFolder, name: &str, optimum: &Optimum) -> anyhow::Result<()> {
     let plans: Vec<Value> = optimum.plans.iter().map(plan).collect();
     let text = serde_json::to_string_pretty(&json!({ "name": name, "plans": plans }))?;
-    std::fs::write(&path, text).with_context(|| format!("{}", path.display()))
+    folder.write(&format!("{name}.json"), text.as_bytes()).map(drop)
 }
 
 fn plan(Plan { problem, trajectory, objective, .. }: &Plan) -> Value {

@@ -1,0 +1,328 @@
+//! Files that a command writes: each is made under a name of its own, synced, and only then gets the name it was asked for.
+//!
+//! So a file of that name is whole, before and after; and an output never destroys its input, because what is read stays
+//! open. The name is a random one in the same folder, made with `O_EXCL`: no link that another user has put there is
+//! followed. A link of the wanted name is replaced itself, not what it leads to.
+//!
+//! Three kinds of files are written in another way: logs and live recordings, which are read while they grow, and devices
+//! and pipes such as `/dev/stdout`, which nothing can be renamed to.
+
+use std::ffi::OsString;
+use std::fs::{File, Metadata, OpenOptions};
+use std::io::{self, Write};
+use std::os::fd::OwnedFd;
+use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use rustix::fs::{AtFlags, CWD, Mode, OFlags, RenameFlags};
+use rustix::io::Errno;
+
+use crate::exit::Failure;
+
+/// What happens to a file that has the name already.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Existing {
+    /// It stays; the new one is refused.
+    Keep,
+    /// The new one takes its place and its mode.
+    Replace,
+}
+
+impl Existing {
+    /// The choice of an option `--force`.
+    pub fn forced(force: bool) -> Self {
+        if force { Self::Replace } else { Self::Keep }
+    }
+}
+
+/// A file that does not have its name yet; without [`NewFile::finish`] it is removed.
+#[derive(Debug)]
+pub struct NewFile {
+    file: File,
+    path: PathBuf,
+    existing: Existing,
+    /// `None` for a device.
+    place: Option<Place>,
+}
+
+/// Where a file is until it is whole. All names are looked up in the open folder.
+#[derive(Debug)]
+struct Place {
+    folder: OwnedFd,
+    name: OsString,
+    temporary: String,
+}
+
+impl NewFile {
+    /// Begins a file that gets the name `path`; `inputs` are the files that its content comes from.
+    ///
+    /// # Errors
+    /// A path that is one of the inputs, that has a file which is to be kept, or where none can be made; exit code 2.
+    pub fn create(path: &Path, existing: Existing, inputs: &[&Path]) -> anyhow::Result<Self> {
+        require_apart(path, inputs)?;
+        let is_device = leads_to_device(path);
+        let there = path.symlink_metadata().ok().filter(|_| !is_device);
+        if existing == Existing::Keep && there.is_some() {
+            return Err(refusal(path, TAKEN));
+        }
+        let made = match is_device {
+            true => OpenOptions::new().write(true).open(path).map(|file| (file, None)),
+            false => begin(path, there.as_ref()),
+        };
+        let (file, place) = made.map_err(|error| refusal(path, error))?;
+        Ok(Self { file, path: path.to_owned(), existing, place })
+    }
+
+    /// Syncs the file and gives it its name.
+    ///
+    /// # Errors
+    /// The first error of the file system, with the file; exit code 2. What had the name before is still there then.
+    pub fn finish(self) -> anyhow::Result<()> {
+        if self.place.is_some() {
+            self.file.sync_all().map_err(|error| refusal(&self.path, error))?;
+        }
+        self.publish().map(drop)
+    }
+
+    /// Gives the file its name before it is whole: for one that is read while it grows.
+    ///
+    /// # Errors
+    /// As [`NewFile::finish`].
+    pub fn publish(mut self) -> anyhow::Result<File> {
+        if let Some(place) = &self.place {
+            place.rename(self.existing).map_err(|error| match error {
+                Errno::EXIST => refusal(&self.path, TAKEN),
+                error => refusal(&self.path, io::Error::from(error)),
+            })?;
+            self.place = None;
+        }
+        self.file.try_clone().map_err(|error| refusal(&self.path, error))
+    }
+}
+
+impl Drop for NewFile {
+    fn drop(&mut self) {
+        let _ = self.place.as_ref().map(Place::remove);
+    }
+}
+
+impl Write for NewFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl Place {
+    fn remove(&self) -> rustix::io::Result<()> {
+        rustix::fs::unlinkat(&self.folder, &self.temporary, AtFlags::empty())
+    }
+
+    fn rename(&self, existing: Existing) -> rustix::io::Result<()> {
+        let (from, to) = (self.temporary.as_str(), self.name.as_os_str());
+        match existing {
+            Existing::Replace => rustix::fs::renameat(&self.folder, from, &self.folder, to)?,
+            // A file may have come since the first check. Some file systems know no such rename, but links.
+            Existing::Keep => {
+                let flags = RenameFlags::NOREPLACE;
+                match rustix::fs::renameat_with(&self.folder, from, &self.folder, to, flags) {
+                    Err(Errno::INVAL | Errno::NOSYS) => {
+                        rustix::fs::linkat(&self.folder, from, &self.folder, to, AtFlags::empty())?;
+                        rustix::fs::unlinkat(&self.folder, from, AtFlags::empty())?;
+                    }
+                    renamed => renamed?,
+                }
+            }
+        }
+        // The name lasts when the power fails. Not every folder can be read, or synced.
+        let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::CLOEXEC;
+        let _ = rustix::fs::openat(&self.folder, ".", flags, Mode::empty()).and_then(rustix::fs::fsync);
+        Ok(())
+    }
+}
+
+/// Why a file is not made: its name is taken.
+const TAKEN: &str = "the file exists; name another one, or replace it with --force";
+
+/// Writes a whole file in place of one of its name.
+///
+/// # Errors
+/// The first error of the file system, with the file; exit code 2.
+pub fn write(path: &Path, content: &[u8]) -> anyhow::Result<()> {
+    let mut file = NewFile::create(path, Existing::Replace, &[])?;
+    file.write_all(content).map_err(|error| refusal(path, error))?;
+    file.finish()
+}
+
+/// Passes when an output is none of the inputs, also not by a link or a second name.
+///
+/// # Errors
+/// Both names; exit code 2.
+pub fn require_apart(output: &Path, inputs: &[&Path]) -> anyhow::Result<()> {
+    let inode = |path: &Path| path.metadata().ok().map(|found| (found.dev(), found.ino()));
+    let Some(own) = inode(output) else { return Ok(()) };
+    match inputs.iter().find(|input| inode(input) == Some(own)) {
+        Some(input) => {
+            let reason = format!("it is the same file as the input {}; name another one", input.display());
+            Err(refusal(output, reason))
+        }
+        None => Ok(()),
+    }
+}
+
+/// Opens a log, which grows under its name; never through a link, except to a device.
+///
+/// # Errors
+/// Those of the file system.
+pub fn open_log(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
+    let flags = if leads_to_device(path) { OFlags::empty() } else { OFlags::NOFOLLOW };
+    options.custom_flags(flags.bits().cast_signed()).open(path)
+}
+
+/// Whether a path is a device of characters or a pipe, or a link to one that this user or root has made.
+pub(crate) fn leads_to_device(path: &Path) -> bool {
+    let Ok(own) = path.symlink_metadata() else { return false };
+    let is_trusted = !own.is_symlink() || [0, rustix::process::geteuid().as_raw()].contains(&own.uid());
+    let is_device = |kind: std::fs::FileType| kind.is_char_device() || kind.is_fifo();
+    is_trusted && path.metadata().is_ok_and(|found| is_device(found.file_type()))
+}
+
+/// Makes the file with a random name beside `path`, with the mode of the one that it replaces.
+fn begin(path: &Path, replaced: Option<&Metadata>) -> io::Result<(File, Option<Place>)> {
+    let name = path.file_name().ok_or(io::ErrorKind::IsADirectory)?.to_owned();
+    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if replaced.is_some_and(|found| !found.is_file() && !found.is_symlink()) {
+        return Err(io::Error::other("it is no regular file"));
+    }
+    let flags = OFlags::PATH | OFlags::DIRECTORY | OFlags::CLOEXEC;
+    let folder = rustix::fs::openat(CWD, parent, flags, Mode::empty())?;
+    let temporary = format!(".scanloop-{}", random()?);
+    let flags = OFlags::WRONLY | OFlags::CREATE | OFlags::EXCL | OFlags::NOFOLLOW | OFlags::CLOEXEC;
+    let file = rustix::fs::openat(&folder, &temporary, flags, Mode::from_raw_mode(0o666))?;
+    if let Some(replaced) = replaced.filter(|found| found.is_file()) {
+        // On a file system without modes all files have the same.
+        let _ = rustix::fs::fchmod(&file, Mode::from_raw_mode(replaced.mode() & 0o777));
+    }
+    Ok((File::from(file), Some(Place { folder, name, temporary })))
+}
+
+/// Passes when a file can be made in a folder.
+pub(crate) fn probe(folder: &Path) -> io::Result<()> {
+    let (_, place) = begin(&folder.join("file"), None)?;
+    place.map_or(Ok(()), |place| place.remove()).map_err(io::Error::from)
+}
+
+/// A name that no other user can foresee.
+fn random() -> io::Result<String> {
+    let mut bytes = [0; 16];
+    rustix::rand::getrandom(&mut bytes, rustix::rand::GetRandomFlags::empty())?;
+    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+fn refusal(path: &Path, reason: impl std::fmt::Display) -> anyhow::Error {
+    Failure::bad_input(format!("{}: {reason}", path.display()))
+}
+
+/// A new folder for the files of one command, which only this user can enter; removed when dropped.
+#[derive(Debug)]
+pub struct Scratch(PathBuf);
+
+impl Scratch {
+    /// Makes it among the temporary files of the machine.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn new() -> anyhow::Result<Self> {
+        let path = std::env::temp_dir().join(format!("scanloop-{}", random()?));
+        runtime::Folder::make(&path).with_context(|| path.display().to_string())?;
+        Ok(Self(path))
+    }
+
+    /// Its path.
+    pub fn path(&self) -> &Path {
+        &self.0
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::{PermissionsExt, symlink};
+
+    use super::*;
+
+    fn names(folder: &Path) -> usize {
+        std::fs::read_dir(folder).unwrap().count()
+    }
+
+    #[test]
+    fn a_file_has_its_name_when_it_is_whole_and_what_is_left_unfinished_is_gone() {
+        let folder = Scratch::new().unwrap();
+        let path = folder.path().join("report.json");
+        std::fs::write(&path, "old").unwrap();
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).unwrap();
+        let mut file = NewFile::create(&path, Existing::Replace, &[]).unwrap();
+        file.write_all(b"new").unwrap();
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "old");
+        drop(file);
+        assert_eq!((std::fs::read_to_string(&path).unwrap().as_str(), names(folder.path())), ("old", 1));
+        write(&path, b"new").unwrap();
+        assert_eq!((std::fs::read_to_string(&path).unwrap().as_str(), names(folder.path())), ("new", 1));
+        assert_eq!(path.metadata().unwrap().permissions().mode() & 0o777, 0o600);
+        let message = NewFile::create(&path, Existing::Keep, &[]).unwrap_err().to_string();
+        assert!(message.ends_with(TAKEN), "{message}");
+    }
+
+    #[test]
+    fn a_file_that_came_meanwhile_is_kept() {
+        let folder = Scratch::new().unwrap();
+        let path = folder.path().join("cut.mcap");
+        let file = NewFile::create(&path, Existing::Keep, &[]).unwrap();
+        std::fs::write(&path, "own").unwrap();
+        let message = file.finish().unwrap_err().to_string();
+        assert!(message.ends_with(TAKEN), "{message}");
+        assert_eq!((std::fs::read_to_string(&path).unwrap().as_str(), names(folder.path())), ("own", 1));
+    }
+
+    #[test]
+    fn an_output_that_is_an_input_by_any_name_is_refused_with_both() {
+        let folder = Scratch::new().unwrap();
+        let [input, soft, hard] = ["input", "soft", "hard"].map(|name| folder.path().join(name));
+        std::fs::write(&input, "content").unwrap();
+        symlink("input", &soft).unwrap();
+        std::fs::hard_link(&input, &hard).unwrap();
+        for output in [&input, &soft, &hard] {
+            let message = NewFile::create(output, Existing::Replace, &[&input]).unwrap_err().to_string();
+            let names = [output, &input].map(|path| path.display().to_string());
+            assert!(names.iter().all(|name| message.contains(name)), "{message}");
+            assert!(!message.contains("--force"), "{message}");
+        }
+    }
+
+    #[test]
+    fn a_link_is_replaced_and_what_it_leads_to_stays() {
+        let folder = Scratch::new().unwrap();
+        let (link, target) = (folder.path().join("link"), folder.path().join("target"));
+        std::fs::write(&target, "untouched").unwrap();
+        symlink("target", &link).unwrap();
+        write(&link, b"new").unwrap();
+        assert_eq!(std::fs::read_to_string(&target).unwrap(), "untouched");
+        assert!(!link.is_symlink());
+        symlink("target", folder.path().join("log")).unwrap();
+        let opened = open_log(&folder.path().join("log"), OpenOptions::new().append(true));
+        assert!(opened.is_err());
+        symlink("/dev/full", folder.path().join("full")).unwrap();
+        let message = write(&folder.path().join("full"), b"lost").unwrap_err().to_string();
+        assert!(message.contains("No space left"), "{message}");
+        assert!(folder.path().join("full").is_symlink(), "a device is written to, not replaced");
+    }
+}

@@ -1,0 +1,197 @@
+//! The folder of an option `--out`: a command replaces what it wrote there before, and nothing else unasked.
+//!
+//! The file `.scanloop` of the folder has a line for each file that was written: checksum, length, name. A file whose
+//! content is in none of the lines is of the user, also one that the user has changed since.
+
+use std::fs::OpenOptions;
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+
+use crate::exit::Failure;
+use crate::new_file::{self, leads_to_device, open_log, require_apart};
+
+/// The list of what was written.
+const LIST: &str = ".scanloop";
+/// A list that is longer is written anew, with the lines of files that are there [bytes].
+const MAX_LIST_BYTES: usize = 1 << 16;
+
+/// A folder of results.
+#[derive(Debug, Clone)]
+pub struct OutFolder {
+    folder: PathBuf,
+    names: Vec<String>,
+    force: bool,
+}
+
+impl OutFolder {
+    /// The folder of a command that will write files of these names.
+    ///
+    /// # Errors
+    /// A file of one of the names that is not a result of an earlier command, unless `force`; exit code 2.
+    pub fn claim(folder: &Path, names: &[&str], force: bool) -> anyhow::Result<Self> {
+        let names_kept = names.iter().map(ToString::to_string).collect();
+        let results = Self { folder: folder.to_owned(), names: names_kept, force };
+        names.iter().try_for_each(|name| results.require_own(name))?;
+        Ok(results)
+    }
+
+    /// Writes a file; makes its folder.
+    ///
+    /// # Errors
+    /// As [`OutFolder::claim`], and the first error of the file system; exit code 2.
+    pub fn write(&self, name: &str, content: &[u8]) -> anyhow::Result<PathBuf> {
+        let path = self.folder.join(name);
+        let refuse = |error: std::io::Error| Failure::bad_input(format!("{}: {error}", path.display()));
+        self.require_own(name)?;
+        path.parent().map_or(Ok(()), std::fs::create_dir_all).map_err(refuse)?;
+        // First the line, then the file: after a power failure between them the old file is still known.
+        self.note(&line(name, content)).map_err(refuse)?;
+        new_file::write(&path, content)?;
+        Ok(path)
+    }
+
+    /// Passes when none of the files is one that the command reads.
+    ///
+    /// # Errors
+    /// Both names; exit code 2.
+    pub fn require_apart(&self, inputs: &[&Path]) -> anyhow::Result<()> {
+        self.names.iter().try_for_each(|name| require_apart(&self.folder.join(name), inputs))
+    }
+
+    /// Whether a folder has the list of what was written there.
+    pub fn has_list(folder: &Path) -> bool {
+        folder.join(LIST).symlink_metadata().is_ok()
+    }
+
+    /// Where it is.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Removes a file if it is a result; one of the user stays.
+    pub fn remove(&self, name: &str) {
+        if self.require_own(name).is_ok() {
+            // A file that stays is as it was.
+            let _ = std::fs::remove_file(self.folder.join(name));
+        }
+    }
+
+    /// Claims a file that grows under its name, such as a recording: it is known by its name only.
+    ///
+    /// # Errors
+    /// As [`OutFolder::claim`], and the first error of the file system; exit code 2.
+    pub fn claim_growing(&self, name: &str) -> anyhow::Result<()> {
+        let path = self.folder.join(name);
+        let line = line(name, b"");
+        if !self.force && path.symlink_metadata().is_ok() && !leads_to_device(&path) && !self.has(&line) {
+            return Err(foreign(&path));
+        }
+        let noted = std::fs::create_dir_all(&self.folder).and_then(|()| self.note(&line));
+        noted.map_err(|error| Failure::bad_input(format!("{}: {error}", path.display())))
+    }
+
+    fn require_own(&self, name: &str) -> anyhow::Result<()> {
+        let path = self.folder.join(name);
+        if self.force || path.symlink_metadata().is_err() || self.is_own(name) {
+            return Ok(());
+        }
+        Err(foreign(&path))
+    }
+
+    fn is_own(&self, name: &str) -> bool {
+        let content = std::fs::File::open(self.folder.join(name)).and_then(|file| {
+            let mut bytes = Vec::new();
+            if file.metadata()?.is_file() {
+                file.take(1 << 30).read_to_end(&mut bytes)?
+            } else {
+                0
+            };
+            Ok(bytes)
+        });
+        content.is_ok_and(|content| self.has(&line(name, &content)))
+    }
+
+    fn has(&self, line: &str) -> bool {
+        self.list().lines().any(|known| known == line.trim_end())
+    }
+
+    fn list(&self) -> String {
+        std::fs::read_to_string(self.folder.join(LIST)).unwrap_or_default()
+    }
+
+    fn note(&self, line: &str) -> std::io::Result<()> {
+        if self.has(line) {
+            return Ok(());
+        }
+        let list = self.list();
+        let path = self.folder.join(LIST);
+        if list.len() > MAX_LIST_BYTES {
+            let name = |line: &str| line.splitn(3, ' ').nth(2).map(str::to_owned);
+            let names: std::collections::BTreeSet<String> = list.lines().filter_map(name).collect();
+            let kept = |name: &String| {
+                let growing = self::line(name, b"");
+                let there =
+                    || std::fs::read(self.folder.join(name)).map(|content| self::line(name, &content));
+                if self.has(&growing) { Some(growing) } else { there().ok() }
+            };
+            let kept: String = names.iter().filter_map(kept).collect();
+            return new_file::write(&path, (kept + line).as_bytes()).map_err(std::io::Error::other);
+        }
+        // Appended whole, so that commands at the same time do not lose each other's lines.
+        open_log(&path, OpenOptions::new().create(true).append(true))?.write_all(line.as_bytes())
+    }
+}
+
+fn foreign(path: &Path) -> anyhow::Error {
+    Failure::bad_input(format!(
+        "{}: the file exists and is not as a command of this program left it; name another folder, or replace it with \
+         --force",
+        path.display()
+    ))
+}
+
+fn line(name: &str, content: &[u8]) -> String {
+    format!("{:08x} {} {name}\n", crc32fast::hash(content), content.len())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::new_file::Scratch;
+
+    #[test]
+    fn results_are_replaced_and_files_of_the_user_are_not() {
+        let folder = Scratch::new().unwrap();
+        let claim = |force: bool| OutFolder::claim(folder.path(), &["velocity.csv"], force);
+        let path = folder.path().join("velocity.csv");
+        for content in ["one", "two"] {
+            claim(false).unwrap().write("velocity.csv", content.as_bytes()).unwrap();
+        }
+        std::fs::write(&path, "own").unwrap();
+        let message = claim(false).unwrap_err().to_string();
+        assert!(message.contains("velocity.csv: the file exists"), "{message}");
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "own");
+        claim(true).unwrap().write("velocity.csv", b"three").unwrap();
+        claim(false).unwrap();
+        std::fs::write(&path, "one").unwrap();
+        claim(false).unwrap();
+        let grown = folder.path().join("recording.mcap");
+        std::fs::write(&grown, "own").unwrap();
+        assert!(claim(false).unwrap().claim_growing("recording.mcap").is_err());
+        std::fs::remove_file(&grown).unwrap();
+        claim(false).unwrap().claim_growing("recording.mcap").unwrap();
+        std::fs::write(&grown, "recorded").unwrap();
+        claim(false).unwrap().claim_growing("recording.mcap").unwrap();
+    }
+
+    #[test]
+    fn the_list_of_results_stays_small() {
+        let folder = Scratch::new().unwrap();
+        let results = OutFolder::claim(folder.path(), &[], false).unwrap();
+        results.write("other", b"stays").unwrap();
+        std::fs::write(folder.path().join(LIST), results.list() + &"0 0 gone\n".repeat(10_000)).unwrap();
+        results.write("a", b"new").unwrap();
+        assert!(results.list().len() < 100, "{}", results.list());
+        OutFolder::claim(folder.path(), &["a", "other"], false).unwrap();
+    }
+}

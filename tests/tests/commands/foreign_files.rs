@@ -1,0 +1,194 @@
+//! Files of other editors and other programs: each is read, or named for what it is, and none speaks to the terminal.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::fs::File;
+use std::os::unix::fs::PermissionsExt;
+
+use recording::mcap::{Channel, Schema, Writer};
+use scanloop_tests::System;
+use shared_types::Role;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+
+/// Runs a command; returns its exit code and all that it printed.
+fn printed(system: &System, arguments: &[&str]) -> (i32, String) {
+    let output = system.run(arguments);
+    let text = [output.stdout, output.stderr].concat();
+    (output.status.code().unwrap(), String::from_utf8(text).unwrap())
+}
+
+fn refused(system: &System, arguments: &[&str], names: &[&str]) {
+    let (code, text) = printed(system, arguments);
+    assert_eq!(code, 2, "{arguments:?}: {text}");
+    for name in names {
+        assert!(text.contains(name), "{arguments:?}: `{name}` is missing in: {text}");
+    }
+}
+
+fn utf_16(text: &str, mark: bool) -> Vec<u8> {
+    let mark = if mark { "\u{feff}" } else { "" };
+    [mark, text].concat().encode_utf16().flat_map(u16::to_le_bytes).collect()
+}
+
+#[test]
+fn texts_of_other_editors_are_read_or_named_for_what_they_are() {
+    let system = System::new(EXECUTABLE);
+    let write = |name: &str, bytes: &[u8]| {
+        let path = system.folder().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        // As an agent wants its file.
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).unwrap();
+    };
+    let scenario = "name = \"lab\"\ntimeout_s = 20\n";
+    let layout = "name = \"Imu\"\n[[field]]\nname = \"rate\"\ntype = \"f64\"\n";
+    let files = [
+        ("scenario.toml", scenario.to_owned(), &["check", "scenario.toml"][..]),
+        ("system.toml", scanloop_tests::system_file(10, &[], "", &[]), &["check", "system.toml"]),
+        ("calibration.toml", "schema = 1\n".to_owned(), &["check", "--calibration", "calibration.toml"]),
+        ("agent.toml", "name = \"lab\"\n".to_owned(), &["agent", "agent.toml"]),
+        ("imu.toml", layout.to_owned(), &["types", "--layout", "imu.toml", "--python"]),
+    ];
+    for (name, text, arguments) in &files {
+        for bytes in [utf_16(text, true), utf_16(text, false)] {
+            write(name, &bytes);
+            refused(&system, arguments, &[name, "line 1", "UTF-16", "save it as UTF-8"]);
+        }
+        write(name, &text.replace('\n', "\r").into_bytes());
+        refused(&system, arguments, &[name, "line 1", "CR alone"]);
+        write(name, &[text.as_bytes(), b"# Gr\xfc\xdfe\n"].concat());
+        refused(&system, arguments, &[name, "the byte 0xfc belongs to no text in UTF-8"]);
+    }
+    for (name, text, arguments) in &files[..2] {
+        write(name, format!("\u{feff}{}", text.replace('\n', "\r\n")).as_bytes());
+        let (code, text) = printed(&system, arguments);
+        assert_eq!(code, 0, "{name}: {text}");
+    }
+    write("scenario.toml", "timeout_s = 20\nname = \u{201c}lab\u{201d}\n".as_bytes());
+    refused(
+        &system,
+        &["check", "scenario.toml"],
+        &["scenario.toml", "line 2", "\u{201c} (U+201C), write \""],
+    );
+    system.assert_nothing_left();
+}
+
+#[test]
+fn tables_of_spreadsheets_are_named_for_what_they_are() {
+    let system = System::new(EXECUTABLE);
+    let write = |bytes: &[u8]| std::fs::write(system.folder().join("runs.csv"), bytes).unwrap();
+    let header = "sent_velocity_mps,distance_m,time_s";
+    let rows = ["1.0,6.0,8.4", "1.3,6.0,6.5", "0.5,6.0,16.8", "0.7,6.0,12.0", "0.9,6.0,9.3"];
+    let table = |header: &str, row: fn(&str) -> String| {
+        rows.iter().fold(format!("{header}\n"), |text, line| text + &row(line) + "\n")
+    };
+    let calibrate = ["calibrate", "velocity", "runs.csv", "--out", "out"];
+    let good = table(header, str::to_owned);
+    for (text, line, reason) in [
+        (
+            table(&header.replace(',', ";"), |row| row.replace(',', ";").replace('.', ",")),
+            1,
+            "separated by semicolons",
+        ),
+        (table(&header.replace(',', "\t"), |row| row.replace(',', "\t")), 1, "separated by tabs"),
+        (table(header, |row| row.replace('.', ",")), 2, "decimal commas"),
+        (
+            table(header, |row| format!("\"{}\"", row.replace(',', "\",\"").replace('.', ","))),
+            2,
+            "decimal comma",
+        ),
+        (table(&format!("{header},,"), |row| format!("{row},,")), 1, "have no name; remove the commas"),
+        (table(header, |row| format!("{row},,")), 2, "empty values too many at its end"),
+        (format!("{good},,\n"), 7, "it has commas and no value"),
+    ] {
+        write(text.as_bytes());
+        refused(&system, &calibrate, &["runs.csv", &format!("line {line}: "), reason]);
+    }
+    write(&utf_16(&good, true));
+    refused(&system, &calibrate, &["runs.csv", "line 1", "UTF-16"]);
+    for text in [format!("\u{feff}{}", good.replace('\n', "\r\n")), good.replace('\n', "\r")] {
+        write(text.as_bytes());
+        let (code, text) = printed(&system, &calibrate);
+        assert_eq!(code, 0, "{text}");
+    }
+}
+
+#[test]
+fn a_process_that_is_no_program_is_named_for_what_it_is() {
+    let system = System::new(EXECUTABLE);
+    let script = system.folder().join("stage");
+    let table = scanloop_tests::system_file(10, &[Role::Controller], "./stage", &[]);
+    std::fs::write(system.folder().join("system.toml"), table).unwrap();
+    for (content, reason) in [
+        (&b"import scanloop\n"[..], "line 1: a script must begin with `#!`"),
+        (b"#!/usr/bin/env python3\r\nimport scanloop\r\n", "line 1: it ends with CR LF"),
+        (b"\xef\xbb\xbf#!/bin/sh\n", "it begins with a byte order mark"),
+    ] {
+        std::fs::write(&script, content).unwrap();
+        std::fs::set_permissions(&script, std::fs::Permissions::from_mode(0o755)).unwrap();
+        let arguments = ["run", "--lockstep", "--quiet", "--system", "system.toml", "--out", "out", "free"];
+        let (code, text) = printed(&system, &arguments);
+        assert_eq!(code, 4, "{text}");
+        assert!(text.contains("./stage` can't be executed: ") && text.contains(reason), "{text}");
+        for command in ["swap", "shadow", "conformance"] {
+            refused(&system, &[command, "controller", "--", "./stage"], &["`./stage` can't", reason]);
+        }
+    }
+    system.assert_nothing_left();
+}
+
+/// Whether a terminal would do something else than show the text.
+fn speaks(text: &str) -> bool {
+    let is_seen = |letter: char| letter == '\n' || letter == '\t' || !letter.is_control();
+    let turns = |letter: char| matches!(letter, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    !text.chars().all(|letter| is_seen(letter) && !turns(letter))
+}
+
+#[test]
+fn words_of_foreign_files_do_not_speak_to_the_terminal() {
+    let system = System::new(EXECUTABLE);
+    // Clears the screen, sets the title, colours by an 8-bit control, turns the order round, and forges a line.
+    let evil = "/\u{1b}[2J\u{1b}]0;owned\u{7}\u{9b}31m\u{202e}\u{2066}\n       99 /scanloop/forged";
+    let schema =
+        Schema { name: "std_msgs/msg/String".into(), encoding: "ros2msg".into(), text: String::new() };
+    let channel = Channel { topic: evil.into(), schema: 0, metadata: Vec::new() };
+    let file = File::create(system.folder().join("evil.mcap")).unwrap();
+    let mut writer = Writer::new(file, evil, &[schema], &[channel]).unwrap();
+    let words = ["version", "run_id", "program", "machine", "lockstep"]
+        .map(|key| (key.to_owned(), if key == "version" { "1".to_owned() } else { evil.to_owned() }));
+    writer.metadata("recording", &words).unwrap();
+    (0..3).for_each(|second| writer.message(0, second, u64::from(second) * 1_000_000_000, &[&[0; 8]]));
+    writer.finish().unwrap();
+
+    let (_, text) = printed(&system, &["recording", "info", "evil.mcap"]);
+    assert!(!speaks(&text), "{text:?}");
+    assert!(
+        text.contains("/\\u001b[2J") && !text.lines().any(|line| line.trim() == "99 /scanloop/forged"),
+        "{text}"
+    );
+    // As JSON it is the same word, without a letter that speaks.
+    let output = system.run(&["recording", "info", "evil.mcap", "--json"]);
+    let json = String::from_utf8(output.stdout).unwrap();
+    assert!(!speaks(&json), "{json:?}");
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert!(json["channels"].as_object().unwrap().contains_key(evil), "{json}");
+
+    // Names on the command line, values of files, and usage errors.
+    let name = "\u{1b}[2J\u{202e}\u{9b}7m.toml";
+    std::fs::write(system.folder().join(name), "name = 3\n").unwrap();
+    let value = "name = \"a\u{202e}\u{9b}31m\"\nspeed = 1\n";
+    std::fs::write(system.folder().join("value.toml"), value).unwrap();
+    for arguments in [
+        &["check", name][..],
+        &["check", "free", name],
+        &["run", "--set", name, "free"],
+        &["recording", "info", name],
+        &["replay", name],
+        &["check", "value.toml"],
+        &["recording", "export", "evil.mcap", "--rosbag2", "bag"],
+        &["calibrate", "velocity", name],
+        &[name],
+    ] {
+        let (_, text) = printed(&system, arguments);
+        assert!(!speaks(&text), "{arguments:?}: {text:?}");
+    }
+}

@@ -1,0 +1,157 @@
+//! Files that commands write: never over their own input, never over a file of the user unasked, never through a link.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::os::unix::fs::symlink;
+use std::path::Path;
+use std::process::Stdio;
+
+use scanloop_tests::{SHORT_FREE, System};
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+
+/// Runs a command that must end with exit code 2, and returns its message.
+fn refused(system: &System, arguments: &[&str]) -> String {
+    let output = system.run(arguments);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {message}");
+    message
+}
+
+fn succeeds(system: &System, arguments: &[&str]) {
+    let output = system.run(arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+fn files(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).unwrap().flatten();
+    let mut names: Vec<String> = entries.map(|entry| entry.file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn a_recording_is_not_destroyed_by_an_output_onto_itself() {
+    let system = System::new(EXECUTABLE);
+    system.lockstep(&[&SHORT_FREE[..], &["--record=drive.mcap"]].concat());
+    let place = |name: &str| system.folder().join(name);
+    let whole = std::fs::read(place("drive.mcap")).unwrap();
+    for folder in ["bag", "tables"] {
+        std::fs::create_dir(place(folder)).unwrap();
+    }
+    symlink("drive.mcap", place("soft.mcap")).unwrap();
+    for name in ["hard.mcap", "bag/recording.mcap", "tables/scan.csv"] {
+        std::fs::hard_link(place("drive.mcap"), place(name)).unwrap();
+    }
+    for arguments in [
+        &["cut", "drive.mcap", "--out", "drive.mcap"][..],
+        &["cut", "drive.mcap", "--out", "./soft.mcap"],
+        &["cut", "soft.mcap", "--to", "1", "--out", "hard.mcap"],
+        &["repair", "drive.mcap", "--out", "drive.mcap"],
+        &["repair", "drive.mcap", "--out", "hard.mcap"],
+        &["export", "bag/recording.mcap", "--rosbag2", "bag"],
+        &["export", "drive.mcap", "--rosbag2", "bag"],
+        &["export", "tables/scan.csv", "--csv", "tables"],
+    ] {
+        for force in [&[][..], &["--force"]] {
+            let message = refused(&system, &[&["recording"], arguments, force].concat());
+            assert!(message.contains("the same file as the input"), "{arguments:?}: {message}");
+            assert!(!message.contains("--force"), "{message}");
+            assert!(std::fs::read(place("drive.mcap")).unwrap() == whole, "{arguments:?}");
+        }
+    }
+    // Nothing is left beside it either.
+    assert_eq!(files(&place("bag")), ["recording.mcap"]);
+    assert_eq!(files(&place("tables")), ["scan.csv"]);
+    // A link to another file is replaced, and the file it leads to is not.
+    std::fs::write(place("precious"), "stays").unwrap();
+    symlink("precious", place("link.mcap")).unwrap();
+    let cut = ["recording", "cut", "drive.mcap", "--to", "2", "--out", "link.mcap"];
+    assert!(refused(&system, &cut).contains("replace it with --force"));
+    succeeds(&system, &[&cut[..], &["--force"]].concat());
+    assert_eq!(std::fs::read_to_string(place("precious")).unwrap(), "stays");
+    succeeds(&system, &["recording", "info", "link.mcap"]);
+    // A command that fails leaves neither a part nor the loss of what was there.
+    let none = ["recording", "cut", "drive.mcap", "--from", "1000", "--out", "link.mcap", "--force"];
+    assert!(refused(&system, &none).contains("no whole second"));
+    succeeds(&system, &["recording", "info", "link.mcap"]);
+    assert!(files(system.folder()).iter().all(|name| !name.starts_with(".scanloop")));
+}
+
+#[test]
+fn a_file_of_the_user_is_replaced_only_when_asked_for() {
+    let system = System::new(EXECUTABLE);
+    let place = |name: &str| system.folder().join(name);
+    let drive = ["calibrate", "velocity", "--drive", "--out", "."];
+    let analyse = ["analyse", "observability", "--out", "."];
+    let run = ["run", "--lockstep", "--quiet", "--out", ".", "free", "--set", "goal.x_m=4"];
+    let faults = ["faults", "--only", "actuation-clock-ahead/start", "--out", "."];
+    for (name, arguments) in [
+        ("velocity.csv", &drive[..]),
+        ("velocity.svg", &drive),
+        ("observability.svg", &analyse),
+        ("report.json", &run),
+        ("drive.svg", &run),
+        ("recording.mcap", &[&run[..], &["--record"]].concat()),
+        ("faults.html", &faults),
+    ] {
+        std::fs::write(place(name), "own").unwrap();
+        let message = refused(&system, arguments);
+        assert!(message.contains(name) && message.contains("--force"), "{name}: {message}");
+        assert_eq!(std::fs::read_to_string(place(name)).unwrap(), "own");
+        std::fs::remove_file(place(name)).unwrap();
+    }
+    // What a command wrote it replaces, until the user changes it.
+    for arguments in [&drive[..], &drive, &analyse, &analyse, &run, &run] {
+        succeeds(&system, arguments);
+    }
+    let table = std::fs::read_to_string(place("velocity.csv")).unwrap();
+    std::fs::write(place("velocity.csv"), format!("# with my own run\n{table}1.0,6.0,8.4\n")).unwrap();
+    assert!(refused(&system, &drive).contains("velocity.csv"));
+    succeeds(&system, &[&drive[..], &["--force"]].concat());
+    assert_eq!(std::fs::read_to_string(place("velocity.csv")).unwrap(), table);
+    // A log of scans is kept also before a scanner is found.
+    std::fs::write(place("scans"), "own").unwrap();
+    assert!(
+        refused(&system, &["urg", "log", "--tcp", "127.0.0.1:1", "scans"]).contains("scans: the file exists")
+    );
+}
+
+#[test]
+fn a_report_of_a_version_without_lists_is_replaced() {
+    let system = System::new(EXECUTABLE);
+    let run = ["run", "--lockstep", "--quiet", "--out", "out", "free", "--set", "goal.x_m=4"];
+    succeeds(&system, &run);
+    std::fs::remove_file(system.folder().join("out/.scanloop")).unwrap();
+    succeeds(&system, &run);
+}
+
+#[test]
+fn links_in_a_shared_folder_are_not_followed() {
+    let system = System::new(EXECUTABLE);
+    let place = |name: &str| system.folder().join(name);
+    std::fs::create_dir(place("shared")).unwrap();
+    for name in ["victim", "victim.svg"] {
+        std::fs::write(place(name), "stays").unwrap();
+    }
+    // The shell has the process id that the command will have.
+    let plants = "ln -s ../victim shared/.scanloop-$$; ln -s ../victim shared/.observability.svg.$$.tmp; ";
+    let picture = "ln -s ../victim.svg shared/observability.svg; ";
+    for (script, force) in [(plants.to_owned(), None), (plants.to_owned() + picture, Some("--force"))] {
+        let _ = std::fs::remove_file(place("shared/observability.svg"));
+        let mut command = std::process::Command::new("sh");
+        command.args(["-c", &(script + "exec \"$0\" \"$@\""), EXECUTABLE]);
+        command.args(["analyse", "observability", "--out", "shared"]).args(force);
+        let output = command.current_dir(system.folder()).stdin(Stdio::null()).output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        for name in ["victim", "victim.svg"] {
+            assert_eq!(std::fs::read_to_string(place(name)).unwrap(), "stays");
+        }
+    }
+    assert!(!place("shared/observability.svg").is_symlink());
+    // Nor is the link of a log.
+    std::fs::create_dir_all(place("shared/logs")).unwrap();
+    symlink("../../victim", place("shared/logs/controller.log")).unwrap();
+    succeeds(&system, &["run", "--lockstep", "--quiet", "--out", "shared", "free", "--set", "goal.x_m=4"]);
+    assert_eq!(std::fs::read_to_string(place("victim")).unwrap(), "stays");
+    system.assert_nothing_left();
+}
