@@ -65,6 +65,9 @@ pub fn run(path: &Path, logs: &Path) -> anyhow::Result<Exit> {
     let logs = std::path::absolute(logs)?;
     let link = Some(Link::start(&file)?);
     note!("agent {} listens at {}", file.name, file.endpoint());
+    if let Some(warning) = plan::hosts::warning(file.transport, &file.listen) {
+        note!("warning: {warning}");
+    }
     let mut agent = Agent {
         file,
         logs,
@@ -176,6 +179,9 @@ impl Agent {
                 down.version
             ));
         }
+        if let Err(reason) = down.check() {
+            return Some(reason);
+        }
         if let Some(start) = &down.start
             && !self.file.implementations.contains(&start.implementation)
         {
@@ -263,7 +269,8 @@ impl Link {
     /// Starts the link, and waits until it listens.
     fn start(file: &AgentFile) -> anyhow::Result<Self> {
         let program = program()?;
-        let credentials = file.credentials.as_deref().map(require_private).transpose()?;
+        let credentials = file.credentials.as_deref();
+        let credentials = credentials.map(|folder| require_private(folder, &file.name)).transpose()?;
         let mut process = Command::new(&program)
             .args(["agent", &file.name, &file.endpoint()])
             .args(credentials)

@@ -55,7 +55,8 @@ impl HubLink {
         if system.hosts.is_empty() {
             return Ok(None);
         }
-        let credentials = system.credentials.as_deref().map(require_private).transpose()?;
+        let credentials =
+            system.credentials.as_deref().map(|folder| require_private(folder, HUB)).transpose()?;
         let mut table = LinkTable {
             here: HUB.to_owned(),
             run_id: domain.run_id().to_owned(),
@@ -228,11 +229,11 @@ fn extend(table: &mut LinkTable, places: &[Place<'_>]) {
     }
 }
 
-/// The folder of certificates as an absolute path, if its key is private and its certificates are valid now.
+/// The folder of certificates as an absolute path, if it is private and its certificates are valid now and those of `host`.
 ///
 /// # Errors
 /// The file with what is wrong with it; exit code 2.
-pub(crate) fn require_private(folder: &str) -> anyhow::Result<String> {
+pub(crate) fn require_private(folder: &str, host: &str) -> anyhow::Result<String> {
     let folder = std::path::absolute(folder)?;
     let key = folder.join("key.pem");
     let mode = std::fs::metadata(&key).map(|meta| meta.mode() & 0o777);
@@ -242,7 +243,8 @@ pub(crate) fn require_private(folder: &str) -> anyhow::Result<String> {
         let message = format!("credentials: {}: mode {mode:o} is not allowed: 600", key.display());
         return Err(Failure::bad_input(message));
     }
-    let checked = Command::new(program()?).arg("check").arg(&folder).stdin(Stdio::null()).output()?;
+    let checked =
+        Command::new(program()?).arg("check").arg(&folder).arg(host).stdin(Stdio::null()).output()?;
     if !checked.status.success() {
         let reason = String::from_utf8_lossy(&checked.stderr);
         return Err(Failure::bad_input(format!(

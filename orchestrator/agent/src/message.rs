@@ -1,9 +1,10 @@
 //! What a proxy tells an agent, and what the agent answers.
 
-use runtime::{HandoverData, Realtime, RuntimeError};
+use runtime::{Domain, HandoverData, Realtime, RuntimeError};
 use serde::{Deserialize, Serialize};
-use shared_types::Role;
+use shared_types::{Role, TOPICS, Topic};
 use supervision::entry::role_name;
+use vehicle::read;
 
 /// What is to become of a process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -64,6 +65,63 @@ pub struct Start {
     /// State that it resumes from, with times of the orchestrator's clock, as hexadecimal digits.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub handover: Option<String>,
+}
+
+/// Scan periods that a system may have [ns].
+const PERIODS_NS: std::ops::RangeInclusive<u64> = 1_000_000..=2_000_000_000;
+/// Longest settings file, and longest state of a process as digits [bytes].
+const MAX_TEXT: usize = 1 << 20;
+
+impl Down {
+    /// Passes when each name and number has a value that an orchestrator sends: another one would end the bridge or a
+    /// process here again and again.
+    ///
+    /// # Errors
+    /// The key with its value and what is allowed.
+    pub(crate) fn check(&self) -> Result<(), String> {
+        let refuse = |key: &str, value: &dyn std::fmt::Debug, allowed: &str| {
+            let mut value = format!("{value:?}");
+            value.truncate(value.floor_char_boundary(80));
+            Err(format!("{key} = {value} is not allowed: {allowed}"))
+        };
+        if !Domain::is_run_id(&self.run_id) {
+            return refuse("run_id", &self.run_id, "ten small letters and digits");
+        }
+        if !Domain::is_system_id(&self.system_id) {
+            return refuse("system_id", &self.system_id, "1 to 16 letters, digits and -");
+        }
+        if self.incarnation == 0 {
+            return refuse("incarnation", &self.incarnation, "at least 1");
+        }
+        let Some(start) = &self.start else {
+            let needed = "what is to be started";
+            return if self.order == Order::Start { refuse("start", &"(missing)", needed) } else { Ok(()) };
+        };
+        if !PERIODS_NS.contains(&start.period_ns) {
+            return refuse("period_ns", &start.period_ns, "1000000 to 2000000000");
+        }
+        for (key, topics) in [("receives", &start.receives), ("sends", &start.sends)] {
+            if topics.len() > TOPICS.len() {
+                return refuse(key, &topics.len(), "each topic once");
+            }
+            if let Some(unknown) = topics.iter().find(|topic| topic.parse::<Topic>().is_err()) {
+                return refuse(key, unknown, "topics of this version");
+            }
+        }
+        if start.candidate == Some(0) {
+            return refuse("candidate", &0, "at least 1");
+        }
+        for (key, text) in [("settings", Some(&start.settings)), ("handover", start.handover.as_ref())] {
+            if let Some(text) = text.filter(|text| text.len() > MAX_TEXT) {
+                return refuse(key, &text.len(), "at most 1048576 bytes");
+            }
+        }
+        if let Some(state) = start.handover.as_ref().filter(|text| of_hex(text, 0).is_none()) {
+            return refuse("handover", state, "a state as hexadecimal digits");
+        }
+        let realtime = toml::Table::try_from(&start.realtime).map_err(|error| error.to_string())?;
+        read::<Realtime>(realtime).map(|_| ()).map_err(|invalid| format!("realtime.{invalid}"))
+    }
 }
 
 /// What an agent answers.

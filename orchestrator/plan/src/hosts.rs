@@ -6,6 +6,8 @@
 #[cfg(test)]
 mod tests;
 
+use std::net::SocketAddr;
+
 use serde::{Deserialize, Serialize};
 use shared_types::{Role, TOPICS, Topic};
 use supervision::entry::ProcessEntry;
@@ -154,6 +156,27 @@ pub fn describe(system: &System) -> String {
 pub fn endpoint(transport: Transport, address: &str) -> String {
     let options = if transport == Transport::Tcp { "" } else { "?rel=0" };
     format!("{}/{address}{options}", transport.name())
+}
+
+/// What a user should know of a transport without certificates; `None` where no other machine can reach the address.
+pub fn warning(transport: Transport, address: &str) -> Option<String> {
+    let is_loopback =
+        address.parse().is_ok_and(|address: SocketAddr| address.ip().to_canonical().is_loopback());
+    (transport != Transport::Quic && !is_loopback).then(|| {
+        format!(
+            "transport = \"{}\" at {address}: any machine that reaches this address can drive the robot; use quic, or a cable \
+             that no other machine reaches",
+            transport.name()
+        )
+    })
+}
+
+/// The warnings of a system about the hosts that it uses.
+pub(crate) fn warnings(system: &System) -> Vec<String> {
+    let hosts = hosts(system).flatten().filter_map(|name| system.hosts.iter().find(|host| host.name == name));
+    hosts
+        .filter_map(|host| Some(format!("host {}: {}", host.name, warning(host.transport, &host.address)?)))
+        .collect()
 }
 
 /// Requires certificates for a transport that needs them.

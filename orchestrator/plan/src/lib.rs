@@ -118,6 +118,7 @@ impl Plan {
         let together = system.tuning().for_scenario(&scenario).validate();
         let together = together.and_then(|()| scenario.scanner.validate_mean(system.period_ns()));
         together.map_err(|invalid| Failure::bad_input(format!("{scenario_file}: {invalid}")))?;
+        warnings.extend(hosts::warnings(&system));
         let own_topics = topics::read(&system, &system_file)?;
         Ok(Self { scenario, system, own_topics, warnings })
     }

@@ -1,5 +1,5 @@
 //! The command line: `scanloop-link hub SYSTEM_ID`, `scanloop-link agent NAME ENDPOINT [CREDENTIALS]`,
-//! `scanloop-link pair FOLDER HOST ADDRESS DAYS [--force]`, and `scanloop-link check CREDENTIALS`. By hand, to measure a network:
+//! `scanloop-link pair FOLDER HOST ADDRESS DAYS [--force]`, and `scanloop-link check CREDENTIALS HOST`. By hand, to measure a network:
 //! `scanloop-link echo ADDRESS [CREDENTIALS]` on one host, `scanloop-link ping ADDRESS COUNT [CREDENTIALS]` on another.
 
 use std::path::Path;
@@ -29,7 +29,7 @@ pub(crate) fn run() -> anyhow::Result<()> {
         }
         ["agent", name, endpoint] => control::run_agent(name, endpoint, None),
         ["agent", name, endpoint, credentials] => control::run_agent(name, endpoint, Some(credentials)),
-        ["check", folder] => credentials::check(Path::new(folder)),
+        ["check", folder, host] => credentials::check(Path::new(folder), host),
         ["pair", folder, host, address, days, rest @ ..] if rest.is_empty() || rest == ["--force"] => {
             let force = !rest.is_empty();
             credentials::pair(Path::new(folder), host, address.parse()?, days.parse()?, force)

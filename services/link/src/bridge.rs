@@ -76,11 +76,12 @@ impl Bridge {
     fn answer_clocks(&mut self, session: &Network) -> anyhow::Result<()> {
         let (asked, open) = (clock_key(&self.link.table.run_id, "ask", "*"), session.clone());
         let run_id = self.link.table.run_id.clone();
+        let hosts: Vec<String> = self.link.table.peers.iter().map(|peer| peer.name.clone()).collect();
         let mut answers = BTreeMap::new();
         self.subscribers.push(session.subscribe(asked, move |key, question| {
             let received_ns = monotonic_ns();
             let host = key.rsplit('/').next().unwrap_or_default().to_owned();
-            let Some(sent) = question.first_chunk::<8>() else { return };
+            let Some(sent) = question.first_chunk::<8>().filter(|_| hosts.contains(&host)) else { return };
             if !answers.contains_key(&host) {
                 match open.publisher(clock_key(&run_id, "answer", &host), Priority::RealTime) {
                     Ok(made) => drop(answers.insert(host.clone(), made)),
@@ -105,10 +106,14 @@ impl Bridge {
         }));
         let (shared, flows) = (Arc::clone(&self.link), Arc::clone(&self.flows));
         self.spawn(move || {
+            let mut is_told = false;
             while shared.is_running() {
                 let Ok(text) = tables.recv_timeout(REPORT) else { continue };
                 if let Some((receives, sends)) = std::str::from_utf8(&text).ok().and_then(topics_of) {
                     flows.lock().unwrap_or_else(PoisonError::into_inner).extend(&receives, &sends)?;
+                } else if !std::mem::replace(&mut is_told, true) {
+                    let message = "refused a list of topics of the orchestrator: one of them is unknown here";
+                    runtime::print(runtime::Priority::Warning, message);
                 }
             }
             Ok(())

@@ -3,6 +3,10 @@
 //! One authority per system signs a certificate for each host. Its key stays in the folder where pairs are made; a host gets
 //! the certificate of the authority, its own certificate, and its own key. A peer whose certificate the authority has not
 //! signed, or that has expired, is refused by the handshake of QUIC.
+//!
+//! A certificate says what its owner may be. That of the orchestrator is one of a client only: it may connect to agents, and
+//! none may take it for an agent. That of an agent is one of a server only, with its name and address: it may be connected to
+//! at that address, and it may not drive another agent. The handshake refuses everything else.
 
 use std::net::IpAddr;
 use std::path::Path;
@@ -14,6 +18,7 @@ use rcgen::{
 };
 use runtime::{Folder, HUB, RuntimeError};
 use time::{Duration, OffsetDateTime};
+use x509_parser::certificate::X509Certificate;
 
 /// Files of a host.
 pub(crate) const AUTHORITY: &str = "authority.pem";
@@ -49,15 +54,17 @@ pub(crate) fn pair(
     let issuer = authority(&all)?;
     let authority_pem = all.read_text(AUTHORITY)?;
     for (name, address) in [(HUB, None), (host, Some(address))] {
-        if name == HUB && !force && check(&folder.join(HUB)).is_ok() {
+        if name == HUB && !force && check(&folder.join(HUB), HUB).is_ok() {
             continue;
         }
         let mut params = CertificateParams::new(vec![name.to_owned()])?;
         params.subject_alt_names.extend(address.map(SanType::IpAddress));
         params.distinguished_name.push(DnType::CommonName, name);
         params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
-        params.extended_key_usages =
-            vec![ExtendedKeyUsagePurpose::ServerAuth, ExtendedKeyUsagePurpose::ClientAuth];
+        params.extended_key_usages = vec![match name {
+            HUB => ExtendedKeyUsagePurpose::ClientAuth,
+            _ => ExtendedKeyUsagePurpose::ServerAuth,
+        }];
         params.use_authority_key_identifier_extension = true;
         limit(&mut params, days);
         let key = KeyPair::generate()?;
@@ -70,11 +77,15 @@ pub(crate) fn pair(
     Ok(())
 }
 
-/// Passes when the certificates of a host are valid now.
+/// Passes when the certificates of a host are valid now, are for that host, and nobody else can change them.
 ///
 /// # Errors
-/// The file with its value: one that is missing, no certificate, not yet valid or expired.
-pub(crate) fn check(folder: &Path) -> anyhow::Result<()> {
+/// A folder that is not private, and the file with its value: one that is missing, no certificate, one for another host or
+/// purpose, not yet valid or expired.
+pub(crate) fn check(folder: &Path, host: &str) -> anyhow::Result<()> {
+    if Folder::open(folder)?.is_none() {
+        bail!("{}: there is no such folder", folder.display());
+    }
     for name in [AUTHORITY, CERTIFICATE] {
         let path = folder.join(name);
         let text = std::fs::read(&path).with_context(|| path.display().to_string())?;
@@ -83,6 +94,9 @@ pub(crate) fn check(folder: &Path) -> anyhow::Result<()> {
         }
         let (_, pem) = x509_parser::pem::parse_x509_pem(&text).with_context(|| path.display().to_string())?;
         let certificate = pem.parse_x509().with_context(|| path.display().to_string())?;
+        if name == CERTIFICATE {
+            is_for(&certificate, host).with_context(|| path.display().to_string())?;
+        }
         let validity = certificate.validity();
         if !validity.is_valid() {
             let (from, until) = (validity.not_before, validity.not_after);
@@ -91,6 +105,25 @@ pub(crate) fn check(folder: &Path) -> anyhow::Result<()> {
                 path.display()
             );
         }
+    }
+    Ok(())
+}
+
+/// Passes when a certificate is one of this host, as a client or a server as that host needs it.
+fn is_for(certificate: &X509Certificate<'_>, host: &str) -> anyhow::Result<()> {
+    let subject = certificate.subject().iter_common_name().find_map(|name| name.as_str().ok());
+    let subject = subject.unwrap_or("(no name)");
+    let usage = certificate.extended_key_usage()?.map(|found| found.value);
+    let (client, server) = usage.map_or((false, false), |usage| (usage.client_auth, usage.server_auth));
+    let what = if host == HUB { "the orchestrator" } else { "this agent" };
+    if subject != host {
+        bail!("it is the certificate of {subject}, {what} needs that of {host}");
+    }
+    if (client, server) != (host == HUB, host != HUB) {
+        bail!(
+            "it does not say that it is for {what} only, as of a version before; make all of them again in a new folder with \
+             `scanloop agent pair`"
+        );
     }
     Ok(())
 }
@@ -156,7 +189,7 @@ mod tests {
         assert!(contents() == before, "authority and orchestrator keep their keys");
         let [authority, _] = before;
         for host in [HUB, "lab", "desk"] {
-            check(&folder.join(host)).unwrap();
+            check(&folder.join(host), host).unwrap();
             assert_eq!(std::fs::read(folder.join(host).join(AUTHORITY)).unwrap(), authority, "{host}");
             let mode = std::fs::metadata(folder.join(host).join(KEY)).unwrap().permissions().mode();
             assert_eq!(mode & 0o777, 0o600);
@@ -184,10 +217,30 @@ mod tests {
     }
 
     #[test]
+    fn a_certificate_is_for_one_host_and_one_role() {
+        let folder = folder("roles");
+        for host in ["lab", "desk"] {
+            pair(&folder, host, "10.9.0.2".parse().unwrap(), 7, false).unwrap();
+        }
+        for (own, other) in [("desk", HUB), ("desk", "lab"), (HUB, "lab")] {
+            let message = format!("{:#}", check(&folder.join(own), other).unwrap_err());
+            assert!(message.contains(&format!("it is the certificate of {own}")), "{message}");
+        }
+        let pem = std::fs::read(folder.join("lab").join(CERTIFICATE)).unwrap();
+        let (_, pem) = x509_parser::pem::parse_x509_pem(&pem).unwrap();
+        let usage = pem.parse_x509().unwrap().extended_key_usage().unwrap().unwrap().value.clone();
+        assert!(usage.server_auth && !usage.client_auth, "an agent can't connect as an orchestrator");
+        std::fs::set_permissions(folder.join("lab"), std::fs::Permissions::from_mode(0o777)).unwrap();
+        let message = format!("{:#}", check(&folder.join("lab"), "lab").unwrap_err());
+        assert!(message.contains("0777"), "{message}");
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
     fn an_expired_certificate_is_named() {
         let folder = folder("expired");
         pair(&folder, "lab", "10.9.0.2".parse().unwrap(), -1, false).unwrap();
-        let message = check(&folder.join("lab")).unwrap_err().to_string();
+        let message = check(&folder.join("lab"), "lab").unwrap_err().to_string();
         assert!(message.contains("lab/certificate.pem: it is valid from"), "{message}");
         std::fs::remove_dir_all(&folder).unwrap();
     }

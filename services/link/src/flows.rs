@@ -141,11 +141,14 @@ fn text_of(receives: &[String], sends: &[String]) -> String {
     format!("{}\n{}", receives.join(" "), sends.join(" "))
 }
 
-/// The topics of a message: received, and sent; `None` when it is damaged.
+/// The topics of a message: received, and sent; `None` when it is damaged or names a topic that is unknown here.
 pub(crate) fn topics_of(text: &str) -> Option<(Vec<String>, Vec<String>)> {
-    let names = |line: &str| line.split_whitespace().map(str::to_owned).collect();
+    let names = |line: &str| {
+        let known = |name: &str| name.parse::<Topic>().ok().map(|topic| topic.name().to_owned());
+        line.split_whitespace().map(known).collect::<Option<Vec<String>>>()
+    };
     let (receives, sends) = text.split_once('\n')?;
-    Some((names(receives), names(sends)))
+    Some((names(receives)?, names(sends)?))
 }
 
 #[cfg(test)]
@@ -160,6 +163,8 @@ mod tests {
         {
             assert_eq!(topics_of(&text_of(&receives, &sends)), Some((receives, sends)));
         }
-        assert_eq!(topics_of("scan"), None);
+        for damaged in ["scan", "scan\nno-such-topic", "../../scan\n", "scan,pose\n"] {
+            assert_eq!(topics_of(damaged), None, "{damaged:?}");
+        }
     }
 }

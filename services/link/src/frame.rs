@@ -47,7 +47,7 @@ pub(crate) fn unpack(of: &SampleType, frame: &[u8], sample: &mut Aligned) -> Con
 
 /// Moves the times of a sample from the common clock to the one of this host.
 pub(crate) fn to_local(of: &SampleType, sample: &mut [u8], clock: Offset) {
-    shift_times(of, sample, -clock.offset_ns);
+    shift_times(of, sample, clock.offset_ns.wrapping_neg());
 }
 
 /// When a sample was published, by its own stamps [ns].

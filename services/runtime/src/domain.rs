@@ -152,6 +152,16 @@ impl Domain {
         self.folder.path()
     }
 
+    /// Whether a text can be the id of a run.
+    pub fn is_run_id(text: &str) -> bool {
+        is_run_id(text)
+    }
+
+    /// Whether a text can be the id of a system.
+    pub fn is_system_id(text: &str) -> bool {
+        check_id(text).is_ok()
+    }
+
     /// Whether the directory is still that of this run.
     pub fn is_current(&self) -> bool {
         self.folder.read_text(RUN_ID_FILE).is_ok_and(|run_id| run_id == self.run_id)

@@ -3,6 +3,7 @@
 use shared_types::Role;
 
 use super::*;
+use crate::message::Start;
 
 fn agent() -> Agent {
     let file = AgentFile {
@@ -35,10 +36,58 @@ fn down(version: &str) -> Down {
     }
 }
 
+fn start() -> Start {
+    Start {
+        implementation: "nmpc".to_owned(),
+        restart: false,
+        candidate: None,
+        period_ns: 100_000_000,
+        realtime: runtime::Realtime::default(),
+        settings: String::new(),
+        receives: vec!["scan".to_owned()],
+        sends: vec!["command".to_owned()],
+        handover: None,
+    }
+}
+
+#[test]
+fn values_that_no_orchestrator_sends_are_refused_by_name() {
+    let good = Down { start: Some(start()), ..down(&link_version()) };
+    assert_eq!(agent().refuses(&good), None);
+    type Change = fn(&mut Down, &mut Start);
+    let changes: [(&str, Change); 17] = [
+        ("run_id", |down, _| down.run_id = "../../x".to_owned()),
+        ("run_id", |down, _| down.run_id.clear()),
+        ("system_id", |down, _| down.system_id = "a/b".to_owned()),
+        ("system_id", |down, _| down.system_id = "x".repeat(17)),
+        ("incarnation", |down, _| down.incarnation = 0),
+        ("period_ns", |_, start| start.period_ns = 0),
+        ("period_ns", |_, start| start.period_ns = 1),
+        ("period_ns", |_, start| start.period_ns = u64::MAX),
+        ("receives", |_, start| start.receives = vec!["no-such-topic".to_owned()]),
+        ("sends", |_, start| start.sends = vec!["command\nscan".to_owned()]),
+        ("sends", |_, start| start.sends = vec!["command".to_owned(); 1000]),
+        ("candidate", |_, start| start.candidate = Some(0)),
+        ("settings", |_, start| start.settings = "x".repeat(2 << 20)),
+        ("handover", |_, start| start.handover = Some("zz".to_owned())),
+        ("handover", |_, start| start.handover = Some("00".repeat(2 << 20))),
+        ("realtime.poll_us", |_, start| start.realtime.poll_us = u64::MAX),
+        ("implementations", |_, start| start.implementation = "sh".to_owned()),
+    ];
+    for (key, change) in changes {
+        let (mut down, mut start) = (good.clone(), start());
+        change(&mut down, &mut start);
+        let reason = agent().refuses(&Down { start: Some(start), ..down }).unwrap_or_default();
+        assert!(reason.contains(&format!("{key} = ")) && reason.len() < 300, "{key}: {reason:?}");
+    }
+    let reason = agent().refuses(&down(&link_version()));
+    assert!(reason.is_some_and(|reason| reason.contains("start = ")));
+}
+
 #[test]
 fn an_orchestrator_of_another_version_or_with_other_samples_is_refused_by_name() {
     let own = link_version();
-    assert_eq!(agent().refuses(&down(&own)), None);
+    assert_eq!(agent().refuses(&Down { start: Some(start()), ..down(&own) }), None);
     let (version, samples) = own.split_once(' ').unwrap();
     for other in [format!("9.9.9 {samples}"), format!("{version} 0123456789abcdef")] {
         let reason = agent().refuses(&down(&other)).unwrap();
