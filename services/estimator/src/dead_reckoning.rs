@@ -57,10 +57,11 @@ impl DeadReckoning {
         transition.set_column(3, &by_bias);
         let (sin, cos) = yaw_rad.sin_cos();
         let ahead = Vector4::new(0.0, cos, sin, 0.0);
-        let ahead_variance = sources.slip_m * sources.slip_m * distance_m + slid_m * slid_m;
+        let (slip, slide) = (ahead * sources.slip_m, ahead * slid_m);
         let turn = Vector4::new(1.0, -dy_m / 2.0, dx_m / 2.0, 0.0) * sources.yaw_rad;
         let mut covariance = transition * self.matrix() * transition.transpose();
-        covariance += ahead * ahead.transpose() * ahead_variance + turn * turn.transpose() * seconds;
+        covariance += slip * slip.transpose() * distance_m + turn * turn.transpose() * seconds;
+        covariance += slide * slide.transpose();
         covariance[(3, 3)] += sources.bias_radps * sources.bias_radps * seconds;
         // Rounding makes the two halves differ.
         let symmetric = (covariance + covariance.transpose()) / 2.0;

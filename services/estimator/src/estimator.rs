@@ -177,8 +177,8 @@ impl Estimator {
         if sent_ns <= latest(now_ns) {
             self.state.actuated_ns = self.state.actuated_ns.max(sent_ns);
             if actuation.answers == 0 && !actuation.drives() {
-                self.state.unheard_ns =
-                    self.state.unheard_ns.max(sent_ns.saturating_add(self.settings.motion.delay_ns));
+                self.state.own_block_ns =
+                    self.state.own_block_ns.max(sent_ns.saturating_add(self.settings.motion.delay_ns));
             }
             self.state.motion.note(actuation, self.settings.motion.delay_ns);
         }
@@ -226,7 +226,7 @@ impl Estimator {
     /// Whether the actuator blocked the wheels by itself since the last sample: it had no commands because no data came. So
     /// the robot may not have received the block either, and followed the command before until its own watchdog acted.
     fn is_cut(&self) -> bool {
-        self.state.unheard_ns > self.state.acquired_ns
+        self.state.own_block_ns > self.state.acquired_ns
     }
 
     /// Follows the time that samples usually take to come: the shortest one, or a longer one that lasts.

@@ -22,7 +22,7 @@ plain_state! {
         /// When the newest actuation was published that is known [ns]
         pub actuated_ns: u64,
         /// When the newest block that the actuator decided by itself takes effect, if the robot receives it [ns]
-        pub unheard_ns: u64,
+        pub own_block_ns: u64,
         /// Time from the acquisition of a sample to its use that is usual [ns]
         pub usual_age_ns: u64,
         /// Estimated (yaw, x, y) [rad, m, m]

@@ -42,7 +42,7 @@ pub(super) struct World {
     /// The robot blocks its wheels after this time without a command [ns].
     pub(super) watchdog_ns: Option<u64>,
     /// When the last command came [ns].
-    heard_ns: u64,
+    commanded_last_ns: u64,
     pub(super) truth: Truth,
     pub(super) received: Vec<(u64, Received)>,
     /// Whether a client has the base open.
@@ -64,7 +64,7 @@ impl World {
             command: Actuation::default(),
             commanded_ns: 0,
             watchdog_ns: None,
-            heard_ns: 0,
+            commanded_last_ns: 0,
             truth: Truth::default(),
             received: Vec::new(),
             is_open: false,
@@ -88,7 +88,7 @@ impl World {
     /// Follows a command with a velocity and the steering angle of a car with half the axle distance.
     pub(super) fn command(&mut self, velocity_mps: f64, steering_rad: f64) {
         let stops = velocity_mps == 0.0;
-        self.heard_ns = monotonic_ns();
+        self.commanded_last_ns = monotonic_ns();
         self.received.push((
             monotonic_ns(),
             if stops { Received::Stop } else { Received::Drive(velocity_mps, steering_rad) },
@@ -111,7 +111,7 @@ impl World {
         }
         self.was_open = self.is_open;
         let drives = self.command.kind == ActuationKind::Drive.wire();
-        if drives && self.watchdog_ns.is_some_and(|after_ns| now_ns > self.heard_ns + after_ns) {
+        if drives && self.watchdog_ns.is_some_and(|after_ns| now_ns > self.commanded_last_ns + after_ns) {
             self.command(0.0, 0.0);
         }
         let elapsed_ns = now_ns - self.origin_ns;

@@ -20,7 +20,7 @@ pub(super) struct Feed {
 }
 
 /// Scans that are kept: a leg of the drive at 40 Hz.
-const KEPT_SCANS: usize = 256;
+const MAX_SCANS: usize = 256;
 
 /// What came so far.
 #[derive(Debug, Default)]
@@ -68,7 +68,7 @@ impl Feed {
             obstacles: Observer::new(bus)?,
             observed: Observed::default(),
             newest: None,
-            scans_seen: VecDeque::with_capacity(KEPT_SCANS),
+            scans_seen: VecDeque::with_capacity(MAX_SCANS),
         })
     }
 
@@ -91,7 +91,7 @@ impl Feed {
         *invalid += self.scans.poll(|scan| {
             sweeps.push(Sweep::of(scan));
             if !scan.missing.is_set() {
-                if self.scans_seen.len() == KEPT_SCANS {
+                if self.scans_seen.len() == MAX_SCANS {
                     self.scans_seen.pop_front();
                 }
                 self.scans_seen.push_back(*scan);
