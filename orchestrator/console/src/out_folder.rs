@@ -3,17 +3,21 @@
 //! The file `.scanloop` of the folder has a line for each file that was written: checksum, length, name. A file whose
 //! content is in none of the lines is of the user, also one that the user has changed since.
 
+use std::collections::BTreeSet;
 use std::fs::OpenOptions;
-use std::io::{Read, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use crate::exit::Failure;
 use crate::new_file::{self, leads_to_device, open_log, require_apart};
+use crate::user_file::{self, TEXT_BYTES};
 
 /// The list of what was written.
 const LIST: &str = ".scanloop";
 /// A list that is longer is written anew, with the lines of files that are there [bytes].
 const MAX_LIST_BYTES: usize = 1 << 16;
+/// A file that is larger is none that a command writes whole [bytes].
+const MAX_RESULT_BYTES: u64 = 1 << 30;
 
 /// A folder of results.
 #[derive(Debug, Clone)]
@@ -99,16 +103,11 @@ impl OutFolder {
     }
 
     fn is_own(&self, name: &str) -> bool {
-        let content = std::fs::File::open(self.folder.join(name)).and_then(|file| {
-            let mut bytes = Vec::new();
-            if file.metadata()?.is_file() {
-                file.take(1 << 30).read_to_end(&mut bytes)?
-            } else {
-                0
-            };
-            Ok(bytes)
-        });
-        content.is_ok_and(|content| self.has(&line(name, &content)))
+        self.content(name).is_some_and(|content| self.has(&line(name, &content)))
+    }
+
+    fn content(&self, name: &str) -> Option<Vec<u8>> {
+        user_file::read_bytes(&self.folder.join(name), MAX_RESULT_BYTES).ok()
     }
 
     fn has(&self, line: &str) -> bool {
@@ -116,7 +115,7 @@ impl OutFolder {
     }
 
     fn list(&self) -> String {
-        std::fs::read_to_string(self.folder.join(LIST)).unwrap_or_default()
+        user_file::read(&self.folder.join(LIST), TEXT_BYTES).unwrap_or_default()
     }
 
     fn note(&self, line: &str) -> std::io::Result<()> {
@@ -127,12 +126,11 @@ impl OutFolder {
         let path = self.folder.join(LIST);
         if list.len() > MAX_LIST_BYTES {
             let name = |line: &str| line.splitn(3, ' ').nth(2).map(str::to_owned);
-            let names: std::collections::BTreeSet<String> = list.lines().filter_map(name).collect();
+            let names: BTreeSet<String> = list.lines().filter_map(name).collect();
             let kept = |name: &String| {
                 let growing = self::line(name, b"");
-                let there =
-                    || std::fs::read(self.folder.join(name)).map(|content| self::line(name, &content));
-                if self.has(&growing) { Some(growing) } else { there().ok() }
+                let there = || self.content(name).map(|content| self::line(name, &content));
+                if self.has(&growing) { Some(growing) } else { there() }
             };
             let kept: String = names.iter().filter_map(kept).collect();
             return new_file::write(&path, (kept + line).as_bytes()).map_err(std::io::Error::other);

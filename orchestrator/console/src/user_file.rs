@@ -62,7 +62,8 @@ fn decode(bytes: Vec<u8>) -> Result<String, String> {
     }
 }
 
-fn read_bytes(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
+/// The content of a regular file with at most `max_bytes`.
+pub(crate) fn read_bytes(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
     // A FIFO that is opened for reading waits for a writer otherwise.
     let flags = OFlags::NONBLOCK.bits().cast_signed();
     let file = OpenOptions::new().read(true).custom_flags(flags).open(path)?;
