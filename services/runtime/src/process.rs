@@ -12,7 +12,7 @@ use iceoryx2::prelude::{Node, ipc};
 use serde::de::DeserializeOwned;
 use shared_types::{
     Actuation, Checkpoint, Described, Device, DeviceState, Directive, Heartbeat, Journal, JournalKind,
-    LayoutRow, Layouts, Phase, ProcessState, Role, Sample, SampleType, StageStamps, Topic,
+    KnownScan, LayoutRow, Layouts, Phase, ProcessState, Role, Sample, SampleType, StageStamps, Topic,
 };
 
 use self::waiting::Need;
@@ -128,6 +128,7 @@ impl Process {
             worked: Cell::new(false),
             expected_ns: Cell::new(0),
             acquired_ns: Cell::new(0),
+            known_scan: Cell::default(),
             answered_in_ns: Cell::new([0; 2]),
         });
         let directive = Input::new(&bus, Rc::clone(&shared))?;
@@ -352,7 +353,9 @@ impl Process {
                 self.realtime.apply_memory();
                 self.enter(ProcessState::Connected)?;
             }
-            if phase >= Phase::Driving {
+            if phase < Phase::Driving {
+                self.shared.known_scan.set(KnownScan::start(self.shared.clock.now_ns()));
+            } else {
                 return Ok(true);
             }
         }

@@ -75,6 +75,7 @@ impl Lab {
             worked: Cell::new(false),
             expected_ns: Cell::new(0),
             acquired_ns: Cell::new(0),
+            known_scan: Cell::default(),
             answered_in_ns: Cell::new([0; 2]),
         })
     }
