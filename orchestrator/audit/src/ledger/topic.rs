@@ -17,12 +17,17 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 
 use runtime::PROCESS_QUEUE;
-use shared_types::{Header, InputAccount, Role, Span, Topic};
+use shared_types::{Header, InputAccount, MAX_NUMBER, Role, Span, Topic};
 
 use super::TIMEOUT_NS;
 use super::fault::{Fault, Kind};
 use super::rows::LedgerRow;
-use super::stream::{NAMED, Seen, Stream};
+use super::stream::{Seen, Stream};
+
+/// Writers of one reader that are counted one by one: more than follow each other until the first is settled.
+const MAX_WRITERS: usize = 1024;
+/// Entries of faults that one reader notices between two reconciliations; more are added up.
+const MAX_NOTICED: usize = 64;
 
 /// This long after the end of a process nothing of it can come any more [ns].
 const SETTLED_NS: u64 = 25 * TIMEOUT_NS;
@@ -50,8 +55,8 @@ struct Reader {
     counters: InputAccount,
     /// Counters of the report before.
     reported: InputAccount,
-    /// Faults that it noticed since the last reconciliation: kind, writer and number.
-    noticed: Vec<(Kind, u32, u64)>,
+    /// Faults that it noticed since the last reconciliation: kind, writer, first number and count.
+    noticed: Vec<(Kind, u32, u64, u64)>,
     /// By writer: the first sample after the last that arrived here, as it arrived at the orchestrator.
     beyond: BTreeMap<u32, Seen>,
     spans: BTreeMap<u32, Span>,
@@ -134,7 +139,7 @@ impl TopicLedger {
     pub fn see(&mut self, header: &Header, answers: bool, from_start: bool) -> Option<Fault> {
         let (topic, after_ns, now_ns) = (self.topic, self.before_ns, self.now_ns);
         let Header { incarnation, sequence, .. } = *header;
-        let begin = || Stream::new(topic, incarnation, sequence.max(1), from_start);
+        let begin = || Stream::new(topic, incarnation, sequence.clamp(1, MAX_NUMBER), from_start);
         self.streams.entry(incarnation).or_insert_with(begin).see(header, answers, after_ns, now_ns)
     }
 
@@ -185,13 +190,17 @@ impl TopicLedger {
             |span: &&Span| span.incarnation != 0 && !self.settled.writers.contains(&span.incarnation);
         for span in counters.writers.iter().filter(is_open) {
             let Reader { spans, begun, .. } = &mut *reader;
+            if spans.len() >= MAX_WRITERS && !spans.contains_key(&span.incarnation) {
+                continue;
+            }
             let known = spans.entry(span.incarnation).or_insert_with(|| {
                 if span.first > 1 && span.count() < PROCESS_QUEUE as u64 {
                     begun.push(*span);
                 }
                 *span
             });
-            (known.first, known.last) = (known.first.min(span.first), known.last.max(span.last));
+            // The last word of the reader: a number that its writer did not reach was wrong.
+            (known.first, known.last) = (known.first.min(span.first), span.last);
         }
     }
 
@@ -248,6 +257,12 @@ impl TopicLedger {
         self.streams.get(&incarnation).map_or(0, |stream| stream.scan_of(sequence))
     }
 
+    /// How many writers and readers are stored one by one.
+    #[cfg(test)]
+    pub(super) fn sizes(&self) -> [usize; 2] {
+        [self.streams.len(), self.readers.len() + self.silent.len()]
+    }
+
     fn row(&self, role: Role) -> LedgerRow {
         let mut row = self.settled.rows.get(&role).cloned().unwrap_or_default();
         (row.topic, row.reader) = (self.topic.name().to_owned(), role.name().to_owned());
@@ -278,7 +293,7 @@ impl TopicLedger {
             // Samples that a dead reader had not received may have been published before its successor came.
             if let (Some(span), Some(end)) = (span, covered.get(&(role, writer))) {
                 let end = self.silent_until(role, incarnation, writer, stream).max(*end);
-                let gap = span.first.saturating_sub(end + 1);
+                let gap = span.first.saturating_sub(end.saturating_add(1));
                 (row.published, row.lost) = (row.published + gap, row.lost + gap);
             }
             let newest = newest_for(reader.end.as_ref(), writer, stream);
@@ -371,24 +386,33 @@ impl Reader {
 
     /// Notes the faults that are new in the last report: of several of a kind the counters name the newest.
     fn notice(&mut self) {
-        let Self { counters, reported, noticed, .. } = self;
-        let hole = &counters.hole;
-        for back in (0..counters.missing.saturating_sub(reported.missing)).rev() {
-            let is_known = hole.incarnation != 0 && hole.last.saturating_sub(back) >= hole.first;
-            let sequence = if is_known { hole.last - back } else { 0 };
-            noticed.push((Kind::Missing, hole.incarnation, sequence));
-        }
-        let twice = (Kind::Duplicate, counters.twice.incarnation, counters.twice.first);
-        noticed.extend((reported.duplicate..counters.duplicate).map(|_| twice));
-        let late = (Kind::Reordered, counters.late.incarnation, counters.late.first);
-        noticed.extend((reported.reordered..counters.reordered).map(|_| late));
+        let Self { counters, reported, .. } = self;
+        let (hole, twice, late) = (counters.hole, counters.twice, counters.late);
+        let missing = counters.missing.saturating_sub(reported.missing);
+        let known = hole.count().min(missing);
+        let found = [
+            (Kind::Missing, hole.incarnation, 0, missing - known),
+            (Kind::Missing, hole.incarnation, hole.last.saturating_sub(known.saturating_sub(1)), known),
+            again(Kind::Duplicate, &twice, counters.duplicate.saturating_sub(reported.duplicate)),
+            again(Kind::Reordered, &late, counters.reordered.saturating_sub(reported.reordered)),
+        ];
         (reported.missing, reported.duplicate, reported.reordered) =
             (counters.missing, counters.duplicate, counters.reordered);
+        for (kind, writer, first, count) in found.into_iter().filter(|(.., count)| *count > 0) {
+            let same = |known: &&mut (Kind, u32, u64, u64)| (known.0, known.1, known.2) == (kind, writer, 0);
+            let is_full = self.noticed.len() >= MAX_NOTICED;
+            let first = if is_full { 0 } else { first };
+            match self.noticed.iter_mut().find(same) {
+                Some(known) if first == 0 => known.3 = known.3.saturating_add(count),
+                _ if self.noticed.len() < 2 * MAX_NOTICED => self.noticed.push((kind, writer, first, count)),
+                _ => {}
+            }
+        }
     }
 
     fn reconcile(&mut self, topic: Topic, streams: &BTreeMap<u32, Stream>, faults: &mut Vec<Fault>) {
         for (&writer, stream) in streams {
-            if let Some(next) = self.last(writer, stream).map(|last| last + 1) {
+            if let Some(next) = self.last(writer, stream).map(|last| last.saturating_add(1)) {
                 // Stored here, because a stream stores the newest only.
                 if self.beyond.get(&writer).is_none_or(|seen| seen.sequence < next) {
                     self.beyond.remove(&writer);
@@ -398,22 +422,23 @@ impl Reader {
         }
         let (counters, reported, role) = (&self.counters, &self.reported, self.role);
         let scan = |writer: u32, sequence| streams.get(&writer).map_or(0, |stream| stream.scan_of(sequence));
-        let mut note = |kind, writer: u32, sequence: u64| {
-            let fault = Fault::new(topic, kind, writer).sequence(sequence).scan(scan(writer, sequence));
+        let mut note = |kind, writer: u32, first: u64, count: u64| {
+            let fault =
+                Fault::new(topic, kind, writer).sequence(first).count(count).scan(scan(writer, first));
             faults.push(fault.noticed_by(role));
         };
-        self.noticed.drain(..).for_each(|(kind, writer, sequence)| note(kind, writer, sequence));
+        self.noticed.drain(..).for_each(|(kind, writer, first, count)| note(kind, writer, first, count));
         // Of one sample: the sum of the numbers without a fate, less those that wait and those reported before.
         let vanished = |counters: &InputAccount| counters.open.saturating_sub(counters.waiting);
         let sum = |counters: &InputAccount| counters.open_sum.wrapping_sub(counters.waiting_sum);
         match vanished(counters).saturating_sub(vanished(reported)) {
             0 => {}
-            1 => note(Kind::Vanished, newest_writer(counters), sum(counters).wrapping_sub(sum(reported))),
-            _ => note(Kind::Vanished, newest_writer(counters), 0),
+            1 => note(Kind::Vanished, newest_writer(counters), sum(counters).wrapping_sub(sum(reported)), 1),
+            count => note(Kind::Vanished, newest_writer(counters), 0, count),
         }
         for Span { incarnation, first, .. } in self.begun.drain(..) {
             if self.from_start && streams.get(&incarnation).is_some_and(|stream| stream.from_start) {
-                (1..first).take(NAMED).for_each(|sequence| note(Kind::Missing, incarnation, sequence));
+                note(Kind::Missing, incarnation, 1, first - 1);
             }
         }
         for (&writer, stream) in streams {
@@ -425,11 +450,16 @@ impl Reader {
                 && seen.after_ns > self.connected_ns
                 && self.polled_ns >= seen.seen_ns.saturating_add(TIMEOUT_NS)
             {
-                note(Kind::Missing, writer, last + 1);
+                note(Kind::Missing, writer, last + 1, 1);
             }
         }
         self.reported = *counters;
     }
+}
+
+/// Samples that came late or again: the newest is named, unless its number is not known.
+fn again(kind: Kind, newest: &Span, count: u64) -> (Kind, u32, u64, u64) {
+    (kind, newest.incarnation, newest.first, if newest.first == 0 { count } else { count.min(1) })
 }
 
 fn newest_writer(counters: &InputAccount) -> u32 {
@@ -548,6 +578,34 @@ mod tests {
         assert_eq!(named(&ledger.reconcile(false)), expected);
         ledger.receive(report(&counters, 7));
         assert_eq!(ledger.reconcile(false), [], "once is enough");
+    }
+
+    #[test]
+    fn a_gap_of_any_size_is_one_fault() {
+        let mut ledger = TopicLedger::new(Topic::Pose);
+        ledger.poll(5);
+        (1..=4).for_each(|sequence| assert_eq!(ledger.see(&header(sequence), true, true), None));
+        let gap = 1 << 47;
+        let mut counters = InputAccount { missing: gap, hole: span(5, gap + 4), ..InputAccount::default() };
+        counters.writers[0] = span(1, gap + 5);
+        ledger.receive(report(&counters, 5));
+        (counters.missing, counters.duplicate, counters.reordered) = (gap + 2, 1 << 47, 1 << 47);
+        ledger.receive(report(&counters, 6));
+        let faults = ledger.reconcile(false);
+        let counts: Vec<_> = faults.iter().map(|fault| (fault.kind, fault.sequence, fault.count)).collect();
+        let expected = [
+            (Kind::Missing, 5, gap),
+            (Kind::Missing, gap + 3, 2),
+            (Kind::Duplicate, 0, 1 << 47),
+            (Kind::Reordered, 0, 1 << 47),
+        ];
+        assert_eq!(counts, expected);
+        for round in 0..10_000 {
+            counters.missing += 1;
+            counters.hole = span(2 * round + 5, 2 * round + 5);
+            ledger.receive(report(&counters, 7 + round));
+        }
+        assert!(ledger.readers[&READER].noticed.len() <= 2 * MAX_NOTICED);
     }
 
     #[test]
