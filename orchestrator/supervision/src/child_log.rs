@@ -103,11 +103,11 @@ impl ChildLog {
     /// # Errors
     /// Those of the file system.
     pub fn trim(&self) -> io::Result<bool> {
+        let edit = self.edit();
         let length = self.append.metadata()?.len();
         if length <= TRIM_ABOVE_BYTES {
             return Ok(false);
         }
-        let edit = self.edit();
         let mut tail = self.read(length - KEEP_BYTES, KEEP_BYTES)?;
         let line = tail.iter().position(|byte| *byte == b'\n').map_or(0, |end| end + 1);
         let dropped = length - KEEP_BYTES + line as u64;

@@ -24,7 +24,8 @@ use super::fault::{Fault, Kind};
 use super::rows::LedgerRow;
 use super::stream::{Seen, Stream};
 
-/// Writers of one reader that are counted one by one: more than follow each other until the first is settled.
+/// Writers of one reader, and readers without counters, that are counted one by one: more than follow each other until the
+/// first is settled.
 const MAX_WRITERS: usize = 1024;
 /// Entries of faults that one reader notices between two reconciliations; more are added up.
 const MAX_NOTICED: usize = 64;
@@ -206,6 +207,9 @@ impl TopicLedger {
 
     /// A process reads the topic and sends no counters.
     pub fn add_silent_reader(&mut self, incarnation: u32, role: Role) {
+        if !self.silent.contains_key(&incarnation) && self.silent.len() >= MAX_WRITERS {
+            self.silent.pop_first();
+        }
         self.silent.entry(incarnation).or_insert(SilentReader { role, end: None });
     }
 
@@ -309,21 +313,8 @@ impl TopicLedger {
     /// Adds up what can't change any more, so that a run with any number of swaps needs no more memory: readers that ended
     /// after all those before them, then writers that ended.
     fn settle(&mut self) {
-        let is_old = |ended_ns: u64, now_ns: u64| now_ns > ended_ns.saturating_add(SETTLED_NS);
         let mut settled = std::mem::take(&mut self.settled);
-        let mut first_of = BTreeMap::new();
-        self.readers.iter().for_each(|(incarnation, reader)| {
-            first_of.entry(reader.role).or_insert(*incarnation);
-        });
-        for (role, incarnation) in first_of {
-            let reader = &self.readers[&incarnation];
-            if reader.end.as_ref().is_some_and(|end| is_old(end.ended_ns, self.now_ns)) {
-                let row = settled.rows.entry(role).or_default();
-                self.account(incarnation, reader, self.streams.iter(), &mut settled.covered, row);
-                reader.account(&self.streams, row);
-                self.readers.remove(&incarnation);
-            }
-        }
+        while self.settle_readers(&mut settled) {}
         let is_settled =
             |stream: &Stream| stream.ended_ns.is_some_and(|ended_ns| is_old(ended_ns, self.now_ns));
         let writers = self.streams.iter().filter(|(_, stream)| is_settled(stream)).map(|(writer, _)| *writer);
@@ -343,11 +334,35 @@ impl TopicLedger {
         self.settled = settled;
     }
 
+    /// Adds up the first reader of each role, if it has ended; returns whether one has.
+    fn settle_readers(&mut self, settled: &mut Settled) -> bool {
+        let mut first_of = BTreeMap::new();
+        self.readers.iter().for_each(|(incarnation, reader)| {
+            first_of.entry(reader.role).or_insert(*incarnation);
+        });
+        let before = self.readers.len();
+        for (role, incarnation) in first_of {
+            let reader = &self.readers[&incarnation];
+            if reader.end.as_ref().is_some_and(|end| is_old(end.ended_ns, self.now_ns)) {
+                let row = settled.rows.entry(role).or_default();
+                self.account(incarnation, reader, self.streams.iter(), &mut settled.covered, row);
+                reader.account(&self.streams, row);
+                self.readers.remove(&incarnation);
+            }
+        }
+        self.readers.len() < before
+    }
+
     /// The largest number of a writer that was for a reader without counters before `incarnation`.
     fn silent_until(&self, role: Role, incarnation: u32, writer: u32, stream: &Stream) -> u64 {
         let before = self.silent.range(..incarnation).filter(|(_, reader)| reader.role == role);
         before.map(|(_, reader)| newest_for(reader.end.as_ref(), writer, stream)).max().unwrap_or(0)
     }
+}
+
+/// Whether nothing of a process that ended then can come any more.
+fn is_old(ended_ns: u64, now_ns: u64) -> bool {
+    now_ns > ended_ns.saturating_add(SETTLED_NS)
 }
 
 /// The largest number of a writer that was for a reader, whose end is given if it has ended.
@@ -399,11 +414,14 @@ impl Reader {
         (reported.missing, reported.duplicate, reported.reordered) =
             (counters.missing, counters.duplicate, counters.reordered);
         for (kind, writer, first, count) in found.into_iter().filter(|(.., count)| *count > 0) {
-            let same = |known: &&mut (Kind, u32, u64, u64)| (known.0, known.1, known.2) == (kind, writer, 0);
-            let is_full = self.noticed.len() >= MAX_NOTICED;
-            let first = if is_full { 0 } else { first };
-            match self.noticed.iter_mut().find(same) {
-                Some(known) if first == 0 => known.3 = known.3.saturating_add(count),
+            let first = if self.noticed.len() >= MAX_NOTICED { 0 } else { first };
+            let same = |known: &(Kind, u32, u64, u64)| (known.0, known.1, known.2) == (kind, writer, 0);
+            match self.noticed.iter().position(same) {
+                Some(index) if first == 0 => {
+                    let known = &mut self.noticed[index].3;
+                    *known = known.saturating_add(count);
+                }
+                // A reader names four writers at a time.
                 _ if self.noticed.len() < 2 * MAX_NOTICED => self.noticed.push((kind, writer, first, count)),
                 _ => {}
             }
