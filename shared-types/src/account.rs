@@ -4,8 +4,8 @@
 //! that arrived gets exactly one fate. Until then it is *open*, and must be waiting in the process. The numbers of
 //! open samples are summed as well as counted, so a single sample without a fate is known by its number.
 
-use crate::Header;
 use crate::describe::layout;
+use crate::{Fault, Header, MAX_LATE, MAX_NUMBER};
 
 /// Publishers of one topic that are counted separately: as many as may write a topic at a time.
 pub const WRITERS: usize = 4;
@@ -90,7 +90,17 @@ pub enum Fate {
 impl Span {
     /// How many numbers it holds.
     pub fn count(&self) -> u64 {
-        if self.incarnation == 0 { 0 } else { self.last - self.first + 1 }
+        if self.incarnation == 0 || self.last < self.first {
+            0
+        } else {
+            (self.last - self.first).saturating_add(1)
+        }
+    }
+
+    /// Passes when it is a run of numbers that a publisher can have used.
+    fn check(&self, field: &'static str) -> Result<(), Fault> {
+        let is_run = self.incarnation == 0 || self.first <= self.last && self.last <= MAX_NUMBER;
+        if is_run { Ok(()) } else { Err(Fault::OutOfRange { field, value: self.last as f64 }) }
     }
 
     /// Whether a number of a writer is one of them.
@@ -119,13 +129,18 @@ impl InputAccount {
         };
         let span = &mut self.writers[index];
         if sequence > span.last {
-            if sequence > span.last + 1 {
+            if sequence > span.last.saturating_add(1) {
                 self.hole = Span::of(incarnation, span.last + 1, sequence - 1);
-                self.missing += self.hole.count();
+                self.missing = self.missing.saturating_add(self.hole.count());
             }
             span.last = sequence;
             return None;
         }
+        if self.goes_on_below(index, sequence) {
+            self.go_back(index, sequence);
+            return None;
+        }
+        let span = &mut self.writers[index];
         if sequence < span.first {
             span.first = sequence;
         } else if self.hole.contains(incarnation, sequence) {
@@ -137,6 +152,64 @@ impl InputAccount {
         }
         self.late = Span::of(incarnation, sequence, sequence);
         Some(Fate::Reordered)
+    }
+
+    /// Passes when it holds counts that the reader of a topic can have.
+    ///
+    /// # Errors
+    /// [`Fault::OutOfRange`] with the first field that does not.
+    pub fn check(&self) -> Result<(), Fault> {
+        self.writers.iter().try_for_each(|span| span.check("writers"))?;
+        [("hole", &self.hole), ("twice", &self.twice), ("late", &self.late)]
+            .into_iter()
+            .try_for_each(|(field, span)| span.check(field))?;
+        [
+            ("arrived", self.arrived),
+            ("used", self.used),
+            ("replaced", self.replaced),
+            ("overwritten", self.overwritten),
+            ("stale", self.stale),
+            ("foreign", self.foreign),
+            ("invalid", self.invalid),
+            ("duplicate", self.duplicate),
+            ("reordered", self.reordered),
+            ("missing", self.missing),
+            ("open", self.open),
+            ("waiting", self.waiting),
+            ("unreadable", self.unreadable),
+        ]
+        .into_iter()
+        .try_for_each(|(field, count)| {
+            let is_count = count <= MAX_NUMBER;
+            if is_count { Ok(()) } else { Err(Fault::OutOfRange { field, value: count as f64 }) }
+        })
+    }
+
+    /// Whether a publisher goes on with lower numbers: the second in a row that lies far below its newest. Samples of one
+    /// publisher arrive in its order, so the newest was wrong, and all that follow would be dropped as late ones.
+    fn goes_on_below(&self, index: usize, sequence: u64) -> bool {
+        let Span { incarnation, last, .. } = self.writers[index];
+        let is_far = last - sequence > MAX_LATE;
+        is_far
+            && [self.late, self.twice]
+                .iter()
+                .any(|before| before.incarnation == incarnation && before.last.saturating_add(1) == sequence)
+    }
+
+    /// Goes on with a lower number; numbers above it are not missing any more.
+    fn go_back(&mut self, index: usize, sequence: u64) {
+        let span = &mut self.writers[index];
+        (span.first, span.last) = (span.first.min(sequence), sequence);
+        let Span { incarnation, .. } = *span;
+        if self.hole.incarnation != incarnation || self.hole.last < sequence {
+            return;
+        }
+        // The number before was counted when it came.
+        let missing = self.hole.count().saturating_sub(1);
+        let last = sequence.saturating_sub(2);
+        let is_left = last >= self.hole.first;
+        self.hole = if is_left { Span { last, ..self.hole } } else { Span::default() };
+        self.missing = self.missing.saturating_sub(missing).saturating_add(self.hole.count());
     }
 
     /// Counts the fate of a sample that arrived.
@@ -239,6 +312,46 @@ mod tests {
         let account = account(&[1, 2, 2, 3]);
         assert_eq!((account.duplicate, account.used, account.missing), (1, 3, 0));
         assert_eq!(account.twice, Span::of(7, 2, 2));
+    }
+
+    #[test]
+    fn one_wrong_number_costs_one_sample() {
+        for wrong in [1_026, MAX_NUMBER] {
+            let numbers: Vec<u64> = (1..=25).chain([wrong]).chain(27..=60).collect();
+            let account = account(&numbers);
+            assert_eq!((account.missing, account.hole), (1, Span::of(7, 26, 26)), "{wrong}");
+            // 27 is late; 28 shows that the publisher goes on there.
+            assert_eq!((account.reordered, account.duplicate, account.used), (1, 0, 59), "{wrong}");
+            assert_eq!(account.from(7), Some(&Span::of(7, 1, 60)), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_publisher_that_counts_anew_loses_one_sample() {
+        let numbers: Vec<u64> = (1..=100).chain(1..=50).collect();
+        let account = account(&numbers);
+        assert_eq!((account.duplicate, account.missing, account.used), (1, 0, 149));
+    }
+
+    #[test]
+    fn samples_that_come_a_little_late_stay_late() {
+        let numbers: Vec<u64> = (1..=4).chain(9..=20).chain(5..=8).chain(21..=30).collect();
+        let account = account(&numbers);
+        assert_eq!((account.reordered, account.missing, account.used), (4, 0, 26));
+    }
+
+    #[test]
+    fn counts_that_no_reader_can_have_are_named() {
+        let fault = |change: fn(&mut InputAccount)| {
+            let mut account = account(&[1, 2, 4]);
+            change(&mut account);
+            account.check().map_err(|fault| fault.finding().0)
+        };
+        assert_eq!(fault(|_| ()), Ok(()));
+        assert_eq!(fault(|account| account.missing = 1 << 63), Err("missing"));
+        assert_eq!(fault(|account| account.hole = Span::of(7, 3, 2)), Err("hole"));
+        assert_eq!(fault(|account| account.writers[1].incarnation = 9), Ok(()));
+        assert_eq!(fault(|account| account.writers[1] = Span::of(9, 1, u64::MAX)), Err("writers"));
     }
 
     #[test]

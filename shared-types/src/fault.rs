@@ -60,6 +60,15 @@ pub enum Fault {
         /// The newest scan answered.
         newest: u64,
     },
+    /// A number of its header is one that no scan, or no sample of its publisher, can have.
+    ImpossibleNumber {
+        /// Name of the field.
+        field: &'static str,
+        /// The number found.
+        value: u64,
+        /// The largest number that it can have.
+        highest: u64,
+    },
 }
 
 impl Fault {
@@ -74,6 +83,7 @@ impl Fault {
             Self::TooOld { age_ms } => ("age_ms", age_ms),
             Self::FromTheFuture { ahead_ms } => ("ahead_ms", ahead_ms),
             Self::AnsweredBefore { newest } => ("header.scan_id", newest as f64),
+            Self::ImpossibleNumber { field, value, .. } => (field, value as f64),
         };
         (field, if value.is_finite() { value } else { 0.0 })
     }
@@ -100,6 +110,9 @@ impl std::fmt::Display for Fault {
             }
             Self::AnsweredBefore { newest } => {
                 write!(formatter, "answered before: scan {newest} was answered already")
+            }
+            Self::ImpossibleNumber { field, value, highest } => {
+                write!(formatter, "impossible number: {field} = {value}, {highest} is the largest possible")
             }
         }
     }

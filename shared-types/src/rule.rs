@@ -26,15 +26,22 @@ wire_enum! {
         FromTheFuture = 8 "from_the_future",
         /// Its scan was not answered before.
         AnsweredBefore = 9 "answered_before",
+        /// Its numbers are such as its scan and its publisher can have reached.
+        ImpossibleNumber = 10 "impossible_number",
     }
 }
 
 impl Rule {
-    /// Whether every reader drops a sample that fails it, whatever the time and the scans before.
+    /// Whether every reader drops a sample that fails it, whatever it has answered before.
     pub const fn is_of_content(self) -> bool {
         matches!(
             self,
-            Self::Layout | Self::NotFinite | Self::OutOfRange | Self::UnknownValue | Self::NotVerified
+            Self::Layout
+                | Self::NotFinite
+                | Self::OutOfRange
+                | Self::UnknownValue
+                | Self::NotVerified
+                | Self::ImpossibleNumber
         )
     }
 
@@ -45,6 +52,11 @@ impl Rule {
 }
 
 impl Fault {
+    /// Whether the number of the sample among those of its publisher can't be read or believed.
+    pub fn hides_sequence(&self) -> bool {
+        matches!(self, Self::Layout { .. } | Self::ImpossibleNumber { field: "header.sequence", .. })
+    }
+
     /// The rule that the sample failed.
     pub const fn rule(&self) -> Rule {
         match self {
@@ -57,6 +69,7 @@ impl Fault {
             Self::TooOld { .. } => Rule::TooOld,
             Self::FromTheFuture { .. } => Rule::FromTheFuture,
             Self::AnsweredBefore { .. } => Rule::AnsweredBefore,
+            Self::ImpossibleNumber { .. } => Rule::ImpossibleNumber,
         }
     }
 }

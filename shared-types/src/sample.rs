@@ -73,13 +73,14 @@ pub struct SampleType {
 }
 
 impl Header {
-    /// Passes when the publisher of the sample was built against the layout of `S`.
+    /// Passes when the publisher of the sample was built against the layout of `S`, and its numbers are such as a scan
+    /// can have.
     ///
     /// # Errors
-    /// [`Fault::Layout`] with both layout versions.
+    /// [`Fault::Layout`] with both layout versions, [`Fault::ImpossibleNumber`] with the field.
     pub fn check<S: Sample>(&self) -> Result<(), Fault> {
         if self.layout == S::LAYOUT {
-            Ok(())
+            self.check_numbers()
         } else {
             Err(Fault::Layout { expected: S::LAYOUT, found: self.layout })
         }

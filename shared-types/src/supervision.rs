@@ -3,7 +3,8 @@
 use crate::named::wire_enum;
 use crate::sample::sample;
 use crate::{
-    Authority, Device, DeviceState, Fault, Header, InputAccount, PORTS, ROLES, Refusal, Role, Topic,
+    Authority, Device, DeviceState, Fault, Header, InputAccount, MAX_NUMBER, MAX_STAMP_NS, PORTS, ROLES,
+    Refusal, Role, Topic,
 };
 
 wire_enum! {
@@ -138,5 +139,22 @@ fn check_heartbeat(heartbeat: &Heartbeat) -> Result<(), Fault> {
     heartbeat.header.check::<Heartbeat>()?;
     Role::try_from(heartbeat.role)?;
     ProcessState::try_from(heartbeat.state)?;
+    // The orchestrator adds them up and takes differences.
+    heartbeat.inputs.iter().try_for_each(InputAccount::check)?;
+    for (field, number, highest) in [
+        ("issued_ns", heartbeat.issued_ns, MAX_STAMP_NS),
+        ("looked_ns", heartbeat.looked_ns, MAX_STAMP_NS),
+        ("published", heartbeat.published, MAX_NUMBER),
+        ("taken", heartbeat.taken, MAX_NUMBER),
+        ("answered", heartbeat.answered, MAX_NUMBER),
+        ("written", heartbeat.written.into_iter().max().unwrap_or(0), MAX_NUMBER),
+        (
+            "refused",
+            heartbeat.refused.iter().map(|row| row.count.max(row.scan_id)).max().unwrap_or(0),
+            MAX_NUMBER,
+        ),
+    ] {
+        crate::numbering::require(field, number, highest)?;
+    }
     DeviceState::try_from(heartbeat.device.state).map(|_| ())
 }

@@ -5,7 +5,8 @@
 use std::collections::VecDeque;
 
 use shared_types::{
-    Admission, Authority, AuthorityFilter, Fate, InputAccount, Role, Rule, Sample, Topic, YOUNG_NS,
+    Admission, Authority, AuthorityFilter, Fate, InputAccount, KnownScan, Role, Rule, Sample, Topic,
+    YOUNG_NS, require_sequence,
 };
 
 /// Samples that wait, as in `runtime`.
@@ -20,6 +21,10 @@ const MAX_AGE_PERIODS: u64 = 3;
 pub(crate) struct Reader<S> {
     role: Role,
     max_age_ns: u64,
+    period_ns: u64,
+    known_scan: KnownScan,
+    /// When the newest sample came [ns].
+    arrived_ns: u64,
     account: InputAccount,
     filter: AuthorityFilter,
     kept: VecDeque<S>,
@@ -31,6 +36,9 @@ impl<S: Sample> Reader<S> {
         Self {
             role,
             max_age_ns: (MAX_AGE_PERIODS * period_ns).max(YOUNG_NS),
+            period_ns,
+            known_scan: KnownScan::default(),
+            arrived_ns: 0,
             account: InputAccount::default(),
             filter: AuthorityFilter::default(),
             kept: VecDeque::new(),
@@ -40,10 +48,19 @@ impl<S: Sample> Reader<S> {
 
     /// Takes a sample from the bus; returns the rule that it failed, or that numbers before it are missing.
     pub(crate) fn arrive(&mut self, sample: S, now_ns: u64, authority: &Authority) -> Option<&'static str> {
-        let check = sample.check();
-        if let Err(fault @ shared_types::Fault::Layout { .. }) = check {
+        let (check, header) = (sample.check(), *sample.header());
+        let span = self.account.from(header.incarnation);
+        let (newest, since_ns) = span.map_or((0, 0), |span| (span.last, self.arrived_ns));
+        let readable = match check {
+            Err(fault) if fault.hides_sequence() => Err(fault),
+            _ => require_sequence(header.sequence, newest, now_ns.saturating_sub(since_ns)),
+        };
+        if let Err(fault) = readable {
             return Some(fault.rule().name());
         }
+        self.arrived_ns = now_ns;
+        let check =
+            check.and_then(|()| self.known_scan.judge(&header, now_ns, self.max_age_ns, self.period_ns));
         let missing = self.account.missing;
         match self.account.arrive(sample.header()) {
             Some(Fate::Duplicate) => return Some("duplicate"),
@@ -87,6 +104,7 @@ impl<S: Sample> Reader<S> {
         if !is_record && acquired_ns != 0 && now_ns.saturating_sub(acquired_ns) > self.max_age_ns {
             return Some(Rule::TooOld.name());
         }
+        self.known_scan = self.known_scan.and(sample.header(), now_ns);
         push(&mut self.kept, sample, DEPTH);
         None
     }

@@ -12,7 +12,7 @@ use iceoryx2::prelude::{Node, ipc};
 use serde::de::DeserializeOwned;
 use shared_types::{
     Actuation, Checkpoint, Described, Device, DeviceState, Directive, Heartbeat, Journal, JournalKind,
-    LayoutRow, Layouts, Phase, ProcessState, Role, Sample, SampleType, StageStamps, Topic,
+    KnownScan, LayoutRow, Layouts, Phase, ProcessState, Role, Sample, SampleType, StageStamps, Topic,
 };
 
 use self::waiting::Need;
@@ -128,6 +128,7 @@ impl Process {
             worked: Cell::new(false),
             expected_ns: Cell::new(0),
             acquired_ns: Cell::new(0),
+            known_scan: Cell::default(),
             answered_in_ns: Cell::new([0; 2]),
         });
         let directive = Input::new(&bus, Rc::clone(&shared))?;
@@ -342,7 +343,8 @@ impl Process {
             if !self.sleep(MAX_WAIT_NS, Need::Any, &mut |_| {})? {
                 return Ok(false);
             }
-            let phase = Phase::try_from(self.directive().phase).unwrap_or(Phase::Starting);
+            let directive = self.directive();
+            let phase = Phase::try_from(directive.phase).unwrap_or(Phase::Starting);
             if phase >= Phase::Connecting && self.state == ProcessState::Attached {
                 self.outputs.iter().for_each(|output| output.connect());
                 self.checkpoint.writer().connect();
@@ -354,6 +356,10 @@ impl Process {
             }
             if phase >= Phase::Driving {
                 return Ok(true);
+            }
+            if directive.issued_ns > 0 {
+                // No scan was published yet.
+                self.shared.known_scan.set(KnownScan::start(self.shared.clock.now_ns()));
             }
         }
     }

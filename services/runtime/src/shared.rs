@@ -2,7 +2,9 @@
 
 use std::cell::{Cell, RefCell};
 
-use shared_types::{Device, Directive, Header, JournalKind, Role, StageStamps, Topic, YOUNG_NS};
+use shared_types::{
+    Device, Directive, Fault, Header, JournalKind, KnownScan, Role, StageStamps, Topic, YOUNG_NS,
+};
 
 use crate::Clock;
 use crate::counters::Counters;
@@ -37,6 +39,8 @@ pub(crate) struct Shared {
     pub(crate) expected_ns: Cell<u64>,
     /// When the front beam of the last input that the role answers was taken [ns].
     pub(crate) acquired_ns: Cell<u64>,
+    /// The newest scan that this process knows to exist: of what it has accepted, and of what a robot has published.
+    pub(crate) known_scan: Cell<KnownScan>,
     /// How long the last two answers took, from their inputs to their publication; 0 before the first [ns].
     pub(crate) answered_in_ns: Cell<[u64; 2]>,
 }
@@ -61,6 +65,18 @@ impl Shared {
         if topic.writer().is_some() {
             self.notes.note_sample(JournalKind::Taken, topic, header);
         }
+    }
+
+    /// Passes when the scan of a sample can exist now.
+    pub(crate) fn judge_scan(&self, header: &Header) -> Result<(), Fault> {
+        // In lock-step the stamps are the clock.
+        let max_ahead_ns = if self.clock.is_simulated() { u64::MAX } else { self.max_age_ns() };
+        self.known_scan.get().judge(header, self.clock.now_ns(), max_ahead_ns, self.period_ns)
+    }
+
+    /// Notes that the scan of a sample exists.
+    pub(crate) fn note_scan(&self, header: &Header) {
+        self.known_scan.set(self.known_scan.get().and(header, self.clock.now_ns()));
     }
 
     /// Time from an input to the next [ns]: as long as the last one when scans are regular, else the scan period.

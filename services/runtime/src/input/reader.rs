@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use shared_types::{
     Actuation, Admission, AuthorityFilter, Fate, Fault, Header, InputAccount, Refusal, Role, SampleType,
-    Topic,
+    Topic, require_sequence,
 };
 
 use crate::bell::Bells;
@@ -17,7 +17,7 @@ use crate::qos::{Qos, qos};
 use crate::refusals::Refusals;
 use crate::shared::Shared;
 use crate::waiter::Waiter;
-use crate::{Bus, RuntimeError};
+use crate::{Bus, RuntimeError, monotonic_ns};
 
 /// Samples that wait in an input until the process takes them; the oldest is dropped for a newer one. Less than may be
 /// borrowed.
@@ -41,6 +41,8 @@ pub(crate) struct Reader {
     dropped: RefCell<Vec<Received>>,
     filter: Cell<AuthorityFilter>,
     account: RefCell<InputAccount>,
+    /// When the bus was polled before and last [ns of CLOCK_MONOTONIC].
+    polled_ns: Cell<[u64; 2]>,
     refusals: Refusals,
 }
 
@@ -61,6 +63,7 @@ impl Reader {
             dropped: RefCell::new(Vec::with_capacity(qos.max_borrowed())),
             filter: Cell::default(),
             account: RefCell::default(),
+            polled_ns: Cell::new([0; 2]),
             refusals: Refusals::default(),
         })
     }
@@ -143,6 +146,7 @@ impl Reader {
         // Before any sample is taken: one that comes later rings again.
         self.rung.set(self.bells.topic(self.of.topic).poll());
         self.waiter.clear();
+        self.polled_ns.set([self.polled_ns.get()[1], monotonic_ns()]);
         // Samples are overwritten only when as many newer ones have come as the buffer holds.
         let capacity = self.qos.of_a_process();
         let (before, mut received) = (*self.account.borrow(), 0);
@@ -222,12 +226,17 @@ impl Reader {
     fn arrive(&self, sample: Received) {
         let header = self.header(&sample);
         let check = (self.of.check)(&sample);
-        if let Err(fault @ Fault::Layout { .. }) = check {
+        let readable = match check {
+            Err(fault) if fault.hides_sequence() => Err(fault),
+            _ => self.judge_sequence(header),
+        };
+        if let Err(fault) = readable {
             self.account.borrow_mut().unreadable += 1;
             self.refuse(header, &fault);
             self.dropped.borrow_mut().push(sample);
             return;
         }
+        let check = check.and_then(|()| self.judge_scan(header));
         let (fate, is_urgent) = {
             let account = &mut *self.account.borrow_mut();
             let missing = account.missing;
@@ -266,7 +275,25 @@ impl Reader {
             self.refuse(header, &fault);
             return self.discard(Fate::Stale, sample);
         }
+        if self.of.topic.writer().is_some() {
+            self.shared.note_scan(header);
+        }
         self.push(&self.kept, sample, QUEUE_DEPTH, Fate::Replaced);
+    }
+
+    /// Passes when the publisher can have used the sequence number of a sample by now.
+    fn judge_sequence(&self, header: &Header) -> Result<(), Fault> {
+        let [before_ns, now_ns] = self.polled_ns.get();
+        let account = self.account.borrow();
+        // All that is known of a new publisher is that it is not older than the machine.
+        let (newest, since_ns) =
+            account.from(header.incarnation).map_or((0, 0), |span| (span.last, before_ns));
+        require_sequence(header.sequence, newest, now_ns.saturating_sub(since_ns))
+    }
+
+    /// Passes when the scan of a sample can exist.
+    fn judge_scan(&self, header: &Header) -> Result<(), Fault> {
+        if self.of.topic.writer().is_some() { self.shared.judge_scan(header) } else { Ok(()) }
     }
 
     /// What is wrong with the time of a sample: it is too old, or from the future.

@@ -94,6 +94,9 @@ impl Writer {
             *stage = shared.stamps.get();
             stage.computed_ns = shared.clock.now_ns();
             shared.counters.write(shared.role, of.topic, header, is_answer);
+            if shared.role == Role::Robot {
+                shared.note_scan(header);
+            }
         }
     }
 

@@ -7,7 +7,7 @@ use std::rc::Rc;
 
 use iceoryx2::port::listener::Listener;
 use iceoryx2::prelude::ipc;
-use shared_types::{Fate, Header, InputAccount, OwnType, StageStamps};
+use shared_types::{Fate, Fault, Header, InputAccount, OwnType, StageStamps, require_sequence};
 
 use super::member::{Member, Source};
 use super::ports::Port;
@@ -35,6 +35,8 @@ pub(crate) struct OwnReader {
     member: Rc<Member>,
     kept: RefCell<VecDeque<Received>>,
     port: RefCell<Port>,
+    /// When the bus was polled before and last [ns].
+    polled_ns: Cell<[u64; 2]>,
     /// Incarnation and scan of the sample that was kept last.
     last: Cell<(u32, u64)>,
 }
@@ -57,6 +59,7 @@ impl OwnReader {
             member: Rc::clone(member),
             kept: RefCell::new(VecDeque::with_capacity(row.queue)),
             port: member.port(&row.name, false),
+            polled_ns: Cell::default(),
             last: Cell::default(),
             row,
         }))
@@ -70,6 +73,7 @@ impl OwnReader {
     /// Takes all samples from the bus and keeps the valid ones.
     pub(super) fn poll(&self) -> Result<(), RuntimeError> {
         clear(&self.listener);
+        self.polled_ns.set([self.polled_ns.get()[1], monotonic_ns()]);
         let (before, mut received) = (self.port.borrow().account, 0);
         while received < MAX_QUEUES * self.row.queue {
             let Some(sample) = self.subscriber.receive()? else { break };
@@ -164,7 +168,7 @@ impl OwnReader {
     fn arrive(&self, sample: Received) {
         let header = header_of(&sample);
         let report = &mut *self.member.report.borrow_mut();
-        if header.layout != self.layout {
+        if header.layout != self.layout || self.judge_numbers(header).is_err() {
             self.port.borrow_mut().account.unreadable += 1;
             report.invalid += 1;
             return;
@@ -200,6 +204,16 @@ impl OwnReader {
             self.settle(Fate::Replaced, &oldest);
         }
         kept.push_back(sample);
+    }
+
+    /// Passes when a scan and a sample can have the numbers of a header by now.
+    fn judge_numbers(&self, header: &Header) -> Result<(), Fault> {
+        header.check_numbers()?;
+        let [before_ns, now_ns] = self.polled_ns.get();
+        let port = self.port.borrow();
+        let span = port.account.from(header.incarnation);
+        let (newest, since_ns) = span.map_or((0, 0), |span| (span.last, before_ns));
+        require_sequence(header.sequence, newest, now_ns.saturating_sub(since_ns))
     }
 
     fn settle(&self, fate: Fate, sample: &[u8]) {

@@ -1,6 +1,6 @@
 //! The state that a process saves for its successor.
 
-use shared_types::{Actuation, Checkpoint, Described, Header, JournalKind, Topic};
+use shared_types::{Actuation, Checkpoint, Described, Header, JournalKind, KnownScan, Topic};
 
 use super::waiting::Need;
 use super::{CHECKPOINT_AGE_NS, HANDOVER_AGE_NS, JOIN_NS, Process};
@@ -69,7 +69,9 @@ impl Process {
             }
             self.handed_actuations.replace((data.actuations, data.moved_ns));
         }
-        self.handed_scan.set(data.checkpoint.header.scan_id);
+        let header = &data.checkpoint.header;
+        self.handed_scan.set(header.scan_id);
+        self.shared.known_scan.set(KnownScan::of(header, header.acquired_ns));
         self.note_resumed(&data.checkpoint);
         Ok(Handover::State(data.checkpoint))
     }
