@@ -17,7 +17,7 @@ use super::{GRANT_AHEAD, Session};
 use crate::companion::Companion;
 
 /// Of so many candidates whose swap is over, the settings stay in the directory of the system, for recorders: on a busy
-/// machine one may hear of a process when the swap is over.
+/// machine one may find a process when the swap is over.
 const MAX_SETTLED: usize = 16;
 
 /// The outputs of each candidate and of the process in charge, by incarnation of the candidate.
