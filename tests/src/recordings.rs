@@ -32,6 +32,8 @@ pub enum Kind {
     Swap,
     /// A process is restarted.
     Restart,
+    /// Settings change: the new process takes over, or is refused.
+    Set,
     /// Scanner faults, and a process is killed.
     ScannerAndKill,
     /// A worn robot on a noisy course.
@@ -41,11 +43,12 @@ pub enum Kind {
 }
 
 /// All kinds.
-pub const KINDS: [Kind; 11] = [
+pub const KINDS: [Kind; 12] = [
     Kind::Lockstep,
     Kind::Kill,
     Kind::Swap,
     Kind::Hang,
+    Kind::Set,
     Kind::Restart,
     Kind::Late,
     Kind::ScannerAndKill,
@@ -57,6 +60,13 @@ pub const KINDS: [Kind; 11] = [
 
 /// Roles whose death does not end the run.
 const RESTARTED: [Role; 4] = [Role::Estimator, Role::Obstacles, Role::Controller, Role::Actuator];
+/// Changes of settings: the second drives otherwise and is refused.
+const CHANGES: [&[&str]; 4] = [
+    &["--tolerance", "1000", "controller.cruise_mps=0.9"],
+    &["controller.cruise_mps=0.3"],
+    &["estimator.recover_after=7"],
+    &["actuator.recovery=3"],
+];
 /// Faults of the scanner that a drive survives.
 const SCANNER: [&str; 6] =
     ["--set", "scanner.salt=0.005", "--set", "scanner.missing_every=40", "--set", "noise.dropout=0.1"];
@@ -168,6 +178,10 @@ fn disturb(system: &System, kind: Kind, seed: u64) {
         Kind::Swap => {
             let (role, implementation) = BUILT_IN[dice.random_range(0..BUILT_IN.len())];
             system.run(&["swap", role.name(), "--to", implementation, "--shadow-scans", "5"]);
+        }
+        Kind::Set => {
+            let change = CHANGES[dice.random_range(0..CHANGES.len())];
+            system.run(&[&["set"], change].concat());
         }
         Kind::Restart => _ = system.run(&["restart", role.name()]),
         _ => {}

@@ -1,17 +1,17 @@
 //! Recordings for other programs: tables of comma-separated values, and bags of ROS 2.
 
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::io::{BufWriter, IntoInnerError, Write};
 use std::path::Path;
 
 use console::exit::Failure;
 use console::new_file::{Existing, NewFile};
-use shared_types::{Field, Kind, TOPICS, Topic};
+use shared_types::{Field, Kind, Topic};
 
 use crate::copy::copy;
-use crate::info::Info;
-use crate::read::Recording;
+use crate::read::{Recording, refusal};
 
 /// Exports each topic as a table, one column per number; returns the number of rows. Checkpoints have no columns.
 ///
@@ -20,34 +20,52 @@ use crate::read::Recording;
 pub fn csv(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
     let mut recording = Recording::open(from)?;
     make(folder)?;
-    let mut tables: Vec<Option<BufWriter<NewFile>>> = TOPICS.iter().map(|_| None).collect();
-    let mut rows = 0;
-    recording.samples(|_, sample| {
-        if sample.topic == Topic::Checkpoint {
-            return Ok(());
-        }
-        let table = &mut tables[sample.topic as usize];
-        let fields = sample.topic.fields();
-        if table.is_none() {
-            let path = folder.join(format!("{}.csv", sample.topic));
-            let mut names = String::from("log_ns");
-            columns(fields, "", &mut names);
-            let mut file = BufWriter::new(NewFile::create(&path, Existing::forced(force), &[from])?);
-            writeln!(file, "{names}")?;
-            *table = Some(file);
-        }
-        if let Some(file) = table {
-            let mut row = sample.log_ns.to_string();
-            values(fields, sample.bytes, &mut row);
-            writeln!(file, "{row}")?;
-            rows += 1;
-        }
-        Ok(())
+    let mut tables = Tables { from, folder, force, files: BTreeMap::new(), rows: 0 };
+    recording.samples(|_, sample| match sample.topic {
+        Topic::Checkpoint => Ok(()),
+        topic => tables.add(topic.name(), topic.fields(), sample.log_ns, sample.bytes),
     })?;
-    for table in tables.into_iter().flatten() {
+    recording.own_samples(|name, fields, log_ns, bytes| tables.add(name, fields, log_ns, bytes))?;
+    for table in tables.files.into_values() {
         table.into_inner().map_err(IntoInnerError::into_error)?.finish()?;
     }
-    Ok(rows)
+    Ok(tables.rows)
+}
+
+/// The tables of an export, by topic.
+struct Tables<'a> {
+    from: &'a Path,
+    folder: &'a Path,
+    force: bool,
+    files: BTreeMap<String, BufWriter<NewFile>>,
+    rows: u64,
+}
+
+impl Tables<'_> {
+    /// Adds a row, and makes the table when it is the first.
+    fn add(&mut self, topic: &str, fields: &[Field], log_ns: u64, bytes: &[u8]) -> anyhow::Result<()> {
+        if !self.files.contains_key(topic) {
+            // The name may be that of a file of another program.
+            let is_name = |letter: char| letter.is_ascii_alphanumeric() || "-_".contains(letter);
+            if !topic.chars().all(is_name) {
+                return Ok(());
+            }
+            let path = self.folder.join(format!("{topic}.csv"));
+            let mut names = String::from("log_ns");
+            columns(fields, "", &mut names);
+            let mut file =
+                BufWriter::new(NewFile::create(&path, Existing::forced(self.force), &[self.from])?);
+            writeln!(file, "{names}")?;
+            self.files.insert(topic.to_owned(), file);
+        }
+        if let Some(file) = self.files.get_mut(topic) {
+            let mut row = log_ns.to_string();
+            values(fields, bytes, &mut row);
+            writeln!(file, "{row}")?;
+            self.rows += 1;
+        }
+        Ok(())
+    }
 }
 
 /// Exports the recording as a bag of ROS 2: a folder with the file and its `metadata.yaml`.
@@ -55,30 +73,36 @@ pub fn csv(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
 /// # Errors
 /// As [`csv`].
 pub fn rosbag2(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
-    let info = Info::read(from)?;
     make(folder)?;
     let path = folder.join("metadata.yaml");
     let mut description = NewFile::create(&path, Existing::forced(force), &[from])?;
-    let name = "recording.mcap";
-    copy(from, &folder.join(name), force, 0..=u64::MAX)?;
-    let mut recording = Recording::open(from)?;
-    let mut start_ns = u64::MAX;
-    while let Ok(Some(message)) = recording.reader().next_message() {
-        start_ns = start_ns.min(message.log_ns);
+    let copied = copy(from, &folder.join("recording.mcap"), force, 0..=u64::MAX)?;
+    let (mut topics, mut files) = (BTreeMap::<String, (String, u64)>::new(), String::new());
+    let (mut names, mut span_ns) = (String::new(), [u64::MAX, 0]);
+    for path in &copied.files {
+        let (times_ns, messages) = add_topics(path, &mut topics)?;
+        span_ns = [span_ns[0].min(times_ns[0]), span_ns[1].max(times_ns[1])];
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let _ = writeln!(names, "    - {name}");
+        let _ = write!(
+            files,
+            "    - path: {name}\n      starting_time:\n        nanoseconds_since_epoch: {}\n      \
+             duration:\n        nanoseconds: {}\n      message_count: {messages}\n",
+            times_ns[0],
+            times_ns[1] - times_ns[0]
+        );
     }
-    let contents = recording.contents();
-    let total: u64 = info.channels.values().sum();
-    let duration_ns = (info.duration_s * 1e9) as u64;
+    let [start_ns, end_ns] = span_ns;
+    let total = copied.messages;
     let mut text = format!(
         "rosbag2_bagfile_information:\n  version: 5\n  storage_identifier: mcap\n  \
-         duration:\n    nanoseconds: {duration_ns}\n  \
+         duration:\n    nanoseconds: {}\n  \
          starting_time:\n    nanoseconds_since_epoch: {start_ns}\n  \
-         message_count: {total}\n  topics_with_message_count:\n"
+         message_count: {total}\n  topics_with_message_count:\n",
+        end_ns - start_ns
     );
-    for channel in contents.channels.values() {
-        let (topic, schema) = (&channel.topic, contents.schemas.get(&channel.schema));
-        let (kind, count) = (schema.map_or("", |schema| &schema.name), info.channels[topic]);
-        let (topic, kind) = (yaml(topic), yaml(kind));
+    for (topic, (kind, count)) in topics {
+        let (topic, kind) = (yaml(&topic), yaml(&kind));
         let _ = write!(
             text,
             "    - topic_metadata:\n        name: {topic}\n        type: {kind}\n        \
@@ -87,13 +111,30 @@ pub fn rosbag2(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
     }
     let _ = write!(
         text,
-        "  compression_format: \"\"\n  compression_mode: \"\"\n  relative_file_paths:\n    - {name}\n  \
-         files:\n    - path: {name}\n      starting_time:\n        nanoseconds_since_epoch: {start_ns}\n      \
-         duration:\n        nanoseconds: {duration_ns}\n      message_count: {total}\n"
+        "  compression_format: \"\"\n  compression_mode: \"\"\n  relative_file_paths:\n{names}  files:\n{files}"
     );
     description.write_all(text.as_bytes())?;
     description.finish()?;
     Ok(total)
+}
+
+/// Adds the channels of a file of the bag with their types and messages; returns the times of its first and last message [ns],
+/// and how many there are.
+fn add_topics(path: &Path, topics: &mut BTreeMap<String, (String, u64)>) -> anyhow::Result<([u64; 2], u64)> {
+    let mut recording = Recording::open(path)?;
+    let (mut counts, mut times_ns) = (BTreeMap::<u16, u64>::new(), [u64::MAX, 0]);
+    while let Some(message) = recording.reader().next_message().map_err(|error| refusal(path, &error))? {
+        *counts.entry(message.channel).or_default() += 1;
+        times_ns = [times_ns[0].min(message.log_ns), times_ns[1].max(message.log_ns)];
+    }
+    let contents = recording.contents();
+    for (number, channel) in &contents.channels {
+        let schema = contents.schemas.get(&channel.schema);
+        let kind = schema.map_or("", |schema| &schema.name);
+        let (_, count) = topics.entry(channel.topic.clone()).or_insert((kind.to_owned(), 0));
+        *count += counts.get(number).copied().unwrap_or_default();
+    }
+    Ok((times_ns, counts.values().sum()))
 }
 
 fn make(folder: &Path) -> anyhow::Result<()> {

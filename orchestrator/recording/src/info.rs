@@ -6,6 +6,8 @@ use std::path::Path;
 use runtime::one_line;
 use serde::Serialize;
 
+use crate::copy::REPAIRED;
+use crate::mcap::Contents;
 use crate::read::{Recording, metadata, refusal};
 
 /// What a recording holds.
@@ -17,8 +19,10 @@ pub struct Info {
     pub bytes: u64,
     /// Whether it has its end; false for one that was cut off.
     pub complete: bool,
-    /// Recorded time [s].
+    /// Recorded time; of joined files the sum [s].
     pub duration_s: f64,
+    /// Recordings that were joined to this file; mostly one.
+    pub files: u64,
     /// Whether time was simulated.
     pub lockstep: bool,
     /// The random id of the run.
@@ -27,8 +31,10 @@ pub struct Info {
     pub program: String,
     /// The machine.
     pub machine: String,
-    /// Samples of the drive that are missing in it; `None` where the end is missing.
+    /// Samples of the drive that are missing in it; `None` where the end is missing, or a repair could not count them.
     pub lost: Option<u64>,
+    /// What a repair could not read; empty for all others.
+    pub missing: String,
     /// The first difference between the layouts of its samples and those of this program.
     pub layout_difference: Option<String>,
     /// All fields in which they differ.
@@ -46,46 +52,63 @@ impl Info {
     /// A file that can't be read or is damaged; exit code 2.
     pub fn read(path: &Path) -> anyhow::Result<Self> {
         let mut recording = Recording::open(path)?;
-        let (mut counts, mut times) = (BTreeMap::<u16, u64>::new(), None);
+        // Of each joined file: messages by channel, and the times of the first and last one [ns].
+        let mut read = vec![(BTreeMap::<u16, u64>::new(), [u64::MAX, 0]); recording.files().len()];
         loop {
-            match recording.reader().next_message() {
-                Ok(Some(message)) => {
-                    *counts.entry(message.channel).or_default() += 1;
-                    let [first, last] = times.unwrap_or([message.log_ns; 2]);
-                    times = Some([first.min(message.log_ns), last.max(message.log_ns)]);
-                }
+            let (channel, log_ns) = match recording.reader().next_message() {
+                Ok(Some(message)) => (message.channel, message.log_ns),
                 Ok(None) => break,
                 Err(error) => return Err(refusal(path, &error)),
-            }
+            };
+            let (counts, [first, last]) = &mut read[recording.reader().file()];
+            *counts.entry(channel).or_default() += 1;
+            (*first, *last) = (log_ns.min(*first), log_ns.max(*last));
         }
         recording.require_a_second()?;
-        let contents = recording.contents();
-        let [first, last] = times.unwrap_or_default();
+        let files = recording.files();
+        let contents = &files[0];
+        let duration_ns: u64 = read.iter().map(|(_, [first, last])| last.saturating_sub(*first)).sum();
         let of = |name: &str, key: &str| metadata(contents, name, key).unwrap_or_default().to_owned();
         let layout_differences = match Recording::layout_differences(contents) {
             Ok(found) => found.iter().map(ToString::to_string).collect(),
             Err(error) => vec![error.to_string()],
         };
-        let channels = contents.channels.iter();
-        let channels = channels.map(|(number, channel)| {
-            (channel.topic.clone(), counts.get(number).copied().unwrap_or_default())
-        });
+        let mut channels = BTreeMap::new();
+        for (contents, (counts, _)) in files.iter().zip(&read) {
+            for (number, channel) in &contents.channels {
+                let count = counts.get(number).copied().unwrap_or_default();
+                *channels.entry(channel.topic.clone()).or_default() += count;
+            }
+        }
+        let missing = files.iter().filter_map(|contents| metadata(contents, REPAIRED, "missing"));
         Ok(Self {
             file: path.display().to_string(),
             bytes: path.metadata().map_or(0, |metadata| metadata.len()),
-            complete: contents.is_complete,
-            duration_s: (last - first) as f64 * 1e-9,
+            complete: files.iter().all(|contents| contents.is_complete),
+            duration_s: duration_ns as f64 * 1e-9,
+            files: files.len() as u64,
             lockstep: of("recording", "lockstep") == "true",
             run_id: of("recording", "run_id"),
             program: of("recording", "program"),
             machine: of("recording", "machine"),
-            lost: metadata(contents, "end", "lost").and_then(|lost| lost.parse().ok()),
+            lost: files.iter().map(lost).sum(),
+            missing: missing.collect::<Vec<_>>().join("; "),
             layout_difference: layout_differences.first().cloned(),
             layout_differences,
-            channels: channels.collect(),
-            attachments: contents.attachments.iter().map(|attachment| attachment.name.clone()).collect(),
+            channels,
+            attachments: files
+                .iter()
+                .flat_map(|contents| contents.attachments.iter().map(|attachment| attachment.name.clone()))
+                .collect(),
         })
     }
+}
+
+/// Samples that are missing in a file: those which the recorder lost, and those which a repair could not read.
+fn lost(contents: &Contents) -> Option<u64> {
+    let of = |name: &str| metadata(contents, name, "lost").map(|lost| lost.parse::<u64>().ok());
+    let repaired = of(REPAIRED).unwrap_or(Some(0))?;
+    Some(of("end")?? + repaired)
 }
 
 impl std::fmt::Display for Info {
@@ -93,13 +116,23 @@ impl std::fmt::Display for Info {
         let time = if self.lockstep { "lock-step" } else { "real time" };
         let state = if self.complete { "complete" } else { "cut off" };
         let megabytes = self.bytes as f64 * 1e-6;
+        let state = match self.files {
+            1 => state.to_owned(),
+            files => format!("{files} joined recordings, {state}"),
+        };
         writeln!(formatter, "{}: {state}, {:.1} s in {time}, {megabytes:.2} MB", self.file, self.duration_s)?;
         let [run_id, program, machine] =
             [&self.run_id, &self.program, &self.machine].map(|word| one_line(word));
         writeln!(formatter, "run {run_id} of {program} on {machine}")?;
         match self.lost {
             Some(lost) => writeln!(formatter, "{lost} samples lost")?,
-            None => writeln!(formatter, "lost samples are not known: the end is missing")?,
+            None if self.missing.is_empty() => {
+                writeln!(formatter, "lost samples are not known: the end is missing")?;
+            }
+            None => writeln!(formatter, "lost samples are not known")?,
+        }
+        if !self.missing.is_empty() {
+            writeln!(formatter, "repaired; missing: {}", self.missing)?;
         }
         for difference in &self.layout_differences {
             writeln!(formatter, "another layout: {}", one_line(difference))?;

@@ -5,6 +5,7 @@ pub mod export;
 mod foxglove;
 pub mod info;
 pub mod mcap;
+mod own;
 pub mod read;
 pub mod recorder;
 mod schema;

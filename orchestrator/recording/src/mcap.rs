@@ -2,20 +2,29 @@
 //!
 //! A file is a sequence of records: one byte says what it is, eight its length. Messages stand in compressed chunks,
 //! each with a checksum; behind the data is a summary, from which readers find the chunks of a time. A file that was
-//! cut off has no summary, and is read from its start up to the last whole chunk.
+//! cut off has no summary, and is read from its start up to the last whole chunk. Files of other programs may have
+//! messages outside of chunks, and several files may be joined to one.
 //!
 //! Written here instead of used from a crate, because of the cost in the build
 //! ([decision 46](../../../docs/decisions/0046-recordings-are-mcap.md)).
 
 mod chunk;
+mod contents;
 mod damage;
 mod fields;
+mod index;
+mod input;
 mod reader;
+mod sound;
+mod unpack;
 mod writer;
 
 pub use chunk::{Chunk, OpenChunk};
+pub use contents::{Attachment, Contents, MAX_HELD, Message, Metadata, Statistics};
 pub use damage::{Damage, ReadError};
-pub use reader::{Attachment, Contents, Message, Metadata, Reader};
+pub use reader::{Gap, Reader};
+pub use unpack::MAX_CHUNK;
+pub(crate) use writer::CDR;
 pub use writer::{Channel, Schema, Writer};
 
 /// First and last bytes of a file.
@@ -92,96 +101,4 @@ pub(crate) fn append(records: &mut Vec<u8>, opcode: u8, body: &[u8]) {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn file() -> Vec<u8> {
-        let schema = Schema { name: "s/msg/S".into(), encoding: "ros2msg".into(), text: "uint8 a".into() };
-        let channels = [
-            Channel { topic: "one".into(), schema: 0, metadata: vec![] },
-            Channel { topic: "two".into(), schema: 0, metadata: vec![("key".into(), "value".into())] },
-        ];
-        let mut writer = Writer::new(Vec::new(), "test", &[schema], &channels).unwrap();
-        writer.attach("a.toml", "application/toml", b"seed = 7\n", 1).unwrap();
-        for time in 0..10 {
-            writer.message(time as u16 % 2, time, 100 * u64::from(time), &[&[time as u8; 300]]);
-            if time % 4 == 3 {
-                writer.end_chunk().unwrap();
-            }
-        }
-        writer.metadata("end", &[("lost".into(), "0".into())]).unwrap();
-        writer.finish().unwrap().0
-    }
-
-    fn read(bytes: &[u8]) -> (Contents, Vec<(String, u64, usize)>) {
-        let mut reader = Reader::new(bytes).unwrap();
-        let mut messages = Vec::new();
-        while let Some(message) = reader.next_message().unwrap() {
-            let (channel, log_ns, length) = (message.channel, message.log_ns, message.data.len());
-            messages.push((reader.contents().channels[&channel].topic.clone(), log_ns, length));
-        }
-        (reader.into_contents(), messages)
-    }
-
-    #[test]
-    fn what_was_written_is_read() {
-        let (contents, messages) = read(&file());
-        assert_eq!(messages.len(), 10);
-        assert_eq!(messages[..2], [("one".to_owned(), 0, 300), ("one".to_owned(), 200, 300)]);
-        assert_eq!(contents.attachments[0].data, b"seed = 7\n");
-        assert_eq!(contents.metadata[0].name, "end");
-        assert!(contents.is_complete);
-    }
-
-    #[test]
-    fn chunks_that_were_sealed_elsewhere_are_read() {
-        let channel = Channel { topic: "one".into(), schema: 0, metadata: vec![] };
-        let mut writer = Writer::new(Vec::new(), "test", &[], &[channel]).unwrap();
-        let mut open = OpenChunk::default();
-        for time in 1..=3 {
-            open.message(0, time, u64::from(time), &[&[7; 20], &[8; 10]]);
-            writer.chunk(&open.seal().unwrap()).unwrap();
-        }
-        let (contents, messages) = read(&writer.finish().unwrap().0);
-        let expected: Vec<_> = (1..=3).map(|time| ("one".to_owned(), time, 30)).collect();
-        assert_eq!((messages, contents.chunks, contents.is_complete), (expected, 3, true));
-    }
-
-    #[test]
-    fn a_file_that_is_cut_off_anywhere_is_readable_up_to_its_last_whole_chunk() {
-        let whole = file();
-        let mut longest = 0;
-        for length in MAGIC.len()..whole.len() {
-            let (contents, messages) = read(&whole[..length]);
-            assert!(!contents.is_complete, "{length}");
-            assert!(messages.len() >= longest && [0, 4, 8, 10].contains(&messages.len()), "{length}");
-            longest = messages.len();
-        }
-        assert_eq!(longest, 10);
-    }
-
-    #[test]
-    fn a_flipped_bit_in_a_chunk_is_found() {
-        let whole = file();
-        let chunk = whole.windows(3).position(|bytes| bytes == b"lz4").unwrap();
-        for at in (chunk + 16..chunk + 40).step_by(3) {
-            let mut flipped = whole.clone();
-            flipped[at] ^= 4;
-            let mut reader = Reader::new(&flipped[..]).unwrap();
-            let error = loop {
-                match reader.next_message() {
-                    Ok(Some(_)) => {}
-                    Ok(None) => panic!("byte {at}: not found"),
-                    Err(error) => break error,
-                }
-            };
-            assert!(matches!(error, ReadError::Damaged { .. }), "{error}");
-        }
-    }
-
-    #[test]
-    fn another_file_is_refused() {
-        assert!(matches!(Reader::new(&b"#ROSBAG V2.0"[..]), Err(ReadError::Foreign)));
-        assert!(matches!(Reader::new(&b""[..]), Err(ReadError::Foreign)));
-    }
-}
+mod tests;

@@ -6,10 +6,11 @@ use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use console::exit::Failure;
-use shared_types::{Difference, Layouts, NotALayout, TOPICS, Topic};
+use shared_types::{Difference, Field, Layouts, NotALayout, Role, TOPICS, Topic};
 
 use crate::foxglove::{CHANNELS, LOG, LogLine, log_line};
-use crate::mcap::{Contents, ReadError, Reader};
+use crate::mcap::{CDR, Contents, ReadError, Reader};
+use crate::own::OwnTopic;
 use crate::schema::ENCAPSULATION;
 use crate::tape::PREFIX;
 
@@ -22,18 +23,31 @@ pub(crate) const VERSION: &str = "1";
 /// Name of the attached run: scenario, system and options.
 pub const RUN: &str = "run.toml";
 
+/// Samples are read up to so many bytes, or to [`MAX_RATIO`] times the length of the file if that is more: replays hold them in
+/// memory. A recording unpacks to five times its length.
+const MAX_SAMPLES: u64 = 256 << 20;
+const MAX_RATIO: u64 = 32;
+/// Lines of logs take at most so much memory [bytes]; later ones are left out.
+const MAX_LINES: usize = 16 << 20;
+
+/// Name of the attached settings of a process, if they are not those of its role at the start of the recording.
+pub fn settings_of(role: Role, incarnation: u32) -> String {
+    format!("settings-{role}-{incarnation}.toml")
+}
+
 /// A recording that is open for reading.
 pub struct Recording {
     path: PathBuf,
     reader: Reader<BufReader<File>>,
     /// The content of the last sample at its start: samples begin at multiples of eight bytes.
     aligned: Vec<u64>,
-    /// Topics whose samples have another layout, once they are known.
-    others: Option<BTreeSet<String>>,
-    /// Channels that only viewers read, as far as they are known.
-    drawn: BTreeSet<u16>,
-    /// Lines of logs that were read.
+    /// Of each joined file, topics whose samples have another layout, once they are known.
+    others: Option<Vec<BTreeSet<String>>>,
+    /// Channels of joined files that only viewers read, as far as they are known.
+    drawn: BTreeSet<(usize, u16)>,
+    /// Lines of logs that were read, and their memory [bytes].
     lines: Vec<LogLine>,
+    line_bytes: usize,
 }
 
 /// A sample as it was recorded.
@@ -43,6 +57,8 @@ pub struct Recorded<'a> {
     pub topic: Topic,
     /// When it was recorded, on the clock of the loop [ns].
     pub log_ns: u64,
+    /// Which of the joined files it is from; mostly the only one.
+    pub file: usize,
     /// Where its chunk begins in the file, see [`Recording::chunk`].
     pub chunk_at: u64,
     /// The sample.
@@ -61,7 +77,7 @@ impl Recording {
         if file.metadata().is_ok_and(|metadata| metadata.len() == 0) {
             return Err(refuse(&"the file is empty"));
         }
-        let reader = Reader::new(BufReader::with_capacity(1 << 18, file)).map_err(|error| refuse(&error))?;
+        let reader = Reader::new(BufReader::new(file)).map_err(|error| refusal(path, &error))?;
         Ok(Self {
             path: path.to_owned(),
             reader,
@@ -69,6 +85,7 @@ impl Recording {
             others: None,
             drawn: BTreeSet::new(),
             lines: Vec::new(),
+            line_bytes: 0,
         })
     }
 
@@ -77,27 +94,42 @@ impl Recording {
         &self.path
     }
 
-    /// What was read beside the samples until now.
+    /// What the file holds beside the samples; of joined files, the one that is read.
     pub fn contents(&self) -> &Contents {
         self.reader.contents()
+    }
+
+    /// The same of each of the joined files; mostly one.
+    pub fn files(&self) -> &[Contents] {
+        self.reader.files()
     }
 
     /// Hands all samples to `each`, in the order in which they were recorded; other messages and samples of another layout
     /// are left out.
     ///
     /// # Errors
-    /// A damaged file, or one whose samples have another size; exit code 2. Errors of `each`.
+    /// A damaged file, one whose samples have another size, and one that unpacks to too many; exit code 2. Errors of `each`.
     pub fn samples(
         &mut self,
         mut each: impl FnMut(&Contents, Recorded<'_>) -> anyhow::Result<()>,
     ) -> anyhow::Result<()> {
+        let limit = MAX_SAMPLES.max(MAX_RATIO * self.path.metadata().map_or(0, |metadata| metadata.len()));
+        let mut bytes = 0;
         while let Some((topic, log_ns)) = self.advance(None)? {
+            bytes += topic.size() as u64;
+            if bytes > limit {
+                return Err(Failure::bad_input(format!(
+                    "{}: its samples have more than {limit} bytes; `scanloop recording cut` makes a shorter recording",
+                    self.path.display()
+                )));
+            }
             let chunk_at = self.reader.chunk_at();
+            let file = self.reader.file();
             let bytes = &bytemuck::cast_slice::<u64, u8>(&self.aligned)[..topic.size()];
-            each(self.reader.contents(), Recorded { topic, log_ns, chunk_at, bytes })?;
+            each(self.reader.contents(), Recorded { topic, log_ns, file, chunk_at, bytes })?;
         }
         self.require_a_second()?;
-        if !self.contents().is_complete {
+        if !self.files().iter().all(|contents| contents.is_complete) {
             let path = self.path.display();
             let text =
                 format!("warning: {path}: the recording was cut off; read up to its last whole second");
@@ -111,10 +143,14 @@ impl Recording {
     /// # Errors
     /// A file that was damaged or replaced meanwhile.
     pub fn chunk(&mut self, chunk_at: u64, mut each: impl FnMut(Recorded<'_>)) -> anyhow::Result<()> {
-        self.reader.seek_to_chunk(chunk_at)?;
+        if !self.reader.seek_to_chunk(chunk_at) {
+            let path = self.path.display();
+            return Err(Failure::bad_input(format!("{path}: the file was changed while it was open")));
+        }
         while let Some((topic, log_ns)) = self.advance(Some(chunk_at))? {
+            let file = self.reader.file();
             let bytes = &bytemuck::cast_slice::<u64, u8>(&self.aligned)[..topic.size()];
-            each(Recorded { topic, log_ns, chunk_at, bytes });
+            each(Recorded { topic, log_ns, file, chunk_at, bytes });
         }
         Ok(())
     }
@@ -123,6 +159,10 @@ impl Recording {
     ///
     /// `None` at the end, or at the end of the chunk that begins at `within`.
     fn advance(&mut self, within: Option<u64>) -> anyhow::Result<Option<(Topic, u64)>> {
+        if self.others.is_none() {
+            let others = self.files().iter().map(|contents| other_topics(&self.path, contents));
+            self.others = Some(others.collect::<Result<_, _>>()?);
+        }
         loop {
             if within == Some(self.reader.chunk_at()) && self.reader.is_chunk_over() {
                 return Ok(None);
@@ -133,42 +173,79 @@ impl Recording {
                 Err(error) => return Err(refusal(&self.path, &error)),
             };
             let (channel, log_ns) = (message.channel, message.log_ns);
-            if within.is_none() && self.drawn.contains(&channel) {
-                continue;
-            }
+            let encapsulation = message.data.get(..ENCAPSULATION.len()).unwrap_or_default();
+            let is_encapsulated = encapsulation == ENCAPSULATION;
             let words = message.data.get(ENCAPSULATION.len()..).unwrap_or_default();
             let length = words.len();
             let places = length.div_ceil(8).max(self.aligned.len());
             self.aligned.resize(places, 0);
             bytemuck::cast_slice_mut::<u64, u8>(&mut self.aligned)[..length].copy_from_slice(words);
-            if self.others.is_none() {
-                self.others = Some(self.other_topics()?);
-            }
-            if within.is_some_and(|at| at != self.reader.chunk_at()) {
-                let path = self.path.display();
-                return Err(Failure::bad_input(format!("{path}: the file was changed while it was open")));
+            let file = self.reader.file();
+            if within.is_none() && self.drawn.contains(&(file, channel)) {
+                continue;
             }
             let channels = &self.reader.contents().channels;
-            let name = channels.get(&channel).map_or("", |channel| channel.topic.as_str());
+            let Some(known) = channels.get(&channel) else { continue };
+            let name = known.topic.as_str();
             let Some(topic) = topic_of(name) else {
                 if name != CHANNELS[LOG].0 {
-                    self.drawn.insert(channel);
-                } else if within.is_none() {
+                    self.drawn.insert((file, channel));
+                } else if within.is_none() && self.line_bytes < MAX_LINES {
                     let content = &bytemuck::cast_slice::<u64, u8>(&self.aligned)[..length];
+                    self.line_bytes += size_of::<LogLine>() + length;
                     self.lines.extend(log_line(log_ns, content));
                 }
                 continue;
             };
-            if self.others.as_ref().is_some_and(|others| others.contains(topic.name())) {
+            if self.others.as_ref().is_some_and(|others| others[file].contains(topic.name())) {
                 continue;
             }
+            let refuse = |reason: String| {
+                Err(Failure::bad_input(format!("{}: topic {topic}: {reason}", self.path.display())))
+            };
+            if known.encoding != CDR || !is_encapsulated {
+                return refuse(format!(
+                    "encoding {} is not supported: cdr, little endian, is",
+                    known.encoding
+                ));
+            }
             if length != topic.size() {
-                let (path, size) = (self.path.display(), topic.size());
-                return Err(Failure::bad_input(format!(
-                    "{path}: topic {topic}: a sample has {length} bytes instead of {size}"
-                )));
+                return refuse(format!("a sample has {length} bytes instead of {}", topic.size()));
             }
             return Ok(Some((topic, log_ns)));
+        }
+    }
+
+    /// Hands the samples of topics that the system has added to `each`: name, fields, log time [ns], bytes.
+    ///
+    /// # Errors
+    /// A damaged file; exit code 2. Errors of `each`.
+    pub(crate) fn own_samples(
+        &self,
+        mut each: impl FnMut(&str, &'static [Field], u64, &[u8]) -> anyhow::Result<()>,
+    ) -> anyhow::Result<()> {
+        let own: Vec<Vec<OwnTopic>> = self.files().iter().map(OwnTopic::recorded).collect();
+        if own.iter().all(Vec::is_empty) {
+            return Ok(());
+        }
+        let file = File::open(&self.path).map_err(|error| refusal(&self.path, &error.into()))?;
+        let mut reader = Reader::new(BufReader::new(file)).map_err(|error| refusal(&self.path, &error))?;
+        let mut data = Vec::new();
+        loop {
+            let message = match reader.next_message() {
+                Ok(Some(message)) => message,
+                Ok(None) => return Ok(()),
+                Err(error) => return Err(refusal(&self.path, &error)),
+            };
+            let (channel, log_ns) = (message.channel, message.log_ns);
+            data.clear();
+            data.extend_from_slice(message.data.get(ENCAPSULATION.len()..).unwrap_or_default());
+            let channel = reader.contents().channels.get(&channel);
+            let name = channel.and_then(|channel| channel.topic.strip_prefix(PREFIX)).unwrap_or_default();
+            let topic = own[reader.file()].iter().find(|topic| topic.name() == name);
+            if let Some(topic) = topic.filter(|topic| topic.size() == data.len()) {
+                each(name, topic.fields(), log_ns, &data)?;
+            }
         }
     }
 
@@ -184,8 +261,8 @@ impl Recording {
 
     /// Passes when it was read and held at least one chunk.
     pub(crate) fn require_a_second(&self) -> anyhow::Result<()> {
-        match self.contents().chunks {
-            0 => Err(Failure::bad_input(format!(
+        match self.files().iter().map(|contents| contents.chunks).sum() {
+            0_u64 => Err(Failure::bad_input(format!(
                 "{}: the recording holds not one whole second",
                 self.path.display()
             ))),
@@ -205,25 +282,35 @@ impl Recording {
         let of_topic = |topic: &Topic| shared_types::differences(&built_in, &recorded, topic.name());
         Ok(TOPICS.iter().filter(is_known).flat_map(of_topic).collect())
     }
+}
 
-    /// Topics whose samples have another layout.
-    fn other_topics(&self) -> anyhow::Result<BTreeSet<String>> {
-        let refuse = |reason: String| Failure::bad_input(format!("{}: {reason}", self.path.display()));
-        let version = metadata(self.contents(), RECORDING, "version").unwrap_or(VERSION);
-        if version != VERSION {
-            return Err(refuse(format!(
-                "version {version} of the recording is not {VERSION}, the one that this program reads"
-            )));
-        }
-        let found = Self::layout_differences(self.contents());
-        let found = found.map_err(|error| refuse(format!("{LAYOUTS}: {error}")))?;
-        Ok(found.into_iter().map(|found| found.topic).collect())
+/// Topics whose samples have another layout.
+fn other_topics(path: &Path, contents: &Contents) -> anyhow::Result<BTreeSet<String>> {
+    let refuse = |reason: String| Failure::bad_input(format!("{}: {reason}", path.display()));
+    let version = metadata(contents, RECORDING, "version").unwrap_or(VERSION);
+    if version != VERSION {
+        return Err(refuse(format!(
+            "version {version} of the recording is not {VERSION}, the one that this program reads"
+        )));
     }
+    let found = Recording::layout_differences(contents);
+    let found = found.map_err(|error| refuse(format!("{LAYOUTS}: {error}")))?;
+    Ok(found.into_iter().map(|found| found.topic).collect())
 }
 
 /// The error about a file that can't be read.
 pub(crate) fn refusal(path: &Path, error: &ReadError) -> anyhow::Error {
-    Failure::bad_input(format!("{}: {error}", path.display()))
+    let advice = match error {
+        ReadError::Damaged { .. } => {
+            format!("; `scanloop recording repair {}` keeps what is readable", path.display())
+        }
+        // The name of a compression, or a length, may be what is damaged.
+        ReadError::Unsupported { .. } | ReadError::TooLarge { .. } => {
+            "; if the file is damaged, `scanloop recording repair` keeps what is readable".to_owned()
+        }
+        ReadError::Foreign | ReadError::Io(_) => String::new(),
+    };
+    Failure::bad_input(format!("{}: {error}{advice}", path.display()))
 }
 
 /// The topic of a channel; `None` for one that only viewers read.

@@ -19,9 +19,11 @@ use std::time::Duration;
 
 use console::exit::Failure;
 use console::new_file::{Existing, NewFile};
-use runtime::{Bus, Domain, PROCESSES_FILE, Shutdown, TopicObserver, monotonic_ns, wait_for};
+use runtime::{
+    Bus, Domain, OwnObserver, OwnTopics, PROCESSES_FILE, Shutdown, TopicObserver, monotonic_ns, wait_for,
+};
 use serde::{Deserialize, Serialize};
-use shared_types::{TOPICS, Topic};
+use shared_types::{Header, Heartbeat, Role, TOPICS, Topic};
 
 use self::companion::{Companion, Order};
 use self::logs::Logs;
@@ -36,6 +38,8 @@ const CHECK_NS: u64 = 200_000_000;
 const LOCKSTEP_POLL_NS: u64 = 500_000;
 /// Limits of the time between two polls in real time [ns]: a queue of 16 samples lasts longer at every scan rate.
 const POLL_NS: [u64; 2] = [1_000_000, 10_000_000];
+/// Of a topic of the system, one poll takes so many samples at most: a companion that floods it can't hold up the recorder.
+const MAX_OWN: usize = 1024;
 /// Added to the priority: the recorder comes after all processes of the loop.
 const NICE: i32 = 10;
 /// A ring is kept for so long after the death of the orchestrator: the wheels are blocked 5 s after it [ns].
@@ -85,8 +89,16 @@ pub fn record(domain: &Domain, options: &Options, shutdown: &Shutdown) -> anyhow
         TOPICS.iter().map(|topic| TopicObserver::new(&bus, *topic)).collect::<Result<_, _>>()?;
     bus.allocate()?;
     observers.iter().for_each(TopicObserver::connect);
+    let table = OwnTopics::of(domain)?;
+    let own = opening.own.iter().map(|topic| match &table {
+        Some(table) => OwnObserver::new(&bus, table, topic.name()).map(Some),
+        None => Ok(None),
+    });
+    let own: Vec<OwnObserver> = own.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect();
+    own.iter().for_each(OwnObserver::connect);
     let mut logs = Logs::new(&opening.out.join("logs"), options.companion);
     let (lockstep, period_ns) = (opening.lockstep, opening.period_ns);
+    let known_settings = opening.settings_at_start();
     let sink = match file {
         Some(file) => Sink::File(opening.begin(BufWriter::new(file))?),
         None => Sink::Ring(Ring::new(opening, &options.file, options.ring_s.unwrap_or_default())),
@@ -96,7 +108,12 @@ pub fn record(domain: &Domain, options: &Options, shutdown: &Shutdown) -> anyhow
     let mut losses = Losses::default();
     let started_ns = monotonic_ns();
     let mut end_ns = options.duration.map_or(u64::MAX, |duration| started_ns + duration.as_nanos() as u64);
-    let poll_ns = if lockstep { LOCKSTEP_POLL_NS } else { (period_ns / 4).clamp(POLL_NS[0], POLL_NS[1]) };
+    let poll_ns = match lockstep {
+        true => LOCKSTEP_POLL_NS,
+        // Their rate is not known, and few of their samples may wait.
+        false if !own.is_empty() => POLL_NS[0],
+        false => (period_ns / 4).clamp(POLL_NS[0], POLL_NS[1]),
+    };
     let (mut next_check_ns, mut ends, mut last_scan, mut newest) = (0, false, 0, 0);
     let (mut is_orphaned, mut known_processes) = (false, Vec::new());
     loop {
@@ -104,20 +121,34 @@ pub fn record(domain: &Domain, options: &Options, shutdown: &Shutdown) -> anyhow
             let topic = observer.topic();
             observer.poll(&mut |bytes| {
                 let incarnation = (topic.sample_type().header)(bytes).incarnation;
-                if losses.is_first(topic, incarnation)
-                    && let Ok(processes) = domain.folder().read(PROCESSES_FILE)
-                    && known_processes != processes
-                {
-                    // It names the process, as the orchestrator writes it before it announces one.
-                    known_processes.clone_from(&processes);
-                    queue.attach(format!("processes-{incarnation}.toml"), processes);
+                if losses.is_first(topic, incarnation) {
+                    if let Ok(processes) = domain.folder().read(PROCESSES_FILE)
+                        && known_processes != processes
+                    {
+                        // It names the process, as the orchestrator writes it before it announces one.
+                        known_processes.clone_from(&processes);
+                        queue.attach(format!("processes-{incarnation}.toml"), processes);
+                    }
+                    let role = Role::try_from(bytemuck::from_bytes::<Heartbeat>(bytes).role);
+                    let settings = role.ok().and_then(|role| Opening::settings(domain, role, incarnation));
+                    if let Some((name, text)) = settings.filter(|(_, text)| !known_settings.contains(text)) {
+                        queue.attach(name, text);
+                    }
                 }
                 losses.note(topic, bytes);
                 if topic == Topic::Actuation {
                     newest = newest.max((topic.sample_type().header)(bytes).scan_id);
                 }
-                queue.add(topic, bytes);
+                queue.add(topic as usize, bytes);
             })?;
+        }
+        for (index, observer) in own.iter().enumerate() {
+            for _ in 0..MAX_OWN {
+                let Some(bytes) = observer.next()? else { break };
+                let header: Header = bytemuck::pod_read_unaligned(&bytes[..size_of::<Header>()]);
+                losses.note_own(index, &header);
+                queue.add(TOPICS.len() + index, &bytes);
+            }
         }
         let now_ns = monotonic_ns();
         if now_ns >= next_check_ns || ends {
@@ -138,6 +169,7 @@ pub fn record(domain: &Domain, options: &Options, shutdown: &Shutdown) -> anyhow
                 match order {
                     Order::Connect => {
                         observers.iter().for_each(TopicObserver::connect);
+                        own.iter().for_each(OwnObserver::connect);
                         companion.say("connected");
                     }
                     Order::End(scan_id) => (last_scan, ends) = (scan_id, true),

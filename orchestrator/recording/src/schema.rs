@@ -29,8 +29,13 @@ fn struct_name(topic: Topic) -> &'static str {
 
 /// The schema of a topic's samples, with those of all structs in it.
 pub fn schema(topic: Topic) -> String {
+    schema_of(topic.fields())
+}
+
+/// The schema of samples with these fields.
+pub(crate) fn schema_of(fields: &[Field]) -> String {
     let mut structs: Vec<(&'static str, &'static [Field])> = Vec::new();
-    let mut text = definition(topic.fields(), &mut structs);
+    let mut text = definition(fields, &mut structs);
     let mut next = 0;
     while let Some((name, fields)) = structs.get(next).copied() {
         let inner = definition(fields, &mut structs);

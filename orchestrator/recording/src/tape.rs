@@ -5,11 +5,12 @@ use std::io::{self, Write};
 use bytemuck::from_bytes;
 use shared_types::{
     Checkpoint, Command, Directive, Header, Heartbeat, Journal, JournalKind, Obstacles, Pose, ROLES, Role,
-    Scan, TOPICS, Topic,
+    Scan, StageStamps, TOPICS, Topic,
 };
 
 use crate::foxglove::{self, Level};
-use crate::mcap::{Channel, Schema, Writer};
+use crate::mcap::{CDR, Channel, Schema, Writer};
+use crate::own::OwnTopic;
 use crate::schema::{ENCAPSULATION, ROS2MSG, schema, type_name};
 
 /// Chunks end after this recorded time: what a cut-off recording may lose at most [ns].
@@ -59,11 +60,34 @@ impl<W: Write> Target for Writer<W> {
     }
 }
 
-/// A file for a recording, with the schemas and channels of all topics.
+/// A file for a recording, with the schemas and channels of all topics of the loop.
 ///
 /// # Errors
 /// Those of `out`.
 pub fn writer<W: Write>(out: W) -> io::Result<Writer<W>> {
+    writer_with(out, &[])
+}
+
+/// A file for a recording, with the schemas and channels of all topics: those of the loop, and those of the system.
+///
+/// # Errors
+/// Those of `out`.
+pub(crate) fn writer_with<W: Write>(out: W, own: &[OwnTopic]) -> io::Result<Writer<W>> {
+    let (mut schemas, mut channels) = definitions();
+    for topic in own {
+        schemas.push(topic.schema());
+        channels.push(Channel {
+            topic: format!("{PREFIX}{}", topic.name()),
+            schema: schemas.len() as u16,
+            encoding: CDR.to_owned(),
+            metadata: vec![("type".to_owned(), topic.type_name())],
+        });
+    }
+    Writer::new(out, LIBRARY, &schemas, &channels)
+}
+
+/// Schemas and channels that every recording of this program begins with.
+pub(crate) fn definitions() -> (Vec<Schema>, Vec<Channel>) {
     let of_topic = |topic: &Topic| Schema {
         name: type_name(*topic),
         encoding: ROS2MSG.to_owned(),
@@ -75,12 +99,9 @@ pub fn writer<W: Write>(out: W) -> io::Result<Writer<W>> {
         (format!("{PREFIX}{topic}"), layout.to_vec())
     });
     let drawn = foxglove::CHANNELS.iter().map(|(topic, ..)| ((*topic).to_owned(), Vec::new()));
-    let channels: Vec<Channel> = topics
-        .chain(drawn)
-        .enumerate()
-        .map(|(index, (topic, metadata))| Channel { topic, schema: index as u16, metadata })
-        .collect();
-    Writer::new(out, LIBRARY, &schemas, &channels)
+    let channel = |(schema, (topic, metadata))| Channel { topic, schema, encoding: CDR.to_owned(), metadata };
+    let channels = (1..).zip(topics.chain(drawn)).map(channel).collect();
+    (schemas, channels)
 }
 
 /// The type of an attached file.
@@ -172,6 +193,20 @@ impl<T: Target> Tape<T> {
             }
             _ => Ok(()),
         }
+    }
+
+    /// Adds a sample of a topic of the system, as its bytes; `index` is its place among them.
+    ///
+    /// # Errors
+    /// Those of the output.
+    pub(crate) fn own_sample(&mut self, index: usize, header: &Header, bytes: &[u8]) -> io::Result<()> {
+        self.samples[0] += 1;
+        // A stamp that lies far ahead is of another clock: that of a sample by hand in lock-step.
+        let stamp_ns = published_ns_of(bytes);
+        let is_near = stamp_ns > 0 && stamp_ns <= self.now_ns + CHUNK_NS;
+        let log_ns = if is_near { stamp_ns } else { self.now_ns };
+        let channel = TOPICS.len() + foxglove::CHANNELS.len() + index;
+        self.message(channel as u16, header.sequence as u32, log_ns, &[&ENCAPSULATION, bytes])
     }
 
     /// Adds a line of a log; `name` is the role.
@@ -283,4 +318,10 @@ impl<T: Target> Tape<T> {
 /// When the sample of a role was published [ns].
 pub(crate) fn published_ns(header: &Header, role: Role) -> u64 {
     header.stage(role).published_ns
+}
+
+/// When a sample of a topic of the system was published: its stamps stand at its end [ns].
+fn published_ns_of(bytes: &[u8]) -> u64 {
+    let start = bytes.len().saturating_sub(size_of::<StageStamps>());
+    bytemuck::try_pod_read_unaligned::<StageStamps>(&bytes[start..]).map_or(0, |stamps| stamps.published_ns)
 }

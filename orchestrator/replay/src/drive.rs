@@ -12,7 +12,8 @@ use std::path::Path;
 use anyhow::Context;
 use console::exit::Failure;
 use recording::Recording;
-use recording::read::{attachment, metadata};
+use recording::mcap::Contents;
+use recording::read::{attachment, metadata, settings_of};
 use runtime::{monotonic_ns, settings_file, wait_for};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -50,6 +51,8 @@ pub struct Drive {
     /// The last scan of the run in lock-step.
     pub(crate) last_scan: Option<u64>,
     settings: BTreeMap<Role, Table>,
+    /// Settings of processes that had others than those of their role at the start.
+    settings_of: BTreeMap<u32, (Role, Table)>,
     /// Keys were changed: outputs are expected to differ.
     pub(crate) is_changed: bool,
     /// Processes that are no implementation of this program, and what they are.
@@ -67,25 +70,51 @@ struct Processes {
 }
 
 impl Drive {
-    /// Reads a recording.
+    /// Reads a recording: one drive, or as many as recordings were joined to one file.
     ///
     /// # Errors
-    /// A file that can't be read, or samples of another layout; exit code 2.
-    pub fn read(path: &Path) -> anyhow::Result<Self> {
+    /// A file that can't be read, samples of another layout, or more of them than memory is given to; exit code 2.
+    pub fn read(path: &Path) -> anyhow::Result<Vec<Self>> {
+        let refuse = |reason: String| Failure::bad_input(format!("{}: {reason}", path.display()));
         let mut recording = Recording::open(path)?;
-        let mut drive = Self::default();
+        let mut drives: Vec<Self> = recording.files().iter().map(|_| Self::default()).collect();
         recording.samples(|_, sample| {
-            drive.add(sample.topic, sample.log_ns, sample.bytes);
+            drives[sample.file].add(sample.topic, sample.log_ns, sample.bytes);
             Ok(())
         })?;
-        let contents = recording.contents();
+        for (drive, contents) in drives.iter_mut().zip(recording.files()) {
+            drive.note_contents(contents, &refuse)?;
+        }
+        Ok(drives)
+    }
+
+    /// Takes in what stands beside the samples.
+    fn note_contents(
+        &mut self,
+        contents: &Contents,
+        refuse: &dyn Fn(String) -> anyhow::Error,
+    ) -> anyhow::Result<()> {
+        let drive = self;
         drive.other_layouts = Recording::layout_differences(contents)?;
-        let refuse = |reason: String| Failure::bad_input(format!("{}: {reason}", path.display()));
         for role in Role::ALL {
             let name = settings_file(*role);
-            let text = attachment(contents, &name).ok_or_else(|| refuse(format!("{name} is missing")))?;
+            let of_another = || match contents.library.starts_with("scanloop ") {
+                true => refuse(format!("{name} is missing")),
+                false => refuse(format!(
+                    "{name} is missing: the file of {:?} is no recording of a drive",
+                    contents.library
+                )),
+            };
+            let text = attachment(contents, &name).ok_or_else(of_another)?;
             let table: Table = text.parse().map_err(|error| refuse(format!("{name}: {error}")))?;
             drive.settings.insert(*role, table);
+        }
+        for ((role, incarnation), attached) in
+            contents.attachments.iter().filter_map(|attached| Some((process_of(&attached.name)?, attached)))
+        {
+            let table = toml::from_slice::<Table>(&attached.data)
+                .map_err(|error| refuse(format!("{}: {error}", attached.name)))?;
+            drive.settings_of.insert(incarnation, (role, table));
         }
         let run: runtime::RunSettings = drive.table(Role::Robot, "run")?;
         drive.period_ns = run.period_ns;
@@ -98,7 +127,7 @@ impl Drive {
                 .map_err(|error| refuse(format!("{}: {error}", attached.name)))?;
             drive.note_processes(processes.process);
         }
-        Ok(drive)
+        Ok(())
     }
 
     /// Changes keys of the stages.
@@ -107,7 +136,13 @@ impl Drive {
     /// What is wrong with a text that is no `ROLE.KEY=VALUE`.
     pub fn set(&mut self, texts: &[String]) -> Result<(), String> {
         self.is_changed |= !texts.is_empty();
-        texts.iter().try_for_each(|text| keys::set(&mut self.settings, text))
+        for text in texts {
+            keys::set(&mut self.settings, text)?;
+            for (role, table) in self.settings_of.values_mut() {
+                keys::set_of(*role, table, text)?;
+            }
+        }
+        Ok(())
     }
 
     /// Of these roles, those whose samples have the layouts of this program, and why the others can't be replayed.
@@ -165,8 +200,28 @@ impl Drive {
 
     /// One table of the settings of a role.
     pub(crate) fn table<T: DeserializeOwned>(&self, role: Role, name: &str) -> anyhow::Result<T> {
-        let table = self.settings.get(&role).and_then(|table| table.get(name)).cloned();
-        let value = table.with_context(|| format!("{}: table {name} is missing", settings_file(role)))?;
+        self.table_in(self.settings.get(&role), role, name)
+    }
+
+    /// One table of the settings of a process.
+    pub(crate) fn table_of<T: DeserializeOwned>(
+        &self,
+        incarnation: u32,
+        role: Role,
+        name: &str,
+    ) -> anyhow::Result<T> {
+        let own = self.settings_of.get(&incarnation).filter(|(of, _)| *of == role).map(|(_, table)| table);
+        self.table_in(own.or(self.settings.get(&role)), role, name)
+    }
+
+    fn table_in<T: DeserializeOwned>(
+        &self,
+        table: Option<&Table>,
+        role: Role,
+        name: &str,
+    ) -> anyhow::Result<T> {
+        let value = table.and_then(|table| table.get(name)).cloned();
+        let value = value.with_context(|| format!("{}: table {name} is missing", settings_file(role)))?;
         T::deserialize(value)
             .map_err(|error| Failure::bad_input(format!("{}: {name}: {error}", settings_file(role))))
     }
@@ -249,6 +304,13 @@ impl Drive {
             Topic::Heartbeat => {}
         }
     }
+}
+
+/// Role and number of the process whose settings have this name.
+fn process_of(name: &str) -> Option<(Role, u32)> {
+    let (role, incarnation) = name.strip_prefix("settings-")?.strip_suffix(".toml")?.split_once('-')?;
+    let found = (role.parse().ok()?, incarnation.parse().ok()?);
+    (settings_of(found.0, found.1) == name).then_some(found)
 }
 
 /// An implementation, or a command as `--with` reads it.

@@ -162,31 +162,13 @@ impl Report {
 /// # Errors
 /// A file that can't be read, samples of another layout, keys that are not allowed; exit code 2.
 pub fn replay(path: &Path, options: &Options) -> anyhow::Result<Report> {
-    let mut drive = Drive::read(path)?;
-    drive.set(&options.set).map_err(|reason| Failure::bad_input(format!("--set {reason}")))?;
-    drive.is_changed |= !options.with.is_empty();
-    let of_programs = || options.with.iter().map(|(role, _)| *role);
-    let wanted: Vec<Role> = match (&options.stages[..], &options.with[..]) {
-        ([], []) => Role::ALL.to_vec(),
-        ([], _) => of_programs().collect(),
-        (stages, _) => stages.iter().copied().chain(of_programs()).collect(),
-    };
-    let (stages, not_replayed) = drive.replayable(&wanted, path)?;
-    if options.in_real_time {
-        drive.set_pace(options.from);
-    }
-    let drive = &drive;
-    let mut report =
-        Report { scans: drive.scans(options.from, options.to), not_replayed, ..Report::default() };
-    // One after the other: each is a system of its own.
-    for (role, command) in options.with.iter().filter(|(role, _)| stages.contains(role)) {
-        command::replay(*role, command, drive, options)?.add_to(&mut report);
-    }
-    let built_in: Vec<Role> =
-        stages.into_iter().filter(|role| of_programs().all(|other| other != *role)).collect();
-    let found = replay_stages(&built_in, drive, options);
-    for findings in found {
-        findings?.add_to(&mut report);
+    let wanted = wanted(options);
+    let mut report = Report::default();
+    // Recordings that were joined are replayed one after the other.
+    for mut drive in Drive::read(path)? {
+        drive.set(&options.set).map_err(|reason| Failure::bad_input(format!("--set {reason}")))?;
+        drive.is_changed |= !options.with.is_empty();
+        replay_drive(drive, &wanted, path, options, &mut report)?;
     }
     report.differences.sort_by_key(|difference| difference.scan);
     report.differences.truncate(MAX_DIFFERENCES);
@@ -195,6 +177,43 @@ pub fn replay(path: &Path, options: &Options) -> anyhow::Result<Report> {
         return Err(Failure::bad_input(format!("{path}: no output of these stages is in these scans")));
     }
     Ok(report)
+}
+
+/// The stages that the options ask for.
+fn wanted(options: &Options) -> Vec<Role> {
+    let of_programs = options.with.iter().map(|(role, _)| *role);
+    match (&options.stages[..], &options.with[..]) {
+        ([], []) => Role::ALL.to_vec(),
+        ([], _) => of_programs.collect(),
+        (stages, _) => stages.iter().copied().chain(of_programs).collect(),
+    }
+}
+
+/// Replays one drive, and adds what was found to the report.
+fn replay_drive(
+    mut drive: Drive,
+    wanted: &[Role],
+    path: &Path,
+    options: &Options,
+    report: &mut Report,
+) -> anyhow::Result<()> {
+    let (stages, not_replayed) = drive.replayable(wanted, path)?;
+    if options.in_real_time {
+        drive.set_pace(options.from);
+    }
+    let drive = &drive;
+    report.scans += drive.scans(options.from, options.to);
+    report.not_replayed.extend(not_replayed);
+    // One after the other: each is a system of its own.
+    for (role, command) in options.with.iter().filter(|(role, _)| stages.contains(role)) {
+        command::replay(*role, command, drive, options)?.add_to(report);
+    }
+    let is_built_in = |role: &Role| options.with.iter().all(|(other, _)| other != role);
+    let built_in: Vec<Role> = stages.into_iter().filter(is_built_in).collect();
+    for findings in replay_stages(&built_in, drive, options) {
+        findings?.add_to(report);
+    }
+    Ok(())
 }
 
 /// The stages by what they cost: no processor is idle while the longest one ends.

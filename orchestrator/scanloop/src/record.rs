@@ -49,9 +49,10 @@ pub enum RecordingCommand {
         #[arg(long)]
         json: bool,
     },
-    /// Make a whole recording of one that was cut off.
+    /// Make a whole recording of all that can be read of a damaged one, or one that was cut off. Exit code 1 means that
+    /// something is missing.
     Repair {
-        /// The recording that was cut off.
+        /// The recording.
         file: PathBuf,
         /// The new recording; without it `NAME-repaired.mcap` beside the old one.
         #[arg(long, value_name = "FILE")]
@@ -136,9 +137,22 @@ pub(crate) fn recording(command: &RecordingCommand) -> anyhow::Result<Exit> {
         }
         RecordingCommand::Repair { file, out, force } => {
             let out = out.clone().unwrap_or_else(|| repaired(file));
-            let copied = copy::copy(file, &out, *force, 0..=u64::MAX)?;
-            let state = if copied.was_complete { "was complete" } else { "was cut off" };
-            note!("{} {state}; {} has {} messages", file.display(), out.display(), copied.messages);
+            let copied = copy::repair(file, &out, *force)?;
+            for missing in &copied.gaps {
+                note!("{missing}");
+            }
+            if let Some(missing) = copied.missing_attachments.filter(|missing| *missing > 0) {
+                note!("{missing} attached files or texts can't be read");
+            }
+            let state = match (copied.gaps.is_empty(), copied.is_loss) {
+                (true, _) => "was complete",
+                (false, false) => "was damaged, but nothing of the drive is missing",
+                (false, true) => "was damaged or cut off, and is not whole",
+            };
+            note!("{} {state}; {} messages in {}", file.display(), copied.messages, names(&copied.files));
+            if copied.is_loss {
+                return Ok(Exit::NotReached);
+            }
         }
         RecordingCommand::Cut { file, from, to, out, force } => {
             let allowed = |seconds: f64| (0.0..=1e6).contains(&seconds);
@@ -149,7 +163,7 @@ pub(crate) fn recording(command: &RecordingCommand) -> anyhow::Result<Exit> {
             }
             let ns = |seconds: f64| (seconds * 1e9) as u64;
             let copied = copy::copy(file, out, *force, ns(*from)..=to.map_or(u64::MAX, ns))?;
-            note!("{}: {} messages, {} bytes", out.display(), copied.messages, copied.bytes);
+            note!("{}: {} messages, {} bytes", names(&copied.files), copied.messages, copied.bytes);
         }
         RecordingCommand::Export { file, csv, rosbag2, force } => {
             if let Some(folder) = csv {
@@ -161,6 +175,10 @@ pub(crate) fn recording(command: &RecordingCommand) -> anyhow::Result<Exit> {
         }
     }
     Ok(Exit::Done)
+}
+
+fn names(files: &[PathBuf]) -> String {
+    files.iter().map(|file| file.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 
 fn repaired(file: &Path) -> PathBuf {

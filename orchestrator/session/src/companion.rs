@@ -12,7 +12,6 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use console::exit::Failure;
-use console::new_file::open_log;
 use report::RecordingReport;
 use runtime::{Domain, monotonic_ns, wait_for};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};

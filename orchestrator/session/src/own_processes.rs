@@ -150,7 +150,12 @@ impl OwnProcesses {
     /// In lock-step, the newest scan that companions allow the robot to publish.
     pub(crate) fn granted_scan(&self, ahead: u64) -> u64 {
         let answered = self.companions.as_ref().and_then(Companions::answered_scan);
-        answered.map_or(u64::MAX, |scan| scan.saturating_add(ahead.min(self.queue)))
+        answered.map_or(u64::MAX, |scan| scan.saturating_add(self.ahead(ahead)))
+    }
+
+    /// So many scans may lie between what is granted and what a reader has taken, `ahead` at most.
+    pub(crate) fn ahead(&self, ahead: u64) -> u64 {
+        ahead.min(self.queue)
     }
 
     /// Whether lock-step waits for a companion that has not answered a scan.

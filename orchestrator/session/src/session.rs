@@ -21,6 +21,7 @@ mod shadows;
 mod status;
 mod swaps;
 
+use std::collections::VecDeque;
 use std::path::Path;
 
 use agent::link::HubLink;
@@ -79,6 +80,8 @@ pub struct Session {
     vitals: Vitals,
     samples: Samples,
     watches: Watches,
+    /// Candidates whose swap is over, the oldest first.
+    settled: VecDeque<u32>,
     directives: Directives,
     registry_file: RegistryFile,
     /// What decides the outcome; `None` until the robot is connected.
@@ -162,6 +165,7 @@ impl Session {
             vitals: Vitals::new(&bus)?,
             samples: Samples::new(&bus, period_ns)?,
             watches: Watches::default(),
+            settled: VecDeque::new(),
             directives: Directives::new(&bus, directive)?,
             registry_file: RegistryFile::default(),
             judged_by: None,

@@ -26,6 +26,10 @@ use crate::scene::Scene;
 
 /// The time axis of the page shows at most so many rows.
 const MAX_ROWS: usize = 3600;
+/// Frames of a longer recording would take too much memory: at ten a second, those of a day.
+const MAX_FRAMES: usize = 1 << 20;
+/// Between the last sample of a recording and the first of one that is joined to it [ns].
+const JOINT_NS: u64 = 1_000_000_000;
 /// Rows around a time that are sent at once: what charts show, and what is played next [s].
 const ROWS_S: [f64; 2] = [-90.0, 30.0];
 
@@ -37,7 +41,9 @@ pub(crate) struct RecordedDrive {
     frames: Vec<Frame>,
     events: Vec<Event>,
     directives: Directives,
-    processes: Processes,
+    /// Of each of the recordings that were joined.
+    processes: Vec<Processes>,
+    shifts: Shifts,
     start_ns: u64,
     simulated: bool,
     /// What stays the same, as JSON.
@@ -68,16 +74,21 @@ impl RecordedDrive {
                 }
                 reading = Some(Reading::new(metadata(contents, "recording", "lockstep") == Some("true")));
             }
-            if let Some(reading) = &mut reading {
-                reading.add(&sample);
+            let Some(reading) = &mut reading else { return Ok(()) };
+            reading.add(&sample);
+            match reading.frames.len() > MAX_FRAMES {
+                true => Err(refuse(format!(
+                    "more than {MAX_FRAMES} frames; `scanloop recording cut` makes a shorter recording"
+                ))),
+                false => Ok(()),
             }
-            Ok(())
         })?;
         let reading = reading.map(Reading::finish).filter(|reading| !reading.frames.is_empty());
         let Some(mut reading) = reading else { return Err(refuse("it holds no scan of a drive".to_owned())) };
         let lines = recording.take_lines();
-        let contents = recording.contents();
+        let contents = &recording.files()[0];
         let of = |name: &str, key: &str| metadata(contents, name, key);
+        let lost = |contents| metadata(contents, "end", "lost").and_then(|lost| lost.parse::<u64>().ok());
         let settings = attachment(contents, &settings_file(Role::Controller)).unwrap_or_default();
         let run: toml::Table =
             attachment(contents, RUN).and_then(|text| text.parse().ok()).unwrap_or_default();
@@ -87,8 +98,8 @@ impl RecordedDrive {
             "connection": "recording",
             "time_s": reading.frames.last().map(|frame| frame.row.time_s),
             "file": path.file_name().map(|name| name.to_string_lossy()),
-            "complete": contents.is_complete,
-            "lost": of("end", "lost").and_then(|lost| lost.parse::<u64>().ok()),
+            "complete": recording.files().iter().all(|contents| contents.is_complete),
+            "lost": recording.files().iter().map(lost).sum::<Option<u64>>(),
             "scenario": scenario.and_then(toml::Value::as_str),
             "system_id": of("recording", "system_id"),
             "run_id": of("recording", "run_id"),
@@ -96,15 +107,26 @@ impl RecordedDrive {
             "latency_us": (!simulated).then(|| reading.latencies.report()),
             "actions": [],
         });
-        let processes = Processes::new(contents);
+        let processes = recording.files().iter().map(Processes::new).collect();
         let start_ns = reading.start_ns.unwrap_or_default();
         for line in lines {
             let time_s = line.log_ns.saturating_sub(start_ns) as f64 * 1e-9;
             reading.events.log(time_s, &line.name, &line.text, line.is_warning);
         }
         let events = reading.events.take_sorted();
-        let Reading { chunks, frames, directives, .. } = reading;
-        Ok(Self { recording, chunks, frames, events, directives, processes, start_ns, simulated, system })
+        let Reading { chunks, frames, directives, shifts, .. } = reading;
+        Ok(Self {
+            recording,
+            chunks,
+            frames,
+            events,
+            directives,
+            processes,
+            shifts,
+            start_ns,
+            simulated,
+            system,
+        })
     }
 
     /// What stays the same, as JSON.
@@ -147,9 +169,11 @@ impl RecordedDrive {
         let mut numbers: Vec<u32> = chunks.into_iter().flatten().chain(last.checked_sub(1)).collect();
         numbers.sort_unstable();
         numbers.dedup();
-        let mut samples = Vec::new();
+        let (mut samples, mut file) = (Vec::new(), 0);
         for number in numbers {
             self.recording.chunk(self.chunks[number as usize], |recorded| {
+                file = recorded.file;
+                let recorded = self.shifts.moved(recorded);
                 samples.extend(OwnedSample::new(&recorded, number).filter(|sample| sample.key <= newest));
             })?;
         }
@@ -169,7 +193,7 @@ impl RecordedDrive {
         let mut frame = scene.samples.json(&row);
         let directives = self.directives.until(newest);
         frame["system"] = json!({
-            "status": self.processes.status(directives, &outputs, now_ns),
+            "status": self.processes[file].status(directives, &outputs, now_ns),
             "authority": self.directives.at(newest).authority.map(|authority| authority.incarnation),
         });
         Ok(frame.to_string())
@@ -191,6 +215,30 @@ struct Reading {
     /// The chunks with the newest samples of each topic.
     newest: [Option<u32>; SHOWN.len()],
     start_ns: Option<u64>,
+    shifts: Shifts,
+}
+
+/// What is added to the times of each of the recordings that were joined to one file [ns]: each follows the one before.
+#[derive(Debug, Default)]
+struct Shifts {
+    by_file: Vec<u64>,
+    newest_ns: u64,
+}
+
+impl Shifts {
+    /// Takes in a sample while the file is read.
+    fn note(&mut self, recorded: &recording::Recorded<'_>) {
+        if self.by_file.len() <= recorded.file {
+            let after_ns = if recorded.file == 0 { 0 } else { self.newest_ns + JOINT_NS };
+            self.by_file.resize(recorded.file + 1, after_ns.saturating_sub(recorded.log_ns));
+        }
+        self.newest_ns = self.newest_ns.max(self.moved(*recorded).log_ns);
+    }
+
+    fn moved<'a>(&self, recorded: recording::Recorded<'a>) -> recording::Recorded<'a> {
+        let shift_ns = self.by_file.get(recorded.file).copied().unwrap_or_default();
+        recording::Recorded { log_ns: recorded.log_ns.saturating_add(shift_ns), ..recorded }
+    }
 }
 
 impl Reading {
@@ -208,6 +256,7 @@ impl Reading {
             scene,
             newest: [None; SHOWN.len()],
             start_ns: None,
+            shifts: Shifts::default(),
         }
     }
 
@@ -217,7 +266,9 @@ impl Reading {
             self.newest_ns = [self.newest_ns[1], 0];
             self.chunks.push(recorded.chunk_at);
         }
-        let Some(sample) = OwnedSample::new(recorded, self.chunks.len() as u32 - 1) else { return };
+        self.shifts.note(recorded);
+        let recorded = self.shifts.moved(*recorded);
+        let Some(sample) = OwnedSample::new(&recorded, self.chunks.len() as u32 - 1) else { return };
         self.newest_ns[1] = self.newest_ns[1].max(sample.key.0);
         self.pending.push(sample);
     }

@@ -106,7 +106,9 @@ pub use process::Process;
 pub use qos::{MAX_READERS, PROCESS_QUEUE, observer_queue};
 pub use realtime::{Realtime, Scheduler};
 pub use reserve::Reserve;
-pub use settings::{ClockKind, RunSettings, own_settings_file, settings_file, settings_table};
+pub use settings::{
+    ClockKind, RunSettings, own_settings_file, settings_file, settings_table, started_settings_file,
+};
 pub use shared_memory::Shortage;
 pub use shutdown::Shutdown;
 pub use stop::{StopWord, Wheels};

@@ -16,6 +16,12 @@ pub fn own_settings_file(incarnation: u32) -> String {
     format!("settings-{incarnation}.toml")
 }
 
+/// Name of the file with the settings that an incarnation was started with, if they were not those of its role. It stays
+/// there when the role has got them, or the process was refused: a recorder may read it later.
+pub fn started_settings_file(incarnation: u32) -> String {
+    format!("started-{incarnation}.toml")
+}
+
 /// Name of the table in it that belongs to the role alone. Only the robot reads the scenario.
 pub fn settings_table(role: Role) -> &'static str {
     if role == Role::Robot { "scenario" } else { role.name() }

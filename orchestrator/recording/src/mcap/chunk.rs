@@ -35,17 +35,17 @@ pub struct Chunk {
 }
 
 impl OpenChunk {
-    /// A chunk that begins with these records.
-    pub(crate) fn beginning_with(records: Vec<u8>) -> Self {
-        Self { sorted: records, ..Self::default() }
+    /// Adds records in front of the messages.
+    pub(crate) fn begin_with(&mut self, records: &[u8]) {
+        self.sorted.extend_from_slice(records);
     }
 
-    /// Adds a message of data in parts.
-    pub fn message(&mut self, channel: u16, sequence: u32, log_ns: u64, data: &[&[u8]]) {
-        let place = self.messages.len();
+    /// Adds a message of data in parts, with the times at which it was recorded and published [ns].
+    pub fn message(&mut self, channel: u16, sequence: u32, times_ns: [u64; 2], data: &[&[u8]]) {
+        let (place, [log_ns, publish_ns]) = (self.messages.len(), times_ns);
         let length = 22 + data.iter().map(|part| part.len() as u64).sum::<u64>();
         self.messages.push(opcode::MESSAGE);
-        self.messages.u64(length).u16(channel).u32(sequence).u64(log_ns).u64(log_ns);
+        self.messages.u64(length).u16(channel).u32(sequence).u64(log_ns).u64(publish_ns);
         data.iter().for_each(|part| self.messages.extend_from_slice(part));
         let [first, last] = self.times.unwrap_or([log_ns; 2]);
         self.times = Some([first.min(log_ns), last.max(log_ns)]);

@@ -1,308 +1,364 @@
-//! Reads MCAP files from their start to their end, or to where they were cut off.
+//! Reads the messages of MCAP files, also of several files that were joined.
 
 use std::collections::BTreeMap;
-use std::io::{self, Read, Seek, SeekFrom};
-use std::ops::Range;
+use std::io::{Read, Seek};
 
-use lz4_flex::frame::FrameDecoder;
-
+use super::contents::message;
+use super::damage::Fault;
 use super::fields::Fields;
-use super::{Channel, Damage, MAGIC, ReadError, Schema, opcode};
+use super::index::{Index, Part, Place, index};
+use super::input::{Head, Input};
+use super::unpack::{self, ChunkHead};
+use super::{Channel, Contents, Damage, Message, ReadError, Schema, opcode};
 
-/// A longer record is taken for damage [bytes]: chunks of this program have some hundred kilobytes.
-const MAX_RECORD: u64 = 1 << 30;
+/// The time that a chunk covers is believed up to this [ns].
+const MAX_CHUNK_NS: u64 = 3_600_000_000_000;
 
-/// A message.
+/// A place of a damaged file, and the time of which messages may be missing there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Message<'a> {
-    /// Number of its channel.
-    pub channel: u16,
-    /// Number of the message.
-    pub sequence: u32,
-    /// When it was recorded [ns].
-    pub log_ns: u64,
-    /// Its content.
-    pub data: &'a [u8],
-}
-
-/// An attached file.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Attachment {
-    /// Its name.
-    pub name: String,
-    /// Its type.
-    pub media_type: String,
-    /// Its content.
-    pub data: Vec<u8>,
-}
-
-/// Texts by texts.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Metadata {
-    /// What they are about.
-    pub name: String,
-    /// The texts.
-    pub map: Vec<(String, String)>,
-}
-
-/// What was read beside the messages until now.
-#[derive(Debug, Clone, Default)]
-pub struct Contents {
-    /// Program that wrote the file.
-    pub library: String,
-    /// Schemas by number.
-    pub schemas: BTreeMap<u16, Schema>,
-    /// Channels by number; `schema` is the number of their schema.
-    pub channels: BTreeMap<u16, Channel>,
-    /// Attached files.
-    pub attachments: Vec<Attachment>,
-    /// Texts.
-    pub metadata: Vec<Metadata>,
-    /// Whether the file was ended; false for one that was cut off.
-    pub is_complete: bool,
-    /// Whole chunks with messages that were read.
-    pub chunks: u64,
-    /// Bytes up to the end of the last whole record of the data.
-    pub whole_bytes: u64,
+pub struct Gap {
+    /// Where it begins in the file.
+    pub at: u64,
+    /// What is wrong there.
+    pub what: Damage,
+    /// Whether messages or attached files may be missing; behind the end of the data is nothing but the summary.
+    pub is_data: bool,
+    /// Log time of the last message before it [ns]; `None` at the start of a file.
+    pub from_ns: Option<u64>,
+    /// Log time of the first message behind it, or what the file tells about its end [ns].
+    pub to_ns: Option<u64>,
 }
 
 /// Reads a file message by message.
 #[derive(Debug)]
-pub struct Reader<R: Read> {
-    input: R,
-    at: u64,
-    contents: Contents,
-    /// Where the open chunk begins in the file.
-    chunk_at: u64,
-    chunk: Vec<u8>,
+pub struct Reader<R> {
+    input: Input<R>,
+    index: Index,
+    is_salvage: bool,
+    /// The part that is read next.
+    next: usize,
+    current: Option<Part>,
+    content: Vec<u8>,
     place: usize,
-    /// Whether the open chunk is counted.
-    is_counted: bool,
     record: Vec<u8>,
+    /// Memory of what was read beside messages.
+    held: u64,
+    /// Messages that were read of each joined file, by channel; `None` after a jump.
+    counts: Option<Vec<BTreeMap<u16, u64>>>,
+    /// The newest message of the file that is read [ns].
+    newest_ns: Option<u64>,
+    gaps: Vec<Gap>,
+    /// The gap whose end is not known yet.
+    open_gap: Option<Gap>,
+    /// Definitions that are assumed where a damaged file has none.
+    assumed: (BTreeMap<u16, Schema>, BTreeMap<u16, Channel>),
 }
 
-impl<R: Read> Reader<R> {
+impl<R: Read + Seek> Reader<R> {
     /// A reader at the start of a file.
     ///
     /// # Errors
+    /// [`ReadError::Foreign`] for other files, and all that is wrong with the records around the messages.
+    pub fn new(input: R) -> Result<Self, ReadError> {
+        Self::with(input, false)
+    }
+
+    /// A reader that skips what is damaged; [`Reader::gaps`] tells what was skipped.
+    ///
+    /// # Errors
     /// [`ReadError::Foreign`] for other files.
-    pub fn new(mut input: R) -> Result<Self, ReadError> {
-        let mut magic = Vec::new();
-        input.by_ref().take(MAGIC.len() as u64).read_to_end(&mut magic)?;
-        if magic != MAGIC {
-            return Err(ReadError::Foreign);
-        }
-        let contents = Contents { whole_bytes: MAGIC.len() as u64, ..Contents::default() };
-        let (chunk, record) = (Vec::new(), Vec::new());
+    pub fn salvage(input: R) -> Result<Self, ReadError> {
+        Self::with(input, true)
+    }
+
+    fn with(input: R, is_salvage: bool) -> Result<Self, ReadError> {
+        let mut input = Input::new(input)?;
+        let index = index(&mut input, is_salvage)?;
+        let counts = Some(vec![BTreeMap::new(); index.files.len()]);
         Ok(Self {
             input,
-            at: MAGIC.len() as u64,
-            contents,
-            chunk_at: 0,
-            chunk,
+            index,
+            is_salvage,
+            next: 0,
+            current: None,
+            content: Vec::new(),
             place: 0,
-            is_counted: false,
-            record,
+            record: Vec::new(),
+            held: 0,
+            counts,
+            newest_ns: None,
+            gaps: Vec::new(),
+            open_gap: None,
+            assumed: Default::default(),
         })
     }
 
-    /// What was read beside the messages until now.
+    /// What the file holds beside the messages, from which the last message is; of joined files the first at the start.
     pub fn contents(&self) -> &Contents {
-        &self.contents
+        &self.index.files[self.file()]
+    }
+
+    /// The files that were joined to this one; mostly one.
+    pub fn files(&self) -> &[Contents] {
+        &self.index.files
+    }
+
+    /// Which of the joined files the last message is from.
+    pub fn file(&self) -> usize {
+        self.current.map_or(0, |part| part.file)
     }
 
     /// The same at the end.
-    pub fn into_contents(self) -> Contents {
-        self.contents
+    pub fn into_contents(mut self) -> Contents {
+        self.index.files.swap_remove(self.current.map_or(0, |part| part.file))
+    }
+
+    /// In a salvage, messages of channels that the file does not define are taken for these.
+    pub fn assume(&mut self, schemas: &[Schema], channels: &[Channel]) {
+        self.assumed.0 = (1..).zip(schemas.iter().cloned()).collect();
+        self.assumed.1 = (0..).zip(channels.iter().cloned()).collect();
     }
 
     /// The next message; `None` at the end of the data, or where the file was cut off.
     ///
     /// # Errors
-    /// [`ReadError::Damaged`], and errors of the file system.
+    /// [`ReadError::Damaged`] and errors of the file system; in a salvage only the latter, and at the end the reason if not
+    /// one message could be read.
     pub fn next_message(&mut self) -> Result<Option<Message<'_>>, ReadError> {
-        match self.advance()? {
-            Some(body) => {
-                let at = self.at;
-                message(&self.chunk[body]).map(Some).map_err(|what| ReadError::Damaged { at, what })
+        loop {
+            let mut fields = Fields(self.content.get(self.place..).unwrap_or_default());
+            if fields.0.is_empty() {
+                if !self.open_part()? {
+                    self.end()?;
+                    return Ok(None);
+                }
+                continue;
             }
-            None => Ok(None),
+            // All records of a part were walked over when it was opened.
+            let start = self.place + Head::BYTES as usize;
+            let (opcode, length) =
+                (fields.u8().unwrap_or_default(), fields.u64().unwrap_or_default() as usize);
+            self.place = start + length;
+            if opcode != opcode::MESSAGE {
+                continue;
+            }
+            let file = self.file();
+            let at = self.chunk_at();
+            let Ok(found) = message(&self.content[start..start + length]) else { continue };
+            let channel = found.channel;
+            if !self.index.files[file].channels.contains_key(&channel) && !self.define_assumed(channel) {
+                if !self.is_salvage {
+                    return Err(ReadError::Damaged { at, what: Damage::Channel });
+                }
+                let from_ns = self.newest_ns;
+                self.gap(Gap { at, what: Damage::Channel, is_data: true, from_ns, to_ns: None });
+                continue;
+            }
+            if let Some(counts) = &mut self.counts {
+                *counts[file].entry(channel).or_default() += 1;
+            }
+            let body = start..start + length;
+            return message(&self.content[body]).map(Some).map_err(|what| ReadError::Damaged { at, what });
         }
     }
 
     /// Byte of the file at which the chunk of the last message begins.
     pub fn chunk_at(&self) -> u64 {
-        self.chunk_at
+        self.current.map_or(0, |part| part.at)
     }
 
     /// Whether all messages of the open chunk were read.
     pub fn is_chunk_over(&self) -> bool {
-        self.place >= self.chunk.len()
+        self.place >= self.content.len()
     }
 
-    /// Advances to the next message; returns where it stands in the open chunk.
-    fn advance(&mut self) -> Result<Option<Range<usize>>, ReadError> {
+    /// Continues with the chunk that begins at a byte of the file, see [`Reader::chunk_at`]; false if there is none.
+    pub fn seek_to_chunk(&mut self, at: u64) -> bool {
+        let found = self.index.parts.binary_search_by_key(&at, |part| part.at);
+        (self.content, self.place, self.current, self.counts) = (Vec::new(), 0, None, None);
+        self.next = found.unwrap_or(self.index.parts.len());
+        found.is_ok()
+    }
+
+    /// The damaged places that were passed until now.
+    pub fn gaps(&self) -> &[Gap] {
+        &self.gaps
+    }
+
+    /// Messages that are missing by what the summaries count, of the channels that `counts`; `None` when a summary is
+    /// missing.
+    pub fn missing(&self, counts: impl Fn(&str) -> bool) -> Option<u64> {
+        let mut missing = 0;
+        for (contents, found) in self.index.files.iter().zip(self.counts.as_ref()?) {
+            for (channel, expected) in &contents.statistics.as_ref()?.channels {
+                let topic = contents.channels.get(channel).map_or("", |channel| channel.topic.as_str());
+                if topic.is_empty() || counts(topic) {
+                    missing += expected.saturating_sub(found.get(channel).copied().unwrap_or_default());
+                }
+            }
+        }
+        Some(missing)
+    }
+
+    /// Attached files and texts that are missing by what the summaries count; `None` when a summary is missing.
+    pub fn missing_attachments(&self) -> Option<u64> {
+        let of = |contents: &Contents| {
+            let counted = contents.statistics.as_ref()?.attached.map(u64::from);
+            let found = [contents.attachments.len() as u64, contents.metadata.len() as u64];
+            Some(counted[0].saturating_sub(found[0]) + counted[1].saturating_sub(found[1]))
+        };
+        self.index.files.iter().map(of).sum()
+    }
+
+    /// Opens the next part; false at the end.
+    fn open_part(&mut self) -> Result<bool, ReadError> {
         loop {
-            while self.place < self.chunk.len() {
-                if let Some(body) =
-                    self.next_in_chunk().map_err(|what| ReadError::Damaged { at: self.at, what })?
-                {
-                    self.contents.chunks += u64::from(!std::mem::replace(&mut self.is_counted, true));
-                    return Ok(Some(body));
+            self.take_places(self.next);
+            let Some(part) = self.index.parts.get(self.next).copied() else { return Ok(false) };
+            self.next += 1;
+            if self.current.is_some_and(|before| before.file != part.file) {
+                self.end_file();
+            }
+            self.current = Some(part);
+            self.place = 0;
+            match self.load(part) {
+                Ok(Some([first_ns, last_ns])) => {
+                    if let Some(gap) = self.open_gap.take() {
+                        let counted = self.contents().statistics.as_ref();
+                        let from_ns = gap.from_ns.or(counted.map(|counted| counted.times[0]));
+                        // A chunk also holds some messages that are older than it, such as states and log lines.
+                        let claimed_ns = gap.to_ns.filter(|to_ns| *to_ns <= last_ns);
+                        self.gaps.push(Gap { from_ns, to_ns: claimed_ns.max(Some(first_ns)), ..gap });
+                    }
+                    self.newest_ns = self.newest_ns.max(Some(last_ns));
+                    self.index.files[part.file].chunks += u64::from(self.counts.is_some());
+                    return Ok(true);
+                }
+                // Definitions alone.
+                Ok(None) => self.content.clear(),
+                Err(Fault::Io(error)) => return Err(error.into()),
+                Err(fault) if !self.is_salvage => return Err(fault.at(part.at)),
+                Err(fault) => {
+                    self.content.clear();
+                    let what = if let Fault::Damage(what) = fault { what } else { Damage::Refused };
+                    if !matches!(fault, Fault::Damage(_)) {
+                        self.index.refusal.get_or_insert(fault.at(part.at));
+                    }
+                    let (from_ns, to_ns) = (self.newest_ns, self.claimed_ns());
+                    self.gap(Gap { at: part.at, what, is_data: true, from_ns, to_ns });
                 }
             }
-            let start = self.at;
-            let damaged = |what| ReadError::Damaged { at: start, what };
-            let Some(opcode) = self.read_record()? else { return Ok(None) };
-            let record = std::mem::take(&mut self.record);
+        }
+    }
+
+    /// Reads a part and walks over its records; returns first and last log time of its messages [ns].
+    fn load(&mut self, part: Part) -> Result<Option<[u64; 2]>, Fault> {
+        let content = if part.is_chunk { &mut self.record } else { &mut self.content };
+        self.input.read(part.at, part.end - part.at, content)?;
+        if content.len() as u64 != part.end - part.at {
+            return Err(Damage::CutOff.into());
+        }
+        if part.is_chunk {
+            let record = self.record.get(Head::BYTES as usize..).unwrap_or_default();
+            let head = Head { at: part.at, opcode: opcode::CHUNK, length: record.len() as u64 };
+            let fields = record.len().min(unpack::FIELDS as usize);
+            ChunkHead::read(&head, &record[..fields])?.unpack(record, &mut self.content)?;
+        }
+        let mut times: Option<[u64; 2]> = None;
+        let mut fields = Fields(&self.content);
+        while !fields.0.is_empty() {
+            let (opcode, length) = (fields.u8()?, fields.u64()?);
+            let body = fields.take(usize::try_from(length).map_err(|_| Damage::Short)?)?;
             match opcode {
-                opcode::DATA_END => {
-                    self.contents.is_complete = self.ends_well()?;
-                    return Ok(None);
+                opcode::MESSAGE => {
+                    let log_ns = message(body)?.log_ns;
+                    let [first, last] = times.unwrap_or([log_ns; 2]);
+                    times = Some([first.min(log_ns), last.max(log_ns)]);
                 }
-                opcode::CHUNK => {
-                    self.open_chunk(&record).map_err(damaged)?;
-                    self.chunk_at = start;
-                    self.is_counted = false;
+                opcode::SCHEMA | opcode::CHANNEL => {
+                    // A chunk has a checksum, a damaged summary may have none.
+                    let contents = &mut self.index.files[part.file];
+                    contents.define(opcode, body, &mut self.held, self.is_salvage)?;
                 }
-                _ => self.define(opcode, &record).map_err(damaged)?,
+                // Nothing else may stand in a chunk; an attached file would be unpacked with it.
+                _ if !self.is_salvage => return Err(Damage::Misplaced.into()),
+                _ => {}
             }
-            self.contents.whole_bytes = self.at;
-            self.record = record;
+        }
+        Ok(times)
+    }
+
+    /// The last time that the head of the chunk names which could not be read [ns].
+    fn claimed_ns(&self) -> Option<u64> {
+        let record = self.record.get(Head::BYTES as usize..)?;
+        self.current.filter(|part| part.is_chunk).and_then(|_| unpack::last_ns(record))
+    }
+
+    /// Takes in the damaged places in front of a part.
+    fn take_places(&mut self, part: usize) {
+        while let Some(place) = self.index.places.first().copied().filter(|place| place.part <= part) {
+            self.index.places.remove(0);
+            let Place { at, what, is_data, until_ns, .. } = place;
+            let from_ns = self.newest_ns;
+            self.gap(Gap { at, what, is_data, from_ns, to_ns: until_ns });
         }
     }
 
-    /// Reads the next record of the open chunk; returns where it stands if it is a message.
-    fn next_in_chunk(&mut self) -> Result<Option<Range<usize>>, Damage> {
-        let mut fields = Fields(&self.chunk[self.place..]);
-        let (opcode, length) = (fields.u8()?, fields.u64()?);
-        let body = fields.take(length as usize)?;
-        let range = self.place + 9..self.place + 9 + body.len();
-        self.place = range.end;
-        if opcode != opcode::MESSAGE {
-            let body = body.to_vec();
-            self.define(opcode, &body)?;
-            return Ok(None);
+    /// Notes a damaged place behind the newest message.
+    fn gap(&mut self, new: Gap) {
+        match &mut self.open_gap {
+            Some(gap) => {
+                gap.to_ns = gap.to_ns.max(new.to_ns);
+                gap.is_data |= new.is_data;
+            }
+            None => self.open_gap = Some(new),
         }
-        let channel = message(&self.chunk[range.clone()])?.channel;
-        if self.contents.channels.contains_key(&channel) { Ok(Some(range)) } else { Err(Damage::Channel) }
     }
 
-    /// Reads a record into `self.record`; `None` where the file is cut off.
-    fn read_record(&mut self) -> Result<Option<u8>, ReadError> {
-        let mut head = [0; 9];
-        if !fill(&mut self.input, &mut head)? {
-            return Ok(None);
+    /// No further message of the file is read.
+    fn end_file(&mut self) {
+        let file = self.file();
+        let end_ns = self.index.files.get(file).and_then(|contents| contents.statistics.as_ref());
+        let end_ns = end_ns.map(|statistics| statistics.times[1]);
+        if let Some(gap) = self.open_gap.take() {
+            // A time that lies far ahead is damaged itself.
+            let latest_ns = gap.from_ns.map(|from_ns| from_ns.saturating_add(MAX_CHUNK_NS));
+            let claimed_ns = gap.to_ns.filter(|to_ns| Some(*to_ns) <= latest_ns);
+            let to_ns = claimed_ns.max(end_ns).filter(|to_ns| Some(*to_ns) >= gap.from_ns);
+            self.gaps.push(Gap { to_ns, ..gap });
         }
-        let length = u64::from_le_bytes(head[1..].try_into().unwrap_or_default());
-        if length > MAX_RECORD {
-            return Err(ReadError::Damaged { at: self.at, what: Damage::Long });
-        }
-        self.record.clear();
-        let read = self.input.by_ref().take(length).read_to_end(&mut self.record)?;
-        if read as u64 != length {
-            return Ok(None);
-        }
-        self.at += 9 + length;
-        Ok(Some(head[0]))
+        self.newest_ns = None;
     }
 
-    /// Whether summary and end of the file are there.
-    fn ends_well(&mut self) -> Result<bool, ReadError> {
-        let mut rest = Vec::new();
-        self.input.read_to_end(&mut rest)?;
-        Ok(rest.ends_with(&MAGIC))
-    }
-
-    fn define(&mut self, opcode: u8, body: &[u8]) -> Result<(), Damage> {
-        let mut fields = Fields(body);
-        match opcode {
-            opcode::HEADER => {
-                fields.text()?;
-                self.contents.library = fields.text()?;
+    /// All parts were read: the summaries must count as many messages.
+    fn end(&mut self) -> Result<(), ReadError> {
+        self.end_file();
+        let read: u64 = self.counts.iter().flatten().flat_map(BTreeMap::values).sum();
+        if self.is_salvage {
+            return match self.index.refusal.take_if(|_| read == 0 && self.counts.is_some()) {
+                Some(refusal) => Err(refusal),
+                None => Ok(()),
+            };
+        }
+        for (contents, found) in self.index.files.iter().zip(self.counts.iter().flatten()) {
+            let counted = contents.statistics.as_ref().map(|statistics| statistics.messages);
+            if contents.is_complete && counted.is_some_and(|counted| counted != found.values().sum::<u64>()) {
+                return Err(ReadError::Damaged { at: self.chunk_at(), what: Damage::Count });
             }
-            opcode::SCHEMA => {
-                let number = fields.u16()?;
-                let schema = Schema { name: fields.text()?, encoding: fields.text()?, text: fields.text()? };
-                self.contents.schemas.insert(number, schema);
-            }
-            opcode::CHANNEL => {
-                let (number, schema, topic) = (fields.u16()?, fields.u16()?, fields.text()?);
-                fields.text()?;
-                let channel = Channel { topic, schema, metadata: fields.map()? };
-                self.contents.channels.insert(number, channel);
-            }
-            opcode::ATTACHMENT => {
-                let content = body.len().checked_sub(4).ok_or(Damage::Short)?;
-                let crc = u32::from_le_bytes(body[content..].try_into().unwrap_or_default());
-                if crc != 0 && crc32fast::hash(&body[..content]) != crc {
-                    return Err(Damage::Checksum);
-                }
-                fields.take(16)?;
-                let (name, media_type, length) = (fields.text()?, fields.text()?, fields.u64()?);
-                let data = fields.take(length as usize)?.to_vec();
-                self.contents.attachments.push(Attachment { name, media_type, data });
-            }
-            opcode::METADATA => {
-                let (name, map) = (fields.text()?, fields.map()?);
-                self.contents.metadata.push(Metadata { name, map });
-            }
-            _ => {}
         }
         Ok(())
     }
 
-    fn open_chunk(&mut self, record: &[u8]) -> Result<(), Damage> {
-        let mut fields = Fields(record);
-        fields.take(16)?;
-        let (length, crc, compression) = (fields.u64()?, fields.u32()?, fields.text()?);
-        let stored = fields.u64()?;
-        let stored = fields.take(stored as usize)?;
-        self.chunk.clear();
-        self.place = 0;
-        match compression.as_str() {
-            "" => self.chunk.extend_from_slice(stored),
-            "lz4" => {
-                let limit = FrameDecoder::new(stored).take(length.min(MAX_RECORD) + 1);
-                let read = { limit }.read_to_end(&mut self.chunk);
-                if read.ok() != Some(length as usize) {
-                    return Err(Damage::Compression);
-                }
-            }
-            _ => return Err(Damage::Compression),
+    /// Takes a channel for the assumed one of its number; false if there is none.
+    fn define_assumed(&mut self, number: u16) -> bool {
+        let (schemas, channels) = &self.assumed;
+        let Some(channel) = channels.get(&number) else { return false };
+        let file = self.current.map_or(0, |part| part.file);
+        let contents = &mut self.index.files[file];
+        if let Some(schema) = schemas.get(&channel.schema) {
+            contents.schemas.entry(channel.schema).or_insert_with(|| schema.clone());
         }
-        if crc != 0 && crc32fast::hash(&self.chunk) != crc {
-            return Err(Damage::Checksum);
-        }
-        Ok(())
-    }
-}
-
-impl<R: Read + Seek> Reader<R> {
-    /// Continues with the chunk that begins at a byte of the file, see [`Reader::chunk_at`].
-    ///
-    /// # Errors
-    /// Those of the file system.
-    pub fn seek_to_chunk(&mut self, at: u64) -> io::Result<()> {
-        self.input.seek(SeekFrom::Start(at))?;
-        self.chunk.clear();
-        // No chunk is open: none begins at the first byte.
-        (self.at, self.place, self.chunk_at) = (at, 0, 0);
-        Ok(())
-    }
-}
-
-fn message(body: &[u8]) -> Result<Message<'_>, Damage> {
-    let mut fields = Fields(body);
-    let (channel, sequence, log_ns) = (fields.u16()?, fields.u32()?, fields.u64()?);
-    fields.u64()?;
-    Ok(Message { channel, sequence, log_ns, data: fields.0 })
-}
-
-/// Fills `bytes`; false when the input ends before.
-fn fill(input: &mut impl Read, bytes: &mut [u8]) -> io::Result<bool> {
-    match input.read_exact(bytes) {
-        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Ok(false),
-        result => result.map(|()| true),
+        contents.channels.insert(number, channel.clone());
+        true
     }
 }

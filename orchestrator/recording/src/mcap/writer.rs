@@ -6,7 +6,7 @@ use std::io::{self, Write};
 use super::{Chunk, MAGIC, OpenChunk, Put, append, opcode};
 
 /// The type of the messages of a channel.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Schema {
     /// Name of the type.
     pub name: String,
@@ -16,19 +16,23 @@ pub struct Schema {
     pub text: String,
 }
 
-/// A stream of messages of one type, encoded as CDR.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// A stream of messages of one type.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Channel {
     /// Its name.
     pub topic: String,
-    /// Index of its schema.
+    /// Number of its schema: the first has 1, and 0 is none.
     pub schema: u16,
+    /// How its messages are encoded.
+    pub encoding: String,
     /// What else is to be known about it.
     pub metadata: Vec<(String, String)>,
 }
 
-/// Encoding of all messages.
-const MESSAGE_ENCODING: &str = "cdr";
+/// Encoding of the messages of this program.
+pub(crate) const CDR: &str = "cdr";
+/// What files of this program are to be understood as.
+const PROFILE: &str = "ros2";
 
 /// A file that is being written. Each record reaches the file whole; a chunk with [`Writer::end_chunk`].
 #[derive(Debug)]
@@ -48,16 +52,27 @@ pub struct Writer<W: Write> {
 }
 
 impl<W: Write> Writer<W> {
-    /// Begins a file with these schemas and channels, which are known by their index.
+    /// Begins a file with these schemas and channels; channels are known by their index.
     ///
     /// # Errors
     /// Those of `out`.
     pub fn new(out: W, library: &str, schemas: &[Schema], channels: &[Channel]) -> io::Result<Self> {
+        let mut writer = Self::empty(out, PROFILE, library)?;
+        schemas.iter().for_each(|schema| _ = writer.add_schema(schema));
+        channels.iter().for_each(|channel| _ = writer.add_channel(channel));
+        Ok(writer)
+    }
+
+    /// Begins a file without channels.
+    ///
+    /// # Errors
+    /// Those of `out`.
+    pub fn empty(out: W, profile: &str, library: &str) -> io::Result<Self> {
         let mut writer = Self {
             out,
             written: 0,
             definitions: [Vec::new(), Vec::new()],
-            counts: [schemas.len(), channels.len()],
+            counts: [0; 2],
             open: OpenChunk::default(),
             times: None,
             messages: BTreeMap::new(),
@@ -67,23 +82,38 @@ impl<W: Write> Writer<W> {
         };
         writer.put(&MAGIC)?;
         let mut header = Vec::new();
-        header.text("ros2").text(library);
+        header.text(profile).text(library);
         writer.record(opcode::HEADER, &header)?;
-        for (index, schema) in schemas.iter().enumerate() {
-            let mut body = Vec::new();
-            // Number 0 means that there is no schema.
-            body.u16(index as u16 + 1).text(&schema.name).text(&schema.encoding).text(&schema.text);
-            append(&mut writer.definitions[0], opcode::SCHEMA, &body);
-        }
-        for (index, channel) in channels.iter().enumerate() {
-            let mut body = Vec::new();
-            body.u16(index as u16).u16(channel.schema + 1).text(&channel.topic).text(MESSAGE_ENCODING);
-            body.map(&channel.metadata);
-            append(&mut writer.definitions[1], opcode::CHANNEL, &body);
-        }
-        // Compressed, and where all readers look for them.
-        writer.open = OpenChunk::beginning_with(writer.definitions.concat());
         Ok(writer)
+    }
+
+    /// Adds a schema to the open chunk and the summary; returns its number.
+    pub fn add_schema(&mut self, schema: &Schema) -> u16 {
+        self.counts[0] += 1;
+        let number = self.counts[0] as u16;
+        let mut body = Vec::new();
+        body.u16(number).text(&schema.name).text(&schema.encoding).text(&schema.text);
+        self.define(0, opcode::SCHEMA, &body);
+        number
+    }
+
+    /// Adds a channel to the open chunk and the summary, in front of its messages; returns its number.
+    pub fn add_channel(&mut self, channel: &Channel) -> u16 {
+        let number = self.counts[1] as u16;
+        self.counts[1] += 1;
+        let mut body = Vec::new();
+        body.u16(number).u16(channel.schema).text(&channel.topic).text(&channel.encoding);
+        body.map(&channel.metadata);
+        self.define(1, opcode::CHANNEL, &body);
+        number
+    }
+
+    /// In a chunk it is compressed, and where all readers look for it.
+    fn define(&mut self, group: usize, opcode: u8, body: &[u8]) {
+        let mut record = Vec::new();
+        append(&mut record, opcode, body);
+        self.definitions[group].extend_from_slice(&record);
+        self.open.begin_with(&record);
     }
 
     /// Bytes written until now.
@@ -128,7 +158,12 @@ impl<W: Write> Writer<W> {
 
     /// Adds a message of data in parts to the open chunk. A chunk holds its messages channel by channel.
     pub fn message(&mut self, channel: u16, sequence: u32, log_ns: u64, data: &[&[u8]]) {
-        self.open.message(channel, sequence, log_ns, data);
+        self.open.message(channel, sequence, [log_ns; 2], data);
+    }
+
+    /// The same with the times at which it was recorded and published [ns].
+    pub fn message_of(&mut self, channel: u16, sequence: u32, times_ns: [u64; 2], data: &[u8]) {
+        self.open.message(channel, sequence, times_ns, &[data]);
     }
 
     /// Writes the open chunk, if it has messages: they are safe from here on.

@@ -2,12 +2,16 @@
 
 use std::collections::BTreeMap;
 
-use shared_types::Topic;
+use shared_types::{Header, TOPICS, Topic};
+
+/// A jump of the numbers beyond this is none that samples could have been published in.
+const MAX_GAP: u64 = u32::MAX as u64;
 
 /// The newest sequence number of each publisher, and how many are missing.
 #[derive(Debug, Default)]
 pub(super) struct Losses {
-    newest: BTreeMap<(Topic, u32), u64>,
+    /// By channel and incarnation.
+    newest: BTreeMap<(usize, u32), u64>,
     lost: u64,
 }
 
@@ -20,14 +24,24 @@ impl Losses {
         let header = (topic.sample_type().header)(bytes);
         // All directives are of one publisher.
         let incarnation = if topic == Topic::Directive { 0 } else { header.incarnation };
-        let newest = self.newest.entry((topic, incarnation)).or_insert(header.sequence);
-        self.lost += header.sequence.saturating_sub(*newest + 1);
-        *newest = header.sequence.max(*newest);
+        self.note_number(topic as usize, incarnation, header.sequence);
+    }
+
+    /// The same of a topic of the system, by its place among them.
+    pub(super) fn note_own(&mut self, index: usize, header: &Header) {
+        self.note_number(TOPICS.len() + index, header.incarnation, header.sequence);
+    }
+
+    fn note_number(&mut self, channel: usize, incarnation: u32, sequence: u64) {
+        let newest = self.newest.entry((channel, incarnation)).or_insert(sequence);
+        let gap = sequence.saturating_sub(newest.saturating_add(1));
+        self.lost += if gap > MAX_GAP { 0 } else { gap };
+        *newest = sequence.max(*newest);
     }
 
     /// Whether the heartbeat is the first of its process.
     pub(super) fn is_first(&self, topic: Topic, incarnation: u32) -> bool {
-        topic == Topic::Heartbeat && !self.newest.contains_key(&(topic, incarnation))
+        topic == Topic::Heartbeat && !self.newest.contains_key(&(topic as usize, incarnation))
     }
 
     /// Samples missed until now.
@@ -38,7 +52,7 @@ impl Losses {
 
 #[cfg(test)]
 mod tests {
-    use shared_types::{Header, Pose};
+    use shared_types::Pose;
 
     use super::*;
 
@@ -50,5 +64,9 @@ mod tests {
             losses.note(Topic::Pose, bytemuck::bytes_of(&Pose { header, ..Pose::default() }));
         }
         assert_eq!(losses.lost(), 2);
+        for (index, sequence) in [(0, 1), (1, 1), (0, 3), (1, 1 << 63), (1, u64::MAX)] {
+            losses.note_own(index, &Header { incarnation: 1, sequence, ..Header::default() });
+        }
+        assert_eq!(losses.lost(), 3, "numbers that no publisher can have reached are not missing samples");
     }
 }

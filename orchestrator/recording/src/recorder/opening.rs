@@ -3,15 +3,16 @@
 use std::io::{self, Write};
 use std::path::PathBuf;
 
-use runtime::{Domain, LAYOUTS_FILE, settings_file};
+use runtime::{Domain, LAYOUTS_FILE, OwnTopics, TOPICS_FILE, settings_file, started_settings_file};
 use serde::Deserialize;
 use shared_types::Role;
 
 use crate::mcap::Writer;
-use crate::read::{RECORDING, RUN, VERSION};
-use crate::tape::{LIBRARY, media_type, writer};
+use crate::own::OwnTopic;
+use crate::read::{RECORDING, RUN, VERSION, settings_of};
+use crate::tape::{LIBRARY, media_type, writer_with};
 
-/// Of the files that list the processes of the run, a ring keeps so many.
+/// Of the files about single processes, a ring keeps so many.
 const MAX_FILES: usize = 64;
 
 /// Files and texts of a run.
@@ -21,6 +22,8 @@ pub(super) struct Opening {
     /// Files that were added while the run drives.
     later: Vec<(String, Vec<u8>)>,
     entries: Vec<(String, String)>,
+    /// Topics that the system adds to those of the loop.
+    pub(super) own: Vec<OwnTopic>,
     /// The folder of its results.
     pub(super) out: PathBuf,
     /// Whether time is simulated.
@@ -52,6 +55,11 @@ impl Opening {
             let text = domain.folder().read_text(&name)?;
             files.push((name, text.into_bytes()));
         }
+        let table = OwnTopics::of(domain)?;
+        if table.is_some() {
+            files.push((TOPICS_FILE.to_owned(), domain.folder().read(TOPICS_FILE)?));
+        }
+        let own = table.as_ref().map_or_else(Vec::new, OwnTopic::all);
         let kernel = std::fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
         let machine = format!("{} {} {}", std::env::consts::OS, kernel.trim(), std::env::consts::ARCH);
         let executable = std::fs::read("/proc/self/exe").map_or(0, |bytes| crc32fast::hash(&bytes));
@@ -67,7 +75,13 @@ impl Opening {
             ("period_ns", period_ns.to_string()),
         ];
         let entries = entries.map(|(key, value)| (key.to_owned(), value)).to_vec();
-        Ok(Self { files, later: Vec::new(), entries, out, lockstep, period_ns })
+        Ok(Self { files, later: Vec::new(), entries, own, out, lockstep, period_ns })
+    }
+
+    /// Contents of the files of settings that the recording begins with.
+    pub(super) fn settings_at_start(&self) -> Vec<Vec<u8>> {
+        let is_settings = |name: &str| Role::ALL.iter().any(|role| settings_file(*role) == name);
+        self.files.iter().filter(|(name, _)| is_settings(name)).map(|(_, data)| data.clone()).collect()
     }
 
     /// Begins a recording with it.
@@ -75,7 +89,7 @@ impl Opening {
     /// # Errors
     /// Those of `out`.
     pub(super) fn begin<W: Write>(&self, out: W) -> io::Result<Writer<W>> {
-        let mut writer = writer(out)?;
+        let mut writer = writer_with(out, &self.own)?;
         for (name, data) in self.files.iter().chain(&self.later) {
             writer.attach(name, media_type(name), data, 0)?;
         }
@@ -86,7 +100,23 @@ impl Opening {
     /// Adds a file for recordings that begin later; the oldest of too many is dropped.
     pub(super) fn add(&mut self, name: &str, data: &[u8]) {
         self.later.push((name.to_owned(), data.to_owned()));
-        let surplus = self.later.len().saturating_sub(MAX_FILES);
-        self.later.drain(..surplus);
+        if self.later.len() > MAX_FILES {
+            // A process may drive for days with the settings that it was started with.
+            let is_newest = |index: usize| {
+                let role = |name: &str| Some(name.rsplit_once('-')?.0.to_owned());
+                let of = role(&self.later[index].0).filter(|of| of != "processes");
+                of.is_some() && self.later[index + 1..].iter().all(|(name, _)| role(name) != of)
+            };
+            let oldest = (0..self.later.len()).find(|index| !is_newest(*index)).unwrap_or_default();
+            self.later.remove(oldest);
+        }
+    }
+
+    /// The settings of a process, if they are not those that the recording begins with: name and content of a file.
+    pub(super) fn settings(domain: &Domain, role: Role, incarnation: u32) -> Option<(String, Vec<u8>)> {
+        let folder = domain.folder();
+        let text = folder.read(&started_settings_file(incarnation));
+        let text = text.or_else(|_| folder.read(&settings_file(role)));
+        Some((settings_of(role, incarnation), text.ok()?))
     }
 }

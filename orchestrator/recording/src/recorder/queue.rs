@@ -10,7 +10,7 @@ use std::thread::JoinHandle;
 
 use bytemuck::cast_slice;
 use runtime::monotonic_ns;
-use shared_types::Topic;
+use shared_types::{Header, TOPICS};
 
 use super::Summary;
 use super::ring::Ring;
@@ -27,8 +27,8 @@ const FOLLOWING_NS: u64 = 2_000_000_000;
 /// What was copied in one poll.
 #[derive(Debug, Default)]
 struct Batch {
-    /// Topic, and the end of the sample in `words`.
-    samples: Vec<(Topic, usize)>,
+    /// Topic, length [bytes], and the end of the sample in `words`. The topics of the system follow those of the loop.
+    samples: Vec<(usize, usize, usize)>,
     /// Samples one after the other; eight bytes each, as samples are aligned.
     words: Vec<u64>,
     /// Role and line.
@@ -48,11 +48,11 @@ impl Batch {
         self.samples.is_empty() && self.lines.is_empty() && self.files.is_empty() && self.incident.is_none()
     }
 
-    fn samples(&self) -> impl Iterator<Item = (Topic, &[u8])> {
+    fn samples(&self) -> impl Iterator<Item = (usize, &[u8])> {
         let mut start = 0;
-        self.samples.iter().map(move |(topic, end)| {
+        self.samples.iter().map(move |(topic, length, end)| {
             let words = &self.words[std::mem::replace(&mut start, *end)..*end];
-            (*topic, &cast_slice::<u64, u8>(words)[..topic.size()])
+            (*topic, &cast_slice::<u64, u8>(words)[..*length])
         })
     }
 }
@@ -105,13 +105,13 @@ impl Queue {
         Ok(Self { batch: Batch::default(), sender, thread, saved, failed, waits, passed_ns: 0, lost: 0 })
     }
 
-    /// Adds a sample.
-    pub(super) fn add(&mut self, topic: Topic, bytes: &[u8]) {
+    /// Adds a sample of a topic of the loop, or of one of the system, which are counted behind them.
+    pub(super) fn add(&mut self, topic: usize, bytes: &[u8]) {
         let start = self.batch.words.len();
         self.batch.words.resize(start + bytes.len().div_ceil(8), 0);
         let place = bytemuck::cast_slice_mut::<u64, u8>(&mut self.batch.words[start..]);
         place[..bytes.len()].copy_from_slice(bytes);
-        self.batch.samples.push((topic, self.batch.words.len()));
+        self.batch.samples.push((topic, bytes.len(), self.batch.words.len()));
     }
 
     /// Adds a line of a log.
@@ -180,7 +180,13 @@ impl Queue {
 
 /// Puts a batch on a tape, up to the first error.
 fn put<T: Target>(tape: &mut Tape<T>, batch: &Batch) -> io::Result<()> {
-    batch.samples().try_for_each(|(topic, bytes)| tape.sample(topic, bytes))?;
+    batch.samples().try_for_each(|(topic, bytes)| match TOPICS.get(topic) {
+        Some(topic) => tape.sample(*topic, bytes),
+        None => {
+            let header = bytemuck::pod_read_unaligned(&bytes[..size_of::<Header>()]);
+            tape.own_sample(topic - TOPICS.len(), &header, bytes)
+        }
+    })?;
     batch.files.iter().try_for_each(|(name, data)| tape.attach(name, data))?;
     batch.lines.iter().try_for_each(|(role, line)| tape.log(role, line))
 }

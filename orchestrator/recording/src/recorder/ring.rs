@@ -72,7 +72,7 @@ impl Ring {
 
 impl Target for Ring {
     fn message(&mut self, channel: u16, sequence: u32, log_ns: u64, data: &[&[u8]]) {
-        self.open.message(channel, sequence, log_ns, data);
+        self.open.message(channel, sequence, [log_ns; 2], data);
     }
 
     fn open_bytes(&self) -> usize {

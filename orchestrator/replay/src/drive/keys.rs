@@ -10,6 +10,28 @@ use toml::{Table, Value};
 /// # Errors
 /// What is wrong with a text that is no `ROLE.KEY=VALUE`.
 pub(super) fn set(settings: &mut BTreeMap<Role, Table>, text: &str) -> Result<(), String> {
+    let (targets, value) = parse(text)?;
+    for (role, key) in targets {
+        let table = settings.get_mut(&role).ok_or("a role has no settings")?;
+        set_key(table, &key, value.clone()).map_err(|reason| format!("{text}: {reason}"))?;
+    }
+    Ok(())
+}
+
+/// Sets one key in the settings of a process, if it is one of its role.
+///
+/// # Errors
+/// As [`set`].
+pub(super) fn set_of(role: Role, table: &mut Table, text: &str) -> Result<(), String> {
+    let (targets, value) = parse(text)?;
+    for (_, key) in targets.iter().filter(|(of, _)| *of == role) {
+        set_key(table, key, value.clone()).map_err(|reason| format!("{text}: {reason}"))?;
+    }
+    Ok(())
+}
+
+/// The roles whose settings a text changes, each with the key in them, and the value.
+fn parse(text: &str) -> Result<(Vec<(Role, String)>, Value), String> {
     let allowed =
         "KEY=VALUE, where KEY begins with estimator, obstacles, controller, actuator, vehicle or scenario";
     let (key, value) = text.split_once('=').ok_or_else(|| format!("{text}: expected {allowed}"))?;
@@ -30,11 +52,7 @@ pub(super) fn set(settings: &mut BTreeMap<Role, Table>, text: &str) -> Result<()
             _ => return Err(format!("{text}: expected {allowed}")),
         },
     };
-    for (role, key) in targets {
-        let table = settings.get_mut(&role).ok_or("a role has no settings")?;
-        set_key(table, &key, value.clone()).map_err(|reason| format!("{text}: {reason}"))?;
-    }
-    Ok(())
+    Ok((targets, value))
 }
 
 fn set_key(table: &mut Table, key: &str, value: Value) -> Result<(), String> {

@@ -20,8 +20,8 @@ impl Stage for Actuator {
     type State = ActuatorState;
     const ROLE: Role = Role::Actuator;
 
-    fn begin(drive: &Drive) -> anyhow::Result<Self> {
-        let config: Config = drive.table(Role::Actuator, "actuator")?;
+    fn begin(drive: &Drive, incarnation: u32) -> anyhow::Result<Self> {
+        let config: Config = drive.table_of(incarnation, Role::Actuator, "actuator")?;
         let actuator = actuation::Actuator::new(config, drive.period_ns)?;
         Ok(Self { actuator, command: Err(Missing::Input), output: None, is_held_back: false })
     }

@@ -26,8 +26,8 @@ impl Stage for Controller {
     type State = ControllerState;
     const ROLE: Role = Role::Controller;
 
-    fn begin(drive: &Drive) -> anyhow::Result<Self> {
-        let config: Config = drive.table(Role::Controller, "controller")?;
+    fn begin(drive: &Drive, incarnation: u32) -> anyhow::Result<Self> {
+        let config: Config = drive.table_of(incarnation, Role::Controller, "controller")?;
         let iterations = drive.simulated.then_some(config.budget_iterations);
         let controller = nmpc::Controller::new(config)?;
         let is_changed = drive.is_changed;

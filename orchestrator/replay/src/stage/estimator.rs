@@ -24,8 +24,8 @@ impl Stage for Estimator {
     type State = EstimatorState;
     const ROLE: Role = Role::Estimator;
 
-    fn begin(drive: &Drive) -> anyhow::Result<Self> {
-        let config: Config = drive.table(Role::Estimator, "estimator")?;
+    fn begin(drive: &Drive, incarnation: u32) -> anyhow::Result<Self> {
+        let config: Config = drive.table_of(incarnation, Role::Estimator, "estimator")?;
         Ok(Self { estimator: estimator::Estimator::new(&config)?, taken: None, pose: None })
     }
 

@@ -69,8 +69,8 @@ pub(super) trait Stage: Sized {
     /// The role.
     const ROLE: Role;
 
-    /// A process that begins without a state.
-    fn begin(drive: &Drive) -> anyhow::Result<Self>;
+    /// A process that begins without a state, with the settings of the recorded one.
+    fn begin(drive: &Drive, incarnation: u32) -> anyhow::Result<Self>;
     /// Continues from a state; false when it can't be used.
     fn resume(&mut self, state: &Self::State) -> bool;
     /// Remembers a sample that the process has taken.
@@ -149,8 +149,12 @@ fn replay_process<T: Stage>(
 ) -> anyhow::Result<()> {
     let nearest = nearest_state(incarnation, drive, options);
     let taking = Taking { drive, incarnation, moved_ns: None };
-    let mut process =
-        Replayed { stage: T::begin(drive)?, taking, nearest, unknown: nearest.map(|_| NO_STATE) };
+    let mut process = Replayed {
+        stage: T::begin(drive, incarnation)?,
+        taking,
+        nearest,
+        unknown: nearest.map(|_| NO_STATE),
+    };
     let mut next = 1;
     for journal in drive.journals(incarnation) {
         if journal.header.sequence != next {

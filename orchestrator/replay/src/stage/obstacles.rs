@@ -18,8 +18,8 @@ impl Stage for Detector {
     type State = ObstaclesState;
     const ROLE: Role = Role::Obstacles;
 
-    fn begin(drive: &Drive) -> anyhow::Result<Self> {
-        let config: Config = drive.table(Role::Obstacles, "obstacles")?;
+    fn begin(drive: &Drive, incarnation: u32) -> anyhow::Result<Self> {
+        let config: Config = drive.table_of(incarnation, Role::Obstacles, "obstacles")?;
         let (scan, pose) = (Err(Missing::Input), Err(Missing::Input));
         Ok(Self { detector: ObstacleDetector::new(config)?, scan, pose })
     }

@@ -23,8 +23,8 @@ impl Stage for Robot {
     type State = RobotState;
     const ROLE: Role = Role::Robot;
 
-    fn begin(drive: &Drive) -> anyhow::Result<Self> {
-        let scenario: Scenario = drive.table(Role::Robot, "scenario")?;
+    fn begin(drive: &Drive, incarnation: u32) -> anyhow::Result<Self> {
+        let scenario: Scenario = drive.table_of(incarnation, Role::Robot, "scenario")?;
         Ok(Self {
             emulator: Emulator::new(&scenario, drive.period_ns),
             origin_ns: 0,

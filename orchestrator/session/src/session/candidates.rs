@@ -7,7 +7,7 @@ use emulator::JudgedBy;
 use handover::swap::watch::Watch;
 use handover::swap::{Party, SwapEvent};
 use plan::change;
-use runtime::{HandoverData, monotonic_ns, own_settings_file};
+use runtime::{HandoverData, monotonic_ns, own_settings_file, started_settings_file};
 use shared_types::{Authority, Phase, ProcessState, Role, Topic};
 use supervision::entry::ProcessEntry;
 use supervision::fleet::Fleet;
@@ -18,6 +18,9 @@ use crate::companion::Companion;
 
 /// An output of a candidate may be for a scan that the orchestrator has not polled yet, but no further ahead [scans].
 const MAX_AHEAD: u64 = 256;
+/// Of so many candidates whose swap is over, the settings stay in the directory of the system, for recorders: on a busy
+/// machine one may find a process when the swap is over.
+const MAX_SETTLED: usize = 16;
 
 /// The outputs of each candidate and of the process in charge, by incarnation of the candidate.
 pub(crate) type Watches = BTreeMap<u32, Watch>;
@@ -180,7 +183,8 @@ impl Session {
         {
             let held = self.companions.granted_scan(super::GRANT_AHEAD);
             let copied = self.companion.as_mut().and_then(Companion::copied_scan);
-            let recorded = copied.map_or(scan, |copied| scan.min(copied + GRANT_AHEAD));
+            let recorded =
+                copied.map_or(scan, |copied| scan.min(copied + self.companions.ahead(GRANT_AHEAD)));
             self.directives.grant(recorded.min(held));
         }
         for asked in self.shadows.take_asked() {
@@ -192,7 +196,7 @@ impl Session {
         }
         let orders = self.shadows.advance(monotonic_ns(), !self.drives());
         self.follow(orders)?;
-        let Self { watches, swaps, shadows, run, .. } = self;
+        let Self { watches, swaps, shadows, run, settled, .. } = self;
         let swapped = swaps.plan().map(|plan| plan.new);
         watches.retain(|incarnation, _| {
             let is_candidate = swapped == Some(*incarnation)
@@ -200,9 +204,14 @@ impl Session {
             if !is_candidate {
                 // A process in charge has those of its role by now.
                 let _ = run.domain.folder().remove(&own_settings_file(*incarnation));
+                settled.push_back(*incarnation);
             }
             is_candidate
         });
+        while settled.len() > MAX_SETTLED {
+            let oldest = settled.pop_front();
+            let _ = oldest.map(|incarnation| run.domain.folder().remove(&started_settings_file(incarnation)));
+        }
         Ok(())
     }
 
@@ -258,7 +267,9 @@ impl Session {
         let has_own_settings = candidate.settings.is_some();
         let started = self.try_start(candidate, incarnation, needs_truth);
         if has_own_settings && started.is_err() {
-            let _ = self.run.domain.folder().remove(&own_settings_file(incarnation));
+            for name in [own_settings_file(incarnation), started_settings_file(incarnation)] {
+                let _ = self.run.domain.folder().remove(&name);
+            }
         }
         started.map_err(|error| format!("{error:#}"))
     }
@@ -271,7 +282,9 @@ impl Session {
             link.reach(&self.fleet.places().chain([place]).collect::<Vec<_>>())?;
         }
         if let Some(text) = settings {
-            self.run.domain.folder().write(&own_settings_file(incarnation), text.as_bytes())?;
+            for name in [own_settings_file(incarnation), started_settings_file(incarnation)] {
+                self.run.domain.folder().write(&name, text.as_bytes())?;
+            }
         }
         let handover = self.hand_over(role);
         self.fleet.spawn_candidate(entry, incarnation, handover.as_ref())?;

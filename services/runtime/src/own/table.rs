@@ -246,8 +246,9 @@ impl TopicRow {
         Qos {
             // The one in charge, its successor, and two that are ending.
             publishers: 4,
-            // The orchestrator reads it too: in lock-step, and during a swap of its writer.
-            subscribers: self.readers + 2,
+            // The orchestrator reads it too: in lock-step, and during a swap of its writer. So do two recorders: that of
+            // the run, and one that joins it.
+            subscribers: self.readers + 4,
             buffer: self.queue,
             borrowed: self.queue + 2,
             history: 0,

@@ -50,7 +50,8 @@ fn recordings_that_are_newer_or_damaged_are_refused() {
     let newer = system.folder().join("newer.mcap");
     let schema =
         Schema { name: "scanloop_msgs/msg/Pose".into(), encoding: "ros2msg".into(), text: String::new() };
-    let channel = Channel { topic: "/scanloop/pose".into(), schema: 0, metadata: Vec::new() };
+    let channel =
+        Channel { topic: "/scanloop/pose".into(), schema: 1, encoding: "cdr".into(), metadata: Vec::new() };
     let mut writer = Writer::new(File::create(&newer).unwrap(), "test", &[schema], &[channel]).unwrap();
     writer.metadata("recording", &[("version".to_owned(), "2".to_owned())]).unwrap();
     writer.message(0, 1, 1, &[&[0; 8]]);

@@ -1,0 +1,364 @@
+//! Walks over the records of a file, also of several files that were joined, and notes where their messages are.
+//!
+//! Only heads are read of chunks. In a salvage, what is no record is skipped up to the next place at which one begins.
+
+use std::io::{self, Read, Seek};
+
+use super::contents::{Contents, MAX_HELD};
+use super::damage::Fault;
+use super::input::{Head, Input};
+use super::unpack::{self, ChunkHead, MAX_CHUNK};
+use super::{Damage, MAGIC, ReadError, opcode, sound};
+
+/// Messages outside of chunks are read in parts of about this size [bytes].
+const LOOSE_BYTES: u64 = 1 << 18;
+/// So many files may be joined to one.
+const MAX_FILES: usize = 1024;
+/// A definition or text may have so many bytes.
+const MAX_TEXT: u64 = 4 << 20;
+
+/// A piece of a file that holds messages.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Part {
+    /// Where it begins.
+    pub(super) at: u64,
+    pub(super) end: u64,
+    /// Which of the joined files it belongs to.
+    pub(super) file: usize,
+    /// Whether it is a chunk, or messages one after the other.
+    pub(super) is_chunk: bool,
+}
+
+/// A place at which something is wrong.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Place {
+    pub(super) at: u64,
+    pub(super) what: Damage,
+    /// Whether it is in front of the end of the data: behind it, nothing but the summary is lost.
+    pub(super) is_data: bool,
+    /// The first part behind it.
+    pub(super) part: usize,
+    /// Up to when messages were there, as a damaged chunk says [ns].
+    pub(super) until_ns: Option<u64>,
+}
+
+/// What is where in a file.
+#[derive(Debug, Default)]
+pub(super) struct Index {
+    /// The joined files; mostly one.
+    pub(super) files: Vec<Contents>,
+    pub(super) parts: Vec<Part>,
+    /// In the order of their place; none unless it is a salvage.
+    pub(super) places: Vec<Place>,
+    /// The first reason for which something could not be read although it may be whole.
+    pub(super) refusal: Option<ReadError>,
+}
+
+/// Walks over a file.
+///
+/// # Errors
+/// Another file; damage, unless it is a salvage.
+pub(super) fn index<R: Read + Seek>(input: &mut Input<R>, is_salvage: bool) -> Result<Index, ReadError> {
+    let mut walk = Walk {
+        input,
+        is_salvage,
+        index: Index::default(),
+        record: Vec::new(),
+        held: 0,
+        is_open: false,
+        data_end: None,
+        has_chunks: false,
+    };
+    let mut at = walk.begin()?;
+    while at < walk.input.length() {
+        at = walk.step(at)?;
+    }
+    if walk.is_open {
+        walk.end_cut_off();
+    }
+    // What followed the end of a file was none.
+    let has_parts = |index: &Index| index.parts.last().is_some_and(|part| part.file + 1 == index.files.len());
+    if is_salvage && walk.index.files.len() > 1 && !has_parts(&walk.index) {
+        walk.index.files.pop();
+    }
+    Ok(walk.index)
+}
+
+struct Walk<'a, R> {
+    input: &'a mut Input<R>,
+    is_salvage: bool,
+    index: Index,
+    record: Vec<u8>,
+    /// Memory of what was read beside messages.
+    held: u64,
+    /// Whether the end of the file that was begun is still to come.
+    is_open: bool,
+    /// Where the data of this file have ended.
+    data_end: Option<u64>,
+    /// Whether there are chunks: messages outside of them have no checksum, and are looked for only where there is none.
+    has_chunks: bool,
+}
+
+impl<R: Read + Seek> Walk<'_, R> {
+    /// Begins the first file; returns where its records begin.
+    fn begin(&mut self) -> Result<u64, ReadError> {
+        let magic = MAGIC.len() as u64;
+        if self.input.has_magic(0)? {
+            self.open(0)?;
+            return Ok(magic);
+        }
+        // The first bytes may be the ones that are damaged.
+        let length = self.input.length();
+        let has_end = length > 2 * magic && self.input.has_magic(length - magic)?;
+        let has_start = self.is_record(magic)?;
+        let searched = has_end || self.is_salvage;
+        let next = match has_start {
+            true => Some(magic),
+            false if searched => self.next_record(1)?,
+            false => None,
+        };
+        let Some(next) = next else { return Err(ReadError::Foreign) };
+        self.open(0)?;
+        self.note(0, Damage::Magic, None)?;
+        Ok(next)
+    }
+
+    fn open(&mut self, at: u64) -> Result<(), ReadError> {
+        if self.index.files.len() == MAX_FILES {
+            let what = format!("more than {MAX_FILES} joined files");
+            return Err(ReadError::Unsupported { at, what });
+        }
+        self.index.files.push(Contents::default());
+        (self.is_open, self.data_end) = (true, None);
+        Ok(())
+    }
+
+    /// The file that was begun has no end.
+    fn end_cut_off(&mut self) {
+        self.is_open = false;
+        let is_noted = self.index.places.last().is_some_and(|place| place.part == self.index.parts.len());
+        if self.is_salvage && self.data_end.is_none() && !is_noted {
+            let (at, part) = (self.input.length(), self.index.parts.len());
+            let what = Damage::CutOff;
+            self.index.places.push(Place { at, what, is_data: true, part, until_ns: None });
+        }
+    }
+
+    /// Takes in the record at a place; returns where the next one begins.
+    fn step(&mut self, at: u64) -> Result<u64, ReadError> {
+        if self.input.has_magic(at)? {
+            if self.is_open {
+                self.end_cut_off();
+            }
+            self.open(at)?;
+            return Ok(at + MAGIC.len() as u64);
+        }
+        if !self.is_open {
+            // Behind an end only another file may follow, whose first bytes may be damaged.
+            self.note(at, Damage::Magic, None)?;
+            self.open(at)?;
+        }
+        let length = self.input.length();
+        let Some(head) = self.input.head(at)? else { return Ok(length) };
+        let fault = match self.record(head) {
+            Ok(next) => return Ok(next),
+            Err(Fault::Io(error)) => return Err(error.into()),
+            Err(fault) => fault,
+        };
+        let is_cut_off = head.end() > length && sound::is_known(head.opcode);
+        if is_cut_off && self.next_record(at + 1)?.is_none() {
+            if self.is_salvage {
+                // How much followed is not known.
+                self.note(at, Damage::CutOff, None)?;
+            }
+            return Ok(length);
+        }
+        if !self.is_salvage {
+            return Err(fault.at(at));
+        }
+        let (end, until_ns) = (self.trusted_end(head)?, self.claimed_ns(head)?);
+        let what = match &fault {
+            Fault::Damage(what) => *what,
+            _ => Damage::Refused,
+        };
+        if !matches!(fault, Fault::Damage(_)) {
+            self.index.refusal.get_or_insert(fault.at(at));
+        }
+        self.note(at, what, until_ns)?;
+        match end {
+            Some(end) => Ok(end),
+            None => Ok(self.next_record(at + 1)?.unwrap_or(length)),
+        }
+    }
+
+    /// Notes a damaged place, or returns it as the error.
+    fn note(&mut self, at: u64, what: Damage, until_ns: Option<u64>) -> Result<(), ReadError> {
+        if !self.is_salvage {
+            return Err(ReadError::Damaged { at, what });
+        }
+        let (part, is_data) = (self.index.parts.len(), self.data_end.is_none());
+        match self.index.places.last_mut().filter(|last| last.part == part) {
+            Some(last) => {
+                last.until_ns = last.until_ns.max(until_ns);
+                last.is_data |= is_data;
+            }
+            None => self.index.places.push(Place { at, what, is_data, part, until_ns }),
+        }
+        Ok(())
+    }
+
+    fn record(&mut self, head: Head) -> Result<u64, Fault> {
+        if head.opcode == 0 {
+            return Err(Damage::Opcode.into());
+        }
+        if head.end() > self.input.length() {
+            return Err(Damage::Length.into());
+        }
+        self.check_end(&head)?;
+        let file = self.index.files.len() - 1;
+        match head.opcode {
+            opcode::CHUNK => {
+                self.require_data()?;
+                self.input.read(head.body(), head.length.min(unpack::FIELDS), &mut self.record)?;
+                ChunkHead::read(&head, &self.record)?;
+                self.has_chunks = true;
+                self.index.parts.push(Part { at: head.at, end: head.end(), file, is_chunk: true });
+            }
+            // An index, whose first byte is damaged.
+            opcode::MESSAGE if self.is_salvage && self.has_chunks => return Err(Damage::Misplaced.into()),
+            opcode::MESSAGE => {
+                self.require_data()?;
+                if head.length > MAX_CHUNK {
+                    return Err(Fault::TooLarge { what: "a message", bytes: head.length, limit: MAX_CHUNK });
+                }
+                self.input.read(head.body(), head.length.min(22), &mut self.record)?;
+                super::contents::message(&self.record)?;
+                match self.index.parts.last_mut() {
+                    Some(part)
+                        if !part.is_chunk
+                            && part.end == head.at
+                            && head.end() - part.at <= LOOSE_BYTES
+                            && self.index.places.last().is_none_or(|place| place.at < part.at) =>
+                    {
+                        part.end = head.end();
+                    }
+                    _ => self.index.parts.push(Part { at: head.at, end: head.end(), file, is_chunk: false }),
+                }
+            }
+            opcode::DATA_END if head.length == 4 => {
+                self.require_data()?;
+                self.data_end = Some(head.end());
+            }
+            opcode::DATA_END => return Err(Damage::Length.into()),
+            opcode::FOOTER => return self.footer(head),
+            opcode if sound::is_loaded(opcode) => {
+                let limit = if opcode == opcode::ATTACHMENT { MAX_HELD } else { MAX_TEXT };
+                if head.length > limit {
+                    let bytes = head.length;
+                    return Err(Fault::TooLarge { what: "an attached file or a text", bytes, limit });
+                }
+                let mut record = std::mem::take(&mut self.record);
+                self.input.read(head.body(), head.length, &mut record)?;
+                let defined = self.index.files[file].define(opcode, &record, &mut self.held, false);
+                self.record = record;
+                defined?;
+            }
+            opcode if sound::is_known(opcode) => {
+                if !sound::has_fields(self.input, &head)? {
+                    return Err(Damage::Length.into());
+                }
+            }
+            // Records of other programs are skipped, but not a chunk whose first byte is damaged.
+            _ => {
+                let chunk = Head { opcode: opcode::CHUNK, ..head };
+                if sound::has_fields(self.input, &chunk)? {
+                    return Err(Damage::Opcode.into());
+                }
+            }
+        }
+        Ok(head.end())
+    }
+
+    /// In a salvage, a record behind which none follows is believed only if none begins within it.
+    fn check_end(&mut self, head: &Head) -> Result<(), Fault> {
+        if !self.is_salvage || head.end() == self.input.length() || self.is_record(head.end())? {
+            return Ok(());
+        }
+        match head.opcode {
+            opcode::CHUNK if head.length <= MAX_CHUNK + unpack::FIELDS => {
+                self.input.read(head.body(), head.length, &mut self.record)?;
+                let fields = self.record.len().min(unpack::FIELDS as usize);
+                let chunk = ChunkHead::read(head, &self.record[..fields])?;
+                Ok(chunk.unpack(&self.record, &mut Vec::new())?)
+            }
+            // These have a checksum.
+            opcode::ATTACHMENT => Ok(()),
+            _ => match self.next_record(head.at + 1)? {
+                Some(next) if next < head.end() => Err(Damage::Length.into()),
+                _ => Ok(()),
+            },
+        }
+    }
+
+    /// Messages stand in front of the end of the data; behind a damaged place that end may be a wrong one.
+    fn require_data(&mut self) -> Result<(), Fault> {
+        match self.data_end.take() {
+            Some(_) if !self.is_salvage => Err(Damage::Misplaced.into()),
+            _ => Ok(()),
+        }
+    }
+
+    /// The end of a file: checks the summary, and that the bytes of the format follow.
+    fn footer(&mut self, head: Head) -> Result<u64, Fault> {
+        if head.length != 20 {
+            return Err(Damage::Length.into());
+        }
+        let Some(data_end) = self.data_end else { return Err(Damage::Misplaced.into()) };
+        self.input.read(head.body() + 16, 4, &mut self.record)?;
+        let expected = u32::from_le_bytes(self.record[..].try_into().map_err(|_| Damage::Short)?);
+        if expected != 0 && self.input.checksum(data_end, head.body() + 16)? != expected {
+            if let Some(contents) = self.index.files.last_mut() {
+                contents.statistics = None;
+            }
+            return Err(Damage::Checksum.into());
+        }
+        if self.input.length() - head.end() < MAGIC.len() as u64 {
+            // Cut off within the last bytes.
+            return Ok(self.input.length());
+        }
+        if !self.input.has_magic(head.end())? {
+            return Err(Damage::Magic.into());
+        }
+        if let Some(contents) = self.index.files.last_mut() {
+            contents.is_complete = true;
+        }
+        self.is_open = false;
+        Ok(head.end() + MAGIC.len() as u64)
+    }
+
+    /// The last time that the head of a damaged chunk names [ns].
+    fn claimed_ns(&mut self, head: Head) -> Result<Option<u64>, ReadError> {
+        if head.opcode != opcode::CHUNK {
+            return Ok(None);
+        }
+        self.input.read(head.body(), 16, &mut self.record)?;
+        Ok(unpack::last_ns(&self.record))
+    }
+
+    /// Where a record ends that is wrong in itself but whose length is right: a sound one follows.
+    ///
+    /// What lies within it must not be taken for records: an attached file may be a recording.
+    fn trusted_end(&mut self, head: Head) -> Result<Option<u64>, ReadError> {
+        let is_one = sound::is_known(head.opcode) && head.end() < self.input.length();
+        Ok((is_one && self.is_record(head.end())?).then_some(head.end()))
+    }
+
+    fn is_record(&mut self, at: u64) -> io::Result<bool> {
+        sound::is_record(self.input, at, !self.has_chunks)
+    }
+
+    /// The first place from `at` on at which a record begins.
+    fn next_record(&mut self, at: u64) -> io::Result<Option<u64>> {
+        sound::next_record(self.input, at, !self.has_chunks)
+    }
+}

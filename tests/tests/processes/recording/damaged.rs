@@ -1,0 +1,130 @@
+//! Recordings with damaged places.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use scanloop_tests::{SHORT_FREE, System};
+use serde_json::Value;
+
+use super::{json, recorded, replayed, text};
+
+/// Places of the records of a kind in a file.
+pub(super) fn records(bytes: &[u8], opcode: u8) -> Vec<Range<usize>> {
+    let (mut at, mut found) = (8, Vec::new());
+    while at + 9 < bytes.len() {
+        let length = u64::from_le_bytes(bytes[at + 1..at + 9].try_into().expect("eight bytes")) as usize;
+        let end = at + 9 + length;
+        if bytes[at] == opcode {
+            found.push(at..end);
+        }
+        at = end;
+    }
+    found
+}
+
+pub(super) const CHUNK: u8 = 6;
+const MESSAGE_INDEX: u8 = 7;
+const DATA_END: u8 = 15;
+
+/// A copy of a recording with these bytes zero.
+fn with_zeros(system: &System, name: &str, whole: &[u8], zeros: Range<usize>) -> PathBuf {
+    let mut bytes = whole.to_vec();
+    bytes[zeros].fill(0);
+    let path = system.folder().join(name);
+    std::fs::write(&path, bytes).expect("of a test");
+    path
+}
+
+fn info(system: &System, file: &Path) -> Value {
+    json(&system.run(&["recording", "info", text(file), "--json"]))
+}
+
+/// Repairs a file; returns the path of the new one, the exit code and what was said.
+fn repair(system: &System, file: &Path) -> (PathBuf, i32, String) {
+    let new = file.with_extension("new.mcap");
+    let output = system.run(&["recording", "repair", text(file), "--out", text(&new)]);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    (new, output.status.code().expect("an exit code"), message)
+}
+
+fn poses(info: &Value) -> u64 {
+    info["channels"]["/scanloop/pose"].as_u64().expect("poses")
+}
+
+/// All commands that read a recording refuse the file and name the one that repairs it.
+fn assert_refused(system: &System, file: &Path) {
+    for command in [&["recording", "info"][..], &["replay"], &["view"]] {
+        let output = system.run(&[command, &[text(file)]].concat());
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{command:?}: {message}");
+        assert!(message.contains("damaged at byte") && message.contains("recording repair"), "{message}");
+    }
+    let cut = file.with_extension("cut.mcap");
+    let output = system.run(&["recording", "cut", text(file), "--out", text(&cut)]);
+    assert_eq!((output.status.code(), cut.exists()), (Some(2), false));
+}
+
+#[test]
+fn a_damaged_chunk_costs_its_second_alone_and_the_loss_is_told() {
+    let (system, file) = recorded(&SHORT_FREE);
+    let (whole, before) = (std::fs::read(&file).expect("of a test"), info(&system, &file));
+    let third = &records(&whole, CHUNK)[2];
+    let damaged = with_zeros(&system, "zeros.mcap", &whole, third.start + 100..third.start + 612);
+    assert_refused(&system, &damaged);
+    let (new, code, message) = repair(&system, &damaged);
+    assert_eq!(code, 1, "{message}");
+    assert!(message.contains(&format!("byte {}, ", third.start)), "{message}");
+    assert!(message.contains(": up to 1.0") && message.contains(" s, between 2.0"), "{message}");
+    let after = info(&system, &new);
+    // A second has ten poses; chunks end with the first sample after it.
+    let missing = poses(&before) - poses(&after);
+    assert!((9..=11).contains(&missing), "{missing}: {after}");
+    assert_eq!((&after["complete"], &after["duration_s"]), (&true.into(), &before["duration_s"]));
+    assert!(after["lost"].as_u64() > Some(70) && after["missing"].as_str() > Some("byte"), "{after}");
+    let (replay, code) = replayed(&system, &new, &[]);
+    assert!(code == 0 && replay["compared"].as_u64() > Some(100), "{replay}");
+}
+
+#[test]
+fn damage_beside_the_chunks_costs_nothing_and_a_tail_of_zeros_what_it_covers() {
+    let (system, file) = recorded(&SHORT_FREE);
+    let (whole, before) = (std::fs::read(&file).expect("of a test"), info(&system, &file));
+    let (chunks, end) = (records(&whole, CHUNK), records(&whole, DATA_END)[0].clone());
+    let index = records(&whole, MESSAGE_INDEX)[20].clone();
+    let places = [
+        ("magic", 0..6),
+        ("header", 9..20),
+        ("index", index.start..index.start + 30),
+        ("end", end.clone()),
+        ("summary", end.end + 40..end.end + 400),
+        ("footer", whole.len() - 30..whole.len()),
+    ];
+    for (name, place) in places {
+        let damaged = with_zeros(&system, &format!("{name}.mcap"), &whole, place);
+        assert_refused(&system, &damaged);
+        let (new, code, message) = repair(&system, &damaged);
+        let after = info(&system, &new);
+        assert!(code == 0 && message.contains("nothing of the drive is missing"), "{name}: {message}");
+        assert_eq!(after["channels"], before["channels"], "{name}: {message}");
+        assert_eq!(replayed(&system, &new, &[]).1, 0, "{name}");
+    }
+    // The schemas and channels stand in the first chunk.
+    let first = with_zeros(&system, "first.mcap", &whole, chunks[0].start + 200..chunks[0].start + 300);
+    let (new, code, message) = repair(&system, &first);
+    let after = info(&system, &new);
+    assert!(code == 1 && message.contains("between 0.00 s and 1."), "{message}");
+    assert!(poses(&before) - poses(&after) <= 12, "{after}");
+    let tail = with_zeros(&system, "tail.mcap", &whole, chunks[3].start..whole.len());
+    assert_refused(&system, &tail);
+    let (new, code, message) = repair(&system, &tail);
+    assert!(code == 1 && message.contains("what followed 3."), "{message}");
+    assert!((30..36).contains(&poses(&info(&system, &new))), "{message}");
+    // Nor is the summary there.
+    let mut both = std::fs::read(&first).expect("of a test");
+    both.truncate(chunks[4].end - 100);
+    let cut = system.folder().join("both.mcap");
+    std::fs::write(&cut, both).expect("of a test");
+    let (new, code, message) = repair(&system, &cut);
+    let found = poses(&info(&system, &new));
+    assert!(code == 1 && (28..=32).contains(&found), "{found}: {message}");
+}

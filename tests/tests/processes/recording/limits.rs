@@ -1,0 +1,124 @@
+//! Files that unpack to more than there is memory.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use recording::mcap::{Channel, MAGIC, OpenChunk, Schema, Writer};
+use scanloop_tests::{SHORT_FREE, System};
+use shared_types::Topic;
+
+use super::damaged::{CHUNK, records};
+use super::{EXECUTABLE, recorded, text};
+
+/// Address space that a command gets: a stack of each thread, and what the page of the manual states [KiB].
+const MEMORY_KIB: u64 = 900 << 10;
+
+/// Runs a command on a file with little memory.
+fn limited(system: &System, arguments: &[&str]) -> Output {
+    let script = format!("ulimit -v {MEMORY_KIB}; exec \"$0\" \"$@\"");
+    let mut command = Command::new("sh");
+    command.args(["-c", &script, EXECUTABLE]).args(arguments).current_dir(system.folder());
+    command.output().expect("a shell")
+}
+
+/// A file of so many chunks that unpack to a message of 60 MiB each.
+fn bomb(folder: &Path, chunks: u32) -> PathBuf {
+    let path = folder.join("bomb.mcap");
+    let schema = Schema { name: "a/msg/B".into(), encoding: "ros2msg".into(), text: "uint8[] a\n".into() };
+    let (topic, encoding) = ("/large".into(), "cdr".into());
+    let channel = Channel { topic, schema: 1, encoding, metadata: Vec::new() };
+    let file = File::create(&path).expect("of a test");
+    let mut writer = Writer::new(file, "test", &[schema], &[channel]).expect("of a test");
+    let zeros = vec![0; 60 << 20];
+    for number in 1..=chunks {
+        writer.message(0, number, u64::from(number), &[&zeros]);
+        writer.end_chunk().expect("of a test");
+    }
+    writer.finish().expect("of a test");
+    path
+}
+
+#[test]
+fn large_chunks_are_read_one_after_the_other_in_bounded_memory() {
+    let system = System::new(EXECUTABLE);
+    let file = bomb(system.folder(), 16);
+    assert!(file.metadata().expect("of a test").len() < 6 << 20);
+    let [bag, csv] = ["bag", "csv"].map(|name| system.folder().join(name));
+    let commands = [
+        vec!["recording", "info", text(&file)],
+        vec!["recording", "repair", text(&file)],
+        vec!["recording", "export", text(&file), "--csv", text(&csv)],
+        vec!["recording", "export", text(&file), "--rosbag2", text(&bag)],
+    ];
+    for arguments in commands {
+        let output = limited(&system, &arguments);
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(0), "{arguments:?}: {message}");
+    }
+    for arguments in [["replay", text(&file)], ["view", text(&file)]] {
+        let output = limited(&system, &arguments);
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {message}");
+    }
+}
+
+#[test]
+fn sizes_in_a_file_beyond_the_limits_are_refused_with_the_number() {
+    let (system, file) = recorded(&SHORT_FREE);
+    let whole = std::fs::read(&file).expect("of a test");
+    let second = records(&whole, CHUNK)[1].clone();
+    // Length of the record; of its content, behind two times; of its index.
+    let gibibyte = (1_u64 << 30).to_le_bytes();
+    let mut unpacked = whole.clone();
+    unpacked[second.start + 25..second.start + 33].copy_from_slice(&gibibyte);
+    let mut attached = MAGIC.to_vec();
+    attached.extend_from_slice(&whole[8..second.start]);
+    attached.push(9);
+    attached.extend_from_slice(&gibibyte);
+    let sparse = system.folder().join("sparse.mcap");
+    std::fs::write(&sparse, attached).expect("of a test");
+    File::options().write(true).open(&sparse).and_then(|file| file.set_len(2 << 30)).expect("of a test");
+    let chunk = system.folder().join("chunk.mcap");
+    std::fs::write(&chunk, unpacked).expect("of a test");
+    let told = [
+        (&chunk, "a chunk of 1073741824 bytes, 67108864 are allowed"),
+        (&sparse, "an attached file or a text of 1073741824 bytes, 134217728 are allowed"),
+    ];
+    for (file, reason) in told {
+        for command in [&["recording", "info"][..], &["replay"], &["view"]] {
+            let output = limited(&system, &[command, &[text(file)]].concat());
+            let message = String::from_utf8_lossy(&output.stderr).into_owned();
+            assert_eq!(output.status.code(), Some(2), "{message}");
+            assert!(message.contains(reason), "{message}");
+        }
+    }
+    // It may be the number that is damaged.
+    let output = limited(&system, &["recording", "repair", text(&chunk)]);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(1) && message.contains("up to 1."), "{message}");
+}
+
+#[test]
+fn a_small_file_with_many_samples_is_refused_before_they_fill_the_memory() {
+    let system = System::new(EXECUTABLE);
+    let path = system.folder().join("many.mcap");
+    let mut writer = recording::writer(File::create(&path).expect("of a test")).expect("of a test");
+    let (mut open, size) = (OpenChunk::default(), Topic::Checkpoint.size());
+    let zeros = vec![0; size];
+    for number in 0..(30 << 20) / size as u32 {
+        open.message(Topic::Checkpoint as u16, number, [u64::from(number); 2], &[&[0, 1, 0, 0], &zeros]);
+    }
+    let chunk = open.seal().expect("of a test");
+    for _ in 0..10 {
+        writer.chunk(&chunk).expect("of a test");
+    }
+    writer.finish().expect("of a test");
+    assert!(path.metadata().expect("of a test").len() < 3 << 20);
+    for command in ["replay", "view"] {
+        let output = limited(&system, &[command, text(&path)]);
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{command}: {message}");
+        assert!(message.contains("its samples have more than 268435456 bytes"), "{command}: {message}");
+    }
+}
