@@ -21,6 +21,7 @@ mod health;
 mod journal;
 mod layouts;
 mod named;
+mod nearest;
 mod obstacles;
 mod odometry;
 mod own;
@@ -56,6 +57,7 @@ pub use layouts::{
     topics_of,
 };
 pub use named::UnknownName;
+pub use nearest::did_you_mean;
 pub use obstacles::{MAX_OBSTACLES, Obstacle, Obstacles};
 pub use odometry::Odometry;
 pub use own::{LayoutFault, MAX_OWN_BYTES, OwnField, OwnType};

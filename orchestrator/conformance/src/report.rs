@@ -90,7 +90,7 @@ impl fmt::Display for CaseReport {
         let (outcome, level) = (self.outcome.name(), self.level.name());
         write!(formatter, "{outcome:<8}{:<28}{level:<13}{}", self.name, self.reason)?;
         if self.outcome == Outcome::Failed {
-            write!(formatter, "\n{:<8}required: {}", "", self.requirement)?;
+            write!(formatter, "\n{:<8}{level}: {}", "", self.requirement)?;
         }
         Ok(())
     }

@@ -53,6 +53,38 @@ pub(crate) fn adopt_scenario(scenario: &Table, system: &mut Table) {
     }
 }
 
+/// The old keys of a stage, dotted, that set the key `name` of its description.
+pub(crate) fn old_keys_of(stage: &str, name: &str) -> Vec<String> {
+    let moved = |old: &OldKey| {
+        let place = old.place.join(".");
+        let rest = if place.is_empty() {
+            Some(format!(".{name}"))
+        } else {
+            name.strip_prefix(&place).map(str::to_owned)
+        };
+        rest.filter(|rest| rest.is_empty() || rest.starts_with('.'))
+            .map(|rest| format!("{stage}.{}{rest}", old.key))
+    };
+    OLD_KEYS.iter().filter(|old| old.stage == stage).filter_map(moved).collect()
+}
+
+/// Gives the velocities of the controller that are not set the nearest values to their defaults that `[vehicle]` allows.
+///
+/// So a file that describes a slower robot needs no key of the controller.
+pub(crate) fn fit_velocities(system: &mut Table) {
+    let Some(Value::Table(vehicle)) = system.get(VEHICLE) else { return };
+    let Ok(Description { bounds, .. }) = read::<Description>(vehicle.clone()) else { return };
+    let defaults = nmpc::Config::default();
+    let entry = system.entry("controller".to_owned()).or_insert_with(|| Value::Table(Table::new()));
+    let Value::Table(controller) = entry else { return };
+    for (key, default) in [("cruise_mps", defaults.cruise_mps), ("careful_mps", defaults.careful_mps)] {
+        let fitting = default.min(bounds.velocity_max_mps).max(bounds.velocity_min_mps);
+        if fitting != default {
+            controller.entry(key.to_owned()).or_insert(Value::Float(fitting));
+        }
+    }
+}
+
 /// Gives each stage its copy of the description; returns a warning for each old key.
 ///
 /// # Errors
@@ -66,6 +98,7 @@ pub(crate) fn distribute(system: &mut Table) -> Result<Vec<String>, Invalid> {
     };
     let checked: Description = read(description.clone()).map_err(within)?;
     checked.require_ranges().map_err(within)?;
+    checked.bounds.require_order().map_err(|invalid| within(invalid.within("bounds")))?;
     let mut warnings = Vec::new();
     for stage in STAGES {
         let entry = system.entry(stage.to_owned()).or_insert_with(|| Value::Table(Table::new()));

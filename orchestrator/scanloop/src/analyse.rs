@@ -20,8 +20,8 @@ pub use arguments::{
 };
 
 use crate::print_json;
+use console::answer;
 use console::exit::{Exit, Failure};
-use console::note;
 use report::picture::chart::{self, Chart};
 use vehicle::Control;
 
@@ -61,8 +61,7 @@ fn publish(
     is_good: bool,
 ) -> anyhow::Result<Exit> {
     let path = write(&output.out, name, &chart::draw(chart)?)?;
-    note!("{table}");
-    note!("picture         {}", path.display());
+    answer!(output.json, "{table}\npicture         {}", path.display())?;
     print_json(output.json, data)?;
     Ok(if is_good { Exit::Done } else { Exit::NotReached })
 }

@@ -14,8 +14,8 @@ use emulator::Scenario;
 
 pub use arguments::{CalibrateArguments, Kind};
 
+use console::answer;
 use console::exit::{Exit, Failure};
-use console::note;
 use console::user_file::{self, DATA_BYTES};
 use plan::Choice;
 use plan::{Plan, calibration_file};
@@ -53,11 +53,11 @@ pub(crate) fn calibrate(arguments: &CalibrateArguments) -> anyhow::Result<Exit> 
         .map_err(|error| Failure::bad_input(format!("--out {}: {error}", out.display())))?;
     let name = arguments.kind.name();
     if let Some(table) = &found.table {
-        write(&out.join(format!("{name}.csv")), table, "table")?;
+        write(&out.join(format!("{name}.csv")), table, "table", arguments.json)?;
     }
-    write(&out.join(format!("{name}.svg")), &panels::draw(&found.charts)?, "picture")?;
-    write(&into, &merged.to_toml(), "calibration")?;
-    note!("{}", found.text);
+    write(&out.join(format!("{name}.svg")), &panels::draw(&found.charts)?, "picture", arguments.json)?;
+    write(&into, &merged.to_toml(), "calibration", arguments.json)?;
+    answer!(arguments.json, "{}", found.text)?;
     print_json(arguments.json, &found.file)?;
     Ok(Exit::Done)
 }
@@ -146,10 +146,9 @@ fn merge(path: &Path, new: &CalibrationFile) -> anyhow::Result<CalibrationFile> 
     })
 }
 
-fn write(path: &Path, text: &str, what: &str) -> anyhow::Result<()> {
+fn write(path: &Path, text: &str, what: &str, is_json: bool) -> anyhow::Result<()> {
     write_atomically(path, text.as_bytes()).with_context(|| format!("{}", path.display()))?;
-    note!("{what:<15} {}", path.display());
-    Ok(())
+    answer!(is_json, "{what:<15} {}", path.display()).map(drop)
 }
 
 fn shown(estimate: &Estimate, scale: f64, unit: &str) -> String {

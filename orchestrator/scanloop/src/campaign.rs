@@ -14,8 +14,8 @@ mod text;
 use std::path::Path;
 
 use anyhow::Context;
+use console::answer;
 use console::exit::Exit;
-use console::note;
 use console::progress::Steps;
 
 use crate::cores::on_all_cores;
@@ -35,9 +35,9 @@ pub(crate) fn campaign(arguments: &CampaignArguments) -> anyhow::Result<Exit> {
     for run in runs.iter().filter(|run| failures::is_bad(run)) {
         summary.add_bad(failures::save(run, arguments)?);
     }
-    note!("{}", text::text(&summary, &failures::settings(arguments)));
+    answer!(arguments.json, "{}", text::text(&summary, &failures::settings(arguments)))?;
     if let Some(picture) = picture::draw(&summary.families, arguments.robot.name())? {
-        write_picture(&arguments.out, &picture)?;
+        write_picture(arguments, &picture)?;
     }
     print_json(arguments.json, &summary)?;
     Ok(match (summary.collision, summary.bad.is_empty()) {
@@ -59,10 +59,10 @@ fn drive_all(arguments: &CampaignArguments) -> anyhow::Result<Vec<CourseRun>> {
     runs.into_iter().collect()
 }
 
-fn write_picture(out: &Path, picture: &str) -> anyhow::Result<()> {
+fn write_picture(arguments: &CampaignArguments, picture: &str) -> anyhow::Result<()> {
+    let out = &arguments.out;
     std::fs::create_dir_all(out).with_context(|| format!("--out {}", out.display()))?;
     let path = out.join("gaps.svg");
     std::fs::write(&path, picture).with_context(|| format!("{}", path.display()))?;
-    note!("picture         {}", path.display());
-    Ok(())
+    answer!(arguments.json, "picture         {}", path.display()).map(drop)
 }

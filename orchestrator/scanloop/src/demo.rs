@@ -5,6 +5,7 @@
 
 mod acts;
 mod claims;
+mod load;
 mod page;
 mod show;
 mod story;
@@ -17,7 +18,7 @@ use std::time::Duration;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use console::exit::{Exit, Failure};
-use console::note;
+use console::{answer, note};
 use runtime::Shutdown;
 use session::arguments::out_folder;
 use shared_types::Role;
@@ -128,19 +129,28 @@ pub(crate) fn demo(system_id: Option<&str>, arguments: &DemoArguments) -> anyhow
         }
         played => played?,
     }
-    note!("\n{}", show.claims.table());
+    answer!(arguments.json, "\n{}", show.claims.table())?;
     let failed = show.claims.claims.iter().filter(|claim| !claim.held).count();
     let time_s = show.story.time_s();
-    note!(
+    answer!(
+        arguments.json,
         "{} of {} promises held, measured in {time_s:.0} s",
         show.claims.claims.len() - failed,
         show.claims.claims.len()
-    );
+    )?;
+    if failed > 0
+        && let Some(busy) = load::busy()
+    {
+        answer!(
+            arguments.json,
+            "{busy}: the times are promised for a machine with idle processors, so try again"
+        )?;
+    }
     if let Some(out) = &arguments.out {
         write(out, "demo.json", &(serde_json::to_string_pretty(&show.claims)? + "\n"))?;
         let picture = std::fs::read_to_string(out.join("drive/drive.svg")).ok();
         write(out, "demo.html", &page::html(&show.claims, &show.story, picture.as_deref()))?;
-        note!("page            {}", out.join("demo.html").display());
+        answer!(arguments.json, "page            {}", out.join("demo.html").display())?;
     }
     print_json(arguments.json, &show.claims)?;
     Ok(if show.claims.held { Exit::Done } else { Exit::NotReached })

@@ -9,11 +9,12 @@ mod page;
 mod system;
 mod watch;
 
+use shared_types::did_you_mean;
 use std::path::Path;
 
 use anyhow::Context;
+use console::answer;
 use console::exit::{Exit, Failure};
-use console::note;
 use console::progress::Steps;
 use fault_matrix::{Cell, Simulation, Verdict};
 use faults::{Fault, Phase};
@@ -53,8 +54,8 @@ pub(crate) fn faults(arguments: &FaultsArguments) -> anyhow::Result<Exit> {
         return Ok(Exit::Done);
     }
     let matrix = drive(&chosen)?;
-    note!("{}", text(&matrix));
-    write(&arguments.out, &matrix)?;
+    answer!(arguments.json, "{}", text(&matrix))?;
+    write(arguments, &matrix)?;
     print_json(arguments.json, &matrix)?;
     Ok(if matrix.failed == 0 { Exit::Done } else { Exit::NotReached })
 }
@@ -71,8 +72,9 @@ fn chosen<'a>(all: &'a [Fault], arguments: &FaultsArguments) -> anyhow::Result<V
     let mut chosen: Vec<(&Fault, Phase)> =
         cells.filter(|(fault, phase)| matches(pattern, &name(&fault.name, *phase))).collect();
     if chosen.is_empty() {
+        let meant = did_you_mean(pattern, all.iter().map(|fault| fault.name.as_str()));
         return Err(Failure::bad_input(format!(
-            "--only {pattern}: no cell has such a name; `scanloop faults --list` prints them"
+            "--only {pattern}: no cell has such a name.{meant} `scanloop faults --list` prints them"
         )));
     }
     if let Some(count) = arguments.sample.filter(|count| *count < chosen.len()) {
@@ -150,7 +152,8 @@ fn text(matrix: &Matrix) -> String {
     text
 }
 
-fn write(out: &Path, matrix: &Matrix) -> anyhow::Result<()> {
+fn write(arguments: &FaultsArguments, matrix: &Matrix) -> anyhow::Result<()> {
+    let out = &arguments.out;
     std::fs::create_dir_all(out).with_context(|| format!("--out {}", out.display()))?;
     for (file, text) in
         [("faults.json", serde_json::to_string_pretty(matrix)?), ("faults.html", page::html(&matrix.cells))]
@@ -158,8 +161,7 @@ fn write(out: &Path, matrix: &Matrix) -> anyhow::Result<()> {
         let path = out.join(file);
         std::fs::write(&path, text).with_context(|| format!("{}", path.display()))?;
     }
-    note!("page            {}", out.join("faults.html").display());
-    Ok(())
+    answer!(arguments.json, "page            {}", out.join("faults.html").display()).map(drop)
 }
 
 #[cfg(test)]

@@ -16,8 +16,8 @@ use std::path::Path;
 
 use anyhow::Context;
 use console::exit::Exit;
-use console::note;
 use console::progress::Steps;
+use console::{answer, note};
 use plan::Plan;
 use serde::Serialize;
 
@@ -63,8 +63,8 @@ pub(crate) fn price(arguments: &PriceArguments) -> anyhow::Result<Exit> {
     let base = condition::base(arguments)?;
     base.warnings.iter().for_each(|warning| note!("{warning}"));
     let price = measured(arguments, &base);
-    note!("{}", text::text(&price));
-    write_picture(&arguments.out, &price)?;
+    answer!(arguments.json, "{}", text::text(&price))?;
+    write_picture(arguments, &price)?;
     print_json(arguments.json, &price)?;
     Ok(if price.contacts == 0 { Exit::Done } else { Exit::Collision })
 }
@@ -93,12 +93,12 @@ fn row(condition: &Condition, figures: Figures) -> Row {
     Row { varied, latency_ms, rate_hz, pose_sigma_m, smallest_gap_m, stopping_distance_m, speed_mps, notes }
 }
 
-fn write_picture(out: &Path, price: &Price) -> anyhow::Result<()> {
+fn write_picture(arguments: &PriceArguments, price: &Price) -> anyhow::Result<()> {
+    let out = &arguments.out;
     std::fs::create_dir_all(out).with_context(|| format!("--out {}", out.display()))?;
     let path = out.join("price.svg");
     std::fs::write(&path, picture::draw(price)?).with_context(|| format!("{}", path.display()))?;
-    note!("picture         {}", path.display());
-    Ok(())
+    answer!(arguments.json, "picture         {}", path.display()).map(drop)
 }
 
 #[cfg(test)]

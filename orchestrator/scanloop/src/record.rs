@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use clap::{Args, Subcommand};
 use console::exit::{Exit, Failure};
-use console::note;
 use console::output::data;
+use console::{answer, note};
 use recording::info::Info;
 use recording::recorder::{Options, record as record_system};
 use recording::{copy, export};
@@ -112,7 +112,13 @@ pub(crate) fn record(system_id: &str, arguments: &RecordArguments) -> anyhow::Re
     };
     let summary = record_system(&domain, &options, &shutdown)?;
     let megabytes = summary.bytes as f64 * 1e-6;
-    note!("{}: {megabytes:.2} MB, {} samples, {} lost", file.display(), summary.samples, summary.lost);
+    answer!(
+        arguments.json,
+        "{}: {megabytes:.2} MB, {} samples, {} lost",
+        file.display(),
+        summary.samples,
+        summary.lost
+    )?;
     print_json(arguments.json, &summary)?;
     if summary.error.is_empty() {
         return Ok(Exit::Done);
@@ -138,7 +144,7 @@ pub(crate) fn recording(command: &RecordingCommand) -> anyhow::Result<Exit> {
             let out = out.clone().unwrap_or_else(|| repaired(file));
             let copied = copy::copy(file, &out, *force, 0..=u64::MAX)?;
             let state = if copied.was_complete { "was complete" } else { "was cut off" };
-            note!("{} {state}; {} has {} messages", file.display(), out.display(), copied.messages);
+            answer!(false, "{} {state}; {} has {} messages", file.display(), out.display(), copied.messages)?;
         }
         RecordingCommand::Cut { file, from, to, out, force } => {
             let allowed = |seconds: f64| (0.0..=1e6).contains(&seconds);
@@ -149,14 +155,14 @@ pub(crate) fn recording(command: &RecordingCommand) -> anyhow::Result<Exit> {
             }
             let ns = |seconds: f64| (seconds * 1e9) as u64;
             let copied = copy::copy(file, out, *force, ns(*from)..=to.map_or(u64::MAX, ns))?;
-            note!("{}: {} messages, {} bytes", out.display(), copied.messages, copied.bytes);
+            answer!(false, "{}: {} messages, {} bytes", out.display(), copied.messages, copied.bytes)?;
         }
         RecordingCommand::Export { file, csv, rosbag2, force } => {
             if let Some(folder) = csv {
-                note!("{}: {} rows", folder.display(), export::csv(file, folder, *force)?);
+                answer!(false, "{}: {} rows", folder.display(), export::csv(file, folder, *force)?)?;
             }
             if let Some(folder) = rosbag2 {
-                note!("{}: {} messages", folder.display(), export::rosbag2(file, folder, *force)?);
+                answer!(false, "{}: {} messages", folder.display(), export::rosbag2(file, folder, *force)?)?;
             }
         }
     }

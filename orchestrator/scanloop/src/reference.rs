@@ -1,5 +1,6 @@
 //! `scanloop reference`: the keys of files in the terminal, and the pages of the documentation that have a source in code.
 
+use shared_types::did_you_mean;
 use std::fmt::Write as _;
 
 use clap::builder::PossibleValue;
@@ -42,12 +43,26 @@ pub(crate) fn text(arguments: &ReferenceArguments, root: Command) -> anyhow::Res
         Some(Page::Commands) => Ok(commands_page(root)),
         Some(Page::Faults) => Ok(crate::faults::faults_page(&faults::all()?)),
         None => match find(&arguments.text) {
-            found if found.is_empty() => Err(Failure::bad_input(format!(
-                "{}: no key of the scenario or the system file has this in its name or meaning",
-                arguments.text
-            ))),
+            found if found.is_empty() => {
+                let text = &arguments.text;
+                let mut names = Vec::new();
+                names_of(&Scenario::keys(), &mut names);
+                names_of(&System::keys(), &mut names);
+                let meant = did_you_mean(text.rsplit('.').next().unwrap_or(text), names);
+                Err(Failure::bad_input(format!(
+                    "{text}: no key of the scenario or the system file has this in its name or meaning.{meant}"
+                )))
+            }
             found => Ok(found),
         },
+    }
+}
+
+/// The names of all keys, without the tables around them.
+fn names_of(keys: &[Key], found: &mut Vec<&'static str>) {
+    for key in keys {
+        found.push(key.name);
+        names_of(&key.keys, found);
     }
 }
 

@@ -21,6 +21,7 @@ mod live_check;
 mod operator;
 mod other_user;
 mod output;
+mod pages;
 mod player;
 mod private_place;
 mod recording;

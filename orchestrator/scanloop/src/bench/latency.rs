@@ -25,7 +25,7 @@ use runtime::Shutdown;
 
 pub use self::arguments::{Compute, LatencyArguments};
 use console::exit::{Exit, Failure};
-use console::note;
+use console::{answer, note};
 use plan::Choice;
 use plan::Plan;
 use report::{Outcome, Report};
@@ -103,10 +103,10 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
         intervals,
         ..of_report(&report)
     };
-    note!("{}", text::text(&results));
+    answer!(arguments.json, "{}", text::text(&results))?;
     if let Some(out) = &arguments.out {
         files::write(out, &results, &collector, &noise)?;
-        note!("{:<18} {}", "files", out.display());
+        answer!(arguments.json, "{:<18} {}", "files", out.display())?;
     }
     print_json(arguments.json, &results)?;
     Ok(exit(&report))

@@ -3,7 +3,7 @@
 mod deceleration;
 mod halt;
 
-use console::note;
+use console::{answer, note};
 use plan::System;
 use vehicle::Description;
 
@@ -50,6 +50,8 @@ pub(super) struct Moved {
     pub(super) findings: Vec<Finding>,
     /// What the stops have shown.
     pub(super) deceleration: Option<Deceleration>,
+    /// Whether standard output is for JSON.
+    is_json: bool,
 }
 
 /// Moves the robot as the arguments allow; `before` are the findings of scanner and odometry.
@@ -62,7 +64,7 @@ pub(super) fn findings(
     arguments: &LiveArguments,
     before: &[Finding],
 ) -> anyhow::Result<Moved> {
-    let mut moved = Moved { findings: Vec::new(), deceleration: None };
+    let mut moved = Moved { findings: Vec::new(), deceleration: None, is_json: arguments.json };
     let obstacle = before.iter().find(|finding| finding.outcome == Outcome::Failed);
     if arguments.drive {
         match obstacle.map(|finding| format!("`{}` failed", finding.name)).or_else(|| blocked(bench, system))
@@ -83,7 +85,8 @@ pub(super) fn findings(
 
 impl Moved {
     fn add(&mut self, finding: Finding) {
-        note!("{finding}");
+        // The robot may move: an output that is closed does not end the check.
+        let _ = answer!(self.is_json, "{finding}");
         self.findings.push(finding);
     }
 

@@ -31,6 +31,17 @@ pub enum Preset {
     Worn,
 }
 
+impl Preset {
+    /// Its name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ideal => "ideal",
+            Self::Summit => "summit",
+            Self::Worn => "worn",
+        }
+    }
+}
+
 /// What the odometry is measured with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
