@@ -11,6 +11,8 @@ use vehicle::{Description, Invalid, Key, Setting, read};
 const VEHICLE: &str = "vehicle";
 /// The key that the scenario has in its table `[track]`; all others are in `[robot]`.
 const SURROUNDINGS: &str = "surroundings";
+/// The true tyres may have forces without a limit, which is 0 there; the description has none.
+const FRICTION: &str = "tyre_friction";
 /// The stages that know the robot.
 const STAGES: [&str; 4] = ["estimator", "obstacles", "controller", "actuator"];
 
@@ -47,10 +49,16 @@ pub(crate) fn adopt_scenario(scenario: &Table, system: &mut Table) {
     let Value::Table(vehicle) = entry else { return };
     for Key { name, .. } in Description::keys() {
         let table = if name == SURROUNDINGS { "track" } else { "robot" };
-        if let Some(value) = value(table, name).filter(|_| !vehicle.contains_key(name)) {
+        let is_no_limit = |value: &&Value| name == FRICTION && number(value) == Some(0.0);
+        let given = value(table, name).filter(|value| !vehicle.contains_key(name) && !is_no_limit(value));
+        if let Some(value) = given {
             vehicle.insert(name.to_owned(), value.clone());
         }
     }
+}
+
+fn number(value: &Value) -> Option<f64> {
+    value.as_float().or_else(|| value.as_integer().map(|number| number as f64))
 }
 
 /// The old keys of a stage, dotted, that set the key `name` of its description.
@@ -192,6 +200,15 @@ mod tests {
         assert_eq!(vehicle["width_m"].as_float(), Some(1.4));
         assert_eq!(vehicle["length_m"].as_float(), Some(0.6));
         assert_eq!(vehicle.len(), 2);
+    }
+
+    #[test]
+    fn tyres_without_a_limit_are_those_of_the_emulated_robot_alone() {
+        for (friction, adopted) in [("0", None), ("0.0", None), ("0.4", Some(0.4))] {
+            let mut system = table("");
+            adopt_scenario(&table(&format!("[robot]\ntyre_friction = {friction}")), &mut system);
+            assert_eq!(system["vehicle"].get("tyre_friction").and_then(Value::as_float), adopted);
+        }
     }
 
     #[test]

@@ -180,8 +180,7 @@ impl Written {
                 return because(&given.name(), None, invalid);
             }
         }
-        let in_file =
-            candidates(&refused).into_iter().find_map(|key| Some((self.source(&key).place(&key)?, key)));
+        let in_file = candidates(&refused).into_iter().find_map(|key| Some((self.place_of(&key)?, key)));
         if let Some((place, key)) = in_file {
             return sentence(&place, &key, invalid);
         }
@@ -196,6 +195,15 @@ impl Written {
             }
         }
         format!("{}: {invalid}", self.source(&refused).name)
+    }
+
+    /// Where a file has a key, or the table of a list that lacks it.
+    fn place_of(&self, key: &str) -> Option<String> {
+        let source = self.source(key);
+        let is_index = |part: &str| part.parse::<usize>().is_ok();
+        let element = key.rsplit_once('.').map(|(element, _)| element);
+        let element = element.filter(|element| element.rsplit('.').next().is_some_and(is_index));
+        source.place(key).or_else(|| source.place(element?))
     }
 
     /// The last option that sets a key, the table around it, or a part of it.
