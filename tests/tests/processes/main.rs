@@ -32,6 +32,7 @@ mod shadow;
 mod shared_memory;
 mod soak;
 mod stop;
+mod streams;
 mod swap;
 mod swap_robot;
 mod top;
