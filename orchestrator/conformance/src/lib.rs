@@ -174,8 +174,9 @@ fn candidate(role: Role, arguments: &ConformanceArguments) -> anyhow::Result<(Ve
         (Some(name), _) => {
             let known: Vec<&str> = of_role.collect();
             Err(Failure::bad_input(format!(
-                "--to {name} is not allowed for role {role}: {}",
-                known.join(", ")
+                "--to {name} is not allowed for role {role}: {}.{}",
+                known.join(", "),
+                did_you_mean(name, known.iter().copied())
             )))
         }
         (None, false) => {

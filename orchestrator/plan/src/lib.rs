@@ -9,6 +9,7 @@ mod player_robot;
 mod rate;
 pub mod reference;
 pub mod settings;
+mod source;
 pub mod system;
 pub mod topics;
 mod vehicle_table;
@@ -26,8 +27,8 @@ use toml::{Table, Value};
 use vehicle::{Description, Invalid, Setting, Surroundings, did_you_mean};
 
 pub use difference::Difference;
+pub use source::Source;
 pub use system::System;
-pub use written::Source;
 use written::Written;
 
 /// Arguments that choose and change a scenario and a system.

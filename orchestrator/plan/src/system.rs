@@ -14,8 +14,8 @@ use vehicle::{Description, Invalid, read, require, settings};
 
 use crate::hosts::{self, HostEntry};
 use crate::rate::require_safe_speed;
+use crate::source::Source;
 use crate::topics::{self, TopicEntry};
-use crate::written::Source;
 
 /// The built-in process table.
 pub const BUILT_IN: &str = include_str!("../../systems/default.toml");
