@@ -11,8 +11,6 @@ mod run;
 mod summary;
 mod text;
 
-use std::path::Path;
-
 use anyhow::Context;
 use console::answer;
 use console::exit::Exit;

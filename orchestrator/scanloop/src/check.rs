@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use console::answer;
-use console::exit::{Exit, Failure};
+use console::exit::Exit;
 use console::output::data;
 use console::user_file::{self, TEXT_BYTES};
 use emulator::Scenario;

@@ -10,7 +10,6 @@ mod system;
 mod watch;
 
 use shared_types::did_you_mean;
-use std::path::Path;
 
 use anyhow::Context;
 use console::answer;

@@ -12,8 +12,6 @@ mod picture;
 mod search;
 mod text;
 
-use std::path::Path;
-
 use anyhow::Context;
 use console::exit::Exit;
 use console::progress::Steps;

@@ -1,12 +1,12 @@
 //! `scanloop reference`: the keys of files in the terminal, and the pages of the documentation that have a source in code.
 
-use shared_types::did_you_mean;
 use std::fmt::Write as _;
 
 use clap::builder::PossibleValue;
 use clap::{Arg, Args, Command, ValueEnum};
 use console::exit::Failure;
-use plan::reference::{find, scenario_page, system_page};
+use plan::reference::{find, names, scenario_page, system_page};
+use shared_types::did_you_mean;
 
 /// A page of the documentation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -45,24 +45,13 @@ pub(crate) fn text(arguments: &ReferenceArguments, root: Command) -> anyhow::Res
         None => match find(&arguments.text) {
             found if found.is_empty() => {
                 let text = &arguments.text;
-                let mut names = Vec::new();
-                names_of(&Scenario::keys(), &mut names);
-                names_of(&System::keys(), &mut names);
-                let meant = did_you_mean(text.rsplit('.').next().unwrap_or(text), names);
+                let meant = did_you_mean(text.rsplit('.').next().unwrap_or(text), names());
                 Err(Failure::bad_input(format!(
                     "{text}: no key of the scenario or the system file has this in its name or meaning.{meant}"
                 )))
             }
             found => Ok(found),
         },
-    }
-}
-
-/// The names of all keys, without the tables around them.
-fn names_of(keys: &[Key], found: &mut Vec<&'static str>) {
-    for key in keys {
-        found.push(key.name);
-        names_of(&key.keys, found);
     }
 }
 
