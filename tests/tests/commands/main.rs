@@ -11,5 +11,6 @@ mod campaign;
 mod description;
 mod reference;
 mod scenarios;
+mod system_file;
 mod urg;
 mod without_truth;
