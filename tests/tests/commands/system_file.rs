@@ -84,7 +84,7 @@ fn a_name_that_is_nearly_right_is_guessed() {
         ("conformance estimator --to ekf --only every-scans", "every-scan"),
         ("faults --only pose-lat3", "pose-late"),
         ("demo --promise clearence_m=1", "clearance_m"),
-        ("reference backlas_rad", "steering_backlash_rad"),
+        ("reference steering_backlas_rad", "steering_backlash_rad"),
         ("service nmp", "nmpc"),
         ("urg emulate --fault stal@3", "stall"),
     ] {
