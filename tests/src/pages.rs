@@ -47,7 +47,7 @@ pub fn commands(page: &str) -> Vec<String> {
             (Some(language), None) => block = Some(["sh", ""].contains(&language)),
             (Some(_), Some(_)) => block = None,
             (None, Some(true)) if !line.trim().is_empty() => match found.last_mut() {
-                Some(last) if String::ends_with(last, "\\") => {
+                Some(last) if last.ends_with('\\') => {
                     last.pop();
                     last.push_str(line.trim());
                 }

@@ -82,7 +82,7 @@ fn a_name_that_is_nearly_right_is_guessed() {
         ("replay none.mcap --stage obstacle", "obstacles"),
         ("conformance estimator --to efk", "ekf"),
         ("conformance estimator --to ekf --only every-scans", "every-scan"),
-        ("faults --only pose-lat3", "pose-late"),
+        ("faults --only pose-lat-30ms", "pose-late-30ms"),
         ("demo --promise clearence_m=1", "clearance_m"),
         ("reference steering_backlas_rad", "steering_backlash_rad"),
         ("service nmp", "nmpc"),

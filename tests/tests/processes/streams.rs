@@ -21,7 +21,7 @@ const ALONE: &[(&str, &str)] = &[
     ("analyse observability", "definition"),
     ("calibrate velocity --drive --scenario imperfect-robot", "kv              "),
     ("campaign --runs 2 --out out", "courses"),
-    ("faults --only pose-late --sample 1", "passed"),
+    ("faults --only pose-late-30ms --sample 1", "passed"),
     ("bench solver --cases cases.csv --intervals 6", "gauss-newton"),
     ("bench ride free", "free "),
     ("conformance estimator --to ekf --only every-scan", "passed  every-scan"),
