@@ -43,7 +43,7 @@ pub fn read(page: &str) -> String {
 pub fn commands(page: &str) -> Vec<String> {
     let (mut found, mut block) = (Vec::new(), None);
     for line in page.lines() {
-        match (line.strip_prefix("```"), &mut block) {
+        match (line.strip_prefix("```"), block) {
             (Some(language), None) => block = Some(["sh", ""].contains(&language)),
             (Some(_), Some(_)) => block = None,
             (None, Some(true)) if !line.trim().is_empty() => match found.last_mut() {

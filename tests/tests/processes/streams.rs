@@ -1,4 +1,5 @@
 //! What a command was asked for goes to standard output, the rest to standard error; a reader may go at any time.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::process::{Command, Output, Stdio};
 
