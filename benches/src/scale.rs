@@ -14,8 +14,8 @@ mod system;
 use std::path::PathBuf;
 
 use clap::Args;
-use console::note;
 use console::output::data;
+use console::{answer, note};
 use figures::{Align, Figures, PROFILE, Table};
 use serde::Serialize;
 
@@ -147,7 +147,7 @@ pub(crate) fn scale(arguments: &ScaleArguments) -> anyhow::Result<console::exit:
             start_ms: fit(|measured| measured.start_ms),
         };
         let row = Row { series, points, fits };
-        note!("{}", table(&row));
+        answer!(arguments.json, "{}", table(&row))?;
         results.series.push(row);
     }
     if arguments.json {

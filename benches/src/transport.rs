@@ -13,6 +13,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use commands::bench::scheduling::{self, Scheduling};
+use console::answer;
 use console::exit::{Exit, Failure};
 use console::out_folder::OutFolder;
 use console::output::data;
@@ -53,7 +54,7 @@ pub(crate) fn transport(arguments: &TransportArguments) -> anyhow::Result<Exit> 
         };
         add_rows(&mut csv, rate_hz, &measured);
         let results = Results::of(arguments, &base, rate_hz, &measured, skipped);
-        note(&format!("{}{}", if all.is_empty() { "" } else { "\n" }, table::text(&results)));
+        answer!(arguments.json, "{}{}", if all.is_empty() { "" } else { "\n" }, table::text(&results))?;
         all.push(results);
     }
     drop(load);

@@ -217,6 +217,12 @@ impl fmt::Display for Blocking {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { x_m, y_m, gap_m, needed_m, id, .. } = *self;
         write!(formatter, "obstacle {id} at ({x_m:.1}, {y_m:.1}): ")?;
+        if gap_m >= needed_m {
+            return write!(
+                formatter,
+                "too near to turn into its gap of {gap_m:.2} m, which is wide enough for {needed_m:.2} m"
+            );
+        }
         if gap_m < 0.0 {
             formatter.write_str("no gap")?
         } else {

@@ -21,6 +21,7 @@ mod health;
 mod journal;
 mod layouts;
 mod named;
+mod nearest;
 mod numbering;
 mod obstacles;
 mod odometry;
@@ -57,6 +58,7 @@ pub use layouts::{
     topics_of,
 };
 pub use named::UnknownName;
+pub use nearest::did_you_mean;
 pub use numbering::{KnownScan, MAX_LATE, MAX_NUMBER, MAX_STAMP_NS, highest_sequence, require_sequence};
 pub use obstacles::{MAX_OBSTACLES, Obstacle, Obstacles};
 pub use odometry::Odometry;

@@ -101,7 +101,10 @@ impl std::fmt::Display for UnknownName {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { kind, text, known } = self;
         let (last, others) = known.split_last().unwrap_or((&"nothing", &[]));
-        write!(formatter, "unknown {kind} `{text}`: expected {} or {last}", others.join(", "))
+        let meant = crate::did_you_mean(text, known.iter().copied());
+        write!(formatter, "unknown {kind} `{text}`: expected {} or {last}", others.join(", "))?;
+        formatter.write_str(if meant.is_empty() { "" } else { "." })?;
+        formatter.write_str(&meant)
     }
 }
 

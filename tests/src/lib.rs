@@ -7,6 +7,7 @@ pub mod machine;
 pub mod namespace;
 pub mod operator;
 pub mod page_hours;
+pub mod pages;
 pub mod player_server;
 pub mod recordings;
 pub mod relay;
@@ -130,17 +131,18 @@ impl System {
     /// Starts an orchestrator with these variables and waits for nothing.
     pub fn launch(&mut self, arguments: &[&str], environment: &[(&str, &str)]) {
         let log = std::fs::OpenOptions::new().create(true).append(true).open(self.folder.join("stderr.txt"));
-        self.launch_into(log.expect("a log file").into(), arguments, environment);
+        self.launch_into(&log.expect("a log file").into(), arguments, environment);
     }
 
-    /// [`System::launch`] with a standard error of one's own. Without a key for it, no last seconds are kept.
-    pub fn launch_into(&mut self, stderr: Stdio, arguments: &[&str], environment: &[(&str, &str)]) {
+    /// [`System::launch`] with an output of one's own. Without a key for it, no last seconds are kept.
+    pub fn launch_into(&mut self, output: &OwnedFd, arguments: &[&str], environment: &[(&str, &str)]) {
         let mut command = self.command(arguments);
         if arguments.first() == Some(&"run") && !arguments.iter().any(|key| key.contains("recording.ring_s"))
         {
             command.args(["--set", "recording.ring_s=0"]);
         }
-        command.envs(environment.iter().copied()).stdout(Stdio::null()).stderr(stderr);
+        let copy = || output.try_clone().expect("a descriptor");
+        command.envs(environment.iter().copied()).stdout(copy()).stderr(copy());
         self.running = Some(command.spawn().expect("the executable runs"));
     }
 
@@ -209,7 +211,7 @@ impl System {
         report
     }
 
-    /// What the run wrote to standard error.
+    /// What the run wrote to standard error, and its summary.
     pub fn stderr(&self) -> String {
         std::fs::read_to_string(self.folder.join("stderr.txt")).unwrap_or_default()
     }
@@ -294,6 +296,11 @@ impl Drop for System {
         }
         let _ = std::fs::remove_dir_all(&self.folder);
     }
+}
+
+/// What a command wrote, to standard output first.
+pub fn printed(output: &Output) -> String {
+    (String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr)).into_owned()
 }
 
 /// Processes that were started for a system, by their environment.

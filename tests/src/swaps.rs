@@ -163,10 +163,10 @@ pub fn survives_the_death_of_the_standby(mut system: System, role: Role, impleme
     assert_reached(system, &[certificate]);
 }
 
-/// Restarts a role; returns exit code and standard error.
+/// Restarts a role; returns exit code and what it printed.
 pub fn restart(system: &System, role: Role) -> (Option<i32>, String) {
     let output = system.run(&["restart", role.name()]);
-    (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    (output.status.code(), crate::printed(&output))
 }
 
 /// Restarts each stage while the robot drives; none may miss a scan.

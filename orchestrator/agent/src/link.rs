@@ -9,8 +9,8 @@ use std::process::{Command, Stdio};
 use std::sync::Arc;
 
 use anyhow::Context;
+use console::answer;
 use console::exit::{Exit, Failure};
-use console::note;
 use plan::System;
 use plan::hosts::{Crossing, HostEntry, Place, crossings_between, endpoint};
 use runtime::{
@@ -275,11 +275,12 @@ pub fn pair(host: &str, address: IpAddr, days: u32, folder: &Path, force: bool) 
         return Err(Failure::bad_input(format!("no certificates were made: {reason}")));
     }
     let folder = std::path::absolute(folder)?;
-    note!(
+    answer!(
+        false,
         "valid for {days} days:\n  {0}/{HUB}   for the orchestrator: `credentials` of the system file\n  {0}/{host}   copy it to \
          host {host}: `credentials` of its agent.toml\n  {0}/authority-key.pem   signs further hosts; keep it here, and secret",
         folder.display()
-    );
+    )?;
     Ok(Exit::Done)
 }
 

@@ -36,13 +36,13 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use anyhow::Context;
 use clap::Args;
 use plan::System;
-use shared_types::Role;
+use shared_types::{Role, did_you_mean};
 
 pub use case::{Level, Outcome};
 pub use report::{CaseReport, Report};
 
+use console::answer;
 use console::exit::{Exit, Failure};
-use console::note;
 use console::output::data;
 use supervision::child::require_script;
 use supervision::entry::IMPLEMENTATIONS;
@@ -105,15 +105,15 @@ pub fn conformance(arguments: &ConformanceArguments) -> anyhow::Result<Exit> {
     let (command, label) = candidate(role, arguments)?;
     let mut suite = Suite::new(role, command, (1e9 / arguments.rate).round() as u64)?;
     if let Some(file) = &arguments.system {
-        let (table, name) = System::read_table(Some(file))?;
+        let plan::Source { table, name, .. } = System::read_table(Some(file))?;
         suite.player = Some(System::from_table(table, &name)?.player);
     }
     let verdicts = play_all(&cases, &suite, arguments)?;
     let mut report = Report::new(role.name(), &label);
     for (case, verdict) in cases.iter().zip(verdicts) {
-        note!("{}", report.add(case, verdict)?);
+        answer!(arguments.json, "{}", report.add(case, verdict)?)?;
     }
-    note!("{}", report.summary());
+    answer!(arguments.json, "{}", report.summary())?;
     if arguments.json {
         data(&serde_json::to_string_pretty(&report)?)?;
     }
@@ -155,8 +155,9 @@ fn chosen(role: Role, only: &[String]) -> anyhow::Result<Vec<Case>> {
     if let Some(unknown) = only.iter().find(|name| all.iter().all(|case| case.name != **name)) {
         let names: Vec<&str> = all.iter().map(|case| case.name).collect();
         let known = names.join(", ");
+        let meant = did_you_mean(unknown, names);
         return Err(Failure::bad_input(format!(
-            "--only {unknown}: role {role} has no such case, it has {known}"
+            "--only {unknown}: role {role} has no such case, it has {known}.{meant}"
         )));
     }
     let wanted = |case: &Case| only.is_empty() || only.iter().any(|name| name == case.name);
@@ -174,8 +175,9 @@ fn candidate(role: Role, arguments: &ConformanceArguments) -> anyhow::Result<(Ve
         (Some(name), _) => {
             let known: Vec<&str> = of_role.collect();
             Err(Failure::bad_input(format!(
-                "--to {name} is not allowed for role {role}: {}",
-                known.join(", ")
+                "--to {name} is not allowed for role {role}: {}.{}",
+                known.join(", "),
+                did_you_mean(name, known.iter().copied())
             )))
         }
         (None, false) => {

@@ -115,7 +115,7 @@ impl fmt::Display for CaseReport {
         let (outcome, level) = (self.outcome.name(), self.level.name());
         write!(formatter, "{outcome:<14}{:<28}{level:<13}{}", self.name, self.reason)?;
         if matches!(self.outcome, Outcome::Failed | Outcome::NotObserved) {
-            write!(formatter, "\n{:<14}required: {}", "", self.requirement)?;
+            write!(formatter, "\n{:<14}{level}: {}", "", self.requirement)?;
         }
         Ok(())
     }

@@ -1,8 +1,11 @@
-//! Output of commands: text for people to standard error, data to standard output.
+//! Output of commands: what a command was asked for to standard output, progress and warnings to standard error.
+//!
+//! With `--json` the JSON alone goes to standard output, and the text for people to standard error.
 
 use std::ffi::OsString;
 use std::io::{self, ErrorKind, IsTerminal, Write};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use anyhow::Context;
 use clap::Parser;
@@ -12,7 +15,7 @@ use runtime::printable;
 
 use crate::new_file;
 
-/// Writes text for people; errors are ignored, because the command has done its work already.
+/// Writes progress and remarks to standard error; errors are ignored, because no command is asked for them.
 #[macro_export]
 macro_rules! note {
     ($($text:tt)*) => { runtime::print(runtime::Priority::Notice, &format!($($text)*)) };
@@ -20,6 +23,29 @@ macro_rules! note {
 
 /// Moves to the upper left corner and clears what is below.
 const REDRAW: &str = "\x1b[H\x1b[J";
+
+/// [`answer()`] with a text as in `format!`.
+#[macro_export]
+macro_rules! answer {
+    ($is_json:expr, $($text:tt)*) => { $crate::output::answer($is_json, &format!($($text)*)) };
+}
+
+/// Limit for texts that were written before an answer.
+const FLUSH_TIMEOUT: Duration = Duration::from_millis(300);
+
+/// Writes the text that a command was asked for: to standard output, or to standard error if JSON goes there. False when the
+/// reader has closed the pipe.
+///
+/// # Errors
+/// As [`data`].
+pub fn answer(is_json: bool, text: &str) -> anyhow::Result<bool> {
+    if is_json {
+        note!("{text}");
+        return Ok(true);
+    }
+    runtime::flush_terminal(FLUSH_TIMEOUT);
+    data(text)
+}
 
 /// Writes data and ends its last line; false when the reader has closed the pipe, as in `| head`. Words of files and of
 /// other programs in it are written as [`printable`] shows them; JSON keeps its meaning.

@@ -34,6 +34,7 @@
 pub mod agreement;
 mod certificate;
 mod comparison;
+mod meant;
 mod scan_record;
 #[cfg(test)]
 mod tests;
@@ -44,6 +45,7 @@ use shared_types::{Authority, Role};
 pub use agreement::{Disagreement, OutputSummary};
 pub use certificate::{Certificate, SwapOutcome};
 use comparison::Comparison;
+pub use meant::{Change, Meant};
 pub use scan_record::Recorded;
 use scan_record::ScanRecord;
 
@@ -93,6 +95,8 @@ pub struct SwapPlan {
     pub standby_scans: u64,
     /// Factor on the bounds of agreement.
     pub tolerance: f64,
+    /// What other settings of the new process are meant to change.
+    pub meant: Meant,
     /// Scan period [ns].
     pub period_ns: u64,
     /// Whether time is simulated.

@@ -10,6 +10,10 @@ use vehicle::correction::Calibration;
 
 use crate::overrides;
 
+/// The keys that a calibration file may set.
+pub(crate) const KEYS: [&str; 3] =
+    ["actuator.calibration", "estimator.odometry_longitudinal", "estimator.odometry_lateral_rate"];
+
 /// Puts what a calibration file has into the settings of the system: `actuator.calibration` and the coefficients of
 /// the estimator. Overrides come later and win.
 ///

@@ -7,7 +7,7 @@ use emulator::Scenario;
 use runtime::{Domain, RuntimeError, own_settings_file, settings_file, settings_table};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use shared_types::Role;
+use shared_types::{Role, did_you_mean};
 use toml::{Table, Value};
 use vehicle::{Invalid, Setting, read};
 
@@ -17,6 +17,9 @@ use crate::{System, is_of_scenario};
 
 /// Tables of the scenario that only the emulated robot reads and that are no part of the course.
 const OF_THE_ROBOT: [&str; 3] = ["robot", "noise", "scanner"];
+/// Tables with keys that may change.
+const TABLES: [&str; 8] =
+    ["estimator", "obstacles", "controller", "actuator", "robot", "noise", "scanner", PLAYER];
 /// Table of the driver of a Player robot.
 const PLAYER: &str = "player";
 /// Keys of a role that have their value from elsewhere when a run starts, and from where.
@@ -74,10 +77,13 @@ fn role_of_key(key: &str) -> anyhow::Result<Role> {
         Err(_) if System::keys().iter().any(|of| of.name == first) => {
             Err(refused("all processes depend on it"))
         }
-        Err(_) => Err(Failure::bad_input(format!(
-            "{key} is unknown: expected a key of estimator, obstacles, controller, actuator, robot, noise, scanner \
-             or player; `scanloop reference` lists them"
-        ))),
+        Err(_) => {
+            let meant = did_you_mean(first, TABLES);
+            Err(Failure::bad_input(format!(
+                "{key} is unknown: expected a key of estimator, obstacles, controller, actuator, robot, noise, scanner \
+                 or player; `scanloop reference` lists them.{meant}"
+            )))
+        }
     }
 }
 
@@ -108,6 +114,41 @@ pub fn settings(role: Role, file: &str, overrides: &[String]) -> anyhow::Result<
     let own = checked(role, &file, rate_hz)?;
     file.insert(settings_table(role).to_owned(), own);
     Ok(toml::to_string(&file)?)
+}
+
+/// By how much each key changes from the one settings file of a role to the other: the difference of its numbers without a
+/// sign, the largest of several, 0 without numbers.
+///
+/// # Errors
+/// A text that is no `KEY=VALUE`, and files that are not TOML.
+pub fn amounts(role: Role, files: [&str; 2], overrides: &[String]) -> anyhow::Result<Vec<(String, f64)>> {
+    let [old, new] = [files[0].parse::<Table>()?, files[1].parse::<Table>()?];
+    let mut found = Vec::new();
+    for text in overrides {
+        let (key, _) = parse_override(text)?;
+        let is_of_scenario = role == Role::Robot && !key.starts_with("player.");
+        let path = if is_of_scenario { format!("{}.{key}", settings_table(role)) } else { key.clone() };
+        let [old, new] = [&old, &new].map(|table| numbers(value_at(table, &path)));
+        let by = old.iter().zip(&new).map(|(old, new)| (old - new).abs()).fold(0.0, f64::max);
+        found.push((key, by));
+    }
+    Ok(found)
+}
+
+fn value_at<'a>(table: &'a Table, path: &str) -> Option<&'a Value> {
+    let mut parts = path.split('.');
+    let first = table.get(parts.next()?)?;
+    parts.try_fold(first, |value, part| value.get(part))
+}
+
+/// The number, or the numbers of a list.
+fn numbers(value: Option<&Value>) -> Vec<f64> {
+    match value {
+        Some(Value::Float(number)) => vec![*number],
+        Some(Value::Integer(number)) => vec![*number as f64],
+        Some(Value::Array(items)) => items.iter().flat_map(|item| numbers(Some(item))).collect(),
+        _ => Vec::new(),
+    }
 }
 
 /// The table of the role alone, with the rules of all its keys checked.
@@ -204,6 +245,21 @@ mod tests {
             old.into_iter().for_each(|old| _ = table.insert(path[1].to_owned(), old));
             assert_eq!(before, after, "{text}");
         }
+    }
+
+    #[test]
+    fn the_amount_of_a_change_is_the_difference_of_its_numbers() {
+        let amounts = |role, overrides: &[&str]| {
+            let (old, overrides) = (file(role), texts(overrides));
+            let new = settings(role, &old, &overrides).unwrap();
+            super::amounts(role, [&old, &new], &overrides).unwrap()
+        };
+        let cruise = amounts(Role::Controller, &["controller.cruise_mps=0.75", "controller.side=left"]);
+        assert_eq!(cruise, [("controller.cruise_mps".to_owned(), 0.25), ("controller.side".to_owned(), 0.0)]);
+        let noise = amounts(Role::Robot, &["noise.odometry_m=0.5"]);
+        assert_eq!(noise, [("noise.odometry_m".to_owned(), 0.5)]);
+        let control = amounts(Role::Controller, &["controller.weights.control=[0.1, 12]"]);
+        assert_eq!(control[0].1, 2.0);
     }
 
     #[test]

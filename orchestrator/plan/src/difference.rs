@@ -26,6 +26,8 @@ pub struct Difference {
     pub truth: Property,
     /// `vehicle.KEY`.
     pub believed: Property,
+    /// The preset that gives the truth, where no key of the user does.
+    pub preset: Option<&'static str>,
 }
 
 impl Difference {
@@ -45,7 +47,7 @@ impl Difference {
 
 impl fmt::Display for Difference {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { key, truth, believed } = self;
+        let Self { key, truth, believed, .. } = self;
         let table = if matches!(truth, Property::Number(_)) { "robot" } else { "track" };
         write!(formatter, "{table}.{key} = {truth}, vehicle.{key} = {believed}")?;
         match self.share() {
@@ -78,11 +80,13 @@ pub(crate) fn sorted(
         key,
         truth: Property::Number(truth),
         believed: Property::Number(believed),
+        preset: None,
     });
     let of_track = (truth != believed).then_some(Difference {
         key: "surroundings",
         truth: Property::Surroundings(truth),
         believed: Property::Surroundings(believed),
+        preset: None,
     });
     let mut differences: Vec<_> = of_robot.chain(of_track).collect();
     differences.sort_by(Difference::compare);
@@ -91,10 +95,23 @@ pub(crate) fn sorted(
 
 /// All differences below a heading, one a line; nothing when there are none.
 pub fn list(differences: &[Difference]) -> Vec<String> {
-    let heading = match differences.len() {
+    let of_preset: Vec<&str> = differences.iter().filter_map(|difference| difference.preset).collect();
+    let count = match differences.len() {
         0 => return Vec::new(),
-        1 => "the scenario differs from [vehicle] in one property:".to_owned(),
-        count => format!("the scenario differs from [vehicle] in {count} properties:"),
+        1 => "one property".to_owned(),
+        count => format!("{count} properties"),
+    };
+    let heading = match of_preset.as_slice() {
+        [] => format!("the scenario differs from [vehicle] in {count}:"),
+        [preset, ..] if of_preset.len() == differences.len() => {
+            format!(
+                "robot.preset `{preset}` of the scenario differs from [vehicle] in {count}, as `summit` does not:"
+            )
+        }
+        [preset, ..] => format!(
+            "the scenario differs from [vehicle] in {count}, in {} of them by robot.preset `{preset}`:",
+            of_preset.len()
+        ),
     };
     let rows = differences.iter().map(|difference| format!("  {difference}"));
     std::iter::once(heading).chain(rows).collect()
@@ -103,10 +120,15 @@ pub fn list(differences: &[Difference]) -> Vec<String> {
 /// [`list`], or one line when it would be long.
 pub fn summary(differences: &[Difference]) -> Vec<String> {
     match differences {
-        [largest, ..] if differences.len() > MAX_LISTED => vec![format!(
-            "{} properties of the scenario differ from [vehicle], largest: {largest}; `scanloop check` lists them",
-            differences.len()
-        )],
+        [largest, ..] if differences.len() > MAX_LISTED => {
+            let presets = differences.iter().map(|difference| difference.preset);
+            let whole = presets.reduce(|one, other| one.and(other)).flatten();
+            let whose = whole.map_or("the scenario".to_owned(), |preset| format!("robot.preset `{preset}`"));
+            vec![format!(
+                "{} properties of {whose} differ from [vehicle], largest: {largest}; `scanloop check` lists them",
+                differences.len()
+            )]
+        }
         few => list(few),
     }
 }
@@ -137,6 +159,18 @@ mod tests {
         assert_eq!(summary(&found), [line]);
         assert_eq!(summary(&found[..2]), list(&found[..2]));
         assert!(list(&[]).is_empty() && summary(&[]).is_empty());
+    }
+
+    #[test]
+    fn what_only_the_preset_gives_is_told_as_its_property() {
+        let mut found = sorted([("mass_kg", 1.0, 2.0), ("width_m", 1.4, 0.4)], [Surroundings::Hall; 2]);
+        found[1].preset = Some("ideal");
+        let mixed =
+            "the scenario differs from [vehicle] in 2 properties, in 1 of them by robot.preset `ideal`:";
+        assert_eq!(list(&found)[0], mixed);
+        found[0].preset = Some("ideal");
+        let all = "robot.preset `ideal` of the scenario differs from [vehicle] in 2 properties, as `summit` does not:";
+        assert_eq!(list(&found)[0], all);
     }
 
     #[test]

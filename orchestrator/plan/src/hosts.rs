@@ -9,7 +9,7 @@ mod tests;
 use std::net::SocketAddr;
 
 use serde::{Deserialize, Serialize};
-use shared_types::{Role, TOPICS, Topic};
+use shared_types::{Role, TOPICS, Topic, did_you_mean};
 use supervision::entry::ProcessEntry;
 use vehicle::{Invalid, Setting, settings};
 
@@ -244,7 +244,7 @@ fn validate_process(system: &System, entry: &ProcessEntry) -> Result<(), Invalid
         let names: Vec<&str> = system.hosts.iter().map(|host| host.name.as_str()).collect();
         let allowed = match names.is_empty() {
             true => "a [[host]] of the file, which has none".to_owned(),
-            false => format!("one of {}", names.join(", ")),
+            false => format!("one of {}.{}", names.join(", "), did_you_mean(host, names.iter().copied())),
         };
         return Err(Invalid::new("host", host, allowed));
     }

@@ -9,10 +9,13 @@ mod player_robot;
 mod rate;
 pub mod reference;
 pub mod settings;
+mod source;
 pub mod system;
 pub mod topics;
 mod vehicle_table;
+mod written;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -20,12 +23,13 @@ use console::exit::Failure;
 use console::user_file::{self, TEXT_BYTES};
 use emulator::Scenario;
 use runtime::{Domain, OwnTopics};
-use supervision::realtime;
 use toml::{Table, Value};
-use vehicle::{Description, Invalid, Setting, Surroundings};
+use vehicle::{Description, Invalid, Setting, Surroundings, did_you_mean};
 
 pub use difference::Difference;
+pub use source::Source;
 pub use system::System;
+use written::Written;
 
 /// Arguments that choose and change a scenario and a system.
 #[derive(Debug, Args, Clone, Default)]
@@ -64,6 +68,8 @@ pub struct Plan {
     pub own_topics: OwnTopics,
     /// Keys of the files that a user should replace.
     pub warnings: Vec<String>,
+    /// Properties of robot and description that a file or an option gives.
+    pub given: BTreeSet<String>,
 }
 
 impl Plan {
@@ -72,7 +78,7 @@ impl Plan {
     /// # Errors
     /// One message with file, key, value and allowed range; exit code 2.
     pub fn read(scenario: Option<&str>, choice: &Choice) -> anyhow::Result<Self> {
-        Self::of_table(read_scenario(scenario.unwrap_or(DEFAULT_SCENARIO))?, choice)
+        Self::of_source(read_scenario(scenario.unwrap_or(DEFAULT_SCENARIO))?, choice)
     }
 
     /// The same for a scenario that is not read from a file.
@@ -80,54 +86,55 @@ impl Plan {
     /// # Errors
     /// As [`Self::read`].
     pub fn of(scenario: &Scenario, choice: &Choice) -> anyhow::Result<Self> {
-        Self::of_table(system::table_of(&scenario.to_toml(), scenario.name.clone())?, choice)
+        Self::of_source(Source::parse(scenario.to_toml(), scenario.name.clone())?, choice)
     }
 
-    fn of_table((mut scenario, scenario_file): (Table, String), choice: &Choice) -> anyhow::Result<Self> {
-        let (mut system, system_file) = System::read_table(choice.system.as_deref())?;
-        if choice.realtime {
-            realtime::add_profile(&mut system);
-        }
-        if let Some(file) = &choice.calibration {
-            calibration_file::apply(file, &mut system)?;
-        }
-        for text in &choice.overrides {
-            let (key, value) = overrides::parse_override(text)?;
-            let first = key.split('.').next().unwrap_or_default();
-            let target = if is_of_scenario(first) { &mut scenario } else { &mut system };
-            overrides::set(target, &key, value)?;
-        }
-        if let Some(seed) = choice.seed {
-            let seed = i64::try_from(seed).map_err(|_| {
-                Failure::bad_input(format!("--seed {seed} is not allowed: 0 to {}", i64::MAX))
-            })?;
-            scenario.insert("seed".to_owned(), Value::Integer(seed));
-        }
+    fn of_source(scenario: Source, choice: &Choice) -> anyhow::Result<Self> {
+        let system = System::read_table(choice.system.as_deref())?;
+        let written = Written::new(scenario, system, choice)?;
+        let check = |tables: [Table; 2]| Self::checked(tables).err();
+        let mut plan = Self::checked(written.tables()?)
+            .map_err(|invalid| Failure::bad_input(written.refusal(&invalid, check)))?;
+        plan.own_topics = topics::read(&plan.system, written.system_file())?;
+        Ok(plan)
+    }
+
+    /// What scenario and system say, without the topics of the system.
+    fn checked([scenario, mut system]: [Table; 2]) -> Result<Self, Invalid> {
+        let keys = |table: &Table, name: &str| match table.get(name) {
+            Some(Value::Table(inner)) => inner.keys().cloned().collect(),
+            _ => BTreeSet::new(),
+        };
+        let given = &keys(&scenario, "robot") | &keys(&system, "vehicle");
         player_robot::add_defaults(&mut system);
         vehicle_table::adopt_scenario(&scenario, &mut system);
-        let mut scenario = Scenario::from_table(scenario, &scenario_file).map_err(Failure::bad_input)?;
-        let refuse = |invalid: Invalid| Failure::bad_input(format!("{system_file}: {invalid}"));
-        let mut warnings = vehicle_table::distribute(&mut system).map_err(refuse)?;
+        vehicle_table::fit_velocities(&mut system);
+        let mut scenario = Scenario::checked(scenario)?;
+        let mut warnings = vehicle_table::distribute(&mut system)?;
         if system.get("controller").is_some_and(|table| table.get("period_s").is_some()) {
             warnings.push("controller.period_s has no effect: the scan period is 1 / rate_hz".to_owned());
         }
-        let system = System::from_table(system, &system_file)?;
+        let system = System::checked(system)?;
         // From here on every reader of the scenario finds the values that the preset gives.
         scenario.robot = scenario.robot.resolved(&system.vehicle, scenario.seed);
         // What the stages take from the scenario may be allowed there and too much for them.
-        let together = system.tuning().for_scenario(&scenario).validate();
-        let together = together.and_then(|()| scenario.scanner.validate_mean(system.period_ns()));
-        together.map_err(|invalid| Failure::bad_input(format!("{scenario_file}: {invalid}")))?;
+        system.tuning().for_scenario(&scenario).validate()?;
+        scenario.scanner.validate_mean(system.period_ns())?;
         warnings.extend(hosts::warnings(&system));
-        let own_topics = topics::read(&system, &system_file)?;
-        Ok(Self { scenario, system, own_topics, warnings })
+        let own_topics = topics::table(&system, Vec::new());
+        Ok(Self { scenario, system, own_topics, warnings, given })
     }
 
     /// Where the scenario differs from the description that the stages read; the largest share first.
     pub fn differences(&self) -> Vec<Difference> {
         let Self { scenario, system, .. } = self;
         let surroundings = [scenario.track.surroundings, system.vehicle.surroundings];
-        difference::sorted(scenario.robot.differences(&system.vehicle), surroundings)
+        let mut found = difference::sorted(scenario.robot.differences(&system.vehicle), surroundings);
+        for difference in &mut found {
+            let is_of_preset = difference.key != "surroundings" && !self.given.contains(difference.key);
+            difference.preset = is_of_preset.then(|| scenario.robot.preset.name());
+        }
+        found
     }
 
     /// [`Self::differences`] of a robot that publishes its truth. The scenario tells nothing about any other one, as far as
@@ -167,20 +174,24 @@ fn is_of_scenario(name: &str) -> bool {
     Scenario::keys().iter().any(|key| key.name == name)
 }
 
-/// The table of a scenario file, or of a shipped scenario, and its name in messages.
-fn read_scenario(name: &str) -> anyhow::Result<(Table, String)> {
+/// A scenario file, or a shipped scenario.
+fn read_scenario(name: &str) -> anyhow::Result<Source> {
     let path = Path::new(name);
     let (text, file) = match Scenario::shipped(name) {
         Some(text) if !path.is_file() => (text.to_owned(), format!("shipped scenario {name}")),
         _ => {
             let text = user_file::read(path, TEXT_BYTES).map_err(|error| {
                 let shipped: Vec<&str> = Scenario::names().collect();
-                Failure::bad_input(format!("{name}: {error}; shipped scenarios are {}", shipped.join(", ")))
+                let meant = did_you_mean(name, Scenario::names());
+                Failure::bad_input(format!(
+                    "{name}: {error}.{meant} Shipped scenarios are {}",
+                    shipped.join(", ")
+                ))
             })?;
             (text, name.to_owned())
         }
     };
-    system::table_of(&text, file)
+    Source::parse(text, file)
 }
 
 #[cfg(test)]

@@ -23,32 +23,56 @@ pub fn parse_override(text: &str) -> anyhow::Result<(String, Value)> {
 pub fn set(table: &mut Table, key: &str, value: Value) -> anyhow::Result<()> {
     let (first, rest) = key.split_once('.').map_or((key, None), |(first, rest)| (first, Some(rest)));
     let Some(rest) = rest else {
-        let same_kind = match (table.get(first), value) {
-            (Some(Value::Float(_)), Value::Integer(number)) => Value::Float(number as f64),
-            (_, value) => value,
-        };
-        table.insert(first.to_owned(), same_kind);
+        let value = same_kind(table.get(first), value);
+        table.insert(first.to_owned(), value);
         return Ok(());
     };
-    match table.entry(first.to_owned()).or_insert_with(|| Value::Table(Table::new())) {
-        Value::Table(inner) => set(inner, rest, value),
-        Value::Array(items) => {
-            let (which, rest) = rest
-                .split_once('.')
-                .ok_or_else(|| Failure::bad_input(format!("--set {key}: expected {first}.WHICH.KEY")))?;
-            let count = items.len();
-            let found = items.iter_mut().enumerate().find(|(index, item)| {
-                let is_it = |key: &str| item.get(key).and_then(Value::as_str) == Some(which);
-                index.to_string() == which || is_it("role") || is_it("name")
-            });
-            match found {
-                Some((_, Value::Table(inner))) => set(inner, rest, value),
-                _ => Err(Failure::bad_input(format!(
-                    "--set {key}: {first} has no element `{which}` (it has {count})"
-                ))),
-            }
+    let inner = table.entry(first.to_owned()).or_insert_with(|| Value::Table(Table::new()));
+    set_within(inner, first, rest, value).map_err(|reason| Failure::bad_input(format!("{key}: {reason}")))
+}
+
+/// [`set`] in the value of `name`.
+fn set_within(outer: &mut Value, name: &str, key: &str, value: Value) -> Result<(), String> {
+    let (first, rest) = key.split_once('.').map_or((key, None), |(first, rest)| (first, Some(rest)));
+    let (place, value) = match outer {
+        Value::Table(table) if rest.is_none() => {
+            let value = same_kind(table.get(first), value);
+            table.insert(first.to_owned(), value);
+            return Ok(());
         }
-        _ => Err(Failure::bad_input(format!("--set {key}: {first} is a value, not a table"))),
+        Value::Table(table) => {
+            (table.entry(first.to_owned()).or_insert_with(|| Value::Table(Table::new())), value)
+        }
+        Value::Array(items) => {
+            let count = items.len();
+            let index = index_of(items, first);
+            let item = index.and_then(|index| items.get_mut(index));
+            (item.ok_or_else(|| format!("{name} has no element `{first}`, it has {count}"))?, value)
+        }
+        _ => return Err(format!("{name} is a value, not a table")),
+    };
+    match rest {
+        Some(rest) => set_within(place, first, rest, value),
+        None => {
+            *place = same_kind(Some(place), value);
+            Ok(())
+        }
+    }
+}
+
+/// Index of the element of an array that is named by its index, role or name.
+pub(crate) fn index_of(items: &[Value], which: &str) -> Option<usize> {
+    items.iter().enumerate().position(|(index, item)| {
+        let is_it = |key: &str| item.get(key).and_then(Value::as_str) == Some(which);
+        index.to_string() == which || is_it("role") || is_it("name")
+    })
+}
+
+/// A whole number in place of a number with a fraction is one of those.
+fn same_kind(old: Option<&Value>, value: Value) -> Value {
+    match (old, value) {
+        (Some(Value::Float(_)), Value::Integer(number)) => Value::Float(number as f64),
+        (_, value) => value,
     }
 }
 

@@ -29,6 +29,19 @@ pub fn find(text: &str) -> String {
     found
 }
 
+/// The names of all keys, without those of the tables around them.
+pub fn names() -> Vec<&'static str> {
+    fn collect(keys: &[Key], found: &mut Vec<&'static str>) {
+        for key in keys {
+            found.push(key.name);
+            collect(&key.keys, found);
+        }
+    }
+    let mut found = Vec::new();
+    [Scenario::keys(), System::keys()].iter().for_each(|keys| collect(keys, &mut found));
+    found
+}
+
 /// Keys of the scenario file; those of the robot with the defaults that its presets give them.
 fn scenario_keys() -> Vec<Key> {
     let defaults = |preset| {

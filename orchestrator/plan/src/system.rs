@@ -9,11 +9,12 @@ use runtime::{ClockKind, RunSettings};
 use shared_types::Role;
 use supervision::entry::ProcessEntry;
 use supervision::realtime;
-use toml::Table;
-use vehicle::{Description, Invalid, parse, read, require, settings};
+use toml::{Table, Value};
+use vehicle::{Description, Invalid, read, require, settings};
 
 use crate::hosts::{self, HostEntry};
 use crate::rate::require_safe_speed;
+use crate::source::Source;
 use crate::topics::{self, TopicEntry};
 
 /// The built-in process table.
@@ -74,12 +75,21 @@ impl System {
     ///
     /// # Errors
     /// One message with file, key, value and allowed range; exit code 2.
-    pub fn from_table(mut table: Table, file: &str) -> anyhow::Result<Self> {
-        profile::add(&mut table);
+    pub fn from_table(table: Table, file: &str) -> anyhow::Result<Self> {
         let refuse = |invalid: Invalid| Failure::bad_input(format!("{file}: {invalid}"));
-        let system: Self = read(table).map_err(refuse)?;
-        system.validate().map_err(refuse)?;
+        let system = Self::checked(table).map_err(refuse)?;
         topics::read(&system, file)?;
+        Ok(system)
+    }
+
+    /// The system in a table, without the files of its topics.
+    ///
+    /// # Errors
+    /// The first key that is not allowed.
+    pub(crate) fn checked(mut table: Table) -> Result<Self, Invalid> {
+        profile::add(&mut table);
+        let system: Self = read(table)?;
+        system.validate()?;
         Ok(system)
     }
 
@@ -99,15 +109,20 @@ impl System {
         }
     }
 
-    /// The table of a file, or the built-in one.
+    /// The table of a file, or the built-in one. Processes that the file does not have are the built-in ones.
     ///
     /// # Errors
     /// A message with the file, and the line where the text is no TOML; exit code 2.
-    pub fn read_table(file: Option<&Path>) -> anyhow::Result<(Table, String)> {
-        let Some(path) = file else { return table_of(BUILT_IN, "built-in system".to_owned()) };
+    pub fn read_table(file: Option<&Path>) -> anyhow::Result<Source> {
+        let Some(path) = file else {
+            return Source::parse(BUILT_IN.to_owned(), "built-in system".to_owned());
+        };
         let name = path.display().to_string();
         let text = user_file::read(path, TEXT_BYTES);
-        table_of(&text.map_err(|error| Failure::bad_input(format!("{name}: {error}")))?, name)
+        let text = text.map_err(|error| Failure::bad_input(format!("{name}: {error}")))?;
+        let mut source = Source::parse(text, name)?;
+        add_built_in(&mut source.table);
+        Ok(source)
     }
 
     /// How long the wheels may turn without a directive [s].
@@ -189,14 +204,22 @@ impl System {
     }
 }
 
-/// The table in the text of a file, with the name of the file.
-///
-/// # Errors
-/// A message with the file, and the line where the text is no TOML; exit code 2.
-pub(crate) fn table_of(text: &str, file: String) -> anyhow::Result<(Table, String)> {
-    match parse(text) {
-        Ok(table) => Ok((table, file)),
-        Err(error) => Err(Failure::bad_input(format!("{file}: {error}"))),
+/// Adds the built-in process of each role that no process of the file has, behind those of the file. A process that names
+/// its role alone is the built-in one with the other keys of the file.
+pub(crate) fn add_built_in(table: &mut Table) {
+    let built_in: Table = BUILT_IN.parse().unwrap_or_default();
+    let processes = table.entry("process".to_owned()).or_insert_with(|| Value::Array(Vec::new()));
+    // The reader of the whole file refuses what is no list.
+    let (Value::Array(own), Some(Value::Array(all))) = (processes, built_in.get("process")) else { return };
+    for process in all.iter().filter_map(Value::as_table) {
+        let is_of_role = |own: &&mut Table| own.get("role") == process.get("role");
+        match own.iter_mut().filter_map(Value::as_table_mut).find(is_of_role) {
+            None => own.push(Value::Table(process.clone())),
+            Some(own) if own.contains_key("implementation") || own.contains_key("command") => {}
+            Some(own) => process.iter().for_each(|(key, value)| {
+                own.entry(key.clone()).or_insert_with(|| value.clone());
+            }),
+        }
     }
 }
 
@@ -207,8 +230,6 @@ const ORPHAN_STOP_S: f64 = 5.0;
 
 #[cfg(test)]
 mod tests {
-    use toml::Value;
-
     use super::*;
 
     fn error_of(text: &str) -> String {
@@ -249,7 +270,7 @@ mod tests {
     fn messages_name_file_key_value_and_what_is_allowed() {
         assert_eq!(error_of("rate_hz = nan"), "lab.toml: rate_hz = NaN is not allowed: 0.5 to 1000");
         assert!(error_of("rate = 10.0").starts_with(
-            "lab.toml: rate = 10.0 is not allowed: the key is unknown, expected one of `rate_hz`"
+            "lab.toml: rate = 10.0 is not allowed: the key is unknown. Did you mean `rate_hz`? Expected one of `rate_hz`"
         ));
         let typed = error_of("rate_hz = \"fast\"");
         assert_eq!(typed, "lab.toml: rate_hz = \"fast\" is not allowed: a number");

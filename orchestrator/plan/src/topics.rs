@@ -6,7 +6,7 @@ use std::path::Path;
 use console::exit::Failure;
 use console::user_file::{self, TEXT_BYTES};
 use runtime::{AlsoReads, CompanionRow, LayoutFile, MAX_COMPANIONS, OPERATOR, OwnTopics, TopicRow};
-use shared_types::{Role, Topic};
+use shared_types::{Role, TOPICS, Topic, did_you_mean};
 use supervision::entry::{NAME_RULE, ProcessEntry, is_name};
 use vehicle::{Invalid, settings};
 
@@ -73,7 +73,8 @@ fn read_layouts(system: &System, file: &str) -> anyhow::Result<Vec<LayoutFile>> 
         let is_field = |name: &str| layout.field.iter().any(|field| field.name == name);
         if let Some(agree) = entry.agree.iter().find(|agree| !is_field(&agree.field)) {
             let names: Vec<&str> = layout.field.iter().map(|field| field.name.as_str()).collect();
-            let allowed = format!("one of {}", names.join(", "));
+            let meant = did_you_mean(&agree.field, names.iter().copied());
+            let allowed = format!("one of {}.{meant}", names.join(", "));
             let key = format!("topic[{index}].agree.field");
             return Err(Failure::bad_input(format!("{file}: {}", Invalid::new(&key, &agree.field, allowed))));
         }
@@ -81,7 +82,7 @@ fn read_layouts(system: &System, file: &str) -> anyhow::Result<Vec<LayoutFile>> 
     Ok(layouts)
 }
 
-fn table(system: &System, layouts: Vec<LayoutFile>) -> OwnTopics {
+pub(crate) fn table(system: &System, layouts: Vec<LayoutFile>) -> OwnTopics {
     let row = |(entry, layout): (&TopicEntry, LayoutFile)| TopicRow {
         name: entry.name.clone(),
         writer: writer_of(system, entry).unwrap_or(OPERATOR).to_owned(),
@@ -180,13 +181,17 @@ fn topic(system: &System, entry: &TopicEntry) -> Result<(), Invalid> {
 fn uses(system: &System, entry: &ProcessEntry) -> Result<(), Invalid> {
     let is_own = |name: &str| system.topics.iter().any(|topic| topic.name == name);
     let names: Vec<&str> = system.topics.iter().map(|topic| topic.name.as_str()).collect();
-    let known = || format!("a [[topic]] of the file; it has {}", names.join(", "));
+    let known = |name: &str| {
+        let meant = did_you_mean(name, names.iter().copied().chain(TOPICS.map(|topic| topic.name())));
+        let has = if names.is_empty() { "none".to_owned() } else { names.join(", ") };
+        format!("a [[topic]] of the file; it has {has}{}{meant}", if meant.is_empty() { "" } else { "." })
+    };
     for name in entry.writes() {
         if name.parse::<Topic>().is_ok() {
             return Err(Invalid::new("writes", name, "a topic of your own: a role writes those of the loop"));
         }
         if !is_own(name) {
-            return Err(Invalid::new("writes", name, known()));
+            return Err(Invalid::new("writes", name, known(name)));
         }
     }
     for (place, name) in entry.reads().iter().enumerate() {
@@ -194,7 +199,7 @@ fn uses(system: &System, entry: &ProcessEntry) -> Result<(), Invalid> {
             return Err(Invalid::new("reads", name, "with `reads_truth = true` only: no robot has a truth"));
         }
         if name.parse::<Topic>().is_err() && !is_own(name) {
-            return Err(Invalid::new("reads", name, format!("a topic of the loop, or {}", known())));
+            return Err(Invalid::new("reads", name, format!("a topic of the loop, or {}", known(name))));
         }
         if entry.reads()[..place].contains(name) {
             return Err(Invalid::new("reads", name, "each topic once"));
@@ -202,7 +207,7 @@ fn uses(system: &System, entry: &ProcessEntry) -> Result<(), Invalid> {
     }
     for also in &entry.also_reads {
         if !is_own(&also.topic) {
-            return Err(Invalid::new("also_reads.topic", &also.topic, known()));
+            return Err(Invalid::new("also_reads.topic", &also.topic, known(&also.topic)));
         }
     }
     Ok(())

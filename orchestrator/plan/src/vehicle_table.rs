@@ -11,6 +11,8 @@ use vehicle::{Description, Invalid, Key, Setting, read};
 const VEHICLE: &str = "vehicle";
 /// The key that the scenario has in its table `[track]`; all others are in `[robot]`.
 const SURROUNDINGS: &str = "surroundings";
+/// The true tyres may have forces without a limit, which is 0 there; the description has none.
+const FRICTION: &str = "tyre_friction";
 /// The stages that know the robot.
 const STAGES: [&str; 4] = ["estimator", "obstacles", "controller", "actuator"];
 
@@ -47,8 +49,46 @@ pub(crate) fn adopt_scenario(scenario: &Table, system: &mut Table) {
     let Value::Table(vehicle) = entry else { return };
     for Key { name, .. } in Description::keys() {
         let table = if name == SURROUNDINGS { "track" } else { "robot" };
-        if let Some(value) = value(table, name).filter(|_| !vehicle.contains_key(name)) {
+        let is_no_limit = |value: &&Value| name == FRICTION && number(value) == Some(0.0);
+        let given = value(table, name).filter(|value| !vehicle.contains_key(name) && !is_no_limit(value));
+        if let Some(value) = given {
             vehicle.insert(name.to_owned(), value.clone());
+        }
+    }
+}
+
+fn number(value: &Value) -> Option<f64> {
+    value.as_float().or_else(|| value.as_integer().map(|number| number as f64))
+}
+
+/// The old keys of a stage, dotted, that set the key `name` of its description.
+pub(crate) fn old_keys_of(stage: &str, name: &str) -> Vec<String> {
+    let moved = |old: &OldKey| {
+        let place = old.place.join(".");
+        let rest = if place.is_empty() {
+            Some(format!(".{name}"))
+        } else {
+            name.strip_prefix(&place).map(str::to_owned)
+        };
+        rest.filter(|rest| rest.is_empty() || rest.starts_with('.'))
+            .map(|rest| format!("{stage}.{}{rest}", old.key))
+    };
+    OLD_KEYS.iter().filter(|old| old.stage == stage).filter_map(moved).collect()
+}
+
+/// Gives the velocities of the controller that are not set the nearest values to their defaults that `[vehicle]` allows.
+///
+/// So a file that describes a slower robot needs no key of the controller.
+pub(crate) fn fit_velocities(system: &mut Table) {
+    let Some(Value::Table(vehicle)) = system.get(VEHICLE) else { return };
+    let Ok(Description { bounds, .. }) = read::<Description>(vehicle.clone()) else { return };
+    let defaults = nmpc::Config::default();
+    let entry = system.entry("controller".to_owned()).or_insert_with(|| Value::Table(Table::new()));
+    let Value::Table(controller) = entry else { return };
+    for (key, default) in [("cruise_mps", defaults.cruise_mps), ("careful_mps", defaults.careful_mps)] {
+        let fitting = default.min(bounds.velocity_max_mps).max(bounds.velocity_min_mps);
+        if fitting != default {
+            controller.entry(key.to_owned()).or_insert(Value::Float(fitting));
         }
     }
 }
@@ -66,6 +106,7 @@ pub(crate) fn distribute(system: &mut Table) -> Result<Vec<String>, Invalid> {
     };
     let checked: Description = read(description.clone()).map_err(within)?;
     checked.require_ranges().map_err(within)?;
+    checked.bounds.require_order().map_err(|invalid| within(invalid.within("bounds")))?;
     let mut warnings = Vec::new();
     for stage in STAGES {
         let entry = system.entry(stage.to_owned()).or_insert_with(|| Value::Table(Table::new()));
@@ -159,6 +200,15 @@ mod tests {
         assert_eq!(vehicle["width_m"].as_float(), Some(1.4));
         assert_eq!(vehicle["length_m"].as_float(), Some(0.6));
         assert_eq!(vehicle.len(), 2);
+    }
+
+    #[test]
+    fn tyres_without_a_limit_are_those_of_the_emulated_robot_alone() {
+        for (friction, adopted) in [("0", None), ("0.0", None), ("0.4", Some(0.4))] {
+            let mut system = table("");
+            adopt_scenario(&table(&format!("[robot]\ntyre_friction = {friction}")), &mut system);
+            assert_eq!(system["vehicle"].get("tyre_friction").and_then(Value::as_float), adopted);
+        }
     }
 
     #[test]

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 
 use handover::shadow::Study;
 use handover::swap::agreement::{OutputSummary, disagreement};
-use handover::swap::{Output, Party};
+use handover::swap::{Meant, Output, Party};
 use shared_types::{Actuation, Command, Header, Obstacles, Pose, Role, Sample, Topic};
 
 use self::actuator::Actuator;
@@ -189,7 +189,9 @@ fn summary<S: Sample>(sample: &S) -> Option<OutputSummary> {
 /// Whether two outputs of one scan differ more than two processes of one role may.
 fn is_beyond<S: Sample>(recorded: &S, replayed: &S, tolerance: f64) -> bool {
     match (summary(recorded), summary(replayed)) {
-        (Some(recorded), Some(replayed)) => disagreement(&recorded, &replayed, tolerance).is_some(),
+        (Some(recorded), Some(replayed)) => {
+            disagreement(&recorded, &replayed, tolerance, &Meant::default()).is_some()
+        }
         _ => true,
     }
 }

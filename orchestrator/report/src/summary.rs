@@ -1,5 +1,6 @@
 //! The summary at the end of a run, as text with aligned columns.
 
+use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -41,7 +42,7 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
         rows.push(("solver", counts(report.controller.status.iter())));
     }
     if !report.stop_reasons.is_empty() {
-        rows.push(("stops", counts(report.stop_reasons.iter())));
+        rows.push(("stops", stops(&report.stop_reasons)));
     }
     let blocking = report.blocking.map(|blocking| blocking.to_string());
     rows.extend(blocking.filter(|name| !report.reason.contains(name)).map(|name| ("blocked by", name)));
@@ -70,6 +71,15 @@ fn outcome(report: &Report) -> String {
     let simulated = if report.lockstep { " (simulated time)" } else { "" };
     let reason = if report.reason.is_empty() { String::new() } else { format!(": {}", report.reason) };
     format!("{}{reason}{simulated}", report.outcome)
+}
+
+/// For how many scans the wheels were blocked, for each reason.
+fn stops(reasons: &BTreeMap<String, u64>) -> String {
+    let row = |(reason, scans): (&String, &u64)| {
+        let plural = if *scans == 1 { "" } else { "s" };
+        format!("{} for {scans} scan{plural}", reason.replace('_', " "))
+    };
+    reasons.iter().map(row).collect::<Vec<_>>().join(", ")
 }
 
 fn clearance(drive: &TrueDrive) -> String {
@@ -227,8 +237,6 @@ fn line(text: &mut String, arguments: std::fmt::Arguments<'_>) {
 mod tests {
     use super::*;
     use crate::report::{BlockingReport, MarginReport, Outcome};
-    use std::collections::BTreeMap;
-
     fn report() -> Report {
         let mut report = Report { outcome: Outcome::Reached, duration_s: 12.7, ..Report::default() };
         report.drive.path_length_m = 10.2;
@@ -308,7 +316,7 @@ files           out/corridor
         for expected in [
             "outcome         stopped: path blocked (simulated time)\n",
             "clearance       no obstacle\n",
-            "stops           2 no command\n",
+            "stops           no command for 2 scans\n",
             "restarts        3\n",
             "latency         not measured: time was simulated\n",
         ] {

@@ -18,8 +18,8 @@ pub use arguments::{
 };
 
 use crate::print_json;
+use console::answer;
 use console::exit::{Exit, Failure};
-use console::note;
 use report::picture::chart::{self, Chart};
 use vehicle::Control;
 
@@ -61,8 +61,7 @@ fn publish(
     let name = format!("{name}.svg");
     let results = OutFolder::claim(&output.out, &[&name], output.force)?;
     let path = results.write(&name, chart::draw(chart)?.as_bytes())?;
-    note!("{table}");
-    note!("picture         {}", path.display());
+    answer!(output.json, "{table}\npicture         {}", path.display())?;
     print_json(output.json, data)?;
     Ok(if is_good { Exit::Done } else { Exit::NotReached })
 }

@@ -13,11 +13,11 @@ use emulator::Scenario;
 
 pub use arguments::{CalibrateArguments, Kind};
 
+use console::answer;
 use console::exit::{Exit, Failure};
 use console::new_file::{self, require_apart};
-use console::note;
 use console::out_folder::OutFolder;
-use console::user_file;
+use console::user_file::{self, DATA_BYTES};
 use plan::Choice;
 use plan::{Plan, calibration_file};
 use report::picture::panels;
@@ -55,14 +55,14 @@ pub(crate) fn calibrate(arguments: &CalibrateArguments) -> anyhow::Result<Exit> 
     }?;
     let merged = merge(&into, &found.file)?;
 
-    let tell = |what: &str, path: &Path| note!("{what:<15} {}", path.display());
+    let tell = |what: &str, path: &Path| answer!(arguments.json, "{what:<15} {}", path.display());
     if let Some(text) = &found.table {
-        tell("table", &out.write(&table, text.as_bytes())?);
+        tell("table", &out.write(&table, text.as_bytes())?)?;
     }
-    tell("picture", &out.write(&picture, panels::draw(&found.charts)?.as_bytes())?);
+    tell("picture", &out.write(&picture, panels::draw(&found.charts)?.as_bytes())?)?;
     new_file::write(&into, merged.to_toml().as_bytes())?;
-    tell("calibration", &into);
-    note!("{}", found.text);
+    tell("calibration", &into)?;
+    answer!(arguments.json, "{}", found.text)?;
     print_json(arguments.json, &found.file)?;
     Ok(Exit::Done)
 }

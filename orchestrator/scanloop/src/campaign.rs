@@ -11,8 +11,8 @@ mod run;
 mod summary;
 mod text;
 
+use console::answer;
 use console::exit::Exit;
-use console::note;
 use console::out_folder::OutFolder;
 use console::progress::Steps;
 
@@ -37,9 +37,9 @@ pub(crate) fn campaign(arguments: &CampaignArguments) -> anyhow::Result<Exit> {
     for run in runs.iter().filter(|run| failures::is_bad(run)) {
         summary.add_bad(failures::save(run, arguments, &results)?);
     }
-    note!("{}", text::text(&summary, &failures::settings(arguments)));
+    answer!(arguments.json, "{}", text::text(&summary, &failures::settings(arguments)))?;
     if let Some(picture) = picture::draw(&summary.families, arguments.robot.name())? {
-        note!("picture         {}", results.write(PICTURE, picture.as_bytes())?.display());
+        answer!(arguments.json, "picture         {}", results.write(PICTURE, picture.as_bytes())?.display())?;
     }
     print_json(arguments.json, &summary)?;
     Ok(match (summary.collision, summary.bad.is_empty()) {

@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use console::exit::{Exit, Failure};
-use console::note;
+use console::answer;
+use console::exit::Exit;
 use console::output::data;
 use console::user_file::{self, TEXT_BYTES};
 use emulator::Scenario;
@@ -31,10 +31,10 @@ pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
     let mut scenarios = Vec::new();
     let mut shown = BTreeSet::new();
     for file in &arguments.files {
-        if is_system(file)? {
+        if is_system(file) {
             choice.system = Some(PathBuf::from(file));
             let plan = Plan::read(None, &Choice { overrides: Vec::new(), ..choice.clone() })?;
-            note!("{file}: a valid system");
+            answer!(false, "{file}: a valid system")?;
             warn(&plan, &mut shown);
         } else {
             scenarios.push(file.as_str());
@@ -44,15 +44,20 @@ pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
     for scenario in &scenarios {
         let checked = Plan::read(Some(scenario), &choice)?;
         let (obstacles, goal) = (checked.scenario.placed_obstacles().len(), &checked.scenario.goal);
-        note!("{scenario}: a valid scenario, {obstacles} obstacles, goal at ({}, {})", goal.x_m, goal.y_m);
-        remark(&checked, &mut shown);
+        answer!(
+            false,
+            "{scenario}: a valid scenario, {obstacles} obstacles, goal at ({}, {})",
+            goal.x_m,
+            goal.y_m
+        )?;
+        remark(&checked, &mut shown)?;
         plan = Some(checked);
     }
     let plan = match plan {
         Some(plan) => plan,
         None => {
             let plan = Plan::read(None, &choice)?;
-            remark(&plan, &mut shown);
+            remark(&plan, &mut shown)?;
             plan
         }
     };
@@ -61,10 +66,10 @@ pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
 }
 
 /// Prints the warnings of a plan, where its scenario differs from the description, and what limits the speed.
-fn remark(plan: &Plan, shown: &mut BTreeSet<String>) {
+fn remark(plan: &Plan, shown: &mut BTreeSet<String>) -> anyhow::Result<()> {
     warn(plan, shown);
-    let lines = difference::list(&plan.differences_of_truth()).into_iter().chain(plan.careful());
-    lines.for_each(|line| note!("  {line}"));
+    let mut lines = difference::list(&plan.differences_of_truth()).into_iter().chain(plan.careful());
+    lines.try_for_each(|line| answer!(false, "  {line}").map(drop))
 }
 
 /// Prints the warnings of a plan that were not shown before: those of a system belong to each of its scenarios.
@@ -115,14 +120,13 @@ fn names(topics: &[Topic]) -> String {
 }
 
 /// A file with processes or a rate is a system; anything else, and every shipped name, is a scenario.
-fn is_system(file: &str) -> anyhow::Result<bool> {
+fn is_system(file: &str) -> bool {
     let path = Path::new(file);
     if !path.is_file() && Scenario::shipped(file).is_some() {
-        return Ok(false);
+        return false;
     }
-    let text =
-        user_file::read(path, TEXT_BYTES).map_err(|error| Failure::bad_input(format!("{file}: {error}")))?;
-    // A file that is not TOML is refused as a scenario, with the line.
-    let Ok(table) = text.parse::<Table>() else { return Ok(false) };
-    Ok(System::keys().iter().any(|key| table.contains_key(key.name)))
+    // A file that can't be read or is not TOML is refused as a scenario, with the line.
+    let text = user_file::read(path, TEXT_BYTES).unwrap_or_default();
+    let table = text.parse::<Table>().unwrap_or_default();
+    System::keys().iter().any(|key| table.contains_key(key.name))
 }

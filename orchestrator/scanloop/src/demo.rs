@@ -5,6 +5,7 @@
 
 mod acts;
 mod claims;
+mod load;
 mod page;
 mod show;
 mod story;
@@ -17,8 +18,8 @@ use std::time::Duration;
 use clap::{Args, ValueEnum};
 use console::exit::{Exit, Failure};
 use console::new_file::Scratch;
-use console::note;
 use console::out_folder::OutFolder;
+use console::{answer, note};
 use runtime::Shutdown;
 use session::arguments::out_folder;
 use shared_types::Role;
@@ -136,19 +137,28 @@ pub(crate) fn demo(system_id: Option<&str>, arguments: &DemoArguments) -> anyhow
         }
         played => played?,
     }
-    note!("\n{}", show.claims.table());
+    answer!(arguments.json, "\n{}", show.claims.table())?;
     let failed = show.claims.claims.iter().filter(|claim| !claim.held).count();
     let time_s = show.story.time_s();
-    note!(
+    answer!(
+        arguments.json,
         "{} of {} promises held, measured in {time_s:.0} s",
         show.claims.claims.len() - failed,
         show.claims.claims.len()
-    );
+    )?;
+    if failed > 0
+        && let Some(busy) = load::busy()
+    {
+        answer!(
+            arguments.json,
+            "{busy}: the times are promised for a machine with idle processors, so try again"
+        )?;
+    }
     if let Some(out) = &arguments.out {
         results.write(DATA, (serde_json::to_string_pretty(&show.claims)? + "\n").as_bytes())?;
         let picture = std::fs::read_to_string(out.join("drive/drive.svg")).ok();
         let page = page::html(&show.claims, &show.story, picture.as_deref());
-        note!("page            {}", results.write(PAGE, page.as_bytes())?.display());
+        answer!(arguments.json, "page            {}", results.write(PAGE, page.as_bytes())?.display())?;
     }
     print_json(arguments.json, &show.claims)?;
     Ok(if show.claims.held { Exit::Done } else { Exit::NotReached })

@@ -9,13 +9,14 @@ mod page;
 mod system;
 mod watch;
 
+use console::answer;
 use console::exit::{Exit, Failure};
-use console::note;
 use console::out_folder::OutFolder;
 use console::progress::Steps;
 use fault_matrix::{Cell, Simulation, Verdict};
 use faults::{Fault, Phase};
 use serde::{Deserialize, Serialize};
+use shared_types::did_you_mean;
 
 use crate::cli::FaultsArguments;
 use crate::cores::on_all_cores;
@@ -56,10 +57,10 @@ pub(crate) fn faults(arguments: &FaultsArguments) -> anyhow::Result<Exit> {
     }
     let results = OutFolder::claim(&arguments.out, &[DATA, PAGE], arguments.force)?;
     let matrix = drive(&chosen)?;
-    note!("{}", text(&matrix));
+    answer!(arguments.json, "{}", text(&matrix))?;
     results.write(DATA, serde_json::to_string_pretty(&matrix)?.as_bytes())?;
     let page = results.write(PAGE, page::html(&matrix.cells).as_bytes())?;
-    note!("page            {}", page.display());
+    answer!(arguments.json, "page            {}", page.display())?;
     print_json(arguments.json, &matrix)?;
     Ok(if matrix.failed == 0 { Exit::Done } else { Exit::NotReached })
 }
@@ -76,8 +77,9 @@ fn chosen<'a>(all: &'a [Fault], arguments: &FaultsArguments) -> anyhow::Result<V
     let mut chosen: Vec<(&Fault, Phase)> =
         cells.filter(|(fault, phase)| matches(pattern, &name(&fault.name, *phase))).collect();
     if chosen.is_empty() {
+        let meant = did_you_mean(pattern, all.iter().map(|fault| fault.name.as_str()));
         return Err(Failure::bad_input(format!(
-            "--only {pattern}: no cell has such a name; `scanloop faults --list` prints them"
+            "--only {pattern}: no cell has such a name.{meant} `scanloop faults --list` prints them"
         )));
     }
     if let Some(count) = arguments.sample.filter(|count| *count < chosen.len()) {

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use clap::Args;
 use console::exit::{Exit, Failure};
-use console::{note, output::data};
+use console::{answer, output::data};
 use faults::{Injection, ProcessFault, ProcessName};
 use runtime::{Domain, Shutdown, wait_for};
 use rustix::process::Pid;
@@ -61,9 +61,9 @@ pub(crate) fn inject(system_id: &str, arguments: &InjectArguments) -> anyhow::Re
     match faults::find(name)?.map(|fault| fault.inject) {
         Some(Injection::Process(fault)) => {
             disturb(&fault, targets(&fault, &status, orchestrator), &domain, for_s, &shutdown)?;
-            note!("{name}: done");
+            answer!(false, "{name}: done")?;
         }
-        _ => note!("{name}: for {for_s} s"),
+        _ => _ = answer!(false, "{name}: for {for_s} s")?,
     }
     Ok(Exit::Done)
 }

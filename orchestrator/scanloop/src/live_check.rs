@@ -15,8 +15,8 @@ mod sensors;
 use std::fmt::Write as _;
 
 use clap::Args;
+use console::answer;
 use console::exit::{Exit, Failure};
-use console::note;
 use plan::{Choice, Plan, System};
 use runtime::{Bus, Domain, Shutdown, monotonic_ns, wait_for};
 use serde::Serialize;
@@ -88,7 +88,7 @@ pub(crate) fn check(system_id: &str, arguments: &LiveArguments, choice: &Choice)
         let mut bench = Bench::start(system_id, &plan, shutdown)?;
         bench.observe((arguments.observe * 1e9) as u64)?;
         let mut checks = sensors::findings(&bench.feed.observed, &plan.system);
-        show(&checks);
+        show(&checks, arguments)?;
         let moved = motion::findings(&mut bench, &plan.system, arguments, &checks)?;
         checks.extend(moved.findings);
         (checks, moved.deceleration)
@@ -96,7 +96,7 @@ pub(crate) fn check(system_id: &str, arguments: &LiveArguments, choice: &Choice)
     let count = |outcome: Outcome| checks.iter().filter(|finding| finding.outcome == outcome).count();
     let [ok, failed, skipped] = [Outcome::Ok, Outcome::Failed, Outcome::Skipped].map(count);
     let entered_mps2 = deceleration.map(|found| found.entered_mps2);
-    note!("{}", summary(ok, failed, skipped, entered_mps2));
+    answer!(arguments.json, "{}", summary(ok, failed, skipped, entered_mps2))?;
     let report = LiveReport {
         system_id: system_id.to_owned(),
         system: if is_running { "running" } else { "started" },
@@ -149,7 +149,7 @@ fn observe(system_id: &str, arguments: &LiveArguments, shutdown: &Shutdown) -> a
     let mut checks = sensors::findings(&feed.observed, &system);
     let reason = "the system is running: stop it, then check again";
     checks.extend(motion::NAMES.map(|name| Finding::skipped(name, reason)));
-    show(&checks);
+    show(&checks, arguments)?;
     Ok(checks)
 }
 
@@ -163,8 +163,8 @@ fn system_of(domain: &Domain) -> anyhow::Result<System> {
     }
 }
 
-fn show(checks: &[Finding]) {
-    checks.iter().for_each(|finding| note!("{finding}"));
+fn show(checks: &[Finding], arguments: &LiveArguments) -> anyhow::Result<()> {
+    checks.iter().try_for_each(|finding| answer!(arguments.json, "{finding}").map(drop))
 }
 
 fn summary(ok: usize, failed: usize, skipped: usize, deceleration_mps2: Option<f64>) -> String {

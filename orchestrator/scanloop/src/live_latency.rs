@@ -1,7 +1,7 @@
 //! `scanloop latency`: where the time of each scan goes, from the headers of the actuations on the bus.
 
+use console::answer;
 use console::exit::Exit;
-use console::note;
 use report::LatencyReport;
 use report::latency::Latencies;
 use report::summary::latency_table;
@@ -45,13 +45,15 @@ pub(crate) fn watch(system_id: &str, duration_s: f64, json: bool) -> anyhow::Res
         })?;
         if monotonic_ns() >= next {
             next += TABLE_NS;
-            note!("{}", latency_table(&second.report()));
+            if !answer!(json, "{}", latency_table(&second.report()))? {
+                return Ok(Exit::Done);
+            }
             second = Latencies::new(status.lockstep);
         }
     }
-    note!("system {}, {}, whole time:", status.system_id, status.scenario);
     let report = LatencyReport { companions: companion_delays(domain)?, ..all.report() };
-    note!("{}", latency_table(&report));
+    let table = latency_table(&report);
+    answer!(json, "system {}, {}, whole time:\n{table}", status.system_id, status.scenario)?;
     print_json(json, &serde_json::json!({ "latency_us": report }))?;
     Ok(Exit::Done)
 }

@@ -13,9 +13,9 @@ mod search;
 mod text;
 
 use console::exit::Exit;
-use console::note;
 use console::out_folder::OutFolder;
 use console::progress::Steps;
+use console::{answer, note};
 use plan::Plan;
 use serde::Serialize;
 
@@ -65,9 +65,9 @@ pub(crate) fn price(arguments: &PriceArguments) -> anyhow::Result<Exit> {
     let base = condition::base(arguments)?;
     base.warnings.iter().for_each(|warning| note!("{warning}"));
     let price = measured(arguments, &base);
-    note!("{}", text::text(&price));
+    answer!(arguments.json, "{}", text::text(&price))?;
     let picture = results.write(PICTURE, picture::draw(&price)?.as_bytes())?;
-    note!("picture         {}", picture.display());
+    answer!(arguments.json, "picture         {}", picture.display())?;
     print_json(arguments.json, &price)?;
     Ok(if price.contacts == 0 { Exit::Done } else { Exit::Collision })
 }

@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use clap::{Args, Subcommand};
 use console::exit::{Exit, Failure};
-use console::note;
 use console::output::data;
+use console::{answer, note};
 use recording::info::Info;
 use recording::recorder::{Options, record as record_system};
 use recording::{copy, export};
@@ -113,7 +113,13 @@ pub(crate) fn record(system_id: &str, arguments: &RecordArguments) -> anyhow::Re
     };
     let summary = record_system(&domain, &options, &shutdown)?;
     let megabytes = summary.bytes as f64 * 1e-6;
-    note!("{}: {megabytes:.2} MB, {} samples, {} lost", file.display(), summary.samples, summary.lost);
+    answer!(
+        arguments.json,
+        "{}: {megabytes:.2} MB, {} samples, {} lost",
+        file.display(),
+        summary.samples,
+        summary.lost
+    )?;
     print_json(arguments.json, &summary)?;
     if summary.error.is_empty() {
         return Ok(Exit::Done);
@@ -139,17 +145,18 @@ pub(crate) fn recording(command: &RecordingCommand) -> anyhow::Result<Exit> {
             let out = out.clone().unwrap_or_else(|| repaired(file));
             let copied = copy::repair(file, &out, *force)?;
             for missing in &copied.gaps {
-                note!("{missing}");
+                answer!(false, "{missing}")?;
             }
             if let Some(missing) = copied.missing_attachments.filter(|missing| *missing > 0) {
-                note!("{missing} attached files or texts can't be read");
+                answer!(false, "{missing} attached files or texts can't be read")?;
             }
             let state = match (copied.gaps.is_empty(), copied.is_loss) {
                 (true, _) => "was complete",
                 (false, false) => "was damaged, but nothing of the drive is missing",
                 (false, true) => "was damaged or cut off, and is not whole",
             };
-            note!("{} {state}; {} messages in {}", file.display(), copied.messages, names(&copied.files));
+            let (messages, files) = (copied.messages, names(&copied.files));
+            answer!(false, "{} {state}; {messages} messages in {files}", file.display())?;
             if copied.is_loss {
                 return Ok(Exit::NotReached);
             }
@@ -163,14 +170,15 @@ pub(crate) fn recording(command: &RecordingCommand) -> anyhow::Result<Exit> {
             }
             let ns = |seconds: f64| (seconds * 1e9) as u64;
             let copied = copy::copy(file, out, *force, ns(*from)..=to.map_or(u64::MAX, ns))?;
-            note!("{}: {} messages, {} bytes", names(&copied.files), copied.messages, copied.bytes);
+            let (messages, bytes) = (copied.messages, copied.bytes);
+            answer!(false, "{}: {messages} messages, {bytes} bytes", names(&copied.files))?;
         }
         RecordingCommand::Export { file, csv, rosbag2, force } => {
             if let Some(folder) = csv {
-                note!("{}: {} rows", folder.display(), export::csv(file, folder, *force)?);
+                answer!(false, "{}: {} rows", folder.display(), export::csv(file, folder, *force)?)?;
             }
             if let Some(folder) = rosbag2 {
-                note!("{}: {} messages", folder.display(), export::rosbag2(file, folder, *force)?);
+                answer!(false, "{}: {} messages", folder.display(), export::rosbag2(file, folder, *force)?)?;
             }
         }
     }

@@ -5,7 +5,8 @@ use std::fmt::Write as _;
 use clap::builder::PossibleValue;
 use clap::{Arg, Args, Command, ValueEnum};
 use console::exit::Failure;
-use plan::reference::{find, scenario_page, system_page};
+use plan::reference::{find, names, scenario_page, system_page};
+use shared_types::did_you_mean;
 
 /// A page of the documentation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -42,10 +43,13 @@ pub(crate) fn text(arguments: &ReferenceArguments, root: Command) -> anyhow::Res
         Some(Page::Commands) => Ok(commands_page(root)),
         Some(Page::Faults) => Ok(crate::faults::faults_page(&faults::all()?)),
         None => match find(&arguments.text) {
-            found if found.is_empty() => Err(Failure::bad_input(format!(
-                "{}: no key of the scenario or the system file has this in its name or meaning",
-                arguments.text
-            ))),
+            found if found.is_empty() => {
+                let text = &arguments.text;
+                let meant = did_you_mean(text.rsplit('.').next().unwrap_or(text), names());
+                Err(Failure::bad_input(format!(
+                    "{text}: no key of the scenario or the system file has this in its name or meaning.{meant}"
+                )))
+            }
             found => Ok(found),
         },
     }

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::Args;
+use console::answer;
 use console::exit::{Exit, Failure};
-use console::note;
 use replay::{Options, replay as replay_recording};
 use shared_types::Role;
 use supervision::child::this_program;
@@ -67,7 +67,8 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> anyhow::Result<Exit> {
     let report = replay_recording(file, &options)?;
     print_json(*json, &report)?;
     let seconds = started.elapsed().as_secs_f64();
-    note!(
+    answer!(
+        *json,
         "{}: {} scans, {} outputs, {} compared, {} identical, {} skipped, {seconds:.2} s",
         file.display(),
         report.scans,
@@ -75,27 +76,34 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> anyhow::Result<Exit> {
         report.compared,
         report.identical,
         report.skipped
-    );
+    )?;
     if report.injected > 0 {
-        note!("{} outputs were changed by an injected fault", report.injected);
+        answer!(*json, "{} outputs were changed by an injected fault", report.injected)?;
     }
     for skipped in &report.reasons {
-        note!(
+        answer!(
+            *json,
             "skipped {} of {} by process {}: {}",
             skipped.samples,
             skipped.topic,
             skipped.incarnation,
             skipped.reason
-        );
+        )?;
     }
-    report.not_compared.iter().for_each(|process| note!("{process}"));
+    for process in &report.not_compared {
+        answer!(*json, "{process}")?;
+    }
     for other in &report.not_replayed {
-        note!("{} is not replayed, another layout: {}", other.role, other.fields.join("; "));
+        answer!(*json, "{} is not replayed, another layout: {}", other.role, other.fields.join("; "))?;
     }
-    report.differences.iter().for_each(|difference| note!("{difference}"));
-    report.statistics.iter().for_each(|statistics| note!("{statistics}"));
+    for difference in &report.differences {
+        answer!(*json, "{difference}")?;
+    }
+    for statistics in &report.statistics {
+        answer!(*json, "{statistics}")?;
+    }
     if is_changed {
-        note!("{} outputs beyond the bounds, with tolerance {tolerance}", report.beyond);
+        answer!(*json, "{} outputs beyond the bounds, with tolerance {tolerance}", report.beyond)?;
     }
     if report.compared == 0 {
         let changed = "injected faults have changed all outputs";

@@ -3,6 +3,7 @@
 mod injection;
 
 use console::exit::{Exit, Failure};
+use shared_types::did_you_mean;
 use supervision::entry::IMPLEMENTATIONS;
 
 use crate::bench::latency::noise;
@@ -36,7 +37,8 @@ pub(crate) fn run(name: &str) -> anyhow::Result<Exit> {
         "actuation" => actuation::service::run()?,
         _ => {
             let known = IMPLEMENTATIONS.map(|(name, _)| name).join(", ");
-            let message = format!("unknown implementation `{name}`: expected one of {known}");
+            let meant = did_you_mean(name, IMPLEMENTATIONS.map(|(name, _)| name));
+            let message = format!("unknown implementation `{name}`: expected one of {known}.{meant}");
             return Err(Failure::bad_input(message));
         }
     }

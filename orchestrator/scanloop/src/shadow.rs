@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use clap::Args;
 use console::exit::{Exit, Failure};
-use console::note;
+use console::{answer, note};
 use runtime::Shutdown;
 use session::control::{Reply, Request, ShadowRequest, ask};
 
@@ -69,7 +69,7 @@ pub fn shadow(system_id: &str, arguments: &ShadowArguments) -> anyhow::Result<Ex
         }
     };
     print_json(arguments.json, &report)?;
-    note!("{report}");
+    answer!(arguments.json, "{report}")?;
     Ok(if report.outcome.is_good() { Exit::Done } else { Exit::NotReached })
 }
 

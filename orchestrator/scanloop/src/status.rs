@@ -2,8 +2,8 @@
 
 use std::fmt::Write as _;
 
+use console::answer;
 use console::exit::Exit;
-use console::note;
 use emulator::JudgedBy;
 use runtime::{Domain, LinkedHost};
 use session::control::{CompanionStatus, ProcessStatus, Status};
@@ -20,10 +20,8 @@ pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
     let status = current_status(domain)?;
     print_json(json, &status)?;
     if !json {
-        note!("{}", table(&status));
-        if status.state == ORPHANED {
-            note!("its orchestrator died: `scanloop adopt` takes it over, `scanloop stop` ends it");
-        }
+        let hint = "its orchestrator died: `scanloop adopt` takes it over, `scanloop stop` ends it\n";
+        answer!(json, "{}{}", table(&status), if status.state == ORPHANED { hint } else { "" })?;
     }
     Ok(Exit::Done)
 }

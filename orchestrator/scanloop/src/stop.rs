@@ -7,7 +7,7 @@
 use std::process::{Command, Stdio};
 
 use console::exit::{Exit, Failure};
-use console::note;
+use console::output::answer;
 use runtime::{Domain, Priority, RuntimeError, print};
 use rustix::process::{geteuid, setsid};
 use supervision::child::this_program;
@@ -67,9 +67,16 @@ fn stop_one(run: &LivingRun) -> bool {
     if confirmed {
         let state = if orphaned { ", which had lost its orchestrator," } else { "" };
         let end = if is_over { "and it has ended" } else { "its processes are ending" };
-        note!("system `{system_id}`{state} is stopped: wheels blocked after {after_ms} ms, {end}");
+        tell(&format!("system `{system_id}`{state} is stopped: wheels blocked after {after_ms} ms, {end}"));
     }
     confirmed
+}
+
+/// Prints the result. What happened does not depend on whether it can be printed.
+fn tell(text: &str) {
+    if let Err(error) = answer(false, text) {
+        print(Priority::Error, &format!("{text} ({error:#})"));
+    }
 }
 
 /// Starts a copy of this program that ends what is left of a run.
@@ -94,7 +101,7 @@ fn finish(run_id: &str, uid: Option<u32>) -> anyhow::Result<Exit> {
 /// No such system is running: removes the files of a dead one, and names the running ones.
 fn nothing(system_id: &str, arguments: &StopArguments, living: &[LivingRun]) -> anyhow::Result<Exit> {
     if arguments.all {
-        note!("no system is running");
+        tell("no system is running");
         return Ok(Exit::Done);
     }
     if arguments.uid.is_none()

@@ -5,7 +5,7 @@ mod watch;
 
 use clap::Args;
 use console::exit::{Exit, Failure};
-use console::note;
+use console::{answer, note};
 use handover::swap::{Certificate, MAX_TOLERANCE, SwapOutcome};
 use plan::change;
 use runtime::{Domain, OwnTopics};
@@ -102,7 +102,12 @@ fn finish(domain: &Domain, request: SwapRequest, json: bool) -> anyhow::Result<E
     let number = begin(domain, &Request::Swap(request))?;
     let Some(certificate) = certificate(domain, number, || false)? else { return Ok(Exit::NotReached) };
     print_json(json, &certificate)?;
-    note!("{certificate}");
+    answer!(json, "{certificate}")?;
+    if certificate.outcome != SwapOutcome::Swapped && certificate.reason.contains("disagreement") {
+        note!(
+            "`--tolerance FACTOR` widens the bounds of agreement; with 1000 only validity and timing are checked"
+        );
+    }
     Ok(exit_of(&certificate))
 }
 
@@ -133,12 +138,12 @@ pub(crate) fn restart(system_id: &str, role: &str) -> anyhow::Result<Exit> {
         Reply::Refused(reason) => return Err(Failure::bad_input(reason)),
         Reply::Accepted(number) => number,
         _ => {
-            note!("{role} is being restarted");
+            answer!(false, "{role} is being restarted")?;
             return Ok(Exit::Done);
         }
     };
     let Some(certificate) = certificate(domain, number, || false)? else { return Ok(Exit::NotReached) };
-    note!("{}", certificate.of_restart());
+    answer!(false, "{}", certificate.of_restart())?;
     Ok(exit_of(&certificate))
 }
 
@@ -164,13 +169,13 @@ fn replace(
         Reply::Refused(reason) => return Err(Failure::bad_input(reason)),
         Reply::Accepted(number) => number,
         _ => {
-            note!("companion {name} is being started");
+            answer!(json, "companion {name} is being started")?;
             return Ok(Exit::Done);
         }
     };
     let Some(certificate) = certificate(domain, number, || false)? else { return Ok(Exit::NotReached) };
     print_json(json, &certificate)?;
-    note!("{certificate}");
+    answer!(json, "{certificate}")?;
     Ok(exit_of(&certificate))
 }
 

@@ -12,7 +12,8 @@ use serde_json::{Map, Value, json};
 use session::arguments::check_duration;
 use shared_types::{
     Actuation, Checkpoint, ClockOffset, Command, Directive, ENUMERATIONS, Field, Header, Heartbeat, Journal,
-    Kind, MAX_NUMBER, Obstacles, Odometry, Pose, Role, Sample, Scan, TOPICS, Topic, Truth, require_sequence,
+    Kind, MAX_NUMBER, Obstacles, Odometry, Pose, Role, Sample, Scan, TOPICS, Topic, Truth, did_you_mean,
+    require_sequence,
 };
 
 pub(crate) use self::publish::publish;
@@ -206,7 +207,13 @@ impl Watch {
         if let Some(own) = own {
             return Self::own(bus, &own, topic);
         }
-        let topic = of_loop.map_err(Failure::bad_input)?;
+        let topic = of_loop.map_err(|unknown| {
+            let own = OwnTopics::of(&domain).ok().flatten().map_or_else(Vec::new, |own| own.topic);
+            let names: Vec<&str> = own.iter().map(|row| row.name.as_str()).collect();
+            let meant = did_you_mean(topic, names.iter().copied());
+            let of_file = format!("; the system file adds {}.{meant}", names.join(", "));
+            Failure::bad_input(format!("{unknown}{}", if names.is_empty() { "" } else { &of_file }))
+        })?;
         fn of<S: Sample>(bus: &Bus) -> Result<NextSample, RuntimeError> {
             let observer = Observer::<S>::new(bus)?;
             Ok(Box::new(move || Ok(observer.next()?.map(|(sample, _)| bytemuck::bytes_of(&sample).to_vec()))))

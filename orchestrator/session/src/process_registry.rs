@@ -4,6 +4,7 @@
 //! `run.toml` contains scenario and system and is written once. `processes.toml` contains the process of each role and
 //! the newest directive; it is written at each change, before the change is published.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use anyhow::Context;
@@ -157,7 +158,7 @@ impl RunFile {
             also_reads: Vec::new(),
         };
         let own_topics = OwnTopics::of(domain)?.unwrap_or_else(none);
-        let plan = Plan { scenario, system, own_topics, warnings: Vec::new() };
+        let plan = Plan { scenario, system, own_topics, warnings: Vec::new(), given: BTreeSet::new() };
         Ok((run, plan))
     }
 }

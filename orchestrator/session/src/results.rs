@@ -39,7 +39,7 @@ pub(crate) fn conclude(mut session: Session, plan: &Plan, out: &OutFolder) -> an
     let has_truth = report.judged_by == JudgedBy::Truth;
     let report = Report { differences: if has_truth { differences(plan) } else { Vec::new() }, ..report };
     let written = write_results(&report, &plan.scenario, &recorder, out);
-    runtime::print(runtime::Priority::Notice, &summary::text(&report, Some(&near(out.folder()))));
+    runtime::print_answer(&summary::text(&report, Some(&near(out.folder()))));
     if let Err(error) = written {
         // The drive is over: a full disk does not change its outcome.
         runtime::print(runtime::Priority::Error, &format!("error: the results were not written: {error:#}"));
@@ -56,7 +56,7 @@ pub(crate) fn conclude(mut session: Session, plan: &Plan, out: &OutFolder) -> an
 fn differences(plan: &Plan) -> Vec<Difference> {
     let found = plan.differences().into_iter();
     let row = |difference: plan::Difference| {
-        let plan::Difference { key, truth, believed } = difference;
+        let plan::Difference { key, truth, believed, .. } = difference;
         Difference { key: key.to_owned(), truth: value(truth), believed: value(believed) }
     };
     found.map(row).collect()

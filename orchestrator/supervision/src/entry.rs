@@ -2,7 +2,7 @@
 
 use runtime::Identity;
 use serde::{Deserialize, Serialize};
-use shared_types::Role;
+use shared_types::{Role, did_you_mean};
 use vehicle::{Invalid, settings};
 
 use crate::keeper::KeeperPolicy;
@@ -181,14 +181,22 @@ impl ProcessEntry {
         }
         let role: Role = self.role.parse().map_err(|_| {
             let given = if self.role.is_empty() { "(missing)" } else { &self.role };
-            Invalid::new("role", given, ROLES)
+            let roles = Role::ALL.iter().map(|role| role.name()).chain([COMPANION]);
+            let meant = did_you_mean(&self.role, roles);
+            Invalid::new(
+                "role",
+                given,
+                if meant.is_empty() { ROLES.to_owned() } else { format!("{ROLES}.{meant}") },
+            )
         })?;
         match (&self.implementation, &self.command) {
             (Some(name), None) => {
                 if !IMPLEMENTATIONS.contains(&(name.as_str(), role)) {
                     let of_role: Vec<&str> =
                         IMPLEMENTATIONS.iter().filter(|(_, of)| *of == role).map(|(name, _)| *name).collect();
-                    let allowed = format!("one of {} for role {role}, or a `command`", of_role.join(", "));
+                    let meant = did_you_mean(name, of_role.iter().copied());
+                    let allowed =
+                        format!("one of {} for role {role}, or a `command`.{meant}", of_role.join(", "));
                     return Err(Invalid::new("implementation", name, allowed));
                 }
             }

@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions};
 use std::io::Write;
 
-use runtime::{Realtime, Scheduler};
+use runtime::Realtime;
 use toml::{Table, Value};
 use vehicle::{Invalid, require};
 
@@ -86,9 +86,6 @@ pub fn validate(realtime: &Realtime) -> Result<(), Invalid> {
         let allowed = "0 with one processor in `cpu`: a process that polls there keeps the one it waits for from running";
         return Err(Invalid::new("poll_us", realtime.poll_us, allowed));
     }
-    if realtime.scheduler == Scheduler::Fifo {
-        require("priority", f64::from(realtime.priority), 1.0..=98.0)?;
-    }
     Ok(())
 }
 
@@ -101,6 +98,8 @@ fn keep_awake() -> std::io::Result<File> {
 
 #[cfg(test)]
 mod tests {
+    use runtime::Scheduler;
+
     use super::*;
 
     fn profile_on(system: &str) -> Realtime {

@@ -1,7 +1,7 @@
 //! Settings of the actuator.
 
-use vehicle::correction::{Calibration, SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
-use vehicle::{Bounds, Description, Invalid, require, settings};
+use vehicle::correction::Calibration;
+use vehicle::{Description, Invalid, settings};
 
 settings! {
     /// Settings of the actuator.
@@ -29,16 +29,15 @@ impl Config {
     /// # Errors
     /// [`Invalid`] with the key, the value and the range.
     pub fn validate(&self) -> Result<(), Invalid> {
-        let Bounds { velocity_min_mps, velocity_max_mps, steering_max_rad, .. } = self.vehicle.bounds;
-        require("vehicle.bounds.velocity_max_mps", velocity_max_mps, 0.0..=SENT_VELOCITY_MAX_MPS)?;
-        require("vehicle.bounds.velocity_min_mps", velocity_min_mps, 0.0..=velocity_max_mps)?;
-        require("vehicle.bounds.steering_max_rad", steering_max_rad, 0.0..=SENT_STEERING_MAX_RAD)?;
-        self.require_ranges()
+        self.require_ranges()?;
+        self.vehicle.bounds.require_order().map_err(|invalid| invalid.within("vehicle.bounds"))
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use vehicle::Bounds;
+
     use super::*;
 
     #[test]

@@ -89,9 +89,17 @@ impl Scenario {
     /// # Errors
     /// One message with file, key, value and allowed range.
     pub fn from_table(table: toml::Table, file: &str) -> Result<Self, ScenarioError> {
-        let refuse = |invalid: Invalid| ScenarioError { file: file.to_owned(), message: invalid.to_string() };
-        let scenario = read::scenario(table).map_err(refuse)?;
-        scenario.validate().map_err(refuse)?;
+        Self::checked(table)
+            .map_err(|invalid| ScenarioError { file: file.to_owned(), message: invalid.to_string() })
+    }
+
+    /// [`Self::from_table`] for a caller that names the source itself.
+    ///
+    /// # Errors
+    /// The first key that is not allowed.
+    pub fn checked(table: toml::Table) -> Result<Self, Invalid> {
+        let scenario = read::scenario(table)?;
+        scenario.validate()?;
         Ok(scenario)
     }
 

@@ -13,3 +13,4 @@ pub use invalid::{Invalid, require};
 pub use key::{Key, Setting, require_key, toml_text};
 pub use read::{parse, read};
 pub use rule::{Ascending, Numeric, Rule};
+pub use shared_types::did_you_mean;

@@ -3,7 +3,7 @@
 use serde::de::DeserializeOwned;
 use toml::{Table, Value};
 
-use crate::Invalid;
+use crate::{Invalid, did_you_mean};
 
 /// The table in a TOML text.
 ///
@@ -58,8 +58,13 @@ fn value_at<'a>(table: &'a Table, path: &str) -> Option<&'a Value> {
 fn allowed(key: &str, message: &str) -> String {
     let message = message.lines().next().unwrap_or_default();
     let expected = message.rsplit_once("expected ").map_or(message, |(_, expected)| expected);
+    let [given, names] = split_names(message);
+    let meant = did_you_mean(given.first().unwrap_or(&""), names);
     if message.starts_with("unknown field") {
-        return format!("the key is unknown, expected {expected}");
+        return format!("the key is unknown.{meant} Expected {expected}");
+    }
+    if message.starts_with("unknown variant") && !meant.is_empty() {
+        return format!("{expected}.{meant}");
     }
     match expected {
         "f64" => "a number".to_owned(),
@@ -68,4 +73,10 @@ fn allowed(key: &str, message: &str) -> String {
         table if table.starts_with("struct ") => format!("a table [{key}]"),
         other => other.to_owned(),
     }
+}
+
+/// The name that was given, and those that are allowed, in "unknown field `a`, expected one of `b`, `c`".
+fn split_names(message: &str) -> [Vec<&str>; 2] {
+    let mut quoted = message.split('`').skip(1).step_by(2);
+    [quoted.next().into_iter().collect(), quoted.collect()]
 }

@@ -77,9 +77,10 @@ settings! {
         pub intervals: usize = 12, 2.0..=MAX_INTERVALS as f64;
         /// Scan period that is assumed until the stamps of two scans give the true one; `run` takes it from `rate_hz` [s].
         pub period_s: f64 = 0.1, 0.001..=2.0;
-        /// Velocity on a free path [m/s].
+        /// Velocity on a free path; without the key the nearest one that `vehicle.bounds` allows [m/s].
         pub cruise_mps: f64 = 1.0, "within the velocities of `vehicle.bounds`";
-        /// Velocity while the estimator suspects that its calibration is wrong [m/s].
+        /// Velocity while the estimator suspects that its calibration is wrong; without the key the nearest one that
+        /// `vehicle.bounds` allows [m/s].
         pub careful_mps: f64 = 0.3, "within the velocities of `vehicle.bounds`";
         /// Near the goal the velocity is the distance divided by this time [s].
         pub landing_time_s: f64 = 0.6, 0.2..=5.0;

@@ -92,7 +92,7 @@ pub use link::{
     HUB, LINK_SOCKET, LinkCounts, LinkLoss, LinkPeer, LinkStatus, LinkTable, LinkedHost, LossReason,
     link_version, reply_socket,
 };
-pub use logging::{Priority, check_log_filter, print, start_logging, writes_to_journal};
+pub use logging::{Priority, check_log_filter, print, print_answer, start_logging, writes_to_journal};
 pub use observer::{Checked, Observer, Publisher, TopicObserver, TopicPublishers};
 pub use orphan::{LEAVING, LOCK_FILE};
 pub use output::Output;

@@ -4,6 +4,7 @@
 //! priority (`<4>` for a warning) and hold neither times nor colours.
 
 use std::io;
+use std::os::fd::AsFd;
 
 use rustix::fs::fstat;
 use tracing::level_filters::LevelFilter;
@@ -13,7 +14,7 @@ use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::prelude::*;
 
 use crate::RuntimeError;
-use crate::terminal::{self, LogLine, printable};
+use crate::terminal::{self, LogLine, Stream, is_terminal, printable};
 
 /// Names the stream of the journal that systemd gave to a service, as `DEVICE:INODE`.
 const JOURNAL_VARIABLE: &str = "JOURNAL_STREAM";
@@ -90,20 +91,33 @@ pub fn start_logging() {
 
 /// Whether standard error is the journal.
 pub fn writes_to_journal() -> bool {
+    is_journal(io::stderr())
+}
+
+fn is_journal(descriptor: impl AsFd) -> bool {
     let Ok(stream) = std::env::var(JOURNAL_VARIABLE) else { return false };
     // A process may have inherited the variable and write elsewhere.
-    fstat(io::stderr()).is_ok_and(|file| stream == format!("{}:{}", file.st_dev, file.st_ino))
+    fstat(descriptor).is_ok_and(|file| stream == format!("{}:{}", file.st_dev, file.st_ino))
 }
 
 /// Writes messages to standard error, without control characters; what can't be written is dropped.
 pub fn print(priority: Priority, text: &str) {
+    write(Stream::Error, writes_to_journal(), priority, text);
+}
+
+/// Writes what a run was asked for to standard output, in the way of [`print()`].
+pub fn print_answer(text: &str) {
+    write(Stream::Output, is_journal(io::stdout()), Priority::Notice, text);
+}
+
+fn write(stream: Stream, is_journal: bool, priority: Priority, text: &str) {
     let text = printable(text.strip_suffix('\n').unwrap_or(text));
-    let lines = if writes_to_journal() {
+    let lines = if is_journal {
         text.lines().map(|line| format!("<{}>{line}\n", priority as u8)).collect()
     } else {
         text + "\n"
     };
-    terminal::write(lines.into_bytes());
+    terminal::write(stream, lines.into_bytes());
 }
 
 /// Makes a writer per event; for the journal each line begins with its priority.

@@ -44,7 +44,7 @@ settings! {
         /// Scheduling policy: the usual one of Linux, SCHED_OTHER, or SCHED_FIFO.
         pub scheduler: Scheduler = Scheduler::Other;
         /// Priority with `fifo`.
-        pub priority: u32 = 40, "1 to 98";
+        pub priority: u32 = 40, 1.0..=98.0;
         /// Whether memory is mapped, written to and locked before the robot drives.
         pub lock_memory: bool = false;
         /// Whether idle processors may enter deep sleep states; `false` keeps them awake while the system runs.

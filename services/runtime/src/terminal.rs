@@ -1,7 +1,7 @@
-//! Standard error of a process that must never wait for its terminal.
+//! Output of a process that must never wait for its terminal: standard error, and what a run prints to standard output.
 //!
 //! Without [`start_terminal`] each text is written at once. After it, texts go into a bounded queue, and a separate
-//! thread writes them. So a terminal that is not read, a pipe without a reader and a full disk lose texts, but delay
+//! thread writes them in their order. So a terminal that is not read, a pipe without a reader and a full disk lose texts, but delay
 //! no caller. The thread writes to the descriptor, not through `std::io::stderr`, so that it never holds the lock of
 //! that stream. When the queue is full its oldest texts are dropped; the next text that is written gives their
 //! number.
@@ -12,6 +12,7 @@ use std::collections::VecDeque;
 use std::fmt::Write as _;
 use std::io::{self, IsTerminal, Write};
 use std::ops::RangeInclusive;
+use std::os::fd::AsFd;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -51,35 +52,57 @@ struct State {
     writing: bool,
 }
 
+/// Where a text goes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Stream {
+    /// Standard output.
+    Output,
+    /// Standard error.
+    Error,
+}
+
+/// Bytes for one stream.
+struct Text {
+    stream: Stream,
+    bytes: Vec<u8>,
+}
+
 /// Texts in their order, at most as many as the limits allow.
 #[derive(Default)]
 struct Queue {
-    texts: VecDeque<Vec<u8>>,
+    texts: VecDeque<Text>,
     bytes: usize,
     lost: u64,
 }
 
 impl Queue {
     /// Adds a text; the oldest ones go when there are too many.
-    fn push(&mut self, text: Vec<u8>) {
-        self.bytes += text.len();
-        self.texts.push_back(text);
+    fn push(&mut self, stream: Stream, bytes: Vec<u8>) {
+        self.bytes += bytes.len();
+        self.texts.push_back(Text { stream, bytes });
         while self.texts.len() > MAX_TEXTS || self.bytes > MAX_BYTES {
-            self.bytes -= self.texts.pop_front().map_or(0, |oldest| oldest.len());
+            self.bytes -= self.texts.pop_front().map_or(0, |oldest| oldest.bytes.len());
             self.lost += 1;
         }
     }
 
-    /// All texts as one, after a line about those that were lost, and how many texts were lost or are taken.
-    fn take(&mut self) -> (Vec<u8>, u64) {
+    /// All texts, those in a row for one stream as one, after a line about those that were lost; and how many texts were
+    /// lost or are taken.
+    fn take(&mut self) -> (Vec<Text>, u64) {
         let count = self.lost + self.texts.len() as u64;
-        let mut bytes = match std::mem::take(&mut self.lost) {
-            0 => Vec::new(),
-            lost => format!("({lost} earlier lines were dropped: this output was not read)\n").into_bytes(),
-        };
-        self.texts.drain(..).for_each(|text| bytes.extend(text));
-        self.bytes = 0;
-        (bytes, count)
+        let mut taken: Vec<Text> = Vec::new();
+        if self.lost > 0 {
+            let bytes = format!("({} earlier lines were dropped: this output was not read)\n", self.lost);
+            taken.push(Text { stream: Stream::Error, bytes: bytes.into_bytes() });
+        }
+        for text in self.texts.drain(..) {
+            match taken.last_mut() {
+                Some(last) if last.stream == text.stream => last.bytes.extend(text.bytes),
+                _ => taken.push(text),
+            }
+        }
+        (self.lost, self.bytes) = (0, 0);
+        (taken, count)
     }
 
     fn is_empty(&self) -> bool {
@@ -102,15 +125,18 @@ impl Terminal {
         let mut drawn = false;
         loop {
             let (texts, count, live) = self.next();
-            let mut bytes = if drawn { CLEAR_LINE.to_vec() } else { Vec::new() };
-            bytes.extend(texts);
+            // A text for standard output, too, may go to the terminal that shows the line.
+            let mut written = !drawn || write_now(Stream::Error, CLEAR_LINE);
+            for text in &texts {
+                written &= write_now(text.stream, &text.bytes);
+            }
             drawn = live.is_some();
             if let Some(line) = live {
                 let columns = tcgetwinsize(io::stderr()).map_or(0, |size| usize::from(size.ws_col));
                 let columns = if columns == 0 { DEFAULT_COLUMNS } else { columns };
-                bytes.extend(line.chars().take(columns).collect::<String>().into_bytes());
+                let line: String = line.chars().take(columns).collect();
+                written &= write_now(Stream::Error, line.as_bytes());
             }
-            let written = write_now(&bytes);
             self.change(|state| {
                 state.writing = false;
                 state.queue.lost += if written { 0 } else { count };
@@ -119,7 +145,7 @@ impl Terminal {
     }
 
     /// Waits for texts or a new live line.
-    fn next(&self) -> (Vec<u8>, u64, Option<String>) {
+    fn next(&self) -> (Vec<Text>, u64, Option<String>) {
         let idle = |state: &mut State| state.held || state.queue.texts.is_empty() && !state.redraw;
         let mut state = self.changed.wait_while(self.lock(), idle).unwrap_or_else(PoisonError::into_inner);
         (state.redraw, state.writing) = (false, true);
@@ -133,7 +159,7 @@ impl Terminal {
         let mut state = self.lock();
         if !state.queue.is_empty() {
             // Lost texts are reported with the next text, so add an empty one.
-            state.queue.push(Vec::new());
+            state.queue.push(Stream::Error, Vec::new());
             self.changed.notify_all();
         }
         while state.writing || !state.queue.texts.is_empty() || state.redraw {
@@ -196,12 +222,12 @@ pub fn show_live_line(line: Option<&str>) {
     }
 }
 
-/// Writes whole lines to standard error, through the queue once there is one.
-pub(crate) fn write(bytes: Vec<u8>) {
+/// Writes whole lines, through the queue once there is one.
+pub(crate) fn write(stream: Stream, bytes: Vec<u8>) {
     match TERMINAL.get() {
-        Some(terminal) => terminal.change(|state| state.queue.push(bytes)),
+        Some(terminal) => terminal.change(|state| state.queue.push(stream, bytes)),
         // What can't be written can't be reported either.
-        None => _ = write_now(&bytes),
+        None => _ = write_now(stream, &bytes),
     }
 }
 
@@ -247,11 +273,15 @@ fn is_of_control(letter: char) -> bool {
     letter.is_control() || UNSEEN.iter().any(|range| range.contains(&letter))
 }
 
-/// Writes to standard error; false when some of it could not be written.
-fn write_now(mut bytes: &[u8]) -> bool {
-    let descriptor = io::stderr();
+/// Writes to a stream; false when some of it could not be written.
+fn write_now(stream: Stream, mut bytes: &[u8]) -> bool {
+    let (output, error) = (io::stdout(), io::stderr());
+    let descriptor = match stream {
+        Stream::Output => output.as_fd(),
+        Stream::Error => error.as_fd(),
+    };
     while !bytes.is_empty() {
-        match rustix::io::write(&descriptor, bytes) {
+        match rustix::io::write(descriptor, bytes) {
             Ok(0) => return false,
             Ok(count) => bytes = &bytes[count..],
             Err(Errno::INTR) => {}
@@ -275,7 +305,8 @@ pub(crate) struct LogLine {
 
 impl Write for LogLine {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        write((self.prefix.clone() + &printable(&String::from_utf8_lossy(bytes))).into_bytes());
+        let text = self.prefix.clone() + &printable(&String::from_utf8_lossy(bytes));
+        write(Stream::Error, text.into_bytes());
         Ok(bytes.len())
     }
 
@@ -291,9 +322,10 @@ mod tests {
     #[test]
     fn a_full_queue_drops_its_oldest_texts_and_counts_them() {
         let mut queue = Queue::default();
-        (0..MAX_TEXTS + 3).for_each(|number| queue.push(format!("{number}\n").into_bytes()));
-        let (bytes, count) = queue.take();
-        let text = String::from_utf8(bytes).unwrap();
+        (0..MAX_TEXTS + 3).for_each(|number| queue.push(Stream::Error, format!("{number}\n").into_bytes()));
+        let (mut texts, count) = queue.take();
+        assert_eq!(texts.len(), 1, "one write for texts of one stream");
+        let text = String::from_utf8(texts.remove(0).bytes).unwrap();
         let lines: Vec<&str> = text.lines().collect();
         assert_eq!(lines[0], "(3 earlier lines were dropped: this output was not read)");
         assert_eq!((lines[1], lines.len() as u64), ("3", count - 2));
@@ -301,11 +333,25 @@ mod tests {
     }
 
     #[test]
+    fn texts_of_both_streams_keep_their_order() {
+        let mut queue = Queue::default();
+        for (stream, text) in
+            [(Stream::Error, "a"), (Stream::Output, "b"), (Stream::Output, "c"), (Stream::Error, "d")]
+        {
+            queue.push(stream, text.into());
+        }
+        let (texts, count) = queue.take();
+        let texts: Vec<_> = texts.iter().map(|text| (text.stream, text.bytes.as_slice())).collect();
+        assert_eq!(texts, [(Stream::Error, &b"a"[..]), (Stream::Output, b"bc"), (Stream::Error, b"d")]);
+        assert_eq!(count, 4);
+    }
+
+    #[test]
     fn the_bytes_in_the_queue_are_bounded() {
         let mut queue = Queue::default();
-        (0..20).for_each(|_| queue.push(vec![b'x'; MAX_BYTES / 4]));
+        (0..20).for_each(|_| queue.push(Stream::Output, vec![b'x'; MAX_BYTES / 4]));
         assert_eq!((queue.texts.len(), queue.bytes, queue.lost), (4, MAX_BYTES, 16));
-        queue.push(vec![b'x'; 2 * MAX_BYTES]);
+        queue.push(Stream::Error, vec![b'x'; 2 * MAX_BYTES]);
         assert_eq!((queue.texts.len(), queue.bytes), (0, 0));
     }
 

@@ -2,7 +2,8 @@
 
 use key_table::settings;
 
-use crate::Control;
+use crate::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
+use crate::{Control, Invalid, require};
 
 /// Largest steering angle to either side that may be desired, (7.41) [rad]. Turning radii, the range that a calibration
 /// has to cover and the defaults of all settings follow from it.
@@ -16,11 +17,11 @@ settings! {
     #[derive(Copy)]
     pub struct Bounds {
         /// Smallest velocity, (7.41) [m/s]. It is above zero because the model divides by it.
-        pub velocity_min_mps: f64 = 0.1, 0.02..=10.0;
+        pub velocity_min_mps: f64 = 0.1, (0.02..=SENT_VELOCITY_MAX_MPS, "at most `velocity_max_mps`");
         /// Largest velocity, (7.41) [m/s].
-        pub velocity_max_mps: f64 = 1.0, (0.02..=10.0, "at least `velocity_min_mps`");
+        pub velocity_max_mps: f64 = 1.0, (0.02..=SENT_VELOCITY_MAX_MPS, "at least `velocity_min_mps`");
         /// Largest steering angle to either side, (7.41) [rad].
-        pub steering_max_rad: f64 = STEERING_MAX_RAD, 0.001..=0.5;
+        pub steering_max_rad: f64 = STEERING_MAX_RAD, 0.001..=SENT_STEERING_MAX_RAD;
         /// Largest sideslip angle to either side, (7.42) [rad].
         pub sideslip_max_rad: f64 = 0.15, 0.001..=1.5;
         /// Largest yaw to either side, (7.43) [rad].
@@ -31,6 +32,14 @@ settings! {
 }
 
 impl Bounds {
+    /// Passes when the smallest velocity is not above the largest one.
+    ///
+    /// # Errors
+    /// [`Invalid`] with the smallest velocity.
+    pub fn require_order(&self) -> Result<(), Invalid> {
+        require("velocity_min_mps", self.velocity_min_mps, 0.0..=self.velocity_max_mps)
+    }
+
     /// The nearest admissible control.
     #[must_use]
     pub fn clamp(&self, control: Control) -> Control {

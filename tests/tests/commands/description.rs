@@ -11,7 +11,7 @@ const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 /// Runs a command and returns what it prints for people.
 fn text(system: &System, arguments: &[&str]) -> String {
     let output = system.run(arguments);
-    String::from_utf8_lossy(&output.stderr).into_owned()
+    scanloop_tests::printed(&output)
 }
 
 /// A believable robot that is wider than its description.

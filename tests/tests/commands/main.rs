@@ -13,5 +13,6 @@ mod foreign_files;
 mod outputs;
 mod reference;
 mod scenarios;
+mod system_file;
 mod urg;
 mod without_truth;

@@ -34,7 +34,7 @@ fn dropped_commands(fault: &str, rule: &str, block: &str) -> RefusedRow {
         let refused = system.status().map_or(Vec::new(), |status| status.refused);
         refused.iter().any(|row| row.writer == "controller" && row.reader == "actuator" && row.rule == rule)
     });
-    let table = String::from_utf8_lossy(&system.run(&["status"]).stderr).into_owned();
+    let table = scanloop_tests::printed(&system.run(&["status"]));
     let expected = rule.replace('_', " ");
     assert!(table.contains("dropped by actuator") && table.contains(&expected), "{table}");
     assert_eq!(system.wait().code(), Some(1), "{}", system.stderr());
@@ -106,7 +106,7 @@ fn in_lockstep_the_run_ends_with_the_writer_of_a_dropped_sample_and_the_rule() {
     ] {
         let system = system_with(role, fault);
         let output = system.run(&["run", "--lockstep", "--quiet", "--system", "system.toml", "--out", "out"]);
-        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        let message = scanloop_tests::printed(&output);
         assert_eq!(output.status.code(), Some(4), "{message}");
         let report = system.report();
         assert_eq!(report.outcome, Outcome::Failed, "{}", report.reason);

@@ -3,14 +3,14 @@
 
 use recording::mcap::Reader;
 use runtime::{Bus, Observer};
-use scanloop_tests::{DEADLINE, System, pause};
+use scanloop_tests::{DEADLINE, System, pause, printed};
 use shared_types::{Actuation, ActuationKind, Role, Truth};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 fn inject(system: &System, arguments: &[&str]) -> (Option<i32>, String) {
     let output = system.run(&[&["inject"], arguments].concat());
-    (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    (output.status.code(), printed(&output))
 }
 
 /// Waits for an actuation of a kind.

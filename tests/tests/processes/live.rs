@@ -130,7 +130,7 @@ fn a_swap_while_all_scans_are_late_is_refused_with_the_reason() {
     system.start(&late);
     system.wait_until("scans are late", |system| system.status().is_some_and(|status| status.scan > 15));
     let swap = system.run(&["swap", "controller", "--to", "nmpc"]);
-    let message = String::from_utf8_lossy(&swap.stderr).into_owned();
+    let message = scanloop_tests::printed(&swap);
     assert_eq!(swap.status.code(), Some(1), "{message}");
     assert!(message.contains("the old process had none either: valid inputs do not come"), "{message}");
     assert_eq!(system.run(&["stop"]).status.code(), Some(0));

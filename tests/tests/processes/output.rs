@@ -25,7 +25,8 @@ const SHORT: [&str; 6] = ["run", "--out", "out", "free", "--set", "goal.x_m=3"];
 fn drives_and_ends(output: OwnedFd) {
     fill(&output);
     let mut system = System::new(EXECUTABLE);
-    system.launch_into(output.into(), &["run", "--out", "out", "endless"], &[]);
+    system.launch_into(&output, &["run", "--out", "out", "endless"], &[]);
+    drop(output);
     system.wait_until_driving();
     // Some more lines of progress.
     system.wait_until("it drives on", |system| system.status().is_some_and(|status| status.scan > 30));
@@ -58,7 +59,8 @@ fn an_output_that_is_read_again_has_the_lines_of_the_time_between_and_the_summar
     let writer = OwnedFd::from(writer);
     fill(&writer);
     let mut system = System::new(EXECUTABLE);
-    system.launch_into(writer.into(), &SHORT, &[]);
+    system.launch_into(&writer, &SHORT, &[]);
+    drop(writer);
     system.wait_until_driving();
     system.wait_until("it drives on", |system| system.status().is_some_and(|status| status.scan > 20));
     let mut text = String::new();
@@ -73,7 +75,8 @@ fn an_output_that_is_read_again_has_the_lines_of_the_time_between_and_the_summar
 fn a_terminal_that_is_read_shows_a_live_line_and_then_the_summary() {
     let (near, far) = terminal();
     let mut system = System::new(EXECUTABLE);
-    system.launch_into(far.into(), &SHORT, &[]);
+    system.launch_into(&far, &SHORT, &[]);
+    drop(far);
     let mut shown = Vec::new();
     // When all writers have closed it, reading fails.
     while let Ok(1..) = File::from(near.try_clone().unwrap()).by_ref().take(4096).read_to_end(&mut shown) {}
@@ -87,11 +90,11 @@ fn a_terminal_that_is_read_shows_a_live_line_and_then_the_summary() {
 
 #[test]
 fn a_drive_whose_output_cannot_be_written_reaches_its_goal() {
-    let gone = || Stdio::from(std::io::pipe().unwrap().1);
-    let full = || Stdio::from(File::options().write(true).open("/dev/full").unwrap());
-    for stderr in [gone(), full()] {
+    let gone = OwnedFd::from(std::io::pipe().unwrap().1);
+    let full = OwnedFd::from(File::options().write(true).open("/dev/full").unwrap());
+    for output in [gone, full] {
         let mut system = System::new(EXECUTABLE);
-        system.launch_into(stderr, &SHORT, &[]);
+        system.launch_into(&output, &SHORT, &[]);
         assert_eq!(system.wait().code(), Some(0));
         assert_eq!(system.report().outcome, Outcome::Reached);
         system.assert_nothing_left();
@@ -131,9 +134,10 @@ fn results_that_cannot_be_written_change_neither_summary_nor_exit_code() {
     // Folders in the places of the files: root too can't write there.
     std::fs::create_dir_all(out.join("report.json")).unwrap();
     let output = system.run(&["run", "--lockstep", "--quiet", "--out", "out", "--force", "free"]);
-    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    let (summary, text) =
+        (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
     assert_eq!(output.status.code(), Some(0), "{text}");
-    assert!(text.contains("outcome") && text.contains("reached"), "{text}");
+    assert!(summary.contains("outcome") && summary.contains("reached"), "{summary}");
     assert!(text.contains("error: the results were not written") && text.contains("report.json"), "{text}");
     assert!(out.join("drive.svg").is_file());
     system.assert_nothing_left();

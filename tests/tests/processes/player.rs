@@ -401,7 +401,7 @@ fn a_scanner_that_is_not_there_is_named_in_the_status() {
     system.wait_until("the fault is shown", |system| shows(system, "fault", "Connection refused"));
     let (_, reason) = device(&system).unwrap();
     assert!(reason.starts_with(&format!("scanner: {closed}: ")), "{reason}");
-    let text = String::from_utf8_lossy(&system.run(&["status"]).stderr).into_owned();
+    let text = scanloop_tests::printed(&system.run(&["status"]));
     assert!(text.contains("device fault for ") && text.contains(&reason), "{text}");
     assert_eq!(server.speed_mps(), 0.0);
     assert_eq!(system.run(&["stop"]).status.code(), Some(0));

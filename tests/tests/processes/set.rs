@@ -75,16 +75,32 @@ fn a_setting_acts_at_once_and_survives_restarts_and_an_adoption() {
 fn a_change_that_drives_otherwise_is_refused_and_leaves_the_settings_as_they_were() {
     let mut system = System::new(EXECUTABLE);
     system.start(&["endless"]);
-    let file = || system.domain().folder().read_text("settings-robot.toml").unwrap();
-    let (before, pid) = (file(), system.pid(Role::Robot));
-    let certificate = set(&system, &["noise.odometry_m=0.5"]);
+    let file = || system.domain().folder().read_text("settings-actuator.toml").unwrap();
+    let (before, pid) = (file(), system.pid(Role::Actuator));
+    // No command is that young: the candidate blocks the wheels.
+    let certificate = set(&system, &["actuator.max_age_periods=0.1"]);
     assert_eq!(certificate.outcome, SwapOutcome::Refused, "{certificate:?}");
+    assert!(certificate.reason.contains("kind differs"), "{certificate:?}");
     assert_seamless(&certificate);
     system.wait_until("the file of the candidate is gone", |system| own_files(system).is_empty());
-    assert_eq!((file(), system.pid(Role::Robot)), (before, pid));
+    assert_eq!((file(), system.pid(Role::Actuator)), (before, pid));
     assert_eq!(system.run(&["stop"]).status.code(), Some(0));
     system.wait();
     assert_every_scan_answered_once(&system);
+    system.assert_nothing_left();
+}
+
+#[test]
+fn what_a_setting_is_meant_to_change_is_no_disagreement() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["endless"]);
+    for key in ["controller.cruise_mps=0.7", "noise.odometry_m=0.01", "controller.cruise_mps=1.0"] {
+        let certificate = set(&system, &[key]);
+        assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{key}: {certificate:?}");
+        assert_seamless(&certificate);
+    }
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    system.wait();
     system.assert_nothing_left();
 }
 
@@ -96,7 +112,7 @@ fn what_is_not_allowed_is_named_with_the_reason() {
         (&["controller.intervals=0"][..], "controller.intervals = 0 is not allowed: "),
         (
             &["controller.interval=9"],
-            "controller.interval = 9 is not allowed: the key is unknown, expected one of",
+            "controller.interval = 9 is not allowed: the key is unknown. Did you mean `intervals`? Expected one of",
         ),
         (&["controller.intervals=9", "actuator.recovery=3"], "set keys of one role at a time"),
         (&["rate_hz=20"], "rate_hz can't be set while the system runs: all processes depend on it"),

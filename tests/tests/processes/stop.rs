@@ -3,13 +3,13 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::os::unix::process::ExitStatusExt;
-use std::process::{Command, Output};
+use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use emulator::Outcome;
 use runtime::{Bus, Observer};
 use rustix::process::{Pid, Signal, kill_process};
-use scanloop_tests::{System, Watch, is_ignored, pause, system_file};
+use scanloop_tests::{System, Watch, is_ignored, pause, printed, system_file};
 use shared_types::{Actuation, Role};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -31,14 +31,10 @@ fn wait_for_rest(system: &System, watch: &Watch) {
     assert_eq!(rest.collided, 0);
 }
 
-fn stderr(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into_owned()
-}
-
 /// Stops the system, which must acknowledge within the limit; returns what was printed.
 fn stop(system: &System) -> String {
     let output = system.run(&["stop"]);
-    let text = stderr(&output);
+    let text = printed(&output);
     assert_eq!(output.status.code(), Some(0), "{text}");
     let after = text.split("wheels blocked after ").nth(1).unwrap_or_else(|| panic!("{text}"));
     let after_ms: u64 = after.split(' ').next().unwrap().parse().unwrap();
@@ -106,7 +102,7 @@ fn a_stop_is_never_taken_back() {
     system.signal(system.orchestrator(), Signal::STOP);
     stop(&system);
     let adopted = system.run(&["adopt", "--quiet"]);
-    assert_ne!(adopted.status.code(), Some(0), "{}", stderr(&adopted));
+    assert_ne!(adopted.status.code(), Some(0), "{}", printed(&adopted));
     wait_for_rest(&system, &watch);
     system.wait();
     let all = watch.all();
@@ -125,8 +121,8 @@ fn a_crashed_orchestrator_has_stopped_its_run_and_reports_it() {
         wait_for_rest(&system, &watch);
         assert!(system.stderr().contains("wheels are blocked"), "{}", system.stderr());
         let adopted = system.run(&["adopt", "--quiet"]);
-        assert_eq!(adopted.status.code(), Some(1), "{}", stderr(&adopted));
-        assert!(stderr(&adopted).contains("was stopped"), "{}", stderr(&adopted));
+        assert_eq!(adopted.status.code(), Some(1), "{}", printed(&adopted));
+        assert!(printed(&adopted).contains("was stopped"), "{}", printed(&adopted));
         drop(watch);
         // It cannot be adopted any more, so it ends by itself.
         system.assert_nothing_left();
@@ -230,7 +226,7 @@ fn a_block_that_no_process_acknowledges_is_not_confirmed_and_names_what_lives() 
     watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     system.signal(system.orchestrator(), Signal::STOP);
     let output = system.run(&["stop"]);
-    let text = stderr(&output);
+    let text = printed(&output);
     // The robot may rest and end before the limit: then there are no wheels to block.
     match output.status.code() {
         Some(4) => assert!(text.contains("is not confirmed") && text.contains("alive: "), "{text}"),
@@ -271,8 +267,8 @@ fn a_service_whose_orchestrator_hung_stays_stopped_once() {
     system.assert_nothing_left();
     // The service manager starts it again because a signal ended it; then an operator does.
     let again = system.run(&arguments);
-    assert_eq!(again.status.code(), Some(1), "{}", stderr(&again));
-    assert!(stderr(&again).contains("stopped"), "{}", stderr(&again));
+    assert_eq!(again.status.code(), Some(1), "{}", printed(&again));
+    assert!(printed(&again).contains("stopped"), "{}", printed(&again));
     system.launch(&arguments, &[]);
     system.wait_until_driving();
     stop(&system);
@@ -308,13 +304,13 @@ fn a_wrong_id_names_the_systems_that_run() {
     let (mut system, watch) = driving(&[]);
     let output = Command::new(EXECUTABLE).args(["--system-id", "none-such", "stop"]).output().unwrap();
     assert_eq!(output.status.code(), Some(2));
-    assert!(stderr(&output).contains(&format!("`{}`", system.id())), "{}", stderr(&output));
+    assert!(printed(&output).contains(&format!("`{}`", system.id())), "{}", printed(&output));
     stop(&system);
     system.wait();
     drop(watch);
     system.assert_nothing_left();
     let again = system.run(&["stop"]);
-    assert_eq!(again.status.code(), Some(2), "{}", stderr(&again));
+    assert_eq!(again.status.code(), Some(2), "{}", printed(&again));
 }
 
 #[test]
@@ -341,7 +337,7 @@ fn a_program_that_is_replaced_while_it_drives_still_starts_processes_and_stops()
     std::fs::remove_file(&program).unwrap();
     copy();
     let restarted = system.run(&["restart", "estimator"]);
-    assert_eq!(restarted.status.code(), Some(0), "{}", stderr(&restarted));
+    assert_eq!(restarted.status.code(), Some(0), "{}", printed(&restarted));
     stop(&system);
     assert_eq!(system.wait().code(), Some(1));
     system.assert_nothing_left();

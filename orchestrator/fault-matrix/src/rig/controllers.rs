@@ -1,6 +1,6 @@
 //! The controller in charge, and in a swap the one that is to take its place.
 
-use handover::swap::{Output, OutputSummary, Party, Recorded, Swap, SwapAction, SwapEvent, SwapPlan};
+use handover::swap::{Meant, Output, OutputSummary, Party, Recorded, Swap, SwapAction, SwapEvent, SwapPlan};
 use nmpc::{Config, Controller};
 use shared_types::{Actuation, Authority, Command, Obstacles, Pose, Role, StopReason};
 use vehicle::Invalid;
@@ -77,6 +77,7 @@ impl Controllers {
             shadow_scans: SHADOW_SCANS,
             standby_scans: SHADOW_SCANS,
             tolerance: 1.0,
+            meant: Meant::default(),
             period_ns: self.period_ns,
             lockstep: false,
             is_acknowledged: true,

@@ -11,6 +11,8 @@ use shared_types::{
 };
 use vehicle::frame::wrap_angle;
 
+use super::Meant;
+
 /// Half of the allowed error of the estimate: the obstacle distance kept in reserve is twenty times as much [m].
 pub const POSITION_M: f64 = 0.05;
 /// At the end of the horizon of 2.5 m this is 0.05 m again [rad].
@@ -167,15 +169,21 @@ impl From<&Actuation> for OutputSummary {
     }
 }
 
-/// The first difference beyond the bounds, which `tolerance` widens; nothing when both agree.
-pub fn disagreement(old: &OutputSummary, new: &OutputSummary, tolerance: f64) -> Option<Disagreement> {
+/// The first difference beyond the bounds, which `tolerance` is a factor on, and which [`Meant`] widens; nothing when both
+/// agree.
+pub fn disagreement(
+    old: &OutputSummary,
+    new: &OutputSummary,
+    tolerance: f64,
+    meant: &Meant,
+) -> Option<Disagreement> {
     match (old, new) {
         (OutputSummary::Pose(old), OutputSummary::Pose(new)) => {
-            placed(["position", "yaw"], old, new, [POSITION_M * tolerance, YAW_RAD * tolerance])
+            placed(["position", "yaw"], old, new, reported_bounds(tolerance, meant))
         }
-        (OutputSummary::Sensed(old), OutputSummary::Sensed(new)) => sensed(old, new, tolerance),
+        (OutputSummary::Sensed(old), OutputSummary::Sensed(new)) => sensed(old, new, tolerance, meant),
         (OutputSummary::Obstacles(old), OutputSummary::Obstacles(new)) => {
-            let limit = BODY_M * tolerance;
+            let limit = BODY_M * tolerance + meant.body_m;
             lacking(old, new, limit)
                 .map(|centre| Disagreement::Body("old", centre))
                 .or_else(|| lacking(new, old, limit).map(|centre| Disagreement::Body("new", centre)))
@@ -188,27 +196,40 @@ pub fn disagreement(old: &OutputSummary, new: &OutputSummary, tolerance: f64) ->
         }
         (OutputSummary::Command(kind, v_old, s_old), OutputSummary::Command(_, v_new, s_new)) => {
             let drives = *kind == CommandKind::Drive.wire();
-            drives.then(|| control([*v_old, *s_old], [*v_new, *s_new], 1.0, tolerance)).flatten()
+            drives.then(|| control([*v_old, *s_old], [*v_new, *s_new], 1.0, tolerance, meant)).flatten()
         }
         (OutputSummary::Actuation(_, v_old, s_old), OutputSummary::Actuation(_, v_new, s_new)) => {
-            control([*v_old, *s_old], [*v_new, *s_new], SENT_SCALE, tolerance)
+            control([*v_old, *s_old], [*v_new, *s_new], SENT_SCALE, tolerance, meant)
         }
         _ => Some(Disagreement::Type),
     }
 }
 
 /// Two measurements of one robot.
-fn sensed(old: &Sensed, new: &Sensed, tolerance: f64) -> Option<Disagreement> {
+fn sensed(old: &Sensed, new: &Sensed, tolerance: f64, meant: &Meant) -> Option<Disagreement> {
     let truths = old.truth.zip(new.truth);
-    let bounds = [TRUE_POSITION_M * tolerance, TRUE_YAW_RAD * tolerance];
+    let bounds =
+        [TRUE_POSITION_M * tolerance + meant.true_position_m, TRUE_YAW_RAD * tolerance + meant.true_yaw_rad];
     let other = new.other_beams(old, RANGE_M * tolerance) as f64 / BEAMS as f64;
     truths
         .and_then(|(old, new)| placed(["true position", "true yaw"], &old, &new, bounds))
         .or_else(|| {
-            let bounds = [POSITION_M * tolerance, YAW_RAD * tolerance];
+            let bounds = reported_bounds(tolerance, meant);
             placed(["reported position", "reported yaw"], &old.reported, &new.reported, bounds)
         })
-        .or_else(|| beyond("the share of beams with another range", other, BEAM_SHARE * tolerance, ""))
+        .or_else(|| {
+            beyond(
+                "the share of beams with another range",
+                other,
+                BEAM_SHARE * tolerance + meant.beam_share,
+                "",
+            )
+        })
+}
+
+/// Bounds of an estimated or reported position and yaw.
+fn reported_bounds(tolerance: f64, meant: &Meant) -> [f64; 2] {
+    [POSITION_M * tolerance + meant.position_m, YAW_RAD * tolerance + meant.yaw_rad]
 }
 
 /// Two places, each as yaw, x, y.
@@ -266,9 +287,11 @@ pub fn differences(old: &OutputSummary, new: &OutputSummary) -> Option<Vec<f64>>
 }
 
 /// Velocity and steering angle; `scale` is that of the limits of both.
-fn control(old: [f64; 2], new: [f64; 2], scale: f64, tolerance: f64) -> Option<Disagreement> {
-    let steering = tolerance * (STEERING_RAD * scale).max(STEERING_SHARE * old[1].abs());
-    beyond("velocity", (old[0] - new[0]).abs(), tolerance * VELOCITY_MPS * scale, "m/s")
+fn control(old: [f64; 2], new: [f64; 2], scale: f64, tolerance: f64, meant: &Meant) -> Option<Disagreement> {
+    let velocity = scale * (tolerance * VELOCITY_MPS + meant.velocity_mps);
+    let steering =
+        tolerance * (STEERING_RAD * scale).max(STEERING_SHARE * old[1].abs()) + scale * meant.steering_rad;
+    beyond("velocity", (old[0] - new[0]).abs(), velocity, "m/s")
         .or_else(|| beyond("steering angle", (old[1] - new[1]).abs(), steering, "rad"))
 }
 
@@ -313,7 +336,7 @@ mod tests {
     }
 
     fn text_of(old: &OutputSummary, new: &OutputSummary) -> String {
-        disagreement(old, new, 1.0).map_or_else(String::new, |found| found.to_string())
+        disagreement(old, new, 1.0, &Meant::default()).map_or_else(String::new, |found| found.to_string())
     }
 
     #[test]
@@ -327,7 +350,23 @@ mod tests {
         assert!(
             text_of(&command(1.0, 0.0), &command(0.89, 0.0)).starts_with("velocity differs by 0.1100 m/s")
         );
-        assert!(disagreement(&command(1.0, 0.04), &command(1.0, 0.048), 2.0).is_none());
+        assert!(disagreement(&command(1.0, 0.04), &command(1.0, 0.048), 2.0, &Meant::default()).is_none());
+    }
+
+    #[test]
+    fn what_a_setting_is_meant_to_change_may_differ_as_much_more_and_nothing_else() {
+        let meant = Meant { velocity_mps: 0.2, ..Meant::default() };
+        let of = |new: OutputSummary| {
+            disagreement(&command(1.0, 0.0), &new, 1.0, &meant).map(|found| found.to_string())
+        };
+        assert_eq!(of(command(0.71, 0.0)), None);
+        let beyond = "velocity differs by 0.3100 m/s, allowed are 0.3000 m/s";
+        assert_eq!(of(command(0.69, 0.0)).as_deref(), Some(beyond));
+        let steering = "steering angle differs by 0.0040 rad, allowed are 0.0030 rad";
+        assert_eq!(of(command(1.0, 0.004)).as_deref(), Some(steering));
+        let stop = OutputSummary::from(&Command::default());
+        assert!(of(stop).is_some_and(|text| text.starts_with("kind differs")));
+        assert!(of(command(f64::NAN, 0.0)).is_some());
     }
 
     #[test]

@@ -230,7 +230,7 @@ fn compare(plan: &SwapPlan, scan: u64, old: &Output, new: &Output, in_charge: bo
     if plan.tolerance >= MAX_TOLERANCE {
         return Verdict::Good;
     }
-    match agreement::disagreement(expected, found, plan.tolerance) {
+    match agreement::disagreement(expected, found, plan.tolerance, &plan.meant) {
         None => Verdict::Good,
         Some(found) => Verdict::Apart(format!("disagreement at scan {scan}: {found}")),
     }

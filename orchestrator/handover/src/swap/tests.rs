@@ -3,8 +3,8 @@
 use shared_types::{Authority, Command, CommandKind, Role};
 
 use super::{
-    Certificate, FIRST_OUTPUT_NS, Output, OutputSummary, Party, Recorded, Stage, Swap, SwapAction, SwapEvent,
-    SwapOutcome, SwapPlan,
+    Certificate, FIRST_OUTPUT_NS, Meant, Output, OutputSummary, Party, Recorded, Stage, Swap, SwapAction,
+    SwapEvent, SwapOutcome, SwapPlan,
 };
 
 const PERIOD_NS: u64 = 100_000_000;
@@ -35,6 +35,7 @@ impl Trial {
             shadow_scans: 5,
             standby_scans: 5,
             tolerance: 1.0,
+            meant: Meant::default(),
             period_ns: PERIOD_NS,
             lockstep: false,
             is_acknowledged: true,

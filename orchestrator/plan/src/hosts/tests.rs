@@ -64,7 +64,7 @@ fn wrong_hosts_are_refused_with_file_key_and_value() {
     let named = |name: &str| LAB.replace("lab", name);
     assert_eq!(
         refusal(LAB, &[("estimator", "lap")]),
-        "two.toml: process[1].host = lap is not allowed: one of lab"
+        "two.toml: process[1].host = lap is not allowed: one of lab. Did you mean `lab`?"
     );
     assert!(refusal("", &[("estimator", "lab")]).ends_with("a [[host]] of the file, which has none"));
     let host_alone = LAB.split_once('\n').unwrap().1;

@@ -152,7 +152,9 @@ fn a_bound_names_a_field_of_the_layout() {
     assert_eq!(table.topic[0].agree, [("yaw_rate_radps".to_owned(), 0.05)]);
     let message = folder.error(&with("{ field = \"yaw\", bound = 0.05 }"));
     assert!(
-        message.ends_with("topic[0].agree.field = yaw is not allowed: one of yaw_rate_radps"),
+        message.ends_with(
+            "agree.field = yaw is not allowed: one of yaw_rate_radps. Did you mean `yaw_rate_radps`?"
+        ),
         "{message}"
     );
     let message = folder.error(&with("{ field = \"yaw_rate_radps\", bound = -1.0 }"));

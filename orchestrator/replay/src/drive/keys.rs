@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use shared_types::Role;
+use shared_types::{Role, did_you_mean};
 use toml::{Table, Value};
 
 /// Sets one key.
@@ -69,7 +69,8 @@ fn set_key(table: &mut Table, key: &str, value: Value) -> Result<(), String> {
         }
         _ => {
             let keys: Vec<&str> = table.keys().map(String::as_str).collect();
-            Err(format!("unknown key {name}; known are {}", keys.join(", ")))
+            let meant = did_you_mean(name, keys.iter().copied());
+            Err(format!("unknown key {name}.{meant} Known are {}", keys.join(", ")))
         }
     }
 }

@@ -12,8 +12,8 @@ mod verdict;
 use std::path::PathBuf;
 
 use clap::Args;
+use console::answer;
 use console::exit::{Exit, Failure};
-use console::note;
 use figures::difference::{MAX_ROUNDS, MIN_ROUNDS};
 use serde::Serialize;
 use serde_json::Value;
@@ -81,7 +81,7 @@ pub(crate) fn compare(arguments: &CompareArguments) -> anyhow::Result<Exit> {
         _ => return Err(Failure::bad_input("two files or two commands are needed")),
     };
     for Verdict { metric, a, b, text, .. } in &verdicts {
-        note!("{metric:<32} A {a:.1}   B {b:.1}\n    {text}");
+        answer!(arguments.json, "{metric:<32} A {a:.1}   B {b:.1}\n    {text}")?;
     }
     let mut verdicts = verdicts.into_iter();
     let Some(first) = verdicts.next() else {

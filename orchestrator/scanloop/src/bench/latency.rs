@@ -26,8 +26,8 @@ use runtime::Shutdown;
 
 pub use self::arguments::{Compute, LatencyArguments};
 use console::exit::{Exit, Failure};
-use console::note;
 use console::out_folder::OutFolder;
+use console::{answer, note};
 use plan::Choice;
 use plan::Plan;
 use report::{Outcome, Report};
@@ -107,10 +107,10 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
         intervals,
         ..of_report(&report)
     };
-    note!("{}", text::text(&results));
+    answer!(arguments.json, "{}", text::text(&results))?;
     if let Some(files) = &files {
         files::write(files, &results, &collector, &noise)?;
-        note!("{:<18} {}", "files", files.folder().display());
+        answer!(arguments.json, "{:<18} {}", "files", files.folder().display())?;
     }
     print_json(arguments.json, &results)?;
     Ok(exit(&report))

@@ -11,8 +11,8 @@ mod table;
 use std::path::PathBuf;
 
 use clap::Args;
+use console::answer;
 use console::exit::Exit;
-use console::note;
 use console::out_folder::OutFolder;
 use console::progress::Steps;
 use plan::Choice;
@@ -67,7 +67,7 @@ pub(crate) fn ride(arguments: &RideArguments) -> anyhow::Result<Exit> {
         rows.push(Row { seed: course.seed(), ..row });
     }
     let results = Results::new(rows, arguments.random.is_some());
-    note!("{}", table::text(&results));
+    answer!(arguments.json, "{}", table::text(&results))?;
     print_json(arguments.json, &results)?;
     Ok(results.exit())
 }

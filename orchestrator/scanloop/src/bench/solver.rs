@@ -16,8 +16,8 @@ mod versus;
 
 use std::path::Path;
 
+use console::answer;
 use console::exit::{Exit, Failure};
-use console::note;
 use console::progress::Steps;
 use console::user_file;
 use figures::PROFILE;
@@ -108,7 +108,7 @@ pub fn solver(arguments: &SolverArguments, allocations: Option<AllocationCount>)
         results.skipped.push(Skipped { name: "casadi", reason });
     }
     results.growth = growth(&results.solvers);
-    note!("{}", table::text(&results));
+    answer!(arguments.json, "{}", table::text(&results))?;
     print_json(arguments.json, &results)?;
     Ok(Exit::Done)
 }

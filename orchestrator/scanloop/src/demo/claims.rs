@@ -1,5 +1,6 @@
 //! What the demo promises, what it has measured, and whether that holds. Pure.
 
+use shared_types::did_you_mean;
 use std::fmt::Write as _;
 
 use console::exit::Failure;
@@ -109,8 +110,10 @@ impl Claims {
             let (name, value) = change.split_once('=').ok_or_else(|| refuse("expected NAME=NUMBER"))?;
             let names = || PROMISES.iter().map(|promise| promise.name).collect::<Vec<_>>().join(", ");
             let claim = claims.iter_mut().find(|claim| claim.name == name);
-            let claim =
-                claim.ok_or_else(|| refuse(&format!("{name} is unknown: expected one of {}", names())))?;
+            let claim = claim.ok_or_else(|| {
+                let meant = did_you_mean(name, PROMISES.iter().map(|promise| promise.name));
+                refuse(&format!("{name} is unknown: expected one of {}.{meant}", names()))
+            })?;
             let value = value.parse().ok().filter(|value: &f64| value.is_finite());
             claim.promised = value.ok_or_else(|| refuse("expected a number"))?;
         }

@@ -6,7 +6,7 @@ mod halt;
 mod registration;
 mod verdict;
 
-use console::note;
+use console::{answer, note};
 use plan::System;
 use vehicle::Description;
 
@@ -62,6 +62,8 @@ pub(super) struct Moved {
     pub(super) findings: Vec<Finding>,
     /// What the stops have shown.
     pub(super) deceleration: Option<Deceleration>,
+    /// Whether standard output is for JSON.
+    is_json: bool,
 }
 
 /// Moves the robot as the arguments allow; `before` are the findings of scanner and odometry.
@@ -74,7 +76,7 @@ pub(super) fn findings(
     arguments: &LiveArguments,
     before: &[Finding],
 ) -> anyhow::Result<Moved> {
-    let mut moved = Moved { findings: Vec::new(), deceleration: None };
+    let mut moved = Moved { findings: Vec::new(), deceleration: None, is_json: arguments.json };
     let obstacle = before.iter().find(|finding| finding.outcome == Outcome::Failed);
     if arguments.drive {
         match obstacle
@@ -97,7 +99,8 @@ pub(super) fn findings(
 
 impl Moved {
     fn add(&mut self, finding: Finding) {
-        note!("{finding}");
+        // The robot may move: an output that is closed does not end the check.
+        let _ = answer!(self.is_json, "{finding}");
         self.findings.push(finding);
     }
 

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use console::exit::{Exit, Failure};
-use console::note;
+use console::{answer, note};
 use runtime::{Domain, RuntimeError, Shutdown, wait_for};
 use rustix::fs::inotify::{self, CreateFlags, ReadFlags, WatchFlags};
 use rustix::io::Errno;
@@ -53,7 +53,7 @@ pub(super) fn watch(domain: &Domain, request: &SwapRequest, json: bool) -> anyho
                 return Ok(Exit::Done);
             };
             print_json(json, &certificate)?;
-            note!("{certificate}");
+            answer!(json, "{certificate}")?;
         }
         let wait_ns = if folders.is_pending() { QUIET.as_nanos() as u64 / 4 } else { POLL_NS };
         wait_for(&[shutdown.descriptor(), folders.descriptor.as_fd()], wait_ns);

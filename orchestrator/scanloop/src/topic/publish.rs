@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
+use console::answer;
 use console::exit::Failure;
-use console::note;
 use runtime::{Bus, OPERATOR, OwnPublisher, OwnTopics};
 use serde_json::{Map, Value};
 use shared_types::{Field, Kind, Topic};
@@ -45,8 +45,7 @@ pub(crate) fn publish(system_id: &str, topic: &str, json: &str) -> anyhow::Resul
     std::thread::sleep(READER_PAUSE);
     publisher.publish(sample, std::process::id(), 1)?;
     std::thread::sleep(READER_PAUSE);
-    note!("published on {topic}");
-    Ok(())
+    answer!(false, "published on {topic}").map(drop)
 }
 
 /// Writes the values into a sample.

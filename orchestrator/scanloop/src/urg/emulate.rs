@@ -6,6 +6,7 @@ use console::note;
 use console::output::data;
 use runtime::{Shutdown, monotonic_ns};
 use session::arguments::check_duration;
+use shared_types::did_you_mean;
 use urg::{DeviceFault, Emulator, Port};
 
 use super::arguments::EmulateArguments;
@@ -32,8 +33,8 @@ pub(super) fn emulate(arguments: &EmulateArguments) -> anyhow::Result<Exit> {
     data(&place)?;
     let seconds = || (monotonic_ns() - started_ns) as f64 * 1e-9;
     while !shutdown.requested() && arguments.duration.is_none_or(|duration| seconds() < duration) {
-        for (_, fault) in faults.extract_if(.., |(at_s, _)| *at_s <= seconds()) {
-            note!("{:.1} s: {fault:?}", seconds());
+        for (_, name, fault) in faults.extract_if(.., |(at_s, ..)| *at_s <= seconds()) {
+            note!("{:.1} s: {name}", seconds());
             port.emulator.inject(fault, monotonic_ns());
         }
         port.serve(CHECK_NS, monotonic_ns)?;
@@ -41,25 +42,29 @@ pub(super) fn emulate(arguments: &EmulateArguments) -> anyhow::Result<Exit> {
     Ok(Exit::Done)
 }
 
-/// When a fault happens [s], and which.
-fn fault(text: &str) -> anyhow::Result<(f64, DeviceFault)> {
+/// The faults by their names in `--fault`; some last so long [ms], or as many bytes.
+const FAULTS: [(&str, DeviceFault); 7] = [
+    ("checksum", DeviceFault::Checksum),
+    ("half-scan", DeviceFault::HalfScan),
+    ("stall", DeviceFault::Stall(1_000)),
+    ("stuck", DeviceFault::Stuck),
+    ("garbage", DeviceFault::Garbage(2_000)),
+    ("restart", DeviceFault::Restart),
+    ("backwards", DeviceFault::Backwards(5_000)),
+];
+
+/// When a fault happens [s], its name, and which.
+fn fault(text: &str) -> anyhow::Result<(f64, &'static str, DeviceFault)> {
+    let names = FAULTS.map(|(name, _)| name);
     let allowed = || {
+        let meant = did_you_mean(text.split('@').next().unwrap_or_default(), names);
+        let names = names.join(", ");
         Failure::bad_input(format!(
-            "--fault {text} is not allowed: checksum, half-scan, stall, stuck, garbage, restart or backwards, and a time \
-             as in stall@5"
+            "--fault {text} is not allowed: {names}, and a time, as in stall@5.{meant}"
         ))
     };
     let (name, at_s) = text.split_once('@').ok_or_else(allowed)?;
     let at_s = at_s.parse().ok().filter(|at_s: &f64| (0.0..=1e9).contains(at_s)).ok_or_else(allowed)?;
-    let fault = match name {
-        "checksum" => DeviceFault::Checksum,
-        "half-scan" => DeviceFault::HalfScan,
-        "stall" => DeviceFault::Stall(1_000),
-        "stuck" => DeviceFault::Stuck,
-        "garbage" => DeviceFault::Garbage(2_000),
-        "restart" => DeviceFault::Restart,
-        "backwards" => DeviceFault::Backwards(5_000),
-        _ => return Err(allowed()),
-    };
-    Ok((at_s, fault))
+    let (name, fault) = FAULTS.into_iter().find(|(known, _)| *known == name).ok_or_else(allowed)?;
+    Ok((at_s, name, fault))
 }

@@ -8,9 +8,9 @@ use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 
+use console::answer;
 use console::exit::{Exit, Failure};
 use console::new_file::{Existing, NewFile};
-use console::note;
 use shared_types::Scan;
 use urg::Reading;
 
@@ -46,11 +46,12 @@ pub(super) fn log(arguments: &LogArguments) -> anyhow::Result<Exit> {
     }
     let seconds = span_ns.1.saturating_sub(span_ns.0) as f64 * 1e-9;
     let rate_hz = if seconds > 0.0 { (count - 1) as f64 / seconds } else { 0.0 };
-    note!(
+    answer!(
+        false,
         "{}: {count} scans, {rate_hz:.2} a second, {missing} without ranges, stamps within {:.1} ms",
         arguments.file.display(),
         error_ns as f64 * 1e-6
-    );
+    )?;
     Ok(if count > 0 { Exit::Done } else { Exit::NotReached })
 }
 

@@ -2,7 +2,7 @@
 
 use faults::{ActiveFault, PERMIT_FILE, fault_file, live_names};
 use runtime::{Domain, monotonic_ns};
-use shared_types::Role;
+use shared_types::{Role, did_you_mean};
 
 use super::candidates::Live;
 use crate::control::Reply;
@@ -30,9 +30,13 @@ pub(super) fn inject<'a>(
     if live(Role::Robot)?.entry.implementation.as_deref() != Some(EMULATOR) {
         return Err("faults are injected with the emulated robot only".to_owned());
     }
-    let known = || live_names().map(|names| names.join(", ")).unwrap_or_default();
+    let names = live_names().unwrap_or_default();
+    let known = || names.join(", ");
     let fault = faults::find(name).map_err(|error| error.to_string())?;
-    let fault = fault.ok_or_else(|| format!("fault `{name}` is unknown: expected one of {}", known()))?;
+    let fault = fault.ok_or_else(|| {
+        let meant = did_you_mean(name, names.iter().map(String::as_str));
+        format!("fault `{name}` is unknown.{meant} Expected one of {}", known())
+    })?;
     if let Some(reason) = fault.refused_live() {
         return Err(format!(
             "{name} can't be injected while the robot drives: {reason}; these can: {}",

@@ -1,5 +1,6 @@
 //! The requests of commands over the control socket, and the answers of a session.
 
+use handover::swap::{Change, Meant};
 use plan::change;
 use report::Outcome;
 use runtime::{Domain, monotonic_ns, settings_file, wait_for};
@@ -9,6 +10,7 @@ use supervision::supervisor::Event;
 use super::Session;
 use super::candidates::Live;
 use super::injection::inject;
+use super::swaps::Changed;
 use crate::companion_swaps::CompanionSwaps;
 use crate::control::{Reply, Request, SwapRequest};
 
@@ -110,17 +112,22 @@ impl Session {
     }
 }
 
-/// The settings file of a successor with other settings than the running process; `None` when none change.
+/// Other settings for a successor than those of the running process; `None` when none change.
 ///
 /// # Errors
 /// A key or value that is not allowed, or a file that can't be read.
-fn changed_settings(domain: &Domain, request: &SwapRequest) -> Result<Option<String>, String> {
+fn changed_settings(domain: &Domain, request: &SwapRequest) -> Result<Option<Changed>, String> {
     if request.set.is_empty() {
         return Ok(None);
     }
     let role = request.successor.role;
     let text = domain.folder().read_text(&settings_file(role)).map_err(|error| error.to_string())?;
-    change::settings(role, &text, &request.set).map(Some).map_err(|error| format!("{error:#}"))
+    let changed = change::settings(role, &text, &request.set).and_then(|settings| {
+        let amounts = change::amounts(role, [&text, &settings], &request.set)?;
+        let changes: Vec<Change> = amounts.into_iter().map(|(key, by)| Change { key, by }).collect();
+        Ok(Changed { settings, meant: Meant::of(&changes) })
+    });
+    changed.map(Some).map_err(|error| format!("{error:#}"))
 }
 
 impl From<Result<u64, String>> for Reply {

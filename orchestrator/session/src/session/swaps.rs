@@ -6,8 +6,8 @@
 
 use audit::samples::ScanRecord;
 use handover::swap::{
-    Certificate, LOCKSTEP_TIMEOUT_NS, MAX_TOLERANCE, Party, Recorded, Stage, Swap, SwapAction, SwapEvent,
-    SwapOutcome, SwapPlan,
+    Certificate, LOCKSTEP_TIMEOUT_NS, MAX_TOLERANCE, Meant, Party, Recorded, Stage, Swap, SwapAction,
+    SwapEvent, SwapOutcome, SwapPlan,
 };
 use shared_types::{Checkpoint, ProcessState, Role, Topic};
 use supervision::supervisor::VisibleState;
@@ -65,6 +65,23 @@ struct Current {
 struct Ended {
     certificate: Certificate,
     purpose: Purpose,
+}
+
+/// Other settings for a candidate.
+#[derive(Debug, Clone)]
+pub(super) struct Changed {
+    /// Its settings file.
+    pub(super) settings: String,
+    /// What they are meant to change.
+    pub(super) meant: Meant,
+}
+
+/// What a candidate has to keep to take over.
+struct Gate {
+    /// Scans in shadow, and as standby.
+    scans: [u64; 2],
+    tolerance: f64,
+    meant: Meant,
 }
 
 impl Swaps {
@@ -134,17 +151,18 @@ impl Swaps {
         &mut self,
         now_ns: u64,
         request: &SwapRequest,
-        settings: Option<String>,
+        changed: Option<Changed>,
         live: &Live,
     ) -> Result<u64, String> {
         let SwapRequest { successor, set, shadow_scans, standby_scans, tolerance } = request;
-        let entry = match settings {
+        let entry = match &changed {
             Some(_) => live.entry.clone(),
             None => successor.entry(live.entry, live.hosts)?,
         };
         let to =
             if set.is_empty() { entry.label() } else { format!("{} with {}", entry.label(), set.join(", ")) };
-        let candidate = Candidate { entry, settings };
+        let meant = changed.as_ref().map_or_else(Meant::default, |changed| changed.meant);
+        let candidate = Candidate { entry, settings: changed.map(|changed| changed.settings) };
         for (key, scans) in [("shadow-scans", shadow_scans), ("standby-scans", standby_scans)] {
             if !(1..=MAX_SCANS).contains(scans) {
                 return Err(format!("--{key} {scans} is not allowed: 1 to {MAX_SCANS}"));
@@ -153,7 +171,8 @@ impl Swaps {
         if !(0.0..=MAX_TOLERANCE).contains(tolerance) {
             return Err(format!("--tolerance {tolerance} is not allowed: 0 to {MAX_TOLERANCE}"));
         }
-        self.accept(now_ns, Purpose::Swap, (candidate, to), live, [*shadow_scans, *standby_scans], *tolerance)
+        let gate = Gate { scans: [*shadow_scans, *standby_scans], tolerance: *tolerance, meant };
+        self.accept(now_ns, Purpose::Swap, (candidate, to), live, gate)
     }
 
     /// Accepts the restart of a process that works, as a swap to the same program, so that the process before it ends
@@ -163,8 +182,9 @@ impl Swaps {
     /// As [`Swaps::ask`].
     pub(super) fn restart(&mut self, now_ns: u64, live: &Live) -> Result<u64, String> {
         let scans = [RESTART_SHADOW_SCANS, RESTART_STANDBY_SCANS];
+        let gate = Gate { scans, tolerance: MAX_TOLERANCE, meant: Meant::default() };
         let candidate = Candidate { entry: live.entry.clone(), settings: None };
-        self.accept(now_ns, Purpose::Restart, (candidate, live.entry.label()), live, scans, MAX_TOLERANCE)
+        self.accept(now_ns, Purpose::Restart, (candidate, live.entry.label()), live, gate)
     }
 
     fn accept(
@@ -173,9 +193,9 @@ impl Swaps {
         purpose: Purpose,
         (candidate, to): (Candidate, String),
         live: &Live,
-        [shadow_scans, standby_scans]: [u64; 2],
-        tolerance: f64,
+        gate: Gate,
     ) -> Result<u64, String> {
+        let Gate { scans: [shadow_scans, standby_scans], tolerance, meant } = gate;
         if self.is_busy() {
             return Err("another swap is in progress".to_owned());
         }
@@ -189,6 +209,7 @@ impl Swaps {
             shadow_scans,
             standby_scans,
             tolerance,
+            meant,
             period_ns: self.period_ns,
             lockstep: self.lockstep,
             is_acknowledged: live.is_on_one_host && candidate.entry.host.is_none(),

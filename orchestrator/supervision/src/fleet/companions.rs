@@ -13,7 +13,7 @@ use runtime::{
     monotonic_ns,
 };
 use rustix::process::{Pid, setpriority_process};
-use shared_types::{Authority, Header, ProcessState, Role};
+use shared_types::{Authority, Header, ProcessState, Role, did_you_mean};
 
 use super::process::{Load, Process, command_of};
 use crate::child::{Child, Launch};
@@ -452,7 +452,10 @@ impl Companions {
     fn find(&self, name: &str) -> Result<usize, String> {
         let names = || self.members.iter().map(|member| member.entry.name()).collect::<Vec<_>>().join(", ");
         let found = self.members.iter().position(|member| member.entry.name() == name);
-        found.ok_or_else(|| format!("unknown companion `{name}`: the system has {}", names()))
+        found.ok_or_else(|| {
+            let meant = did_you_mean(name, self.members.iter().map(|member| member.entry.name()));
+            format!("unknown companion `{name}`: the system has {}.{meant}", names())
+        })
     }
 
     /// Descriptors that become readable when a companion ends.

@@ -60,11 +60,8 @@ export function control(panel, form, result, stop) {
 
 function describe({ action, exit_code: code, certificate, messages }) {
   const lines = [`${action}: ${code === 0 ? "done" : `exit code ${code}`}`];
-  if (certificate && typeof certificate === "object") {
-    lines.push(...Object.entries(certificate).filter(([, value]) => value !== null).map(([key, value]) => `${key}: ${value}`));
-  } else if (certificate) {
-    lines.push(certificate);
-  }
+  // The messages have a certificate as a sentence.
+  if (certificate && typeof certificate !== "object") lines.push(certificate);
   if (messages) lines.push(messages);
   return lines.join("\n");
 }

@@ -31,6 +31,17 @@ pub enum Preset {
     Worn,
 }
 
+impl Preset {
+    /// Its name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ideal => "ideal",
+            Self::Summit => "summit",
+            Self::Worn => "worn",
+        }
+    }
+}
+
 /// What the odometry is measured with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -56,9 +67,9 @@ settings! {
         /// Whether the robot publishes its true state. Without it a run is judged by the estimate, as with a real robot.
         pub publish_truth: bool = true;
         /// Length of the body [m].
-        pub length_m: f64 = 0.56, 0.05..=5.0;
+        pub length_m: f64 = 0.56, (0.05..=5.0, "0.1 to 3 unless `vehicle.length_m` is set");
         /// Width of the body [m].
-        pub width_m: f64 = 0.40, 0.05..=5.0;
+        pub width_m: f64 = 0.40, (0.05..=5.0, "0.1 to 3 unless `vehicle.width_m` is set");
         /// Mass m [kg].
         pub mass_kg: Option<f64> = None, 1e-3..=1e6;
         /// Distance of the rear axle from the centre of mass, lh [m].

@@ -111,7 +111,7 @@ fn messages_about_an_obstacle_carry_its_index() {
 fn an_unknown_key_is_named_with_the_known_ones() {
     let text = message("[noise]\nrnage_m = 0.1");
     assert!(
-        text.starts_with("my.toml: noise.rnage_m = 0.1 is not allowed: the key is unknown, expected one of")
+        text.starts_with("my.toml: noise.rnage_m = 0.1 is not allowed: the key is unknown. Did you mean `range_m`? Expected one of")
     );
     assert!(text.contains("`range_m`"));
     assert!(message("speed = 1").contains("speed = 1"));

@@ -10,7 +10,8 @@ use crate::root;
 
 /// Crates by layer, the lowest first. A crate uses crates of lower layers only.
 const LAYERS: &[&[&str]] = &[
-    &["shared-types", "figures", "key-table", "device-clock"],
+    &["shared-types", "figures", "device-clock"],
+    &["key-table"],
     &["runtime", "vehicle", "urg", "faults"],
     &["emulator", "estimator", "obstacles", "ocp", "player", "console", "scanloop-link"],
     &["nmpc", "actuation", "supervision", "handover", "audit", "ride", "recording"],

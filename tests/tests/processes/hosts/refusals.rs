@@ -34,7 +34,7 @@ fn a_host_with_certificates_of_another_authority_is_named_at_both_ends_and_gets_
         status.is_some_and(|status| status.hosts.iter().any(|host| host.refused.contains(FOREIGN)))
     });
     let shown = hosts.system.run(&["status"]);
-    let shown = String::from_utf8_lossy(&shown.stderr).into_owned();
+    let shown = scanloop_tests::printed(&shown);
     assert!(shown.contains("host lab: refused: its certificate is not accepted: "), "{shown}");
     assert_eq!(hosts.system.wait().code(), Some(4), "{}", hosts.system.stderr());
     let stderr = hosts.system.stderr();

@@ -93,7 +93,7 @@ fn a_stop_reaches_the_wheels_on_another_host_and_is_confirmed_from_there() {
     wheels.first_block_ns();
     let asked_ns = monotonic_ns();
     let output = hosts.system.run(&["stop"]);
-    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    let text = scanloop_tests::printed(&output);
     assert_eq!(output.status.code(), Some(0), "{text}");
     assert!(text.contains("wheels blocked after "), "{text}");
     let blocked_ns = wheels.first_block_ns().expect("a block");

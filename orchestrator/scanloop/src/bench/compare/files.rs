@@ -24,6 +24,11 @@ struct LatencyRun {
     intervals: Vec<String>,
 }
 
+/// A number of bytes; a measurement with the built-in stages has none.
+fn shown(bytes: Option<u64>) -> String {
+    bytes.map_or("none".to_owned(), |bytes| bytes.to_string())
+}
+
 /// Compares the figures `metrics` of two files. A figure is left out, with a note, when the runs are too short for it.
 ///
 /// # Errors
@@ -34,7 +39,7 @@ pub(super) fn compare(files: [&Path; 2], metrics: &[String]) -> anyhow::Result<V
     let same = [
         ("rate_hz", a.rate_hz.to_string(), b.rate_hz.to_string()),
         ("compute", a.compute.clone(), b.compute.clone()),
-        ("payload_bytes", format!("{:?}", a.payload_bytes), format!("{:?}", b.payload_bytes)),
+        ("payload_bytes", shown(a.payload_bytes), shown(b.payload_bytes)),
         ("interval_scans", a.interval_scans.to_string(), b.interval_scans.to_string()),
     ];
     if let Some((key, one, other)) = same.iter().find(|(_, one, other)| one != other) {
