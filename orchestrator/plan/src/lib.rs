@@ -6,6 +6,7 @@ pub mod difference;
 pub mod hosts;
 pub mod overrides;
 mod player_robot;
+mod possible;
 mod rate;
 pub mod reference;
 pub mod settings;
@@ -19,6 +20,7 @@ use clap::Args;
 use console::exit::Failure;
 use console::user_file::{self, TEXT_BYTES};
 use emulator::Scenario;
+use nmpc::speed_limit;
 use runtime::{Domain, OwnTopics};
 use supervision::realtime;
 use toml::{Table, Value};
@@ -115,9 +117,13 @@ impl Plan {
         // From here on every reader of the scenario finds the values that the preset gives.
         scenario.robot = scenario.robot.resolved(&system.vehicle, scenario.seed);
         // What the stages take from the scenario may be allowed there and too much for them.
-        let together = system.tuning().for_scenario(&scenario).validate();
-        let together = together.and_then(|()| scenario.scanner.validate_mean(system.period_ns()));
+        let tuning = system.tuning().for_scenario(&scenario);
+        let together = tuning
+            .validate()
+            .and_then(|()| scenario.scanner.validate_mean(system.period_ns()))
+            .and_then(|()| possible::require_goal(&scenario, &tuning.controller));
         together.map_err(|invalid| Failure::bad_input(format!("{scenario_file}: {invalid}")))?;
+        warnings.extend(possible::warnings(&scenario, &tuning.controller));
         let own_topics = topics::read(&system, &system_file)?;
         Ok(Self { scenario, system, own_topics, warnings })
     }
@@ -136,11 +142,21 @@ impl Plan {
         if has_truth { self.differences() } else { Vec::new() }
     }
 
-    /// What `run` and `check` print of a speed that the surroundings limit.
+    /// What `run` and `check` print of a speed that the surroundings or the way to stop limit.
     pub fn careful(&self) -> Option<String> {
-        let Description { surroundings, careful_mps, .. } = self.system.controller.vehicle;
-        (surroundings == Surroundings::Open).then(|| {
-            format!("speed limited to {careful_mps} m/s: nothing around shows that the scanner sees")
+        let Description { surroundings, careful_mps, sudden_m, .. } = self.system.controller.vehicle;
+        if surroundings == Surroundings::Open {
+            let why = "nothing around shows that the scanner sees";
+            return Some(format!("speed limited to {careful_mps} m/s: {why}"));
+        }
+        let controller = self.system.tuning().controller;
+        let (limit_mps, cruise_mps) = (speed_limit(&controller), controller.cruise_mps);
+        (limit_mps < cruise_mps).then(|| {
+            format!(
+                "speed limited to {limit_mps:.3} m/s instead of controller.cruise_mps = {cruise_mps}: the robot stops \
+                 within vehicle.sudden_m = {sudden_m} at rate_hz = {}",
+                self.system.rate_hz
+            )
         })
     }
 

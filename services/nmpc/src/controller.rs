@@ -342,7 +342,7 @@ impl Controller {
     /// Lands, or stops behind the goal; a goal that was passed stays passed until the robot is well before it.
     fn arrive(&self, initial: &State, speed: f64, period_s: f64) -> Result<(), StopReason> {
         let goal = &self.config.goal;
-        match approach(goal, initial, speed, period_s, self.config.vehicle.blocked_deceleration_mps2) {
+        match approach(goal, initial, speed, period_s, &self.config.vehicle) {
             Approach::Land => Err(StopReason::Landed),
             Approach::Passed => Err(StopReason::GoalPassed),
             Approach::Ahead
