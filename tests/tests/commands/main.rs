@@ -9,6 +9,7 @@ mod bench_transport;
 mod calibrate;
 mod campaign;
 mod description;
+mod moving_bodies;
 mod possible;
 mod reference;
 mod scenarios;
