@@ -12,7 +12,7 @@ use toml::{Table, Value};
 use vehicle::{Invalid, Setting, read};
 
 use crate::overrides::{parse_override, set};
-use crate::rate::require_safe_speed;
+use crate::rate::require_rate;
 use crate::{System, is_of_scenario};
 
 /// Tables of the scenario that only the emulated robot reads and that are no part of the course.
@@ -166,7 +166,7 @@ fn checked(role: Role, file: &Table, rate_hz: f64) -> anyhow::Result<Value> {
         Role::Obstacles => reread(role.name(), own, obstacles::Config::validate),
         Role::Controller => {
             let value = reread(role.name(), own, nmpc::Config::validate)?;
-            require_safe_speed(&value.clone().try_into()?, rate_hz).map_err(Failure::bad_input)?;
+            require_rate(&value.clone().try_into()?, rate_hz).map_err(Failure::bad_input)?;
             Ok(value)
         }
         Role::Actuator => reread(role.name(), own, actuation::Config::validate),

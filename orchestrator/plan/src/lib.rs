@@ -6,6 +6,7 @@ pub mod difference;
 pub mod hosts;
 pub mod overrides;
 mod player_robot;
+mod possible;
 mod rate;
 pub mod reference;
 pub mod settings;
@@ -22,6 +23,7 @@ use clap::Args;
 use console::exit::Failure;
 use console::user_file::{self, TEXT_BYTES};
 use emulator::Scenario;
+use nmpc::speed_limit;
 use runtime::{Domain, OwnTopics};
 use toml::{Table, Value};
 use vehicle::{Description, Invalid, Setting, Surroundings, did_you_mean};
@@ -118,8 +120,11 @@ impl Plan {
         // From here on every reader of the scenario finds the values that the preset gives.
         scenario.robot = scenario.robot.resolved(&system.vehicle, scenario.seed);
         // What the stages take from the scenario may be allowed there and too much for them.
-        system.tuning().for_scenario(&scenario).validate()?;
+        let tuning = system.tuning().for_scenario(&scenario);
+        tuning.validate()?;
         scenario.scanner.validate_mean(system.period_ns())?;
+        possible::require_goal(&scenario, &tuning.controller)?;
+        warnings.extend(possible::warnings(&scenario, &tuning.controller));
         warnings.extend(hosts::warnings(&system));
         let own_topics = topics::table(&system, Vec::new());
         Ok(Self { scenario, system, own_topics, warnings, given })
@@ -144,11 +149,21 @@ impl Plan {
         if has_truth { self.differences() } else { Vec::new() }
     }
 
-    /// What `run` and `check` print of a speed that the surroundings limit.
+    /// What `run` and `check` print of a speed that the surroundings or the way to stop limit.
     pub fn careful(&self) -> Option<String> {
-        let Description { surroundings, careful_mps, .. } = self.system.controller.vehicle;
-        (surroundings == Surroundings::Open).then(|| {
-            format!("speed limited to {careful_mps} m/s: nothing around shows that the scanner sees")
+        let Description { surroundings, careful_mps, sudden_m, .. } = self.system.controller.vehicle;
+        if surroundings == Surroundings::Open {
+            let why = "nothing around shows that the scanner sees";
+            return Some(format!("speed limited to {careful_mps} m/s: {why}"));
+        }
+        let controller = self.system.tuning().controller;
+        let (limit_mps, cruise_mps) = (speed_limit(&controller), controller.cruise_mps);
+        (limit_mps < cruise_mps).then(|| {
+            format!(
+                "speed limited to {limit_mps:.3} m/s instead of controller.cruise_mps = {cruise_mps}: the robot stops \
+                 within vehicle.sudden_m = {sudden_m} at rate_hz = {}",
+                self.system.rate_hz
+            )
         })
     }
 

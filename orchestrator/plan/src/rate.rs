@@ -1,4 +1,4 @@
-//! Whether the robot can stop in time at a scan rate.
+//! Whether the robot can be driven at a scan rate: it can stop in time, and it is driven as planned.
 
 use nmpc::{Config, speed_limit};
 use vehicle::{Description, Invalid, Surroundings};
@@ -7,12 +7,33 @@ use vehicle::{Description, Invalid, Surroundings};
 const RATES_HZ: [f64; 2] = [0.5, 1000.0];
 /// The smallest allowed rate is found to this share.
 const PRECISION: f64 = 1e-4;
+/// Share by which a period may exceed an interval by rounding.
+const ROUNDING: f64 = 1e-6;
 
-/// Passes when a safe speed is left at this rate.
+/// Passes when a safe speed is left at this rate, and a command is not held for longer than its interval of the plan.
 ///
 /// # Errors
 /// [`Invalid`] with the rate, the smallest allowed one, and the other keys that decide it.
-pub(crate) fn require_safe_speed(controller: &Config, rate_hz: f64) -> Result<(), Invalid> {
+pub(crate) fn require_rate(controller: &Config, rate_hz: f64) -> Result<(), Invalid> {
+    require_safe_speed(controller, rate_hz)?;
+    let interval_s = controller.interval_s();
+    if rate_hz * interval_s >= 1.0 - ROUNDING {
+        return Ok(());
+    }
+    // A plan changes its control with each interval; the robot gets a new one with each scan.
+    let allowed = format!(
+        "at least {}, so that no command is held for longer than its interval of the plan, {:.3} s, which is \
+         controller.horizon_s = {} by controller.intervals = {}",
+        (1e3 / interval_s).ceil() / 1e3,
+        interval_s,
+        controller.horizon_s,
+        controller.intervals
+    );
+    Err(Invalid::new("rate_hz", rate_hz, allowed))
+}
+
+/// Passes when a safe speed is left at this rate.
+fn require_safe_speed(controller: &Config, rate_hz: f64) -> Result<(), Invalid> {
     if has_safe_speed(controller, rate_hz) {
         return Ok(());
     }
@@ -70,6 +91,18 @@ mod tests {
         for name in ["vehicle.sudden_m = 0.3", "vehicle.blocked_deceleration_mps2 = 5"] {
             assert!(refused.to_string().contains(name), "{refused}");
         }
+    }
+
+    #[test]
+    fn a_rate_at_which_commands_are_held_for_longer_than_an_interval_is_refused_with_the_smallest_one() {
+        // 5.44 s by 12 are 0.4533 s.
+        let controller = Config::default();
+        let refused = require_rate(&controller, 1.0).unwrap_err().to_string();
+        assert!(refused.starts_with("rate_hz = 1 is not allowed: at least 2.206, "), "{refused}");
+        assert_eq!(require_rate(&controller, 2.206), Ok(()));
+        assert!(require_rate(&controller, 2.2).is_err());
+        let long = Config { horizon_s: 10.0, intervals: 10, ..controller };
+        assert_eq!(require_rate(&long, 1.0), Ok(()));
     }
 
     #[test]

@@ -13,7 +13,8 @@ use toml::{Table, Value};
 use vehicle::{Description, Invalid, read, require, settings};
 
 use crate::hosts::{self, HostEntry};
-use crate::rate::require_safe_speed;
+use crate::possible;
+use crate::rate::require_rate;
 use crate::source::Source;
 use crate::topics::{self, TopicEntry};
 
@@ -24,7 +25,7 @@ settings! {
     /// A checked system file.
     pub struct System {
         /// Scans per second [Hz].
-        pub rate_hz: f64 = 10.0, 0.5..=1000.0;
+        pub rate_hz: f64 = 10.0, (0.5..=1000.0, "at least `controller.intervals` / `controller.horizon_s`");
         /// All processes end when no directive of an orchestrator has come for this long [s].
         pub orphan_timeout_s: f64 = 30.0, 1.0..=3600.0;
         /// The wheels are blocked when no directive has come for this long, until one comes; without the key 5.0, or
@@ -199,7 +200,8 @@ impl System {
         }
         hosts::validate(self)?;
         topics::validate(self)?;
-        require_safe_speed(&self.controller, self.rate_hz)?;
+        require_rate(&self.controller, self.rate_hz)?;
+        possible::require_velocity(self)?;
         self.tuning().validate()
     }
 }
@@ -252,7 +254,7 @@ mod tests {
 
     #[test]
     fn the_controller_gets_the_true_period_at_every_rate() {
-        for (rate, period_s) in [(0.5, 2.0), (4.0, 0.25), (1000.0, 0.001)] {
+        for (rate, period_s) in [(2.5, 0.4), (4.0, 0.25), (1000.0, 0.001)] {
             let mut table: Table = BUILT_IN.parse().unwrap();
             table.insert("rate_hz".to_owned(), Value::Float(rate));
             let system = System::from_table(table, "lab.toml").unwrap();

@@ -78,7 +78,8 @@ settings! {
         /// Scan period that is assumed until the stamps of two scans give the true one; `run` takes it from `rate_hz` [s].
         pub period_s: f64 = 0.1, 0.001..=2.0;
         /// Velocity on a free path; without the key the nearest one that `vehicle.bounds` allows [m/s].
-        pub cruise_mps: f64 = 1.0, "within the velocities of `vehicle.bounds`";
+        pub cruise_mps: f64 = 1.0,
+            "within the velocities of `vehicle.bounds`; by the factor of `actuator.calibration` at most 2 m/s";
         /// Velocity while the estimator suspects that its calibration is wrong; without the key the nearest one that
         /// `vehicle.bounds` allows [m/s].
         pub careful_mps: f64 = 0.3, "within the velocities of `vehicle.bounds`";

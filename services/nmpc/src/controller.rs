@@ -14,7 +14,8 @@
 
 use ocp::Budget;
 use shared_types::{
-    Alarm, Blocking, Command, CommandKind, Level, Obstacles, PLAN_NODES, PlanNode, Pose, StopReason,
+    Alarm, Blocking, Command, CommandKind, Level, MAX_OBSTACLES, Obstacles, PLAN_NODES, PlanNode, Pose,
+    StopReason,
 };
 use vehicle::{Control, Invalid, State};
 
@@ -31,7 +32,7 @@ use crate::planner::{Choice, Planner, Task};
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::query::Query;
 use crate::reference_path::ReferencePath;
-use crate::scene::REST_MPS;
+use crate::scene::{REST_MPS, Scene};
 use crate::side::{self, Passing, held};
 use crate::smoothing;
 use crate::start::{self, Start};
@@ -47,6 +48,8 @@ const SWITCH_SHARE: f64 = 0.8;
 const CONTINUED_SLACK: f64 = 0.01;
 /// Blocked wheels that slide further than this are worth a slower plan [m].
 const SLIDE_M: f64 = 0.2;
+/// A way to the goal that begins so much slower than the robot is comes too late [m/s]: the robot is beside the obstacles.
+const SUDDEN_MPS: f64 = 0.2;
 /// Share of the drive's largest deceleration with which a path slows down for a narrow place.
 const SLOWING_SHARE: f64 = 0.35;
 
@@ -290,10 +293,12 @@ impl Controller {
             choice = planner.plan(&task, budget, command);
         }
         let mut task = Task::new(scene, reference_path, state, pose, start);
-        // Where blocked wheels slide far, a slower plan may keep clear although the fast one does not.
+        // Where blocked wheels slide far, or before the way of a body, a slower plan may keep clear although the fast one
+        // does not.
         let slowest = config.vehicle.bounds.velocity_min_mps;
+        let moving = predicted.iter().any(PredictedObstacle::moves);
         while choice.is_none()
-            && start.stopping.slide(task.fastest_mps) > SLIDE_M
+            && (moving || start.stopping.slide(task.fastest_mps) > SLIDE_M)
             && task.fastest_mps > slowest
         {
             task.fastest_mps = (task.fastest_mps / 2.0).max(slowest);
@@ -342,7 +347,7 @@ impl Controller {
     /// Lands, or stops behind the goal; a goal that was passed stays passed until the robot is well before it.
     fn arrive(&self, initial: &State, speed: f64, period_s: f64) -> Result<(), StopReason> {
         let goal = &self.config.goal;
-        match approach(goal, initial, speed, period_s, self.config.vehicle.blocked_deceleration_mps2) {
+        match approach(goal, initial, speed, period_s, &self.config.vehicle) {
             Approach::Land => Err(StopReason::Landed),
             Approach::Passed => Err(StopReason::GoalPassed),
             Approach::Ahead
@@ -394,13 +399,14 @@ impl Controller {
                 self.search.find(&query, &mut self.reference_path);
                 self.reference_path.clear
             };
-            if predicted.iter().any(PredictedObstacle::moves) {
+            let moving = predicted.iter().any(PredictedObstacle::moves);
+            if moving {
                 let _ = SLOWER.iter().any(|share| find((cruise * share).max(slowest), true));
             } else if !find(cruise, false) && find(slowest, true) {
-                // Slow only where the margin of the full speed does not fit.
-                let deceleration = SLOWING_SHARE * config.vehicle.deceleration_max_mps2;
-                let allowed = |x: f64, y: f64, course: f64| scene.fastest_at(x, y, course, [slowest, cruise]);
-                self.reference_path.set_limits(deceleration, allowed);
+                slow_down(&mut self.reference_path, &scene, [slowest, cruise]);
+            }
+            if self.reference_path.clear && self.reference_path.misses_goal && !moving {
+                self.find_way_to_goal(start, [slowest, cruise]);
             }
             if !self.reference_path.clear {
                 // It leads to what blocks it, as fast as that can be stopped for.
@@ -412,6 +418,34 @@ impl Controller {
         self.find_alternative(start);
         let choose = |obstacle: &PredictedObstacle| self.reference_path.side_of(obstacle);
         side::renew(&mut self.state.sides, &self.predicted, choose);
+    }
+
+    /// Where the path passes the goal too far away: one that leads to it, between ellipses that are no longer than they must
+    /// be, and slow in narrow places if need be. The ellipses stay so for this scan.
+    fn find_way_to_goal(&mut self, start: &Start, [slowest, cruise]: [f64; 2]) {
+        let Self { config, search, predicted, reference_path, alternative, state, .. } = self;
+        let mut axes = [0.0; MAX_OBSTACLES];
+        for (axis, obstacle) in axes.iter_mut().zip(predicted.iter_mut()) {
+            *axis = obstacle.a;
+            obstacle.shorten(config.vehicle.length_m);
+        }
+        let scene = start.scene(config, predicted);
+        let is_found = [cruise, slowest].into_iter().any(|speed| {
+            let query = Query { scene, speed, narrow: true, sides: &state.sides, forced: None };
+            search.find(&query, alternative);
+            if !alternative.clear || alternative.misses_goal {
+                return false;
+            }
+            if speed < cruise {
+                slow_down(alternative, &scene, [slowest, cruise]);
+            }
+            alternative.speed_at(start.initial.x) > start.speed - SUDDEN_MPS
+        });
+        if is_found {
+            std::mem::swap(reference_path, alternative);
+        } else {
+            predicted.iter_mut().zip(axes).for_each(|(obstacle, axis)| obstacle.a = axis);
+        }
     }
 
     /// Finds a path on the other side of the nearest obstacle whose side is not held, or that moves.
@@ -442,7 +476,8 @@ impl Controller {
             forced: Some((obstacle.id, side.other())),
         };
         self.search.find(&query, &mut self.alternative);
-        if self.alternative.clear && self.alternative.side_of(obstacle) == Some(side.other()) {
+        let is_as_good = self.alternative.clear && (path.misses_goal || !self.alternative.misses_goal);
+        if is_as_good && self.alternative.side_of(obstacle) == Some(side.other()) {
             let is_held = held(&self.state.sides, obstacle).is_some();
             let share = if is_held { SWITCH_SHARE } else { 1.0 };
             self.contest = Some(Contest { id: obstacle.id, side, share });
@@ -529,6 +564,12 @@ impl Controller {
         (state.velocity_mps, state.steering_rad) = (0.0, 0.0);
         state.plan_length = 0;
     }
+}
+
+/// Slows down along a path that was searched for the slowest speed, only where the margin of a faster one does not fit.
+fn slow_down(path: &mut ReferencePath, scene: &Scene, speeds: [f64; 2]) {
+    let deceleration = SLOWING_SHARE * scene.config.vehicle.deceleration_max_mps2;
+    path.set_limits(deceleration, |x, y, course| scene.fastest_at(x, y, course, speeds));
 }
 
 #[cfg(test)]

@@ -166,5 +166,8 @@ mod tests {
         assert!(!comes(1.5, 0.3), "it goes away");
         assert!(!comes(1.5, 0.0), "it stands");
         assert!(!comes(3.0, -0.3), "it is there later");
+        // Nearer than the base clearance of 0.05 m already: 0.03 m beside the robot at rest.
+        assert!(!comes(0.43, 0.3), "it is near and goes away");
+        assert!(comes(0.43, -0.3), "it is near and comes nearer");
     }
 }

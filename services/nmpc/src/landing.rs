@@ -2,12 +2,10 @@
 //!
 //! The smallest velocity is 0.1 m/s, so the optimal control problem cannot end at rest: the last decision is a stop
 //! at the closest approach. It uses the state at the time the command acts, which includes the delay of the loop, and
-//! the stopping distance v^2 / (2 d). It is made half a step early, where stopping now and stopping one scan later
-//! end equally far from the goal.
+//! the stopping distance v^2 / (2 d). Stopping now is compared with stopping after the next scan, until when the robot
+//! slows down to its smallest velocity: at the smallest velocity the stop is made half a step early.
 
-use vehicle::State;
-
-use vehicle::Goal;
+use vehicle::{Description, Goal, State};
 
 /// What to do at a position relative to the goal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -26,16 +24,31 @@ pub(crate) fn approach(
     state: &State,
     speed: f64,
     period_s: f64,
-    deceleration_mps2: f64,
+    vehicle: &Description,
 ) -> Approach {
     let (sin, cos) = (state.yaw + state.sideslip).sin_cos();
     let (ahead_x, ahead_y) = (goal.x_m - state.x, goal.y_m - state.y);
-    let along = ahead_x * cos + ahead_y * sin - speed * speed / (2.0 * deceleration_mps2);
+    let slide = |speed: f64| speed * speed / (2.0 * vehicle.blocked_deceleration_mps2);
+    let along = ahead_x * cos + ahead_y * sin - slide(speed);
     let across = ahead_y * cos - ahead_x * sin;
-    if along > speed * period_s / 2.0 || ahead_x > goal.tolerance_m + speed * period_s {
+    let (way, next_speed) = slowing(vehicle, speed, period_s);
+    // How much further the robot comes to rest when it is stopped after the next scan.
+    let later = way + slide(next_speed) - slide(speed);
+    if along > later / 2.0 || ahead_x > goal.tolerance_m + speed * period_s {
         return Approach::Ahead;
     }
     if along.hypot(across) <= goal.tolerance_m { Approach::Land } else { Approach::Passed }
+}
+
+/// Way over a period [m], and the speed at its end [m/s], of a robot that slows down to its smallest velocity as fast as
+/// its drive can.
+fn slowing(vehicle: &Description, speed: f64, period_s: f64) -> (f64, f64) {
+    let slowest = vehicle.bounds.velocity_min_mps;
+    let excess = (speed - slowest).max(0.0);
+    // The drive follows with its lag, but no faster than it can decelerate.
+    let lag_s = vehicle.velocity_lag_s.max(excess / vehicle.deceleration_max_mps2);
+    let left = if lag_s > 0.0 { (-period_s / lag_s).exp() } else { 0.0 };
+    (speed.min(slowest) * period_s + excess * lag_s * (1.0 - left), speed.min(slowest) + excess * left)
 }
 
 #[cfg(test)]
@@ -43,21 +56,44 @@ mod tests {
     use super::*;
 
     fn at(x: f64, y: f64, speed: f64) -> Approach {
-        approach(&Goal::default(), &State { x, y, ..State::default() }, speed, 0.1, 5.0)
+        let state = State { x, y, ..State::default() };
+        approach(&Goal::default(), &state, speed, 0.1, &Description::default())
     }
 
     #[test]
     fn the_wheels_are_blocked_at_the_closest_approach() {
-        // At 0.2 m/s: 4 mm to stop and half a step of 1 cm.
-        assert_eq!(at(9.98, 0.0, 0.2), Approach::Ahead);
-        assert_eq!(at(9.987, 0.0, 0.2), Approach::Land);
+        // At 0.1 m/s: 1 mm to stop and half a step of 5 mm.
+        assert_eq!(at(9.993, 0.0, 0.1), Approach::Ahead);
+        assert_eq!(at(9.995, 0.0, 0.1), Approach::Land);
     }
 
     #[test]
-    fn the_stopping_distance_is_part_of_the_decision() {
-        // At 1 m/s: 10 cm to stop and half a step of 5 cm.
-        assert_eq!(at(9.84, 0.0, 1.0), Approach::Ahead);
-        assert_eq!(at(9.86, 0.0, 1.0), Approach::Land);
+    fn a_robot_that_can_still_slow_down_lands_later_and_one_that_can_not_lands_at_once() {
+        let of = |x: f64, deceleration_max_mps2: f64| {
+            let vehicle = Description { deceleration_max_mps2, ..Description::default() };
+            approach(&Goal::default(), &State { x, ..State::default() }, 1.0, 0.1, &vehicle)
+        };
+        // At 1 m/s blocked wheels slide 0.1 m. In 0.1 s the drive slows down by 0.25 m/s, with its limit as time constant:
+        // 0.09 m, and 0.06 m of slide. So stopping later ends 0.05 m further on, and 2.5 cm before the goal is the place.
+        assert_eq!([9.87, 9.88].map(|x| of(x, 3.0)), [Approach::Ahead, Approach::Land]);
+        // A drive that does not slow down: half a step of 5 cm.
+        assert_eq!([9.84, 9.86].map(|x| of(x, 0.01)), [Approach::Ahead, Approach::Land]);
+    }
+
+    #[test]
+    fn the_period_decides_how_early_the_robot_lands() {
+        let of = |x: f64, period_s: f64| {
+            approach(
+                &Goal::default(),
+                &State { x, ..State::default() },
+                0.1,
+                period_s,
+                &Description::default(),
+            )
+        };
+        // Half a step of 0.1 m/s and 1 mm: 6 mm at 10 Hz, 51 mm at 1 Hz.
+        assert_eq!([9.94, 9.96].map(|x| of(x, 1.0)), [Approach::Ahead, Approach::Land]);
+        assert_eq!([9.94, 9.96].map(|x| of(x, 0.1)), [Approach::Ahead, Approach::Ahead]);
     }
 
     #[test]
@@ -70,6 +106,6 @@ mod tests {
     #[test]
     fn a_robot_that_faces_away_far_from_the_goal_has_not_passed_it() {
         let state = State { yaw: 2.0, ..State::default() };
-        assert_eq!(approach(&Goal::default(), &state, 1.0, 0.1, 5.0), Approach::Ahead);
+        assert_eq!(approach(&Goal::default(), &state, 1.0, 0.1, &Description::default()), Approach::Ahead);
     }
 }

@@ -33,6 +33,9 @@ const SKETCH_CELL_M: f64 = 0.5;
 /// Paths that cost more than this share of a sketched one are not searched. It is above 1, because the cheapest path to a
 /// cell need not be the start of the cheapest path to the end.
 const SKETCH_SHARE: f64 = 1.02;
+/// Cost of a path that passes the goal farther away than its tolerance: more than any detour to it, and less than a way
+/// through an obstacle.
+const MISSED: f64 = 100.0;
 /// Arcs ahead for which the lateral cost that a path can't avoid is counted.
 const AHEAD: usize = 5;
 
@@ -275,15 +278,16 @@ impl Search {
 
     /// Cost and last cell of the cheapest path; infinite when no path reaches the end.
     fn cheapest(&self, query: &Query, grid: &Grid) -> (f64, usize) {
-        let Scene { config, initial: start, .. } = query.scene;
-        let at_goal = start.x + grid.step * grid.layers as f64 >= config.goal.x_m - 1e-6;
+        let Scene { config, .. } = query.scene;
+        let at_goal = grid.ends_at_goal(&query.scene);
         let weight = if at_goal { config.guide.goal_weight } else { config.guide.lateral_weight };
         let mut best = (f64::INFINITY, 0);
         for &cell in &self.active[grid.layers] {
             let cell = cell as usize;
             let End { y, course, .. } = self.ends[cell];
             let (sine, offset) = (grid.sine(course as i32), y - config.goal.y_m);
-            let total = self.costs[cell] + weight * offset * offset + sine * sine;
+            let missed = if at_goal && offset.abs() > config.goal.tolerance_m { MISSED } else { 0.0 };
+            let total = self.costs[cell] + weight * offset * offset + sine * sine + missed;
             if total < best.0 {
                 best = (total, cell);
             }
@@ -301,6 +305,9 @@ impl Search {
         (reference_path.start_x, reference_path.step, reference_path.speed) =
             (start.x, grid.step, query.speed);
         reference_path.clear = best.0 < HARD && (start.yaw + start.sideslip).cos() > MIN_COSINE;
+        let offset = self.ends[best.1].y - query.scene.config.goal.y_m;
+        reference_path.misses_goal =
+            grid.ends_at_goal(&query.scene) && offset.abs() > query.scene.config.goal.tolerance_m;
         reference_path.limits.clear();
         reference_path.y.clear();
         reference_path.sine.clear();

@@ -39,6 +39,7 @@ mod state;
 mod stop_rule;
 mod verify;
 mod warm;
+mod way;
 mod weights;
 
 pub use braking::speed_limit;

@@ -38,6 +38,10 @@ use crate::warm;
 
 /// Longest time that the rest of an old plan may be driven [s].
 const MAX_REST_S: f64 = 1.0;
+/// The same at slow scan rates, in scan periods: the last plan is the guess for the next scan.
+const MAX_REST_PERIODS: f64 = 1.5;
+/// Shortest time constant of the approach to the goal, in scan periods: within one the robot gets half of the way.
+const LANDING_PERIODS: f64 = 1.5;
 /// How often a problem is solved again with ellipses that are enlarged by what the body misses.
 const TIGHTENINGS: usize = 3;
 /// By how much more an ellipse is enlarged [m].
@@ -90,7 +94,7 @@ impl<'a> Task<'a> {
             cruise: config.cruise_mps.min(self.fastest_mps),
             slowest: config.vehicle.bounds.velocity_min_mps,
             goal_x: config.goal.x_m,
-            landing_time: config.landing_time_s,
+            landing_time: config.landing_time_s.max(LANDING_PERIODS * config.period_s),
         }
     }
 
@@ -98,7 +102,7 @@ impl<'a> Task<'a> {
     fn elapsed(&self) -> Option<f64> {
         let elapsed_s = self.start_ns.checked_sub(self.last.plan_start_ns)? as f64 * 1e-9;
         let usable = self.last.plan_length >= 2
-            && elapsed_s < MAX_REST_S
+            && elapsed_s < MAX_REST_S.max(MAX_REST_PERIODS * self.scene.config.period_s)
             && (self.last.plan_interval_s - self.scene.config.interval_s()).abs() < 1e-9;
         usable.then_some(elapsed_s)
     }

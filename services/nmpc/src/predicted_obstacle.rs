@@ -13,6 +13,8 @@ use vehicle::geometry::Rectangle;
 const MOVES: (f64, f64) = (2.0, 0.08);
 /// The same for a body that moved at the scan before: near the robot its ends are hidden, so the velocity is uncertain.
 const STILL_MOVES: (f64, f64) = (0.7, 0.04);
+/// By how much a short ellipse is longer than body and robot, to each side [m].
+const SHORT_M: f64 = 0.35;
 /// Largest position that is accepted [m].
 const LARGEST_M: f64 = 1e5;
 
@@ -54,6 +56,15 @@ impl PredictedObstacle {
     pub(crate) fn body_at(&self, t: f64) -> Rectangle {
         let travel = Vector2::new(self.velocity[0] * t, self.velocity[1] * t);
         Rectangle { centre: self.body.centre + travel, ..self.body }
+    }
+
+    /// Makes the ellipse no longer along the track than the body with the robot's own length and [`SHORT_M`] to each side.
+    ///
+    /// The ellipses of short bodies are longer than they need be, (7.35). The clearance of the bodies stays.
+    pub(crate) fn shorten(&mut self, robot_length_m: f64) {
+        let (sin, cos) = self.body.yaw.sin_cos();
+        let half_length = (self.body.length * cos.abs() + self.body.width * sin.abs()) / 2.0;
+        self.a = self.a.min(half_length + robot_length_m / 2.0 + SHORT_M);
     }
 
     /// Whether the body moves.
@@ -178,6 +189,18 @@ mod tests {
         assert!(read(&one(obstacle()), 0.0, |_| false, &mut predicted));
         assert!((predicted[0].value(0.0, 6.2, 0.5) - 1.0).abs() < 1e-12);
         assert!((predicted[0].value(0.0, 5.0, -0.3) - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_short_ellipse_ends_behind_body_and_robot_and_a_long_one_stays() {
+        let mut predicted = Vec::new();
+        assert!(read(&one(Obstacle { box_length_m: 0.1, ..obstacle() }), 0.0, |_| false, &mut predicted));
+        // 0.05 m of the body, 0.28 m of the robot and 0.35 m.
+        predicted[0].shorten(0.56);
+        assert!((predicted[0].a - 0.68).abs() < 1e-12 && predicted[0].b == 0.8);
+        assert!(read(&one(Obstacle { box_length_m: 3.0, ..obstacle() }), 0.0, |_| false, &mut predicted));
+        predicted[0].shorten(0.56);
+        assert_eq!(predicted[0].a, 1.2);
     }
 
     #[test]

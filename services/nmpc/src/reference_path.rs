@@ -57,6 +57,8 @@ pub(crate) struct ReferencePath {
     pub(crate) limits: Vec<f64>,
     /// Whether the path enters no ellipse (deeper than now) and leaves no bound.
     pub(crate) clear: bool,
+    /// Whether the path passes the goal farther away than its tolerance.
+    pub(crate) misses_goal: bool,
 }
 
 impl ReferencePath {
@@ -68,6 +70,7 @@ impl ReferencePath {
         self.y.push(line);
         self.sine.push(0.0);
         (self.start_x, self.step, self.speed, self.clear) = (start_x, 1.0, speed, true);
+        self.misses_goal = false;
     }
 
     /// Lateral position [m], course [rad] and curvature [1/m] at `x`; behind its end the path continues along x.

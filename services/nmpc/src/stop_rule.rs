@@ -209,6 +209,21 @@ mod tests {
     }
 
     #[test]
+    fn a_turn_begins_a_step_after_the_command() {
+        let config = Config::default();
+        let scene = Scene::new(&config, &[], State::default());
+        let speed = 1.0;
+        let curvature = scene.full_lock_curvature(speed);
+        let turns = Turns { scene: &scene, baseline: scene.baseline(), end_x: 9.0, curvature, speed };
+        // A circle of 3.09 m leaves the track, 1.55 m to the left, after 2.68 m; one step of 0.08 m is straight.
+        let start = Sampled { t: 0.0, speed, state: State::default() };
+        let Reach::Hit { x, obstacle: None } = turns.drive(start, 1.0, 9.0) else {
+            panic!("it leaves the track")
+        };
+        assert!((x - 2.76).abs() < 0.02, "{x}");
+    }
+
+    #[test]
     fn an_obstacle_beside_the_path_never_blocks() {
         assert!(!blocked_at(1.5, 1.2, 0.9, 0.1));
     }

@@ -98,6 +98,36 @@ fn random_problems_of_the_closed_loop_converge() {
     assert_eq!(solver.fallbacks(), 0);
 }
 
+/// The first iteration from a guess with gaps takes the better of the step and the roll-out of the guess's controls.
+#[test]
+fn a_guess_whose_states_do_not_follow_from_its_controls_is_never_made_worse_than_its_roll_out() {
+    let mut solver = Solver::new(SolverSettings::default());
+    let mut better = 0;
+    for seed in 0..30 {
+        let (problem, guess) = random(seed);
+        let best = solve(&mut solver, &problem, &guess);
+        assert_eq!(best.status, Status::Converged, "seed {seed}");
+        let gapped = |controls: &[Control]| {
+            let moved = |state: &State| State { y: state.y + 0.3, ..*state };
+            let states = best.trajectory.states.iter().map(moved).collect();
+            Trajectory { states, controls: controls.to_vec() }
+        };
+        // No step is better than the controls of the solution.
+        let kept = gapped(&best.trajectory.controls);
+        let first = solver.solve(&problem, &kept, &Budget::Iterations(1));
+        let excess = first.objective - best.objective;
+        assert!(excess.abs() < 1e-5 * (1.0 + best.objective), "seed {seed}: {excess}");
+        // Standing still is worse than a step.
+        let slow = Control { velocity: problem.bounds.velocity_min_mps, steering: 0.0 };
+        let slow = vec![slow; problem.intervals.len()];
+        let first = solver.solve(&problem, &gapped(&slow), &Budget::Iterations(1));
+        let rolled = objective(&problem, &slow);
+        assert!(first.objective <= rolled * (1.0 + 1e-9), "seed {seed}: {} {rolled}", first.objective);
+        better += u32::from(first.objective < 0.9 * rolled);
+    }
+    assert!(better > 20, "a step was taken {better} times");
+}
+
 #[test]
 fn no_admissible_change_of_the_controls_lowers_the_objective_of_a_solution() {
     let mut rng = Pcg64::seed_from_u64(1);

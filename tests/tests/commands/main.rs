@@ -11,6 +11,8 @@ mod campaign;
 mod description;
 mod foreign_files;
 mod outputs;
+mod moving_bodies;
+mod possible;
 mod reference;
 mod scenarios;
 mod system_file;

@@ -202,7 +202,8 @@ fn every_stage_knows_a_body_that_one_key_sets() {
 #[test]
 fn the_speed_limit_contains_braking_way_and_age_of_the_data() {
     let system = System::new(EXECUTABLE);
-    for keys in [&["robot.blocked_deceleration_mps2=0.3"][..], &["rate_hz=0.5"]] {
+    let slow = ["rate_hz=0.5", "controller.horizon_s=10", "controller.intervals=5", "goal.tolerance_m=0.2"];
+    for keys in [&["robot.blocked_deceleration_mps2=0.3"][..], &slow] {
         for preset in ["robot.preset=ideal", "robot.preset=summit"] {
             let report = untouched(&system, &set("sudden", &[keys, &[preset]].concat()));
             assert_eq!(report.outcome, Outcome::Stopped, "{keys:?} {preset}: {}", report.reason);

@@ -10,7 +10,6 @@ mod independent;
 use std::cell::{Ref, RefCell};
 use std::collections::{BTreeMap, BTreeSet};
 
-use emulator::Outcome;
 use independent::Judge;
 use runtime::{Bus, Observer};
 use scanloop_tests::{System, system_file};
@@ -343,13 +342,4 @@ fn a_controller_resumes_from_a_state_that_is_no_number_and_drives_on() {
     let writers: BTreeSet<u32> =
         samples.commands.values().map(|command| command.header.incarnation).collect();
     assert_eq!(writers.len(), 2, "{writers:?}");
-}
-
-#[test]
-fn a_goal_behind_the_robot_leaves_the_wheels_blocked() {
-    let system = System::new(EXECUTABLE);
-    let behind = settings(["start.x_m=6", "goal.x_m=4", "timeout_s=5"]);
-    let report = system.lockstep(&[&["free"], &behind[..]].concat());
-    assert_eq!((report.outcome, report.drive.path_length_m), (Outcome::Missed, 0.0), "{}", report.reason);
-    system.assert_nothing_left();
 }

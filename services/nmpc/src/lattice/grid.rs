@@ -8,6 +8,9 @@ use crate::scene::Scene;
 pub(super) const BENDS: i32 = 2;
 /// Shortest path that is searched, unless the goal is nearer [m]: a little longer than the horizon.
 const SHORTEST_M: f64 = 3.2;
+/// How much further than its range a search looks for the goal [m]: about a turn to the side and back, so that an obstacle
+/// is passed on a side from which the goal can be reached.
+const GOAL_M: f64 = 3.2;
 /// How far beyond the bounds cells reach, for a robot that is outside [m].
 const OUTSIDE_M: f64 = 0.6;
 
@@ -31,7 +34,8 @@ pub(super) struct Grid {
 impl Grid {
     pub(super) fn new(scene: &Scene, cell_m: f64) -> Self {
         let Scene { config, initial: start, y_range, .. } = *scene;
-        let length = (config.goal.x_m - start.x).clamp(0.05, config.guide.range_m).min(needed(scene));
+        let length =
+            (config.goal.x_m - start.x).clamp(0.05, config.guide.range_m + GOAL_M).min(needed(scene));
         let layers = (length / config.guide.step_m).ceil().max(1.0) as usize;
         let step = length / layers as f64;
         let curvature = scene.full_lock_curvature(config.cruise_mps);
@@ -65,6 +69,11 @@ impl Grid {
         Self { cells_per_m: 1.0 / cell_m, cells, ..self }
     }
 
+    /// Whether the last layer is at the goal.
+    pub(super) fn ends_at_goal(&self, scene: &Scene) -> bool {
+        scene.initial.x + self.step * self.layers as f64 >= scene.config.goal.x_m - 1e-6
+    }
+
     pub(super) fn layer_cells(&self) -> usize {
         self.courses as usize * self.cells
     }
@@ -84,14 +93,15 @@ impl Grid {
     }
 }
 
-/// Distance over which there is something to decide [m]: up to behind the last obstacle, or to the goal in sight.
+/// Distance over which there is something to decide [m]: up to behind the last obstacle in sight, or to the goal.
 fn needed(scene: &Scene) -> f64 {
     let Scene { config, predicted, initial: start, .. } = *scene;
-    if config.goal.x_m - start.x < config.guide.range_m {
+    let range_m = config.guide.range_m;
+    if config.goal.x_m - start.x < range_m + GOAL_M {
         return f64::INFINITY;
     }
     let behind = |obstacle: &PredictedObstacle| {
         if obstacle.moves() { f64::INFINITY } else { obstacle.centre[0] + obstacle.a - start.x }
     };
-    predicted.iter().map(behind).fold(SHORTEST_M, f64::max)
+    predicted.iter().map(behind).fold(SHORTEST_M, f64::max).min(range_m)
 }

@@ -113,6 +113,20 @@ fn behind_the_goal_the_plan_is_cut_and_not_refused() {
 }
 
 #[test]
+fn a_plan_is_cut_before_the_interval_that_ends_outside_of_a_limit() {
+    // 0.5 m/s: 1.561 m after 62 samples of 50 ms, 1.587 m after 63, with which the seventh interval ends; 0.05 m are
+    // allowed beyond the end of the track.
+    let mut fixture = Fixture::new(Vec::new());
+    fixture.config.track.x_m = [-1.0, 1.524];
+    let controls = [Control { velocity: 0.5, steering: 0.0 }; 12];
+    let verdict = verdict(&fixture.scene(), &controls);
+    assert_eq!((verdict.holds(), verdict.intervals), (true, 6), "{verdict:?}");
+    // The first interval can't be driven when its last sample is outside.
+    fixture.config.track.x_m[1] = 0.165;
+    assert!(!super::verify(&fixture.scene(), &controls, &mut Rollout::default()).holds());
+}
+
+#[test]
 fn walls_are_kept_clear_by_the_corners_of_the_body() {
     let mut fixture = Fixture::new(Vec::new());
     fixture.config.track = Track { y_m: [-1.9, 1.9], walls: true, ..Track::default() };

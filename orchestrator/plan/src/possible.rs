@@ -1,0 +1,285 @@
+//! Whether the robot can do what scenario and system ask of it together.
+//!
+//! Each key is allowed alone; the combination decides. What can't be done at all is refused: a velocity that may not be sent,
+//! a goal that no turn leads to, a landing that is finer than the way of one scan period. What can be done but ends
+//! otherwise than the user may think is a warning.
+//!
+//! The robot drives forwards only and does not turn round. Its turns are circles of the steady state, 4 % larger where it
+//! has to get into the turn first. Obstacles count for nothing here: the stages do not know them.
+
+use std::f64::consts::FRAC_PI_2;
+
+use emulator::Scenario;
+use emulator::scenario::{Goal, Start};
+use nmpc::{Config, speed_limit};
+use vehicle::correction::SENT_VELOCITY_MAX_MPS;
+use vehicle::{Control, Invalid};
+
+use crate::System;
+
+/// By how much a turn is larger than a steady one, because the robot has to get into it.
+const ENTRY_SHARE: f64 = 1.04;
+/// How far the robot may leave its bounds [m].
+const OUTSIDE_M: f64 = 0.05;
+/// Largest share of the tolerance of the goal that half the way of one scan period may be: the rest is for the estimate.
+const LANDING_SHARE: f64 = 0.5;
+/// Step of the search for the nearest goal [m].
+const STEP_M: f64 = 0.01;
+
+/// Passes when the velocities that the controller may desire can be sent.
+///
+/// # Errors
+/// [`Invalid`] with the velocity and the largest one that can be sent.
+pub(crate) fn require_velocity(system: &System) -> Result<(), Invalid> {
+    let factor = system.actuator.calibration.correction().velocity_factor;
+    let fastest_mps = SENT_VELOCITY_MAX_MPS / factor;
+    let controller = &system.controller;
+    let velocities = [
+        ("controller.cruise_mps", controller.cruise_mps),
+        ("vehicle.bounds.velocity_max_mps", controller.vehicle.bounds.velocity_max_mps),
+    ];
+    for (key, velocity_mps) in velocities {
+        if velocity_mps > fastest_mps {
+            let allowed = format!(
+                "at most {}, as {SENT_VELOCITY_MAX_MPS} m/s may be sent, and actuator.calibration sends {factor} times \
+                 the velocity",
+                floor(fastest_mps)
+            );
+            return Err(Invalid::new(key, velocity_mps, allowed));
+        }
+    }
+    Ok(())
+}
+
+/// Passes when the goal can be reached from the start on an empty track, and the robot can land there.
+///
+/// `controller` has the goal and the track of the scenario.
+///
+/// # Errors
+/// [`Invalid`] with a key of the scenario, its value and what is possible.
+pub(crate) fn require_goal(scenario: &Scenario, controller: &Config) -> Result<(), Invalid> {
+    let (start, goal) = (&scenario.start, &scenario.goal);
+    let radius_m = turning_radius(controller);
+    let distance_m = (goal.x_m - start.x_m).hypot(goal.y_m - start.y_m);
+    let [low, high] = controller.y_range();
+    let reach_m = goal.tolerance_m + OUTSIDE_M;
+    if !(low - reach_m..=high + reach_m).contains(&goal.y_m) {
+        let allowed = format!("{low} to {high}, the bounds of the robot's centre between the walls");
+        return Err(Invalid::new("goal.y_m", goal.y_m, allowed));
+    }
+    require_landing(goal, controller)?;
+    if distance_m <= goal.tolerance_m {
+        return Ok(());
+    }
+    if goal.x_m <= start.x_m {
+        let allowed = format!(
+            "above start.x_m = {}: the robot drives forwards only and does not turn round",
+            start.x_m
+        );
+        return Err(Invalid::new("goal.x_m", goal.x_m, allowed));
+    }
+    require_heading(start, controller, ENTRY_SHARE * radius_m)?;
+    if is_outside_of_turns(start, goal, goal.x_m, radius_m) {
+        return Ok(());
+    }
+    let nearest = (1..).map(|step| goal.x_m + f64::from(step) * STEP_M);
+    let nearest = nearest
+        .take_while(|x_m| *x_m <= controller.track.x_m[1])
+        .find(|x_m| is_outside_of_turns(start, goal, *x_m, radius_m));
+    let place =
+        format!("start.x_m = {}, start.y_m = {} and start.yaw_rad = {}", start.x_m, start.y_m, start.yaw_rad);
+    let allowed = match nearest {
+        Some(x_m) => format!("at least {}", ceil(x_m)),
+        None => "none on the track".to_owned(),
+    };
+    let allowed = format!(
+        "{allowed} for goal.y_m = {}, as the smallest turn from {place} has {} m radius",
+        goal.y_m,
+        ceil(radius_m)
+    );
+    Err(Invalid::new("goal.x_m", goal.x_m, allowed))
+}
+
+/// What ends otherwise than the user may think.
+pub(crate) fn warnings(scenario: &Scenario, controller: &Config) -> Vec<String> {
+    let (start, goal) = (&scenario.start, &scenario.goal);
+    let limit_mps = speed_limit(controller);
+    let speed_mps = controller.cruise_mps.min(limit_mps);
+    let way_m = ((goal.x_m - start.x_m).hypot(goal.y_m - start.y_m) - goal.tolerance_m).max(0.0);
+    let shortest_s = way_m / speed_mps;
+    let over = (scenario.timeout_s < shortest_s).then(|| {
+        format!(
+            "timeout_s = {} is over before the goal: {} m at {} m/s take {} s",
+            scenario.timeout_s,
+            ceil(way_m),
+            floor(speed_mps),
+            ceil(shortest_s)
+        )
+    });
+    over.into_iter().collect()
+}
+
+/// Passes when half the way of one scan period at the smallest velocity is well within the tolerance of the goal.
+fn require_landing(goal: &Goal, controller: &Config) -> Result<(), Invalid> {
+    let slowest_mps = controller.vehicle.bounds.velocity_min_mps;
+    let needed_m = slowest_mps * controller.period_s / 2.0 / LANDING_SHARE;
+    // Rounding of the product.
+    if needed_m <= goal.tolerance_m + 1e-9 {
+        return Ok(());
+    }
+    let allowed = format!(
+        "at least {}, the way of one scan period of {} s at vehicle.bounds.velocity_min_mps = {slowest_mps}",
+        ceil(needed_m),
+        ceil(controller.period_s)
+    );
+    Err(Invalid::new("goal.tolerance_m", goal.tolerance_m, allowed))
+}
+
+/// Passes when the robot can turn into the direction of the track before it leaves the track.
+fn require_heading(start: &Start, controller: &Config, radius_m: f64) -> Result<(), Invalid> {
+    let [low, high] = controller.y_range();
+    let to_side_m = if start.yaw_rad > 0.0 { high - start.y_m } else { start.y_m - low } + OUTSIDE_M;
+    // A turn from an angle leads radius (1 - cos angle) to the side, and from beyond a right angle also back.
+    let mut largest = (1.0 - to_side_m / radius_m).clamp(-1.0, 1.0).acos();
+    let back_m = start.x_m - controller.track.x_m[0] + OUTSIDE_M;
+    if start.yaw_rad.abs() > FRAC_PI_2 && radius_m * (1.0 - start.yaw_rad.abs().sin()) > back_m {
+        largest = largest.min(FRAC_PI_2);
+    }
+    if start.yaw_rad.abs() <= largest {
+        return Ok(());
+    }
+    let allowed = format!(
+        "at most {} to this side, as a turn of {} m radius from start.x_m = {} and start.y_m = {} leads off the track",
+        floor(largest),
+        ceil(radius_m),
+        start.x_m,
+        start.y_m
+    );
+    Err(Invalid::new("start.yaw_rad", start.yaw_rad, allowed))
+}
+
+/// Whether the goal, moved to `x_m`, is outside of the two circles that the robot turns on at the start.
+fn is_outside_of_turns(start: &Start, goal: &Goal, x_m: f64, radius_m: f64) -> bool {
+    let (sin, cos) = start.yaw_rad.sin_cos();
+    [radius_m, -radius_m].iter().all(|left| {
+        let centre = [start.x_m - left * sin, start.y_m + left * cos];
+        (x_m - centre[0]).hypot(goal.y_m - centre[1]) >= radius_m - goal.tolerance_m
+    })
+}
+
+/// Radius of a steady turn at full lock and cruising velocity [m].
+fn turning_radius(controller: &Config) -> f64 {
+    let velocity = controller.cruise_mps;
+    let control = Control { velocity, steering: controller.vehicle.bounds.steering_max_rad };
+    let (_, yaw_rate) = vehicle::model::steady_turn(&controller.vehicle.parameters(), &control);
+    velocity / yaw_rate
+}
+
+/// Rounded up to three decimals.
+fn ceil(value: f64) -> f64 {
+    (value * 1e3 - 1e-6).ceil() / 1e3
+}
+
+/// Rounded down to three decimals.
+fn floor(value: f64) -> f64 {
+    (value * 1e3 + 1e-6).floor() / 1e3
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scenario(start: [f64; 3], goal: [f64; 2]) -> Scenario {
+        let [x_m, y_m, yaw_rad] = start;
+        Scenario {
+            start: Start { x_m, y_m, yaw_rad },
+            goal: Goal { x_m: goal[0], y_m: goal[1], ..Goal::default() },
+            ..Scenario::default()
+        }
+    }
+
+    fn refused(start: [f64; 3], goal: [f64; 2]) -> Option<String> {
+        require_goal(&scenario(start, goal), &Config::default()).err().map(|invalid| invalid.to_string())
+    }
+
+    #[test]
+    fn a_goal_behind_or_beside_the_start_is_refused_and_one_at_the_start_is_not() {
+        let behind = refused([6.0, 0.0, 0.0], [4.0, 0.0]).unwrap();
+        assert!(behind.starts_with("goal.x_m = 4 is not allowed: above start.x_m = 6: "), "{behind}");
+        assert!(refused([6.0, 0.0, 0.0], [6.0, 0.5]).is_some());
+        assert_eq!(refused([6.0, 0.0, 0.0], [6.0, 0.0]), None);
+        assert_eq!(refused([6.0, 0.0, 0.0], [6.1, 0.0]), None);
+    }
+
+    #[test]
+    fn a_goal_inside_of_the_turning_circles_is_refused_with_the_nearest_one_that_is_not() {
+        // The circle to the left has its centre at (0, 3.1) and 3.1 m radius; 0.1 m of it are allowed.
+        let radius = turning_radius(&Config::default());
+        assert!((radius - 3.1).abs() < 0.01, "{radius}");
+        let nearest = ((radius - 0.1_f64).powi(2) - (radius - 0.8).powi(2)).sqrt();
+        let message = refused([0.0; 3], [nearest - 0.02, 0.8]).unwrap();
+        assert!(
+            message.contains("for goal.y_m = 0.8, as the smallest turn from start.x_m = 0, "),
+            "{message}"
+        );
+        let named: f64 = message
+            .split(&[' ', ','][..])
+            .skip_while(|word| *word != "least")
+            .nth(1)
+            .unwrap()
+            .parse()
+            .unwrap();
+        assert!((named - nearest).abs() < 0.011, "{message}");
+        assert_eq!(refused([0.0; 3], [named, 0.8]), None);
+        assert_eq!(refused([0.0; 3], [named, -0.8]), None);
+    }
+
+    #[test]
+    fn a_heading_from_which_the_robot_leaves_the_track_is_refused() {
+        assert_eq!(refused([0.0, 0.0, 0.9], [10.0, 0.0]), None);
+        assert_eq!(refused([0.0, 0.0, -0.9], [10.0, 0.0]), None);
+        // 3.1 m * 1.04 * (1 - cos 0.9) are 1.22 m; there are 0.55 m to the left.
+        let off = refused([0.0, 1.0, 0.9], [10.0, 0.0]).unwrap();
+        assert!(off.starts_with("start.yaw_rad = 0.9 is not allowed: at most 0.59"), "{off}");
+        assert!(refused([0.0, 1.0, -0.9], [10.0, 0.0]).is_none());
+        assert!(refused([0.0, 0.0, 3.0], [10.0, 0.0]).is_some());
+        // On a wide track the robot turns round, where there is room behind the start too.
+        let wide = |x_m: f64| {
+            let mut controller = Config::default();
+            controller.track.y_m = [-8.0, 8.0];
+            require_goal(&scenario([x_m, 0.0, 2.8], [15.0, 0.0]), &controller)
+        };
+        assert_eq!(wide(3.0), Ok(()));
+        assert!(wide(1.0).is_err());
+    }
+
+    #[test]
+    fn a_tolerance_that_is_finer_than_the_way_of_a_period_is_refused() {
+        let of = |tolerance_m: f64, period_s: f64| {
+            let goal = Goal { tolerance_m, ..Goal::default() };
+            require_goal(&Scenario { goal, ..Scenario::default() }, &Config { period_s, ..Config::default() })
+        };
+        assert_eq!(of(0.01, 0.1), Ok(()));
+        assert_eq!(of(0.1, 0.4), Ok(()));
+        let refused = of(0.01, 0.4).unwrap_err().to_string();
+        assert!(refused.starts_with("goal.tolerance_m = 0.01 is not allowed: at least 0.04, "), "{refused}");
+    }
+
+    #[test]
+    fn walls_leave_less_room_for_the_goal_than_the_track_has() {
+        let mut controller = Config::default();
+        controller.track.walls = true;
+        let of = |y_m: f64| require_goal(&scenario([0.0; 3], [10.0, y_m]), &controller);
+        assert_eq!(of(1.1), Ok(()));
+        let refused = of(1.3).unwrap_err().to_string();
+        assert!(refused.starts_with("goal.y_m = 1.3 is not allowed: -1.1 to 1.1, "), "{refused}");
+    }
+
+    #[test]
+    fn a_timeout_before_the_goal_is_a_warning() {
+        let warned =
+            |timeout_s: f64| warnings(&Scenario { timeout_s, ..Scenario::default() }, &Config::default());
+        assert_eq!(warned(10.0), Vec::<String>::new());
+        assert_eq!(warned(9.0), ["timeout_s = 9 is over before the goal: 9.9 m at 1 m/s take 9.9 s"]);
+    }
+}

@@ -1,0 +1,65 @@
+//! Bodies that move: the robot waits where they do not come, and passes sides from which it gets to its goal.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use emulator::Outcome;
+use scanloop_tests::System;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+
+/// A cart, 0.6 by 1 m, that crosses the track at `x_m` from outside of it; `side` is 1 from the right, -1 from the left.
+fn cart(x_m: f64, side: f64, speed_mps: f64) -> String {
+    let (y_m, velocity_mps) = (-2.6 * side, speed_mps * side);
+    format!(
+        "[[obstacle]]\nshape = \"box\"\nx_m = {x_m:?}\ny_m = {y_m:?}\nlength_m = 0.6\nwidth_m = 1.0\n\
+         velocity_y_mps = {velocity_mps:?}\nappears_s = 0.0\n"
+    )
+}
+
+/// Each was struck, or stopped in the strip of the cart, before plans were asked where the robot would stand.
+#[test]
+fn the_robot_waits_before_the_way_of_a_cart_that_was_visible_from_the_start_or_passes_it() {
+    let system = System::new(EXECUTABLE);
+    let file = system.folder().join("cart.toml");
+    for (x_m, side, speed_mps, preset) in [
+        (3.0, 1.0, 0.5, "summit"),
+        (3.5, -1.0, 0.5, "ideal"),
+        (3.5, 1.0, 0.5, "worn"),
+        (4.0, 1.0, 0.5, "summit"),
+        (4.0, -1.0, 0.5, "ideal"),
+        (4.5, 1.0, 0.5, "ideal"),
+    ] {
+        std::fs::write(&file, cart(x_m, side, speed_mps)).unwrap();
+        let preset = format!("robot.preset={preset}");
+        let report = system.lockstep(&["cart.toml", "--set", &preset]);
+        let truth = report.drive.truth.unwrap();
+        let drive = format!("x {x_m} side {side} {preset}: {}, {truth:?}", report.reason);
+        assert!(!truth.collided && !truth.struck && truth.min_clearance_m > 0.0, "{drive}");
+        assert_eq!(report.outcome, Outcome::Reached, "{drive}");
+    }
+}
+
+/// A box on the line, and a thin post behind it that comes into view when the robot is already beside the line.
+#[test]
+fn a_side_from_which_the_goal_is_reached_is_taken() {
+    let system = System::new(EXECUTABLE);
+    let file = system.folder().join("post.toml");
+    for (side, post_y_m, goal_x_m, preset) in [
+        (1.0, 0.67, 8.7, "summit"),
+        (-1.0, 0.67, 8.7, "summit"),
+        (1.0, 0.6, 8.7, "summit"),
+        (1.0, 0.67, 8.9, "ideal"),
+    ] {
+        let text = format!(
+            "[goal]\nx_m = {goal_x_m:?}\n[robot]\npreset = \"{preset}\"\n\
+             [[obstacle]]\nshape = \"box\"\nx_m = 5.0\ny_m = {:?}\nlength_m = 0.1\nwidth_m = 0.75\n\
+             [[obstacle]]\nshape = \"circle\"\nx_m = 7.1\ny_m = {:?}\nradius_m = 0.02\n",
+            -0.15 * side,
+            post_y_m * side
+        );
+        std::fs::write(&file, text).unwrap();
+        let report = system.lockstep(&["post.toml"]);
+        let truth = report.drive.truth.unwrap();
+        assert_eq!(report.outcome, Outcome::Reached, "{side} {post_y_m} {goal_x_m}: {}", report.reason);
+        assert!(truth.min_clearance_m >= 0.05, "{side} {post_y_m} {goal_x_m}: {truth:?}");
+    }
+}
