@@ -10,6 +10,7 @@ mod calibrate;
 mod campaign;
 mod description;
 mod reference;
+mod released;
 mod scenarios;
 mod urg;
 mod without_truth;
