@@ -14,6 +14,7 @@ mod outputs;
 mod moving_bodies;
 mod possible;
 mod reference;
+mod released;
 mod scenarios;
 mod system_file;
 mod urg;
