@@ -72,12 +72,12 @@ impl Sampler {
 pub fn waits_of(pid: u32) -> String {
     let read = |path: String| std::fs::read_to_string(path).unwrap_or_default();
     let mut text = format!("process {pid}: {}\n", read(format!("/proc/{pid}/cmdline")).replace('\0', " "));
-    let mut children = Vec::new();
+    let mut children: Vec<u32> = Vec::new();
     for thread in std::fs::read_dir(format!("/proc/{pid}/task")).into_iter().flatten().flatten() {
         let path = thread.path().display().to_string();
         let part = |name: &str| read(format!("{path}/{name}")).trim_end().to_owned();
         text += &format!("  {} in {}: {}\n", part("comm"), part("wchan"), part("syscall"));
-        children.extend(part("children").split_whitespace().filter_map(|child| child.parse().ok()));
+        children.extend(part("children").split_whitespace().filter_map(|child| child.parse::<u32>().ok()));
     }
     let mut debugger = std::process::Command::new("gdb");
     debugger.args(["-batch", "-ex", "thread apply all backtrace", "-p", &pid.to_string()]);

@@ -17,7 +17,7 @@ use console::answer;
 use console::exit::{Exit, Failure};
 use console::new_file::{self, require_apart};
 use console::out_folder::OutFolder;
-use console::user_file::{self, DATA_BYTES};
+use console::user_file;
 use plan::Choice;
 use plan::{Plan, calibration_file};
 use report::picture::panels;

@@ -14,7 +14,7 @@ use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::prelude::*;
 
 use crate::RuntimeError;
-use crate::terminal::{self, LogLine, Stream, is_terminal, printable};
+use crate::terminal::{self, LogLine, Stream, printable};
 
 /// Names the stream of the journal that systemd gave to a service, as `DEVICE:INODE`.
 const JOURNAL_VARIABLE: &str = "JOURNAL_STREAM";
