@@ -41,7 +41,7 @@ pub fn read(page: &str) -> String {
 
 /// The commands in the blocks of a page, in their order; one that continues on the next line is one.
 pub fn commands(page: &str) -> Vec<String> {
-    let (mut found, mut block) = (Vec::new(), None);
+    let (mut found, mut block) = (Vec::<String>::new(), None);
     for line in page.lines() {
         match (line.strip_prefix("```"), block) {
             (Some(language), None) => block = Some(["sh", ""].contains(&language)),
@@ -74,7 +74,7 @@ pub fn commands_in_prose(page: &str) -> Vec<String> {
 
 /// The words of a command as a shell takes them, without its comment and what is done with its output.
 pub fn words(command: &str) -> Vec<String> {
-    let (mut words, mut word, mut quote) = (Vec::new(), None::<String>, None);
+    let (mut words, mut word, mut quote) = (Vec::<String>::new(), None::<String>, None::<char>);
     for letter in command.chars() {
         match (quote, letter) {
             (Some(end), letter) if letter == end => quote = None,
@@ -135,7 +135,7 @@ pub fn refreshed(shown: &[String], printed: &str) -> Result<Vec<String>, String>
 
 /// The marked blocks of a page: the command, and the lines that it prints.
 pub fn figures(page: &str) -> Vec<(String, Vec<String>)> {
-    let (mut found, mut lines) = (Vec::new(), page.lines());
+    let (mut found, mut lines) = (Vec::<(String, Vec<String>)>::new(), page.lines());
     while let Some(line) = lines.next() {
         let Some(command) = line.strip_prefix(MARK).and_then(|rest| rest.strip_suffix(" -->")) else {
             continue;
