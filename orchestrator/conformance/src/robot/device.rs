@@ -198,14 +198,14 @@ fn half_a_scan(suite: &Suite) -> Verdict {
         require(first == second, || {
             format!("half of scan {} is that of the scan before", scan.header.scan_id)
         })?;
-        shown += usize::from(sees == [true; 2] && way_m(before, now) >= MOVED_M);
+        shown += usize::from(sees.contains(&true) && way_m(before, now) >= MOVED_M);
     }
     empty.sort_unstable();
     let (usual, most) =
         (empty.get(empty.len() / 2).copied().unwrap_or(0), empty.last().copied().unwrap_or(0));
     if most <= usual + BEAMS / 4 {
         observed(shown >= MIN_OBSERVED, || {
-            format!("it moved and saw something on both sides in {shown} of {SCANS} scans")
+            format!("it moved and saw something in {shown} of {SCANS} scans")
         })?;
     }
     passed_if(
