@@ -77,9 +77,11 @@ impl Drop for Folder {
 /// Runs a system of that shape for so long.
 pub(super) fn measure(program: &Path, shape: &Shape, duration_s: f64) -> anyhow::Result<Measured> {
     let id = format!("scale{}", std::process::id());
-    let folder = Folder(std::env::temp_dir().join(format!("scanloop-{id}")));
+    // A new one: what is removed at the end is nobody else's.
+    let folder = std::env::temp_dir().join(format!("scanloop-{id}"));
+    runtime::Folder::make(&folder)?;
+    let folder = Folder(folder);
     let (system, out) = (folder.0.join("system.toml"), folder.0.join("out"));
-    std::fs::create_dir_all(&folder.0)?;
     let own = std::env::current_exe().context("the path of this program")?;
     let layout = format!("name = \"Bytes\"\n[[field]]\nname = \"content\"\ntype = \"u8[{}]\"\n", shape.bytes);
     std::fs::write(folder.0.join("bytes.toml"), layout)?;

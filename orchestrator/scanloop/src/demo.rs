@@ -14,11 +14,10 @@ mod watch;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::Context;
 use clap::{Args, ValueEnum};
 use console::exit::{Exit, Failure};
 use console::note;
-use runtime::Shutdown;
+use runtime::{Folder, Shutdown};
 use session::arguments::out_folder;
 use shared_types::Role;
 
@@ -217,7 +216,8 @@ struct Scratch(PathBuf);
 impl Scratch {
     fn new(id: &str) -> anyhow::Result<Self> {
         let folder = std::env::temp_dir().join(format!("scanloop-{id}"));
-        std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+        // A new one: what is removed at the end is nobody else's.
+        Folder::make(&folder)?;
         Ok(Self(folder))
     }
 }

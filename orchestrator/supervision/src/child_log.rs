@@ -14,6 +14,9 @@ use std::io::{self, Write};
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
+use anyhow::Context;
+use console::exit::Failure;
+
 /// A longer file is trimmed [bytes]: the output of a day of lifecycle lines, and nothing to a disk or a tmpfs.
 pub const TRIM_ABOVE_BYTES: u64 = 1 << 20;
 
@@ -25,6 +28,10 @@ const MAX_LINE: usize = 400;
 
 /// Starts the line that separates two incarnations in the file.
 const MARK: &str = "=== scanloop: ";
+
+/// Around the number of bytes in the line that stands for what was cut off.
+const DROPPED_START: &str = "=== ";
+const DROPPED_END: &str = " bytes dropped";
 
 /// The output of the processes of one role, one after the other.
 #[derive(Debug)]
@@ -48,6 +55,28 @@ impl ChildLog {
         let append = OpenOptions::new().create(true).append(true).read(true).open(path)?;
         let edit = OpenOptions::new().write(true).open(path)?;
         Ok(Self { path: path.to_owned(), append, edit })
+    }
+
+    /// The log of a run: one that goes on with the file, or one that begins it anew. A file that is no log of a run is left
+    /// as it is.
+    ///
+    /// # Errors
+    /// A file of somebody else, exit code 2, and those of the file system.
+    pub fn of_run(path: &Path, goes_on: bool) -> anyhow::Result<Self> {
+        let name = path.display();
+        let mut start = [0; 64];
+        let found = File::open(path).and_then(|file| file.read_at(&mut start, 0));
+        if let Ok(length) = found
+            && !goes_on
+        {
+            if length > 0 && !is_log(&start[..length]) {
+                let text =
+                    format!("{name}: the file is no log of a run, and is left as it is; name another --out");
+                return Err(Failure::bad_input(text));
+            }
+            std::fs::remove_file(path).with_context(|| name.to_string())?;
+        }
+        Self::open(path).with_context(|| name.to_string())
     }
 
     /// Where the file is.
@@ -90,7 +119,7 @@ impl ChildLog {
         let line = tail.iter().position(|byte| *byte == b'\n').map_or(0, |end| end + 1);
         let dropped = length - KEEP_BYTES + line as u64;
         tail.drain(..line);
-        let notice = format!("=== {dropped} bytes dropped\n");
+        let notice = format!("{DROPPED_START}{dropped}{DROPPED_END}\n");
         self.edit.write_all_at(notice.as_bytes(), 0)?;
         self.edit.write_all_at(&tail, notice.len() as u64)?;
         let mut end = (notice.len() + tail.len()) as u64;
@@ -157,6 +186,14 @@ fn printable(line: &str) -> String {
         clean.push_str("...");
     }
     clean
+}
+
+/// Whether a file that begins so is a log of a run.
+fn is_log(start: &[u8]) -> bool {
+    let start = String::from_utf8_lossy(start);
+    let line = start.lines().next().unwrap_or_default();
+    let dropped = line.strip_prefix(DROPPED_START).and_then(|line| line.strip_suffix(DROPPED_END));
+    line.starts_with(MARK) || dropped.is_some_and(|number| number.parse::<u64>().is_ok())
 }
 
 #[cfg(test)]
@@ -252,5 +289,23 @@ pub(crate) mod tests {
         write(&log, &"z\n".repeat(TRIM_ABOVE_BYTES as usize));
         assert!(log.trim().unwrap());
         assert!(log.append.metadata().unwrap().len() <= KEEP_BYTES + 100);
+    }
+
+    #[test]
+    fn a_log_of_an_earlier_run_is_replaced_and_any_other_file_is_left() {
+        let scratch = Scratch::new();
+        let path = scratch.0.join("robot.log");
+        std::fs::create_dir_all(&scratch.0).unwrap();
+        for earlier in
+            ["", "=== scanloop: robot incarnation 1: emulator\nline\n", "=== 812 bytes dropped\nline\n"]
+        {
+            std::fs::write(&path, earlier).unwrap();
+            ChildLog::of_run(&path, false).unwrap();
+            assert_eq!(std::fs::read(&path).unwrap(), b"", "{earlier}");
+        }
+        std::fs::write(&path, "2026-11-26 my own robot\n").unwrap();
+        let refused = ChildLog::of_run(&path, false).unwrap_err().to_string();
+        assert!(refused.contains("robot.log: the file is no log of a run"), "{refused}");
+        assert_eq!(std::fs::read(&path).unwrap(), b"2026-11-26 my own robot\n");
     }
 }

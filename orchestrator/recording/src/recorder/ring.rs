@@ -109,7 +109,8 @@ impl Target for Ring {
 
 /// Removes the oldest files of incidents.
 fn remove_oldest(folder: &Path) -> io::Result<()> {
-    let is_incident = |name: &str| name.starts_with("incident-") && name.ends_with(".mcap");
+    let number = |name: &str| name.strip_prefix("incident-")?.strip_suffix(".mcap")?.parse::<u64>().ok();
+    let is_incident = |name: &str| number(name).is_some();
     let mut files: Vec<_> = std::fs::read_dir(folder)?
         .flatten()
         .filter(|entry| entry.file_name().to_str().is_some_and(is_incident))

@@ -9,7 +9,7 @@ use fault_matrix::course::{begins, live_scenario, settings};
 use fault_matrix::{Course, Finding, Limits, Observed, Place, Simulation, judge};
 use faults::{Fault, Injection, Phase, ProcessAction, ProcessFault};
 use pipeline::Settings;
-use runtime::monotonic_ns;
+use runtime::{Folder, monotonic_ns};
 
 use super::act::{act, faulty_role};
 use super::system::CellSystem;
@@ -158,6 +158,8 @@ fn in_a_namespace(fault: &Fault, phase: Phase) -> anyhow::Result<Driven> {
         return Ok(Err(format!("{cell}: mounting is not permitted")));
     }
     let out = std::env::temp_dir().join(format!("scanloop-faults-{}", std::process::id()));
+    // A new one: what is removed at the end is nobody else's.
+    Folder::make(&out)?;
     let mut command = Command::new("unshare");
     command.args(["-m", "sh", "-c", MOUNT]).arg(std::env::current_exe().context("path of this executable")?);
     command.args(["faults", "--json", "--only", &format!("{cell}*"), "--out"]).arg(&out).env(INSIDE, "1");

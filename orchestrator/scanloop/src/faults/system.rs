@@ -9,7 +9,7 @@ use anyhow::Context;
 use console::exit::Failure;
 use emulator::Scenario;
 use faults::ProcessName;
-use runtime::Domain;
+use runtime::{Domain, Folder};
 use rustix::process::{Pid, Signal, kill_process};
 use session::control::{Reply, Request, Status, ask};
 use shared_types::Role;
@@ -44,7 +44,8 @@ impl CellSystem {
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
         let id = format!("f{}-{number}", std::process::id());
         let folder = std::env::temp_dir().join(format!("scanloop-{id}"));
-        std::fs::create_dir_all(&folder).with_context(|| format!("{}", folder.display()))?;
+        // A new one: what is removed at the end is nobody else's.
+        Folder::make(&folder)?;
         std::fs::write(folder.join("scenario.toml"), scenario.to_toml())?;
         let orphan_stop = format!("orphan_stop_s={ORPHAN_STOP_S}");
         let arguments = ["run", "scenario.toml", "--quiet", "--out", "out", "--set", orphan_stop.as_str()];
