@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 
+use console::limits::text_of;
 use emulator::JudgedBy;
 use handover::swap::watch::Watch;
 use handover::swap::{Party, SwapEvent};
@@ -250,7 +251,7 @@ impl Session {
         if has_own_settings && started.is_err() {
             let _ = self.run.domain.folder().remove(&own_settings_file(incarnation));
         }
-        started.map_err(|error| format!("{error:#}"))
+        started.map_err(|error| text_of(&error))
     }
 
     fn try_start(&mut self, candidate: Candidate, incarnation: u32, needs_truth: bool) -> anyhow::Result<()> {
