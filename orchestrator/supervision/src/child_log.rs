@@ -57,17 +57,17 @@ impl ChildLog {
         Ok(Self { path: path.to_owned(), append, edit })
     }
 
-    /// The log of a run: one that goes on with the file, or one that begins it anew. A file that is no log of a run is left
+    /// The log of a run: one that continues the file, or one that begins it anew. A file that is no log of a run is left
     /// as it is.
     ///
     /// # Errors
     /// A file of somebody else, exit code 2, and those of the file system.
-    pub fn of_run(path: &Path, goes_on: bool) -> anyhow::Result<Self> {
+    pub fn of_run(path: &Path, continues: bool) -> anyhow::Result<Self> {
         let name = path.display();
         let mut start = [0; 64];
         let found = File::open(path).and_then(|file| file.read_at(&mut start, 0));
         if let Ok(length) = found
-            && !goes_on
+            && !continues
         {
             if length > 0 && !is_log(&start[..length]) {
                 let text =
