@@ -87,7 +87,7 @@ fn run() -> anyhow::Result<Exit> {
     match cli.command {
         Command::Service { name } => service(&name).map(|()| Exit::Done),
         Command::Bench(command) => {
-            limits::require_open_files()?;
+            limits::require_room_for_a_system()?;
             runtime::start_terminal();
             match command {
                 BenchCommand::Solver(arguments) => solver::solver(&arguments, Some(allocations)),

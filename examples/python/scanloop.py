@@ -58,6 +58,7 @@ from scanloop_types import (
 
 HEARTBEAT_NS = 95_000_000  # between two heartbeats
 MAX_WAIT_NS = 20_000_000  # it waits on one event only, and polls the other topics this often
+STOOD_STILL_NS = 300_000_000  # a process that did not poll for so long did not run
 OPEN_RETRY_NS = 5_000_000_000  # opening can collide with a clean-up, which does not take long
 MAX_AGE_PERIODS, YOUNG_NS = 3, 25_000_000  # an input older than both is not used
 MAX_NUMBER, MAX_STAMP_NS = 1 << 48, 1 << 62  # no scan and no sample has a larger number
@@ -420,6 +421,7 @@ class Process:
         self._journal, self._notes = Output(self, Journal), []
         self._listener = self._events(types.TOPICS[TRIGGERS[self.role]]).listener_builder().create()
         self._next_heartbeat_ns, self._directive_seen_ns = 0, time.monotonic_ns()
+        self._polled_ns, self._absent_ns = self._directive_seen_ns, 0
 
     def settings(self, name=None):
         """The settings of the role as a dict with all keys of docs/system-file.md. For the robot it is the scenario."""
@@ -643,7 +645,7 @@ class Process:
         if self._directives._kept:
             self.directive = self._directives._kept[-1]
             self._directives._kept.clear()
-            self._directive_seen_ns = time.monotonic_ns()
+            self._directive_seen_ns, self._absent_ns = time.monotonic_ns(), 0
             for reader in self._inputs:
                 reader._review()
         for reader in self._inputs:
@@ -652,8 +654,16 @@ class Process:
             self.directive.stop = 1
         self.report_wheels(self._wheels)
         timeout_ns = self._orphan_timeout_ns if self._stop_word.is_armed() else self._orphan_stop_ns
-        orphaned = time.monotonic_ns() - self._directive_seen_ns > min(timeout_ns, self._orphan_timeout_ns)
+        orphaned = self._silent_ns() > min(timeout_ns, self._orphan_timeout_ns)
         return not self._ended and not orphaned
+
+    def _silent_ns(self):
+        """How long no directive has come while this process ran: a pause of its own counts for 0.3 s at most."""
+        now_ns = time.monotonic_ns()
+        gap_ns, self._polled_ns = now_ns - self._polled_ns, now_ns
+        silent_ns = now_ns - self._directive_seen_ns
+        self._absent_ns += max(min(gap_ns, silent_ns) - STOOD_STILL_NS, 0)
+        return silent_ns - self._absent_ns
 
     @staticmethod
     def _listen(wait):

@@ -12,7 +12,7 @@ use std::time::Duration;
 use anyhow::Context;
 use console::exit::{Exit, Failure};
 use console::note;
-use runtime::{Shutdown, link_version, monotonic_ns};
+use runtime::{STOOD_STILL_NS, Shutdown, link_version, monotonic_ns};
 
 use crate::file::AgentFile;
 use crate::link::{program, require_private};
@@ -29,8 +29,6 @@ const STEADY_NS: u64 = 1_000_000_000;
 const LAST_REPEATS: usize = 3;
 /// Time between two of these messages.
 const LAST_PAUSE: Duration = Duration::from_millis(20);
-/// An agent that has not run for this long was stopped [ns].
-const STOOD_STILL_NS: u64 = 300_000_000;
 /// Time before a link that has ended is started again [ns].
 const LINK_RESTART_NS: u64 = 500_000_000;
 

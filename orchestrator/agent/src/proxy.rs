@@ -7,7 +7,7 @@ use anyhow::Context;
 use console::exit::{Exit, Failure};
 use runtime::{
     CANDIDATE_VARIABLE, Domain, INCARNATION_VARIABLE, LINK_SOCKET, LinkStatus, LinkTable, Priority,
-    RESTART_VARIABLE, ROLE_VARIABLE, Shutdown, StopWord, Wheels, link_version, monotonic_ns,
+    RESTART_VARIABLE, ROLE_VARIABLE, Shutdown, Silence, StopWord, Wheels, link_version, monotonic_ns,
     own_settings_file, print, reply_socket, settings_file,
 };
 use rustix::process::{Signal, getpid, kill_process};
@@ -58,6 +58,7 @@ pub fn run(host: &str, implementation: &str) -> anyhow::Result<Exit> {
     let ended_ns = table.orphan_timeout_ns.saturating_add(ORPHAN_END_NS);
     let begun_ns = monotonic_ns();
     let (mut heard_ns, mut sent_ns, mut is_known) = (begun_ns, 0, false);
+    let mut silence = Silence::default();
     let reach_ns = if variable(CANDIDATE_VARIABLE).is_some() { REACH_IN_SWAP_NS } else { REACH_NS };
     let mut answer = vec![0; ANSWER_BYTES];
     loop {
@@ -100,7 +101,8 @@ pub fn run(host: &str, implementation: &str) -> anyhow::Result<Exit> {
                  transport of the system file, and the same version of scanloop"
             )));
         }
-        if is_known && now_ns.saturating_sub(heard_ns) > ended_ns {
+        let silent_ns = silence.since(heard_ns, now_ns);
+        if is_known && silent_ns > ended_ns {
             return Err(Failure::process(format!(
                 "host {host}: nothing came from its agent for {:.1} s; by then its processes have ended",
                 ended_ns as f64 * 1e-9

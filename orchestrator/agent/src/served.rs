@@ -133,6 +133,7 @@ impl Served {
         log.begin(&format!("{role} incarnation {incarnation}: {}", start.implementation))?;
         let command = vec![this_program().into(), "service".into(), (&start.implementation).into()];
         let child = Child::spawn(&Launch { command, environment }, &log)?;
+        self.stop_word.enlist(child.pid());
         for refused in start.realtime.apply_to(child.pid()) {
             log.begin(&refused)?;
         }

@@ -57,6 +57,7 @@ pub fn exit_of(error: &anyhow::Error) -> Exit {
             | runtime::RuntimeError::AlreadyRunning { .. }
             | runtime::RuntimeError::NotRunning(_)
             | runtime::RuntimeError::NotPrivate { .. }
+            | runtime::RuntimeError::NotOurs { .. }
             | runtime::RuntimeError::NotInASystem(_)
             | runtime::RuntimeError::Layout(_)
             | runtime::RuntimeError::Environment { .. },
@@ -67,9 +68,9 @@ pub fn exit_of(error: &anyhow::Error) -> Exit {
     }
 }
 
-/// Whether the machine, or a limit of this process, allows no more files or memory.
+/// Whether the machine, or a limit of this process, allows no more files, processes or memory, or no larger file.
 fn is_shortage(error: &std::io::Error) -> bool {
-    const SHORTAGES: [Errno; 3] = [Errno::MFILE, Errno::NFILE, Errno::NOMEM];
+    const SHORTAGES: [Errno; 5] = [Errno::MFILE, Errno::NFILE, Errno::NOMEM, Errno::AGAIN, Errno::FBIG];
     Errno::from_io_error(error).is_some_and(|errno| SHORTAGES.contains(&errno))
 }
 

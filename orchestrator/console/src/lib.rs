@@ -1,5 +1,6 @@
 //! The interface of commands to a user at a terminal: exit codes, output, progress, files of the user.
 
+pub mod control_group;
 pub mod exit;
 pub mod limits;
 pub mod new_file;

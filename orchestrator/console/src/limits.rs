@@ -1,16 +1,81 @@
-//! Limits of the kernel, and a umask, that may be too small for a system.
+//! Limits of the kernel, and a umask, that may be too small for a system: what must hold before one is started, and the
+//! limit behind an error.
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use rustix::fs::Mode;
-use rustix::process::{Resource, Rlimit, getrlimit, setrlimit, umask};
+use rustix::io::Errno;
+use rustix::process::{Resource, Rlimit, Signal, getrlimit, setrlimit, umask};
 
+use crate::control_group;
 use crate::exit::Failure;
 
 /// Twice the measured use of the deepest computation [bytes].
 const MIN_STACK_BYTES: u64 = 1 << 20;
-/// An orchestrator has 150 files open while it drives, and more during a swap.
-const MIN_OPEN_FILES: u64 = 256;
-/// The limit that is requested where it is allowed.
-const OPEN_FILES: u64 = 1024;
+
+/// What a system needs of a limit that each process has.
+struct Need {
+    resource: Resource,
+    minimum: u64,
+    /// The limit that is requested where it is allowed; as far as possible without one.
+    wanted: Option<u64>,
+    /// The limit is told and set in so many of the kernel's units.
+    unit: u64,
+    /// The sentence, with `{}` in the place of the limit.
+    what: &'static str,
+    /// The option of `ulimit`.
+    option: &'static str,
+}
+
+const NEEDS: [Need; 5] = [
+    Need {
+        resource: Resource::Nofile,
+        // An orchestrator has 150 files open while it drives, and more during a swap.
+        minimum: 256,
+        wanted: Some(1024),
+        unit: 1,
+        what: "at most {} files may be open",
+        option: "-n",
+    },
+    Need {
+        resource: Resource::Fsize,
+        // The reserve of shared memory for one more process is a file, and the largest one; recordings may grow beyond it.
+        minimum: 256 << 20,
+        wanted: None,
+        unit: 1024,
+        what: "files are limited to {} KiB",
+        option: "-f",
+    },
+    Need {
+        resource: Resource::As,
+        // An orchestrator with a recorder and a swap maps less than half of it.
+        minimum: 512 << 20,
+        wanted: None,
+        unit: 1024,
+        what: "the addresses of a process are limited to {} KiB",
+        option: "-v",
+    },
+    Need {
+        resource: Resource::Data,
+        // The last seconds of a drive take 64 MiB at most.
+        minimum: 256 << 20,
+        wanted: None,
+        unit: 1024,
+        what: "the data of a process are limited to {} KiB",
+        option: "-d",
+    },
+    Need {
+        resource: Resource::Cpu,
+        // A process uses 1 % of a processor: less than this would end it within a day.
+        minimum: 900,
+        wanted: None,
+        unit: 1,
+        what: "the processor time of a process is limited to {} s",
+        option: "-t",
+    },
+];
 
 /// Clears the owner's bits of the umask: with them, only root could enter the directories that the bus makes. The
 /// rest of the umask stays as the user wants it.
@@ -35,18 +100,78 @@ pub fn require_stack() -> anyhow::Result<()> {
     )))
 }
 
-/// Passes when enough files can be open at a time; raises the limit when that is allowed.
+/// Passes when the limits of this process, which those that it starts inherit, suffice for a system; raises them when that is
+/// allowed.
 ///
 /// # Errors
-/// As [`require_stack`].
-pub fn require_open_files() -> anyhow::Result<()> {
-    let files = raise(Resource::Nofile, OPEN_FILES);
-    if files >= MIN_OPEN_FILES {
-        return Ok(());
+/// As [`require_stack`], for the first limit that is too small.
+pub fn require_room_for_a_system() -> anyhow::Result<()> {
+    let too_small = NEEDS.iter().find_map(|need| {
+        let limit = raise(need.resource, need.wanted.unwrap_or(u64::MAX));
+        (limit < need.minimum).then(|| need.fault(limit))
+    });
+    too_small.map_or(Ok(()), |fault| Err(Failure::process(fault)))
+}
+
+impl Need {
+    fn fault(&self, limit: u64) -> String {
+        let (limit, needed) = (limit / self.unit, self.minimum / self.unit);
+        let what = self.what.replace("{}", &limit.to_string());
+        format!("{what}, {needed} are needed: `ulimit {} {needed}`", self.option)
     }
-    Err(Failure::process(format!(
-        "at most {files} files may be open, {MIN_OPEN_FILES} are needed: `ulimit -n {MIN_OPEN_FILES}`"
-    )))
+}
+
+/// Lets a write beyond the limit of the size of files fail with an error, where the signal of the kernel would end this
+/// process without a word.
+pub fn keep_from_large_files() {
+    // A signal that is handled does not end the process; what it has set is not read.
+    let seen = Arc::new(AtomicBool::new(false));
+    if let Err(error) = signal_hook::flag::register(Signal::XFSZ.as_raw(), seen) {
+        tracing::debug!(%error, "a file that becomes too large ends this process");
+    }
+}
+
+/// The text of an error, with the limit that it is about when the kernel has refused something for a limit.
+pub fn text_of(error: &anyhow::Error) -> String {
+    let mut causes = error.chain().filter_map(|cause| cause.downcast_ref::<io::Error>());
+    let limit = causes.find_map(|cause| limit_behind(Errno::from_io_error(cause)?));
+    let mut text = String::new();
+    // Some errors name their cause themselves.
+    for part in error.chain().map(ToString::to_string).chain(limit).filter(|part| !part.is_empty()) {
+        if !text.contains(&part) {
+            text += if text.is_empty() { "" } else { ": " };
+            text += &part;
+        }
+    }
+    text
+}
+
+/// The limit that the kernel refers to with an error; `None` when there is none, or it is not known which.
+fn limit_behind(errno: Errno) -> Option<String> {
+    let of = |resource| getrlimit(resource).current;
+    match errno {
+        Errno::AGAIN => match control_group::processes_reached() {
+            Some(control_group::Reached { group, limit }) => Some(format!(
+                "its control group {group} allows {limit} processes and threads, and has as many: raise `pids.max`"
+            )),
+            None => of(Resource::Nproc)
+                .map(|most| format!("a user may have {most} processes and threads: raise `ulimit -u`")),
+        },
+        Errno::MFILE => of(Resource::Nofile)
+            .map(|most| format!("at most {most} files may be open in a process: raise `ulimit -n`")),
+        Errno::NFILE => Some("the machine allows no more open files: raise `sysctl fs.file-max`".to_owned()),
+        Errno::FBIG => of(Resource::Fsize)
+            .map(|bytes| format!("a file may have {} KiB at most: raise `ulimit -f`", bytes / 1024)),
+        Errno::NOMEM => match of(Resource::As) {
+            Some(bytes) => {
+                Some(format!("a process may have {} KiB of addresses: raise `ulimit -v`", bytes / 1024))
+            }
+            None => control_group::memory_limit().map(|control_group::Reached { group, limit }| {
+                format!("its control group {group} allows {} KiB of memory", limit / 1024)
+            }),
+        },
+        _ => None,
+    }
 }
 
 /// Raises a limit to `wanted`, or as far as is allowed; returns the new limit.
@@ -54,9 +179,28 @@ fn raise(resource: Resource, wanted: u64) -> u64 {
     let Rlimit { current, maximum } = getrlimit(resource);
     let limit = current.unwrap_or(u64::MAX);
     let allowed = wanted.min(maximum.unwrap_or(u64::MAX));
-    if limit < allowed && setrlimit(resource, Rlimit { current: Some(allowed), maximum }).is_ok() {
+    if limit < allowed
+        && setrlimit(resource, Rlimit { current: (allowed < u64::MAX).then_some(allowed), maximum }).is_ok()
+    {
         allowed
     } else {
         limit
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_names_the_limit_behind_it() {
+        let text = |errno: Errno| text_of(&anyhow::Error::from(io::Error::from(errno)).context("start"));
+        let most = getrlimit(Resource::Nofile).current.unwrap();
+        assert!(
+            text(Errno::MFILE)
+                .ends_with(&format!("at most {most} files may be open in a process: raise `ulimit -n`"))
+        );
+        assert!(text(Errno::NFILE).contains("fs.file-max"));
+        assert_eq!(text(Errno::PERM), format!("start: {}", io::Error::from(Errno::PERM)));
     }
 }

@@ -51,8 +51,9 @@ pub fn main() -> ExitCode {
 /// Runs the command of an executable, prints its error, and returns its exit code.
 pub fn program(command: fn() -> anyhow::Result<Exit>) -> ExitCode {
     limits::keep_own_rights();
+    limits::keep_from_large_files();
     let exit = limits::require_stack().and_then(|()| command()).unwrap_or_else(|error| {
-        runtime::print(runtime::Priority::Error, &format!("error: {error:#}"));
+        runtime::print(runtime::Priority::Error, &format!("error: {}", limits::text_of(&error)));
         exit_of(&error)
     });
     runtime::flush_terminal(FLUSH_TIMEOUT);
@@ -66,9 +67,14 @@ fn parse_and_run() -> anyhow::Result<Exit> {
     runtime::check_log_filter()?;
     if matches!(
         cli.command,
-        Command::Run(_) | Command::Adopt(_) | Command::Bench(_) | Command::Conformance(_) | Command::Demo(_)
+        Command::Run(_)
+            | Command::Adopt(_)
+            | Command::Bench(_)
+            | Command::Conformance(_)
+            | Command::Demo(_)
+            | Command::Agent { command: None, .. }
     ) {
-        limits::require_open_files()?;
+        limits::require_room_for_a_system()?;
     }
     if matches!(cli.command, Command::Run(_) | Command::Adopt(_) | Command::Bench(_)) {
         runtime::start_terminal();
@@ -85,7 +91,6 @@ fn print_json(asked: bool, value: &impl Serialize) -> anyhow::Result<()> {
 }
 
 fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
-    let domain = || supervision::runs::existing(&cli.system_id);
     match &cli.command {
         Command::Run(arguments) => {
             runtime::start_logging();
@@ -113,7 +118,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         }
         Command::Check(arguments) => check::check(arguments),
         Command::Analyse(command) => analyse::analyse(command),
-        Command::Status { json } => status::status(&domain()?, *json),
+        Command::Status { json } => status::status(&cli.system_id, *json),
         Command::Top(arguments) => top::top(&cli.system_id, arguments),
         Command::View(arguments) => view::serve(&cli.system_id, arguments, &verbs()),
         Command::Stop(arguments) => stop::stop(&cli.system_id, arguments),

@@ -3,27 +3,56 @@
 use std::fmt::Write as _;
 
 use console::answer;
-use console::exit::Exit;
+use console::exit::{Exit, Failure};
 use emulator::JudgedBy;
-use runtime::{Domain, LinkedHost};
+use runtime::{LinkedHost, RuntimeError};
 use session::control::{CompanionStatus, ProcessStatus, Status};
-use session::orphaned::{ORPHANED, current_status};
+use session::orphaned::{ORPHANED, SUSPENDED, current_status};
 use shared_types::{Role, ScannerState};
+use supervision::lock::suspended_orchestrator;
+use supervision::runs::{RunProcess, existing, strays_of};
 
 use crate::print_json;
 
 /// Prints the state of the system.
 ///
 /// # Errors
-/// A system that is not running; exit code 2.
-pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
-    let status = current_status(domain)?;
+/// A system that is not running; exit code 2. What its last run has left is named.
+pub(crate) fn status(system_id: &str, json: bool) -> anyhow::Result<Exit> {
+    let domain = &existing(system_id).map_err(|error| with_strays(error, system_id))?;
+    let status = current_status(domain).map_err(|error| match error.downcast() {
+        Ok(error) => with_strays(error, system_id),
+        Err(other) => other,
+    })?;
     print_json(json, &status)?;
     if !json {
-        let hint = "its orchestrator died: `scanloop adopt` takes it over, `scanloop stop` ends it\n";
-        answer!(json, "{}{}", table(&status), if status.state == ORPHANED { hint } else { "" })?;
+        let mut hint = String::new();
+        if status.state == ORPHANED {
+            hint.push_str("its orchestrator died: `scanloop adopt` takes it over, `scanloop stop` ends it\n");
+        }
+        if status.state == SUSPENDED {
+            let pid = suspended_orchestrator(domain).map_or_else(String::new, |pid| format!(" {pid}"));
+            let _ = writeln!(
+                hint,
+                "its orchestrator{pid} does not run: it was suspended by a signal (`kill -CONT{pid}`), or its control group is \
+                 frozen; `scanloop stop` blocks the wheels"
+            );
+        }
+        answer!(json, "{}{hint}", table(&status))?;
     }
     Ok(Exit::Done)
+}
+
+/// The error with the processes that no system lives by, but a run has left.
+fn with_strays(error: RuntimeError, system_id: &str) -> anyhow::Error {
+    let strays: Vec<String> = strays_of(system_id).iter().map(RunProcess::description).collect();
+    match error {
+        RuntimeError::NotRunning(_) if !strays.is_empty() => Failure::bad_input(format!(
+            "{error}; an earlier run has left {}: `scanloop stop` ends it",
+            strays.join("; ")
+        )),
+        error => error.into(),
+    }
 }
 
 /// Another host: its clock, and the samples that it dropped.

@@ -2,21 +2,29 @@
 //!
 //! The command finds runs in `/proc`, latches their stop words and waits for the acknowledgement. The rest takes
 //! longer: standstill, reports, the end of the processes, the removal of files. A copy of this program does that in a
-//! session of its own, so closing the terminal does not interrupt it.
+//! session of its own, so closing the terminal does not interrupt it. What processes of a run have started in groups of
+//! their own is named and ended as well.
+//!
+//! A run in another pid or user namespace is stopped over its control socket. Without an orchestrator there it can't be.
 
 use std::process::{Command, Stdio};
+use std::time::Duration;
 
 use console::exit::{Exit, Failure};
+use console::note;
 use console::output::answer;
-use runtime::{Domain, Priority, RuntimeError, print};
+use runtime::{Domain, Priority, RuntimeError, monotonic_ns, print};
 use rustix::process::{geteuid, setsid};
+use session::control::{Reply, Request, ask};
 use supervision::child::this_program;
 use supervision::halt::{self, Blocked};
-use supervision::lock::SystemLock;
-use supervision::runs::LivingRun;
+use supervision::lock::{SystemLock, hidden, is_hidden};
+use supervision::runs::{LivingRun, RunProcess};
 
 use crate::cli::StopArguments;
 
+/// Time between two requests to an orchestrator in another namespace.
+const POLL: Duration = Duration::from_millis(10);
 /// The command returns at most this long after its start when the wheels are blocked [ns].
 const RETURN_NS: u64 = 900_000_000;
 
@@ -35,16 +43,76 @@ pub(crate) fn stop(system_id: &str, arguments: &StopArguments) -> anyhow::Result
             "--uid {uid} is not allowed: only root stops the systems of others"
         )));
     }
-    let living = LivingRun::all(uid);
+    let (over, living): (Vec<_>, Vec<_>) =
+        LivingRun::with_strays(uid).into_iter().partition(LivingRun::is_over);
     let chosen: Vec<&LivingRun> =
         living.iter().filter(|run| arguments.all || run.system_id == system_id).collect();
-    if chosen.is_empty() {
-        return nothing(system_id, arguments, &living);
-    }
     // All runs are stopped before the first one is waited for.
     chosen.iter().filter_map(|run| run.word.as_ref()).for_each(runtime::StopWord::latch);
-    let all_confirmed = chosen.iter().map(|run| stop_one(run)).fold(true, |all, confirmed| all & confirmed);
+    let seen = chosen.iter().map(|run| stop_one(run)).fold(true, |all, confirmed| all & confirmed);
+    let hidden = match arguments.uid {
+        None if arguments.all || chosen.is_empty() => hidden_systems(system_id, arguments.all, &living)?,
+        _ => Vec::new(),
+    };
+    let over = over.iter().filter(|run| arguments.all || run.system_id == system_id);
+    let strays: Vec<RunProcess> = over.flat_map(LivingRun::strays).cloned().collect();
+    if chosen.is_empty() && hidden.is_empty() && strays.is_empty() {
+        return nothing(system_id, arguments, &living);
+    }
+    let unseen = hidden.iter().map(stop_unseen).fold(true, |all, confirmed| all & confirmed);
+    let all_confirmed = seen & unseen & end_strays(&strays);
     Ok(if all_confirmed { Exit::Done } else { Exit::ProcessFailed })
+}
+
+/// The systems of that id, or all, whose processes live but can't be seen here.
+fn hidden_systems(system_id: &str, all: bool, living: &[LivingRun]) -> anyhow::Result<Vec<Domain>> {
+    let is_seen = |domain: &Domain| living.iter().any(|run| run.run_id == domain.run_id());
+    let domains = if all { Domain::all()? } else { Domain::find(system_id)?.into_iter().collect() };
+    Ok(domains.into_iter().filter(|domain| !is_seen(domain) && is_hidden(domain)).collect())
+}
+
+/// Stops a run whose processes can't be seen here by its orchestrator; true when its wheels are confirmed to be blocked.
+fn stop_unseen(domain: &Domain) -> bool {
+    let began_ns = monotonic_ns();
+    if !matches!(ask(domain, &Request::Stop), Ok(Reply::Done)) {
+        print(Priority::Error, &format!("error: {:#}", hidden(domain)));
+        return false;
+    }
+    let (system_id, how) = (domain.system_id(), "over its control socket, as it runs in another namespace");
+    loop {
+        let after_ms = (monotonic_ns() - began_ns) / 1_000_000;
+        let blocked = match ask(domain, &Request::Status) {
+            Ok(Reply::Status(status)) => status.wheels.is_some_and(|wheels| wheels.are_blocked()),
+            // It ends when the robot rests.
+            _ => !is_hidden(domain),
+        };
+        if blocked {
+            note!(
+                "system `{system_id}` is stopped {how}: wheels blocked after {after_ms} ms, its processes are ending"
+            );
+            return true;
+        }
+        if after_ms > RETURN_NS / 1_000_000 {
+            let what = format!("the block of the wheels is not confirmed after {after_ms} ms");
+            print(Priority::Error, &format!("system `{system_id}` was asked to stop {how}: {what}"));
+            return false;
+        }
+        std::thread::sleep(POLL);
+    }
+}
+
+/// Ends what runs that are over have left; false when some of it does not end.
+fn end_strays(strays: &[RunProcess]) -> bool {
+    let named: Vec<String> = strays.iter().map(RunProcess::description).collect();
+    let left = halt::end_strays(strays);
+    for name in &named {
+        let end = if left.contains(name) { "does not end" } else { "is ended" };
+        print(
+            Priority::Notice,
+            &format!("no system lives by it, but a run that is over had left {name}: it {end}"),
+        );
+    }
+    left.is_empty()
 }
 
 /// Stops a run and prints the result; true when its wheels are confirmed to be blocked.
@@ -59,7 +127,8 @@ fn stop_one(run: &LivingRun) -> bool {
         print(Priority::Error, &format!("system `{system_id}`: {what}; alive: {alive}"));
     }
     let is_over = halt::wait_for_end(run, RETURN_NS.saturating_sub(after_ns));
-    if is_over {
+    let strays: Vec<String> = run.strays().map(RunProcess::description).collect();
+    if is_over && strays.is_empty() {
         halt::finish(run);
     } else if let Err(error) = detach(run) {
         print(Priority::Warning, &format!("system `{system_id}`: nothing ends its processes: {error}"));
@@ -68,6 +137,9 @@ fn stop_one(run: &LivingRun) -> bool {
         let state = if orphaned { ", which had lost its orchestrator," } else { "" };
         let end = if is_over { "and it has ended" } else { "its processes are ending" };
         tell(&format!("system `{system_id}`{state} is stopped: wheels blocked after {after_ms} ms, {end}"));
+    }
+    for stray in strays {
+        tell(&format!("{stray}, is ended too"));
     }
     confirmed
 }
@@ -92,7 +164,7 @@ fn detach(run: &LivingRun) -> std::io::Result<()> {
 fn finish(run_id: &str, uid: Option<u32>) -> anyhow::Result<Exit> {
     // A session without the terminal, so that closing it does not end this process.
     let _ = setsid();
-    let runs = LivingRun::all(uid.unwrap_or_else(|| geteuid().as_raw()));
+    let runs = LivingRun::with_strays(uid.unwrap_or_else(|| geteuid().as_raw()));
     let Some(run) = runs.into_iter().find(|run| run.run_id == run_id) else { return Ok(Exit::Done) };
     let left = halt::finish(&run);
     Ok(if left.is_empty() { Exit::Done } else { Exit::ProcessFailed })

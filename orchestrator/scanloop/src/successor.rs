@@ -7,6 +7,7 @@ use console::exit::Failure;
 use runtime::Domain;
 use session::control::{Reply, Request, Successor, ask};
 use supervision::child::require_script;
+use supervision::replaceable;
 
 /// The role, and the process for it.
 #[derive(Debug, Clone, Args)]
@@ -50,7 +51,11 @@ impl SuccessorArguments {
 
     /// The command as the orchestrator finds it.
     pub(crate) fn command_from_here(&self) -> Vec<String> {
-        from_here(&self.command)
+        let command = from_here(&self.command);
+        if let Some(reason) = replaceable::command(&command) {
+            runtime::print(runtime::Priority::Warning, &format!("warning: {reason}"));
+        }
+        command
     }
 }
 

@@ -15,7 +15,7 @@ use supervision::child::Child;
 use supervision::entry::ProcessRow;
 use supervision::fleet::Fleet;
 use supervision::lock::SystemLock;
-use supervision::runs::LivingRun;
+use supervision::runs::{LivingRun, RunProcess, strays_of};
 use supervision::supervisor::{Event, MIN_HANG_AFTER_MS};
 
 use crate::arguments::{AdoptArguments, check_duration, out_folder};
@@ -38,13 +38,14 @@ pub fn adopt(system_id: &str, arguments: &AdoptArguments) -> anyhow::Result<Exit
         let left: String = left.iter().map(|stranger| format!("; {stranger}")).collect();
         Failure::bad_input(format!("system `{system_id}` has no processes that could be adopted{left}"))
     };
-    let Some(domain) = supervision::runs::find(system_id)? else { return Err(nothing(&[])) };
+    let strays = || strays_of(system_id).iter().map(RunProcess::description).collect::<Vec<_>>();
+    let Some(domain) = supervision::runs::find(system_id)? else { return Err(nothing(&strays())) };
     let mut lock = SystemLock::take(&domain)?;
     let survivors = Survivors::find(&domain);
     if survivors.is_empty() {
         // Files without processes are removed with the lock.
         lock.own();
-        return Err(nothing(&survivors.strangers));
+        return Err(nothing(&[survivors.strangers, survivors.strays].concat()));
     }
     take_over(&domain, lock, shutdown, survivors, arguments)
 }
@@ -99,6 +100,9 @@ pub(crate) fn take_over(
     print(Priority::Notice, &format!("adopting {}", survivors.labels()));
     for stranger in &survivors.strangers {
         print(Priority::Warning, &format!("{stranger}; it is left alone"));
+    }
+    for stray in &survivors.strays {
+        print(Priority::Warning, &format!("{stray}, is no part of the system: it is left alone"));
     }
     let Survivors { registry, listed, unlisted, .. } = survivors;
     let listed = listed.into_iter();

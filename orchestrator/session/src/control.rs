@@ -14,11 +14,12 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use audit::ledger::RefusedRow;
+use console::exit::Failure;
 use emulator::JudgedBy;
 use handover::shadow::ShadowReport;
 use handover::swap::Certificate;
 use report::{BlockingReport, ScannerStatus};
-use runtime::{Domain, LinkedHost, RuntimeError, monotonic_ns, peer_uid};
+use runtime::{Domain, LinkedHost, RuntimeError, Wheels, monotonic_ns, peer_uid};
 use rustix::io::Errno;
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, connect, socket_with};
 use rustix::process::geteuid;
@@ -26,6 +27,7 @@ use serde::{Deserialize, Serialize};
 use shared_types::{Device, DeviceState, Role};
 use supervision::entry::role_name;
 use supervision::fleet::companions::CompanionView;
+use supervision::lock::{hidden, is_hidden, suspended_orchestrator};
 use supervision::supervisor::VisibleState;
 
 use self::line::{read_line, write_line};
@@ -34,6 +36,8 @@ use self::server::{BUSY, Server};
 
 /// A command waits this long for its answer, whatever the orchestrator does: longer than a request waits there.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(12);
+/// The same for one that is suspended: it may be let run in a moment, but no more is to be expected.
+const SUSPENDED_TIMEOUT: Duration = Duration::from_millis(800);
 /// Longest answer [bytes]; the report of a shadow has some kilobytes.
 const MAX_ANSWER: usize = 16 << 20;
 /// A command comes again after this time when the orchestrator has too many connections.
@@ -83,6 +87,10 @@ pub struct Status {
     /// Whether time is simulated.
     #[serde(default)]
     pub lockstep: bool,
+    /// What the wheels do by the report of the robot, or of the actuator for a robot without one; after a stop, only what was
+    /// reported since. Null without an orchestrator.
+    #[serde(default)]
+    pub wheels: Option<Wheels>,
     /// The obstacle that the wheels are blocked for now.
     #[serde(default)]
     pub blocking: Option<BlockingReport>,
@@ -294,10 +302,16 @@ impl ControlSocket {
 /// [`RuntimeError::NotRunning`] when none answers, what was refused, and an answer that does not come in time.
 pub fn ask(domain: &Domain, request: &Request) -> anyhow::Result<Reply> {
     let path = socket_path(domain);
-    let until = Instant::now() + ANSWER_TIMEOUT;
+    let is_suspended = suspended_orchestrator(domain).is_some();
+    let until = Instant::now() + if is_suspended { SUSPENDED_TIMEOUT } else { ANSWER_TIMEOUT };
     loop {
-        let reply = ask_once(&path, request, until)?;
-        let reply = reply.ok_or_else(|| RuntimeError::NotRunning(domain.system_id().to_owned()))?;
+        let reply = ask_once(&path, request, until).map_err(|error| with_reason(domain, error))?;
+        let Some(reply) = reply else {
+            return Err(match is_hidden(domain) {
+                true => hidden(domain),
+                false => RuntimeError::NotRunning(domain.system_id().to_owned()).into(),
+            });
+        };
         if !matches!(&reply, Reply::Refused(reason) if reason == BUSY) || Instant::now() + BUSY_PAUSE > until
         {
             return Ok(reply);
@@ -316,6 +330,16 @@ fn ask_once(path: &Path, request: &Request, until: Instant) -> anyhow::Result<Op
         Ok(None) => Ok(None),
         Err(error) if error.kind() == std::io::ErrorKind::ConnectionReset => Ok(None),
         Err(error) => Err(error).context("the orchestrator does not answer"),
+    }
+}
+
+/// The reason why an orchestrator does not answer, where it is known; exit code 4.
+fn with_reason(domain: &Domain, error: anyhow::Error) -> anyhow::Error {
+    match suspended_orchestrator(domain) {
+        Some(pid) => Failure::process(format!(
+            "{error:#}: process {pid} was suspended by a signal, or its control group is frozen"
+        )),
+        None => error,
     }
 }
 

@@ -1,11 +1,12 @@
-//! `status` of a system whose orchestrator died while its processes drive on.
+//! `status` of a system whose orchestrator can't tell it: it died while its processes drive on, or it is suspended.
 
 use std::time::Duration;
 
 use audit::ledger::SampleAudit;
 use runtime::{Bus, Domain, RuntimeError, monotonic_ns};
 use shared_types::ProcessState;
-use supervision::child::usage_of;
+use supervision::child::{is_suspended, usage_of};
+use supervision::lock::suspended_orchestrator;
 use supervision::runs::LivingRun;
 use supervision::supervisor::{Event, VisibleState};
 
@@ -18,6 +19,8 @@ use crate::vitals::Vitals;
 pub const ORPHANED: &str = "driverless";
 /// State of such a system that was stopped and is about to end.
 const STOPPED: &str = "stopped";
+/// State of a system whose orchestrator is suspended by a signal or frozen with its control group.
+pub const SUSPENDED: &str = "suspended";
 
 /// Heartbeats are received for this long: five of each process that lives [ns].
 const RECEIVE_NS: u64 = 500_000_000;
@@ -27,18 +30,23 @@ const RECEIVE_NS: u64 = 500_000_000;
 /// # Errors
 /// A system that is not running, and an orchestrator that does not answer.
 pub fn current_status(domain: &Domain) -> anyhow::Result<Status> {
+    if suspended_orchestrator(domain).is_some()
+        && let Some(status) = status(domain, SUSPENDED)
+    {
+        return Ok(status);
+    }
     match ask(domain, &Request::Status) {
         Ok(Reply::Status(status)) => Ok(*status),
         Ok(_) => anyhow::bail!("the orchestrator did not answer with a status"),
         Err(error) if matches!(error.downcast_ref(), Some(RuntimeError::NotRunning(_))) => {
-            status(domain).ok_or(error)
+            status(domain, if is_stopped(domain) { STOPPED } else { ORPHANED }).ok_or(error)
         }
         Err(error) => Err(error),
     }
 }
 
-/// The state of a system without an orchestrator; `None` when no process of it lives.
-fn status(domain: &Domain) -> Option<Status> {
+/// The `state` of a system by what is seen of its processes; `None` when none of it lives.
+fn status(domain: &Domain, state: &str) -> Option<Status> {
     let survivors = Survivors::find(domain);
     if survivors.is_empty() {
         return None;
@@ -46,9 +54,15 @@ fn status(domain: &Domain) -> Option<Status> {
     let cpu = |pid: u32| usage_of(pid).map_or(0.0, |usage| usage.cpu_s);
     let before: Vec<f64> = survivors.listed.iter().map(|(_, process)| cpu(process.pid())).collect();
     let began_ns = monotonic_ns();
-    let received = receive(domain);
+    // Processes that do not run are not waited for.
+    let received = if state == SUSPENDED { None } else { receive(domain) };
     let elapsed_s = (monotonic_ns() - began_ns) as f64 * 1e-9;
     let mut scan = 0;
+    let word = LivingRun::of(domain.run_id()).and_then(|run| run.word);
+    let silent = |role, state, pid| {
+        let obeys_stop = word.as_ref().is_some_and(|word| word.obeyed_by(role) == pid);
+        ProcessStatus { obeys_stop, ..ProcessStatus::new(role, state) }
+    };
     let rows = survivors.listed.iter().zip(before).map(|((row, process), before_s)| {
         let incarnation = row.identity.incarnation;
         let known = match &received {
@@ -63,7 +77,8 @@ fn status(domain: &Domain) -> Option<Status> {
                 };
                 vitals.row(row.role, state, incarnation)
             }
-            None => ProcessStatus::new(row.role, VisibleState::Ready),
+            None if is_suspended(process.pid()) => silent(row.role, VisibleState::Hung, process.pid()),
+            None => silent(row.role, VisibleState::Ready, process.pid()),
         };
         ProcessStatus {
             implementation: row.entry.label(),
@@ -80,12 +95,13 @@ fn status(domain: &Domain) -> Option<Status> {
     Some(Status {
         companions: Vec::new(),
         system_id: domain.system_id().to_owned(),
-        state: if is_stopped(domain) { STOPPED } else { ORPHANED }.to_owned(),
+        state: state.to_owned(),
         scenario: RunFile::read(domain).map_or_else(|_| String::new(), |(_, plan)| plan.scenario.name),
         scan,
         judged_by: survivors.registry.judged_by,
         // A run in lock-step does not move without an orchestrator.
         lockstep: false,
+        wheels: None,
         // No process records the drive, so neither the obstacle of a stop nor the scanner is known.
         blocking: None,
         scanner: None,

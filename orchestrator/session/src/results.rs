@@ -11,6 +11,7 @@ use plan::Plan;
 use plan::difference::Property;
 use report::recorder::Recorder;
 use report::{Difference, Report, picture, summary};
+use supervision::runs::{LivingRun, RunProcess};
 use vehicle::frame::to_track;
 
 use crate::session::Session;
@@ -33,7 +34,12 @@ pub(crate) fn claim(out: &Path, force: bool) -> anyhow::Result<OutFolder> {
 /// Drives to the end, writes the results and prints the summary.
 pub(crate) fn conclude(mut session: Session, plan: &Plan, out: &OutFolder) -> anyhow::Result<Exit> {
     let result = session.drive()?;
+    let (run_id, was_stopped) = (session.run_id().to_owned(), session.was_stopped());
     let (recorder, digests) = session.finish();
+    if !was_stopped {
+        // The command that stopped it names and ends them.
+        name_strays(&run_id);
+    }
     let report = Report { digests: digests.texts(), ..recorder.report(&result) };
     // The scenario tells nothing about a robot that is not emulated.
     let has_truth = report.judged_by == JudgedBy::Truth;
@@ -50,6 +56,16 @@ pub(crate) fn conclude(mut session: Session, plan: &Plan, out: &OutFolder) -> an
         4 => Exit::ProcessFailed,
         _ => Exit::NotReached,
     })
+}
+
+/// Names the processes that a run has left: started by its processes, in groups of their own.
+fn name_strays(run_id: &str) {
+    let strays: Vec<String> = LivingRun::seen(run_id)
+        .map_or_else(Vec::new, |run| run.strays().map(RunProcess::description).collect());
+    for stray in strays {
+        let text = format!("warning: the run has left {stray}: `scanloop stop` ends it");
+        runtime::print(runtime::Priority::Warning, &text);
+    }
 }
 
 /// Where the scenario differs from the description, as the report has it.

@@ -9,6 +9,8 @@ use plan::{Choice, Plan, difference};
 use runtime::{Domain, RuntimeError, Shutdown};
 use shared_types::Role;
 use supervision::lock::{Claim, clear};
+use supervision::replaceable;
+use supervision::runs::strays_of;
 
 use crate::adopt;
 use crate::arguments::{AdoptArguments, RunArguments, check_duration, out_folder};
@@ -40,6 +42,10 @@ pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
     check_duration(*duration)?;
     if Domain::take_stopped_mark(system_id)? && arguments.adopt_or_start {
         return Err(RuntimeError::Stopped(system_id.to_owned()).into());
+    }
+    for stray in strays_of(system_id) {
+        let text = format!("warning: an earlier run has left {}: it is left alone", stray.description());
+        runtime::print(runtime::Priority::Warning, &text);
     }
     if let Claim::Left(domain, lock) = Claim::take(system_id)? {
         let survivors = Survivors::find(&domain);
@@ -117,6 +123,8 @@ fn new_file(file: &Path) -> anyhow::Result<PathBuf> {
 fn announce(plan: &Plan, quiet: bool) {
     let warn = |text: &str| runtime::print(runtime::Priority::Warning, &format!("warning: {text}"));
     plan.warnings.iter().for_each(|warning| warn(warning));
+    let commands = plan.system.processes.iter().filter_map(|entry| entry.command.as_deref());
+    commands.filter_map(replaceable::command).for_each(|reason| warn(&reason));
     if !quiet {
         let lines = difference::summary(&plan.differences_of_truth()).into_iter().chain(plan.careful());
         lines.for_each(|line| runtime::print(runtime::Priority::Notice, &line));

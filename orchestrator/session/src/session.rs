@@ -12,6 +12,7 @@ mod events;
 mod incidents;
 mod injection;
 mod judge;
+mod memory;
 mod reconciliation;
 mod recording;
 mod registry_file;
@@ -50,6 +51,7 @@ use candidates::Watches;
 use conclusion::{Conclusion, Step};
 use events::Events;
 use incidents::Noticed;
+use memory::MemoryWatch;
 use reconciliation::Reconciliation;
 use recording::{Recording, ScanObserver};
 use registry_file::RegistryFile;
@@ -100,6 +102,7 @@ pub struct Session {
     link: Option<HubLink>,
     /// Number of the directive with the last change of authority by a swap.
     authorised: u64,
+    memory: MemoryWatch,
     /// The first events for the supervisor: to start all processes, or those that were adopted.
     startup: Vec<Event>,
     // Dropped last, in this order: the ports above, the bus, then the processes and all files of the system.
@@ -185,6 +188,7 @@ impl Session {
                 hosts: plan.system.hosts.iter().map(|host| host.name.clone()).collect(),
             },
             authorised: 0,
+            memory: MemoryWatch::default(),
             startup: events,
             shutdown,
             bus,
@@ -265,6 +269,16 @@ impl Session {
             (result.recording, result.incidents) = companion.finish();
         }
         Ok(result)
+    }
+
+    /// Whether the run was stopped for good.
+    pub(crate) fn was_stopped(&self) -> bool {
+        !self.run.stop_word.is_armed()
+    }
+
+    /// The random id of the run.
+    pub(crate) fn run_id(&self) -> &str {
+        self.run.domain.run_id()
     }
 
     /// What was recorded; everything else of the system is gone when this returns.
@@ -365,7 +379,8 @@ impl Session {
             if self.conclusion.is_open() {
                 self.incident();
                 self.recording.recorder.outage_began(role, PROCESS_RESTARTED);
-                self.warn(&format!("{role} ({}) ended: {exit}", self.fleet.label(role)));
+                let cause = self.memory.cause_of(exit);
+                self.warn(&format!("{role} ({}) ended: {exit}{cause}", self.fleet.label(role)));
                 for line in self.fleet.last_log_lines(role).to_vec() {
                     self.note(&format!("  {role}: {line}"));
                 }

@@ -3,8 +3,9 @@
 //! They are found by the process registry of the run and by their environment, because an orchestrator may die between
 //! the start of a process and its entry in the registry. Finding and dropping them does not affect them.
 
-use runtime::{Domain, Identified, NotOurs, identify, processes_of};
+use runtime::{Domain, Identified, NotOurs, identify};
 use supervision::entry::ProcessRow;
+use supervision::runs::{LivingRun, RunProcess};
 
 use crate::process_registry::ProcessRegistry;
 
@@ -17,6 +18,8 @@ pub(crate) struct Survivors {
     pub listed: Vec<(ProcessRow, Identified)>,
     /// Processes of the system that are neither in the registry nor in the group of one that is.
     pub unlisted: Vec<Identified>,
+    /// Descriptions of what processes of the system have started in groups of their own; the system does not live by it.
+    pub strays: Vec<String>,
     /// Descriptions of unrelated processes that have the number of one in the registry.
     pub strangers: Vec<String>,
 }
@@ -34,9 +37,11 @@ impl Survivors {
             }
         }
         let known = |pid: u32| found.listed.iter().any(|(_, process)| process.pid() == pid);
-        let others = processes_of(domain.run_id()).into_iter();
-        let others = others.filter(|seen| !known(seen.group) && seen.group != own_group());
-        found.unlisted = others.filter_map(|seen| identify(&seen.identity).ok()).collect();
+        let Some(run) = LivingRun::seen(domain.run_id()) else { return found };
+        let others =
+            run.members().filter(|process| !known(process.group()) && process.group() != own_group());
+        found.unlisted = others.filter_map(RunProcess::open).collect();
+        found.strays = run.strays().map(RunProcess::description).collect();
         found
     }
 

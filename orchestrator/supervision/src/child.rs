@@ -23,6 +23,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use console::control_group;
 use runtime::{Identified, Seen, identify, processes_of};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
@@ -292,6 +293,13 @@ pub fn is_runnable(pid: u32) -> Option<(bool, f64)> {
     let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
     let state = stat.rsplit_once(')')?.1.trim_start().chars().next()?;
     Some((matches!(state, 'R' | 'D'), usage_of(pid)?.cpu_s))
+}
+
+/// Whether a process does not run until another one lets it: suspended by a signal, or frozen with its control group.
+pub fn is_suspended(pid: u32) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+    let state = stat.rsplit_once(')').and_then(|(_, fields)| fields.trim_start().chars().next());
+    matches!(state, Some('T' | 't')) || control_group::is_frozen(pid)
 }
 
 /// What a process has used so far; `None` when there is none.

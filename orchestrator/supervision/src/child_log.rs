@@ -16,9 +16,10 @@ use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError, Weak};
 
-use runtime::wait_for;
-
+use anyhow::Context;
+use console::exit::Failure;
 use console::new_file::open_log;
+use runtime::wait_for;
 
 /// A longer file is trimmed [bytes]: the output of a day of lifecycle lines, and nothing to a disk or a tmpfs.
 pub const TRIM_ABOVE_BYTES: u64 = 1 << 20;
@@ -40,6 +41,10 @@ const STACK: usize = 256 << 10;
 
 /// Starts the line that separates two incarnations in the file.
 const MARK: &str = "=== scanloop: ";
+
+/// Around the number of bytes in the line that stands for what was cut off.
+const DROPPED_START: &str = "=== ";
+const DROPPED_END: &str = " bytes dropped";
 
 /// The output of the processes of one role, one after the other.
 #[derive(Debug)]
@@ -70,6 +75,28 @@ impl ChildLog {
         let append = open_log(path, OpenOptions::new().create(true).append(true).read(true))?;
         let edit = Mutex::new(open_log(path, OpenOptions::new().write(true))?);
         Ok(Self { path: path.to_owned(), append, edit })
+    }
+
+    /// The log of a run: one that continues the file, or one that begins it anew. A file that is no log of a run is left
+    /// as it is.
+    ///
+    /// # Errors
+    /// A file of somebody else, exit code 2, and those of the file system.
+    pub fn of_run(path: &Path, continues: bool) -> anyhow::Result<Self> {
+        let name = path.display();
+        let mut start = [0; 64];
+        let found = File::open(path).and_then(|file| file.read_at(&mut start, 0));
+        if let Ok(length) = found
+            && !continues
+        {
+            if length > 0 && !is_log(&start[..length]) {
+                let text =
+                    format!("{name}: the file is no log of a run, and is left as it is; name another --out");
+                return Err(Failure::bad_input(text));
+            }
+            std::fs::remove_file(path).with_context(|| name.to_string())?;
+        }
+        Self::open(path).with_context(|| name.to_string())
     }
 
     /// Where the file is.
@@ -114,9 +141,11 @@ impl ChildLog {
         let line = tail.iter().position(|byte| *byte == b'\n').map_or(0, |end| end + 1);
         let dropped = length - KEEP_BYTES + line as u64;
         tail.drain(..line);
-        let notice = format!("=== {dropped} bytes dropped\n");
-        edit.write_all_at(notice.as_bytes(), 0)?;
-        edit.write_all_at(&tail, notice.len() as u64)?;
+        use anyhow::Context;
+        use console::exit::Failure;
+        use console::new_file::open_log;
+        use runtime::wait_for;
+
         let mut end = (notice.len() + tail.len()) as u64;
         // Append what was written meanwhile; a process that writes faster than this loses some lines.
         let mut seen = length;
@@ -216,6 +245,14 @@ fn printable(line: &str) -> String {
         clean.push_str("...");
     }
     clean
+}
+
+/// Whether a file that begins so is a log of a run.
+fn is_log(start: &[u8]) -> bool {
+    let start = String::from_utf8_lossy(start);
+    let line = start.lines().next().unwrap_or_default();
+    let dropped = line.strip_prefix(DROPPED_START).and_then(|line| line.strip_suffix(DROPPED_END));
+    line.starts_with(MARK) || dropped.is_some_and(|number| number.parse::<u64>().is_ok())
 }
 
 #[cfg(test)]
@@ -328,5 +365,23 @@ pub(crate) mod tests {
         write(&log, &"z\n".repeat(TRIM_ABOVE_BYTES as usize));
         assert!(log.trim().unwrap());
         assert!(log.append.metadata().unwrap().len() <= KEEP_BYTES + 100);
+    }
+
+    #[test]
+    fn a_log_of_an_earlier_run_is_replaced_and_any_other_file_is_left() {
+        let scratch = Scratch::new();
+        let path = scratch.0.join("robot.log");
+        std::fs::create_dir_all(&scratch.0).unwrap();
+        for earlier in
+            ["", "=== scanloop: robot incarnation 1: emulator\nline\n", "=== 812 bytes dropped\nline\n"]
+        {
+            std::fs::write(&path, earlier).unwrap();
+            ChildLog::of_run(&path, false).unwrap();
+            assert_eq!(std::fs::read(&path).unwrap(), b"", "{earlier}");
+        }
+        std::fs::write(&path, "2026-11-26 my own robot\n").unwrap();
+        let refused = ChildLog::of_run(&path, false).unwrap_err().to_string();
+        assert!(refused.contains("robot.log: the file is no log of a run"), "{refused}");
+        assert_eq!(std::fs::read(&path).unwrap(), b"2026-11-26 my own robot\n");
     }
 }

@@ -10,6 +10,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context;
+use console::limits::text_of;
 use runtime::{
     Bus, CANDIDATE_VARIABLE, Domain, HandoverData, Realtime, RuntimeError, StopWord, monotonic_ns,
     write_handover,
@@ -103,10 +104,7 @@ impl Fleet {
         let mut members = BTreeMap::new();
         for entry in entries.iter().cloned() {
             let path = logs.join(format!("{}.log", entry.role()));
-            if !is_adopted {
-                let _ = std::fs::remove_file(&path);
-            }
-            let log = ChildLog::open(&path).with_context(|| format!("{}", path.display()))?;
+            let log = ChildLog::of_run(&path, is_adopted)?;
             members.insert(entry.role(), Member::new(entry, log));
         }
         Ok(Self {
@@ -168,7 +166,7 @@ impl Fleet {
     pub fn spawn(&mut self, role: Role, incarnation: u32, handover: Option<&HandoverData>) -> Event {
         match self.try_spawn(role, incarnation, handover) {
             Ok(pid) => Event::Spawned { role, pid, incarnation },
-            Err(error) => Event::SpawnFailed { role, error: format!("{error:#}") },
+            Err(error) => Event::SpawnFailed { role, error: text_of(&error) },
         }
     }
 
@@ -212,6 +210,7 @@ impl Fleet {
         }
         let launch = Launch { command: command_of(entry), environment };
         let child = Child::spawn(&launch, &member.log)?;
+        self.stop_word.enlist(child.pid());
         self.changed = true;
         Ok(child)
     }

@@ -117,14 +117,14 @@ pub fn finish(run: &LivingRun) -> Vec<String> {
 /// Ends all processes of a run whose wheels were blocked, but no orchestrator; returns labels of those that are left.
 pub fn end_processes(run: &LivingRun) -> Vec<String> {
     // More processes may have been started since `run` was read.
-    let now = LivingRun::all(run.uid).into_iter().find(|found| found.run_id == run.run_id);
+    let now = LivingRun::with_strays(run.uid).into_iter().find(|found| found.run_id == run.run_id);
     let run = now.unwrap_or_else(|| run.clone());
     let others = run.processes.iter();
     let others = others.filter(|process| !matches!(process.role, Some(Role::Actuator | Role::Robot)));
     end_all(others.filter_map(|process| process.open()).collect());
     end_all(run.of_role(Role::Actuator).collect());
     end_robots(&run);
-    run.living_processes().map(RunProcess::label).collect()
+    run.members().map(RunProcess::label).chain(run.strays().map(RunProcess::description)).collect()
 }
 
 /// Ends the processes of the run that this orchestrator drove and gives up: first the wheels are blocked.
@@ -135,6 +135,12 @@ pub fn end_own_run(domain: &Domain, stop_word: &StopWord) {
     for left in end_processes(&run) {
         tracing::error!("{left} does not end, and is not known to rest: it is left");
     }
+}
+
+/// Ends what runs that are over have left; returns those that do not end.
+pub fn end_strays(strays: &[RunProcess]) -> Vec<String> {
+    end_all(strays.iter().filter_map(RunProcess::open).collect());
+    strays.iter().filter(|stray| stray.open().is_some()).map(RunProcess::description).collect()
 }
 
 /// The orchestrator of the run, unless it is this process.

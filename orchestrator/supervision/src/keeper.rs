@@ -109,6 +109,13 @@ impl Keeper {
         }
     }
 
+    /// The caller did not run for `away_ns`: its process may have stood still as well.
+    pub fn forgive(&mut self, away_ns: u64) {
+        if let Life::Running { progress_ns, .. } = &mut self.life {
+            *progress_ns = progress_ns.saturating_add(away_ns);
+        }
+    }
+
     /// Its process has ended, or could not be started.
     pub fn died(&mut self, now_ns: u64) {
         let window_ns = self.policy.window_ns;
@@ -174,6 +181,17 @@ mod tests {
             keeper.died(minute * 120 * SECOND);
             assert_ne!(keeper.life(), Life::Failed);
         }
+    }
+
+    #[test]
+    fn the_time_in_which_nothing_could_be_seen_does_not_count() {
+        let mut keeper = Keeper::new(POLICY);
+        keeper.advance(0, None);
+        keeper.advance(SECOND, Some(1));
+        keeper.forgive(45 * SECOND);
+        assert_eq!(keeper.advance(46 * SECOND, Some(1)), None, "nothing was seen for 45 s");
+        assert_eq!(keeper.advance(47 * SECOND, Some(1)), None);
+        assert_eq!(keeper.advance(47 * SECOND + 1, Some(1)), Some(Order::Kill), "a second of silence");
     }
 
     #[test]

@@ -10,6 +10,7 @@ pub mod halt;
 pub mod keeper;
 pub mod lock;
 pub mod realtime;
+pub mod replaceable;
 pub mod room;
 pub mod runs;
 pub mod supervisor;

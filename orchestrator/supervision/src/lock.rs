@@ -5,9 +5,12 @@ use std::io::{ErrorKind, Read, Seek, Write};
 use std::os::unix::fs::MetadataExt;
 
 use anyhow::Context;
-use runtime::{Domain, LEAVING, LOCK_FILE, RuntimeError, monotonic_ns};
+use console::exit::Failure;
+use runtime::{Domain, LEAVING, LOCK_FILE, RuntimeError, monotonic_ns, pid_namespace};
 use rustix::fs::{FlockOperation, OFlags, flock};
+use rustix::io::{FdFlags, fcntl_setfd};
 
+use crate::child::is_suspended;
 use crate::halt;
 use crate::runs::{self, LivingRun};
 
@@ -15,6 +18,8 @@ use crate::runs::{self, LivingRun};
 const LEAVING_NS: u64 = 15_000_000_000;
 /// Descriptors reserved for the removal of files, also when the limit is reached: the depth of these files, and two.
 const SPARE_DESCRIPTORS: usize = 6;
+/// File in the directory of the system that all processes of a run hold locked, by a descriptor that they inherit.
+const LIVING_FILE: &str = "living";
 /// Time between two tries.
 const RETRY: std::time::Duration = std::time::Duration::from_millis(20);
 
@@ -25,6 +30,8 @@ pub struct SystemLock {
     domain: Domain,
     _lock: File,
     spare: Vec<File>,
+    /// Inherited by all processes that are started from now on.
+    living: Option<File>,
     owns: bool,
 }
 
@@ -56,9 +63,15 @@ impl Claim {
                 return Ok(claim);
             }
             if !is_leaving(system_id) || monotonic_ns() > deadline_ns {
+                let holder = || {
+                    Domain::find(system_id)
+                        .ok()
+                        .flatten()
+                        .map_or("unknown".to_owned(), |domain| holder(&domain))
+                };
                 let pid = runs::living(system_id)
                     .and_then(|run| run.orchestrator())
-                    .map_or("unknown".to_owned(), |pid| pid.to_string());
+                    .map_or_else(holder, |pid| pid.to_string());
                 return Err(RuntimeError::AlreadyRunning { system_id: system_id.to_owned(), pid }.into());
             }
             std::thread::sleep(RETRY);
@@ -106,7 +119,7 @@ pub fn clear(domain: &Domain, lock: SystemLock) -> anyhow::Result<()> {
         halt::block(&run);
         let left = halt::finish(&run);
         if !left.is_empty() {
-            return Err(console::exit::Failure::process(format!(
+            return Err(Failure::process(format!(
                 "an earlier run of system `{}` does not end: {}",
                 domain.system_id(),
                 left.join(", ")
@@ -153,21 +166,37 @@ impl SystemLock {
         if !folder.open_file(LOCK_FILE, OFlags::RDONLY).is_ok_and(|there| same(&there)) || !domain.exists() {
             return Ok(None);
         }
+        // No orchestrator lives, but processes may that can't be seen here: their files are left to them.
+        if is_held(domain) && LivingRun::seen(domain.run_id()).is_none() {
+            return Err(hidden(domain));
+        }
         lock.set_len(0).and_then(|()| lock.rewind()).with_context(context)?;
-        writeln!(lock, "{}", std::process::id()).with_context(context)?;
+        writeln!(lock, "{} {}", std::process::id(), pid_namespace()).with_context(context)?;
         let spare = std::iter::repeat_with(|| lock.try_clone()).take(SPARE_DESCRIPTORS).flatten().collect();
-        Ok(Some(Self { domain: domain.clone(), _lock: lock, spare, owns: false }))
+        Ok(Some(Self { domain: domain.clone(), _lock: lock, spare, living: None, owns: false }))
     }
 
-    /// From now on the files of the system belong to this run: they are removed when the lock is dropped.
+    /// From now on the files of the system belong to this run: they are removed when the lock is dropped. The processes
+    /// that are started from now on hold a lock of their own on the system, which no namespace hides.
     pub fn own(&mut self) {
         self.owns = true;
+        let held =
+            self.domain.folder().open_file(LIVING_FILE, OFlags::RDWR | OFlags::CREATE).and_then(|file| {
+                flock(&file, FlockOperation::NonBlockingLockShared)?;
+                fcntl_setfd(&file, FdFlags::empty())?;
+                Ok(file)
+            });
+        match held {
+            Ok(file) => self.living = Some(file),
+            Err(error) => tracing::warn!(%error, "commands of other namespaces will not see this run"),
+        }
     }
 
     /// Removes everything that the system has on this machine.
     fn remove(mut self) -> Result<(), RuntimeError> {
         self.owns = false;
         self.spare.clear();
+        self.living = None;
         self.domain.remove()
     }
 }
@@ -183,13 +212,49 @@ impl Drop for SystemLock {
     }
 }
 
-/// What is written in the lock: the process id of its holder, or [`LEAVING`].
+/// Whether processes of the system live of which none can be seen: they are in another pid or user namespace.
+pub fn is_hidden(domain: &Domain) -> bool {
+    is_held(domain) && LivingRun::seen(domain.run_id()).is_none() && !is_starting(domain)
+}
+
+/// Whether the holder of the lock can be seen here: an orchestrator that has not made its stop word yet.
+fn is_starting(domain: &Domain) -> bool {
+    let text = text_of(domain);
+    let mut words = text.split_whitespace();
+    let (pid, namespace) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
+    namespace == pid_namespace().to_string() && std::fs::read(format!("/proc/{pid}/environ")).is_ok()
+}
+
+/// Whether any process holds the lock that processes of a run inherit.
+fn is_held(domain: &Domain) -> bool {
+    let opened = domain.folder().open_file(LIVING_FILE, OFlags::RDWR);
+    opened.is_ok_and(|file| flock(&file, FlockOperation::NonBlockingLockExclusive).is_err())
+}
+
+/// That a system can't be judged or ended from here; exit code 4.
+pub fn hidden(domain: &Domain) -> anyhow::Error {
+    Failure::process(format!(
+        "system `{}` can't be seen from this PID namespace: its processes live in another PID or user namespace; \
+         run the command there",
+        domain.system_id()
+    ))
+}
+
+/// What is written in the lock: the process id of its holder and its pid namespace, or [`LEAVING`].
 fn text_of(domain: &Domain) -> String {
     let mut text = String::new();
     if let Ok(mut file) = domain.folder().open_file(LOCK_FILE, OFlags::RDONLY) {
         let _ = file.read_to_string(&mut text);
     }
     text
+}
+
+/// Process id of the orchestrator that holds the lock of a system, if it can't run because it was suspended or frozen.
+pub fn suspended_orchestrator(domain: &Domain) -> Option<u32> {
+    let text = text_of(domain);
+    let (pid, namespace) = text.trim().split_once(' ')?;
+    let is_here = namespace == pid_namespace().to_string();
+    pid.parse().ok().filter(|pid| is_here && is_suspended(*pid))
 }
 
 fn holder(domain: &Domain) -> String {
@@ -200,7 +265,7 @@ fn holder(domain: &Domain) -> String {
 fn is_leaving(system_id: &str) -> bool {
     let Ok(Some(domain)) = Domain::find(system_id) else { return true };
     // Without a living process it is just being made or removed.
-    let Some(run) = LivingRun::of(domain.run_id()) else { return true };
+    let Some(run) = LivingRun::of(domain.run_id()) else { return !is_hidden(&domain) };
     text_of(&domain).contains(LEAVING) || run.word.is_some_and(|word| !word.is_armed())
 }
 
@@ -208,7 +273,7 @@ fn is_leaving(system_id: &str) -> bool {
 fn already_running(system_id: &str, run: &LivingRun) -> anyhow::Error {
     let place = run.directory.as_ref().map_or("no directory".to_owned(), |path| path.display().to_string());
     let alive = run.alive().join(", ");
-    console::exit::Failure::bad_input(format!(
+    Failure::bad_input(format!(
         "system `{system_id}` is already running in {place} ({alive}); `scanloop stop` ends it, or choose another with \
          --system-id"
     ))

@@ -2,17 +2,23 @@
 //!
 //! A process of a run names its run, system and role in its environment, and holds the page of the stop word open.
 //! So a run is found without its directory, its bus, its lock and its orchestrator.
+//!
+//! A run lives while its orchestrator lives, or a process that the orchestrator has started, with the group of that process.
+//! What such a process has started in a group of its own, a daemon, inherits the same environment and is a *stray*: it is
+//! named and ended, but no run lives by it. This is the one definition for all commands.
+//!
+//! Limit: processes of other pid or user namespaces are not visible here; [`crate::lock::is_hidden`] notices them.
 
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use runtime::{
-    DIRECTORY_VARIABLE, Domain, Identified, Identity, ROLE_VARIABLE, RuntimeError, SYSTEM_ID_VARIABLE, Seen,
-    StopWord, identify, start_ticks, started_processes, uid_of,
+    COMPANION_VARIABLE, DIRECTORY_VARIABLE, Domain, Identified, Identity, ROLE_VARIABLE, RuntimeError,
+    SYSTEM_ID_VARIABLE, Seen, StopWord, identify, start_ticks, started_processes, uid_of,
 };
 use shared_types::Role;
 
-/// A run with at least one living process.
+/// A run of which at least one process lives; only strays for one that is over.
 #[derive(Debug, Clone, Default)]
 pub struct LivingRun {
     /// Id of its system.
@@ -25,9 +31,12 @@ pub struct LivingRun {
     pub directory: Option<PathBuf>,
     /// Its stop word, if any of its processes still has it.
     pub word: Option<StopWord>,
-    /// Its processes, without the orchestrator.
+    /// Its processes and strays, without the orchestrator.
     pub processes: Vec<RunProcess>,
 }
+
+/// The link of a system to other hosts has this incarnation.
+const LINK_INCARNATION: u32 = 0;
 
 /// A process of a run.
 #[derive(Debug, Clone)]
@@ -36,6 +45,12 @@ pub struct RunProcess {
     pub identity: Identity,
     /// The role that it, or the process that started it, was started for.
     pub role: Option<Role>,
+    /// The companion that it, or the process that started it, is.
+    companion: Option<String>,
+    /// Its process group.
+    group: u32,
+    /// Whether the orchestrator did not start it.
+    pub is_stray: bool,
 }
 
 impl RunProcess {
@@ -44,15 +59,53 @@ impl RunProcess {
         identify(&self.identity).ok()
     }
 
+    /// Its process group.
+    pub fn group(&self) -> u32 {
+        self.group
+    }
+
     /// `controller 812`.
     pub fn label(&self) -> String {
         format!("{} {}", self.role.map_or("process", Role::name), self.identity.pid)
     }
+
+    /// `process 97 (sleep), which companion lidar has started`.
+    pub fn description(&self) -> String {
+        let pid = self.identity.pid;
+        let program = std::fs::read_to_string(format!("/proc/{pid}/comm")).unwrap_or_default();
+        let starter = match (self.role, &self.companion) {
+            (Some(role), _) => format!("the process of role {role}"),
+            (None, Some(name)) => format!("companion {name}"),
+            (None, None) => "a process of the run".to_owned(),
+        };
+        format!("process {pid} ({}), which {starter} has started", program.trim())
+    }
 }
 
 impl LivingRun {
-    /// All runs of a user.
+    /// All runs of a user that live.
     pub fn all(uid: u32) -> Vec<Self> {
+        let mut runs = Self::with_strays(uid);
+        runs.retain(|run| !run.is_over());
+        runs
+    }
+
+    /// [`LivingRun::of`], also when only strays are left of it, or a process that has nothing but its stop word.
+    pub fn seen(run_id: &str) -> Option<Self> {
+        Self::gathered(rustix::process::geteuid().as_raw()).into_iter().find(|run| run.run_id == run_id)
+    }
+
+    /// All runs of a user, also those that are over but have left strays.
+    pub fn with_strays(uid: u32) -> Vec<Self> {
+        let mut runs = Self::gathered(uid);
+        runs.retain(|run| !run.is_over() || run.strays().next().is_some());
+        runs.iter_mut().for_each(Self::name);
+        runs.sort_by(|one, other| one.system_id.cmp(&other.system_id));
+        runs
+    }
+
+    /// All that is found of runs of a user.
+    fn gathered(uid: u32) -> Vec<Self> {
         let mut runs: Vec<Self> = Vec::new();
         for seen in started_processes(uid) {
             let run_id = seen.identity.run_id.clone();
@@ -64,9 +117,7 @@ impl LivingRun {
                 run.word = StopWord::open(&link).ok();
             }
         }
-        runs.retain(|run| !run.is_over());
-        runs.iter_mut().for_each(Self::name);
-        runs.sort_by(|one, other| one.system_id.cmp(&other.system_id));
+        runs.iter_mut().for_each(Self::mark_strays);
         runs
     }
 
@@ -87,19 +138,24 @@ impl LivingRun {
         (pid != 0 && uid_of(pid) == Some(self.uid) && start_ticks(pid) == Some(ticks)).then_some(pid)
     }
 
-    /// Whether neither a process nor the orchestrator lives.
+    /// Whether neither the orchestrator nor a process that it started lives.
     pub fn is_over(&self) -> bool {
-        self.orchestrator().is_none() && self.living_processes().next().is_none()
+        self.orchestrator().is_none() && self.members().next().is_none()
     }
 
-    /// Its processes that still live.
-    pub fn living_processes(&self) -> impl Iterator<Item = &RunProcess> {
-        self.processes.iter().filter(|process| process.open().is_some())
+    /// Its processes that still live, without strays.
+    pub fn members(&self) -> impl Iterator<Item = &RunProcess> {
+        self.processes.iter().filter(|process| !process.is_stray && process.open().is_some())
+    }
+
+    /// What its processes have started in groups of its own, and still lives.
+    pub fn strays(&self) -> impl Iterator<Item = &RunProcess> {
+        self.processes.iter().filter(|process| process.is_stray && process.open().is_some())
     }
 
     /// Its living processes and orchestrator, as `controller 812`.
     pub fn alive(&self) -> Vec<String> {
-        let processes = self.living_processes().map(RunProcess::label);
+        let processes = self.members().map(RunProcess::label);
         processes.chain(self.orchestrator().map(|pid| format!("orchestrator {pid}"))).collect()
     }
 
@@ -125,7 +181,23 @@ impl LivingRun {
             self.directory = seen.variable(DIRECTORY_VARIABLE).map(PathBuf::from);
         }
         let role = seen.variable(ROLE_VARIABLE).and_then(|name| name.parse().ok());
-        self.processes.push(RunProcess { identity: seen.identity, role });
+        let (companion, group) = (seen.variable(COMPANION_VARIABLE), seen.group);
+        let identity = seen.identity;
+        self.processes.push(RunProcess { identity, role, companion, group, is_stray: false });
+    }
+
+    /// Tells strays by the page of the stop word. Where that does not tell, none is: the safe side. Where no process has
+    /// it, all are, because those of the orchestrator inherit it. One that reports what the wheels do is none.
+    fn mark_strays(&mut self) {
+        let word = self.word.clone();
+        for process in &mut self.processes {
+            let pid = process.identity.pid;
+            let reports = |word: &StopWord| Role::ALL.iter().any(|role| word.obeyed_by(*role) == pid);
+            process.is_stray = process.identity.incarnation != LINK_INCARNATION
+                && word
+                    .as_ref()
+                    .is_none_or(|word| word.has_started(process.group) == Some(false) && !reports(word));
+        }
     }
 
     /// A run without processes has its name from its directory.
@@ -162,6 +234,13 @@ pub fn existing(system_id: &str) -> Result<Domain, RuntimeError> {
 pub fn living(system_id: &str) -> Option<LivingRun> {
     let own = rustix::process::geteuid().as_raw();
     LivingRun::all(own).into_iter().find(|run| run.system_id == system_id)
+}
+
+/// What runs of a system that are over have left: processes of this user.
+pub fn strays_of(system_id: &str) -> Vec<RunProcess> {
+    let runs = LivingRun::with_strays(rustix::process::geteuid().as_raw()).into_iter();
+    let over = runs.filter(|run| run.is_over() && run.system_id == system_id);
+    over.flat_map(|run| run.strays().cloned().collect::<Vec<_>>()).collect()
 }
 
 /// Run ids and paths of all stop words of a user that the processes of that user hold open; a process may also hold a file

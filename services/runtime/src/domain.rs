@@ -3,9 +3,13 @@
 //! The directory lies in the first usable place of [`crate::place`] and carries the id of the system. The names in
 //! shared memory carry a random run id instead, so that no other user can take them beforehand. The orchestrator
 //! writes the id into the directory and hands it to its processes.
+//!
+//! The file with the run id marks the directory as one of ours: it is the first file that is written and the last that is
+//! removed. A directory without it belongs to somebody else, whatever its name: it is refused and left as it is.
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use crate::folder::Folder;
 use crate::shared_memory::{self, SHARED_MEMORY};
@@ -19,6 +23,14 @@ const RUN_ID_FILE: &str = "run-id";
 const SYSTEM_ID_FILE: &str = "system-id";
 /// Letters of a run id: 50 random bits.
 const RUN_ID_LETTERS: usize = 10;
+/// The letters.
+const ALPHABET: &[u8; 32] = b"abcdefghijklmnopqrstuvwxyz234567";
+/// A directory is without its run id for microseconds, while it is made or removed; on a busy machine for longer.
+const UNMARKED: Duration = Duration::from_millis(500);
+/// Time between two looks at such a directory.
+const UNMARKED_POLL: Duration = Duration::from_millis(5);
+/// Content of the mark of a system that was stopped.
+const STOPPED_MARK: &[u8] = b"stopped by scanloop\n";
 
 /// One system on this machine, told from all others by its directory and its run id.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -40,10 +52,11 @@ impl Domain {
         let folder = make_folder(system_id)?;
         let run_id = random_id();
         let domain = Self::assemble(system_id, run_id, folder);
-        // The file is for people; where shared memory is full it is left out.
-        let made = Folder::make(&domain.bus_directory())
-            .map(|bus| _ = bus.write(SYSTEM_ID_FILE, system_id.as_bytes()))
-            .and_then(|()| domain.folder.write(RUN_ID_FILE, domain.run_id.as_bytes()));
+        // The file in the directory of the bus is for people; where shared memory is full it is left out.
+        let marked = domain.folder.write(RUN_ID_FILE, domain.run_id.as_bytes());
+        let made = marked
+            .and_then(|()| Folder::make(&domain.bus_directory()))
+            .map(|bus| _ = bus.write(SYSTEM_ID_FILE, system_id.as_bytes()));
         if let Err(error) = made {
             let _ = domain.remove();
             return Err(error);
@@ -54,15 +67,34 @@ impl Domain {
     /// The system of that id, if it has a directory in one of the places; its processes may all have ended.
     ///
     /// # Errors
-    /// [`RuntimeError::SystemId`], and [`RuntimeError::NotPrivate`] for a directory that others can enter.
+    /// [`RuntimeError::SystemId`], [`RuntimeError::NotPrivate`] for a directory that others can enter, and
+    /// [`RuntimeError::NotOurs`] for one that was not made for a system.
     pub fn find(system_id: &str) -> Result<Option<Self>, RuntimeError> {
         check_id(system_id)?;
         for place in place::all()? {
-            if let Some(folder) = place.folder(system_id)? {
-                return Ok(Some(Self::of_folder(system_id, folder)));
+            if let Some(found) = Self::marked(&place, system_id)? {
+                return Ok(Some(found));
             }
         }
         Ok(None)
+    }
+
+    /// The system in the directory of that name, once it has its run id or is gone.
+    fn marked(place: &Folder, system_id: &str) -> Result<Option<Self>, RuntimeError> {
+        let since = Instant::now();
+        loop {
+            let Some(folder) = place.folder(system_id)? else { return Ok(None) };
+            let path = folder.path().to_path_buf();
+            // Only a directory without files may be just being made or removed.
+            let is_settled = folder.names().iter().any(|name| !name.starts_with(RUN_ID_FILE));
+            if let Some(found) = Self::of_folder(system_id, folder) {
+                return Ok(Some(found));
+            }
+            if is_settled || since.elapsed() > UNMARKED {
+                return Err(RuntimeError::NotOurs { path });
+            }
+            std::thread::sleep(UNMARKED_POLL);
+        }
     }
 
     /// [`Domain::find`] where the system must exist.
@@ -78,7 +110,11 @@ impl Domain {
     /// # Errors
     /// As [`Domain::create`].
     pub fn mark_stopped(system_id: &str) -> Result<(), RuntimeError> {
-        place::make()?.write(&mark(system_id)?, b"")
+        let (place, name) = (place::make()?, mark(system_id)?);
+        match is_taken_by_another(&place, &name) {
+            true => Err(RuntimeError::file(place.path().join(name), ErrorKind::AlreadyExists)),
+            false => place.write(&name, STOPPED_MARK),
+        }
     }
 
     /// Removes the mark of [`Domain::mark_stopped`]; returns whether there was one.
@@ -87,7 +123,8 @@ impl Domain {
     /// [`RuntimeError::SystemId`], and [`RuntimeError::File`].
     pub fn take_stopped_mark(system_id: &str) -> Result<bool, RuntimeError> {
         let name = mark(system_id)?;
-        let marked: Vec<Folder> = place::all()?.into_iter().filter(|place| place.contains(&name)).collect();
+        let is_marked = |place: &Folder| place.read(&name).is_ok_and(|mark| mark == STOPPED_MARK);
+        let marked: Vec<Folder> = place::all()?.into_iter().filter(is_marked).collect();
         marked.iter().try_for_each(|place| place.remove(&name))?;
         Ok(!marked.is_empty())
     }
@@ -102,7 +139,7 @@ impl Domain {
             let names = place.names().into_iter().filter(|name| check_id(name).is_ok());
             for name in names {
                 if let Ok(Some(folder)) = place.folder(&name) {
-                    found.push(Self::of_folder(&name, folder));
+                    found.extend(Self::of_folder(&name, folder));
                 }
             }
         }
@@ -124,12 +161,17 @@ impl Domain {
     /// The system of that id and run in the directory `path`.
     ///
     /// # Errors
-    /// [`RuntimeError::NotPrivate`] and [`RuntimeError::File`] when the directory is not what it should be.
+    /// [`RuntimeError::NotPrivate`], [`RuntimeError::NotOurs`] and [`RuntimeError::File`] when the directory is not what it
+    /// should be.
     pub fn at(system_id: &str, run_id: &str, path: &Path) -> Result<Self, RuntimeError> {
         check_id(system_id)?;
         let missing = || RuntimeError::file(path, ErrorKind::NotFound);
         let folder = Folder::open(path)?.ok_or_else(missing)?;
-        Ok(Self::assemble(system_id, run_id.to_owned(), folder))
+        let domain = Self::assemble(system_id, run_id.to_owned(), folder);
+        if !domain.is_current() {
+            return Err(RuntimeError::NotOurs { path: path.to_path_buf() });
+        }
+        Ok(domain)
     }
 
     /// The id.
@@ -137,7 +179,7 @@ impl Domain {
         &self.system_id
     }
 
-    /// The random id of this run; empty when its directory was left unfinished.
+    /// The random id of this run.
     pub fn run_id(&self) -> &str {
         &self.run_id
     }
@@ -209,24 +251,18 @@ impl Domain {
     /// [`RuntimeError::File`] for a file that could not be removed.
     pub fn remove(&self) -> Result<(), RuntimeError> {
         self.remove_bus_files()?;
-        self.folder.delete()?;
-        if let Some(parent) = self.folder.path().parent().filter(|_| self.is_in_a_default_place()) {
+        self.folder.delete(RUN_ID_FILE)?;
+        if let Some(parent) = self.folder.path().parent().filter(|parent| place::is_default(parent)) {
             // Stays while other systems of this user run.
             let _ = std::fs::remove_dir(parent);
         }
         Ok(())
     }
 
-    /// Whether the place is not one that the user named: that is not removed with the last system.
-    fn is_in_a_default_place(&self) -> bool {
-        let named = std::env::var_os(crate::RUNTIME_DIR_VARIABLE).map(PathBuf::from);
-        self.folder.path().parent() != named.as_deref()
-    }
-
-    fn of_folder(system_id: &str, folder: Folder) -> Self {
-        let run_id = folder.read_text(RUN_ID_FILE).unwrap_or_default();
-        let run_id = if is_run_id(&run_id) { run_id } else { String::new() };
-        Self::assemble(system_id, run_id, folder)
+    /// `None` for a directory that does not name a run.
+    fn of_folder(system_id: &str, folder: Folder) -> Option<Self> {
+        let run_id = folder.read_text(RUN_ID_FILE).ok().filter(|run_id| is_run_id(run_id))?;
+        Some(Self::assemble(system_id, run_id, folder))
     }
 
     fn assemble(system_id: &str, run_id: String, folder: Folder) -> Self {
@@ -294,6 +330,11 @@ fn mark(system_id: &str) -> Result<String, RuntimeError> {
     check_id(system_id).map(|()| format!("{system_id}.stopped"))
 }
 
+/// Whether a file of that name exists which is no mark of a stop.
+fn is_taken_by_another(place: &Folder, name: &str) -> bool {
+    place.contains(name) && !place.read(name).is_ok_and(|content| content == STOPPED_MARK)
+}
+
 /// The limit keeps lists readable; the letters keep an id one component of a path.
 fn check_id(system_id: &str) -> Result<(), RuntimeError> {
     let allowed = |letter: char| letter.is_ascii_alphanumeric() || letter == '-';
@@ -304,8 +345,7 @@ fn check_id(system_id: &str) -> Result<(), RuntimeError> {
 }
 
 fn is_run_id(text: &str) -> bool {
-    text.len() == RUN_ID_LETTERS
-        && text.bytes().all(|byte| byte.is_ascii_lowercase() || byte.is_ascii_digit())
+    text.len() == RUN_ID_LETTERS && text.bytes().all(|byte| ALPHABET.contains(&byte))
 }
 
 pub(crate) fn random_id() -> String {
@@ -314,7 +354,7 @@ pub(crate) fn random_id() -> String {
     // So few bytes are filled in one call, or the kernel has no random numbers at all.
     let filled = rustix::rand::getrandom(&mut bytes, flags).unwrap_or(0);
     assert_eq!(filled, bytes.len(), "the kernel gives no random numbers");
-    bytes.iter().map(|byte| char::from(b"abcdefghijklmnopqrstuvwxyz234567"[usize::from(byte % 32)])).collect()
+    bytes.iter().map(|byte| char::from(ALPHABET[usize::from(byte % 32)])).collect()
 }
 
 #[cfg(test)]
@@ -371,13 +411,36 @@ mod tests {
     }
 
     #[test]
-    fn a_directory_without_a_run_id_owns_nothing_in_shared_memory() {
+    fn a_directory_without_a_run_id_is_refused_and_left_as_it_is() {
         let made = domain("dn");
-        made.folder().write(RUN_ID_FILE, b"../../etc").unwrap();
-        let found = Domain::existing(made.system_id()).unwrap();
-        assert_eq!(found.run_id(), "");
-        found.remove().unwrap();
-        assert!(made.bus_directory().exists(), "another run's files are left alone");
-        made.remove_bus_files().unwrap();
+        for content in ["../../etc", "", "4e0b6df189", "abcdefghij\n"] {
+            made.folder().write(RUN_ID_FILE, content.as_bytes()).unwrap();
+            let path = made.directory().to_path_buf();
+            let refused = Domain::find(made.system_id()).unwrap_err();
+            assert!(
+                matches!(&refused, RuntimeError::NotOurs { path: named } if *named == path),
+                "{content}: {refused}"
+            );
+            assert!(Domain::at(made.system_id(), made.run_id(), &path).is_err());
+            assert!(Domain::all().unwrap().iter().all(|found| found.system_id() != made.system_id()));
+        }
+        assert!(made.bus_directory().exists() && made.exists(), "nothing is removed");
+        made.folder().write(RUN_ID_FILE, made.run_id().as_bytes()).unwrap();
+        Domain::existing(made.system_id()).unwrap().remove().unwrap();
+    }
+
+    #[test]
+    fn a_file_with_the_name_of_a_mark_is_neither_taken_nor_replaced() {
+        let id = format!("dk{}", std::process::id());
+        let made = Domain::create(&id).unwrap();
+        let place = Folder::open(made.directory().parent().unwrap()).unwrap().unwrap();
+        place.write(&mark(&id).unwrap(), b"mine").unwrap();
+        assert!(!Domain::take_stopped_mark(&id).unwrap());
+        assert!(Domain::mark_stopped(&id).is_err());
+        assert_eq!(place.read(&mark(&id).unwrap()).unwrap(), b"mine");
+        place.remove(&mark(&id).unwrap()).unwrap();
+        Domain::mark_stopped(&id).unwrap();
+        assert!(Domain::take_stopped_mark(&id).unwrap() && !Domain::take_stopped_mark(&id).unwrap());
+        made.remove().unwrap();
     }
 }

@@ -46,7 +46,7 @@ pub enum RuntimeError {
     Stopped(String),
     /// A directory that must be private to this user is not.
     #[error(
-        "{} {reason}; it has to be a directory of this user with mode 0700: remove it, or name another with {}",
+        "{} {reason}; it has to be a directory of this user with mode 0700: change or remove it, or name another with {}",
         path.display(),
         crate::RUNTIME_DIR_VARIABLE
     )]
@@ -55,6 +55,17 @@ pub enum RuntimeError {
         path: PathBuf,
         /// What is wrong with it, with its owner.
         reason: String,
+    },
+    /// A directory with the name of a system that was not made for one.
+    #[error(
+        "{} is no directory of a system, it has no run id: it is left as it is; move it, or choose another --system-id or \
+         another {}",
+        path.display(),
+        crate::RUNTIME_DIR_VARIABLE
+    )]
+    NotOurs {
+        /// The directory.
+        path: PathBuf,
     },
     /// A role opens a topic that it does not read or write.
     #[error("role {role} does not {verb} topic {topic}")]

@@ -45,23 +45,6 @@ impl Folder {
         Self::open_at(CWD, path, path.to_path_buf())
     }
 
-    /// [`Folder::open`] of a directory that others may read; its mode is set to 0700. One that others can write to is
-    /// refused, because they may have planted files.
-    ///
-    /// # Errors
-    /// As [`Folder::open`].
-    pub(crate) fn open_and_close_to_others(path: &Path) -> Result<Option<Self>, RuntimeError> {
-        let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::CLOEXEC;
-        if let Ok(directory) = rustix::fs::openat(CWD, path, flags, Mode::empty())
-            && let Ok(found) = rustix::fs::fstat(&directory)
-            && found.st_uid == rustix::process::geteuid().as_raw()
-            && found.st_mode & 0o022 == 0
-        {
-            let _ = rustix::fs::fchmod(&directory, PRIVATE);
-        }
-        Self::open(path)
-    }
-
     /// Makes a directory that must not exist yet.
     ///
     /// # Errors
@@ -168,12 +151,13 @@ impl Folder {
         entries.filter_map(|entry| entry.file_name().into_string().ok()).collect()
     }
 
-    /// Removes the directory and all that is in it.
+    /// Removes the directory and all that is in it, the entry `last` at the end: while anything else is left, it is there.
     ///
     /// # Errors
     /// [`RuntimeError::File`] for what could not be removed.
-    pub fn delete(&self) -> Result<(), RuntimeError> {
-        for name in self.names() {
+    pub fn delete(&self, last: &str) -> Result<(), RuntimeError> {
+        let names = self.names().into_iter().filter(|name| name != last);
+        for name in names.chain([last.to_owned()]) {
             let path = self.by_descriptor(&name);
             let is_folder = path.symlink_metadata().is_ok_and(|found| found.is_dir());
             let removed =
@@ -319,7 +303,7 @@ mod tests {
         symlink(&outside, folder.path().join("link")).unwrap();
         std::fs::create_dir(folder.path().join("logs")).unwrap();
         std::fs::write(folder.path().join("logs/one"), "").unwrap();
-        folder.delete().unwrap();
+        folder.delete("link").unwrap();
         assert!(!folder.path().exists() && outside.join("file").exists());
     }
 
@@ -332,7 +316,7 @@ mod tests {
         std::fs::create_dir(folder.path()).unwrap();
         folder.write("lock", b"7").unwrap();
         assert!(moved.join("lock").exists() && !folder.path().join("lock").exists());
-        folder.delete().unwrap();
+        folder.delete("lock").unwrap();
         assert!(folder.path().exists(), "what stands there now is not ours");
     }
 }

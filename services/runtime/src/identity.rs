@@ -233,7 +233,8 @@ fn boot_id() -> String {
     text.trim().to_owned()
 }
 
-fn pid_namespace() -> u64 {
+/// The pid namespace of this process, by inode; 0 when it is unknown.
+pub fn pid_namespace() -> u64 {
     std::fs::metadata("/proc/self/ns/pid").map_or(0, |found| found.ino())
 }
 

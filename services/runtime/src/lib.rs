@@ -60,6 +60,7 @@ mod settings;
 mod shared;
 mod shared_memory;
 mod shutdown;
+mod silence;
 mod stop;
 mod tamper;
 mod terminal;
@@ -83,8 +84,8 @@ pub use error::RuntimeError;
 pub use folder::Folder;
 pub use handover::{Handover, HandoverData, read as read_handover, write as write_handover};
 pub use identity::{
-    Identified, Identity, NotOurs, PROCESSES_FILE, Seen, identify, processes, processes_of, start_ticks,
-    started_processes, uid_of,
+    Identified, Identity, NotOurs, PROCESSES_FILE, Seen, identify, pid_namespace, processes, processes_of,
+    start_ticks, started_processes, uid_of,
 };
 pub use input::{Input, QUEUE_DEPTH, Taken, join};
 pub use layouts::{LAYOUTS_FILE, verify_layouts};
@@ -111,6 +112,7 @@ pub use settings::{
 };
 pub use shared_memory::Shortage;
 pub use shutdown::Shutdown;
+pub use silence::{STOOD_STILL_NS, Silence};
 pub use stop::{StopWord, Wheels};
 pub use tamper::{Tamper, tamper_with};
 pub use terminal::{

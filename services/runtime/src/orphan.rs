@@ -1,6 +1,6 @@
 //! The end of an orphaned system: its processes end, and one of them cleans up.
 //!
-//! Each process measures how long it has received no directive. Controller, obstacles, estimator and actuator end
+//! Each process measures how long it has received no directive, while it ran itself. Controller, obstacles, estimator and actuator end
 //! after the time set; the last actuation blocks the wheels. The robot ends a second later, at rest.
 //!
 //! The first of them that gets the lock of the system waits until the others have ended, kills those that do not end,

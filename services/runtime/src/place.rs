@@ -6,7 +6,8 @@
 //! 4. `/tmp/scanloop-UID`.
 //!
 //! A new system is made in the first usable place. Systems are searched in all of them, because a session of another
-//! kind (ssh, cron, a service) has other variables. A place that is not private is never used and never searched.
+//! kind (ssh, cron, a service) has other variables. A place that is not private is never used, searched or changed. One
+//! that the user named is refused then.
 
 use std::path::{Path, PathBuf};
 
@@ -19,8 +20,10 @@ const NAME: &str = "scanloop";
 /// A directory that may hold systems.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum Place {
-    /// This directory itself.
-    Own(PathBuf),
+    /// This directory itself, which the user named.
+    Named(PathBuf),
+    /// This directory itself, the last resort.
+    Last(PathBuf),
     /// The directory `scanloop` within one that the machine gives to the user.
     Within(PathBuf),
 }
@@ -29,7 +32,7 @@ impl Place {
     /// The directory that holds the systems; `None` where there is none.
     fn open(&self) -> Result<Option<Folder>, RuntimeError> {
         match self {
-            Self::Own(path) => Folder::open_and_close_to_others(path),
+            Self::Named(path) | Self::Last(path) => Folder::open(path),
             Self::Within(path) => match Folder::open(path)? {
                 Some(parent) => parent.folder(NAME),
                 None => Ok(None),
@@ -44,7 +47,7 @@ impl Place {
                 return Ok(Some(there));
             }
             let made = match self {
-                Self::Own(path) => Folder::make(path),
+                Self::Named(path) | Self::Last(path) => Folder::make(path),
                 Self::Within(path) => match Folder::open(path)? {
                     Some(parent) => parent.make_folder(NAME),
                     None => return Ok(None),
@@ -59,9 +62,13 @@ impl Place {
         }
     }
 
-    /// Whether a refusal is an error: the user named the place, or there is no other.
-    fn is_required(&self) -> bool {
-        matches!(self, Self::Own(_))
+    /// Whether `path` is this place, and one that this program makes and removes.
+    fn is_default(&self, path: &Path) -> bool {
+        match self {
+            Self::Named(_) => false,
+            Self::Last(own) => own == path,
+            Self::Within(parent) => path.strip_prefix(parent).is_ok_and(|name| name == Path::new(NAME)),
+        }
     }
 }
 
@@ -77,7 +84,7 @@ fn places() -> Result<Vec<Place>, RuntimeError> {
                 reason: format!("is no absolute path ({RUNTIME_DIR_VARIABLE})"),
             });
         }
-        places.push(Place::Own(path));
+        places.push(Place::Named(path));
     }
     let given = variable("XDG_RUNTIME_DIR").filter(|path| path.is_absolute());
     for path in given.into_iter().chain([Path::new("/run/user").join(user.to_string())]) {
@@ -86,7 +93,7 @@ fn places() -> Result<Vec<Place>, RuntimeError> {
             places.push(place);
         }
     }
-    places.push(Place::Own(PathBuf::from(format!("/tmp/scanloop-{user}"))));
+    places.push(Place::Last(PathBuf::from(format!("/tmp/scanloop-{user}"))));
     Ok(places)
 }
 
@@ -101,7 +108,7 @@ pub(crate) fn make() -> Result<Folder, RuntimeError> {
         match place.make() {
             Ok(Some(folder)) => return Ok(folder),
             Ok(None) => {}
-            Err(error) if place.is_required() => return Err(error),
+            Err(error) if matches!(place, Place::Named(_) | Place::Last(_)) => return Err(error),
             Err(error) => refused = Some(error),
         }
     }
@@ -111,10 +118,25 @@ pub(crate) fn make() -> Result<Folder, RuntimeError> {
     }))
 }
 
-/// All places in which systems may be, those that are not private left out.
+/// All places in which systems may be, default ones that are not private left out.
 ///
 /// # Errors
-/// [`RuntimeError::NotPrivate`] when `SCANLOOP_RUNTIME_DIR` is no absolute path.
+/// [`RuntimeError::NotPrivate`] when `SCANLOOP_RUNTIME_DIR` can't be used.
 pub(crate) fn all() -> Result<Vec<Folder>, RuntimeError> {
-    Ok(places()?.iter().filter_map(|place| place.open().ok().flatten()).collect())
+    let mut found = Vec::new();
+    for place in places()? {
+        match place.open() {
+            Err(error) if matches!(place, Place::Named(_)) => return Err(error),
+            opened => found.extend(opened.ok().flatten()),
+        }
+    }
+    Ok(found)
+}
+
+/// Whether a directory is a place that this program makes, and may remove when it is empty; never one that the user
+/// named.
+pub(crate) fn is_default(path: &Path) -> bool {
+    let places = places().unwrap_or_default();
+    !places.iter().any(|place| matches!(place, Place::Named(named) if named == path))
+        && places.iter().any(|place| place.is_default(path))
 }

@@ -30,6 +30,7 @@ use crate::own::{ByteTopic, Member, NamedTopic, Place};
 use crate::reserve::require_room_of;
 use crate::settings::{self, RunSettings};
 use crate::shared::Shared;
+use crate::silence::Silence;
 use crate::{
     Bus, Clock, Domain, Realtime, RuntimeError, Shutdown, StopWord, Wheels, domain, layouts, monotonic_ns,
     tamper,
@@ -71,6 +72,7 @@ pub struct Process {
     state: ProcessState,
     next_heartbeat_ns: u64,
     directive_seen_ns: u64,
+    silence: Silence,
     polled_ns: u64,
     rung: u32,
     /// Start of the work that [`Process::wait_for_time`] waits for.
@@ -147,6 +149,7 @@ impl Process {
             state: ProcessState::Attached,
             next_heartbeat_ns: 0,
             directive_seen_ns: monotonic_ns(),
+            silence: Silence::default(),
             polled_ns: 0,
             // The first poll finds whatever was published before.
             rung: bells.role(role).poll().wrapping_sub(1),

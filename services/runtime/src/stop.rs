@@ -7,7 +7,8 @@
 //! The page is an anonymous file (memfd) whose memory is allocated when it is made and which is sealed against
 //! shrinking, so that no access can fault. The orchestrator's processes inherit its descriptor; others of the same
 //! user reach it as `/proc/PID/fd/N` of any process of the run. Actuator and robot write into it what the wheels do,
-//! so that a stop can be confirmed.
+//! so that a stop can be confirmed. The orchestrator lists the processes that it has started, because what these start
+//! themselves inherits environment and descriptors, but is no part of the run.
 //!
 //! Limits: a process of the same user can write anything into the page. A robot that neither obeys it nor receives
 //! actuations is stopped by its own dead man at best.
@@ -21,6 +22,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use rustix::fs::{FallocateFlags, MemfdFlags, Mode, SealFlags};
+use serde::{Deserialize, Serialize};
 use shared_types::{ROLES, Role};
 
 use crate::shared_memory::Mapped;
@@ -36,9 +38,12 @@ const VERSION: u64 = 1;
 const NAME: &str = "scanloop-stop-";
 /// Size of the page [bytes].
 const LENGTH: usize = 4096;
+/// Most living processes of a run on one host: five roles with their candidates, and 45 companions with theirs.
+const MAX_STARTED: usize = 128;
 
 /// What the wheels do, as a role reports it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 #[repr(u64)]
 pub enum Wheels {
     /// Nothing was reported.
@@ -49,6 +54,13 @@ pub enum Wheels {
     Blocked = 2,
     /// They are blocked, and the robot stands.
     Resting = 3,
+}
+
+impl Wheels {
+    /// Whether they are blocked, whatever the robot does then.
+    pub fn are_blocked(self) -> bool {
+        self >= Self::Blocked
+    }
 }
 
 impl From<u64> for Wheels {
@@ -62,11 +74,12 @@ impl From<u64> for Wheels {
     }
 }
 
-/// Content of the memory: one cache line, then one per role.
+/// Content of the memory: one cache line, one per role, then the started processes.
 #[repr(C)]
 struct Page {
     head: Head,
     rows: [Row; ROLES],
+    started: [Started; MAX_STARTED],
 }
 
 #[repr(C, align(64))]
@@ -77,6 +90,8 @@ struct Head {
     period_ns: AtomicU64,
     orchestrator_pid: AtomicU64,
     orchestrator_ticks: AtomicU64,
+    /// Inode of the pid namespace of the orchestrator, in which all process ids of the page hold.
+    pid_namespace: AtomicU64,
 }
 
 /// Written by the process in charge of a role.
@@ -85,6 +100,13 @@ struct Row {
     pid: AtomicU64,
     wheels: AtomicU64,
     seen_ns: AtomicU64,
+}
+
+/// A process that the orchestrator has started; all zero when there is none.
+#[repr(C)]
+struct Started {
+    pid: AtomicU64,
+    ticks: AtomicU64,
 }
 
 const _: () = assert!(size_of::<Page>() <= LENGTH && size_of::<Head>() == 64 && size_of::<Row>() == 64);
@@ -169,6 +191,31 @@ impl StopWord {
         self.head().orchestrator_pid.store(u64::from(pid), Ordering::SeqCst);
         let ticks = crate::start_ticks(pid).unwrap_or(0);
         self.head().orchestrator_ticks.store(ticks, Ordering::SeqCst);
+        self.head().pid_namespace.store(crate::identity::pid_namespace(), Ordering::SeqCst);
+    }
+
+    /// Notes a process that this orchestrator has just started, in the place of one that has ended.
+    pub fn enlist(&self, pid: u32) {
+        let Some(ticks) = crate::start_ticks(pid) else { return };
+        let is_free = |place: &&Started| {
+            let before = place.pid.load(Ordering::SeqCst);
+            let lives = |ticks| ticks == place.ticks.load(Ordering::SeqCst);
+            before == 0 || !u32::try_from(before).ok().and_then(crate::start_ticks).is_some_and(lives)
+        };
+        if let Some(place) = self.0.page.started.iter().find(is_free) {
+            place.pid.store(0, Ordering::SeqCst);
+            place.ticks.store(ticks, Ordering::SeqCst);
+            place.pid.store(pid.into(), Ordering::SeqCst);
+        }
+    }
+
+    /// Whether the orchestrator has started the process of that id itself, and so the process group of that id. `None` when
+    /// the page does not tell: its numbers are those of another pid namespace, or nothing was listed yet.
+    pub fn has_started(&self, pid: u32) -> Option<bool> {
+        let is_here = self.head().pid_namespace.load(Ordering::SeqCst) == crate::identity::pid_namespace();
+        let listed = self.0.page.started.iter().map(|place| place.pid.load(Ordering::SeqCst));
+        let listed: Vec<u64> = listed.filter(|pid| *pid != 0).collect();
+        (is_here && !listed.is_empty()).then(|| listed.contains(&pid.into()))
     }
 
     /// Process id and start time of the orchestrator that claimed the run last.
@@ -286,6 +333,26 @@ mod tests {
         let file = OpenOptions::new().write(true).open(link(&word)).unwrap();
         assert!(file.set_len(0).is_err() && file.set_len(1 << 20).is_err());
         assert!(StopWord::open(Path::new("/dev/null")).is_err());
+    }
+
+    #[test]
+    fn only_what_was_started_by_the_orchestrator_is_listed() {
+        let word = StopWord::create("testruneee", 1).unwrap();
+        let own = std::process::id();
+        assert_eq!(word.has_started(own), None, "nothing is listed");
+        word.enlist(own);
+        let other = StopWord::open(&link(&word)).unwrap();
+        assert_eq!((other.has_started(own), other.has_started(1)), (Some(true), Some(false)));
+        // Places of processes that have ended are used again.
+        for _ in 0..=MAX_STARTED {
+            let mut child = std::process::Command::new("sleep").arg("60").spawn().unwrap();
+            word.enlist(child.id());
+            let pid = child.id();
+            child.kill().and_then(|()| child.wait()).unwrap();
+            assert_eq!(word.has_started(pid), Some(true));
+        }
+        word.head().pid_namespace.store(1, Ordering::SeqCst);
+        assert_eq!(other.has_started(own), None, "the numbers are those of another namespace");
     }
 
     #[test]

@@ -117,14 +117,16 @@ fn another_user_neither_reads_nor_plants_anything_in_the_directory_of_a_running_
 #[test]
 fn links_in_the_directory_are_not_written_through() {
     among_users!("links_in_the_directory_are_not_written_through");
-    let names = ["settings-controller.toml", "layouts.txt", "run.toml", "processes.toml", "run-id", "lock"];
+    let names = ["settings-controller.toml", "layouts.txt", "run.toml", "processes.toml", "lock"];
     let victim = Path::new("/tmp/victim");
-    for names in [&names[..5], &names[5..]] {
+    for names in [&names[..4], &names[4..]] {
         let system = system();
         make_folder(PLACE, 0o700);
         let folder = Path::new(PLACE).join(system.id());
         make_folder(&folder, 0o700);
         std::fs::write(victim, "untouched").unwrap();
+        // What a run has left.
+        std::fs::write(folder.join("run-id"), "deadrunaaa").unwrap();
         for name in names.iter().chain(&["control.sock", "controller.log"]) {
             symlink(victim, folder.join(name)).unwrap();
         }
@@ -135,6 +137,14 @@ fn links_in_the_directory_are_not_written_through() {
         assert_eq!(std::fs::read_to_string(victim).unwrap(), "untouched");
         let _ = std::fs::remove_dir_all(PLACE);
     }
+    // A link is no mark of a run, wherever it leads.
+    let system = system();
+    make_folder(PLACE, 0o700);
+    make_folder(Path::new(PLACE).join(system.id()), 0o700);
+    std::fs::write(victim, "deadrunaaa").unwrap();
+    symlink(victim, Path::new(PLACE).join(system.id()).join("run-id")).unwrap();
+    assert_refused(&system.run(&["run", "--lockstep", "--quiet", "free"]), &["no directory of a system"]);
+    assert_eq!(tree(Path::new(PLACE)).len(), 3);
 }
 
 #[test]

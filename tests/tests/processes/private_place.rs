@@ -1,10 +1,11 @@
 //! The directory of a system is closed to other users, whatever the umask and the variables of the session.
 //!
-//! Each test has `/tmp`, `/dev/shm` and `/run/user` of its own in a mount namespace, and a real second user. Where
-//! the test does not run as root, or may not mount, it prints what it skipped.
+//! Each test that needs it has `/tmp`, `/dev/shm` and `/run/user` of its own in a mount namespace, and a real second user.
+//! Where such a test does not run as root, or may not mount, it prints what it skipped.
 
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, symlink};
 use std::path::Path;
+use std::process::Output;
 
 use rustix::fs::Mode;
 use rustix::process::umask;
@@ -93,6 +94,105 @@ fn a_named_place_is_made_or_refused_with_what_is_wrong() {
     assert!(!Path::new(PLACE).exists());
 }
 
+/// Every command that searches, makes or removes the directory of a system.
+const COMMANDS: [&[&str]; 8] = [
+    &["status"],
+    &["status", "--json"],
+    &["stop"],
+    &["adopt", "--quiet"],
+    &["run", "--lockstep", "--quiet", "free"],
+    &["run", "--adopt-or-start", "--quiet", "free"],
+    &["restart", "controller"],
+    &["record", "file.mcap"],
+];
+
+/// Names, modes and contents below a path.
+fn state_of(path: &Path) -> Vec<(String, u32, Vec<u8>)> {
+    let name = |path: &Path| path.display().to_string();
+    let mode = |path: &Path| path.symlink_metadata().expect("it is there").mode();
+    let content = |path: &Path| std::fs::read(path).unwrap_or_default();
+    tree(path).iter().map(|path| (name(path), mode(path), content(path))).collect()
+}
+
+fn in_place(system: &System, place: &Path, arguments: &[&str]) -> Output {
+    let mut command = system.command(arguments);
+    command.env(runtime::RUNTIME_DIR_VARIABLE, place).output().expect("the executable runs")
+}
+
+#[test]
+fn a_named_place_that_others_may_read_is_refused_and_not_changed() {
+    let system = System::new(env!("CARGO_BIN_EXE_scanloop-under-test"));
+    for mode in [0o755, 0o750, 0o770, 0o500] {
+        let place = system.folder().join(format!("own-{mode:o}"));
+        make_folder(&place, 0o700);
+        std::fs::create_dir(place.join(system.id())).unwrap();
+        std::fs::write(place.join(system.id()).join("precious"), "stays").unwrap();
+        std::fs::set_permissions(&place, std::os::unix::fs::PermissionsExt::from_mode(mode)).unwrap();
+        let before = state_of(&place);
+        for arguments in COMMANDS {
+            let refused = in_place(&system, &place, arguments);
+            assert_refused(
+                &refused,
+                &[place.to_str().unwrap(), &format!("has mode {mode:04o} instead of 0700")],
+            );
+            assert_eq!(state_of(&place), before, "{arguments:?}");
+        }
+    }
+}
+
+#[test]
+fn a_folder_with_the_name_of_a_system_is_not_taken_for_one() {
+    let system = System::new(env!("CARGO_BIN_EXE_scanloop-under-test"));
+    let place = system.folder().join("own");
+    let own = place.join(system.id());
+    let contents: [&[(&str, &str)]; 4] = [
+        &[("precious", "stays"), ("lock", ""), ("run.toml", "mine = 1")],
+        &[("run-id", "20261126-experiment"), ("precious", "stays")],
+        &[("run-id", "")],
+        &[],
+    ];
+    for content in contents {
+        make_folder(&place, 0o700);
+        make_folder(&own, 0o700);
+        content.iter().for_each(|(name, text)| std::fs::write(own.join(name), text).unwrap());
+        std::fs::write(place.join(format!("{}.stopped", system.id())), "mine").unwrap();
+        let before = state_of(&place);
+        for arguments in COMMANDS {
+            let refused = in_place(&system, &place, arguments);
+            assert_refused(&refused, &[own.to_str().unwrap(), "is no directory of a system", "--system-id"]);
+            assert_eq!(state_of(&place), before, "{arguments:?} {content:?}");
+        }
+        std::fs::remove_dir_all(&place).unwrap();
+    }
+    // A drive beside such a folder leaves all that was there, the named place included.
+    make_folder(&place, 0o700);
+    make_folder(place.join("other"), 0o755);
+    std::fs::write(place.join("other/precious"), "stays").unwrap();
+    let before = state_of(&place);
+    let drive = in_place(&system, &place, &["run", "--lockstep", "--quiet", "free", "--set", "goal.x_m=2"]);
+    assert_eq!(drive.status.code(), Some(0), "{}", text(&drive));
+    assert_eq!(state_of(&place), before);
+}
+
+#[test]
+fn a_stop_from_another_session_leaves_the_empty_place_that_the_user_named() {
+    let mut system = System::new(env!("CARGO_BIN_EXE_scanloop-under-test"));
+    let place = system.folder().join("scanloop");
+    make_folder(&place, 0o700);
+    let named = [(runtime::RUNTIME_DIR_VARIABLE, place.to_str().unwrap())];
+    system.launch(&["run", "--quiet", "--out", "out", "long"], &named);
+    let folder = place.join(system.id());
+    system.wait_until("it drives", |system| {
+        String::from_utf8_lossy(&in_place(system, &place, &["status"]).stdout).contains("driving")
+            || String::from_utf8_lossy(&in_place(system, &place, &["status"]).stderr).contains("driving")
+    });
+    // Without the variable.
+    system.kill_orchestrator();
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    system.wait_until("its directory is gone", |_| !folder.exists());
+    assert!(place.exists(), "the place is the user's");
+}
+
 #[test]
 fn a_session_directory_that_is_not_private_is_passed_over() {
     among_users!("a_session_directory_that_is_not_private_is_passed_over");
@@ -135,5 +235,26 @@ fn a_system_in_another_place_is_not_started_twice_and_answers_all_commands() {
         }
         system.assert_nothing_left();
         system.wait_until("its directory is gone", |_| !folder.exists());
+    }
+}
+
+#[test]
+fn a_file_in_the_output_folder_that_no_run_has_written_is_left() {
+    let system = System::new(env!("CARGO_BIN_EXE_scanloop-under-test"));
+    std::fs::create_dir_all(system.folder().join("out/logs")).unwrap();
+    let (log, incident) = ("out/logs/robot.log", "out/incident-of-mine.mcap");
+    for name in [log, incident] {
+        std::fs::write(system.folder().join(name), "mine").unwrap();
+    }
+    let run = ["run", "--lockstep", "--quiet", "--out", "out", "free", "--set", "goal.x_m=2"];
+    assert_refused(&system.run(&run), &["out/logs/robot.log", "is no log of a run", "--out"]);
+    for name in [log, incident] {
+        assert_eq!(std::fs::read_to_string(system.folder().join(name)).unwrap(), "mine");
+    }
+    system.assert_nothing_left();
+    std::fs::remove_file(system.folder().join(log)).unwrap();
+    for _ in 0..2 {
+        let drive = system.run(&run);
+        assert_eq!(drive.status.code(), Some(0), "{}", text(&drive));
     }
 }

@@ -127,3 +127,48 @@ fn a_watch_needs_a_file_and_ends_with_the_system() {
     assert_eq!(watch.wait().unwrap().code(), Some(0));
     system.assert_nothing_left();
 }
+
+#[test]
+fn a_program_that_another_user_can_replace_is_not_watched() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["endless"]);
+    let (outer, inner) = (system.folder().join("outer"), system.folder().join("outer/inner"));
+    std::fs::create_dir_all(&inner).unwrap();
+    let program = inner.join("mine");
+    script(&program, &format!("{EXECUTABLE} service nmpc"));
+    let set_mode = |path: &Path, mode| std::fs::set_permissions(path, Permissions::from_mode(mode)).unwrap();
+    let text = |output: &std::process::Output| String::from_utf8_lossy(&output.stderr).into_owned();
+    let driving = system.pid(Role::Controller);
+    for part in [&outer, &inner, &program] {
+        let before = std::fs::metadata(part).unwrap().permissions().mode();
+        set_mode(part, 0o777);
+        let refused = system.run(&["swap", "controller", "--watch", "--", "./outer/inner/mine"]);
+        assert_eq!(refused.status.code(), Some(2), "{}", text(&refused));
+        let named =
+            format!("{} has owner {} and mode 0777", part.display(), rustix::process::geteuid().as_raw());
+        assert!(text(&refused).contains("--watch: another user can replace"), "{}", text(&refused));
+        assert!(text(&refused).contains(&named), "{}", text(&refused));
+        assert_eq!(system.pid(Role::Controller), driving);
+        set_mode(part, before & 0o777);
+    }
+    // Without a watch it runs once, by the user's own word, with a warning.
+    set_mode(&inner, 0o777);
+    let once = system.run(&["swap", "controller", "--gate-scans", "3", "--", "./outer/inner/mine"]);
+    // A busy machine may have it rolled back.
+    assert!(matches!(once.status.code(), Some(0 | 1)), "{}", text(&once));
+    assert!(text(&once).contains("warning: another user can replace"), "{}", text(&once));
+    set_mode(&inner, 0o755);
+    // The folder is opened to all while the watch lasts: what comes then is not run.
+    let mut watch = watch(&system, &["./outer/inner/mine"]);
+    wait_for(&system, 1);
+    let driving = system.pid(Role::Controller);
+    set_mode(&inner, 0o777);
+    script(&program, &format!("{EXECUTABLE} service nmpc --other"));
+    assert_eq!(watch.wait().unwrap().code(), Some(2));
+    let told = std::fs::read_to_string(system.folder().join("watch.txt")).unwrap();
+    assert!(told.contains("has owner"), "{told}");
+    assert_eq!((certificates(&system).len(), system.pid(Role::Controller)), (1, driving));
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    system.wait();
+    system.assert_nothing_left();
+}

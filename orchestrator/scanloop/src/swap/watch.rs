@@ -16,7 +16,9 @@ use console::{answer, note};
 use runtime::{Domain, RuntimeError, Shutdown, wait_for};
 use rustix::fs::inotify::{self, CreateFlags, ReadFlags, WatchFlags};
 use rustix::io::Errno;
+use rustix::process::geteuid;
 use session::control::{Reply, Request, SwapRequest, ask};
+use supervision::replaceable;
 
 use super::{certificate, program};
 use crate::print_json;
@@ -42,6 +44,7 @@ pub(super) fn watch(domain: &Domain, request: &SwapRequest, json: bool) -> anyho
             "--watch: the command names no file; name the program by a path, as in ./my-controller",
         ));
     }
+    require_own(&files)?;
     folders.follow(&files)?;
     let mut tried = program::fingerprint(&files, &program);
     let mut number = Some(begin(domain, &Request::Swap(request.clone()))?);
@@ -69,6 +72,7 @@ pub(super) fn watch(domain: &Domain, request: &SwapRequest, json: bool) -> anyho
             continue;
         }
         files = program::files(&command);
+        require_own(&files)?;
         folders.follow(&files)?;
         match program::fingerprint(&files, &program) {
             // What is missing or not whole comes with another event.
@@ -93,6 +97,20 @@ pub(super) fn watch(domain: &Domain, request: &SwapRequest, json: bool) -> anyho
                 Err(error) => return Err(error),
             },
         }
+    }
+}
+
+/// Passes when no other user can replace one of the files: their changes are run without a question.
+///
+/// # Errors
+/// The file, and what makes it possible; exit code 2.
+fn require_own(files: &BTreeSet<PathBuf>) -> anyhow::Result<()> {
+    match files.iter().find_map(|file| replaceable::path(file)) {
+        Some(reason) => Err(Failure::bad_input(format!(
+            "--watch: {reason}; a changed file runs at once with the rights of user {}",
+            geteuid().as_raw()
+        ))),
+        None => Ok(()),
     }
 }
 

@@ -1,4 +1,7 @@
 //! The listener of the control socket: a thread that accepts, and one per connection that lives for seconds.
+//!
+//! Where the machine gives no more threads or descriptors, the listener serves one connection after the other itself, with a
+//! descriptor that it keeps for that. So a system can be asked and stopped whatever has run out.
 
 use std::fs::Permissions;
 use std::io::{self, ErrorKind};
@@ -13,6 +16,7 @@ use std::time::{Duration, Instant};
 
 use runtime::{peer_uid, wait_for};
 use rustix::event::{EventfdFlags, eventfd};
+use rustix::io::Errno;
 use rustix::process::geteuid;
 
 use super::line::{read_line, write_line};
@@ -111,6 +115,7 @@ fn signal(event: &OwnedFd) {
 fn accept_until(listener: &UnixListener, end: &OwnedFd, inbox: &Inbox) {
     // Each connection holds one more reference; their number is the number of connections.
     let places = Arc::new(());
+    let mut spare = Spare::new(end);
     loop {
         wait_for(&[listener.as_fd(), end.as_fd()], ACCEPT_NS);
         if wait_for(&[end.as_fd()], 0) {
@@ -118,8 +123,17 @@ fn accept_until(listener: &UnixListener, end: &OwnedFd, inbox: &Inbox) {
         }
         match listener.accept() {
             Ok((stream, _)) => admit(stream, &places, inbox),
+            Err(error) if spare.free_for(&error) => {
+                if let Ok((stream, _)) = listener.accept() {
+                    serve_here(&stream, inbox);
+                }
+                spare.renew(end);
+            }
             Err(error) if matches!(error.kind(), ErrorKind::Interrupted | ErrorKind::WouldBlock) => {}
-            Err(_) => _ = wait_for(&[end.as_fd()], REFUSED_PAUSE_NS),
+            Err(_) => {
+                spare.renew(end);
+                _ = wait_for(&[end.as_fd()], REFUSED_PAUSE_NS);
+            }
         }
     }
 }
@@ -135,15 +149,50 @@ fn admit(stream: UnixStream, places: &Arc<()>, inbox: &Inbox) {
         let _ = answer(&stream, &Reply::Refused(BUSY.to_owned()));
         return;
     }
-    let (place, inbox) = (Arc::clone(places), inbox.clone());
-    let serve = move || {
-        if let Err(error) = answer_one(&stream, &inbox) {
-            tracing::debug!(%error, "a client of the control socket was dropped");
+    let stream = Arc::new(stream);
+    let serve = {
+        let (place, stream, inbox) = (Arc::clone(places), Arc::clone(&stream), inbox.clone());
+        move || {
+            serve_one(&stream, &inbox);
+            drop(place);
         }
-        drop(place);
     };
-    // Without a thread the connection is closed.
-    let _ = std::thread::Builder::new().name("client".to_owned()).stack_size(STACK).spawn(serve);
+    let started = std::thread::Builder::new().name("client".to_owned()).stack_size(STACK).spawn(serve);
+    if started.is_err() {
+        serve_one(&stream, inbox);
+    }
+}
+
+/// Serves a connection on this thread, if it is allowed.
+fn serve_here(stream: &UnixStream, inbox: &Inbox) {
+    if peer_uid(stream).is_ok_and(|peer| may_ask(peer, geteuid().as_raw())) {
+        serve_one(stream, inbox);
+    }
+}
+
+fn serve_one(stream: &UnixStream, inbox: &Inbox) {
+    if let Err(error) = answer_one(stream, inbox) {
+        tracing::debug!(%error, "a client of the control socket was dropped");
+    }
+}
+
+/// A descriptor for one connection when the process, or the machine, has no other.
+struct Spare(Option<OwnedFd>);
+
+impl Spare {
+    fn new(of: &OwnedFd) -> Self {
+        Self(of.try_clone().ok())
+    }
+
+    /// Whether `error` says that descriptors have run out, and one was freed.
+    fn free_for(&mut self, error: &io::Error) -> bool {
+        let is_shortage = matches!(Errno::from_io_error(error), Some(Errno::MFILE | Errno::NFILE));
+        is_shortage && self.0.take().is_some()
+    }
+
+    fn renew(&mut self, of: &OwnedFd) {
+        *self = Self::new(of);
+    }
 }
 
 /// The user of this process may, and root, which could do anything to it anyway.

@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 
+use console::limits::text_of;
 use emulator::JudgedBy;
 use handover::swap::watch::Watch;
 use handover::swap::{Party, SwapEvent};
@@ -271,7 +272,7 @@ impl Session {
                 let _ = self.run.domain.folder().remove(&name);
             }
         }
-        started.map_err(|error| format!("{error:#}"))
+        started.map_err(|error| text_of(&error))
     }
 
     fn try_start(&mut self, candidate: Candidate, incarnation: u32, needs_truth: bool) -> anyhow::Result<()> {

@@ -103,6 +103,8 @@ impl Session {
             }
         });
         if is_stop {
+            // As final as a stop from outside: no process drives on that this loop does not reach.
+            self.run.stop_word.latch();
             self.decide(Outcome::Interrupted, "stopped by command");
         }
         for text in injected {

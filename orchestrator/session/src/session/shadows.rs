@@ -1,6 +1,7 @@
 //! The shadows of one run: one per role, never in charge. Pure: the session carries out the [`Order`]s.
 
 use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
 use handover::shadow::{ShadowOutcome, ShadowReport, Study};
@@ -47,7 +48,9 @@ struct Shadow {
 enum Work {
     Running(Box<Study>),
     /// Intervals take a second for many scans, too long for the loop.
-    Reporting(JoinHandle<ShadowReport>),
+    Reporting(JoinHandle<Option<ShadowReport>>),
+    /// Made at once, where the machine gives no thread.
+    Reported(Box<ShadowReport>),
 }
 
 impl Shadows {
@@ -160,8 +163,12 @@ impl Shadows {
             }
         }
         for shadow in self.begun.extract_if(.., |shadow| shadow.is_done()) {
-            let Work::Reporting(worker) = shadow.work else { continue };
-            let Ok(report) = worker.join() else { continue };
+            let report = match shadow.work {
+                Work::Running(_) => continue,
+                Work::Reporting(worker) => worker.join().ok().flatten(),
+                Work::Reported(report) => Some(*report),
+            };
+            let Some(report) = report else { continue };
             let ShadowReport { role, shadow: label, outcome, .. } = &report;
             orders.push(Order::Note(format!("{role}: {label} in the shadow: {}", outcome.name())));
             self.reports.insert(shadow.number, report);
@@ -194,12 +201,29 @@ impl Shadow {
         let Work::Running(study) = &mut self.work else { return };
         let study = std::mem::replace(&mut **study, Study::new(self.role, 0, 0));
         let (live, shadow) = (self.live.clone(), self.label.clone());
-        let work = move || ShadowReport { live, shadow, outcome, reason, ..study.report() };
-        self.work = Work::Reporting(std::thread::spawn(work));
+        let make = move |study: Study| ShadowReport { live, shadow, outcome, reason, ..study.report() };
+        // A thread that can't be started leaves it here.
+        let place = Arc::new(Mutex::new(Some((study, make))));
+        let taken = |place: &Mutex<Option<_>>| place.lock().ok().and_then(|mut place| place.take());
+        let work = {
+            let place = Arc::clone(&place);
+            move || taken(&place).map(|(study, make)| make(study))
+        };
+        self.work = match std::thread::Builder::new().name("shadow".to_owned()).spawn(work) {
+            Ok(worker) => Work::Reporting(worker),
+            Err(_) => match taken(&place) {
+                Some((study, make)) => Work::Reported(Box::new(make(study))),
+                None => return,
+            },
+        };
     }
 
     fn is_done(&self) -> bool {
-        matches!(&self.work, Work::Reporting(worker) if worker.is_finished())
+        match &self.work {
+            Work::Running(_) => false,
+            Work::Reporting(worker) => worker.is_finished(),
+            Work::Reported(_) => true,
+        }
     }
 }
 

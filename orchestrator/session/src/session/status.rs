@@ -3,6 +3,7 @@
 use std::time::Instant;
 
 use console::progress::{COLUMNS, ProcessLabel, line};
+use runtime::Wheels;
 use shared_types::{Phase, Role};
 use supervision::supervisor::VisibleState;
 
@@ -54,6 +55,7 @@ impl Session {
             scan: self.samples.newest_scan(),
             judged_by: self.judged_by,
             lockstep: self.run.lockstep,
+            wheels: Some(self.wheels()),
             blocking: self.recording.recorder.stopped_for().map(Into::into),
             scanner: self.recording.recorder.scanner().map(Into::into),
             processes,
@@ -62,6 +64,14 @@ impl Session {
             hosts: self.link.as_ref().map_or_else(Vec::new, |link| link.hosts().to_vec()),
             events: self.events.rows(),
         }
+    }
+
+    /// What the wheels do, as far as it is known since a stop.
+    fn wheels(&self) -> Wheels {
+        let word = &self.run.stop_word;
+        let reports = word.obeyed_by(Role::Robot) == self.fleet.last_pid(Role::Robot);
+        let (wheels, seen_ns) = word.wheels(if reports { Role::Robot } else { Role::Actuator });
+        if seen_ns >= word.stopped_ns() { wheels } else { Wheels::Unknown }
     }
 
     /// Adds the row of a candidate after those of its role; one that is in charge comes first, before its standby.

@@ -7,10 +7,10 @@ use std::os::fd::{AsFd, BorrowedFd};
 use std::path::Path;
 use std::sync::Arc;
 
-use anyhow::Context;
+use console::limits::text_of;
 use runtime::{
-    COMPANION_VARIABLE, CompanionPage, CompanionReport, Domain, MAX_COMPANIONS, REPORT_VARIABLE, StopWord,
-    monotonic_ns,
+    COMPANION_VARIABLE, CompanionPage, CompanionReport, Domain, MAX_COMPANIONS, REPORT_VARIABLE,
+    STOOD_STILL_NS, StopWord, monotonic_ns,
 };
 use rustix::process::{Pid, setpriority_process};
 use shared_types::{Authority, Header, ProcessState, Role, did_you_mean};
@@ -44,6 +44,8 @@ pub struct Companions {
     next_incarnation: u32,
     members: Vec<Member>,
     ends: bool,
+    /// When they were looked at last [ns].
+    advanced_ns: u64,
 }
 
 struct Member {
@@ -139,11 +141,7 @@ impl Companions {
         let mut members = Vec::new();
         for (index, entry) in entries.iter().enumerate() {
             let path = logs.join(format!("{}.log", entry.name()));
-            if generation <= 1 {
-                // Of another run that wrote to the same folder.
-                let _ = std::fs::remove_file(&path);
-            }
-            let log = ChildLog::open(&path).with_context(|| format!("{}", path.display()))?;
+            let log = ChildLog::of_run(&path, generation > 1)?;
             members.push(Member {
                 keeper: Keeper::new(policy_of(entry, period_ns, lockstep)),
                 log,
@@ -168,6 +166,7 @@ impl Companions {
             next_incarnation: FIRST_INCARNATION.saturating_mul(generation.clamp(1, 100)),
             members,
             ends: false,
+            advanced_ns: monotonic_ns(),
         })
     }
 
@@ -182,6 +181,7 @@ impl Companions {
     /// Starts, reaps and judges; `recorded_scan` is the newest scan that is recorded, `newest_scan` the newest published.
     pub fn advance(&mut self, recorded_scan: u64, newest_scan: u64) -> Vec<CompanionEvent> {
         let mut events = Vec::new();
+        self.forgive_own_stall();
         let working = |member: &Member| {
             let report = self.page.report(member.report);
             member.holds && report.taken > report.answered
@@ -263,7 +263,7 @@ impl Companions {
                         member.process = Some(running);
                     }
                     Err(error) => {
-                        let (name, text) = (member.entry.name().to_owned(), format!("{error:#}"));
+                        let (name, text) = (member.entry.name().to_owned(), text_of(&error));
                         events.push(CompanionEvent::Ended(name, text, Vec::new()));
                         member.died(now_ns, events);
                     }
@@ -277,6 +277,18 @@ impl Companions {
                 }
             }
             None => {}
+        }
+    }
+
+    /// Time in which this process was stopped does not count as silence: companions may have been stopped with it.
+    fn forgive_own_stall(&mut self) {
+        let now_ns = monotonic_ns();
+        let away_ns = now_ns.saturating_sub(std::mem::replace(&mut self.advanced_ns, now_ns));
+        if away_ns > STOOD_STILL_NS {
+            for member in &mut self.members {
+                member.keeper.forgive(away_ns);
+                member.answered.1 = member.answered.1.saturating_add(away_ns).min(now_ns);
+            }
         }
     }
 
@@ -299,6 +311,7 @@ impl Companions {
         ));
         let launch = Launch { command: command_of(&member.entry), environment };
         let child = Child::spawn(&launch, &member.log)?;
+        self.stop_word.enlist(child.pid());
         // One that has ended, or runs with a lower priority already, stays as it is.
         let _ = setpriority_process(Pid::from_raw(child.pid().cast_signed()), NICE);
         let process = Process::new(member.entry.clone(), incarnation, child);
@@ -402,7 +415,7 @@ impl Companions {
         }
         let started = self.start(index);
         self.members[index].entry = before;
-        self.members[index].successor = Some(started.map_err(|error| format!("{error:#}"))?);
+        self.members[index].successor = Some(started.map_err(|error| text_of(&error))?);
         Ok(true)
     }
 

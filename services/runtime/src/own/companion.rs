@@ -225,8 +225,7 @@ impl Companion {
     }
 
     fn must_end(&self) -> bool {
-        let silent_ns = monotonic_ns().saturating_sub(self.member.page.beat_ns());
-        self.shutdown.requested() || silent_ns > self.member.table.run.orphan_timeout_ns
+        self.shutdown.requested() || self.member.silent_ns() > self.member.table.run.orphan_timeout_ns
     }
 
     fn turn(&self) {

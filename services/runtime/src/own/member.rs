@@ -10,7 +10,7 @@ use shared_types::{
 use super::page::{CompanionPage, CompanionReport, MAX_COMPANIONS};
 use super::ports::{Port, PortTable};
 use super::table::{OPERATOR, OwnTopics, TopicRow};
-use crate::{Clock, Domain, RuntimeError, monotonic_ns};
+use crate::{Clock, Domain, RuntimeError, Silence, monotonic_ns};
 
 /// Who the process is.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -34,6 +34,7 @@ pub(crate) struct Member {
     pub(super) report: RefCell<CompanionReport>,
     /// The sample of the first topic that is being answered: its scan, 0 for none.
     open_scan: Cell<u64>,
+    silence: Cell<Silence>,
 }
 
 /// Who writes a topic.
@@ -66,6 +67,7 @@ impl Member {
             stamps: Cell::default(),
             report: RefCell::new(report),
             open_scan: Cell::new(0),
+            silence: Cell::default(),
             table,
         }))
     }
@@ -146,8 +148,15 @@ impl Member {
 
     /// Whether nothing is worth waiting for any more: the system ends, or its orchestrator is gone.
     pub(super) fn is_over(&self) -> bool {
-        let silent_ns = monotonic_ns().saturating_sub(self.page.beat_ns());
-        self.page.phase() == Phase::Stopping || silent_ns > self.table.run.orphan_timeout_ns
+        self.page.phase() == Phase::Stopping || self.silent_ns() > self.table.run.orphan_timeout_ns
+    }
+
+    /// How long the orchestrator has been silent while this process ran [ns].
+    pub(super) fn silent_ns(&self) -> u64 {
+        let mut silence = self.silence.get();
+        let silent_ns = silence.since(self.page.beat_ns(), monotonic_ns());
+        self.silence.set(silence);
+        silent_ns
     }
 
     /// Notes that a sample was taken; one of the first topic is being answered from now on.

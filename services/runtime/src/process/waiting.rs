@@ -248,9 +248,11 @@ impl Process {
             true => self.run.orphan_timeout_ns.min(self.run.orphan_stop_ns),
             false => self.run.orphan_timeout_ns,
         };
-        let orphaned = alone_ns > orphan::limit_ns(self.shared.role, timeout_ns);
+        // The wheels are blocked by the age of the directive, whatever the reason; the end needs a silent orchestrator.
+        let silent_ns = self.silence.since(self.directive_seen_ns, self.polled_ns);
+        let orphaned = silent_ns > orphan::limit_ns(self.shared.role, timeout_ns);
         if orphaned {
-            tracing::error!("no orchestrator for {} s: ending", alone_ns / 1_000_000_000);
+            tracing::error!("no orchestrator for {} s: ending", silent_ns / 1_000_000_000);
             self.cleanup.mark_orphaned();
         }
         let continues = !self.shutdown.requested() && !orphaned;

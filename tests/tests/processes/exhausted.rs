@@ -1,0 +1,139 @@
+//! Limits of the kernel: too small for a start, or reached while the robot drives. Each is named, and a system can be
+//! asked and stopped whatever has run out.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::path::PathBuf;
+use std::process::{Command, Output};
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Resource, Rlimit, prlimit};
+use scanloop_tests::System;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+
+fn text(output: &Output) -> String {
+    String::from_utf8_lossy(&[output.stdout.as_slice(), &output.stderr].concat()).into_owned()
+}
+
+#[test]
+fn a_limit_that_is_too_small_for_a_system_is_named_and_nothing_is_left() {
+    let system = System::new(EXECUTABLE);
+    for (limit, named) in [
+        ("-f 1024", "`ulimit -f 262144`"),
+        ("-f 100000", "`ulimit -f 262144`"),
+        ("-v 50000", "`ulimit -v 524288`"),
+        ("-v 400000", "`ulimit -v 524288`"),
+        ("-d 20000", "`ulimit -d 262144`"),
+        ("-t 10", "`ulimit -t 900`"),
+        ("-n 64", "`ulimit -n 256`"),
+        ("-s 512", "`ulimit -s 1024`"),
+    ] {
+        for command in ["run --quiet --out out free", "adopt --quiet"] {
+            let id = system.id();
+            let script = format!("ulimit {limit} && exec {EXECUTABLE} --system-id {id} {command}");
+            let mut shell = Command::new("bash");
+            let refused = shell.args(["-c", &script]).current_dir(system.folder()).output().unwrap();
+            assert_eq!(refused.status.code(), Some(4), "{limit} {command}: {}", text(&refused));
+            assert!(text(&refused).contains(named), "{limit}: {}", text(&refused));
+            assert_eq!(text(&refused).lines().count(), 1, "{limit}: {}", text(&refused));
+            assert!(!system.folder().join("out").exists(), "{limit}");
+            system.assert_nothing_left();
+        }
+    }
+}
+
+#[test]
+fn a_file_that_may_not_become_larger_is_an_error_and_no_signal() {
+    let system = System::new(EXECUTABLE);
+    std::fs::create_dir(system.folder().join("bags")).unwrap();
+    let recorded = system.run(&["run", "--lockstep", "--quiet", "--record=f.mcap", "free"]);
+    assert_eq!(recorded.status.code(), Some(0), "{}", text(&recorded));
+    let script = format!("ulimit -f 64 && exec {EXECUTABLE} recording cut f.mcap --to 5 --out g.mcap");
+    let cut = Command::new("bash").args(["-c", &script]).current_dir(system.folder()).output().unwrap();
+    assert!(matches!(cut.status.code(), Some(2 | 4)), "{:?} {}", cut.status, text(&cut));
+    assert!(text(&cut).contains("File too large"), "{}", text(&cut));
+    system.assert_nothing_left();
+}
+
+/// What a running system answers to its commands while nothing more can be started: each answer names the limit.
+fn assert_answers(system: &System, limit: &str) {
+    let status = system.run(&["status"]);
+    assert_eq!(status.status.code(), Some(0), "{}", text(&status));
+    assert!(text(&status).contains("driving"), "{}", text(&status));
+    for command in [&["restart", "controller"][..], &["swap", "controller", "--to", "nmpc"]] {
+        let asked = Instant::now();
+        let refused = system.run(command);
+        assert_eq!(refused.status.code(), Some(1), "{command:?}: {}", text(&refused));
+        assert!(text(&refused).contains(limit), "{command:?}: {}", text(&refused));
+        assert!(asked.elapsed() < Duration::from_secs(10), "{command:?}: {:?}", asked.elapsed());
+    }
+    // Several at once: one is served after the other.
+    let children: Vec<_> = (0..4)
+        .map(|_| system.command(&["status", "--json"]).stdout(std::process::Stdio::null()).spawn().unwrap())
+        .collect();
+    assert!(children.into_iter().all(|mut child| child.wait().unwrap().success()));
+    let stopped = system.run(&["stop"]);
+    assert_eq!(stopped.status.code(), Some(0), "{}", text(&stopped));
+}
+
+#[test]
+fn a_system_without_a_free_descriptor_is_asked_and_stopped() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["endless", "--set", "timeout_s=600"]);
+    let pid = system.orchestrator();
+    let open = std::fs::read_dir(format!("/proc/{pid}/fd")).unwrap().count() as u64;
+    let limit = Rlimit { current: Some(open), maximum: Some(open) };
+    prlimit(Pid::from_raw(pid), Resource::Nofile, limit).unwrap();
+    assert_answers(&system, &format!("at most {open} files may be open in a process: raise `ulimit -n`"));
+    assert_eq!(system.wait().code(), Some(1), "{}", system.stderr());
+    system.assert_nothing_left();
+}
+
+/// A control group with as many processes and threads as it allows.
+struct Full(PathBuf);
+
+impl Full {
+    /// `None` where the test may not make one.
+    fn new(name: &str) -> Option<Self> {
+        ["/sys/fs/cgroup/pids", "/sys/fs/cgroup"].into_iter().find_map(|root| {
+            let folder = PathBuf::from(root).join(format!("scanloop-{name}"));
+            std::fs::create_dir(&folder).ok()?;
+            let made = Self(folder);
+            made.0.join("pids.max").exists().then_some(made)
+        })
+    }
+}
+
+impl Drop for Full {
+    fn drop(&mut self) {
+        let until = Instant::now() + Duration::from_secs(5);
+        // A group with processes can't be removed; those of the test are about to end.
+        while std::fs::remove_dir(&self.0).is_err() && Instant::now() < until {
+            scanloop_tests::pause();
+        }
+    }
+}
+
+#[test]
+fn a_system_whose_control_group_allows_no_more_processes_is_asked_and_stopped() {
+    let mut system = System::new(EXECUTABLE);
+    let Some(group) = Full::new(system.id()) else {
+        eprintln!(
+            "skipped a_system_whose_control_group_allows_no_more_processes: no control group can be made"
+        );
+        return;
+    };
+    system.start(&["endless", "--set", "timeout_s=600"]);
+    for pid in system.processes().into_iter().chain([system.orchestrator()]) {
+        std::fs::write(group.0.join("cgroup.procs"), pid.to_string()).unwrap();
+    }
+    let current = std::fs::read_to_string(group.0.join("pids.current")).unwrap();
+    std::fs::write(group.0.join("pids.max"), &current).unwrap();
+    assert_answers(
+        &system,
+        &format!("allows {} processes and threads, and has as many: raise `pids.max`", current.trim()),
+    );
+    assert_eq!(system.wait().code(), Some(1), "{}", system.stderr());
+    system.assert_nothing_left();
+    drop(group);
+}

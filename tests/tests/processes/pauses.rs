@@ -1,0 +1,179 @@
+//! All processes of a run stand still for a while: afterwards it drives on, and nothing is blamed for the pause.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use rustix::process::Signal;
+use scanloop_tests::{System, Watch};
+use shared_types::Truth;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+/// Longer than every limit of the runs of these tests: orphans would end after 1.0 s, the robot a second later.
+const PAUSE: Duration = Duration::from_millis(3500);
+/// `status` answers within this time, a busy machine included. A request to an orchestrator takes 12 s to fail.
+const STATUS_LIMIT: Duration = Duration::from_secs(5);
+const LIMITS: [&str; 6] =
+    ["--set", "orphan_timeout_s=1.0", "--set", "orphan_stop_s=0.5", "--set", "timeout_s=600"];
+
+fn driving() -> (System, Watch) {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&[&["endless"], &LIMITS[..]].concat());
+    let watch = Watch::new(&system);
+    watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
+    (system, watch)
+}
+
+fn all(system: &System) -> Vec<i32> {
+    system.processes().into_iter().chain([system.orchestrator()]).collect()
+}
+
+fn status(system: &System) -> String {
+    let asked = Instant::now();
+    let output = system.run(&["status", "--json"]);
+    assert!(asked.elapsed() < STATUS_LIMIT, "{:?}", asked.elapsed());
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    json["state"].as_str().unwrap().to_owned()
+}
+
+/// Time passes: the pause is what is tested.
+fn let_pass(pause: Duration) {
+    let until = Instant::now() + pause;
+    while Instant::now() < until {
+        std::thread::park_timeout(until - Instant::now());
+    }
+}
+
+/// That the wheels were blocked after scan `paused`, and the robot drives on with the same processes until it is stopped.
+fn assert_drives_on(mut system: System, watch: Watch, processes: &[i32], paused: u64) {
+    let after = watch.newest().unwrap().header.scan_id;
+    watch
+        .wait_for(&system, "it drives on", |truth| truth.header.scan_id > after + 5 && truth.speed_mps > 0.5);
+    let blocked = |truth: &Truth| truth.header.scan_id > paused && truth.blocked == 1;
+    assert!(watch.all().iter().any(blocked), "the wheels were blocked");
+    assert_eq!(status(&system), "driving");
+    let mut now = all(&system);
+    let mut before = processes.to_vec();
+    (now.sort_unstable(), before.sort_unstable());
+    assert_eq!(now, before, "{}", system.stderr());
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    assert_eq!(system.wait().code(), Some(1), "{}", system.stderr());
+    let report = system.report();
+    assert_eq!((report.reason.as_str(), report.scans.unaccounted), ("stopped by command", 0));
+    drop(watch);
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_run_whose_processes_were_all_suspended_drives_on() {
+    let (system, watch) = driving();
+    let processes = all(&system);
+    let paused = watch.newest().unwrap().header.scan_id;
+    processes.iter().for_each(|pid| system.signal(*pid, Signal::STOP));
+    assert_eq!(status(&system), "suspended");
+    let_pass(PAUSE);
+    // The orchestrator last: the others run again while nothing of it can be there yet.
+    processes.iter().for_each(|pid| system.signal(*pid, Signal::CONT));
+    assert_drives_on(system, watch, &processes, paused);
+}
+
+#[test]
+fn a_request_to_a_suspended_orchestrator_says_so() {
+    let (mut system, watch) = driving();
+    system.signal(system.orchestrator(), Signal::STOP);
+    let refused = system.run(&["restart", "controller"]);
+    let text = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert_eq!(refused.status.code(), Some(4), "{text}");
+    assert!(text.contains(&format!("process {} was suspended", system.orchestrator())), "{text}");
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    system.wait();
+    drop(watch);
+    system.assert_nothing_left();
+}
+
+/// A control group that can be frozen, removed at the end of the test.
+struct Freezer {
+    folder: PathBuf,
+    switch: [(&'static str, &'static str); 2],
+}
+
+impl Freezer {
+    /// `None` where the test may not make one.
+    fn new(name: &str) -> Option<Self> {
+        let first = [("freezer.state", "FROZEN"), ("freezer.state", "THAWED")];
+        let second = [("cgroup.freeze", "1"), ("cgroup.freeze", "0")];
+        let places = [
+            ("/sys/fs/cgroup/freezer", first),
+            ("/sys/fs/cgroup", second),
+            ("/sys/fs/cgroup/unified", second),
+        ];
+        places.into_iter().find_map(|(root, switch)| {
+            let folder = PathBuf::from(root).join(format!("scanloop-{name}"));
+            std::fs::create_dir(&folder).ok()?;
+            let made = Self { folder, switch };
+            made.folder.join(made.switch[0].0).exists().then_some(made)
+        })
+    }
+
+    fn add(&self, pid: i32) {
+        std::fs::write(self.folder.join("cgroup.procs"), pid.to_string()).unwrap();
+    }
+
+    fn freeze(&self) {
+        std::fs::write(self.folder.join(self.switch[0].0), self.switch[0].1).unwrap();
+    }
+
+    fn thaw(&self) {
+        let _ = std::fs::write(self.folder.join(self.switch[1].0), self.switch[1].1);
+    }
+}
+
+impl Drop for Freezer {
+    fn drop(&mut self) {
+        self.thaw();
+        let until = Instant::now() + Duration::from_secs(5);
+        // A group with processes can't be removed; those of the test are about to end.
+        while std::fs::remove_dir(&self.folder).is_err() && Instant::now() < until {
+            scanloop_tests::pause();
+        }
+    }
+}
+
+#[test]
+fn a_run_whose_control_group_was_frozen_drives_on() {
+    let (system, watch) = driving();
+    let Some(freezer) = Freezer::new(system.id()) else {
+        eprintln!("skipped a_run_whose_control_group_was_frozen_drives_on: no control group can be made");
+        return;
+    };
+    let processes = all(&system);
+    processes.iter().for_each(|pid| freezer.add(*pid));
+    let paused = watch.newest().unwrap().header.scan_id;
+    freezer.freeze();
+    assert_eq!(status(&system), "suspended");
+    let_pass(PAUSE);
+    freezer.thaw();
+    assert_drives_on(system, watch, &processes, paused);
+}
+
+#[test]
+fn a_stop_of_a_frozen_run_is_not_confirmed_and_holds_once_it_runs_again() {
+    let (mut system, watch) = driving();
+    let Some(freezer) = Freezer::new(system.id()) else {
+        eprintln!("skipped a_stop_of_a_frozen_run: no control group can be made");
+        return;
+    };
+    all(&system).iter().for_each(|pid| freezer.add(*pid));
+    freezer.freeze();
+    let stopped = system.run(&["stop"]);
+    let text = String::from_utf8_lossy(&stopped.stderr).into_owned();
+    assert_eq!(stopped.status.code(), Some(4), "{text}");
+    assert!(text.contains("is not confirmed"), "{text}");
+    freezer.thaw();
+    watch.wait_for(&system, "it rests", |truth| truth.blocked == 1 && truth.speed_mps <= 0.0);
+    system.wait();
+    assert_eq!(system.report().reason, "stopped by command");
+    drop(watch);
+    system.assert_nothing_left();
+}

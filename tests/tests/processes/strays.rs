@@ -1,0 +1,110 @@
+//! A daemon that a process of a run has started is no system: all commands agree on what lives, and name it.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::process::Output;
+
+use rustix::process::Signal;
+use scanloop_tests::{SHORT_FREE, System};
+use shared_types::Role;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+
+/// A system whose robot, estimator and companion each start a daemon in a session of its own.
+fn system() -> System {
+    let system = System::new(EXECUTABLE);
+    let names = ["emulator", "ekf", "ellipses", "nmpc", "actuation"];
+    let mut text = String::new();
+    for (role, name) in Role::ALL.iter().zip(names) {
+        text += &format!("[[process]]\nrole = \"{role}\"\n");
+        text += &match role {
+            Role::Robot | Role::Estimator => {
+                let script = format!("setsid sleep 9741 & exec {EXECUTABLE} service {name}");
+                format!("command = {:?}\n", ["sh", "-c", &script])
+            }
+            _ => format!("implementation = \"{name}\"\n"),
+        };
+    }
+    let script = "setsid sleep 9742 & exec sleep 9743";
+    text += "[[process]]\nrole = \"companion\"\nname = \"lidar\"\nrestart = \"never\"\n";
+    text += &format!("command = {:?}\n", ["sh", "-c", script]);
+    std::fs::write(system.folder().join("lab.toml"), text).unwrap();
+    system
+}
+
+/// Process ids of the daemons, once all three are there.
+fn daemons(system: &System) -> Vec<i32> {
+    let of = |pid: &i32| {
+        let line = std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+        line == b"sleep\x009741\0" || line == b"sleep\x009742\0"
+    };
+    let found = || system.processes().into_iter().filter(of).collect::<Vec<_>>();
+    system.wait_until("the daemons run", |_| found().len() == 3);
+    found()
+}
+
+fn text(output: &Output) -> String {
+    String::from_utf8_lossy(&[output.stdout.as_slice(), &output.stderr].concat()).into_owned()
+}
+
+/// The exit code, and that each daemon is named.
+fn named(system: &System, daemons: &[i32], arguments: &[&str]) -> Option<i32> {
+    let output = system.run(arguments);
+    for pid in daemons {
+        assert!(
+            text(&output).contains(&format!("process {pid} (sleep)")),
+            "{arguments:?}: {}",
+            text(&output)
+        );
+    }
+    output.status.code()
+}
+
+/// That no system lives by the daemons: `status` and `adopt` find none, a run drives, and a stop ends them.
+fn assert_no_system_lives(system: &System, daemons: &[i32]) {
+    assert_eq!(named(system, daemons, &["status"]), Some(2));
+    assert_eq!(named(system, daemons, &["adopt", "--quiet"]), Some(2));
+    let run = ["run", "--lockstep", "--quiet", "free", "--set", "goal.x_m=2"];
+    assert_eq!(named(system, daemons, &run), Some(0));
+    assert_eq!(system.processes().len(), daemons.len(), "they are left alone");
+    assert_eq!(named(system, daemons, &["stop"]), Some(0));
+    assert_eq!(system.processes(), [0; 0]);
+    assert_eq!(system.run(&["stop"]).status.code(), Some(2));
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_stop_ends_what_processes_of_the_run_have_started_in_sessions_of_their_own() {
+    let mut system = system();
+    system.start(&["endless", "--system", "lab.toml"]);
+    let daemons = daemons(&system);
+    assert_eq!(named(&system, &daemons, &["stop"]), Some(0));
+    system.wait();
+    system.wait_until("the daemons have ended", |system| system.processes().is_empty());
+    assert_eq!(system.run(&["status"]).status.code(), Some(2));
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_daemon_that_outlives_its_run_is_named_and_keeps_no_run_from_starting() {
+    let mut system = system();
+    system.start(&[&SHORT_FREE[..], &["--system", "lab.toml"]].concat());
+    let daemons = daemons(&system);
+    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+    for pid in &daemons {
+        assert!(system.stderr().contains(&format!("has left process {pid} (sleep)")), "{}", system.stderr());
+    }
+    assert_no_system_lives(&system, &daemons);
+}
+
+#[test]
+fn a_run_of_which_only_daemons_are_left_is_over() {
+    let mut system = system();
+    system.start(&["endless", "--system", "lab.toml"]);
+    let daemons = daemons(&system);
+    system.kill_orchestrator();
+    for pid in system.processes().into_iter().filter(|pid| !daemons.contains(pid)) {
+        system.signal(pid, Signal::KILL);
+    }
+    system.wait_until("only the daemons live", |system| system.processes().len() == daemons.len());
+    assert_no_system_lives(&system, &daemons);
+}
