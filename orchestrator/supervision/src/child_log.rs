@@ -82,7 +82,7 @@ impl ChildLog {
     ///
     /// # Errors
     /// A file of somebody else, exit code 2, and those of the file system.
-    pub fn of_run(path: &Path, continues: bool) -> anyhow::Result<Self> {
+    pub fn of_run(path: &Path, continues: bool) -> anyhow::Result<Arc<Self>> {
         let name = path.display();
         let mut start = [0; 64];
         let found = File::open(path).and_then(|file| file.read_at(&mut start, 0));
@@ -141,11 +141,9 @@ impl ChildLog {
         let line = tail.iter().position(|byte| *byte == b'\n').map_or(0, |end| end + 1);
         let dropped = length - KEEP_BYTES + line as u64;
         tail.drain(..line);
-        use anyhow::Context;
-        use console::exit::Failure;
-        use console::new_file::open_log;
-        use runtime::wait_for;
-
+        let notice = format!("{DROPPED_START}{dropped}{DROPPED_END}\n");
+        edit.write_all_at(notice.as_bytes(), 0)?;
+        edit.write_all_at(&tail, notice.len() as u64)?;
         let mut end = (notice.len() + tail.len()) as u64;
         // Append what was written meanwhile; a process that writes faster than this loses some lines.
         let mut seen = length;

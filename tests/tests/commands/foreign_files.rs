@@ -150,7 +150,8 @@ fn words_of_foreign_files_do_not_speak_to_the_terminal() {
     let evil = "/\u{1b}[2J\u{1b}]0;owned\u{7}\u{9b}31m\u{202e}\u{2066}\n       99 /scanloop/forged";
     let schema =
         Schema { name: "std_msgs/msg/String".into(), encoding: "ros2msg".into(), text: String::new() };
-    let channel = Channel { topic: evil.into(), schema: 0, metadata: Vec::new() };
+    let encoding = "cdr".into();
+    let channel = Channel { topic: evil.into(), schema: 0, encoding, metadata: Vec::new() };
     let file = File::create(system.folder().join("evil.mcap")).unwrap();
     let mut writer = Writer::new(file, evil, &[schema], &[channel]).unwrap();
     let words = ["version", "run_id", "program", "machine", "lockstep"]
