@@ -50,6 +50,8 @@ const CONTINUED_SLACK: f64 = 0.01;
 const SLIDE_M: f64 = 0.2;
 /// A way to the goal that begins so much slower than the robot is comes too late [m/s]: the robot is beside the obstacles.
 const SUDDEN_MPS: f64 = 0.2;
+/// Nearer to the goal no slow way is looked for [m]: a robot that creeps beside a body that moves unnoticed is touched.
+const SLOW_WAY_M: f64 = 2.0;
 /// Share of the drive's largest deceleration with which a path slows down for a narrow place.
 const SLOWING_SHARE: f64 = 0.35;
 
@@ -430,7 +432,8 @@ impl Controller {
             obstacle.shorten(config.vehicle.length_m);
         }
         let scene = start.scene(config, predicted);
-        let is_found = [cruise, slowest].into_iter().any(|speed| {
+        let is_far = config.goal.x_m - start.initial.x > SLOW_WAY_M;
+        let is_found = [cruise, slowest].into_iter().take(1 + usize::from(is_far)).any(|speed| {
             let query = Query { scene, speed, narrow: true, sides: &state.sides, forced: None };
             search.find(&query, alternative);
             if !alternative.clear || alternative.misses_goal {
