@@ -6,6 +6,7 @@ use std::net::IpAddr;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::Arc;
 
 use anyhow::Context;
 use console::exit::{Exit, Failure};
@@ -33,7 +34,7 @@ const SILENT_NS: u64 = 1_000_000_000;
 pub struct HubLink {
     domain: Domain,
     table: LinkTable,
-    log: ChildLog,
+    log: Arc<ChildLog>,
     child: Option<Child>,
     status: LinkStatus,
     read_ns: u64,

@@ -1,6 +1,7 @@
 //! The part of a system that runs here: a bus of its own, and the processes that its orchestrator wants.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use anyhow::Context;
 use runtime::{
@@ -43,7 +44,7 @@ struct ServedProcess {
     role: Role,
     incarnation: u32,
     child: Child,
-    log: ChildLog,
+    log: Arc<ChildLog>,
     heard_ns: u64,
     is_ending: bool,
     ended: Option<(State, Vec<String>)>,

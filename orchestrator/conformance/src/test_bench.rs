@@ -72,7 +72,7 @@ pub(crate) struct TestBench<'a> {
     directive_ns: u64,
     /// Whether the directive has changed since.
     dirty: bool,
-    log: ChildLog,
+    log: Arc<ChildLog>,
     publishers: Publishers,
     subscribers: Subscribers,
     heartbeat_observer: Observer<Heartbeat>,

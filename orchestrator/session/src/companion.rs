@@ -3,12 +3,12 @@
 //! It is no process of the run: it has no role and no authority, and it is neither restarted nor adopted. In lock-step
 //! the grants wait for it while it copies; one that copies nothing for [`SILENT_NS`] is not waited for any more.
 
-use std::fs::File;
 use std::io::{Read, Write};
 use std::os::fd::AsFd;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::sync::Arc;
 
 use anyhow::Context;
 use console::exit::Failure;
@@ -16,6 +16,7 @@ use report::RecordingReport;
 use runtime::{Domain, monotonic_ns, wait_for};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use supervision::child::this_program;
+use supervision::child_log::ChildLog;
 
 /// Limit for the start of the recorder, and for the end of the recording [ns].
 const LIMIT_NS: u64 = 10_000_000_000;
@@ -29,6 +30,8 @@ const SILENT_NS: u64 = 5_000_000_000;
 /// The recorder of a run.
 pub(crate) struct Companion {
     process: Child,
+    /// What it prints; bounded as long as it is held here.
+    _log: Arc<ChildLog>,
     input: Option<ChildStdin>,
     output: ChildStdout,
     text: Vec<u8>,
@@ -81,10 +84,10 @@ impl Companion {
     }
 
     fn spawn(domain: &Domain, file: &Path, log: &Path, ring_s: Option<f64>) -> anyhow::Result<Self> {
-        if let Some(folder) = log.parent() {
-            std::fs::create_dir_all(folder).with_context(|| format!("{}", folder.display()))?;
-        }
-        let errors = File::create(log).with_context(|| format!("{}", log.display()))?;
+        // Of another run that wrote to the same folder.
+        let _ = std::fs::remove_file(log);
+        let log = ChildLog::open(log).with_context(|| format!("{}", log.display()))?;
+        let errors = log.output().with_context(|| format!("{}", log.path().display()))?;
         let mut process = Command::new(this_program())
             .args(["--system-id", domain.system_id(), "record", "--companion", "--force"])
             .args(ring_s.map(|seconds| format!("--ring={seconds}")))
@@ -105,6 +108,7 @@ impl Companion {
         let file = file.to_owned();
         Ok(Self {
             process,
+            _log: log,
             input: Some(input),
             output,
             text: Vec::new(),

@@ -606,9 +606,8 @@ impl Session {
     fn publish_directive(&mut self) -> anyhow::Result<()> {
         let now = monotonic_ns();
         if self.directives.is_due(now) {
-            match self.directives.changed {
-                true => self.update_registry(),
-                false => self.fleet.trim_logs(),
+            if self.directives.changed {
+                self.update_registry();
             }
             self.directives.publish(now)?;
             self.announce_to_companions();

@@ -3,16 +3,20 @@
 //! A process writes straight into the file, never into a pipe, so its output neither blocks it nor kills it when
 //! the orchestrator is gone. The file is opened for appending and shared with the process; each `write` of the
 //! process lands at the end, also after the file was cut. [`ChildLog::trim`] keeps the last part in the same file,
-//! without any part of the process in it.
+//! without any part of the process in it. One thread of this program trims all logs that are open, so no user of a log
+//! has to think of it.
 //!
-//! Where this fails: the file is bounded only as often as it is trimmed, and a line that is written in the few
-//! microseconds between the last read of the end and the cut is lost. A rotation by renaming would lose nothing,
-//! but the process would still write into the old file.
+//! Where this fails: the file is longer by what is written between two looks of the thread, and a line that is written in
+//! the few microseconds between the last read of the end and the cut is lost. A rotation by renaming would lose
+//! nothing, but the process would still write into the old file.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError, Weak};
+
+use runtime::wait_for;
 
 /// A longer file is trimmed [bytes]: the output of a day of lifecycle lines, and nothing to a disk or a tmpfs.
 pub const TRIM_ABOVE_BYTES: u64 = 1 << 20;
@@ -20,8 +24,17 @@ pub const TRIM_ABOVE_BYTES: u64 = 1 << 20;
 /// How much of the end is kept [bytes]: about a thousand lines, more than a user reads of a dead process.
 pub const KEEP_BYTES: u64 = 64 << 10;
 
+/// Time between two looks at the length of all logs: a process that does nothing but print writes some MiB in it [ns].
+const LOOK_NS: u64 = 10_000_000;
+
+/// The logs that are trimmed.
+static OPEN: Mutex<Vec<Weak<ChildLog>>> = Mutex::new(Vec::new());
+
 /// Longest line that [`ChildLog::last_lines`] gives [characters]; the file keeps the whole line.
 const MAX_LINE: usize = 400;
+
+/// Stack of the thread, which holds one piece of a log [bytes].
+const STACK: usize = 256 << 10;
 
 /// Starts the line that separates two incarnations in the file.
 const MARK: &str = "=== scanloop: ";
@@ -32,21 +45,28 @@ pub struct ChildLog {
     path: PathBuf,
     /// Shared with the process: each write goes to the end.
     append: File,
-    /// Writes at any place, for trimming.
-    edit: File,
+    /// Writes at any place, for trimming; held while the file is cut or its end is read.
+    edit: Mutex<File>,
 }
 
 impl ChildLog {
-    /// Opens the file, creating it and its folder where they are missing; what it holds stays.
+    /// Opens the file, creating it and its folder where they are missing; what it holds stays. The file is trimmed as
+    /// long as the log is in use here.
     ///
     /// # Errors
-    /// Those of the file system.
-    pub fn open(path: &Path) -> io::Result<Self> {
+    /// Those of the file system, and a thread that can't be started.
+    pub fn open(path: &Path) -> io::Result<Arc<Self>> {
+        let log = Arc::new(Self::open_untrimmed(path)?);
+        trim_while_in_use(&log)?;
+        Ok(log)
+    }
+
+    fn open_untrimmed(path: &Path) -> io::Result<Self> {
         if let Some(folder) = path.parent() {
             std::fs::create_dir_all(folder)?;
         }
         let append = OpenOptions::new().create(true).append(true).read(true).open(path)?;
-        let edit = OpenOptions::new().write(true).open(path)?;
+        let edit = Mutex::new(OpenOptions::new().write(true).open(path)?);
         Ok(Self { path: path.to_owned(), append, edit })
     }
 
@@ -68,6 +88,7 @@ impl ChildLog {
     /// # Errors
     /// Those of the file system.
     pub fn begin(&self, text: &str) -> io::Result<()> {
+        let _not_cut = self.edit();
         let length = self.append.metadata()?.len();
         let mut last = [b'\n'];
         if length > 0 {
@@ -82,6 +103,7 @@ impl ChildLog {
     /// # Errors
     /// Those of the file system.
     pub fn trim(&self) -> io::Result<bool> {
+        let edit = self.edit();
         let length = self.append.metadata()?.len();
         if length <= TRIM_ABOVE_BYTES {
             return Ok(false);
@@ -91,8 +113,8 @@ impl ChildLog {
         let dropped = length - KEEP_BYTES + line as u64;
         tail.drain(..line);
         let notice = format!("=== {dropped} bytes dropped\n");
-        self.edit.write_all_at(notice.as_bytes(), 0)?;
-        self.edit.write_all_at(&tail, notice.len() as u64)?;
+        edit.write_all_at(notice.as_bytes(), 0)?;
+        edit.write_all_at(&tail, notice.len() as u64)?;
         let mut end = (notice.len() + tail.len()) as u64;
         // Append what was written meanwhile; a process that writes faster than this loses some lines.
         let mut seen = length;
@@ -101,11 +123,11 @@ impl ChildLog {
             if added.is_empty() {
                 break;
             }
-            self.edit.write_all_at(&added, end)?;
+            edit.write_all_at(&added, end)?;
             seen += added.len() as u64;
             end += added.len() as u64;
         }
-        self.edit.set_len(end)?;
+        edit.set_len(end)?;
         Ok(true)
     }
 
@@ -114,6 +136,7 @@ impl ChildLog {
     /// # Errors
     /// Those of the file system.
     pub fn last_lines(&self, count: usize) -> io::Result<Vec<String>> {
+        let _not_cut = self.edit();
         let length = self.append.metadata()?.len();
         let start = length.saturating_sub(KEEP_BYTES);
         let tail = self.read(start, KEEP_BYTES)?;
@@ -133,6 +156,10 @@ impl ChildLog {
         Ok(lines)
     }
 
+    fn edit(&self) -> MutexGuard<'_, File> {
+        self.edit.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// At most `count` bytes from `offset` on, fewer at the end of the file.
     fn read(&self, offset: u64, count: u64) -> io::Result<Vec<u8>> {
         let mut bytes = vec![0; count as usize];
@@ -148,6 +175,35 @@ impl ChildLog {
         bytes.truncate(filled);
         Ok(bytes)
     }
+}
+
+/// Has the thread trim a log until nothing else uses it.
+fn trim_while_in_use(log: &Arc<ChildLog>) -> io::Result<()> {
+    static START: Once = Once::new();
+    let mut started = Ok(());
+    START.call_once(|| {
+        let thread = std::thread::Builder::new().name("logs-trim".to_owned()).stack_size(STACK);
+        started = thread.spawn(trim_all).map(|_| ());
+    });
+    open_logs().push(Arc::downgrade(log));
+    started
+}
+
+/// Trims all logs in use, for ever. A log on a disk that is full or stands still is tried again.
+fn trim_all() {
+    loop {
+        wait_for(&[], LOOK_NS);
+        let logs: Vec<Arc<ChildLog>> = {
+            let mut logs = open_logs();
+            logs.retain(|log| log.strong_count() > 0);
+            logs.iter().filter_map(Weak::upgrade).collect()
+        };
+        logs.iter().for_each(|log| _ = log.trim());
+    }
+}
+
+fn open_logs() -> MutexGuard<'static, Vec<Weak<ChildLog>>> {
+    OPEN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// A line without what could move the cursor or colour the terminal, and not too long.
@@ -176,7 +232,7 @@ pub(crate) mod tests {
         }
 
         pub(crate) fn log(&self) -> ChildLog {
-            ChildLog::open(&self.0.join("log/process.log")).unwrap()
+            ChildLog::open_untrimmed(&self.0.join("log/process.log")).unwrap()
         }
     }
 
@@ -242,6 +298,23 @@ pub(crate) mod tests {
         assert_eq!((lines[1], lines[8191], lines[8192]), ("0131809", "0139999", "after"));
         assert_eq!(lines.len(), 8193);
         assert!(!log.trim().unwrap(), "it is short now");
+    }
+
+    #[test]
+    fn a_log_in_use_is_bounded_while_it_grows() {
+        let scratch = Scratch::new();
+        let log = ChildLog::open(&scratch.0.join("log/process.log")).unwrap();
+        let text = "x".repeat(99) + "\n";
+        let deadline = std::time::Instant::now() + std::time::Duration::from_secs(20);
+        // 200 MiB in all, at the speed at which the thread can follow.
+        for piece in 0..200 {
+            write(&log, &text.repeat(10_486));
+            while log.append.metadata().unwrap().len() > TRIM_ABOVE_BYTES {
+                assert!(std::time::Instant::now() < deadline, "not trimmed after piece {piece}");
+                wait_for(&[], 1_000_000);
+            }
+        }
+        assert!(log.last_lines(1).unwrap()[0].starts_with("xxx"));
     }
 
     #[test]

@@ -346,12 +346,6 @@ impl Fleet {
         if last.is_empty() { exit.to_string() } else { format!("{exit}: {last}") }
     }
 
-    /// Keeps the logs within their size.
-    pub fn trim_logs(&self) {
-        let logs: Vec<_> = self.members.values().map(|member| Arc::clone(&member.log)).collect();
-        self.disk.post(move || logs.iter().for_each(|log| _ = log.trim()));
-    }
-
     /// Descriptors that become readable when a process ends.
     pub fn descriptors(&self) -> impl Iterator<Item = BorrowedFd<'_>> {
         self.running().map(|process| process.child.as_fd())
@@ -422,10 +416,10 @@ impl Drop for Fleet {
 }
 
 impl Member {
-    fn new(entry: ProcessEntry, log: ChildLog) -> Self {
+    fn new(entry: ProcessEntry, log: Arc<ChildLog>) -> Self {
         Self {
             entry,
-            log: Arc::new(log),
+            log,
             process: None,
             incarnation: 0,
             starts: 0,

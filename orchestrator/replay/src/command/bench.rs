@@ -1,5 +1,7 @@
 //! A system with one process in it, whose inputs are published by the replay.
 
+use std::sync::Arc;
+
 use console::exit::{Exit, Failure};
 use runtime::{
     Bus, ClockKind, Domain, HandoverData, Observer, Publisher, Realtime, RunSettings, Shutdown, StopWord,
@@ -44,7 +46,7 @@ pub(super) struct Bench<'a, S: Sample> {
     directives: Publisher<Directive>,
     directive: Directive,
     published_ns: u64,
-    log: ChildLog,
+    log: Arc<ChildLog>,
     shutdown: &'a Shutdown,
     _bus: Bus,
     _stop_word: StopWord,

@@ -146,7 +146,7 @@ impl Companions {
             let log = ChildLog::open(&path).with_context(|| format!("{}", path.display()))?;
             members.push(Member {
                 keeper: Keeper::new(policy_of(entry, period_ns, lockstep)),
-                log: Arc::new(log),
+                log,
                 process: None,
                 successor: None,
                 leaving: Vec::new(),
