@@ -11,8 +11,8 @@ use runtime::{Bus, Observer, OwnObserver, OwnTopics, RuntimeError, Shutdown, mon
 use serde_json::{Map, Value, json};
 use session::arguments::check_duration;
 use shared_types::{
-    Actuation, Checkpoint, ClockOffset, Command, Directive, ENUMERATIONS, Field, Heartbeat, Journal, Kind,
-    Obstacles, Odometry, Pose, Role, Sample, Scan, TOPICS, Topic, Truth,
+    Actuation, Checkpoint, ClockOffset, Command, Directive, ENUMERATIONS, Field, Header, Heartbeat, Journal,
+    Kind, MAX_NUMBER, Obstacles, Odometry, Pose, Role, Sample, Scan, TOPICS, Topic, Truth, require_sequence,
 };
 
 pub(crate) use self::publish::publish;
@@ -70,7 +70,8 @@ fn readers_of(own: Option<&OwnTopics>, topic: &str) -> String {
     names.collect::<Vec<_>>().join(", ")
 }
 
-/// Counts the samples of a topic and prints its rate once a second.
+/// Counts the samples of a topic and prints its rate once a second: of those that were published, also where they came too
+/// fast to be seen here.
 ///
 /// # Errors
 /// An unknown topic, or a system that is not running.
@@ -79,20 +80,22 @@ pub(crate) fn hz(system_id: &str, topic: &str, duration_s: f64) -> anyhow::Resul
     let mut watch = Watch::open(system_id, topic)?;
     let started = monotonic_ns();
     let end = started + Duration::from_secs_f64(duration_s).as_nanos() as u64;
-    let (mut next, mut before) = (started + 1_000_000_000, 0);
+    let (mut before, mut before_ns) = (Count::default(), started);
     while monotonic_ns() < end && watch.sleep() {
         watch.poll(&mut |_| true)?;
-        if monotonic_ns() >= next {
-            let rate_hz = (watch.seen - before) as f64;
-            if !data(&format!("{topic}: {rate_hz:.2} Hz, {} samples, {} lost", watch.seen, watch.lost))? {
+        let now = monotonic_ns();
+        if now >= before_ns + 1_000_000_000 {
+            let rate_hz = watch.count.rate_hz(&before, now - before_ns);
+            if !data(&format!("{topic}: {rate_hz:.2} Hz, {}", watch.count))? {
                 return Ok(());
             }
-            (next, before) = (next + 1_000_000_000, watch.seen);
+            (before, before_ns) = (watch.count.clone(), now);
         }
     }
-    let seconds = (monotonic_ns() - started) as f64 * 1e-9;
-    data(&format!("{topic}: {:.2} Hz on average over {seconds:.1} s", watch.seen as f64 / seconds))
-        .map(|_| ())
+    let elapsed_ns = monotonic_ns() - started;
+    let rate_hz = watch.count.rate_hz(&Count::default(), elapsed_ns);
+    let seconds = elapsed_ns as f64 * 1e-9;
+    data(&format!("{topic}: {rate_hz:.2} Hz on average over {seconds:.1} s, {}", watch.count)).map(|_| ())
 }
 
 /// Prints samples of a topic as JSON lines.
@@ -127,10 +130,66 @@ struct Watch {
     is_numbered: bool,
     next: NextSample,
     shutdown: Shutdown,
-    seen: u64,
-    lost: u64,
-    last: (u32, u64),
+    count: Count,
     _bus: Bus,
+}
+
+/// Writers of a topic that are told apart: those in charge, candidates and those that are ending.
+const MAX_WRITERS: usize = 16;
+
+/// How many samples of a topic were published while it was observed.
+#[derive(Debug, Clone, Default)]
+struct Count {
+    /// That arrived here.
+    seen: u64,
+    /// That did not, by the numbers of those that did.
+    lost: u64,
+    /// That have a number that they can't have.
+    impossible: u64,
+    /// Incarnation and newest number of each writer, the latest last, and when it came [ns].
+    writers: Vec<(u32, u64, u64)>,
+}
+
+impl Count {
+    /// Counts a sample of a topic that each writer numbers without gaps.
+    fn add(&mut self, header: &Header, now_ns: u64) {
+        self.seen += 1;
+        let Header { incarnation, sequence, .. } = *header;
+        let known = self.writers.iter().position(|(of, ..)| *of == incarnation);
+        let (newest, since_ns) = match known.map(|index| self.writers.remove(index)) {
+            Some((_, newest, at_ns)) => (newest, at_ns),
+            None => (sequence.saturating_sub(1), 0),
+        };
+        let is_possible = require_sequence(sequence, newest, now_ns.saturating_sub(since_ns)).is_ok()
+            && sequence <= MAX_NUMBER;
+        if is_possible {
+            self.lost += sequence.saturating_sub(newest).saturating_sub(1);
+        } else {
+            self.impossible += 1;
+        }
+        if self.writers.len() == MAX_WRITERS {
+            self.writers.remove(0);
+        }
+        if is_possible || known.is_some() {
+            self.writers.push((incarnation, if is_possible { sequence } else { newest }, now_ns));
+        }
+    }
+
+    /// Samples published per second since an earlier count, seen or not.
+    fn rate_hz(&self, before: &Self, elapsed_ns: u64) -> f64 {
+        let published = (self.seen + self.lost).saturating_sub(before.seen + before.lost);
+        published as f64 / (elapsed_ns.max(1) as f64 * 1e-9)
+    }
+}
+
+impl std::fmt::Display for Count {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(formatter, "{} samples seen, {} lost", self.seen, self.lost)?;
+        if self.impossible > 0 {
+            write!(formatter, ", {} with an impossible number", self.impossible)?;
+        }
+        Ok(())
+    }
 }
 
 impl Watch {
@@ -178,7 +237,7 @@ impl Watch {
 
     fn of(bus: Bus, fields: &'static [Field], is_numbered: bool, next: NextSample) -> anyhow::Result<Self> {
         let shutdown = Shutdown::on_signals()?;
-        Ok(Self { fields, is_numbered, next, shutdown, seen: 0, lost: 0, last: (0, 0), _bus: bus })
+        Ok(Self { fields, is_numbered, next, shutdown, count: Count::default(), _bus: bus })
     }
 
     /// Sleeps until the next poll; false when the user wants to end.
@@ -189,15 +248,12 @@ impl Watch {
 
     /// Passes the bytes of the samples that have arrived to `each` until it returns false.
     fn poll(&mut self, each: &mut impl FnMut(&[u8]) -> bool) -> anyhow::Result<()> {
+        let now_ns = monotonic_ns();
         while let Some(bytes) = (self.next)()? {
-            self.seen += 1;
-            let header: shared_types::Header =
-                bytemuck::pod_read_unaligned(&bytes[..size_of::<shared_types::Header>()]);
-            if self.is_numbered {
-                if self.last.0 == header.incarnation && header.sequence > self.last.1 {
-                    self.lost += header.sequence - self.last.1 - 1;
-                }
-                self.last = (header.incarnation, header.sequence);
+            let header: Header = bytemuck::pod_read_unaligned(&bytes[..size_of::<Header>()]);
+            match self.is_numbered {
+                true => self.count.add(&header, now_ns),
+                false => self.count.seen += 1,
             }
             if !each(&bytes) {
                 break;
@@ -271,6 +327,29 @@ mod tests {
             let last = topic.fields().last().unwrap();
             assert_eq!(last.offset + last.kind.size(), topic.size(), "{topic}");
         }
+    }
+
+    #[test]
+    fn a_rate_counts_what_was_published_not_what_was_seen() {
+        let header = |incarnation, sequence| Header { incarnation, sequence, ..Header::default() };
+        let mut count = Count::default();
+        // Of 1,000 samples in a second, every fifth is seen; two writers, one of which starts at 7.
+        (1..=100).for_each(|index| count.add(&header(1, 5 * index), 10_000_000 * index));
+        (0..100).for_each(|index| count.add(&header(2, 7 + 5 * index), 10_000_000 * index));
+        assert_eq!((count.seen, count.lost, count.impossible), (200, 4 * 99 + 4 * 99, 0));
+        assert_eq!(count.rate_hz(&Count::default(), 1_000_000_000), 992.0);
+        let before = count.clone();
+        for wrong in [1 << 63, u64::MAX, 1 << 47] {
+            count.add(&header(1, wrong), 1_000_000_000);
+        }
+        count.add(&header(9, u64::MAX), 1_000_000_000);
+        count.add(&header(1, 501), 1_010_000_000);
+        assert_eq!((count.lost - before.lost, count.impossible), (0, 4));
+        assert_eq!(count.to_string(), "205 samples seen, 792 lost, 4 with an impossible number");
+        for incarnation in 0..1_000 {
+            count.add(&header(incarnation, 1), 2_000_000_000);
+        }
+        assert!(count.writers.len() <= MAX_WRITERS);
     }
 
     #[test]

@@ -40,6 +40,59 @@ fn started(mode: &str, more: &str) -> System {
     system
 }
 
+/// The longest that a log of the run is now [bytes].
+fn longest_log(system: &System) -> u64 {
+    let logs = std::fs::read_dir(system.folder().join("out/logs")).into_iter().flatten();
+    logs.filter_map(|log| Some(log.ok()?.metadata().ok()?.len())).max().unwrap_or(0)
+}
+
+#[test]
+fn what_a_companion_prints_is_bounded_while_it_prints() {
+    let system = system_with("echo", "");
+    let file = system.folder().join("lab.toml");
+    let script = "head -c 400000000 /dev/zero | tr '\\\\0' x; echo the last line; exec sleep 600";
+    let row = format!(
+        "\n[[process]]\nrole = \"companion\"\nname = \"talker\"\ncommand = [\"sh\", \"-c\", \"{script}\"]\n"
+    );
+    std::fs::write(&file, std::fs::read_to_string(&file).unwrap() + &row).unwrap();
+    let mut system = system;
+    system.start(&[&["endless"][..], &SYSTEM].concat());
+    let log = system.folder().join("out/logs/talker.log");
+    let longest = std::cell::Cell::new(0);
+    system.wait_until("it has printed all", |system| {
+        longest.set(longest_log(system).max(longest.get()));
+        let text = std::fs::read(&log).unwrap_or_default();
+        text.len() < 2_000_000 && String::from_utf8_lossy(&text).contains("the last line")
+    });
+    // Between two looks of the orchestrator a busy machine writes some MiB.
+    assert!(longest.get() < 200_000_000, "{} bytes", longest.get());
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    system.wait();
+    assert!(longest_log(&system) < 2_000_000);
+}
+
+#[test]
+fn the_rate_of_a_topic_is_that_of_its_writer_however_few_samples_are_seen() {
+    // 2,001 samples for each of ten scans a second.
+    let mut system = system_with("flood", "");
+    system.start(&[&["endless"][..], &SYSTEM].concat());
+    system.wait_until("the flood is on", |system| {
+        companion(system, "writer").is_some_and(|writer| writer.rate_hz > 15_000.0)
+    });
+    let output = system.run(&["topic", "hz", "echo", "--duration", "3"]);
+    let text = String::from_utf8(output.stdout).unwrap();
+    let number = |before: &str| {
+        let words: Vec<&str> = text.lines().last().unwrap().split(' ').collect();
+        let index = words.iter().position(|word| word.trim_end_matches(',') == before).unwrap();
+        words[index - 1].parse::<f64>().unwrap()
+    };
+    let rate_hz = companion(&system, "writer").unwrap().rate_hz;
+    assert!((number("Hz") / rate_hz - 1.0).abs() < 0.3, "{rate_hz}: {text}");
+    assert!(number("lost") > 1_000.0 && number("samples") > 0.0, "{text}");
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    system.wait();
+}
+
 fn companion(system: &System, name: &str) -> Option<CompanionStatus> {
     system.status()?.companions.into_iter().find(|companion| companion.name == name)
 }
