@@ -166,6 +166,7 @@ enum scanloop_rule {
     SCANLOOP_RULE_TOO_OLD = 7, /* Its scan is young enough. */
     SCANLOOP_RULE_FROM_THE_FUTURE = 8, /* Its scan does not lie in the future. */
     SCANLOOP_RULE_ANSWERED_BEFORE = 9, /* Its scan was not answered before. */
+    SCANLOOP_RULE_IMPOSSIBLE_NUMBER = 10, /* Its numbers are such as its scan and its publisher can have reached. */
 };
 
 /* What an entry of a journal states. */

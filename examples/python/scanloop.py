@@ -60,6 +60,10 @@ HEARTBEAT_NS = 95_000_000  # between two heartbeats
 MAX_WAIT_NS = 20_000_000  # it waits on one event only, and polls the other topics this often
 OPEN_RETRY_NS = 5_000_000_000  # opening can collide with a clean-up, which does not take long
 MAX_AGE_PERIODS, YOUNG_NS = 3, 25_000_000  # an input older than both is not used
+MAX_NUMBER, MAX_STAMP_NS = 1 << 48, 1 << 62  # no scan and no sample has a larger number
+MAX_SPEED, MAX_SKIPPED = 4, 2  # a scanner may be so many times as fast as its period, and skip so many scans
+MAX_LEFT, MIN_INTERVAL_NS = 4096, 1_000  # samples that a publisher can have published since the last poll
+MAX_LATE = 16  # a sample may come after so many newer ones
 CHECKPOINT_AGE_NS = 500_000_000  # a state that was older when its process ended is not used
 HANDOVER_AGE_NS = 10_000_000_000  # nor is one that has waited for longer
 QUEUE_DEPTH, STANDBY_DEPTH = 12, 3  # samples that wait to be taken; samples kept of the other process of a swap
@@ -199,6 +203,7 @@ class Input:
         self._subscriber = process._subscriber(sample)
         self._kept, self._aside = collections.deque(), collections.deque()
         self._last = (0, 0, 0)  # incarnation, sequence, scan
+        self._late, self._polled_ns = 0, (0, 0)
         self._writer = next((role for role, topics in types.WRITES.items() if sample in topics), None)
         self._numbers = list(_numbers(sample, 0))
         self._refusal, self._told = Refusal(), set()
@@ -226,6 +231,7 @@ class Input:
         return self.take() if self._kept and self._kept[0].header.scan_id == scan else None
 
     def _drain(self):
+        self._polled_ns = (self._polled_ns[1], time.monotonic_ns())
         while (received := self._subscriber.receive()) is not None:
             sample = self._sample.from_buffer_copy(received.payload().contents)
             received.delete()
@@ -245,7 +251,7 @@ class Input:
             counts = authority.incarnation if header.scan_id >= authority.from_scan else authority.previous
             accepted = counts != 0 and counts == header.incarnation
             is_standby = swapped and header.incarnation in (authority.incarnation, authority.previous)
-        if fault := self._fault(sample):
+        if fault := self._fault(sample) or self._impossible(header):
             counters["invalid"] += 1
             if accepted:
                 self._refuse(header, *fault)
@@ -267,10 +273,15 @@ class Input:
     def _is_new(self, header):
         counters, (incarnation, sequence, scan) = self._process.counters, self._last
         if header.incarnation == incarnation:
-            if header.sequence <= sequence:
+            # The second in a row far below shows that the newest number was wrong.
+            goes_on = sequence - header.sequence > MAX_LATE and self._late + 1 == header.sequence
+            if header.sequence <= sequence and not goes_on:
+                self._late = header.sequence
                 counters["duplicate" if header.sequence == sequence else "reordered"] += 1
                 return False
-            counters["missing"] += header.sequence - sequence - 1
+            counters["missing"] += max(header.sequence - sequence - 1, 0)
+        if self._writer is not None:
+            self._process._note_scan(header)
         self._last = (header.incarnation, header.sequence, max(header.scan_id, scan))
         # Only the robot obeys an actuation. For other roles it is a record, which does not age.
         if self._sample is Actuation and self._process.role != Role.ROBOT:
@@ -298,6 +309,21 @@ class Input:
             return Rule.NOT_FINITE, fields[-1], 0.0
         if self._sample is types.Command and sample.kind == CommandKind.DRIVE and sample.verified != 1:
             return Rule.NOT_VERIFIED, "verified", sample.verified
+        return None
+
+    def _impossible(self, header):
+        """The number that no scan, or no sample of its publisher, can have by now; None when all are possible."""
+        now, process = time.monotonic_ns(), self._process
+        known = header.incarnation == self._last[0]
+        elapsed_ns = now - (self._polled_ns[0] if known else 0)
+        most = (self._last[1] if known else 0) + MAX_LEFT + elapsed_ns // MIN_INTERVAL_NS
+        for field, value, highest in (
+            ("header.sequence", header.sequence, min(most, MAX_NUMBER)),
+            ("header.scan_id", header.scan_id, MAX_NUMBER if self._writer is None else process._highest_scan(header)),
+            ("header.acquired_ns", header.acquired_ns, MAX_STAMP_NS),
+        ):
+            if value > highest:
+                return Rule.IMPOSSIBLE_NUMBER, field, float(value)
         return None
 
     def _refuse(self, header, rule, field, value):
@@ -383,6 +409,7 @@ class Process:
         self.directive = Directive()
         self.handed_actuations = []
         self._simulated_ns = self._woken_ns = self._taken_ns = self._last_scan = 0
+        self._known_scan = (0, 0, 0)  # number, when it was taken, when it came
         self._ended = False
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._end)
@@ -428,6 +455,8 @@ class Process:
                 self._enter(ProcessState.CONNECTED)
             if phase >= Phase.DRIVING:
                 return True
+            if self.directive.issued_ns > 0:
+                self._known_scan = (0, self.now_ns(), self.now_ns())  # no scan was published yet
         return False
 
     def wait(self, deadline_ns=None):
@@ -481,6 +510,8 @@ class Process:
         if checkpoint.state_layout != kind:
             return Handover.FOREIGN, None
         self._note_sample(JournalKind.RESUMED, checkpoint)
+        header = checkpoint.header
+        self._known_scan = (header.scan_id, header.acquired_ns, header.acquired_ns)
         first, size = ctypes.sizeof(Checkpoint) + 8, ctypes.sizeof(Actuation)
         places = [] if self.simulated else range(first, len(data) - size + 1, size)
         self.handed_actuations = [Actuation.from_buffer_copy(data, place) for place in places]
@@ -558,6 +589,19 @@ class Process:
     def _subscriber(self, sample):
         builder = self._samples(sample).subscriber_builder()
         return builder.history_request(1 if sample in (Directive, Checkpoint) else 0).create()
+
+    def _highest_scan(self, header):
+        """The largest number that a scan can have by now: a scanner is at most MAX_SPEED times as fast as its period."""
+        scan, acquired_ns, arrived_ns = self._known_scan
+        now, latest_ns = self.now_ns(), header.acquired_ns
+        if not self.simulated:
+            latest_ns = min(latest_ns, now + max(MAX_AGE_PERIODS * self.period_ns, YOUNG_NS))
+        since_ns = max(latest_ns - acquired_ns, now - arrived_ns, 0)
+        return min(scan + 1 + MAX_SKIPPED + MAX_SPEED * since_ns // self.period_ns, MAX_NUMBER)
+
+    def _note_scan(self, header):
+        if header.scan_id >= self._known_scan[0]:
+            self._known_scan = (header.scan_id, header.acquired_ns, self.now_ns())
 
     def _taken(self, sample):
         self._simulated_ns = max(self._simulated_ns, sample.header.chain[Role.ROBOT].published_ns)

@@ -165,6 +165,7 @@ class Rule(enum.IntEnum):
     TOO_OLD = 7  # Its scan is young enough.
     FROM_THE_FUTURE = 8  # Its scan does not lie in the future.
     ANSWERED_BEFORE = 9  # Its scan was not answered before.
+    IMPOSSIBLE_NUMBER = 10  # Its numbers are such as its scan and its publisher can have reached.
 
 
 class JournalKind(enum.IntEnum):
