@@ -1,5 +1,7 @@
 //! Which samples of a topic are new: by incarnation and sequence number of their publisher.
 
+use shared_types::MAX_LATE;
+
 /// Publishers of one topic that are told apart: those in charge, standbys and those that are ending.
 const PUBLISHERS: usize = 16;
 
@@ -24,16 +26,28 @@ pub(crate) enum Arrival {
 pub(crate) struct Newest {
     /// Incarnation and sequence number; incarnations grow.
     publishers: [(u32, u64); PUBLISHERS],
+    /// Those of the last sample that came after a newer one.
+    late: (u32, u64),
 }
 
 impl Newest {
-    /// Takes in the number of a sample.
+    /// Takes in the number of a sample. The second in a row far below the newest shows that the newest was wrong, as for
+    /// [`shared_types::InputAccount`].
     pub(crate) fn arrive(&mut self, incarnation: u32, sequence: u64) -> Arrival {
         if let Some((_, newest)) =
             self.publishers.iter_mut().find(|(of, number)| *of == incarnation && *number > 0)
         {
             return match sequence.cmp(newest) {
-                std::cmp::Ordering::Less => Arrival::Older,
+                std::cmp::Ordering::Less => {
+                    let (of, before) = self.late;
+                    let goes_on = of == incarnation && before.saturating_add(1) == sequence;
+                    self.late = (incarnation, sequence);
+                    if !goes_on || *newest - sequence <= MAX_LATE {
+                        return Arrival::Older;
+                    }
+                    *newest = sequence;
+                    Arrival::New { missing: 0 }
+                }
                 std::cmp::Ordering::Equal => Arrival::Repeated,
                 std::cmp::Ordering::Greater => {
                     let missing = sequence - *newest - 1;
@@ -52,6 +66,14 @@ impl Newest {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn one_wrong_number_costs_two_samples() {
+        let mut newest = Newest::default();
+        let arrivals = [4, 5, 1 << 40, 7, 8, 9].map(|sequence| newest.arrive(3, sequence));
+        let (jump, next) = (Arrival::New { missing: (1 << 40) - 6 }, Arrival::New { missing: 0 });
+        assert_eq!(arrivals, [Arrival::First, next, jump, Arrival::Older, next, next]);
+    }
 
     #[test]
     fn copies_are_recognised_and_older_ones_never_count() {

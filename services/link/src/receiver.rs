@@ -99,6 +99,11 @@ impl Inlets {
             return Ok(None);
         }
         let header = *(of.header)(sample.bytes());
+        if header.check_numbers().is_err() {
+            // Its readers drop, count and name it. Nothing follows from its numbers here.
+            publishers.publish(index, sample.bytes())?;
+            return Ok(None);
+        }
         match newest[index].arrive(header.incarnation, header.sequence) {
             // A link that was started again does not know which numbers came before.
             Arrival::First => losses.add_before(topic, &header, header.sequence.saturating_sub(1), now_ns),
