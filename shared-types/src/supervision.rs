@@ -148,13 +148,31 @@ fn check_heartbeat(heartbeat: &Heartbeat) -> Result<(), Fault> {
         ("taken", heartbeat.taken, MAX_NUMBER),
         ("answered", heartbeat.answered, MAX_NUMBER),
         ("written", heartbeat.written.into_iter().max().unwrap_or(0), MAX_NUMBER),
-        (
-            "refused",
-            heartbeat.refused.iter().map(|row| row.count.max(row.scan_id)).max().unwrap_or(0),
-            MAX_NUMBER,
-        ),
+        // The scan of a refused sample is what the sample said, right or wrong.
+        ("refused", heartbeat.refused.iter().map(|row| row.count).max().unwrap_or(0), MAX_NUMBER),
     ] {
         crate::numbering::require(field, number, highest)?;
     }
     DeviceState::try_from(heartbeat.device.state).map(|_| ())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Sample;
+
+    #[test]
+    fn a_heartbeat_may_report_any_number_as_refused_but_no_count_that_can_not_be() {
+        let mut heartbeat = Heartbeat::default();
+        heartbeat.header.layout = Heartbeat::LAYOUT;
+        let header = Header { scan_id: u64::MAX, ..Header::default() };
+        let fault = Fault::ImpossibleNumber { field: "header.scan_id", value: u64::MAX, highest: 9 };
+        heartbeat.refused[0].note(&header, &fault);
+        assert_eq!(heartbeat.check(), Ok(()));
+        heartbeat.written[1] = 1 << 63;
+        assert!(matches!(heartbeat.check(), Err(Fault::ImpossibleNumber { field: "written", .. })));
+        heartbeat.written[1] = 0;
+        heartbeat.inputs[0].missing = u64::MAX;
+        assert_eq!(heartbeat.check().map_err(|fault| fault.finding().0), Err("missing"));
+    }
 }

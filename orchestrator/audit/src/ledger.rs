@@ -22,6 +22,7 @@ mod sweep;
 mod topic;
 
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 
 use shared_types::Role;
 
@@ -105,9 +106,11 @@ impl Ledger {
         }
     }
 
-    /// Notes the reason of a scan in case it stays without an answer. It counts as soon as a later scan is published.
-    pub fn excused(&mut self, scan_id: u64, reason: &'static str) {
-        if scan_id >= self.oldest_stored() {
+    /// Notes the reason of scans in case they stay without an answer. It counts as soon as a later scan is published.
+    pub fn excused(&mut self, scans: RangeInclusive<u64>, reason: &'static str) {
+        // Of those to come, no more than fit.
+        let last = (*scans.end()).min(self.newest.saturating_add(WINDOW as u64));
+        for scan_id in (*scans.start()).max(self.oldest_stored())..=last {
             self.entries.entry(scan_id).or_default().excuse = Some(reason);
         }
     }
@@ -125,7 +128,8 @@ impl Ledger {
 
     /// Notes why a sample of a scan was dropped or refused: the reason if the scan stays without an answer.
     pub fn refused(&mut self, scan_id: u64, reason: &'static str) {
-        if scan_id >= self.oldest_stored() {
+        let newest = self.newest.saturating_add(WINDOW as u64);
+        if (self.oldest_stored()..=newest).contains(&scan_id) {
             self.refusals.insert(scan_id, reason);
         }
         while self.refusals.len() > WINDOW {
@@ -269,7 +273,7 @@ mod tests {
     #[test]
     fn a_scan_that_was_skipped_after_the_last_one_of_the_run_is_not_counted() {
         let mut ledger = ledger(3, &[]);
-        ledger.excused(5, ROBOT_HELD_UP);
+        ledger.excused(5..=5, ROBOT_HELD_UP);
         let report = ledger.report();
         assert_eq!((report.published, report.commanded, report.lost, report.unaccounted), (3, 3, 0, 0));
         ledger.published(6, 6 * PERIOD_NS);
@@ -336,8 +340,8 @@ mod tests {
     #[test]
     fn a_scan_with_an_excuse_is_lost_for_it_unless_it_was_answered() {
         let mut ledger = ledger(4, &[2, 3]);
-        ledger.excused(2, ROBOT_HELD_UP);
-        ledger.excused(4, NOT_OBSERVED);
+        ledger.excused(2..=2, ROBOT_HELD_UP);
+        ledger.excused(4..=4, NOT_OBSERVED);
         assert_eq!(reasons(&ledger.report()), [(NO_COMMAND, 1), (ROBOT_HELD_UP, 1)]);
     }
 
@@ -413,9 +417,23 @@ mod tests {
     fn a_scan_that_was_skipped_after_the_end_is_no_scan_of_the_run() {
         let mut ledger = ledger(3, &[]);
         ledger.run_ended();
-        ledger.excused(5, ROBOT_HELD_UP);
+        ledger.excused(5..=5, ROBOT_HELD_UP);
         let report = ledger.report();
         assert_eq!((report.published, report.lost, report.unaccounted), (3, 0, 0));
+    }
+
+    #[test]
+    fn the_ledger_takes_as_much_memory_as_its_window_whatever_the_numbers() {
+        let mut ledger = ledger(3, &[]);
+        for scan_id in [1 << 47, 1, 0, u64::MAX - 1, 1 << 63] {
+            ledger.excused(0..=scan_id, ROBOT_HELD_UP);
+            ledger.excused(scan_id..=u64::MAX, NOT_OBSERVED);
+            ledger.refused(scan_id, "too_old");
+            ledger.published(scan_id, 1);
+            ledger.answered(scan_id, 2);
+            assert!(ledger.entries.len() <= 2 * WINDOW + 2, "{}", ledger.entries.len());
+            assert!(ledger.refusals.len() <= WINDOW);
+        }
     }
 
     #[test]

@@ -10,7 +10,7 @@ use std::collections::VecDeque;
 use runtime::{Bus, Observer, RuntimeError, monotonic_ns};
 use shared_types::{
     Actuation, ActuationKind, Admission, AuthorityFilter, Command, CommandKind, Directive, Fault, Header,
-    Obstacles, Odometry, Pose, Rule, Sample, Scan, Truth, YOUNG_NS,
+    KnownScan, Obstacles, Odometry, Phase, Pose, Rule, Sample, Scan, Truth, YOUNG_NS,
 };
 
 use crate::ledger::SampleAudit;
@@ -26,6 +26,9 @@ const RECENT: usize = 32;
 /// Number of samples that are stored of the other process of a swap; more than processes store, because the
 /// orchestrator polls less often.
 const ASIDE: usize = 16;
+
+/// Scans with an invalid sample that are stored until they are taken.
+const MAX_REFUSED: usize = 1024;
 
 /// So many scans in a row with an actuation that [`deviates`] are no limit of the actuator.
 pub const MAX_DEVIATING: u32 = 2;
@@ -89,7 +92,7 @@ impl<S: Sample, T: Stored<S>> Queue<S, T> {
         &mut self,
         directive: &Directive,
         sample_audit: &mut SampleAudit,
-        refused: &mut Vec<(u64, Rule)>,
+        scans: &mut Scans,
     ) -> Result<(), RuntimeError> {
         let Self { observer, waiting, aside, filter } = self;
         let before = std::mem::take(aside);
@@ -105,7 +108,7 @@ impl<S: Sample, T: Stored<S>> Queue<S, T> {
             Admission::Foreign => {}
         };
         before.into_iter().for_each(|stored| put(stored, true));
-        poll(observer, directive, sample_audit, refused, |sample| put(T::of(sample), false))
+        poll(observer, directive, sample_audit, scans, |sample| put(T::of(sample), false))
     }
 
     /// The newest scan that waits; 0 without one.
@@ -118,13 +121,36 @@ impl<S: Sample, T: Stored<S>> Queue<S, T> {
     }
 }
 
-/// Passes the valid samples of a topic to `each`, and all samples to the audit. The scans of invalid samples that would
-/// have counted are added to `refused`.
+/// Which scans can exist, and which had an invalid sample that would have counted.
+struct Scans {
+    period_ns: u64,
+    known: KnownScan,
+    refused: Vec<(u64, Rule)>,
+}
+
+impl Scans {
+    /// Passes when the scan of a sample can exist: it was granted, as each is in lock-step, or the scanner can have come
+    /// so far.
+    fn judge(&self, header: &Header, directive: &Directive, now_ns: u64) -> Result<(), Fault> {
+        if header.scan_id <= directive.granted_scan {
+            return Ok(());
+        }
+        self.known.judge(header, now_ns, self.period_ns, self.period_ns)
+    }
+
+    fn refuse(&mut self, scan_id: u64, rule: Rule) {
+        if self.refused.len() < MAX_REFUSED {
+            self.refused.push((scan_id, rule));
+        }
+    }
+}
+
+/// Passes the valid samples of a topic to `each`, and all samples to the audit.
 fn poll<S: Sample>(
     observer: &Observer<S>,
     directive: &Directive,
     sample_audit: &mut SampleAudit,
-    refused: &mut Vec<(u64, Rule)>,
+    scans: &mut Scans,
     mut each: impl FnMut(&S),
 ) -> Result<(), RuntimeError> {
     let now_ns = monotonic_ns();
@@ -132,14 +158,22 @@ fn poll<S: Sample>(
     sample_audit.poll(S::TOPIC, now_ns);
     observer.poll_checked(|sample, check| {
         arrived += 1;
-        if !matches!(check, Err(Fault::Layout { .. })) {
-            sample_audit.see(sample, now_ns);
-        }
+        let header = sample.header();
+        let check = check.and_then(|()| scans.judge(header, directive, now_ns));
         match check {
-            Ok(()) => each(sample),
-            Err(fault) if directive.counts(S::TOPIC, sample.header()) => {
-                refused.push((sample.header().scan_id, fault.rule()));
+            Err(Fault::Layout { .. }) => {}
+            Err(Fault::ImpossibleNumber { .. }) => sample_audit.see_impossible(sample, now_ns),
+            _ => sample_audit.see(sample, now_ns),
+        }
+        let counts = directive.counts(S::TOPIC, header);
+        match check {
+            Ok(()) => {
+                if counts {
+                    scans.known = scans.known.and(header, now_ns);
+                }
+                each(sample);
             }
+            Err(fault) if counts => scans.refuse(header.scan_id, fault.rule()),
             Err(_) => {}
         }
     })?;
@@ -240,7 +274,7 @@ pub struct Samples {
     newest_scan: u64,
     answered_scan: u64,
     returned_scan: u64,
-    refused: Vec<(u64, Rule)>,
+    known: Scans,
 }
 
 impl Samples {
@@ -268,7 +302,7 @@ impl Samples {
             newest_scan: 0,
             answered_scan: 0,
             returned_scan: 0,
-            refused: Vec::new(),
+            known: Scans { period_ns, known: KnownScan::default(), refused: Vec::new() },
         })
     }
 
@@ -297,22 +331,25 @@ impl Samples {
         directive: &Directive,
         sample_audit: &mut SampleAudit,
     ) -> Result<(), RuntimeError> {
-        let Self { refused, .. } = self;
+        let Self { known, .. } = self;
+        if directive.phase < Phase::Driving.wire() {
+            known.known = KnownScan::start(monotonic_ns());
+        }
         let swept = self.scans.newest();
-        self.truths.poll(directive, sample_audit, refused)?;
-        poll(&self.odometries, directive, sample_audit, refused, |_| ())?;
+        self.truths.poll(directive, sample_audit, known)?;
+        poll(&self.odometries, directive, sample_audit, known, |_| ())?;
         // In reverse order of the data flow: when an answer has arrived, so have the samples that led to it.
         let before = self.actuations.waiting.len();
-        self.actuations.poll(directive, sample_audit, refused)?;
+        self.actuations.poll(directive, sample_audit, known)?;
         self.actuations
             .waiting
             .iter()
             .skip(before)
             .for_each(|actuation| remember(&mut self.recent, actuation));
-        self.commands.poll(directive, sample_audit, refused)?;
-        self.obstacles.poll(directive, sample_audit, refused)?;
-        self.poses.poll(directive, sample_audit, refused)?;
-        self.scans.poll(directive, sample_audit, refused)?;
+        self.commands.poll(directive, sample_audit, known)?;
+        self.obstacles.poll(directive, sample_audit, known)?;
+        self.poses.poll(directive, sample_audit, known)?;
+        self.scans.poll(directive, sample_audit, known)?;
         for actuation in &self.actuations.waiting {
             if actuation.answers == 1 {
                 self.answered_scan = self.answered_scan.max(actuation.header.scan_id);
@@ -353,7 +390,7 @@ impl Samples {
 
     /// Scans with an invalid sample that would have counted, since the last call, and the rule that it failed.
     pub fn take_refused(&mut self) -> Vec<(u64, Rule)> {
-        std::mem::take(&mut self.refused)
+        std::mem::take(&mut self.known.refused)
     }
 
     /// The newest scan published.

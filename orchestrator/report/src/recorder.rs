@@ -15,6 +15,7 @@ mod scanner;
 mod tally;
 
 use std::collections::{BTreeMap, VecDeque};
+use std::ops::RangeInclusive;
 
 use audit::ledger::Ledger;
 use emulator::JudgedBy;
@@ -92,9 +93,9 @@ impl Recorder {
         }
     }
 
-    /// A scan may stay without an answer, for that reason.
-    pub fn scan_excused(&mut self, scan_id: u64, reason: &'static str) {
-        self.ledger.excused(scan_id, reason);
+    /// Scans may stay without an answer, for that reason.
+    pub fn scans_excused(&mut self, scans: RangeInclusive<u64>, reason: &'static str) {
+        self.ledger.excused(scans, reason);
     }
 
     /// A sample of a scan failed that rule and was dropped: the reason if the scan stays without an answer.

@@ -123,9 +123,12 @@ fn samples(ledger: &LedgerReport) -> String {
         sum(|row| row.lost),
         sum(|row| row.in_flight)
     );
-    for (count, what) in
-        [(ledger.residual, "MISSING"), (ledger.duplicates, "CAME TWICE"), (ledger.reordered, "OUT OF ORDER")]
-    {
+    for (count, what) in [
+        (ledger.residual, "MISSING"),
+        (ledger.duplicates, "CAME TWICE"),
+        (ledger.reordered, "OUT OF ORDER"),
+        (ledger.impossible, "WITH AN IMPOSSIBLE NUMBER"),
+    ] {
         if count > 0 {
             text += &format!(", {count} {what}");
         }
@@ -375,6 +378,7 @@ files           out/corridor
         report.ledger.faults = vec![audit::ledger::Fault {
             topic: "pose".to_owned(),
             kind: audit::ledger::Kind::Missing,
+            count: 1,
             incarnation: 2,
             sequence: 17,
             scan_id: 17,

@@ -12,6 +12,9 @@ use crate::control::ProcessStatus;
 /// Rates are averages over this time [ns].
 const RATE_WINDOW_NS: u64 = 2_000_000_000;
 
+/// Heartbeats of a process that are stored: ten a second, and those at changes of its state.
+const MAX_BEATS: usize = 64;
+
 /// A process whose last heartbeat is older than this is forgotten when another starts [ns].
 const FORGET_NS: u64 = 10_000_000_000;
 
@@ -83,7 +86,7 @@ impl Vitals {
                 pulse.activations = heartbeat.activations;
                 each(Event::Progress { role, incarnation });
             }
-            pulse.beat(heartbeat);
+            pulse.beat(heartbeat, monotonic_ns());
         })?;
         Ok(())
     }
@@ -132,23 +135,24 @@ impl Vitals {
             return (0.0, age_ms);
         };
         let elapsed_s = last.0.saturating_sub(first.0) as f64 * 1e-9;
-        let rate = if elapsed_s > 0.0 { (last.1 - first.1) as f64 / elapsed_s } else { 0.0 };
+        let rate = if elapsed_s > 0.0 { last.1.saturating_sub(first.1) as f64 / elapsed_s } else { 0.0 };
         (rate, age_ms)
     }
 }
 
 impl Pulse {
-    fn beat(&mut self, heartbeat: &Heartbeat) {
-        let (now, published) = (heartbeat.issued_ns, heartbeat.published);
+    fn beat(&mut self, heartbeat: &Heartbeat, arrived_ns: u64) {
+        let (now, published) = (heartbeat.issued_ns.min(arrived_ns), heartbeat.published);
         if self.published.back().is_none_or(|(_, before)| published > *before) {
             self.newest_output_ns = now;
         }
         self.beat_ns = now;
         self.obeys_stop = heartbeat.obeys_stop == 1;
         self.device = heartbeat.device;
-        self.scan = self.scan.max(heartbeat.header.scan_id);
+        self.scan = heartbeat.header.scan_id;
         self.published.push_back((now, published));
-        while self.published.front().is_some_and(|(then, _)| now.saturating_sub(*then) > RATE_WINDOW_NS) {
+        let is_over = |(then, _): &(u64, u64)| now.saturating_sub(*then) > RATE_WINDOW_NS;
+        while self.published.len() > MAX_BEATS || self.published.front().is_some_and(is_over) {
             self.published.pop_front();
         }
     }

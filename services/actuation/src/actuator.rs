@@ -199,7 +199,8 @@ impl Actuator {
     fn is_gap(&self, header: &Header, now_ns: u64) -> bool {
         let last = &self.state.header;
         let apart_ns = header.acquired_ns.saturating_sub(last.acquired_ns);
-        header.scan_id == last.scan_id + 1 && self.silence_ns(now_ns) <= apart_ns + self.period_ns / 2
+        header.scan_id == last.scan_id.saturating_add(1)
+            && self.silence_ns(now_ns) <= apart_ns + self.period_ns / 2
     }
 
     /// Why the header of a command cannot be trusted; `None` when it can.

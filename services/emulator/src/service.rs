@@ -13,7 +13,9 @@
 use std::rc::Rc;
 
 use runtime::{Handover, Input, Output, Process, QUEUE_DEPTH, Taken, Wheels, monotonic_ns};
-use shared_types::{Actuation, Header, JournalKind, Odometry, Phase, Role, Scan, Truth, plain_state};
+use shared_types::{
+    Actuation, Header, JournalKind, MAX_LATE, Odometry, Phase, Role, Scan, Truth, plain_state,
+};
 
 use crate::{Emulator, EmulatorState, Scenario};
 
@@ -287,7 +289,9 @@ impl Robot {
     fn next_actuation(&self) -> Option<Taken<Actuation>> {
         let RobotState { received_incarnation, received_sequence, .. } = self.state;
         let is_new = |Header { incarnation, sequence, .. }: &Header| {
-            *incarnation != received_incarnation || *sequence > received_sequence
+            // One far below shows that the last number was wrong: the reader has dropped what is only late.
+            let is_late = *sequence <= received_sequence && received_sequence - *sequence <= MAX_LATE;
+            *incarnation != received_incarnation || !is_late
         };
         std::iter::from_fn(|| self.actuations.take()).find(|actuation| is_new(&actuation.header))
     }

@@ -16,7 +16,7 @@
 use std::hint::black_box;
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
-use shared_types::{Actuation, Fault, Header, Odometry, Pose, Role};
+use shared_types::{Actuation, Fault, Header, MAX_LATE, Odometry, Pose, Role};
 use vehicle::Invalid;
 use vehicle::correction::SENT_STEERING_MAX_RAD;
 use vehicle::frame::wrap_angle;
@@ -177,14 +177,17 @@ impl Estimator {
     pub fn is_newer(&self, odometry: &Odometry) -> bool {
         let header = &odometry.header;
         let same_producer = header.incarnation == self.state.incarnation && header.sequence != 0;
+        // One far below shows that the last number was wrong: its reader has dropped what is only late.
+        let is_late =
+            header.sequence <= self.state.sequence && self.state.sequence - header.sequence <= MAX_LATE;
         !self.state.initialised.is_set()
-            || (header.acquired_ns > self.state.acquired_ns
-                && !(same_producer && header.sequence <= self.state.sequence))
+            || (header.acquired_ns > self.state.acquired_ns && !(same_producer && is_late))
     }
 
     /// Whether samples between the last one used and this one are missing.
     fn follows_gap(&self, header: &Header) -> bool {
-        header.incarnation == self.state.incarnation && header.sequence > self.state.sequence + 1
+        header.incarnation == self.state.incarnation
+            && header.sequence > self.state.sequence.saturating_add(1)
     }
 
     /// Whether the robot can have driven from the estimate to a place within `dt`: forwards, and at most at the largest of

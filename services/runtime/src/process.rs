@@ -343,7 +343,8 @@ impl Process {
             if !self.sleep(MAX_WAIT_NS, Need::Any, &mut |_| {})? {
                 return Ok(false);
             }
-            let phase = Phase::try_from(self.directive().phase).unwrap_or(Phase::Starting);
+            let directive = self.directive();
+            let phase = Phase::try_from(directive.phase).unwrap_or(Phase::Starting);
             if phase >= Phase::Connecting && self.state == ProcessState::Attached {
                 self.outputs.iter().for_each(|output| output.connect());
                 self.checkpoint.writer().connect();
@@ -353,10 +354,12 @@ impl Process {
                 self.realtime.apply_memory();
                 self.enter(ProcessState::Connected)?;
             }
-            if phase < Phase::Driving {
-                self.shared.known_scan.set(KnownScan::start(self.shared.clock.now_ns()));
-            } else {
+            if phase >= Phase::Driving {
                 return Ok(true);
+            }
+            if directive.issued_ns > 0 {
+                // No scan was published yet.
+                self.shared.known_scan.set(KnownScan::start(self.shared.clock.now_ns()));
             }
         }
     }

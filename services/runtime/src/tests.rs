@@ -91,6 +91,8 @@ impl Drop for Lab {
 fn pose(scan_id: u64, x_m: f64) -> Pose {
     let mut pose = Pose { x_m, ..Pose::default() };
     pose.header.scan_id = scan_id;
+    // Of a scanner with the period of the processes here.
+    pose.header.acquired_ns = scan_id * 100_000_000;
     pose
 }
 
@@ -543,4 +545,37 @@ fn a_producer_that_floods_a_topic_keeps_nobody_from_the_samples_that_count() {
     let account = input.reader().account();
     assert_eq!((account.missing, account.replaced), (0, 0));
     assert!(flood.stop() > 1000);
+}
+
+#[test]
+fn a_number_that_can_not_be_is_dropped_counted_and_named_and_what_follows_counts() {
+    let lab = Lab::new();
+    let output = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
+    let input = Input::<Pose>::new(lab.bus(), lab.shared(Role::Controller, 9)).unwrap();
+    input.reader().drain().unwrap();
+    output.publish(&mut pose(1, 0.0)).unwrap();
+    assert_eq!(taken(&input), [(1, 7)]);
+    for (index, wrong) in [1 << 63, u64::MAX, 1 << 40, 1_001].into_iter().enumerate() {
+        let scan_id = 2 + 2 * index as u64;
+        let fields: [fn(&mut Header) -> &mut u64; 2] =
+            [|header| &mut header.scan_id, |header| &mut header.sequence];
+        for field in fields {
+            let mut forged = pose(scan_id, 0.0);
+            output.complete(&mut forged);
+            *field(&mut forged.header) = wrong;
+            // A sequence of 1,001 is possible: that costs this sample and the one behind it.
+            output.send(&mut forged).unwrap();
+        }
+        let before = taken(&input).len();
+        assert_eq!(before, usize::from(wrong == 1_001), "{wrong}");
+        let refusal = input.reader().refusal();
+        assert_eq!(refusal.rule, shared_types::Rule::ImpossibleNumber.wire(), "{wrong}");
+        output.publish(&mut pose(scan_id, 0.0)).unwrap();
+        output.publish(&mut pose(scan_id + 1, 0.0)).unwrap();
+        assert_eq!(taken(&input).last(), Some(&(scan_id + 1, 7)), "{wrong}");
+    }
+    let account = input.reader().account();
+    // 2^63, 2^64 - 1 and 2^40 as sequence are not believed; three of 2^63 to 1,001 as scan are dropped for their content.
+    assert_eq!((account.unreadable, account.invalid), (3, 4), "{account:?}");
+    assert!(account.missing < 10 && account.open == 0, "{account:?}");
 }

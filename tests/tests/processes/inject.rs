@@ -74,6 +74,36 @@ fn faults_of_samples_robot_and_processes_act_for_their_time_and_are_recorded() {
 }
 
 #[test]
+fn after_numbers_of_scans_that_do_not_exist_the_robot_drives_on_and_reaches_the_goal() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["free", "--allow-inject"]);
+    let bus = Bus::open(&system.domain(), "observer").unwrap();
+    let actuations = Observer::<Actuation>::new(&bus).unwrap();
+    wait_for(&actuations, "the robot drives", ActuationKind::Drive);
+    for fault in
+        ["command-wrong-scan", "command-impossible-scan", "command-impossible-number", "pose-wrong-scan"]
+    {
+        blocks_for_a_time(&system, &actuations, fault);
+    }
+    let refused = system.run(&["status", "--json"]);
+    let status: serde_json::Value = serde_json::from_slice(&refused.stdout).unwrap();
+    let rows = status["refused"].as_array().unwrap();
+    let named = |writer: &str, field: &str| {
+        rows.iter()
+            .any(|row| row["rule"] == "impossible_number" && row["writer"] == writer && row["field"] == field)
+    };
+    assert!(named("controller", "header.scan_id") && named("controller", "header.sequence"), "{rows:?}");
+    assert!(named("estimator", "header.scan_id"), "{rows:?}");
+    drop((actuations, bus));
+    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+    let report = system.report();
+    assert_eq!(report.outcome, emulator::Outcome::Reached, "{}", report.reason);
+    assert_eq!(report.scans.unaccounted, 0, "{:?}", report.scans);
+    assert!(report.ledger.impossible > 0 && report.scans.published < 2_000, "{:?}", report.scans);
+    system.assert_nothing_left();
+}
+
+#[test]
 fn what_can_t_be_injected_is_refused_with_what_can() {
     let mut system = System::new(EXECUTABLE);
     let (code, text) = inject(&system, &["scanner-dead"]);

@@ -5,6 +5,7 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 
 use audit::ledger::Kind;
+use emulator::Outcome;
 use report::Report;
 use report::latency::attribute;
 use runtime::{Bus, Observer};
@@ -94,6 +95,68 @@ fn finds_one(dice: &mut Dice, lockstep: bool) {
         assert_eq!(found.topic, topic.name(), "{what}: {found}");
         let is_named = found.scan_id == scan || found.scan_id == 0 && found.sequence == number;
         assert!(is_named && (found.scan_id, found.sequence) != (0, 0), "{what}: {found}");
+    }
+}
+
+/// What the orchestrator may need at most when samples lie about their numbers [KiB].
+const MAX_MEMORY_KIB: u64 = 400_000;
+
+/// The most memory that the orchestrator has needed so far [KiB].
+fn memory_kib(system: &System) -> u64 {
+    let text = std::fs::read_to_string(format!("/proc/{}/status", system.orchestrator())).unwrap_or_default();
+    let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    line.and_then(|line| line.trim().trim_end_matches(" kB").parse().ok()).unwrap_or(0)
+}
+
+/// In real time every eighth sample of a topic has another wrong number in its header: 0, one less, one more, 1,000 more,
+/// and 2^40 to 2^64 - 1 as sequence, as scan, and as either stamp. The run goes on, and names them.
+#[test]
+fn no_number_in_a_header_ends_a_run_or_takes_its_memory() {
+    for (topic, role) in TOPICS {
+        let mut system = System::new(EXECUTABLE);
+        let file = system.folder().join("system.toml");
+        std::fs::write(&file, system_file(100, &[role], FAULTY, &["forge", topic.name(), "40"])).unwrap();
+        system.start(&["--system", file.to_str().unwrap(), "--duration", "4"]);
+        let largest = std::cell::Cell::new(0);
+        system.wait_until("the run ends", |system| {
+            largest.set(memory_kib(system).max(largest.get()));
+            system.status().is_none_or(|status| status.state != "driving")
+        });
+        let code = system.wait().code();
+        let report = system.report();
+        assert!(matches!(code, Some(0 | 1)), "{topic}: {code:?}: {} {}", report.reason, system.stderr());
+        assert!(largest.get() < MAX_MEMORY_KIB, "{topic}: {} KiB", largest.get());
+        assert_eq!(log(&system, role, "wrong").len(), 32, "{topic}");
+        let named =
+            |fault: &audit::ledger::Fault| fault.kind == Kind::Impossible && fault.topic == topic.name();
+        assert!(report.ledger.faults.iter().any(named), "{topic}: {:?}", report.ledger.faults);
+        assert!(report.ledger.impossible >= 8, "{topic}: {}", report.ledger.impossible);
+        // Each blocks the wheels for some scans at most: most scans have a command of their own.
+        let scans = &report.scans;
+        assert!(scans.commanded > scans.published / 2, "{topic}: {scans:?}");
+        assert!(scans.published < 2_000, "{topic}: {scans:?}");
+        system.assert_nothing_left();
+    }
+}
+
+#[test]
+fn a_number_that_can_not_be_ends_a_lock_step_with_its_name() {
+    // 2^63 and 2^64 - 1 as sequence, 1,000 too much and 2^63 as scan.
+    for (topic, role) in TOPICS {
+        for (fault, field) in
+            [("forge-6", "sequence"), ("forge-7", "sequence"), ("forge-11", "scan"), ("forge-14", "scan")]
+        {
+            let (befallen, report) = hide(fault, topic, role, 8, true);
+            let what =
+                format!("{fault} {topic} at {befallen:?}: {} {:?}", report.reason, report.ledger.faults);
+            let named =
+                |found: &audit::ledger::Fault| found.topic == topic.name() && found.kind == Kind::Impossible;
+            assert!(report.ledger.faults.iter().any(named), "{field}: {what}");
+            if topic != Topic::Truth {
+                assert_eq!(report.outcome, Outcome::Failed, "{field}: {what}");
+                assert!(report.reason.contains(topic.name()), "{field}: {what}");
+            }
+        }
     }
 }
 

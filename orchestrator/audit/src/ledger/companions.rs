@@ -48,7 +48,8 @@ struct Known {
 impl CompanionLedger {
     /// Takes the counts of all ports, and whether the process of each has ended.
     pub fn update(&mut self, counts: &[PortCount], has_ended: impl Fn(&PortCount) -> bool) {
-        for count in counts {
+        // A process writes its counts itself: what no port can have counted is not added up.
+        for count in counts.iter().filter(|count| count.account.check().is_ok()) {
             let known = Known { count: *count, has_ended: has_ended(count) };
             self.ports.insert((count.topic, count.incarnation, count.writes), known);
         }

@@ -7,7 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use runtime::{LinkLoss, LossReason};
-use shared_types::Topic;
+use shared_types::{MAX_NUMBER, Topic};
 
 use super::fault::{Fault, Kind};
 
@@ -20,6 +20,10 @@ const SPANS: usize = 256;
 const EXPLAINED: usize = 8192;
 /// Numbers of one entry whose scans are looked up.
 const MAX_SCANS: u64 = 64;
+/// Writers and topics of which losses are stored.
+const MAX_WRITERS: usize = 1024;
+/// Missing samples that wait; when there are more, the oldest are faults at once.
+const MAX_WAITING: usize = 4 * EXPLAINED;
 
 /// Numbers of one writer on one topic that were lost for one reason.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,6 +59,12 @@ impl Crossing {
     pub(super) fn note(&mut self, loss: &LinkLoss) {
         let Ok(topic) = loss.topic.parse::<Topic>() else { return };
         let LinkLoss { incarnation, first, last, reason, .. } = *loss;
+        // What another host says is checked as its samples are.
+        let is_possible = (1..=last).contains(&first) && last <= MAX_NUMBER;
+        let is_known = self.lost.contains_key(&(topic, incarnation));
+        if !is_possible || !is_known && self.lost.len() >= MAX_WRITERS {
+            return;
+        }
         let spans = self.lost.entry((topic, incarnation)).or_default();
         if let Some(known) = spans.iter_mut().rev().find(|span| (span.first, span.reason) == (first, reason))
         {
@@ -89,14 +99,15 @@ impl Crossing {
         let (missing, mut faults): (Vec<_>, Vec<_>) =
             found.into_iter().partition(|fault| fault.kind == Kind::Missing);
         let mut waiting = std::mem::take(&mut self.waiting);
-        waiting.extend(missing.into_iter().map(|fault| (fault, now_ns)));
+        waiting.extend(missing.into_iter().flat_map(one_by_one).map(|fault| (fault, now_ns)));
         // Those with a number first: they explain the ones of the same scan that have none.
         waiting.sort_by_key(|(fault, _)| fault.sequence == 0);
-        for (fault, since_ns) in waiting {
+        let too_many = waiting.len().saturating_sub(MAX_WAITING);
+        for (index, (fault, since_ns)) in waiting.into_iter().enumerate() {
             if self.explain(&fault) {
                 continue;
             }
-            match is_last || now_ns.saturating_sub(since_ns) >= REPORT_NS {
+            match is_last || index < too_many || now_ns.saturating_sub(since_ns) >= REPORT_NS {
                 true => faults.push(fault),
                 false => self.waiting.push((fault, since_ns)),
             }
@@ -178,6 +189,25 @@ impl Crossing {
     }
 }
 
+/// The samples of a fault, because a link reports each by its number. Of very many, the first stay one fault.
+fn one_by_one(fault: Fault) -> Vec<Fault> {
+    let single = fault.count.min(EXPLAINED as u64);
+    if fault.count == 1 || fault.sequence == 0 {
+        let count = if fault.count == 1 { 1 } else { single };
+        let rest = fault.count - count;
+        let mut faults = vec![fault.clone().count(1); count as usize];
+        faults.extend((rest > 0).then(|| fault.count(rest)));
+        return faults;
+    }
+    let rest = fault.count - single;
+    let scan = |ahead: u64| if fault.scan_id == 0 { 0 } else { fault.scan_id.saturating_add(ahead) };
+    let mut faults: Vec<Fault> = (rest..fault.count)
+        .map(|ahead| fault.clone().count(1).sequence(fault.sequence.saturating_add(ahead)).scan(scan(ahead)))
+        .collect();
+    faults.extend((rest > 0).then(|| fault.clone().count(rest)));
+    faults
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -228,6 +258,36 @@ mod tests {
         crossing.note(&loss(3, 4, LossReason::Link));
         let found = vec![missing(0, 0, "obstacles"); 3];
         assert_eq!(crossing.filter(found, 1, true), [missing(0, 0, "obstacles")]);
+    }
+
+    #[test]
+    fn reports_that_can_not_be_are_ignored_and_all_that_is_stored_is_limited() {
+        let mut crossing = Crossing::default();
+        crossing.link();
+        for (first, last) in [(0, 5), (0, u64::MAX), (9, 8), (1, 1 << 63), (u64::MAX, u64::MAX)] {
+            crossing.note(&loss(first, last, LossReason::Link));
+        }
+        assert!(crossing.lost.is_empty());
+        for incarnation in 0..5_000 {
+            crossing.note(&LinkLoss { incarnation, ..loss(1, 1, LossReason::Link) });
+        }
+        assert_eq!(crossing.lost.len(), MAX_WRITERS);
+        let mut faults = 0;
+        for round in 0..20 {
+            let many = missing(round << 40, 0, "obstacles").sequence((round << 40) + 2).count(1 << 39);
+            faults += crossing.filter(vec![many], round, false).len();
+            assert!(crossing.waiting.len() <= MAX_WAITING);
+        }
+        assert!(faults > 0, "the oldest do not wait");
+    }
+
+    #[test]
+    fn of_a_gap_what_a_link_reports_is_explained() {
+        let mut crossing = Crossing::default();
+        crossing.link();
+        crossing.note(&loss(7, 8, LossReason::Link));
+        let faults = crossing.filter(vec![missing(6, 8, "bus").count(4)], 1, true);
+        assert_eq!(faults, [missing(6, 8, "bus"), missing(9, 11, "bus")]);
     }
 
     #[test]

@@ -80,6 +80,17 @@ impl Refused {
         }
     }
 
+    /// Forgets a process that is not followed any longer.
+    pub(super) fn forget(&mut self, incarnation: u32) {
+        self.counted.retain(|(of, _), _| *of != incarnation);
+    }
+
+    /// How many processes are followed.
+    #[cfg(test)]
+    pub(super) fn readers(&self) -> usize {
+        self.counted.len()
+    }
+
     /// The rows, in the order of their first samples.
     pub(super) fn rows(&self) -> &[RefusedRow] {
         &self.rows
@@ -92,6 +103,9 @@ impl Refused {
 
     fn add(&mut self, row: RefusedRow, writer: Role, reader: Role, rule: Rule) {
         let known = self.rows.iter_mut().find(|known| known.is_same(&row));
+        if self.new.len() >= MAX_ROWS {
+            self.new.remove(0);
+        }
         self.new.push(NewRefusal { is_first: known.is_none(), writer, reader, rule, row: row.clone() });
         if let Some(known) = known {
             known.count += row.count;

@@ -44,6 +44,8 @@ pub struct LedgerReport {
     pub duplicates: u64,
     /// Samples that came after a later one; must be 0.
     pub reordered: u64,
+    /// Samples with a number that no scan, or no sample of their writer, can have; must be 0.
+    pub impossible: u64,
     /// Samples that the orchestrator polled too late to see; their readers counted them.
     pub unobserved: u64,
     /// Samples that were lost between two hosts, by reason: `link`, `age`, `clock`, `layout` or `newer`.

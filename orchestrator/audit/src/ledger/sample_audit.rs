@@ -10,9 +10,10 @@
 //! its last heartbeat and its death. A process that sends no counters is judged from the bus alone.
 
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 
 use runtime::{LinkLoss, LossReason};
-use shared_types::{Heartbeat, ProcessState, Role, Sample, Topic};
+use shared_types::{Header, Heartbeat, ProcessState, Role, Sample, Topic};
 
 use super::crossing::Crossing;
 use super::fault::{Fault, Kind};
@@ -39,6 +40,12 @@ const STRANGER_NS: u64 = 1_000_000_000;
 const MAX_STRANGERS: usize = 64;
 /// Maximum number of faults that are stored one by one; more are counted.
 const MAX_FAULTS: usize = 1000;
+/// Processes that are followed at a time: more than follow each other within [`SILENT_NS`].
+const MAX_WORKERS: usize = 4096;
+/// Where there are more, one without a heartbeat for so long is not followed any longer [ns].
+const SILENT_NS: u64 = 10_000_000_000;
+/// Ranges of excused scans that wait until they are taken.
+const MAX_EXCUSED: usize = 1024;
 
 /// The sample audit of one run.
 #[derive(Debug, Clone, Default)]
@@ -52,7 +59,7 @@ pub struct SampleAudit {
     sweeps: BTreeMap<u32, Sweep>,
     /// Robots that died: their last sweep may be incomplete.
     dead: Vec<u32>,
-    excused: Vec<(u64, &'static str)>,
+    excused: Vec<(RangeInclusive<u64>, &'static str)>,
     crossing: Crossing,
     /// Scans of samples that were lost between two hosts.
     lost_scans: Vec<(u64, LossReason)>,
@@ -78,6 +85,8 @@ struct Stranger {
 struct Worker {
     from_start: bool,
     connected_ns: Option<u64>,
+    /// When its last heartbeat arrived [ns].
+    beat_ns: u64,
     /// It ended with the run and finished its work.
     has_finished: bool,
     /// Missing answers that were reported: how many, and the sum of their scans.
@@ -150,18 +159,36 @@ impl SampleAudit {
     pub fn see<S: Sample>(&mut self, sample: &S, now_ns: u64) {
         let (topic, header) = (S::TOPIC, sample.header());
         let from_start = self.is_from_start(header.incarnation);
-        if !self.workers.contains_key(&header.incarnation) {
-            self.note_stranger(topic, header.incarnation, now_ns);
-        }
         // The actuator's own decisions carry the number of the scan before.
-        let is_answer = sample.is_answer();
-        let fault = self.topics.get_mut(&topic).and_then(|ledger| ledger.see(header, is_answer, from_start));
-        self.note(fault);
+        if !self.follow(topic, header, sample.is_answer(), now_ns) {
+            return;
+        }
         if topic.writer() == Some(Role::Robot) {
             let first = if from_start { 1 } else { header.scan_id };
             let sweep = self.sweeps.entry(header.incarnation).or_insert_with(|| Sweep::new(first));
             sweep.see(topic, header.scan_id, now_ns);
         }
+    }
+
+    /// The poll at `now_ns` found a sample whose scan cannot exist: it has a place among those of its writer at most.
+    pub fn see_impossible<S: Sample>(&mut self, sample: &S, now_ns: u64) {
+        let Header { incarnation, sequence, scan_id, .. } = *sample.header();
+        if self.follow(S::TOPIC, sample.header(), false, now_ns) && self.workers.contains_key(&incarnation) {
+            let fault = Fault::new(S::TOPIC, Kind::Impossible, incarnation);
+            self.note(Some(fault.sequence(sequence).scan(scan_id)));
+        }
+    }
+
+    /// Notes the number of a sample; false when its writer is not followed, because too many fill no role.
+    fn follow(&mut self, topic: Topic, header: &Header, is_answer: bool, now_ns: u64) -> bool {
+        let from_start = self.is_from_start(header.incarnation);
+        let is_known = self.workers.contains_key(&header.incarnation);
+        if !is_known && !self.note_stranger(topic, header.incarnation, now_ns) {
+            return false;
+        }
+        let fault = self.topics.get_mut(&topic).and_then(|ledger| ledger.see(header, is_answer, from_start));
+        self.note(fault);
+        true
     }
 
     /// The poll found a full buffer, of so many samples: others may have been overwritten.
@@ -171,13 +198,13 @@ impl SampleAudit {
             (ledger.overflowed(capacity as u64), ledger.began_midway())
         });
         if (began || !scans.is_empty()) && topic.writer() == Some(Role::Robot) {
-            let unseen = self.sweeps.values_mut().flat_map(Sweep::overflowed);
-            self.excused.extend(unseen.map(|scan| (scan, NOT_OBSERVED)));
+            let unseen: Vec<_> = self.sweeps.values_mut().flat_map(Sweep::overflowed).collect();
+            unseen.into_iter().for_each(|scans| self.excuse(scans, NOT_OBSERVED));
         }
         // Scans are counted by the truth, or by themselves where there is none.
         let has_truth = self.sweeps.values().any(Sweep::has_truth);
         if topic == if has_truth { Topic::Truth } else { Topic::Scan } {
-            self.excused.extend(scans.into_iter().flatten().map(|scan| (scan, NOT_OBSERVED)));
+            scans.into_iter().for_each(|scans| self.excuse(scans, NOT_OBSERVED));
         }
     }
 
@@ -188,6 +215,9 @@ impl SampleAudit {
         else {
             return;
         };
+        if !self.has_room_for(incarnation, now_ns) {
+            return;
+        }
         let midway = self.midway;
         self.refused.add_heartbeat(role, heartbeat, midway && !self.workers.contains_key(&incarnation));
         let worker = self.workers.entry(incarnation).or_insert_with(|| Worker {
@@ -197,6 +227,7 @@ impl SampleAudit {
         if [ProcessState::Connected, ProcessState::Ready].contains(&state) {
             worker.connected_ns.get_or_insert(heartbeat.issued_ns);
         }
+        worker.beat_ns = now_ns;
         worker.has_finished |= self.run_ended && state == ProcessState::Ending;
         worker.receive(role, heartbeat);
         let (from_start, connected_ns) = (worker.from_start, worker.connected_ns);
@@ -297,7 +328,7 @@ impl SampleAudit {
     }
 
     /// Scans that may stay without an answer, since the last call, each with the reason.
-    pub fn excused(&mut self) -> Vec<(u64, &'static str)> {
+    pub fn excused(&mut self) -> Vec<(RangeInclusive<u64>, &'static str)> {
         std::mem::take(&mut self.excused)
     }
 
@@ -333,11 +364,36 @@ impl SampleAudit {
         row
     }
 
-    fn note_stranger(&mut self, topic: Topic, incarnation: u32, now_ns: u64) {
+    /// Counts a sample of a process without a role; false when there are too many of them.
+    fn note_stranger(&mut self, topic: Topic, incarnation: u32, now_ns: u64) -> bool {
         let key = (topic, incarnation);
-        if self.strangers.len() < MAX_STRANGERS || self.strangers.contains_key(&key) {
+        let has_room = self.strangers.len() < MAX_STRANGERS || self.strangers.contains_key(&key);
+        if has_room {
             let new = Stranger { count: 0, since_ns: now_ns, is_reported: false };
             self.strangers.entry(key).or_insert(new).count += 1;
+        }
+        has_room
+    }
+
+    /// Whether a process is followed or can be, perhaps in place of one that has been silent for long.
+    fn has_room_for(&mut self, incarnation: u32, now_ns: u64) -> bool {
+        if self.workers.len() < MAX_WORKERS || self.workers.contains_key(&incarnation) {
+            return true;
+        }
+        let silent = |worker: &Worker| now_ns.saturating_sub(worker.beat_ns) > SILENT_NS;
+        let oldest = self.workers.iter().find(|(_, worker)| silent(worker)).map(|(oldest, _)| *oldest);
+        let Some(oldest) = oldest else { return false };
+        self.ended(oldest, now_ns);
+        self.workers.remove(&oldest);
+        self.sweeps.remove(&oldest);
+        self.refused.forget(oldest);
+        true
+    }
+
+    /// Notes that scans may stay without an answer.
+    fn excuse(&mut self, scans: RangeInclusive<u64>, reason: &'static str) {
+        if self.excused.len() < MAX_EXCUSED && !scans.is_empty() {
+            self.excused.push((scans, reason));
         }
     }
 
@@ -370,7 +426,7 @@ impl SampleAudit {
 
     /// Samples that the robot did not publish for a scan.
     fn lacking(&mut self, is_last: bool) -> Vec<Fault> {
-        let mut found = Vec::new();
+        let (mut found, mut skipped) = (Vec::new(), Vec::new());
         let now_ns = self.topics.values().map(TopicLedger::polled_ns).min().unwrap_or(0);
         for (incarnation, sweep) in &mut self.sweeps {
             let has_finished = self.workers.get(incarnation).is_some_and(|robot| robot.has_finished);
@@ -381,27 +437,34 @@ impl SampleAudit {
                     // It may have died between two topics.
                     Lack::Sample(..) if is_dead => {}
                     Lack::Sample(topic, scan_id) => found.push(missing(topic, scan_id)),
-                    Lack::Skipped(scan_id) if self.skips_are_faults => {
-                        found.push(missing(Topic::Scan, scan_id))
+                    Lack::Skipped(scans) if self.skips_are_faults => {
+                        let count = scans.end().saturating_sub(*scans.start()).saturating_add(1);
+                        found.push(missing(Topic::Scan, *scans.start()).count(count));
                     }
-                    Lack::Skipped(scan_id) => self.excused.push((scan_id, ROBOT_HELD_UP)),
+                    Lack::Skipped(scans) => skipped.push(scans),
                 }
             }
         }
+        skipped.into_iter().for_each(|scans| self.excuse(scans, ROBOT_HELD_UP));
         found
     }
 
     fn note(&mut self, fault: Option<Fault>) {
         let Some(fault) = fault else { return };
-        if let Some(known) = self.found.faults.iter_mut().find(|known| known.is_same(&fault)) {
-            known.sequence = if known.sequence == 0 { fault.sequence } else { known.sequence };
-            known.scan_id = if known.scan_id == 0 { fault.scan_id } else { known.scan_id };
+        let known = self.found.faults.iter_mut().find(|known| known.is_same(&fault));
+        let (is_known, count) = match known {
+            Some(known) => (true, known.merge(&fault)),
+            None => (false, fault.count),
+        };
+        let total = match fault.kind {
+            Kind::Missing | Kind::Vanished => &mut self.found.residual,
+            Kind::Duplicate => &mut self.found.duplicates,
+            Kind::Reordered => &mut self.found.reordered,
+            Kind::Impossible => &mut self.found.impossible,
+        };
+        *total = total.saturating_add(count);
+        if is_known {
             return;
-        }
-        match fault.kind {
-            Kind::Missing | Kind::Vanished => self.found.residual += 1,
-            Kind::Duplicate => self.found.duplicates += 1,
-            Kind::Reordered => self.found.reordered += 1,
         }
         if self.found.faults.len() < MAX_FAULTS {
             self.found.faults.push(fault);
@@ -495,7 +558,7 @@ mod tests {
             sample_audit.ended(9, 20);
             after.into_iter().for_each(|scan_id| see(&mut sample_audit, scan_id));
             sample_audit.reconcile(false);
-            assert_eq!(sample_audit.excused(), skipped.map(|scan| (scan, ROBOT_HELD_UP)).collect::<Vec<_>>());
+            assert_eq!(sample_audit.excused(), [(skipped, ROBOT_HELD_UP)]);
         }
     }
 
@@ -518,6 +581,43 @@ mod tests {
         assert_eq!((row.topic.as_str(), row.incarnation, row.samples), ("scan", 77, 5));
         assert_eq!(sample_audit.new_strangers(STRANGER_NS + 12, true), []);
         assert_eq!(sample_audit.report().strangers, [row]);
+    }
+
+    #[test]
+    fn the_audit_takes_a_limited_amount_of_memory_whatever_is_published() {
+        let mut sample_audit = SampleAudit::new(false);
+        let numbers = [0, 1, 2, 1 << 40, 1 << 48, (1 << 63) - 1, 1 << 63, u64::MAX - 1, u64::MAX];
+        for round in 0..15_000 {
+            let now_ns = 1_000_000_000 + round * 2_000_000;
+            let (number, other) = (numbers[round as usize % 9], numbers[round as usize / 9 % 9]);
+            let incarnation = round as u32;
+            let mut scan = Scan::default();
+            (scan.header.incarnation, scan.header.sequence, scan.header.scan_id) =
+                (incarnation, number, other);
+            sample_audit.poll(Topic::Scan, now_ns);
+            sample_audit.see(&scan, now_ns);
+            sample_audit.see_impossible(&scan, now_ns);
+            let mut heartbeat =
+                Heartbeat { role: Role::Obstacles.wire(), looked_ns: 1, ..Heartbeat::default() };
+            heartbeat.state = ProcessState::Ready.wire();
+            heartbeat.header.incarnation = incarnation;
+            heartbeat.written[0] = number.min(1 << 48);
+            heartbeat.inputs[0].missing = number.min(1 << 48);
+            sample_audit.receive(&heartbeat, now_ns);
+            if round % 1_000 == 0 {
+                sample_audit.reconcile(false);
+            }
+        }
+        assert!(sample_audit.workers.len() <= MAX_WORKERS && sample_audit.strangers.len() <= MAX_STRANGERS);
+        assert!(sample_audit.sweeps.len() <= MAX_WORKERS + MAX_STRANGERS);
+        assert!(sample_audit.excused.len() <= MAX_EXCUSED && sample_audit.found.faults.len() <= MAX_FAULTS);
+        assert!(sample_audit.refused.readers() <= 2 * MAX_WORKERS);
+        for ledger in sample_audit.topics.values() {
+            let [streams, readers] = ledger.sizes();
+            // Those that have ended are kept until they are settled, 10 s later.
+            assert!(streams <= 2 * MAX_WORKERS + MAX_STRANGERS, "{streams}");
+            assert!(readers <= 4 * MAX_WORKERS, "{readers}");
+        }
     }
 
     #[test]

@@ -1,12 +1,13 @@
 //! The samples of one writer on one topic, as the orchestrator received them.
 //!
 //! Numbers of a writer have no gaps, and its scans only grow. A gap is a sample that is missing, unless so many came
-//! at once that the orchestrator's buffer was full: then it is *unobserved*, and only its readers can count it.
+//! at once that the orchestrator's buffer was full: then it is *unobserved*, and only its readers can count it. A number
+//! that the writer cannot have reached since the last poll is *impossible*: it opens no gap.
 
 use std::collections::VecDeque;
 use std::ops::RangeInclusive;
 
-use shared_types::{Header, Topic};
+use shared_types::{Header, MAX_LATE, Topic, require_sequence};
 
 use super::TIMEOUT_NS;
 use super::fault::{Fault, Kind};
@@ -15,8 +16,8 @@ use super::fault::{Fault, Kind};
 const RECENT: usize = 64;
 /// Number of gaps that are stored, to tell a late sample from a repeated one.
 const HOLES: usize = 16;
-/// Maximum number of samples of one gap that are named.
-pub(super) const NAMED: usize = 8;
+/// Number of gaps that are named one by one when samples are reconciled; the samples of others are only counted.
+const MAX_NAMED: usize = 64;
 
 /// One writer's samples.
 #[derive(Debug, Clone)]
@@ -26,7 +27,11 @@ pub(super) struct Stream {
     newest: u64,
     newest_scan: u64,
     claim: Option<Claim>,
+    /// The newest sample that came late or again.
+    late: u64,
     holes: VecDeque<Hole>,
+    /// Missing samples whose gaps are not stored.
+    unnamed: u64,
     recent: VecDeque<Seen>,
     /// The first number must be 1: all readers were connected before it was published.
     pub(super) from_start: bool,
@@ -61,13 +66,14 @@ struct Hole {
 impl Hole {
     /// The scan of one of its numbers, where scans grew like numbers; else 0.
     fn scan_of(&self, sequence: u64) -> u64 {
-        let scan_id = self.after_scan + 1 + (sequence - self.first);
-        let is_known = self.before_scan == 0 || self.before_scan == self.after_scan + self.count() + 1;
+        let scan_id = self.after_scan.saturating_add(1).saturating_add(sequence - self.first);
+        let behind = self.after_scan.saturating_add(self.count()).saturating_add(1);
+        let is_known = self.before_scan == 0 || self.before_scan == behind;
         if is_known { scan_id } else { 0 }
     }
 
     fn count(&self) -> u64 {
-        self.last - self.first + 1
+        (self.last - self.first).saturating_add(1)
     }
 
     fn contains(&self, sequence: u64) -> bool {
@@ -88,9 +94,11 @@ impl Stream {
         Self {
             topic,
             incarnation,
-            newest: if from_start { 0 } else { first - 1 },
+            newest: if from_start { 0 } else { first.saturating_sub(1) },
             newest_scan: 0,
             claim: None,
+            late: 0,
+            unnamed: 0,
             holes: VecDeque::new(),
             recent: VecDeque::with_capacity(RECENT),
             from_start,
@@ -116,9 +124,19 @@ impl Stream {
         let Header { sequence, scan_id, .. } = *header;
         let (topic, incarnation) = (self.topic, self.incarnation);
         let fault = |kind| Fault::new(topic, kind, incarnation).sequence(sequence).scan(scan_id);
+        let elapsed_ns = if self.recent.is_empty() { seen_ns } else { seen_ns.saturating_sub(after_ns) };
+        if require_sequence(sequence, self.newest, elapsed_ns).is_err() {
+            return Some(fault(Kind::Impossible));
+        }
         if sequence <= self.newest {
-            let is_late = self.fill_hole(sequence, scan_id);
-            return Some(fault(if is_late { Kind::Reordered } else { Kind::Duplicate }));
+            // As in `InputAccount`: the second in a row far below shows that the newest was wrong.
+            let goes_on = self.newest - sequence > MAX_LATE && self.late.saturating_add(1) == sequence;
+            self.late = sequence;
+            if !goes_on {
+                let is_late = self.fill_hole(sequence, scan_id);
+                return Some(fault(if is_late { Kind::Reordered } else { Kind::Duplicate }));
+            }
+            self.go_back(sequence, scan_id);
         }
         let found = match scan_id.cmp(&self.newest_scan) {
             _ if !answers || self.newest_scan == 0 => None,
@@ -126,7 +144,7 @@ impl Stream {
             std::cmp::Ordering::Equal => Some(fault(Kind::Duplicate)),
             std::cmp::Ordering::Greater => None,
         };
-        if sequence > self.newest + 1 {
+        if sequence > self.newest.saturating_add(1) {
             self.open_hole(sequence - 1, scan_id, seen_ns);
         }
         self.newest = sequence;
@@ -147,10 +165,10 @@ impl Stream {
         let Self { newest, unobserved, holes, .. } = self;
         let mut scans = Vec::new();
         holes.retain(|hole| {
-            let counts = hole.seen_ns < seen_ns || *newest < hole.last + capacity;
+            let counts = hole.seen_ns < seen_ns || *newest < hole.last.saturating_add(capacity);
             if !counts {
-                *unobserved += hole.count();
-                scans.push(hole.after_scan + 1..=hole.before_scan.saturating_sub(1));
+                *unobserved = unobserved.saturating_add(hole.count());
+                scans.push(hole.after_scan.saturating_add(1)..=hole.before_scan.saturating_sub(1));
             }
             counts
         });
@@ -187,13 +205,14 @@ impl Stream {
             self.newest = sequence;
             self.claim = None;
         }
+        let missing = || Fault::new(self.topic, Kind::Missing, self.incarnation);
         let mut faults = Vec::new();
+        if self.unnamed > 0 {
+            faults.push(missing().count(std::mem::take(&mut self.unnamed)));
+        }
         for hole in self.holes.iter_mut().filter(|hole| !hole.is_reported) {
             hole.is_reported = true;
-            for sequence in (hole.first..=hole.last).take(NAMED) {
-                let fault = Fault::new(self.topic, Kind::Missing, self.incarnation);
-                faults.push(fault.sequence(sequence).scan(hole.scan_of(sequence)));
-            }
+            faults.push(missing().sequence(hole.first).count(hole.count()).scan(hole.scan_of(hole.first)));
         }
         faults
     }
@@ -225,15 +244,31 @@ impl Stream {
         let after_scan = match self.recent.back() {
             Some(seen) => seen.scan_id,
             // The first of a writer: only the numbers are known.
-            None => before_scan.saturating_sub(last + 2 - first),
+            None => before_scan.saturating_sub((last - first).saturating_add(2)),
         };
-        // A gap that was not reported yet stays until samples are reconciled.
+        // A gap that was not reported yet stays until samples are reconciled, unless there are too many.
         if self.holes.len() >= HOLES
             && let Some(oldest) = self.holes.iter().position(|hole| hole.is_reported)
         {
             self.holes.remove(oldest);
+        } else if self.holes.len() >= MAX_NAMED {
+            let oldest = self.holes.pop_front();
+            self.unnamed = self.unnamed.saturating_add(oldest.map_or(0, |hole| hole.count()));
         }
         self.holes.push_back(Hole { first, last, after_scan, before_scan, seen_ns, is_reported: false });
+    }
+
+    /// Goes on with a lower number: what lies above it was never published.
+    fn go_back(&mut self, sequence: u64, scan_id: u64) {
+        self.newest = sequence - 1;
+        self.newest_scan = self.newest_scan.min(scan_id.saturating_sub(1));
+        self.holes.retain(|hole| hole.first < sequence);
+        for hole in &mut self.holes {
+            hole.last = hole.last.min(sequence - 1);
+        }
+        // The one before came, as a late sample.
+        self.fill_hole(sequence - 1, scan_id.saturating_sub(1));
+        self.recent.retain(|seen| seen.sequence < sequence);
     }
 
     /// Takes a late sample out of the gap it belongs to, if there is one.
@@ -263,7 +298,7 @@ mod tests {
         let mut stream = Stream::new(Topic::Pose, 2, 1, true);
         let mut faults = Vec::new();
         for &sequence in sequences {
-            faults.extend(stream.see(&header(sequence, sequence + 10), true, 0, 1));
+            faults.extend(stream.see(&header(sequence, sequence.saturating_add(10)), true, 0, 1));
         }
         faults.extend(stream.reconcile(2, false));
         faults.iter().map(|fault| (fault.kind, fault.sequence, fault.scan_id)).collect()
@@ -299,6 +334,44 @@ mod tests {
         assert_eq!(stream.unobserved, 7);
         let missing: Vec<u64> = stream.reconcile(3, true).iter().map(|fault| fault.sequence).collect();
         assert_eq!(missing, [20], "too few have followed it");
+    }
+
+    #[test]
+    fn one_number_that_can_not_be_is_named_and_costs_nothing_else() {
+        for wrong in [1 << 63, u64::MAX, u64::MAX - 1, 100_000] {
+            let faults = noticed(&[1, 2, wrong, 3, 4]);
+            assert_eq!(faults, [(Kind::Impossible, wrong, wrong.saturating_add(10))]);
+        }
+    }
+
+    #[test]
+    fn one_number_that_could_be_costs_one_sample_and_no_memory() {
+        let numbers: Vec<u64> = (1..=25).chain([1_026]).chain(27..=60).collect();
+        // 27 is late; 28 shows that the writer goes on there, so only 26 is missing.
+        let late = (Kind::Reordered, 27, 37);
+        assert_eq!(noticed(&numbers), [late, (Kind::Missing, 26, 36)]);
+    }
+
+    #[test]
+    fn gaps_take_a_limited_amount_of_memory() {
+        let mut stream = Stream::new(Topic::Pose, 2, 1, true);
+        for sequence in (1..=100_000).map(|index| 2 * index) {
+            assert_eq!(stream.see(&header(sequence, sequence), true, 0, 1), None);
+        }
+        assert!(stream.holes.len() <= MAX_NAMED && stream.recent.len() <= RECENT);
+        let missing: u64 = stream.reconcile(2, false).iter().map(|fault| fault.count).sum();
+        assert_eq!(missing, 100_000);
+    }
+
+    #[test]
+    fn a_claimed_number_of_a_writer_that_died_is_not_missing() {
+        for (is_death, missing) in [(true, 0), (false, 1)] {
+            let mut stream = Stream::new(Topic::Pose, 2, 1, true);
+            stream.see(&header(1, 1), true, 0, 1);
+            stream.claimed(2, 10);
+            stream.ended(20, is_death);
+            assert_eq!(stream.reconcile(10 + 10 * TIMEOUT_NS, true).len(), missing, "death: {is_death}");
+        }
     }
 
     #[test]

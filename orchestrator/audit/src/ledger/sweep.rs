@@ -2,6 +2,7 @@
 //! lacks was dropped before it got a number.
 
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 
 use shared_types::Topic;
 
@@ -26,12 +27,12 @@ struct Scan {
 }
 
 /// A fault of a scan.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Lack {
     /// One topic lacks it.
     Sample(Topic, u64),
-    /// All topics lack it: the robot skipped it.
-    Skipped(u64),
+    /// All topics lack them: the robot skipped them.
+    Skipped(RangeInclusive<u64>),
 }
 
 impl Sweep {
@@ -57,10 +58,12 @@ impl Sweep {
 
     /// Notes that samples may not have been observed, so that scans so far are not judged. Returns those without any
     /// sample, which the robot may have skipped.
-    pub(super) fn overflowed(&mut self) -> Vec<u64> {
-        let newest = self.open.last_key_value().map_or(self.settled, |(newest, _)| *newest);
-        let unseen = (self.settled + 1..newest).filter(|scan_id| !self.open.contains_key(scan_id)).collect();
-        self.settled = newest;
+    pub(super) fn overflowed(&mut self) -> Vec<RangeInclusive<u64>> {
+        let mut unseen = Vec::new();
+        for scan_id in self.open.keys() {
+            unseen.extend(between(self.settled, *scan_id));
+            self.settled = *scan_id;
+        }
         self.open.clear();
         unseen
     }
@@ -78,7 +81,7 @@ impl Sweep {
             if scan_id > newest && may_follow {
                 break;
             }
-            lacks.extend((self.settled + 1..scan_id).map(Lack::Skipped));
+            lacks.extend(between(self.settled, scan_id).map(Lack::Skipped));
             let expected = if self.has_truth { TOPICS.len() } else { TRUTH };
             let missing = TOPICS.iter().zip(scan.came).take(expected).filter(|(_, came)| !came);
             lacks.extend(missing.map(|(topic, _)| Lack::Sample(*topic, scan_id)));
@@ -87,6 +90,11 @@ impl Sweep {
         }
         lacks
     }
+}
+
+/// The scans between two, if there are any.
+fn between(before: u64, after: u64) -> Option<RangeInclusive<u64>> {
+    (before + 1 < after).then(|| before + 1..=after - 1)
 }
 
 #[cfg(test)]
@@ -119,8 +127,8 @@ mod tests {
 
     #[test]
     fn a_scan_that_all_topics_lack_was_skipped() {
-        assert_eq!(sweep(&[1, 2, 4]).reconcile(0, false), [Lack::Skipped(3)]);
-        assert_eq!(sweep(&[2]).reconcile(0, false), [Lack::Skipped(1)]);
+        assert_eq!(sweep(&[1, 2, 4]).reconcile(0, false), [Lack::Skipped(3..=3)]);
+        assert_eq!(sweep(&[2]).reconcile(0, false), [Lack::Skipped(1..=1)]);
     }
 
     #[test]
@@ -135,8 +143,8 @@ mod tests {
     fn scans_behind_a_full_buffer_are_not_judged() {
         let mut sweep = sweep(&[1, 2]);
         sweep.see(Topic::Scan, 9, 0);
-        assert_eq!(sweep.overflowed(), [3_u64, 4, 5, 6, 7, 8]);
+        assert_eq!(sweep.overflowed(), [3..=8]);
         assert_eq!(sweep.reconcile(TIMEOUT_NS, false), []);
-        assert_eq!(sweep.overflowed(), [0_u64; 0]);
+        assert_eq!(sweep.overflowed(), []);
     }
 }

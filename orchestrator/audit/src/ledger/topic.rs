@@ -17,12 +17,18 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 
 use runtime::PROCESS_QUEUE;
-use shared_types::{Header, InputAccount, Role, Span, Topic};
+use shared_types::{Header, InputAccount, MAX_NUMBER, Role, Span, Topic};
 
 use super::TIMEOUT_NS;
 use super::fault::{Fault, Kind};
 use super::rows::LedgerRow;
-use super::stream::{NAMED, Seen, Stream};
+use super::stream::{Seen, Stream};
+
+/// Writers of one reader, and readers without counters, that are counted one by one: more than follow each other until the
+/// first is settled.
+const MAX_WRITERS: usize = 1024;
+/// Entries of faults that one reader notices between two reconciliations; more are added up.
+const MAX_NOTICED: usize = 64;
 
 /// This long after the end of a process nothing of it can come any more [ns].
 const SETTLED_NS: u64 = 25 * TIMEOUT_NS;
@@ -50,8 +56,8 @@ struct Reader {
     counters: InputAccount,
     /// Counters of the report before.
     reported: InputAccount,
-    /// Faults that it noticed since the last reconciliation: kind, writer and number.
-    noticed: Vec<(Kind, u32, u64)>,
+    /// Faults that it noticed since the last reconciliation: kind, writer, first number and count.
+    noticed: Vec<(Kind, u32, u64, u64)>,
     /// By writer: the first sample after the last that arrived here, as it arrived at the orchestrator.
     beyond: BTreeMap<u32, Seen>,
     spans: BTreeMap<u32, Span>,
@@ -134,7 +140,7 @@ impl TopicLedger {
     pub fn see(&mut self, header: &Header, answers: bool, from_start: bool) -> Option<Fault> {
         let (topic, after_ns, now_ns) = (self.topic, self.before_ns, self.now_ns);
         let Header { incarnation, sequence, .. } = *header;
-        let begin = || Stream::new(topic, incarnation, sequence.max(1), from_start);
+        let begin = || Stream::new(topic, incarnation, sequence.clamp(1, MAX_NUMBER), from_start);
         self.streams.entry(incarnation).or_insert_with(begin).see(header, answers, after_ns, now_ns)
     }
 
@@ -185,18 +191,25 @@ impl TopicLedger {
             |span: &&Span| span.incarnation != 0 && !self.settled.writers.contains(&span.incarnation);
         for span in counters.writers.iter().filter(is_open) {
             let Reader { spans, begun, .. } = &mut *reader;
+            if spans.len() >= MAX_WRITERS && !spans.contains_key(&span.incarnation) {
+                continue;
+            }
             let known = spans.entry(span.incarnation).or_insert_with(|| {
                 if span.first > 1 && span.count() < PROCESS_QUEUE as u64 {
                     begun.push(*span);
                 }
                 *span
             });
-            (known.first, known.last) = (known.first.min(span.first), known.last.max(span.last));
+            // The last word of the reader: a number that its writer did not reach was wrong.
+            (known.first, known.last) = (known.first.min(span.first), span.last);
         }
     }
 
     /// A process reads the topic and sends no counters.
     pub fn add_silent_reader(&mut self, incarnation: u32, role: Role) {
+        if !self.silent.contains_key(&incarnation) && self.silent.len() >= MAX_WRITERS {
+            self.silent.pop_first();
+        }
         self.silent.entry(incarnation).or_insert(SilentReader { role, end: None });
     }
 
@@ -248,6 +261,12 @@ impl TopicLedger {
         self.streams.get(&incarnation).map_or(0, |stream| stream.scan_of(sequence))
     }
 
+    /// How many writers and readers are stored one by one.
+    #[cfg(test)]
+    pub(super) fn sizes(&self) -> [usize; 2] {
+        [self.streams.len(), self.readers.len() + self.silent.len()]
+    }
+
     fn row(&self, role: Role) -> LedgerRow {
         let mut row = self.settled.rows.get(&role).cloned().unwrap_or_default();
         (row.topic, row.reader) = (self.topic.name().to_owned(), role.name().to_owned());
@@ -278,7 +297,7 @@ impl TopicLedger {
             // Samples that a dead reader had not received may have been published before its successor came.
             if let (Some(span), Some(end)) = (span, covered.get(&(role, writer))) {
                 let end = self.silent_until(role, incarnation, writer, stream).max(*end);
-                let gap = span.first.saturating_sub(end + 1);
+                let gap = span.first.saturating_sub(end.saturating_add(1));
                 (row.published, row.lost) = (row.published + gap, row.lost + gap);
             }
             let newest = newest_for(reader.end.as_ref(), writer, stream);
@@ -294,21 +313,8 @@ impl TopicLedger {
     /// Adds up what can't change any more, so that a run with any number of swaps needs no more memory: readers that ended
     /// after all those before them, then writers that ended.
     fn settle(&mut self) {
-        let is_old = |ended_ns: u64, now_ns: u64| now_ns > ended_ns.saturating_add(SETTLED_NS);
         let mut settled = std::mem::take(&mut self.settled);
-        let mut first_of = BTreeMap::new();
-        self.readers.iter().for_each(|(incarnation, reader)| {
-            first_of.entry(reader.role).or_insert(*incarnation);
-        });
-        for (role, incarnation) in first_of {
-            let reader = &self.readers[&incarnation];
-            if reader.end.as_ref().is_some_and(|end| is_old(end.ended_ns, self.now_ns)) {
-                let row = settled.rows.entry(role).or_default();
-                self.account(incarnation, reader, self.streams.iter(), &mut settled.covered, row);
-                reader.account(&self.streams, row);
-                self.readers.remove(&incarnation);
-            }
-        }
+        while self.settle_readers(&mut settled) {}
         let is_settled =
             |stream: &Stream| stream.ended_ns.is_some_and(|ended_ns| is_old(ended_ns, self.now_ns));
         let writers = self.streams.iter().filter(|(_, stream)| is_settled(stream)).map(|(writer, _)| *writer);
@@ -328,11 +334,35 @@ impl TopicLedger {
         self.settled = settled;
     }
 
+    /// Adds up the first reader of each role, if it has ended; returns whether one has.
+    fn settle_readers(&mut self, settled: &mut Settled) -> bool {
+        let mut first_of = BTreeMap::new();
+        self.readers.iter().for_each(|(incarnation, reader)| {
+            first_of.entry(reader.role).or_insert(*incarnation);
+        });
+        let before = self.readers.len();
+        for (role, incarnation) in first_of {
+            let reader = &self.readers[&incarnation];
+            if reader.end.as_ref().is_some_and(|end| is_old(end.ended_ns, self.now_ns)) {
+                let row = settled.rows.entry(role).or_default();
+                self.account(incarnation, reader, self.streams.iter(), &mut settled.covered, row);
+                reader.account(&self.streams, row);
+                self.readers.remove(&incarnation);
+            }
+        }
+        self.readers.len() < before
+    }
+
     /// The largest number of a writer that was for a reader without counters before `incarnation`.
     fn silent_until(&self, role: Role, incarnation: u32, writer: u32, stream: &Stream) -> u64 {
         let before = self.silent.range(..incarnation).filter(|(_, reader)| reader.role == role);
         before.map(|(_, reader)| newest_for(reader.end.as_ref(), writer, stream)).max().unwrap_or(0)
     }
+}
+
+/// Whether nothing of a process that ended then can come any more.
+fn is_old(ended_ns: u64, now_ns: u64) -> bool {
+    now_ns > ended_ns.saturating_add(SETTLED_NS)
 }
 
 /// The largest number of a writer that was for a reader, whose end is given if it has ended.
@@ -371,24 +401,36 @@ impl Reader {
 
     /// Notes the faults that are new in the last report: of several of a kind the counters name the newest.
     fn notice(&mut self) {
-        let Self { counters, reported, noticed, .. } = self;
-        let hole = &counters.hole;
-        for back in (0..counters.missing.saturating_sub(reported.missing)).rev() {
-            let is_known = hole.incarnation != 0 && hole.last.saturating_sub(back) >= hole.first;
-            let sequence = if is_known { hole.last - back } else { 0 };
-            noticed.push((Kind::Missing, hole.incarnation, sequence));
-        }
-        let twice = (Kind::Duplicate, counters.twice.incarnation, counters.twice.first);
-        noticed.extend((reported.duplicate..counters.duplicate).map(|_| twice));
-        let late = (Kind::Reordered, counters.late.incarnation, counters.late.first);
-        noticed.extend((reported.reordered..counters.reordered).map(|_| late));
+        let Self { counters, reported, .. } = self;
+        let (hole, twice, late) = (counters.hole, counters.twice, counters.late);
+        let missing = counters.missing.saturating_sub(reported.missing);
+        let known = hole.count().min(missing);
+        let found = [
+            (Kind::Missing, hole.incarnation, 0, missing - known),
+            (Kind::Missing, hole.incarnation, hole.last.saturating_sub(known.saturating_sub(1)), known),
+            again(Kind::Duplicate, &twice, counters.duplicate.saturating_sub(reported.duplicate)),
+            again(Kind::Reordered, &late, counters.reordered.saturating_sub(reported.reordered)),
+        ];
         (reported.missing, reported.duplicate, reported.reordered) =
             (counters.missing, counters.duplicate, counters.reordered);
+        for (kind, writer, first, count) in found.into_iter().filter(|(.., count)| *count > 0) {
+            let first = if self.noticed.len() >= MAX_NOTICED { 0 } else { first };
+            let same = |known: &(Kind, u32, u64, u64)| (known.0, known.1, known.2) == (kind, writer, 0);
+            match self.noticed.iter().position(same) {
+                Some(index) if first == 0 => {
+                    let known = &mut self.noticed[index].3;
+                    *known = known.saturating_add(count);
+                }
+                // A reader names four writers at a time.
+                _ if self.noticed.len() < 2 * MAX_NOTICED => self.noticed.push((kind, writer, first, count)),
+                _ => {}
+            }
+        }
     }
 
     fn reconcile(&mut self, topic: Topic, streams: &BTreeMap<u32, Stream>, faults: &mut Vec<Fault>) {
         for (&writer, stream) in streams {
-            if let Some(next) = self.last(writer, stream).map(|last| last + 1) {
+            if let Some(next) = self.last(writer, stream).map(|last| last.saturating_add(1)) {
                 // Stored here, because a stream stores the newest only.
                 if self.beyond.get(&writer).is_none_or(|seen| seen.sequence < next) {
                     self.beyond.remove(&writer);
@@ -398,22 +440,23 @@ impl Reader {
         }
         let (counters, reported, role) = (&self.counters, &self.reported, self.role);
         let scan = |writer: u32, sequence| streams.get(&writer).map_or(0, |stream| stream.scan_of(sequence));
-        let mut note = |kind, writer: u32, sequence: u64| {
-            let fault = Fault::new(topic, kind, writer).sequence(sequence).scan(scan(writer, sequence));
+        let mut note = |kind, writer: u32, first: u64, count: u64| {
+            let fault =
+                Fault::new(topic, kind, writer).sequence(first).count(count).scan(scan(writer, first));
             faults.push(fault.noticed_by(role));
         };
-        self.noticed.drain(..).for_each(|(kind, writer, sequence)| note(kind, writer, sequence));
+        self.noticed.drain(..).for_each(|(kind, writer, first, count)| note(kind, writer, first, count));
         // Of one sample: the sum of the numbers without a fate, less those that wait and those reported before.
         let vanished = |counters: &InputAccount| counters.open.saturating_sub(counters.waiting);
         let sum = |counters: &InputAccount| counters.open_sum.wrapping_sub(counters.waiting_sum);
         match vanished(counters).saturating_sub(vanished(reported)) {
             0 => {}
-            1 => note(Kind::Vanished, newest_writer(counters), sum(counters).wrapping_sub(sum(reported))),
-            _ => note(Kind::Vanished, newest_writer(counters), 0),
+            1 => note(Kind::Vanished, newest_writer(counters), sum(counters).wrapping_sub(sum(reported)), 1),
+            count => note(Kind::Vanished, newest_writer(counters), 0, count),
         }
         for Span { incarnation, first, .. } in self.begun.drain(..) {
             if self.from_start && streams.get(&incarnation).is_some_and(|stream| stream.from_start) {
-                (1..first).take(NAMED).for_each(|sequence| note(Kind::Missing, incarnation, sequence));
+                note(Kind::Missing, incarnation, 1, first - 1);
             }
         }
         for (&writer, stream) in streams {
@@ -425,11 +468,16 @@ impl Reader {
                 && seen.after_ns > self.connected_ns
                 && self.polled_ns >= seen.seen_ns.saturating_add(TIMEOUT_NS)
             {
-                note(Kind::Missing, writer, last + 1);
+                note(Kind::Missing, writer, last + 1, 1);
             }
         }
         self.reported = *counters;
     }
+}
+
+/// Samples that came late or again: the newest is named, unless its number is not known.
+fn again(kind: Kind, newest: &Span, count: u64) -> (Kind, u32, u64, u64) {
+    (kind, newest.incarnation, newest.first, if newest.first == 0 { count } else { count.min(1) })
 }
 
 fn newest_writer(counters: &InputAccount) -> u32 {
@@ -548,6 +596,34 @@ mod tests {
         assert_eq!(named(&ledger.reconcile(false)), expected);
         ledger.receive(report(&counters, 7));
         assert_eq!(ledger.reconcile(false), [], "once is enough");
+    }
+
+    #[test]
+    fn a_gap_of_any_size_is_one_fault() {
+        let mut ledger = TopicLedger::new(Topic::Pose);
+        ledger.poll(5);
+        (1..=4).for_each(|sequence| assert_eq!(ledger.see(&header(sequence), true, true), None));
+        let gap = 1 << 47;
+        let mut counters = InputAccount { missing: gap, hole: span(5, gap + 4), ..InputAccount::default() };
+        counters.writers[0] = span(1, gap + 5);
+        ledger.receive(report(&counters, 5));
+        (counters.missing, counters.duplicate, counters.reordered) = (gap + 2, 1 << 47, 1 << 47);
+        ledger.receive(report(&counters, 6));
+        let faults = ledger.reconcile(false);
+        let counts: Vec<_> = faults.iter().map(|fault| (fault.kind, fault.sequence, fault.count)).collect();
+        let expected = [
+            (Kind::Missing, 5, gap),
+            (Kind::Missing, gap + 3, 2),
+            (Kind::Duplicate, 0, 1 << 47),
+            (Kind::Reordered, 0, 1 << 47),
+        ];
+        assert_eq!(counts, expected);
+        for round in 0..10_000 {
+            counters.missing += 1;
+            counters.hole = span(2 * round + 5, 2 * round + 5);
+            ledger.receive(report(&counters, 7 + round));
+        }
+        assert!(ledger.readers[&READER].noticed.len() <= 2 * MAX_NOTICED);
     }
 
     #[test]

@@ -116,7 +116,7 @@ impl RobotWatch {
                 }
                 output.stamps_ns[1] = scan.header.stage(Role::Robot).published_ns;
                 // A scan answers no other sample; it is due when its sweep is over.
-                output.scan_published_ns = scan.header.acquired_ns + scan.period_ns / 3;
+                output.scan_published_ns = scan.header.acquired_ns.saturating_add(scan.period_ns / 3);
                 each(*incarnation, output);
             }
         }
@@ -135,7 +135,7 @@ fn collect<S: Sample>(
 ) -> Result<(), RuntimeError> {
     observer.poll_checked(|sample, checked| {
         let Header { scan_id, incarnation, .. } = *sample.header();
-        if both.contains(&incarnation) {
+        if both.contains(&incarnation) && !is_impossible(&checked) {
             let parts = parts.entry((scan_id, incarnation)).or_default();
             put(parts, sample);
             parts.fault = parts.fault.or(checked.err());
@@ -154,11 +154,17 @@ where
     observer.poll_checked(|sample, checked| {
         if let Some(role) = S::TOPIC.writer()
             && counts(sample)
+            && !is_impossible(&checked)
         {
             let header = sample.header();
             each(header.incarnation, output_of(header, role, checked.map(|()| OutputSummary::from(sample))));
         }
     })
+}
+
+/// Whether a sample has a number that no scan can have: it answers none.
+fn is_impossible(checked: &Result<(), Fault>) -> bool {
+    matches!(checked, Err(Fault::ImpossibleNumber { .. }))
 }
 
 fn output_of(header: &Header, role: Role, content: Result<OutputSummary, Fault>) -> Output {

@@ -16,6 +16,9 @@ use supervision::supervisor::{Event, Exit, Supervisor, VisibleState};
 use super::{GRANT_AHEAD, Session};
 use crate::companion::Companion;
 
+/// An output of a candidate may be for a scan that the orchestrator has not polled yet, but no further ahead [scans].
+const MAX_AHEAD: u64 = 256;
+
 /// The outputs of each candidate and of the process in charge, by incarnation of the candidate.
 pub(crate) type Watches = BTreeMap<u32, Watch>;
 
@@ -97,17 +100,24 @@ impl Session {
             let mut events = vec![SwapEvent::Scans { newest, answered }];
             events.extend(self.is_acknowledged().then_some(SwapEvent::Acknowledged));
             if let Some(watch) = self.watches.get_mut(&new) {
-                watch.poll(old, new, |party, output| events.push(SwapEvent::Output(party, output)))?;
+                watch.poll(old, new, |party, output| {
+                    // The swap remembers the newest scan: one that can't be there yet is no output.
+                    if output.scan <= newest.saturating_add(MAX_AHEAD) {
+                        events.push(SwapEvent::Output(party, output));
+                    }
+                })?;
             }
             events.into_iter().try_for_each(|event| self.swap_event(event))?;
         }
-        let now_ns = monotonic_ns();
+        let (now_ns, newest) = (monotonic_ns(), self.samples.newest_scan());
         for (role, incarnation) in self.shadows.running().collect::<Vec<_>>() {
             let live = self.directives.current.authority[role.index()].incarnation;
             let Self { watches, shadows, .. } = self;
             if let Some(watch) = watches.get_mut(&incarnation) {
                 watch.poll(live, incarnation, |party, output| {
-                    shadows.output(now_ns, incarnation, party, output);
+                    if output.scan <= newest.saturating_add(MAX_AHEAD) {
+                        shadows.output(now_ns, incarnation, party, output);
+                    }
                 })?;
             }
         }

@@ -151,8 +151,8 @@ impl Session {
         for (scan_id, reason) in self.audit.samples.lost_scans() {
             self.recording.recorder.sample_lost(scan_id, reason.name());
         }
-        for (scan_id, reason) in self.audit.samples.excused() {
-            self.recording.recorder.scan_excused(scan_id, reason);
+        for (scans, reason) in self.audit.samples.excused() {
+            self.recording.recorder.scans_excused(scans, reason);
         }
     }
 }

@@ -1,7 +1,8 @@
 //! Any role of the loop with a fault of one of its samples, for tests of the ledger.
 //!
 //! `faulty-role ROLE FAULT TOPIC SCAN` mistreats the first sample for that scan or a later one, see [`Fault`], and
-//! writes to its log which scan and which number it was.
+//! writes to its log which scan and which number it was. The fault `forge` gives every eighth sample a wrong number in its
+//! header, `forge-N` gives one sample the N-th of them.
 //! `faulty-role ROLE delay` waits where [`scanloop_tests::planted`] plans it, and writes to its log
 //! from when to when it really waited.
 //!
@@ -28,7 +29,7 @@ enum Trouble {
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let (role, trouble) = parse(&arguments)
-        .ok_or("usage: faulty-role ROLE drop|omit|repeat|double|swap|mix TOPIC SCAN | delay")?;
+        .ok_or("usage: faulty-role ROLE drop|omit|repeat|double|swap|mix|forge|forge-N TOPIC SCAN | delay")?;
     match role {
         Role::Robot => roles::robot(trouble),
         Role::Estimator => roles::estimator(trouble),

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use runtime::{Output, Process, RuntimeError, monotonic_ns};
 use scanloop_tests::{Place, planted};
-use shared_types::{Role, Sample};
+use shared_types::{Header, Role, Sample};
 
 use crate::Trouble;
 
@@ -24,6 +24,36 @@ pub(crate) enum Fault {
     Swap,
     /// It is published after the next one, numbers in the order of publication.
     Mix,
+    /// Its header has this one of the [`FORGERIES`].
+    Forge(usize),
+    /// Every eighth sample has the next of the [`FORGERIES`], from this one on.
+    ForgeAll(usize),
+}
+
+/// Fields of a header, and what they may be instead of what they are.
+const FORGED: [fn(&mut Header) -> &mut u64; 4] = [
+    |header| &mut header.sequence,
+    |header| &mut header.scan_id,
+    |header| &mut header.acquired_ns,
+    |header| &mut header.stage_mut(Role::Robot).published_ns,
+];
+const INSTEAD: [fn(u64) -> u64; 8] = [
+    |_| 0,
+    |is| is.wrapping_sub(1),
+    |is| is.wrapping_add(1),
+    |is| is.wrapping_add(1_000),
+    |_| 1 << 40,
+    |_| 1 << 48,
+    |_| 1 << 63,
+    |_| u64::MAX,
+];
+
+/// How many forgeries there are: all values of the first field, then those of the next.
+const FORGERIES: usize = FORGED.len() * INSTEAD.len();
+
+fn forge(header: &mut Header, index: usize) {
+    let field = FORGED[index / INSTEAD.len()](header);
+    *field = INSTEAD[index % INSTEAD.len()](*field);
 }
 
 impl FromStr for Fault {
@@ -37,7 +67,11 @@ impl FromStr for Fault {
             "double" => Self::Double,
             "swap" => Self::Swap,
             "mix" => Self::Mix,
-            _ => return Err(()),
+            "forge" => Self::ForgeAll(0),
+            _ => {
+                let index = text.strip_prefix("forge-").and_then(|index| index.parse().ok()).ok_or(())?;
+                Self::Forge(if index < FORGERIES { index } else { return Err(()) })
+            }
         })
     }
 }
@@ -70,7 +104,12 @@ impl<S: Sample> Outlet<S> {
         let scan_id = sample.header().scan_id;
         match self.trouble {
             Trouble::Sample(fault, topic, at) if topic == S::TOPIC && scan_id >= at => {
-                self.trouble = Trouble::Sample(fault, topic, u64::MAX);
+                self.trouble = match fault {
+                    Fault::ForgeAll(index) if index + 1 < FORGERIES => {
+                        Trouble::Sample(Fault::ForgeAll(index + 1), topic, scan_id + 8)
+                    }
+                    _ => Trouble::Sample(fault, topic, u64::MAX),
+                };
                 self.publish_wrongly(fault, sample)?;
                 eprintln!("wrong scan {scan_id} number {}", sample.header().sequence);
                 Ok(())
@@ -104,6 +143,12 @@ impl<S: Sample> Outlet<S> {
                 self.held = Some(*sample);
             }
             Fault::Mix => self.held = Some(*sample),
+            Fault::Forge(index) | Fault::ForgeAll(index) => {
+                self.output.complete(sample);
+                forge(sample.header_mut(), index);
+                self.output.send(sample)?;
+                self.output.wake();
+            }
         }
         Ok(())
     }
