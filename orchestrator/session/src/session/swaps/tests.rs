@@ -1,6 +1,6 @@
 //! Swaps without a session, a process or a bus: requests and events in, orders out.
 
-use handover::swap::{Output, OutputSummary, SwapOutcome};
+use handover::swap::{Meant, Output, OutputSummary, SwapOutcome};
 use shared_types::{Actuation, Authority, Command, CommandKind, Header};
 use supervision::entry::ProcessEntry;
 
@@ -114,7 +114,8 @@ fn changed_settings_go_with_the_program_that_runs() {
     let successor = Successor { role: Role::Controller, implementation: None, command: None, host: None };
     let request = SwapRequest { successor, set, ..request(5) };
     let live = &Live { entry: &entry(), is_ready: true, hosts: &[], is_on_one_host: true };
-    swaps.ask(0, &request, Some("file".to_owned()), live).unwrap();
+    let changed = Changed { settings: "file".to_owned(), meant: Meant::default() };
+    swaps.ask(0, &request, Some(changed), live).unwrap();
     let candidate = swaps.due(0, 0, |_| None).unwrap();
     assert_eq!(candidate, Candidate { entry: entry(), settings: Some("file".to_owned()) });
     swaps.begin(0, [OLD, NEW], Err("no memory".to_owned()));
