@@ -1,10 +1,9 @@
 //! Topics that a system adds to those of the loop, as channels of a recording.
 
-use runtime::{OwnTopics, TOPICS_FILE};
+use runtime::OwnTopics;
 use shared_types::{Field, OwnType};
 
-use crate::mcap::{Contents, Schema};
-use crate::read::attachment;
+use crate::mcap::Schema;
 use crate::schema::{ROS2MSG, schema_of};
 
 /// A topic of the system, and the type of its samples.
@@ -22,12 +21,6 @@ impl OwnTopic {
             Some(Self { name: row.name.clone(), own })
         };
         table.topic.iter().filter_map(of).collect()
-    }
-
-    /// Those of a recording, as it says itself.
-    pub(crate) fn recorded(contents: &Contents) -> Vec<Self> {
-        let table = attachment(contents, TOPICS_FILE).and_then(|text| toml::from_str(text).ok());
-        table.as_ref().map_or_else(Vec::new, Self::all)
     }
 
     /// Its name.

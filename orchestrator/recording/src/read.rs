@@ -224,7 +224,7 @@ impl Recording {
         &self,
         mut each: impl FnMut(&str, &'static [Field], u64, &[u8]) -> anyhow::Result<()>,
     ) -> anyhow::Result<()> {
-        let own: Vec<Vec<OwnTopic>> = self.files().iter().map(OwnTopic::recorded).collect();
+        let own: Vec<Vec<OwnTopic>> = self.files().iter().map(own_topics).collect();
         if own.iter().all(Vec::is_empty) {
             return Ok(());
         }
@@ -282,6 +282,12 @@ impl Recording {
         let of_topic = |topic: &Topic| shared_types::differences(&built_in, &recorded, topic.name());
         Ok(TOPICS.iter().filter(is_known).flat_map(of_topic).collect())
     }
+}
+
+/// The topics that the recorded system has added to those of the loop.
+fn own_topics(contents: &Contents) -> Vec<OwnTopic> {
+    let table = attachment(contents, runtime::TOPICS_FILE).and_then(|text| toml::from_str(text).ok());
+    table.as_ref().map_or_else(Vec::new, OwnTopic::all)
 }
 
 /// Topics whose samples have another layout.

@@ -113,8 +113,11 @@ fn many() -> (Vec<u8>, Vec<std::ops::Range<usize>>) {
     (writer.finish().unwrap().0, chunks)
 }
 
-/// The channels that all files of these tests have.
-fn salvage(bytes: &[u8]) -> Result<(Vec<u64>, Vec<Gap>, Option<u64>), ReadError> {
+/// Times of the messages that are left [ns], the damaged places, and how many messages are missing.
+type Salvaged = (Vec<u64>, Vec<Gap>, Option<u64>);
+
+/// Reads a damaged file, with the channels that all files of these tests have.
+fn salvage(bytes: &[u8]) -> Result<Salvaged, ReadError> {
     let schema = Schema { name: "s/msg/S".into(), encoding: "ros2msg".into(), text: "uint8 a".into() };
     let mut reader = Reader::salvage(Cursor::new(bytes))?;
     reader.assume(&[schema], &[channel("one", vec![])]);
@@ -287,7 +290,7 @@ fn what_is_not_supported_or_too_large_is_named_with_the_numbers() {
     append(&mut attached, opcode::ATTACHMENT, &[0; 60]);
     let message = refused(&chunk(attached.len() as u64, "", &attached));
     assert_eq!(message, "damaged at byte 30: a record stands where it does not belong");
-    assert!(matches!(Reader::salvage(Cursor::new(chunk(9, "br", &[0; 9]))), Ok(_)));
+    assert!(Reader::salvage(Cursor::new(chunk(9, "br", &[0; 9]))).is_ok());
     let salvaged = Reader::salvage(Cursor::new(chunk(9, "br", &[0; 9]))).unwrap().next_message().map(|_| ());
     assert!(salvaged.unwrap_err().to_string().contains("compression br"));
 }
