@@ -228,7 +228,8 @@ mod tests {
         }
         let pem = std::fs::read(folder.join("lab").join(CERTIFICATE)).unwrap();
         let (_, pem) = x509_parser::pem::parse_x509_pem(&pem).unwrap();
-        let usage = pem.parse_x509().unwrap().extended_key_usage().unwrap().unwrap().value.clone();
+        let certificate = pem.parse_x509().unwrap();
+        let usage = certificate.extended_key_usage().unwrap().unwrap().value;
         assert!(usage.server_auth && !usage.client_auth, "an agent can't connect as an orchestrator");
         std::fs::set_permissions(folder.join("lab"), std::fs::Permissions::from_mode(0o777)).unwrap();
         let message = format!("{:#}", check(&folder.join("lab"), "lab").unwrap_err());

@@ -1,5 +1,4 @@
 //! Bodies that move: the robot waits where they do not come, and passes sides from which it gets to its goal.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use emulator::Outcome;
 use scanloop_tests::System;

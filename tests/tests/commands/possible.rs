@@ -1,5 +1,4 @@
 //! What scenario and system ask for together is kept, or refused with what was asked and what is possible.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use emulator::Outcome;
 use scanloop_tests::System;

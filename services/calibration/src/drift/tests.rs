@@ -13,7 +13,7 @@ fn run(number: u32, df: f64, dds: f64, seconds: usize) -> Vec<SineRow> {
     (0..=10 * seconds)
         .map(|step| {
             let at = reported(step);
-            let truth = if step == 0 { at } else { state.correct(&drift, at, speed, 0.1) };
+            let truth = if step == 0 { at } else { state.correct(&drift, at, speed, 0.1, None) };
             let marked = step % 20 == 0;
             SineRow {
                 run: number,
