@@ -185,7 +185,7 @@ impl InputAccount {
         })
     }
 
-    /// Whether a publisher goes on with lower numbers: the second in a row that lies far below its newest. Samples of one
+    /// Whether a publisher continues with lower numbers: the second in a row that lies far below its newest. Samples of one
     /// publisher arrive in its order, so the newest was wrong, and all that follow would be dropped as late ones.
     fn goes_on_below(&self, index: usize, sequence: u64) -> bool {
         let Span { incarnation, last, .. } = self.writers[index];
@@ -196,7 +196,7 @@ impl InputAccount {
                 .any(|before| before.incarnation == incarnation && before.last.saturating_add(1) == sequence)
     }
 
-    /// Goes on with a lower number; numbers above it are not missing any more.
+    /// Continues with a lower number; numbers above it are not missing any more.
     fn go_back(&mut self, index: usize, sequence: u64) {
         let span = &mut self.writers[index];
         (span.first, span.last) = (span.first.min(sequence), sequence);
@@ -320,7 +320,7 @@ mod tests {
             let numbers: Vec<u64> = (1..=25).chain([wrong]).chain(27..=60).collect();
             let account = account(&numbers);
             assert_eq!((account.missing, account.hole), (1, Span::of(7, 26, 26)), "{wrong}");
-            // 27 is late; 28 shows that the publisher goes on there.
+            // 27 is late; 28 shows that the publisher continues there.
             assert_eq!((account.reordered, account.duplicate, account.used), (1, 0, 59), "{wrong}");
             assert_eq!(account.from(7), Some(&Span::of(7, 1, 60)), "{wrong}");
         }

@@ -119,7 +119,9 @@ impl Down {
         if let Some(state) = start.handover.as_ref().filter(|text| of_hex(text, 0).is_none()) {
             return refuse("handover", state, "a state as hexadecimal digits");
         }
-        let realtime = toml::Table::try_from(&start.realtime).map_err(|error| error.to_string())?;
+        let realtime = toml::Table::try_from(&start.realtime);
+        let realtime =
+            realtime.map_err(|error| format!("realtime = {:?} is not allowed: {error}", start.realtime))?;
         read::<Realtime>(realtime).map(|_| ()).map_err(|invalid| format!("realtime.{invalid}"))
     }
 }

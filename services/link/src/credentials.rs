@@ -77,7 +77,7 @@ pub(crate) fn pair(
     Ok(())
 }
 
-/// Passes when the certificates of a host are valid now, are for that host, and nobody else can change them.
+/// Passes when the certificates of a host are valid now, are for that host, and are in a private folder.
 ///
 /// # Errors
 /// A folder that is not private, and the file with its value: one that is missing, no certificate, one for another host or

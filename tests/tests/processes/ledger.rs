@@ -109,7 +109,7 @@ fn memory_kib(system: &System) -> u64 {
 }
 
 /// In real time every eighth sample of a topic has another wrong number in its header: 0, one less, one more, 1,000 more,
-/// and 2^40 to 2^64 - 1 as sequence, as scan, and as either stamp. The run goes on, and names them.
+/// and 2^40 to 2^64 - 1 as sequence, as scan, and as either stamp. The run continues, and names them.
 #[test]
 fn no_number_in_a_header_ends_a_run_or_takes_its_memory() {
     for (topic, role) in TOPICS {

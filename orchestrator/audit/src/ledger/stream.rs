@@ -258,7 +258,7 @@ impl Stream {
         self.holes.push_back(Hole { first, last, after_scan, before_scan, seen_ns, is_reported: false });
     }
 
-    /// Goes on with a lower number: what lies above it was never published.
+    /// Continues with a lower number: what lies above it was never published.
     fn go_back(&mut self, sequence: u64, scan_id: u64) {
         self.newest = sequence - 1;
         self.newest_scan = self.newest_scan.min(scan_id.saturating_sub(1));
@@ -347,7 +347,7 @@ mod tests {
     #[test]
     fn one_number_that_could_be_costs_one_sample_and_no_memory() {
         let numbers: Vec<u64> = (1..=25).chain([1_026]).chain(27..=60).collect();
-        // 27 is late; 28 shows that the writer goes on there, so only 26 is missing.
+        // 27 is late; 28 shows that the writer continues there, so only 26 is missing.
         let late = (Kind::Reordered, 27, 37);
         assert_eq!(noticed(&numbers), [late, (Kind::Missing, 26, 36)]);
     }

@@ -200,7 +200,7 @@ impl TopicLedger {
                 }
                 *span
             });
-            // The last word of the reader: a number that its writer did not reach was wrong.
+            // What the reader said last: a number that its writer did not reach was wrong.
             (known.first, known.last) = (known.first.min(span.first), span.last);
         }
     }
