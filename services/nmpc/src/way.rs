@@ -9,6 +9,8 @@
 //! way widens with the time until it gets there.
 //!
 //! A robot that would be struck if it stopped now, by the velocity as it is measured, may drive any plan that keeps clear.
+//! So may one that meets a body which moves more along the track than across it: there is no place before such a way, and
+//! a robot that waits is struck where one that drives on gets aside.
 
 use nalgebra::Vector2;
 use vehicle::State;
@@ -53,7 +55,7 @@ pub(crate) fn stands_in_it(
     let start = Sampled { t: 0.0, speed: scene.speed, state: scene.initial };
     let is_in_the_way = |index: &usize| {
         let obstacle = &scene.predicted[*index];
-        if !obstacle.moves() {
+        if !crosses(obstacle) {
             return false;
         }
         let there = gap(obstacle, &body, t, UNCERTAIN);
@@ -66,6 +68,12 @@ pub(crate) fn stands_in_it(
         !is_struck && is_nearer && !leads_past(scene, baseline, *index, plan)
     };
     (0..scene.predicted.len().min(shared_types::MAX_OBSTACLES)).find(is_in_the_way)
+}
+
+/// Whether a body moves more across the track than along it.
+fn crosses(obstacle: &PredictedObstacle) -> bool {
+    let [x, y] = obstacle.velocity;
+    obstacle.moves() && y.abs() > x.abs()
 }
 
 /// Whether a plan leads through the way of a body before it gets there, or does not lead into it.
@@ -203,6 +211,15 @@ mod tests {
         // It leaves the way of the box after 1.78 s, and the wider one after 2.07 s. A cart with 0.85 m/s has its front at
         // 0.01 m and 0.26 m then, or at -0.89 m and -0.64 m: 0.44 m beside the robot, and 0.35 m are kept.
         assert_eq!(stands(1.8, -2.9), None);
+    }
+
+    #[test]
+    fn a_body_that_comes_along_the_track_is_not_waited_for() {
+        let moving = |velocity: [f64; 2]| crosses(&PredictedObstacle { velocity, ..cart(-2.0) });
+        // From ahead, from behind, from ahead and aside; across, and across and towards the robot.
+        assert_eq!([[-0.5, 0.0], [0.5, 0.1], [-0.4, 0.3]].map(moving), [false; 3]);
+        assert_eq!([[0.0, 0.5], [-0.3, -0.4]].map(moving), [true; 2]);
+        assert!(!moving([0.0, 0.0]), "it stands");
     }
 
     #[test]
