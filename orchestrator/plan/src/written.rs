@@ -122,12 +122,13 @@ impl Written {
         if let Some((place, key)) = written {
             return sentence(&place, &key, invalid);
         }
-        let without = |changed: Self| changed.tables().ok().map(check_with(&check, invalid));
+        let without =
+            |changed: Self, path: &str| changed.tables().ok().map(check_with(&check, invalid, path));
         // What the command line has comes after the files, so it is what made them wrong.
         for index in (0..self.given.len()).rev() {
             let mut changed = self.clone();
             let given = changed.given.remove(index);
-            if without(changed) == Some(true) {
+            if without(changed, "") == Some(true) {
                 return because(&given.name(), None, invalid);
             }
         }
@@ -139,7 +140,7 @@ impl Written {
             let mut changed = self.clone();
             let source = if self.is_in_scenario(&path) { &mut changed.scenario } else { &mut changed.system };
             remove(&mut source.table, &path);
-            if without(changed) == Some(true) {
+            if without(changed, &path) == Some(true) {
                 let place =
                     self.source(&path).place(&path).unwrap_or_else(|| self.source(&path).name.clone());
                 return because(&place, Some(&path), invalid);
@@ -181,8 +182,11 @@ impl Written {
         parts.join(".")
     }
 
+    /// Whether a key is one of the scenario; an unknown one is where it was written.
     fn is_in_scenario(&self, key: &str) -> bool {
-        is_of_scenario(key.split('.').next().unwrap_or_default())
+        let first = first_of(key);
+        is_of_scenario(first)
+            || self.scenario.table.contains_key(first) && !self.system.table.contains_key(first)
     }
 
     fn source(&self, key: &str) -> &Source {
@@ -232,12 +236,21 @@ fn require_known(key: &str, text: &str) -> anyhow::Result<()> {
     )))
 }
 
-/// Whether a refusal is not the one that was found first.
+/// Whether a refusal is gone without the value at `path`. Another refusal of the table that lacks the value now says nothing:
+/// it may only come before the first one.
 fn check_with<'a>(
     check: &'a impl Fn([Table; 2]) -> Option<Invalid>,
     invalid: &'a Invalid,
+    path: &'a str,
 ) -> impl Fn([Table; 2]) -> bool + 'a {
-    move |tables| check(tables).is_none_or(|other| other.key != invalid.key)
+    let is_other =
+        |other: &Invalid| other.key != invalid.key && first_of(&path_of(&other.key)) != first_of(path);
+    move |tables| check(tables).is_none_or(|other| is_other(&other))
+}
+
+/// The first part of a path.
+fn first_of(path: &str) -> &str {
+    path.split('.').next().unwrap_or_default()
 }
 
 /// The message for a value that was written at `key`.

@@ -12,7 +12,7 @@
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
-use std::os::unix::fs::FileExt;
+use std::os::unix::fs::{FileExt, FileTypeExt};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError, Weak};
 
@@ -84,6 +84,10 @@ impl ChildLog {
     /// A file of somebody else, exit code 2, and those of the file system.
     pub fn of_run(path: &Path, continues: bool) -> anyhow::Result<Arc<Self>> {
         let name = path.display();
+        // A link in the place of the log is removed, whatever it leads to; one to a device is a choice of the user.
+        if path.is_symlink() && !path.metadata().is_ok_and(|target| target.file_type().is_char_device()) {
+            std::fs::remove_file(path).with_context(|| name.to_string())?;
+        }
         let mut start = [0; 64];
         let found = File::open(path).and_then(|file| file.read_at(&mut start, 0));
         if let Ok(length) = found

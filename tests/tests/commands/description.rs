@@ -42,7 +42,10 @@ fn check_lists_where_the_robot_differs_and_run_and_report_name_it() {
 
     let worn = ["--set", "robot.preset=worn"];
     let many = text(&system, &[&["run", "free", "--lockstep", "--duration", "0.5"][..], &worn].concat());
-    assert!(many.contains("properties of the scenario differ from [vehicle], largest: robot."), "{many}");
+    assert!(
+        many.contains("properties of robot.preset `worn` differ from [vehicle], largest: robot."),
+        "{many}"
+    );
     let listed = text(&system, &[&["check", "free"][..], &worn].concat());
     assert!(listed.lines().filter(|line| line.contains(", vehicle.")).count() > 10, "{listed}");
 }

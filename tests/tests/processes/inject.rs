@@ -113,7 +113,10 @@ fn what_can_t_be_injected_is_refused_with_what_can() {
     assert!(has("scanner-dead") && has("process-actuator-hangs") && !has("shared-memory-full"), "{list}");
     system.start(&["endless", "--allow-inject"]);
     for (arguments, reason) in [
-        (&["scanner-ded"][..], "fault `scanner-ded` is unknown: expected one of actuation-"),
+        (
+            &["scanner-ded"][..],
+            "fault `scanner-ded` is unknown. Did you mean `scanner-dead`? Expected one of actuation-",
+        ),
         (&["command-late-400ms"], "it could not answer the next scan; these can: actuation-"),
         (&["shared-memory-full"], "it fills the memory of all programs of this machine; these can: "),
         (&["scanner-dead", "--for", "0s"], "0s is not allowed: 1ms to 10m"),
