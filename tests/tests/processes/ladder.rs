@@ -307,7 +307,7 @@ fn obstacles_that_are_not_numbers_block_the_wheels() {
 fn a_body_at_the_place_of_the_robot_blocks_the_wheels() {
     let samples = drive_with(Role::Obstacles, "inside", "it rests", rests);
     let reasons = samples.reached(Level::Stop).into_iter().map(|scan| samples.commands[&scan].reason);
-    assert!(reasons.into_iter().all(|reason| reason == StopReason::BadInput.wire()));
+    assert!(reasons.into_iter().all(|reason| reason == StopReason::Covered.wire()));
 }
 
 #[test]
