@@ -78,19 +78,18 @@ impl Hull {
         corners.pop();
     }
 
-    /// Length of the way from `robot` to a point that leads through the hull [m].
+    /// How far a point is behind the sides of the hull that face the `robot`; all of the way to it when the robot is within
+    /// the hull [m].
     fn depth_of(&self, point: Vector2<f64>, robot: Vector2<f64>) -> f64 {
-        let way = point - robot;
-        let mut enters = 0.0_f64;
+        let mut depth = (point - robot).norm();
         for (index, corner) in self.corners.iter().enumerate() {
             let side = self.corners[(index + 1) % self.corners.len()] - corner;
             let normal = Vector2::new(side.y, -side.x);
-            let towards = normal.dot(&way);
-            if towards < 0.0 {
-                enters = enters.max(normal.dot(&(corner - robot)) / towards);
+            if normal.dot(&(robot - corner)) > 0.0 {
+                depth = depth.min(normal.dot(&(corner - point)) / normal.norm().max(1e-9));
             }
         }
-        (1.0 - enters).max(0.0) * way.norm()
+        depth
     }
 }
 
@@ -172,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn the_way_through_a_hull_is_measured_from_the_robot() {
+    fn the_depth_within_a_hull_is_measured_from_the_sides_that_face_the_robot() {
         let mut hull = Hull::default();
         // A room of 4 m x 2 m around the robot: all of the way to its wall is inside.
         hull.is_hollow_between(
