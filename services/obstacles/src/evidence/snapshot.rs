@@ -129,6 +129,13 @@ impl Snapshot {
         self.fixed[beam / 64] >> (beam % 64) & 1 == 1
     }
 
+    /// By how much the ranges of `scan`, from the same place, are longer or shorter on the average [m].
+    pub(crate) fn shift(&self, scan: &Scan) -> f64 {
+        let changes = self.points.iter().filter_map(|point| Some(range_of(scan, point.beam)? - point.range));
+        let (count, sum) = changes.fold((0, 0.0), |(count, sum), change| (count + 1, sum + change));
+        (sum / f64::from(count.max(1))).abs()
+    }
+
     /// How far the scanner is from where the scan was taken, and how far it has turned [m, rad].
     pub(crate) fn moved(&self, place: &Place) -> (f64, f64) {
         self.place.as_ref().map_or((f64::INFINITY, f64::INFINITY), |before| {
