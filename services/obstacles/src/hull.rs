@@ -1,7 +1,7 @@
 //! Whether two outlines can be of one convex body: what is seen of both lies on the front of their convex hull.
 //!
-//! A return shows that nothing is between it and the scanner. So where the way from the scanner to a seen point leads
-//! through the hull, there is a hollow, and a body with that hull would fill it.
+//! A return shows that nothing is between it and the scanner. So where a seen point lies behind the sides of the hull that
+//! face the scanner, there is a hollow, and a body with that hull would fill it.
 
 use nalgebra::Vector2;
 use shared_types::BEAMS;
@@ -146,6 +146,7 @@ pub(crate) fn cross(a: Vector2<f64>, b: Vector2<f64>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::segment::End;
 
     fn body(x: f64, y: f64, length: f64, width: f64, yaw: f64) -> Rectangle {
         Rectangle { centre: Vector2::new(x, y), yaw, length, width }
@@ -168,6 +169,14 @@ mod tests {
         assert!(is_hollow(&wall, &body(4.0, 1.0, 2.0, 0.1, 0.0)), "a corner of a room");
         assert!(is_hollow(&wall, &body(4.8, 0.0, 0.3, 0.3, 0.0)), "a box before it");
         assert!(is_hollow(&body(5.0, 0.0, 0.4, 0.4, 0.0), &body(5.3, 0.4, 0.4, 0.4, 0.0)));
+    }
+
+    #[test]
+    fn the_side_of_a_body_whose_front_was_taken_for_wider_is_no_hollow() {
+        // The robot sees the side at y = 0.7 almost along it; the front was known from 0.6 on.
+        let outline = [[5.2, 0.7], [4.8, 0.7], [4.8, 1.1]].map(|at| Vertex { at: at.into(), end: End::Seen });
+        let front = body(4.8, 0.85, 0.05, 0.5, 0.0);
+        assert!(!Hull::default().is_hollow(&front, &outline, Vector2::zeros()));
     }
 
     #[test]
