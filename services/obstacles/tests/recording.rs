@@ -39,7 +39,8 @@ fn rows(text: &str) -> Vec<Row> {
 
 /// Says that a test was skipped, on the standard error of the program: that of a test that passes is not shown.
 fn skipped(test: &str) {
-    writeln!(std::io::stderr(), "skipped: {test}: {FILE} is not there").unwrap();
+    let mut stderr = std::io::stderr();
+    writeln!(stderr, "skipped: {test}: {FILE} is not there").unwrap();
 }
 
 #[test]
