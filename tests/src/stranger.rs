@@ -48,9 +48,9 @@ pub fn of_stranger(id: &str, arguments: &[&str]) -> Command {
     command
 }
 
-/// What a command wrote to standard error.
+/// What a command wrote.
 pub fn text(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into_owned()
+    crate::printed(output)
 }
 
 /// Asserts that a command was refused (exit code 2) with a message that has all these parts.

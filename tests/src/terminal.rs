@@ -54,13 +54,13 @@ impl Terminal {
         terminal
     }
 
-    /// Starts a command with the terminal as standard input and standard error.
+    /// Starts a command with the terminal as its standard streams.
     ///
     /// # Panics
     /// When it can't be started.
     pub fn spawn(&self, mut command: Command) -> Child {
         let end = || Stdio::from(self.far.try_clone().expect("a descriptor"));
-        command.stdin(end()).stdout(Stdio::null()).stderr(end()).spawn().expect("the executable runs")
+        command.stdin(end()).stdout(end()).stderr(end()).spawn().expect("the executable runs")
     }
 
     /// Changes the size.

@@ -140,8 +140,13 @@ impl Trial {
     fn launch(&mut self, name: &str, mut command: Command, stderr: Option<Stdio>) {
         let number = self.programs.len();
         let path = self.system.folder().join(format!("{number:02}-{name}.txt"));
-        let stderr = stderr.unwrap_or_else(|| File::create(&path).expect("a file for what is said").into());
-        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(stderr);
+        let stderr = stderr.unwrap_or_else(|| {
+            let file = File::options().append(true).create(true).open(&path);
+            file.expect("a file for what is said").into()
+        });
+        // What it was asked for and what else it says go to one file.
+        let stdout = File::options().append(true).create(true).open(&path).expect("a file for what is said");
+        command.stdin(Stdio::null()).stdout(stdout).stderr(stderr);
         let began_ns = monotonic_ns();
         let mut program = Program::new(name, command.spawn().expect("the executable runs"), &path, began_ns);
         match name {

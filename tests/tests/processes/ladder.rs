@@ -7,6 +7,7 @@
 #[path = "../../../services/nmpc/tests/common/independent.rs"]
 mod independent;
 
+use scanloop_tests::machine::repeat_when_late;
 use std::cell::{Ref, RefCell};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -185,24 +186,30 @@ fn turn(samples: &Samples, level: Level, is_counted: impl Fn(&Command) -> bool) 
 
 #[test]
 fn the_first_rung_turns_the_wheels_by_plans_that_converged() {
-    let enough = settings(["controller.budget_ms=1000", "controller.budget_share=1"]);
-    let converged = |command: &Command| command.status == SolveStatus::Converged.wire();
-    drive(&[&["corridor"], &enough[..]].concat(), "converged plans turn the wheels", |samples| {
-        turn(samples, Level::Converged, converged)
+    repeat_when_late(|| {
+        let enough = settings(["controller.budget_ms=1000", "controller.budget_share=1"]);
+        let converged = |command: &Command| command.status == SolveStatus::Converged.wire();
+        drive(&[&["corridor"], &enough[..]].concat(), "converged plans turn the wheels", |samples| {
+            turn(samples, Level::Converged, converged)
+        });
     });
 }
 
 #[test]
 fn the_second_rung_turns_the_wheels_by_plans_of_too_few_iterations() {
-    let few = settings([
-        "controller.budget_ms=1000",
-        "controller.budget_share=1",
-        "controller.solver.max_iterations=1",
-        "controller.solver.tolerance=1e-10",
-    ]);
-    let ended = |command: &Command| command.status == SolveStatus::MaxIterations.wire();
-    drive(&[&["corridor"], &few[..]].concat(), "plans that did not converge turn the wheels", |samples| {
-        turn(samples, Level::BestIterate, ended)
+    repeat_when_late(|| {
+        let few = settings([
+            "controller.budget_ms=1000",
+            "controller.budget_share=1",
+            "controller.solver.max_iterations=1",
+            "controller.solver.tolerance=1e-10",
+        ]);
+        let ended = |command: &Command| command.status == SolveStatus::MaxIterations.wire();
+        drive(
+            &[&["corridor"], &few[..]].concat(),
+            "plans that did not converge turn the wheels",
+            |samples| turn(samples, Level::BestIterate, ended),
+        );
     });
 }
 
@@ -234,33 +241,39 @@ width_m = 1.0
 /// left but a stop.
 #[test]
 fn without_time_the_wheels_follow_the_best_verified_plan_then_the_rest_of_the_last_one_then_are_blocked() {
-    let mut system = System::new(EXECUTABLE);
-    std::fs::write(system.folder().join("barrier.toml"), BARRIER).unwrap();
-    let slow = settings([
-        "controller.budget_ms=0.1",
-        "controller.guide.step_m=0.2",
-        "controller.intervals=24",
-        "rate_hz=5",
-    ]);
-    let arguments = [&["barrier.toml"], &slow[..]].concat();
-    let samples = drive_in(&mut system, &arguments, "the robot rests in front of the barrier", |samples| {
-        let rests = |scan: &u64| samples.truths[&(scan + 1)].speed_mps <= 0.0;
-        samples.reached(Level::Stop).iter().any(rests)
+    repeat_when_late(|| {
+        let mut system = System::new(EXECUTABLE);
+        std::fs::write(system.folder().join("barrier.toml"), BARRIER).unwrap();
+        let slow = settings([
+            "controller.budget_ms=0.1",
+            "controller.guide.step_m=0.2",
+            "controller.intervals=24",
+            "rate_hz=5",
+        ]);
+        let arguments = [&["barrier.toml"], &slow[..]].concat();
+        let samples =
+            drive_in(&mut system, &arguments, "the robot rests in front of the barrier", |samples| {
+                let rests = |scan: &u64| samples.truths[&(scan + 1)].speed_mps <= 0.0;
+                samples.reached(Level::Stop).iter().any(rests)
+            });
+        let [best, rest, stop] =
+            [Level::BestIterate, Level::LastPlan, Level::Stop].map(|level| samples.reached(level));
+        assert!(best.len() >= SCANS && rest.len() >= 2, "{best:?} {rest:?} {stop:?}");
+        assert!(best[0] < rest[0] && rest[rest.len() - 1] < stop[0], "{best:?} {rest:?} {stop:?}");
+        for scan in &rest {
+            let expected_rad = shifted_rad(&samples.commands[&(scan - 1)], &samples.commands[scan]);
+            let truth = samples.truths[&(scan + 1)];
+            assert!(
+                (truth.steering_rad - expected_rad).abs() < NEAR[0],
+                "scan {scan}: {expected_rad} {truth:?}"
+            );
+        }
+        let reason = samples.commands[&stop[0]].reason;
+        assert!(
+            [StopReason::Blocked, StopReason::Unverified].map(StopReason::wire).contains(&reason),
+            "{reason}"
+        );
     });
-    let [best, rest, stop] =
-        [Level::BestIterate, Level::LastPlan, Level::Stop].map(|level| samples.reached(level));
-    assert!(best.len() >= SCANS && rest.len() >= 2, "{best:?} {rest:?} {stop:?}");
-    assert!(best[0] < rest[0] && rest[rest.len() - 1] < stop[0], "{best:?} {rest:?} {stop:?}");
-    for scan in &rest {
-        let expected_rad = shifted_rad(&samples.commands[&(scan - 1)], &samples.commands[scan]);
-        let truth = samples.truths[&(scan + 1)];
-        assert!((truth.steering_rad - expected_rad).abs() < NEAR[0], "scan {scan}: {expected_rad} {truth:?}");
-    }
-    let reason = samples.commands[&stop[0]].reason;
-    assert!(
-        [StopReason::Blocked, StopReason::Unverified].map(StopReason::wire).contains(&reason),
-        "{reason}"
-    );
 }
 
 /// The steering angle of the plan of a command at the start of a later one.
@@ -276,9 +289,11 @@ fn shifted_rad(last: &Command, later: &Command) -> f64 {
 
 #[test]
 fn the_last_rung_blocks_the_wheels_in_front_of_a_box_that_appears_too_near_to_steer_around() {
-    drive(&["sudden"], "the robot rests", |samples| {
-        let rests = |scan: &u64| samples.truths[&(scan + 1)].speed_mps <= 0.0;
-        samples.reached(Level::Converged).len() >= SCANS && samples.reached(Level::Stop).iter().any(rests)
+    repeat_when_late(|| {
+        drive(&["sudden"], "the robot rests", |samples| {
+            let rests = |scan: &u64| samples.truths[&(scan + 1)].speed_mps <= 0.0;
+            samples.reached(Level::Converged).len() >= SCANS && samples.reached(Level::Stop).iter().any(rests)
+        });
     });
 }
 
@@ -299,47 +314,59 @@ fn rests(samples: &Samples) -> bool {
 
 #[test]
 fn obstacles_that_are_not_numbers_block_the_wheels() {
-    let samples = drive_with(Role::Obstacles, "nan", "it rests", rests);
-    assert!(samples.actuations.values().all(|actuation| actuation.header.scan_id < 15), "it answered one");
+    repeat_when_late(|| {
+        let samples = drive_with(Role::Obstacles, "nan", "it rests", rests);
+        assert!(
+            samples.actuations.values().all(|actuation| actuation.header.scan_id < 15),
+            "it answered one"
+        );
+    });
 }
 
 #[test]
 fn a_body_at_the_place_of_the_robot_blocks_the_wheels() {
-    let samples = drive_with(Role::Obstacles, "inside", "it rests", rests);
-    let reasons = samples.reached(Level::Stop).into_iter().map(|scan| samples.commands[&scan].reason);
-    assert!(reasons.into_iter().all(|reason| reason == StopReason::Covered.wire()));
+    repeat_when_late(|| {
+        let samples = drive_with(Role::Obstacles, "inside", "it rests", rests);
+        let reasons = samples.reached(Level::Stop).into_iter().map(|scan| samples.commands[&scan].reason);
+        assert!(reasons.into_iter().all(|reason| reason == StopReason::Covered.wire()));
+    });
 }
 
 #[test]
 fn a_heap_of_sixteen_ellipses_is_passed_at_a_distance() {
-    let samples = drive_with(Role::Obstacles, "heap", "it is past the heap", |samples| {
-        samples.truths.values().any(|truth| truth.x_m > 7.5)
+    repeat_when_late(|| {
+        let samples = drive_with(Role::Obstacles, "heap", "it is past the heap", |samples| {
+            samples.truths.values().any(|truth| truth.x_m > 7.5)
+        });
+        let heaps =
+            samples.obstacles.values().filter(|obstacles| obstacles.list().len() == MAX_OBSTACLES).count();
+        assert!(heaps > SCANS, "{heaps}");
+        let beside = samples.truths.values().filter(|truth| (truth.x_m - 6.0).abs() < 0.5);
+        for truth in beside {
+            // The heap reaches from 0.0 to 0.8 m; half of the body is 0.2 m wide.
+            assert!(truth.y_m < -0.25, "{truth:?}");
+        }
     });
-    let heaps =
-        samples.obstacles.values().filter(|obstacles| obstacles.list().len() == MAX_OBSTACLES).count();
-    assert!(heaps > SCANS, "{heaps}");
-    let beside = samples.truths.values().filter(|truth| (truth.x_m - 6.0).abs() < 0.5);
-    for truth in beside {
-        // The heap reaches from 0.0 to 0.8 m; half of the body is 0.2 m wide.
-        assert!(truth.y_m < -0.25, "{truth:?}");
-    }
 }
 
 #[test]
 fn a_controller_resumes_from_a_state_that_is_no_number_and_drives_on() {
-    let mut system = System::new(EXECUTABLE);
-    let once =
-        "test -e ended || { touch ended; exec \"$0\" controller bad-state; }; exec \"$1\" service nmpc";
-    let command = ["sh", "-c", once, FAULTY, EXECUTABLE];
-    let mut file = system_file(10, &[Role::Controller], FAULTY, &[]);
-    file =
-        file.replace(&format!("command = {:?}", [FAULTY, "controller"]), &format!("command = {command:?}"));
-    std::fs::write(system.folder().join("system.toml"), file.replace("never", "on-failure")).unwrap();
-    let samples = drive_in(&mut system, &["free", "--system", "system.toml"], "it drives on", |samples| {
-        let reached = samples.reached(Level::Converged);
-        reached.iter().filter(|scan| **scan > 30).count() >= SCANS
+    repeat_when_late(|| {
+        let mut system = System::new(EXECUTABLE);
+        let once =
+            "test -e ended || { touch ended; exec \"$0\" controller bad-state; }; exec \"$1\" service nmpc";
+        let command = ["sh", "-c", once, FAULTY, EXECUTABLE];
+        let mut file = system_file(10, &[Role::Controller], FAULTY, &[]);
+        file = file
+            .replace(&format!("command = {:?}", [FAULTY, "controller"]), &format!("command = {command:?}"));
+        std::fs::write(system.folder().join("system.toml"), file.replace("never", "on-failure")).unwrap();
+        let samples =
+            drive_in(&mut system, &["free", "--system", "system.toml"], "it drives on", |samples| {
+                let reached = samples.reached(Level::Converged);
+                reached.iter().filter(|scan| **scan > 30).count() >= SCANS
+            });
+        let writers: BTreeSet<u32> =
+            samples.commands.values().map(|command| command.header.incarnation).collect();
+        assert_eq!(writers.len(), 2, "{writers:?}");
     });
-    let writers: BTreeSet<u32> =
-        samples.commands.values().map(|command| command.header.incarnation).collect();
-    assert_eq!(writers.len(), 2, "{writers:?}");
 }

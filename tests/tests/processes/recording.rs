@@ -165,7 +165,7 @@ fn a_recording_that_is_cut_off_is_read_and_repaired_up_to_its_last_second() {
     assert_eq!(info["complete"], false);
     assert!(info["duration_s"].as_f64() > Some(2.0), "{info}");
     let repaired = system.run(&["recording", "repair", text(&cut)]);
-    let message = String::from_utf8_lossy(&repaired.stderr).into_owned();
+    let message = scanloop_tests::printed(&repaired);
     assert!(repaired.status.code() == Some(1) && message.contains("the file was cut off"), "{message}");
     let repaired = system.folder().join("cut-repaired.mcap");
     let mended = json(&system.run(&["recording", "info", text(&repaired), "--json"]));

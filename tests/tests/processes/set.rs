@@ -4,6 +4,7 @@
 use handover::swap::{Certificate, SwapOutcome};
 use rustix::process::Signal;
 use scanloop_tests::System;
+use scanloop_tests::machine::repeat_when_late;
 use scanloop_tests::swaps::{
     assert_every_scan_answered_once, assert_seamless, assert_seamless_swap, certificate,
 };
@@ -43,88 +44,96 @@ fn own_files(system: &System) -> Vec<String> {
 
 #[test]
 fn a_setting_acts_at_once_and_survives_restarts_and_an_adoption() {
-    let mut system = System::new(EXECUTABLE);
-    system.start(&["endless"]);
-    let before = plan_length(&system);
-    let old = system.pid(Role::Controller);
-    let certificate = set(&system, &["--tolerance", "1000", "controller.intervals=9"]);
-    assert_seamless_swap(&certificate);
-    assert_eq!(
-        (certificate.from.as_str(), certificate.to.as_str()),
-        ("nmpc", "nmpc with controller.intervals=9")
-    );
-    assert_ne!(system.pid(Role::Controller), old);
-    assert!(before != 10 && plan_length(&system) == 10, "{before}");
-    // A second change starts from the first one.
-    let arguments = ["--tolerance", "1000", "controller.smoothing_s=0.3"];
-    assert_seamless_swap(&set(&system, &arguments));
-    assert_eq!(plan_length(&system), 10);
-    kill_controller(&system);
-    assert_eq!(plan_length(&system), 10);
-    system.kill_orchestrator();
-    system.adopt(&[]);
-    kill_controller(&system);
-    assert_eq!(plan_length(&system), 10);
-    assert_eq!(own_files(&system), [""; 0]);
-    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
-    system.wait();
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let mut system = System::new(EXECUTABLE);
+        system.start(&["endless"]);
+        let before = plan_length(&system);
+        let old = system.pid(Role::Controller);
+        let certificate = set(&system, &["--tolerance", "1000", "controller.intervals=9"]);
+        assert_seamless_swap(&certificate);
+        assert_eq!(
+            (certificate.from.as_str(), certificate.to.as_str()),
+            ("nmpc", "nmpc with controller.intervals=9")
+        );
+        assert_ne!(system.pid(Role::Controller), old);
+        assert!(before != 10 && plan_length(&system) == 10, "{before}");
+        // A second change starts from the first one.
+        let arguments = ["--tolerance", "1000", "controller.smoothing_s=0.3"];
+        assert_seamless_swap(&set(&system, &arguments));
+        assert_eq!(plan_length(&system), 10);
+        kill_controller(&system);
+        assert_eq!(plan_length(&system), 10);
+        system.kill_orchestrator();
+        system.adopt(&[]);
+        kill_controller(&system);
+        assert_eq!(plan_length(&system), 10);
+        assert_eq!(own_files(&system), [""; 0]);
+        assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+        system.wait();
+        system.assert_nothing_left();
+    });
 }
 
 #[test]
 fn a_change_that_drives_otherwise_is_refused_and_leaves_the_settings_as_they_were() {
-    let mut system = System::new(EXECUTABLE);
-    system.start(&["endless"]);
-    let file = || system.domain().folder().read_text("settings-actuator.toml").unwrap();
-    let (before, pid) = (file(), system.pid(Role::Actuator));
-    // No command is that young: the candidate blocks the wheels.
-    let certificate = set(&system, &["actuator.max_age_periods=0.1"]);
-    assert_eq!(certificate.outcome, SwapOutcome::Refused, "{certificate:?}");
-    assert!(certificate.reason.contains("kind differs"), "{certificate:?}");
-    assert_seamless(&certificate);
-    system.wait_until("the file of the candidate is gone", |system| own_files(system).is_empty());
-    assert_eq!((file(), system.pid(Role::Actuator)), (before, pid));
-    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
-    system.wait();
-    assert_every_scan_answered_once(&system);
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let mut system = System::new(EXECUTABLE);
+        system.start(&["endless"]);
+        let file = || system.domain().folder().read_text("settings-actuator.toml").unwrap();
+        let (before, pid) = (file(), system.pid(Role::Actuator));
+        // No command is that young: the candidate blocks the wheels.
+        let certificate = set(&system, &["actuator.max_age_periods=0.1"]);
+        assert_eq!(certificate.outcome, SwapOutcome::Refused, "{certificate:?}");
+        assert!(certificate.reason.contains("kind differs"), "{certificate:?}");
+        assert_seamless(&certificate);
+        system.wait_until("the file of the candidate is gone", |system| own_files(system).is_empty());
+        assert_eq!((file(), system.pid(Role::Actuator)), (before, pid));
+        assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+        system.wait();
+        assert_every_scan_answered_once(&system);
+        system.assert_nothing_left();
+    });
 }
 
 #[test]
 fn what_a_setting_is_meant_to_change_is_no_disagreement() {
-    let mut system = System::new(EXECUTABLE);
-    system.start(&["endless"]);
-    for key in ["controller.cruise_mps=0.7", "noise.odometry_m=0.01", "controller.cruise_mps=1.0"] {
-        let certificate = set(&system, &[key]);
-        assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{key}: {certificate:?}");
-        assert_seamless(&certificate);
-    }
-    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
-    system.wait();
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let mut system = System::new(EXECUTABLE);
+        system.start(&["endless"]);
+        for key in ["controller.cruise_mps=0.7", "noise.odometry_m=0.01", "controller.cruise_mps=1.0"] {
+            let certificate = set(&system, &[key]);
+            assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{key}: {certificate:?}");
+            assert_seamless(&certificate);
+        }
+        assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+        system.wait();
+        system.assert_nothing_left();
+    });
 }
 
 #[test]
 fn what_is_not_allowed_is_named_with_the_reason() {
-    let mut system = System::new(EXECUTABLE);
-    system.start(&["endless"]);
-    for (arguments, reason) in [
-        (&["controller.intervals=0"][..], "controller.intervals = 0 is not allowed: "),
-        (
-            &["controller.interval=9"],
-            "controller.interval = 9 is not allowed: the key is unknown. Did you mean `intervals`? Expected one of",
-        ),
-        (&["controller.intervals=9", "actuator.recovery=3"], "set keys of one role at a time"),
-        (&["rate_hz=20"], "rate_hz can't be set while the system runs: all processes depend on it"),
-        (&["player.port=1"], "player.port: this system has no Player robot"),
-        (&["controller.intervals"], "expected KEY=VALUE"),
-    ] {
-        let output = system.run(&[&["set"], arguments].concat());
-        let text = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(output.status.code() == Some(2) && text.contains(reason), "{arguments:?}: {text}");
-    }
-    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
-    system.wait();
-    assert_eq!(system.report().swaps, []);
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let mut system = System::new(EXECUTABLE);
+        system.start(&["endless"]);
+        for (arguments, reason) in [
+            (&["controller.intervals=0"][..], "controller.intervals = 0 is not allowed: "),
+            (
+                &["controller.interval=9"],
+                "controller.interval = 9 is not allowed: the key is unknown. Did you mean `intervals`? Expected one of",
+            ),
+            (&["controller.intervals=9", "actuator.recovery=3"], "set keys of one role at a time"),
+            (&["rate_hz=20"], "rate_hz can't be set while the system runs: all processes depend on it"),
+            (&["player.port=1"], "player.port: this system has no Player robot"),
+            (&["controller.intervals"], "expected KEY=VALUE"),
+        ] {
+            let output = system.run(&[&["set"], arguments].concat());
+            let text = String::from_utf8_lossy(&output.stderr).into_owned();
+            assert!(output.status.code() == Some(2) && text.contains(reason), "{arguments:?}: {text}");
+        }
+        assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+        system.wait();
+        assert_eq!(system.report().swaps, []);
+        system.assert_nothing_left();
+    });
 }

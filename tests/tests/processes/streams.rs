@@ -25,7 +25,7 @@ const ALONE: &[(&str, &str)] = &[
     ("faults --only pose-late-30ms --sample 1", "passed"),
     ("bench solver --cases cases.csv --intervals 6", "gauss-newton"),
     ("bench ride free", "no regret       free"),
-    ("conformance estimator --to ekf --only every-scan", "passed  every-scan"),
+    ("conformance estimator --to ekf --only every-scan", "passed        every-scan"),
     ("recording info drive.mcap", "odometry"),
     ("recording repair drive.mcap", "messages"),
     ("recording cut drive.mcap --from 0 --to 1 --out cut.mcap", "messages"),
@@ -47,7 +47,7 @@ const BESIDE: &[(&str, &str)] = &[
     ("shadow estimator --to ekf --for 1s", "in the shadow of"),
     ("inject scanner-dead --for 0.1s", "scanner-dead: for 0.1 s"),
     ("record live.mcap --duration 0.5", "samples"),
-    ("check --live --observe 0.5", " ok, "),
+    ("check --live --observe 1", " ok, "),
 ];
 
 fn words(line: &str) -> Vec<&str> {

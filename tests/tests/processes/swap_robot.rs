@@ -2,6 +2,7 @@
 
 use handover::swap::SwapOutcome;
 use report::Report;
+use scanloop_tests::machine::repeat_when_late;
 use scanloop_tests::swaps::{
     assert_reached, rolls_back_a_hang_in_charge, stop, survives_the_death_of_the_standby, swap_in_vain,
     swap_seamlessly,
@@ -39,83 +40,95 @@ fn leap_at(report: &Report, scan: u64) -> f64 {
 
 #[test]
 fn a_swapped_robot_continues_where_it_is() {
-    let mut system = System::new(EXECUTABLE);
-    system.start(&EVENTFUL);
-    let old = system.pid(Role::Robot);
-    let mut certificates = Vec::new();
-    for _ in 0..2 {
-        certificates.push(swap_seamlessly(&system, &["robot", "--to", "emulator"]));
-    }
-    assert_ne!(system.pid(Role::Robot), old);
-    system.wait();
-    let report = system.report();
-    assert_eq!(report.trajectory.len() as u64, report.scans.published, "one truth per scan");
-    for certificate in &certificates {
-        // At most the effect of another speed or direction during one scan period; the drive of the robot changes its speed
-        // by at most 3 m/s^2, which is 3 cm in two periods of 0.1 s.
-        let leap_m = leap_at(&report, certificate.first_scan_new.unwrap());
-        assert!(leap_m < 0.1 * certificate.command_jump_mps + 0.03, "{leap_m} {certificate:?}");
-    }
-    assert_eq!(report.outcome, emulator::Outcome::Reached, "{}", report.reason);
-    assert_eq!(report.swaps, certificates);
-    let scans = &report.scans;
-    assert_eq!((scans.lost, scans.unaccounted, scans.duplicates), (0, 0, 0), "{scans:?}");
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let mut system = System::new(EXECUTABLE);
+        system.start(&EVENTFUL);
+        let old = system.pid(Role::Robot);
+        let mut certificates = Vec::new();
+        for _ in 0..2 {
+            certificates.push(swap_seamlessly(&system, &["robot", "--to", "emulator"]));
+        }
+        assert_ne!(system.pid(Role::Robot), old);
+        system.wait();
+        let report = system.report();
+        assert_eq!(report.trajectory.len() as u64, report.scans.published, "one truth per scan");
+        for certificate in &certificates {
+            // At most the effect of another speed or direction during one scan period; the drive of the robot changes its speed
+            // by at most 3 m/s^2, which is 3 cm in two periods of 0.1 s.
+            let leap_m = leap_at(&report, certificate.first_scan_new.unwrap());
+            assert!(leap_m < 0.1 * certificate.command_jump_mps + 0.03, "{leap_m} {certificate:?}");
+        }
+        assert_eq!(report.outcome, emulator::Outcome::Reached, "{}", report.reason);
+        assert_eq!(report.swaps, certificates);
+        let scans = &report.scans;
+        assert_eq!((scans.lost, scans.unaccounted, scans.duplicates), (0, 0, 0), "{scans:?}");
+        system.assert_nothing_left();
+    });
 }
 
 #[test]
 fn in_lock_step_noise_drift_and_what_waits_for_the_robot_are_the_same_to_the_last_bit() {
-    let arguments = [
-        &["sudden", "--set", "goal.x_m=20.0", "--set", "obstacle.0.x_m=15.0", "--set", "rate_hz=200"][..],
-        &EVENTFUL[1..],
-    ]
-    .concat();
-    let undisturbed = System::new(EXECUTABLE).lockstep(&arguments);
-    let mut system = System::new(EXECUTABLE);
-    system.start(&[&["--lockstep"], &arguments[..]].concat());
-    let certificate = swap_seamlessly(&system, &["robot", "--to", "emulator"]);
-    system.wait();
-    let report = system.report();
-    assert!(report.trajectory.len() as u64 > certificate.first_scan_new.unwrap());
-    assert_eq!(report.digests, undisturbed.digests);
-    assert_eq!(report.drive, undisturbed.drive, "clearances and all that is counted");
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let arguments = [
+            &["sudden", "--set", "goal.x_m=20.0", "--set", "obstacle.0.x_m=15.0", "--set", "rate_hz=200"][..],
+            &EVENTFUL[1..],
+        ]
+        .concat();
+        let undisturbed = System::new(EXECUTABLE).lockstep(&arguments);
+        let mut system = System::new(EXECUTABLE);
+        system.start(&[&["--lockstep"], &arguments[..]].concat());
+        let certificate = swap_seamlessly(&system, &["robot", "--to", "emulator"]);
+        system.wait();
+        let report = system.report();
+        assert!(report.trajectory.len() as u64 > certificate.first_scan_new.unwrap());
+        assert_eq!(report.digests, undisturbed.digests);
+        assert_eq!(report.drive, undisturbed.drive, "clearances and all that is counted");
+        system.assert_nothing_left();
+    });
 }
 
 #[test]
 fn a_bad_robot_is_refused_with_the_reason() {
-    let mut system = System::new(EXECUTABLE);
-    system.start(&SHORT_CORRIDOR);
-    let mut certificates = Vec::new();
-    for (fault, reason) in [
-        (vec!["nan"], "odometry is not finite"),
-        (vec!["jump"], "true position differs by 0.1000 m, allowed are 0.0100 m"),
-        (vec!["exit-after", "3"], "the new process ended: exit code 1: "),
-        (vec!["hang-after", "3"], "late: no output for scan"),
-    ] {
-        let arguments = [vec!["robot", "--", FAULTY], fault].concat();
-        certificates.push(swap_in_vain(&system, &arguments, SwapOutcome::Refused, reason));
-    }
-    assert_reached(system, &certificates);
+    repeat_when_late(|| {
+        let mut system = System::new(EXECUTABLE);
+        system.start(&SHORT_CORRIDOR);
+        let mut certificates = Vec::new();
+        for (fault, reason) in [
+            (vec!["nan"], "odometry is not finite"),
+            (vec!["jump"], "true position differs by 0.1000 m, allowed are 0.0100 m"),
+            (vec!["exit-after", "3"], "the new process ended: exit code 1: "),
+            (vec!["hang-after", "3"], "late: no output for scan"),
+        ] {
+            let arguments = [vec!["robot", "--", FAULTY], fault].concat();
+            certificates.push(swap_in_vain(&system, &arguments, SwapOutcome::Refused, reason));
+        }
+        assert_reached(system, &certificates);
+    });
 }
 
 #[test]
 fn a_robot_that_hangs_in_charge_is_rolled_back_and_no_scan_is_missed() {
-    rolls_back_a_hang_in_charge(System::new(EXECUTABLE), Role::Robot, FAULTY);
+    repeat_when_late(|| {
+        rolls_back_a_hang_in_charge(System::new(EXECUTABLE), Role::Robot, FAULTY);
+    });
 }
 
 #[test]
 fn the_new_robot_stays_when_the_old_one_is_killed_during_its_standby() {
-    survives_the_death_of_the_standby(System::new(EXECUTABLE), Role::Robot, "emulator");
+    repeat_when_late(|| {
+        survives_the_death_of_the_standby(System::new(EXECUTABLE), Role::Robot, "emulator");
+    });
 }
 
 #[test]
 fn a_robot_that_fails_in_lock_step_is_rolled_back_too() {
-    let mut system = System::new(EXECUTABLE);
-    system.start(&["endless", "--lockstep", "--duration", "9000"]);
-    for fault in [["hang-after", "20"], ["exit-after", "20"]] {
-        let standby = ["robot", "--standby-scans", "40", "--", FAULTY];
-        swap_in_vain(&system, &[&standby[..], &fault].concat(), SwapOutcome::RolledBack, "");
-    }
-    stop(&mut system);
+    repeat_when_late(|| {
+        let mut system = System::new(EXECUTABLE);
+        system.start(&["endless", "--lockstep", "--duration", "9000"]);
+        for fault in [["hang-after", "20"], ["exit-after", "20"]] {
+            let standby = ["robot", "--standby-scans", "40", "--", FAULTY];
+            swap_in_vain(&system, &[&standby[..], &fault].concat(), SwapOutcome::RolledBack, "");
+        }
+        stop(&mut system);
+    });
 }

@@ -13,7 +13,7 @@ use crate::suite::{Setup, Suite};
 const SCANS: usize = 50;
 /// Share of a sweep that follows its front beam, with room for rounding.
 const AFTER_FRONT: f64 = 0.45;
-/// A half of a scan with fewer returns is not compared.
+/// A scan with fewer returns is not compared, nor half of one with half as many.
 const RETURNS: usize = 50;
 /// With fewer pairs of scans that show what a case is about, it proves nothing.
 const MIN_OBSERVED: usize = SCANS / 5;
@@ -190,7 +190,7 @@ fn half_a_scan(suite: &Suite) -> Verdict {
     for pair in scans.windows(2) {
         let ((earlier, before), (scan, now)) = (&pair[0], &pair[1]);
         let halves = [0..BEAMS / 2, BEAMS / 2..BEAMS];
-        let sees = halves.each_ref().map(|half| returns(&scan.ranges_mm[half.clone()]) >= RETURNS);
+        let sees = halves.each_ref().map(|half| returns(&scan.ranges_mm[half.clone()]) >= RETURNS / 2);
         let [first, second] = [0, 1].map(|index| {
             let half = halves[index].clone();
             sees[index] && earlier.ranges_mm[half.clone()] == scan.ranges_mm[half]

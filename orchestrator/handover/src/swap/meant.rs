@@ -37,8 +37,8 @@ pub struct Change {
 
 /// Half of the largest velocity: a plan may pass an obstacle that the other one waits for [m/s].
 const PLAN_VELOCITY_MPS: f64 = 0.5;
-/// Half of the largest angle: one plan turns where the other one drives straight on [rad].
-const PLAN_STEERING_RAD: f64 = 0.03;
+/// The largest angle: one plan turns where the other one drives straight on [rad].
+const PLAN_STEERING_RAD: f64 = 0.06;
 /// A filter with other gains, over the scans of a swap; a fifth of the obstacle distance that is kept in reserve [m].
 const ESTIMATE_M: f64 = 0.2;
 /// At the end of the horizon of 2.5 m this is [`ESTIMATE_M`] again [rad].

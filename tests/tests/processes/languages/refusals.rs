@@ -1,5 +1,6 @@
 //! A process built against another layout does not join, and names the field that differs.
 
+use scanloop_tests::machine::repeat_when_late;
 use std::fmt::Write as _;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -117,74 +118,78 @@ fn refused(system: &System, arguments: &[&str], message: &str) {
 
 #[test]
 fn a_c_program_of_another_version_is_refused_with_the_field_in_the_certificate() {
-    let mut system = System::new(EXECUTABLE);
-    let header = std::fs::read_to_string(examples("c").join("scanloop_types.h")).unwrap();
-    let source = system.folder().join("joins.c");
-    std::fs::write(&source, JOINS).unwrap();
-    let programs: Vec<_> = VERSIONS
-        .iter()
-        .enumerate()
-        .map(|(index, version)| {
-            let folder = system.folder().join(index.to_string());
-            std::fs::create_dir(&folder).unwrap();
-            std::fs::write(folder.join("scanloop_types.h"), version.header(&header)).unwrap();
-            compile(&source, &folder, &folder.join("joins"));
-            folder.join("joins")
-        })
-        .collect();
-    system.start(&SHORT_FREE);
-    for (version, program) in VERSIONS.iter().zip(&programs) {
-        refused(
-            &system,
-            &[version.role.name(), "--", program.to_str().unwrap(), &version.role.wire().to_string()],
-            version.message,
-        );
-    }
-    assert_eq!(system.wait().code(), Some(0), "the drive was disturbed: {}", system.stderr());
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let mut system = System::new(EXECUTABLE);
+        let header = std::fs::read_to_string(examples("c").join("scanloop_types.h")).unwrap();
+        let source = system.folder().join("joins.c");
+        std::fs::write(&source, JOINS).unwrap();
+        let programs: Vec<_> = VERSIONS
+            .iter()
+            .enumerate()
+            .map(|(index, version)| {
+                let folder = system.folder().join(index.to_string());
+                std::fs::create_dir(&folder).unwrap();
+                std::fs::write(folder.join("scanloop_types.h"), version.header(&header)).unwrap();
+                compile(&source, &folder, &folder.join("joins"));
+                folder.join("joins")
+            })
+            .collect();
+        system.start(&SHORT_FREE);
+        for (version, program) in VERSIONS.iter().zip(&programs) {
+            refused(
+                &system,
+                &[version.role.name(), "--", program.to_str().unwrap(), &version.role.wire().to_string()],
+                version.message,
+            );
+        }
+        assert_eq!(system.wait().code(), Some(0), "the drive was disturbed: {}", system.stderr());
+        system.assert_nothing_left();
+    });
 }
 
 #[test]
 fn a_python_program_of_another_version_is_refused_with_the_field_in_the_certificate() {
-    let Some(python) = python("a_python_program_of_another_version_is_refused") else { return };
-    let mut system = System::new(EXECUTABLE);
-    system.start(&SHORT_FREE);
-    for (index, (old, new, message)) in [
-        (
-            "(\"predicted_x_m\", ctypes.c_double)",
-            "(\"x_ahead_m\", ctypes.c_double)",
-            "topic pose: field predicted_x_m is called x_ahead_m in this process",
-        ),
-        (
-            "(\"scan_id\", ctypes.c_uint64)",
-            "(\"scan_id\", ctypes.c_uint32)",
-            "topic pose: field header.scan_id is of type u32 in this process, u64 in the system",
-        ),
-        (
-            "(\"plan\", PlanNode * 25)",
-            "(\"plan\", PlanNode * 24)",
-            "topic command: field plan has 24 elements in this process, 25 in the system",
-        ),
-        (
-            "scanloop.Obstacles.v2",
-            "scanloop.Obstacles.v3",
-            "topic obstacles: the sample is of type scanloop.Obstacles.v3",
-        ),
-    ]
-    .into_iter()
-    .enumerate()
-    {
-        let folder = system.folder().join(format!("version-{index}"));
-        copy(&examples("python"), &folder);
-        let types = std::fs::read_to_string(folder.join("scanloop_types.py")).unwrap();
-        assert!(types.contains(old), "{old}");
-        std::fs::write(folder.join("scanloop_types.py"), types.replace(old, new)).unwrap();
-        let program = folder.join("pure_pursuit.py");
-        let command = [python.to_str().unwrap(), "-B", program.to_str().unwrap()];
-        refused(&system, &[&["controller", "--"][..], &command].concat(), message);
-    }
-    assert_eq!(system.wait().code(), Some(0), "the drive was disturbed: {}", system.stderr());
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let Some(python) = python("a_python_program_of_another_version_is_refused") else { return };
+        let mut system = System::new(EXECUTABLE);
+        system.start(&SHORT_FREE);
+        for (index, (old, new, message)) in [
+            (
+                "(\"predicted_x_m\", ctypes.c_double)",
+                "(\"x_ahead_m\", ctypes.c_double)",
+                "topic pose: field predicted_x_m is called x_ahead_m in this process",
+            ),
+            (
+                "(\"scan_id\", ctypes.c_uint64)",
+                "(\"scan_id\", ctypes.c_uint32)",
+                "topic pose: field header.scan_id is of type u32 in this process, u64 in the system",
+            ),
+            (
+                "(\"plan\", PlanNode * 25)",
+                "(\"plan\", PlanNode * 24)",
+                "topic command: field plan has 24 elements in this process, 25 in the system",
+            ),
+            (
+                "scanloop.Obstacles.v2",
+                "scanloop.Obstacles.v3",
+                "topic obstacles: the sample is of type scanloop.Obstacles.v3",
+            ),
+        ]
+        .into_iter()
+        .enumerate()
+        {
+            let folder = system.folder().join(format!("version-{index}"));
+            copy(&examples("python"), &folder);
+            let types = std::fs::read_to_string(folder.join("scanloop_types.py")).unwrap();
+            assert!(types.contains(old), "{old}");
+            std::fs::write(folder.join("scanloop_types.py"), types.replace(old, new)).unwrap();
+            let program = folder.join("pure_pursuit.py");
+            let command = [python.to_str().unwrap(), "-B", program.to_str().unwrap()];
+            refused(&system, &[&["controller", "--"][..], &command].concat(), message);
+        }
+        assert_eq!(system.wait().code(), Some(0), "the drive was disturbed: {}", system.stderr());
+        system.assert_nothing_left();
+    });
 }
 
 fn copy(from: &Path, to: &Path) {
@@ -196,27 +201,30 @@ fn copy(from: &Path, to: &Path) {
 
 #[test]
 fn a_program_that_is_started_by_hand_says_what_starts_it() {
-    let system = System::new(EXECUTABLE);
-    let (source, program) = (system.folder().join("joins.c"), system.folder().join("joins"));
-    std::fs::write(&source, JOINS).unwrap();
-    compile(&source, &examples("c"), &program);
-    let mut commands: Vec<_> = [DEAD_RECKONING, MY_CONTROLLER].map(Command::new).into();
-    if let Some(python) = python("a_program_that_is_started_by_hand_says_what_starts_it in Python") {
-        let mut command = Command::new(python);
-        command.arg("-B").arg(examples("python").join("pure_pursuit.py"));
-        commands.push(command);
-    }
-    let end_by_hand = |command: &mut Command| {
-        let output = command.env_remove(runtime::SYSTEM_ID_VARIABLE).stdin(Stdio::null()).output().unwrap();
-        let printed = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(printed.contains("processes are started by `scanloop run`"), "{printed}");
-        output.status.code()
-    };
-    for command in &mut commands {
-        assert_eq!(end_by_hand(command), Some(2), "{command:?}");
-    }
-    // This program has an exit code of its own.
-    end_by_hand(Command::new(program).arg("2"));
+    repeat_when_late(|| {
+        let system = System::new(EXECUTABLE);
+        let (source, program) = (system.folder().join("joins.c"), system.folder().join("joins"));
+        std::fs::write(&source, JOINS).unwrap();
+        compile(&source, &examples("c"), &program);
+        let mut commands: Vec<_> = [DEAD_RECKONING, MY_CONTROLLER].map(Command::new).into();
+        if let Some(python) = python("a_program_that_is_started_by_hand_says_what_starts_it in Python") {
+            let mut command = Command::new(python);
+            command.arg("-B").arg(examples("python").join("pure_pursuit.py"));
+            commands.push(command);
+        }
+        let end_by_hand = |command: &mut Command| {
+            let output =
+                command.env_remove(runtime::SYSTEM_ID_VARIABLE).stdin(Stdio::null()).output().unwrap();
+            let printed = String::from_utf8_lossy(&output.stderr).into_owned();
+            assert!(printed.contains("processes are started by `scanloop run`"), "{printed}");
+            output.status.code()
+        };
+        for command in &mut commands {
+            assert_eq!(end_by_hand(command), Some(2), "{command:?}");
+        }
+        // This program has an exit code of its own.
+        end_by_hand(Command::new(program).arg("2"));
+    });
 }
 
 const SCRIPT: &str = r#"
@@ -255,27 +263,29 @@ fn mutations() -> Vec<Layouts> {
 
 #[test]
 fn python_describes_a_difference_of_layouts_like_rust() {
-    let Some(python) = python("python_describes_a_difference_of_layouts_like_rust") else { return };
-    let system = System::new(EXECUTABLE);
-    let theirs = Layouts::built_in();
-    let (mut tables, mut expected) = (Vec::new(), String::new());
-    for mine in mutations() {
-        tables.push(mine.to_string().trim_end().to_owned());
-        let found = difference(&mine, &theirs, TOPICS);
-        let _ = writeln!(expected, "{}", found.map_or("None".to_owned(), |found| found.to_string()));
-    }
-    std::fs::write(system.folder().join("theirs.txt"), theirs.to_string()).unwrap();
-    std::fs::write(system.folder().join("mine.txt"), tables.join("\n\n")).unwrap();
-    let output = Command::new(python)
-        .args(["-B", "-c", SCRIPT])
-        .env("PYTHONPATH", examples("python"))
-        .current_dir(system.folder())
-        .output()
-        .unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let printed = String::from_utf8(output.stdout).unwrap();
-    for (theirs, mine) in printed.lines().zip(expected.lines()) {
-        assert_eq!(theirs, mine);
-    }
-    assert_eq!(printed.lines().count(), expected.lines().count());
+    repeat_when_late(|| {
+        let Some(python) = python("python_describes_a_difference_of_layouts_like_rust") else { return };
+        let system = System::new(EXECUTABLE);
+        let theirs = Layouts::built_in();
+        let (mut tables, mut expected) = (Vec::new(), String::new());
+        for mine in mutations() {
+            tables.push(mine.to_string().trim_end().to_owned());
+            let found = difference(&mine, &theirs, TOPICS);
+            let _ = writeln!(expected, "{}", found.map_or("None".to_owned(), |found| found.to_string()));
+        }
+        std::fs::write(system.folder().join("theirs.txt"), theirs.to_string()).unwrap();
+        std::fs::write(system.folder().join("mine.txt"), tables.join("\n\n")).unwrap();
+        let output = Command::new(python)
+            .args(["-B", "-c", SCRIPT])
+            .env("PYTHONPATH", examples("python"))
+            .current_dir(system.folder())
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let printed = String::from_utf8(output.stdout).unwrap();
+        for (theirs, mine) in printed.lines().zip(expected.lines()) {
+            assert_eq!(theirs, mine);
+        }
+        assert_eq!(printed.lines().count(), expected.lines().count());
+    });
 }

@@ -1,5 +1,6 @@
 //! Swaps while the robot drives, and whole runs in lock-step, with the processes of the examples.
 
+use scanloop_tests::machine::repeat_when_late;
 use std::path::{Path, PathBuf};
 
 use emulator::Outcome;
@@ -75,106 +76,122 @@ pub(crate) fn system_with(folder: &Path, role: &str, command: &[&str]) -> String
 /// odometer, so that has to be right.
 #[test]
 fn obstacles_in_c_and_an_estimator_in_rust_take_over_from_the_built_in_ones() {
-    let mut system = System::new(EXECUTABLE);
-    let program = c_obstacles(&system);
-    let program = program.to_str().unwrap();
-    system.start(&[&SHORTENED_LONG[..], &["--set", "robot.odometry_longitudinal=0"]].concat());
-    let mut certificates = Vec::new();
-    swap(&system, "estimator", &[DEAD_RECKONING], &mut certificates);
-    swap(&system, "obstacles", &[program], &mut certificates);
-    swap(&system, "obstacles", &[program], &mut certificates);
-    reached(system, &certificates);
+    repeat_when_late(|| {
+        let mut system = System::new(EXECUTABLE);
+        let program = c_obstacles(&system);
+        let program = program.to_str().unwrap();
+        system.start(&[&SHORTENED_LONG[..], &["--set", "robot.odometry_longitudinal=0"]].concat());
+        let mut certificates = Vec::new();
+        swap(&system, "estimator", &[DEAD_RECKONING], &mut certificates);
+        swap(&system, "obstacles", &[program], &mut certificates);
+        swap(&system, "obstacles", &[program], &mut certificates);
+        reached(system, &certificates);
+    });
 }
 
 /// On a free track all three agree: the solver, the rule of thumb and the other solver. At 5 Hz, so that an
 /// interpreter on a busy machine keeps the limit of half a period.
 #[test]
 fn controllers_in_python_take_over_from_the_built_in_one_and_from_each_other() {
-    let Some(python) = python("controllers_in_python_take_over") else { return };
-    let mut system = System::new(EXECUTABLE);
-    system.start(&["free", "--set", "goal.x_m=21", "--set", "rate_hz=5"]);
-    let mut certificates = Vec::new();
-    for program in ["pure_pursuit.py", "casadi_controller.py"] {
-        let program = examples("python").join(program);
-        let command = [python.to_str().unwrap(), "-B", program.to_str().unwrap()];
-        swap(&system, "controller", &command, &mut certificates);
-    }
-    reached(system, &certificates);
+    repeat_when_late(|| {
+        let Some(python) = python("controllers_in_python_take_over") else { return };
+        let mut system = System::new(EXECUTABLE);
+        system.start(&["free", "--set", "goal.x_m=21", "--set", "rate_hz=5"]);
+        let mut certificates = Vec::new();
+        for program in ["pure_pursuit.py", "casadi_controller.py"] {
+            let program = examples("python").join(program);
+            let command = [python.to_str().unwrap(), "-B", program.to_str().unwrap()];
+            swap(&system, "controller", &command, &mut certificates);
+        }
+        reached(system, &certificates);
+    });
 }
 
 /// A process without counters is not at fault: the bus knows what it received.
 #[test]
 fn a_swap_to_python_and_back_loses_no_sample() {
-    let Some(python) = python("a_swap_to_python_and_back") else { return };
-    let mut system = System::new(EXECUTABLE);
-    system.start(&["free", "--set", "goal.x_m=21", "--set", "rate_hz=5"]);
-    let mut certificates = Vec::new();
-    let program = examples("python").join("pure_pursuit.py");
-    let command = [python.to_str().unwrap(), "-B", program.to_str().unwrap()];
-    swap(&system, "controller", &command, &mut certificates);
-    let scan = system.status().unwrap().scan;
-    system
-        .wait_until("it drives in Python", |system| system.status().is_some_and(|now| now.scan > scan + 10));
-    swap(&system, "controller", &[EXECUTABLE, "service", "nmpc"], &mut certificates);
-    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
-    let report = system.report();
-    let lost: u64 = report.ledger.topics.iter().map(|row| row.lost).sum();
-    assert_eq!((lost, report.scans.lost, report.ledger.residual), (0, 0, 0), "{:?}", report.ledger.topics);
-    assert!(!report.controller.status.contains_key("not_solved"), "{:?}", report.controller.status);
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let Some(python) = python("a_swap_to_python_and_back") else { return };
+        let mut system = System::new(EXECUTABLE);
+        system.start(&["free", "--set", "goal.x_m=21", "--set", "rate_hz=5"]);
+        let mut certificates = Vec::new();
+        let program = examples("python").join("pure_pursuit.py");
+        let command = [python.to_str().unwrap(), "-B", program.to_str().unwrap()];
+        swap(&system, "controller", &command, &mut certificates);
+        let scan = system.status().unwrap().scan;
+        system.wait_until("it drives in Python", |system| {
+            system.status().is_some_and(|now| now.scan > scan + 10)
+        });
+        swap(&system, "controller", &[EXECUTABLE, "service", "nmpc"], &mut certificates);
+        assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+        let report = system.report();
+        let lost: u64 = report.ledger.topics.iter().map(|row| row.lost).sum();
+        assert_eq!(
+            (lost, report.scans.lost, report.ledger.residual),
+            (0, 0, 0),
+            "{:?}",
+            report.ledger.topics
+        );
+        assert!(!report.controller.status.contains_key("not_solved"), "{:?}", report.controller.status);
+        system.assert_nothing_left();
+    });
 }
 
 /// At half the usual rate in Python, for busy machines.
 #[test]
 fn the_examples_honour_all_that_is_asked_of_their_roles() {
-    let system = System::new(EXECUTABLE);
-    let obstacles = c_obstacles(&system);
-    let mut commands = vec![
-        ("obstacles", "10", vec![obstacles.to_str().unwrap().to_owned()]),
-        ("controller", "10", vec![MY_CONTROLLER.to_owned()]),
-    ];
-    if let Some(python) = python("the_examples_honour_all_that_is_asked_of_their_roles, the controller") {
-        let program = examples("python").join("pure_pursuit.py");
-        let arguments = [python.to_str().unwrap(), "-B", program.to_str().unwrap()];
-        commands.push(("controller", "5", arguments.map(str::to_owned).to_vec()));
-    }
-    std::thread::scope(|scope| {
-        for (role, rate_hz, arguments) in &commands {
-            let mut command = system.command(&["conformance", role, "--rate", rate_hz, "--"]);
-            scope.spawn(move || {
-                let output = command.args(arguments).output().unwrap();
-                assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
-            });
+    repeat_when_late(|| {
+        let system = System::new(EXECUTABLE);
+        let obstacles = c_obstacles(&system);
+        let mut commands = vec![
+            ("obstacles", "10", vec![obstacles.to_str().unwrap().to_owned()]),
+            ("controller", "10", vec![MY_CONTROLLER.to_owned()]),
+        ];
+        if let Some(python) = python("the_examples_honour_all_that_is_asked_of_their_roles, the controller") {
+            let program = examples("python").join("pure_pursuit.py");
+            let arguments = [python.to_str().unwrap(), "-B", program.to_str().unwrap()];
+            commands.push(("controller", "5", arguments.map(str::to_owned).to_vec()));
         }
+        std::thread::scope(|scope| {
+            for (role, rate_hz, arguments) in &commands {
+                let mut command = system.command(&["conformance", role, "--rate", rate_hz, "--"]);
+                scope.spawn(move || {
+                    let output = command.args(arguments).output().unwrap();
+                    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+                });
+            }
+        });
+        system.assert_nothing_left();
     });
-    system.assert_nothing_left();
 }
 
 #[test]
 fn every_example_drives_the_whole_way_in_lock_step() {
-    let system = System::new(EXECUTABLE);
-    let program = c_obstacles(&system);
-    for (role, program) in [("obstacles", program.to_str().unwrap()), ("controller", MY_CONTROLLER)] {
-        let file = system_with(system.folder(), role, &[program]);
-        for (scenario, outcome) in
-            [("slalom", Outcome::Reached), ("walls", Outcome::Reached), ("blocked", Outcome::Stopped)]
-        {
-            let report = system.lockstep(&[scenario, "--system", &file]);
-            assert_eq!(report.outcome, outcome, "{role} {scenario}");
+    repeat_when_late(|| {
+        let system = System::new(EXECUTABLE);
+        let program = c_obstacles(&system);
+        for (role, program) in [("obstacles", program.to_str().unwrap()), ("controller", MY_CONTROLLER)] {
+            let file = system_with(system.folder(), role, &[program]);
+            for (scenario, outcome) in
+                [("slalom", Outcome::Reached), ("walls", Outcome::Reached), ("blocked", Outcome::Stopped)]
+            {
+                let report = system.lockstep(&[scenario, "--system", &file]);
+                assert_eq!(report.outcome, outcome, "{role} {scenario}");
+                assert_eq!((report.scans.lost, report.drive.truth.unwrap().collided), (0, false));
+            }
+        }
+        let Some(python) = python("every_example_drives_the_whole_way_in_lock_step, the controllers") else {
+            return;
+        };
+        for (program, scenario) in [("pure_pursuit.py", "slalom"), ("casadi_controller.py", "corridor")] {
+            let program = examples("python").join(program);
+            let command = [python.to_str().unwrap(), "-B", program.to_str().unwrap()];
+            let file = system_with(system.folder(), "controller", &command);
+            // At 5 Hz a process may take 600 ms of the machine's time before it counts as hung.
+            let report = system.lockstep(&[scenario, "--system", &file, "--set", "rate_hz=5"]);
+            assert_eq!(report.outcome, Outcome::Reached, "{}: {}", program.display(), report.reason);
             assert_eq!((report.scans.lost, report.drive.truth.unwrap().collided), (0, false));
         }
-    }
-    let Some(python) = python("every_example_drives_the_whole_way_in_lock_step, the controllers") else {
-        return;
-    };
-    for (program, scenario) in [("pure_pursuit.py", "slalom"), ("casadi_controller.py", "corridor")] {
-        let program = examples("python").join(program);
-        let command = [python.to_str().unwrap(), "-B", program.to_str().unwrap()];
-        let file = system_with(system.folder(), "controller", &command);
-        // At 5 Hz a process may take 600 ms of the machine's time before it counts as hung.
-        let report = system.lockstep(&[scenario, "--system", &file, "--set", "rate_hz=5"]);
-        assert_eq!(report.outcome, Outcome::Reached, "{}: {}", program.display(), report.reason);
-        assert_eq!((report.scans.lost, report.drive.truth.unwrap().collided), (0, false));
-    }
-    system.assert_nothing_left();
+        system.assert_nothing_left();
+    });
 }

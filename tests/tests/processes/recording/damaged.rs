@@ -64,7 +64,7 @@ fn info(system: &System, file: &Path) -> Value {
 fn repair(system: &System, file: &Path) -> (PathBuf, i32, String) {
     let new = file.with_extension("new.mcap");
     let output = system.run(&["recording", "repair", text(file), "--out", text(&new)]);
-    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    let message = scanloop_tests::printed(&output);
     (new, output.status.code().expect("an exit code"), message)
 }
 
@@ -76,7 +76,7 @@ fn poses(info: &Value) -> u64 {
 fn assert_refused(system: &System, file: &Path) {
     for command in [&["recording", "info"][..], &["replay"], &["view"]] {
         let output = system.run(&[command, &[text(file)]].concat());
-        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        let message = scanloop_tests::printed(&output);
         assert_eq!(output.status.code(), Some(2), "{command:?}: {message}");
         assert!(message.contains("damaged at byte") && message.contains("recording repair"), "{message}");
     }

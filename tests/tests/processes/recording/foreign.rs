@@ -38,7 +38,7 @@ with open(source, "rb") as file, open(target, "wb") as out:
 fn repaired(system: &System, file: &Path) -> PathBuf {
     let new = file.with_extension("new.mcap");
     let output = system.run(&["recording", "repair", text(file), "--out", text(&new)]);
-    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    let message = scanloop_tests::printed(&output);
     assert!(output.status.code() == Some(0) && message.contains("was complete"), "{message}");
     new
 }

@@ -53,12 +53,12 @@ fn large_chunks_are_read_one_after_the_other_in_bounded_memory() {
     ];
     for arguments in commands {
         let output = limited(&system, &arguments);
-        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        let message = scanloop_tests::printed(&output);
         assert_eq!(output.status.code(), Some(0), "{arguments:?}: {message}");
     }
     for arguments in [["replay", text(&file)], ["view", text(&file)]] {
         let output = limited(&system, &arguments);
-        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        let message = scanloop_tests::printed(&output);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {message}");
     }
 }
@@ -88,14 +88,14 @@ fn sizes_in_a_file_beyond_the_limits_are_refused_with_the_number() {
     for (file, reason) in told {
         for command in [&["recording", "info"][..], &["replay"], &["view"]] {
             let output = limited(&system, &[command, &[text(file)]].concat());
-            let message = String::from_utf8_lossy(&output.stderr).into_owned();
+            let message = scanloop_tests::printed(&output);
             assert_eq!(output.status.code(), Some(2), "{message}");
             assert!(message.contains(reason), "{message}");
         }
     }
     // It may be the number that is damaged.
     let output = limited(&system, &["recording", "repair", text(&chunk)]);
-    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    let message = scanloop_tests::printed(&output);
     assert!(output.status.code() == Some(1) && message.contains(": up to "), "{message}");
 }
 
@@ -117,7 +117,7 @@ fn a_small_file_with_many_samples_is_refused_before_they_fill_the_memory() {
     assert!(path.metadata().expect("of a test").len() < 3 << 20);
     for command in ["replay", "view"] {
         let output = limited(&system, &[command, text(&path)]);
-        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        let message = scanloop_tests::printed(&output);
         assert_eq!(output.status.code(), Some(2), "{command}: {message}");
         assert!(message.contains("its samples have more than 268435456 bytes"), "{command}: {message}");
     }

@@ -24,7 +24,7 @@ fn a_recording_without_journals_says_so_and_a_program_is_compared_by_stamps() {
         }
     });
     let output = system.run(&["replay", text(&old), "--json"]);
-    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    let message = scanloop_tests::printed(&output);
     let reason = "nothing was compared: no journal of the process was recorded";
     assert!(output.status.code() == Some(2) && message.contains(reason), "{message}");
     let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -58,7 +58,7 @@ fn recordings_that_are_newer_or_damaged_are_refused() {
     writer.finish().unwrap();
     for (file, reason) in [(&damaged, "damaged"), (&newer, "version 2 of the recording is not 1")] {
         let output = System::new(EXECUTABLE).run(&["replay", text(file)]);
-        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        let message = scanloop_tests::printed(&output);
         assert!(output.status.code() == Some(2) && message.contains(reason), "{message}");
     }
 }
@@ -77,7 +77,7 @@ fn files_that_are_no_recordings_are_refused_and_none_is_replaced() {
     for (path, reason) in [(&empty, "empty"), (&foreign, "no MCAP file"), (&short, "not one whole second")] {
         for command in [&["recording", "info"][..], &["replay"]] {
             let output = system.run(&[command, &[text(path)]].concat());
-            let message = String::from_utf8_lossy(&output.stderr).into_owned();
+            let message = scanloop_tests::printed(&output);
             assert_eq!(output.status.code(), Some(2), "{message}");
             assert!(message.contains(reason) && message.contains(text(path)), "{message}");
         }
