@@ -535,7 +535,7 @@ fn a_second_driver_of_the_same_wheels_is_refused_and_the_first_drives_on() {
         system.start(&["--system", &file, "free"]);
         system.wait_until("it drives", |_| server.speed_mps() > 0.5);
         let output = system.run(&["swap", "robot", "--to", "player"]);
-        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        let message = scanloop_tests::printed(&output);
         assert_ne!(output.status.code(), Some(0), "{message}");
         assert!(message.contains("the wheels have one driver"), "{message}");
         assert!(server.received().iter().all(|(_, what)| *what != Received::Closed));
