@@ -51,8 +51,7 @@ fn five_hours(recorded: &[(u64, u64)]) -> Vec<(u64, u64)> {
 
 /// Says that a test was skipped, on the standard error of the program: that of a test that passes is not shown.
 fn skipped(test: &str) {
-    let mut stderr = std::io::stderr();
-    writeln!(stderr, "skipped: {test}: {FILE} is not there").unwrap();
+    writeln!(std::io::stderr(), "skipped: {test}: {FILE} is not there").unwrap();
 }
 
 #[test]

@@ -62,13 +62,10 @@ pub(crate) const REST_MPS: f64 = 0.02;
 /// While the robot rests, what stood around it is taken anew for comparison after this time [s]: what is gone would be
 /// missed for ever otherwise.
 const RENEWED_S: f64 = 0.5;
-/// What was around a robot that rests has changed when not more than this share of it comes again ...
-const CHANGED: f64 = 0.5;
-/// ... or when the ranges of all beams have changed by this on the average, in which noise vanishes [m]: something that
-/// moves is all that is in view. Where more stands, what stands decides.
-const SHIFTED_M: f64 = 0.05;
-/// For how long the robot is careful after it has relied on a sector without knowing why it shows nothing, or on ranges that
-/// seemed to be wrong [s].
+/// What was around a robot that rests has changed when less than this share of it comes again, or so much less of that
+/// at its range.
+const CHANGED: [f64; 2] = [0.5, 0.9];
+/// For how long the robot is careful after it has relied on a sector without knowing why it shows nothing [s].
 const CAREFUL_S: f64 = 3.0;
 /// Distance of the robot's side within which what a blind sector hides matters [m].
 const STRIP_M: f64 = 0.15;
@@ -238,7 +235,8 @@ impl Evidence {
         let counts = Returns::count(&self.keyframe, beams, scan, place);
         let (way, turn) = self.keyframe.moved(place);
         let has_rested = way < REST.0 && turn < REST.1;
-        counts.agreed <= CHANGED * counts.predicted || has_rested && self.keyframe.shift(scan) > SHIFTED_M
+        counts.agreed <= CHANGED[0] * counts.predicted
+            || has_rested && counts.agreed < CHANGED[1] * counts.came
     }
 
     /// Compares what does not move with the scan from some way before; `is_fixed` tells of a beam what it shows.
@@ -274,7 +272,6 @@ impl Evidence {
             if self.has_changed(beams, scan, place) {
                 if self.calibration.contradicts(&self.errors) {
                     self.verdict.settle();
-                    self.careful_s = CAREFUL_S;
                 }
                 self.trust_ranges();
             }

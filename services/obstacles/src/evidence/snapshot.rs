@@ -129,13 +129,6 @@ impl Snapshot {
         self.fixed[beam / 64] >> (beam % 64) & 1 == 1
     }
 
-    /// By how much the ranges of `scan`, from the same place, are longer or shorter on the average [m].
-    pub(crate) fn shift(&self, scan: &Scan) -> f64 {
-        let changes = self.points.iter().filter_map(|point| Some(range_of(scan, point.beam)? - point.range));
-        let (count, sum) = changes.fold((0, 0.0), |(count, sum), change| (count + 1, sum + change));
-        (sum / f64::from(count.max(1))).abs()
-    }
-
     /// How far the scanner is from where the scan was taken, and how far it has turned [m, rad].
     pub(crate) fn moved(&self, place: &Place) -> (f64, f64) {
         self.place.as_ref().map_or((f64::INFINITY, f64::INFINITY), |before| {
@@ -213,29 +206,4 @@ pub(crate) fn normal_at(points: &[Point], index: usize) -> Option<Vector2<f64>> 
     // The points between lie on the line: an edge or a corner has no normal.
     let is_straight = points[low..=high].iter().all(|point| normal.dot(&(point.at - first.at)).abs() < 0.06);
     is_straight.then_some(normal)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn ranges_that_change_as_a_whole_shift_the_scan_and_noise_does_not() {
-        let (beams, place) = (Beams::new(), Place::standing(Vector2::zeros(), 0.0));
-        let mut scan = Scan::default();
-        scan.ranges_mm[300..320].fill(2000);
-        let (mut points, mut snapshot) = (Vec::new(), Snapshot::empty());
-        beams.place(&scan, &place, &mut points);
-        snapshot.keep(&scan, &place, &points, |_| true);
-        assert_eq!(snapshot.shift(&scan), 0.0);
-        scan.ranges_mm[300..310].fill(2100);
-        scan.ranges_mm[310..320].fill(1900);
-        assert!(snapshot.shift(&scan) < 1e-12);
-        // Half of the beams are 0.2 m longer; a lost one does not count.
-        scan.ranges_mm[300..310].fill(2200);
-        scan.ranges_mm[310..320].fill(2000);
-        assert!((snapshot.shift(&scan) - 0.1).abs() < 1e-12);
-        scan.ranges_mm[300..320].fill(0);
-        assert_eq!(snapshot.shift(&scan), 0.0);
-    }
 }
