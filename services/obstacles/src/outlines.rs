@@ -4,7 +4,7 @@ use nalgebra::Vector2;
 use shared_types::{BEAMS, Scan};
 
 use crate::Config;
-use crate::hull::{HOLLOW_M, Hull};
+use crate::hull::Hull;
 use crate::outline::{Vertex, trace};
 use crate::part::Known;
 use crate::points::{Place, Point};
@@ -130,12 +130,8 @@ impl Outlines {
                 let gate = GATE_M + GATE_PER_M * (expected.centre - place.at).norm();
                 // The mean decides between two boxes that both touch the outline.
                 let cost = least + 0.1 * sum / vertices.len() as f64;
-                // What lies on the body is of it, whatever its shape.
-                let is_on_it = *moves || !outline.may_start || sum < HOLLOW_M * vertices.len() as f64;
-                if least < gate
-                    && cost < best
-                    && (is_on_it || !self.hull.is_hollow(expected, vertices, place.at))
-                {
+                let mut is_hollow = || self.hull.is_hollow(expected, vertices, place.at);
+                if least < gate && cost < best && (*moves || !outline.may_start || !is_hollow()) {
                     (best, outline.track) = (cost, Some(index));
                 }
             }
