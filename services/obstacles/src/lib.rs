@@ -12,8 +12,6 @@ mod config;
 mod detector;
 mod ellipse;
 mod evidence;
-mod hollow;
-mod hull;
 mod motion;
 mod outline;
 mod outlines;

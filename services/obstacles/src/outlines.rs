@@ -4,7 +4,6 @@ use nalgebra::Vector2;
 use shared_types::{BEAMS, Scan};
 
 use crate::Config;
-use crate::hull::Hull;
 use crate::outline::{Vertex, trace};
 use crate::part::Known;
 use crate::points::{Place, Point};
@@ -42,7 +41,6 @@ pub(crate) struct Outlines {
     segments: Segments,
     vertices: Vec<Vertex>,
     expected: Vec<Known>,
-    hull: Hull,
 }
 
 impl Outlines {
@@ -53,7 +51,6 @@ impl Outlines {
             segments: Segments::with_capacity(),
             vertices: Vec::with_capacity(4 * BEAMS),
             expected: Vec::with_capacity(TRACKS + 1),
-            hull: Hull::with_capacity(),
         }
     }
 
@@ -91,7 +88,6 @@ impl Outlines {
         points.retain(|point| walls.leaves(point.at));
         self.segments.find(scan, points, config.range_noise_m, config.beside_y_m());
         self.segments.part(&self.expected);
-        self.segments.part_at_hollows(config.range_noise_m);
         self.list.clear();
         self.vertices.clear();
         for cluster in &self.segments.clusters {
@@ -130,8 +126,7 @@ impl Outlines {
                 let gate = GATE_M + GATE_PER_M * (expected.centre - place.at).norm();
                 // The mean decides between two boxes that both touch the outline.
                 let cost = least + 0.1 * sum / vertices.len() as f64;
-                let mut is_hollow = || self.hull.is_hollow(expected, vertices, place.at);
-                if least < gate && cost < best && (*moves || !outline.may_start || !is_hollow()) {
+                if least < gate && cost < best {
                     (best, outline.track) = (cost, Some(index));
                 }
             }

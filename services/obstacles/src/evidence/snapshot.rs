@@ -2,7 +2,6 @@
 
 use nalgebra::Vector2;
 use shared_types::{BEAMS, FRONT_BEAM, PITCH_RAD, Scan, plain_state};
-use vehicle::geometry::Rectangle;
 
 use crate::points::{Beams, Place, Point, range_of};
 
@@ -90,15 +89,6 @@ impl Snapshot {
         self.fixed = [0; WORDS];
         for point in points.iter().filter(|point| is_fixed(point.beam)) {
             self.fixed[point.beam / 64] |= 1 << (point.beam % 64);
-        }
-    }
-
-    /// The returns within `rectangle` may have moved: they are not of what stands.
-    pub(crate) fn loosen(&mut self, rectangle: &Rectangle) {
-        for point in &self.points {
-            if rectangle.distance_to_point(point.at) < 0.0 {
-                self.fixed[point.beam / 64] &= !(1 << (point.beam % 64));
-            }
         }
     }
 

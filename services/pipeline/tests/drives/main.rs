@@ -4,8 +4,6 @@
 mod gaps;
 mod hostile;
 mod presets;
-mod released;
-mod rooms;
 mod scanner;
 mod seeds;
 mod source;
