@@ -4,7 +4,7 @@ use runtime::{Domain, HandoverData, Realtime, RuntimeError};
 use serde::{Deserialize, Serialize};
 use shared_types::{Role, TOPICS, Topic};
 use supervision::entry::role_name;
-use vehicle::read;
+use supervision::realtime;
 
 /// What is to become of a process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -119,10 +119,8 @@ impl Down {
         if let Some(state) = start.handover.as_ref().filter(|text| of_hex(text, 0).is_none()) {
             return refuse("handover", state, "a state as hexadecimal digits");
         }
-        let realtime = toml::Table::try_from(&start.realtime);
-        let realtime =
-            realtime.map_err(|error| format!("realtime = {:?} is not allowed: {error}", start.realtime))?;
-        read::<Realtime>(realtime).map(|_| ()).map_err(|invalid| format!("realtime.{invalid}"))
+        let realtime = realtime::validate(&start.realtime);
+        realtime.map_err(|invalid| invalid.within("realtime").to_string())
     }
 }
 
