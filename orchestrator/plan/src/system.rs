@@ -179,6 +179,12 @@ impl System {
         realtime::validate(&self.realtime).map_err(|invalid| invalid.within("realtime"))?;
         for (index, entry) in self.processes.iter().enumerate() {
             entry.validate().map_err(|error| error.within(&format!("process[{index}]")))?;
+            if !entry.is_companion()
+                && let Err(unknown) = entry.role.parse::<Role>()
+            {
+                let value = if entry.role.is_empty() { "(missing)" } else { &entry.role };
+                return Err(Invalid::new(&format!("process[{index}].role"), value, unknown.to_string()));
+            }
         }
         for role in Role::ALL {
             let count = self.roles().filter(|entry| entry.role() == *role).count();

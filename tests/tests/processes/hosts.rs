@@ -10,6 +10,7 @@ mod replay;
 mod robot;
 mod swap;
 
+use scanloop_tests::machine::repeat_when_late;
 use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
@@ -209,79 +210,89 @@ fn process_of(id: &str, role: Role) -> Option<Pid> {
 
 #[test]
 fn estimator_obstacles_and_controller_drive_the_robot_from_another_host() {
-    let Some(mut hosts) = TwoHosts::new("a drive over two hosts") else { return };
-    hosts.start_agent();
-    hosts.start(&SHORT_FREE);
-    hosts.system.wait_until_driving();
-    for role in [Role::Estimator, Role::Obstacles, Role::Controller] {
-        assert!(process_of(&hosts.other_id(), role).is_some(), "{role} does not run there");
-    }
-    for role in [Role::Robot, Role::Actuator] {
-        assert_eq!(process_of(&hosts.other_id(), role), None, "{role} runs there");
-    }
-    let link = hosts.link().unwrap();
-    let lab = link.host("lab").unwrap();
-    // Both hosts have one clock here.
-    assert!(lab.is_connected && lab.is_locked && lab.offset_ns.unsigned_abs() <= lab.bound_ns, "{lab:?}");
-    assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
-    let report = hosts.system.report();
-    assert_eq!(report.outcome, Outcome::Reached);
-    assert_eq!(report.scans.unaccounted, 0, "{:?}", report.scans);
-    hosts.end();
+    repeat_when_late(|| {
+        let Some(mut hosts) = TwoHosts::new("a drive over two hosts") else { return };
+        hosts.start_agent();
+        hosts.start(&SHORT_FREE);
+        hosts.system.wait_until_driving();
+        for role in [Role::Estimator, Role::Obstacles, Role::Controller] {
+            assert!(process_of(&hosts.other_id(), role).is_some(), "{role} does not run there");
+        }
+        for role in [Role::Robot, Role::Actuator] {
+            assert_eq!(process_of(&hosts.other_id(), role), None, "{role} runs there");
+        }
+        let link = hosts.link().unwrap();
+        let lab = link.host("lab").unwrap();
+        // Both hosts have one clock here.
+        assert!(lab.is_connected && lab.is_locked && lab.offset_ns.unsigned_abs() <= lab.bound_ns, "{lab:?}");
+        assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
+        let report = hosts.system.report();
+        assert_eq!(report.outcome, Outcome::Reached);
+        assert_eq!(report.scans.unaccounted, 0, "{:?}", report.scans);
+        hosts.end();
+    });
 }
 
 #[test]
 fn a_host_whose_clock_is_a_day_ahead_drives_the_robot_with_stamps_that_add_up() {
-    let Some(mut hosts) = TwoHosts::ahead("a clock that is a day ahead") else { return };
-    hosts.start_recorded(&SHORT_FREE);
-    hosts.system.wait_until_driving();
-    let lab = hosts.link().unwrap().host("lab").unwrap().clone();
-    assert!(lab.offset_ns.abs_diff(-86_400_000_000_000) <= lab.bound_ns, "{lab:?}");
-    assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
-    let report = hosts.system.report();
-    assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Reached, 0));
-    // No stage took a day, nor less than nothing.
-    let latency = &report.latency_us.scan_to_actuation;
-    assert!(latency.count > 20 && latency.max < 1e6, "{latency:?}");
-    hosts.assert_replayed();
-    hosts.end();
+    repeat_when_late(|| {
+        let Some(mut hosts) = TwoHosts::ahead("a clock that is a day ahead") else { return };
+        hosts.start_recorded(&SHORT_FREE);
+        hosts.system.wait_until_driving();
+        let lab = hosts.link().unwrap().host("lab").unwrap().clone();
+        assert!(lab.offset_ns.abs_diff(-86_400_000_000_000) <= lab.bound_ns, "{lab:?}");
+        assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
+        let report = hosts.system.report();
+        assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Reached, 0));
+        // No stage took a day, nor less than nothing.
+        let latency = &report.latency_us.scan_to_actuation;
+        assert!(latency.count > 20 && latency.max < 1e6, "{latency:?}");
+        hosts.assert_replayed();
+        hosts.end();
+    });
 }
 
 #[test]
 fn a_controller_that_is_killed_on_another_host_is_started_there_again() {
-    let Some(mut hosts) = TwoHosts::new("a kill on another host") else { return };
-    hosts.start_agent();
-    hosts.start(&SHORT_FREE);
-    hosts.system.wait_until_driving();
-    let killed = process_of(&hosts.other_id(), Role::Controller).unwrap();
-    kill_process(killed, Signal::KILL).unwrap();
-    hosts.system.wait_until("another controller runs there", |_| {
-        process_of(&hosts.other_id(), Role::Controller).is_some_and(|pid| pid != killed)
+    repeat_when_late(|| {
+        let Some(mut hosts) = TwoHosts::new("a kill on another host") else { return };
+        hosts.start_agent();
+        hosts.start(&SHORT_FREE);
+        hosts.system.wait_until_driving();
+        let killed = process_of(&hosts.other_id(), Role::Controller).unwrap();
+        kill_process(killed, Signal::KILL).unwrap();
+        hosts.system.wait_until("another controller runs there", |_| {
+            process_of(&hosts.other_id(), Role::Controller).is_some_and(|pid| pid != killed)
+        });
+        assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
+        let report = hosts.system.report();
+        let restarts =
+            |role: &str| report.processes.iter().find(|process| process.role == role).unwrap().restarts;
+        assert_eq!((restarts("controller"), restarts("estimator"), restarts("robot")), (1, 0, 0));
+        hosts.end();
     });
-    assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
-    let report = hosts.system.report();
-    let restarts =
-        |role: &str| report.processes.iter().find(|process| process.role == role).unwrap().restarts;
-    assert_eq!((restarts("controller"), restarts("estimator"), restarts("robot")), (1, 0, 0));
-    hosts.end();
 }
 
 #[test]
 fn without_its_link_the_wheels_are_blocked_and_the_drive_continues_when_it_is_back() {
-    let Some(mut hosts) = TwoHosts::new("a kill of the link") else { return };
-    hosts.start_agent();
-    hosts.start(&SHORT_FREE);
-    hosts.system.wait_until_driving();
-    let link = processes_of_link(hosts.system.id());
-    kill_process(link, Signal::KILL).unwrap();
-    hosts.system.wait_until("it is started again", |system| system.stderr().contains("scanloop-link ended"));
-    assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
-    let report = hosts.system.report();
-    assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Reached, 0), "{:?}", report.scans);
-    assert!(report.scans.lost > 0, "the outage cost no scan: {:?}", report.scans);
-    let restarts: Vec<u32> = report.processes.iter().map(|process| process.restarts).collect();
-    assert_eq!(restarts, [0; 5], "an outage is no hang");
-    hosts.end();
+    repeat_when_late(|| {
+        let Some(mut hosts) = TwoHosts::new("a kill of the link") else { return };
+        hosts.start_agent();
+        hosts.start(&SHORT_FREE);
+        hosts.system.wait_until_driving();
+        let link = processes_of_link(hosts.system.id());
+        kill_process(link, Signal::KILL).unwrap();
+        hosts
+            .system
+            .wait_until("it is started again", |system| system.stderr().contains("scanloop-link ended"));
+        assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
+        let report = hosts.system.report();
+        assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Reached, 0), "{:?}", report.scans);
+        assert!(report.scans.lost > 0, "the outage cost no scan: {:?}", report.scans);
+        let restarts: Vec<u32> = report.processes.iter().map(|process| process.restarts).collect();
+        assert_eq!(restarts, [0; 5], "an outage is no hang");
+        hosts.end();
+    });
 }
 
 /// The link of the orchestrator, by its command line.
@@ -297,46 +308,54 @@ fn processes_of_link(system_id: &str) -> Pid {
 
 #[test]
 fn a_host_without_an_agent_is_named_with_its_address() {
-    let Some(mut hosts) = TwoHosts::new("a host without an agent") else { return };
-    hosts.start(&SHORT_FREE);
-    assert_eq!(hosts.system.wait().code(), Some(4), "{}", hosts.system.stderr());
-    let stderr = hosts.system.stderr();
-    assert!(stderr.contains("host lab: no agent answers at udp/127.0.0.1:"), "{stderr}");
-    hosts.system.assert_nothing_left();
+    repeat_when_late(|| {
+        let Some(mut hosts) = TwoHosts::new("a host without an agent") else { return };
+        hosts.start(&SHORT_FREE);
+        assert_eq!(hosts.system.wait().code(), Some(4), "{}", hosts.system.stderr());
+        let stderr = hosts.system.stderr();
+        assert!(stderr.contains("host lab: no agent answers at udp/127.0.0.1:"), "{stderr}");
+        hosts.system.assert_nothing_left();
+    });
 }
 
 #[test]
 fn hosts_that_trust_each_other_drive_over_an_encrypted_link() {
-    let Some(mut hosts) = TwoHosts::new("a drive over quic") else { return };
-    hosts.trust("keys", "orchestrator", "system.toml");
-    // The certificates of a second call have the same authority.
-    hosts.trust("keys", "lab", "agent.toml");
-    hosts.start_agent();
-    assert!(hosts.messages().contains("listens at quic/"), "{}", hosts.messages());
-    hosts.start_recorded(&SHORT_FREE);
-    assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
-    assert_eq!(hosts.system.report().scans.unaccounted, 0);
-    hosts.assert_replayed();
-    hosts.end();
+    repeat_when_late(|| {
+        let Some(mut hosts) = TwoHosts::new("a drive over quic") else { return };
+        hosts.trust("keys", "orchestrator", "system.toml");
+        // The certificates of a second call have the same authority.
+        hosts.trust("keys", "lab", "agent.toml");
+        hosts.start_agent();
+        assert!(hosts.messages().contains("listens at quic/"), "{}", hosts.messages());
+        hosts.start_recorded(&SHORT_FREE);
+        assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
+        assert_eq!(hosts.system.report().scans.unaccounted, 0);
+        hosts.assert_replayed();
+        hosts.end();
+    });
 }
 
 #[test]
 fn an_agent_file_that_others_can_read_is_refused() {
-    let system = System::new(EXECUTABLE);
-    let file = system.folder().join("agent.toml");
-    std::fs::write(&file, "name = \"lab\"\n").unwrap();
-    std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o644)).unwrap();
-    let output = system.run(&["agent"]);
-    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(2), "{stderr}");
-    assert!(stderr.contains("agent.toml: mode 644 is not allowed: 600"), "{stderr}");
+    repeat_when_late(|| {
+        let system = System::new(EXECUTABLE);
+        let file = system.folder().join("agent.toml");
+        std::fs::write(&file, "name = \"lab\"\n").unwrap();
+        std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o644)).unwrap();
+        let output = system.run(&["agent"]);
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{stderr}");
+        assert!(stderr.contains("agent.toml: mode 644 is not allowed: 600"), "{stderr}");
+    });
 }
 
 #[test]
 fn hosts_and_lock_step_exclude_each_other() {
-    let Some(hosts) = TwoHosts::new("lock-step over two hosts") else { return };
-    let output = hosts.system.run(&["run", "--lockstep", "free", "--system", "system.toml"]);
-    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(2), "{stderr}");
-    assert!(stderr.contains("process.host = lab is not allowed: with --lockstep"), "{stderr}");
+    repeat_when_late(|| {
+        let Some(hosts) = TwoHosts::new("lock-step over two hosts") else { return };
+        let output = hosts.system.run(&["run", "--lockstep", "free", "--system", "system.toml"]);
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{stderr}");
+        assert!(stderr.contains("process.host = lab is not allowed: with --lockstep"), "{stderr}");
+    });
 }

@@ -4,6 +4,7 @@
 //! Variables make the same tests as long as a measurement needs: `SCANLOOP_HOST_SCANS`, `SCANLOOP_HOST_KILLS`,
 //! `SCANLOOP_HOST_OUTAGES` and `SCANLOOP_HOST_STARTS`.
 
+use scanloop_tests::machine::repeat_when_late;
 use std::cell::RefCell;
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -117,30 +118,32 @@ fn disturb(hosts: &TwoHosts, outputs: &Outputs, phase: f64, seconds: f64, set: i
 
 #[test]
 fn each_sample_that_the_network_loses_has_a_reason_in_the_ledger() {
-    let Some((mut hosts, relay)) = relayed("losses between hosts") else { return };
-    hosts.start_agent();
-    hosts.start(&["free", "--set", "goal.x_m=8"]);
-    hosts.system.wait_until_driving();
-    let outputs = Outputs::of(&hosts.system);
-    let scan = || hosts.system.status().map_or(0, |status| status.scan);
-    relay.lose(0.5);
-    let first = scan();
-    hosts.system.wait_until("thirty scans", |_| scan() > first + 30);
-    relay.lose(0.0);
-    outputs.wait_for_drive(&hosts.system, "it drives again", monotonic_ns());
-    disturb(&hosts, &outputs, 0.0, 0.35, |on| relay.hold(on));
-    drop(outputs);
-    assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
-    let report = hosts.system.report();
-    let ledger = &report.ledger;
-    assert_eq!((report.scans.unaccounted, ledger.residual), (0, 0), "{:?}", ledger.faults);
-    assert_eq!((ledger.duplicates, ledger.reordered), (0, 0), "{:?}", ledger.faults);
-    assert!(ledger.topics.iter().all(|row| row.residual == 0), "{:?}", ledger.topics);
-    let count = |reason: &str| ledger.link_losses.get(reason).copied().unwrap_or(0);
-    assert!(count("link") > 0 && count("age") > 0, "{:?}", ledger.link_losses);
-    assert!(ledger.topics.iter().any(|row| row.reasons.contains_key("link")), "{:?}", ledger.topics);
-    assert!(report.scans.lost_reasons.contains_key("age"), "{:?}", report.scans);
-    hosts.end();
+    repeat_when_late(|| {
+        let Some((mut hosts, relay)) = relayed("losses between hosts") else { return };
+        hosts.start_agent();
+        hosts.start(&["free", "--set", "goal.x_m=8"]);
+        hosts.system.wait_until_driving();
+        let outputs = Outputs::of(&hosts.system);
+        let scan = || hosts.system.status().map_or(0, |status| status.scan);
+        relay.lose(0.5);
+        let first = scan();
+        hosts.system.wait_until("thirty scans", |_| scan() > first + 30);
+        relay.lose(0.0);
+        outputs.wait_for_drive(&hosts.system, "it drives again", monotonic_ns());
+        disturb(&hosts, &outputs, 0.0, 0.35, |on| relay.hold(on));
+        drop(outputs);
+        assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
+        let report = hosts.system.report();
+        let ledger = &report.ledger;
+        assert_eq!((report.scans.unaccounted, ledger.residual), (0, 0), "{:?}", ledger.faults);
+        assert_eq!((ledger.duplicates, ledger.reordered), (0, 0), "{:?}", ledger.faults);
+        assert!(ledger.topics.iter().all(|row| row.residual == 0), "{:?}", ledger.topics);
+        let count = |reason: &str| ledger.link_losses.get(reason).copied().unwrap_or(0);
+        assert!(count("link") > 0 && count("age") > 0, "{:?}", ledger.link_losses);
+        assert!(ledger.topics.iter().any(|row| row.reasons.contains_key("link")), "{:?}", ledger.topics);
+        assert!(report.scans.lost_reasons.contains_key("age"), "{:?}", report.scans);
+        hosts.end();
+    });
 }
 
 /// Outages of each length, each at the next of several phases.
@@ -176,100 +179,115 @@ fn outages_block_the_wheels(hosts: &mut TwoHosts, relay: &Relay, first_phase: f6
 
 #[test]
 fn an_outage_blocks_the_wheels_and_no_old_sample_drives_them() {
-    let Some((mut hosts, relay)) = relayed("outages") else { return };
-    outages_block_the_wheels(&mut hosts, &relay, 0.0);
+    repeat_when_late(|| {
+        let Some((mut hosts, relay)) = relayed("outages") else { return };
+        outages_block_the_wheels(&mut hosts, &relay, 0.0);
+    });
 }
 
 #[test]
 fn an_outage_of_an_encrypted_network_blocks_the_wheels_and_no_old_sample_drives_them() {
-    let Some((mut hosts, relay)) = relayed("outages over quic") else { return };
-    hosts.trust("keys", "orchestrator", "system.toml");
-    hosts.trust("keys", "lab", "agent.toml");
-    outages_block_the_wheels(&mut hosts, &relay, 0.5);
+    repeat_when_late(|| {
+        let Some((mut hosts, relay)) = relayed("outages over quic") else { return };
+        hosts.trust("keys", "orchestrator", "system.toml");
+        hosts.trust("keys", "lab", "agent.toml");
+        outages_block_the_wheels(&mut hosts, &relay, 0.5);
+    });
 }
 
 #[test]
 fn hosts_connect_over_a_network_that_loses_one_of_twenty() {
-    let Some((mut hosts, relay)) = relayed("connections over a bad network") else { return };
-    relay.lose(0.05);
-    hosts.start_agent();
-    for _ in 0..number("SCANLOOP_HOST_STARTS", 2) {
-        let begun_ns = monotonic_ns();
-        hosts.start(&["endless", "--duration", "100000"]);
-        hosts.system.wait_until_driving();
-        println!("drives after {} ms", (monotonic_ns() - begun_ns) / 1_000_000);
-        let stop = hosts.system.run(&["stop"]);
-        assert_eq!(stop.status.code(), Some(0), "{}", String::from_utf8_lossy(&stop.stderr));
-        hosts.system.wait();
-    }
-    hosts.end();
+    repeat_when_late(|| {
+        let Some((mut hosts, relay)) = relayed("connections over a bad network") else { return };
+        relay.lose(0.05);
+        hosts.start_agent();
+        for _ in 0..number("SCANLOOP_HOST_STARTS", 2) {
+            let begun_ns = monotonic_ns();
+            hosts.start(&["endless", "--duration", "100000"]);
+            hosts.system.wait_until_driving();
+            println!("drives after {} ms", (monotonic_ns() - begun_ns) / 1_000_000);
+            let stop = hosts.system.run(&["stop"]);
+            assert_eq!(stop.status.code(), Some(0), "{}", String::from_utf8_lossy(&stop.stderr));
+            hosts.system.wait();
+        }
+        hosts.end();
+    });
 }
 
 #[test]
 fn scans_are_answered_in_time_over_a_network_that_loses_one_of_a_hundred() {
-    let Some((mut hosts, relay)) = relayed("a lossy network") else { return };
-    let scans = number("SCANLOOP_HOST_SCANS", 100);
-    relay.lose(0.01);
-    relay.delay(Duration::from_millis(1), Duration::from_millis(1));
-    hosts.start_agent();
-    let duration = format!("{}", scans / 10);
-    hosts.start(&["endless", "--duration", &duration]);
-    hosts.system.wait_until_driving();
-    let ended = loop {
-        match hosts.system.wait_at_most(Duration::from_secs(30)) {
-            Some(status) => break status,
-            None => continue,
-        }
-    };
-    let report = hosts.system.report();
-    let scans = &report.scans;
-    println!("lossy network: {ended} {scans:?} {:?}", report.latency_us.scan_to_actuation);
-    assert_eq!((scans.unaccounted, report.ledger.residual), (0, 0), "{:?}", report.ledger.faults);
-    let in_time = scans.commanded - scans.late;
-    assert!(1000 * (scans.published - in_time) <= scans.published + 1000, "{scans:?}");
-    hosts.end();
+    repeat_when_late(|| {
+        let Some((mut hosts, relay)) = relayed("a lossy network") else { return };
+        let scans = number("SCANLOOP_HOST_SCANS", 100);
+        relay.lose(0.01);
+        relay.delay(Duration::from_millis(1), Duration::from_millis(1));
+        hosts.start_agent();
+        let duration = format!("{}", scans / 10);
+        hosts.start(&["endless", "--duration", &duration]);
+        hosts.system.wait_until_driving();
+        let ended = loop {
+            match hosts.system.wait_at_most(Duration::from_secs(30)) {
+                Some(status) => break status,
+                None => continue,
+            }
+        };
+        let report = hosts.system.report();
+        let scans = &report.scans;
+        println!("lossy network: {ended} {scans:?} {:?}", report.latency_us.scan_to_actuation);
+        assert_eq!((scans.unaccounted, report.ledger.residual), (0, 0), "{:?}", report.ledger.faults);
+        let in_time = scans.commanded - scans.late;
+        assert!(1000 * (scans.published - in_time) <= scans.published + 1000, "{scans:?}");
+        hosts.end();
+    });
 }
 
 #[test]
 fn links_that_are_killed_start_no_storm_of_restarts_and_without_its_agent_the_robot_stops() {
-    let Some((mut hosts, _relay)) = relayed("kills of links and agents") else { return };
-    let kills = number("SCANLOOP_HOST_KILLS", 3);
-    hosts.start_agent();
-    hosts.start(&["endless", "--duration", "100000"]);
-    hosts.system.wait_until_driving();
-    let outputs = Outputs::of(&hosts.system);
-    let mut outages_ms = Vec::new();
-    for kill in 0..kills {
-        // A moment of the scan that is another one each time.
-        outputs.wait_for_time(&hosts.system, monotonic_ns() + PERIOD_NS + kill * 37_000_000 % PERIOD_NS);
+    repeat_when_late(|| {
+        let Some((mut hosts, _relay)) = relayed("kills of links and agents") else { return };
+        let kills = number("SCANLOOP_HOST_KILLS", 3);
+        hosts.start_agent();
+        hosts.start(&["endless", "--duration", "100000"]);
+        hosts.system.wait_until_driving();
+        let outputs = Outputs::of(&hosts.system);
+        let mut outages_ms = Vec::new();
+        for kill in 0..kills {
+            // A moment of the scan that is another one each time.
+            outputs.wait_for_time(&hosts.system, monotonic_ns() + PERIOD_NS + kill * 37_000_000 % PERIOD_NS);
+            let killed_ns = monotonic_ns();
+            let link =
+                if kill % 2 == 0 { processes_of_link(hosts.system.id()) } else { link_of_agent(&hosts) };
+            kill_process(link, Signal::KILL).unwrap();
+            outputs.wait_for_drive(
+                &hosts.system,
+                &format!("it drives after kill {kill}"),
+                killed_ns + PERIOD_NS,
+            );
+            outages_ms.push((monotonic_ns() - killed_ns) / 1_000_000);
+        }
+        let restarts = || -> Vec<u32> {
+            let status = hosts.system.status().unwrap();
+            status.processes.iter().map(|process| process.restarts).collect()
+        };
+        outages_ms.sort_unstable();
+        println!("{kills} kills of links: restarts {:?}, outages [ms] {outages_ms:?}", restarts());
+        assert_eq!(restarts(), [0; 5], "the end of a link is no end of a process");
+        let (_, mut agent) = hosts.agents.pop().unwrap();
+        agent.kill().unwrap();
+        agent.wait().unwrap();
         let killed_ns = monotonic_ns();
-        let link = if kill % 2 == 0 { processes_of_link(hosts.system.id()) } else { link_of_agent(&hosts) };
-        kill_process(link, Signal::KILL).unwrap();
-        outputs.wait_for_drive(&hosts.system, &format!("it drives after kill {kill}"), killed_ns + PERIOD_NS);
-        outages_ms.push((monotonic_ns() - killed_ns) / 1_000_000);
-    }
-    let restarts = || -> Vec<u32> {
-        let status = hosts.system.status().unwrap();
-        status.processes.iter().map(|process| process.restarts).collect()
-    };
-    outages_ms.sort_unstable();
-    println!("{kills} kills of links: restarts {:?}, outages [ms] {outages_ms:?}", restarts());
-    assert_eq!(restarts(), [0; 5], "the end of a link is no end of a process");
-    let (_, mut agent) = hosts.agents.pop().unwrap();
-    agent.kill().unwrap();
-    agent.wait().unwrap();
-    let killed_ns = monotonic_ns();
-    // Not the link of the orchestrator: the drive ends by itself.
-    while hosts.system.wait_at_most(Duration::from_millis(10)).is_none() {
-        outputs.poll();
-        assert!(monotonic_ns() < killed_ns + 60_000_000_000, "the drive does not end");
-    }
-    assert!(outputs.drives(killed_ns + 5 * PERIOD_NS / 2 + SLACK_NS, u64::MAX).is_empty());
-    drop(outputs);
-    let report = hosts.system.report();
-    println!("without its agent: {:?}, {:?}", report.outcome, report.scans);
-    assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Stopped, 0), "{:?}", report.scans);
-    hosts.system.assert_nothing_left();
+        // Not the link of the orchestrator: the drive ends by itself.
+        while hosts.system.wait_at_most(Duration::from_millis(10)).is_none() {
+            outputs.poll();
+            assert!(monotonic_ns() < killed_ns + 60_000_000_000, "the drive does not end");
+        }
+        assert!(outputs.drives(killed_ns + 5 * PERIOD_NS / 2 + SLACK_NS, u64::MAX).is_empty());
+        drop(outputs);
+        let report = hosts.system.report();
+        println!("without its agent: {:?}, {:?}", report.outcome, report.scans);
+        assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Stopped, 0), "{:?}", report.scans);
+        hosts.system.assert_nothing_left();
+    });
 }
 
 /// The link of the agent, by its command line.
