@@ -173,10 +173,7 @@ impl System {
 
     fn validate(&self) -> Result<(), Invalid> {
         self.require_ranges()?;
-        self.recording.require_ranges().map_err(|invalid| invalid.within("recording"))?;
-        require("orphan_stop_s", self.orphan_stop_s(), MIN_ORPHAN_STOP_S..=self.orphan_timeout_s)?;
-        self.player.validate().map_err(|invalid| invalid.within("player"))?;
-        realtime::validate(&self.realtime).map_err(|invalid| invalid.within("realtime"))?;
+        // First: everything else asks for the roles.
         for (index, entry) in self.processes.iter().enumerate() {
             entry.validate().map_err(|error| error.within(&format!("process[{index}]")))?;
             if !entry.is_companion()
@@ -186,6 +183,10 @@ impl System {
                 return Err(Invalid::new(&format!("process[{index}].role"), value, unknown.to_string()));
             }
         }
+        self.recording.require_ranges().map_err(|invalid| invalid.within("recording"))?;
+        require("orphan_stop_s", self.orphan_stop_s(), MIN_ORPHAN_STOP_S..=self.orphan_timeout_s)?;
+        self.player.validate().map_err(|invalid| invalid.within("player"))?;
+        realtime::validate(&self.realtime).map_err(|invalid| invalid.within("realtime"))?;
         for role in Role::ALL {
             let count = self.roles().filter(|entry| entry.role() == *role).count();
             if count > 1 {
