@@ -55,7 +55,8 @@ fn assert_drives_on(mut system: System, watch: Watch, processes: &[i32], paused:
     assert_eq!(status(&system), "driving");
     let mut now = all(&system);
     let mut before = processes.to_vec();
-    (now.sort_unstable(), before.sort_unstable());
+    now.sort_unstable();
+    before.sort_unstable();
     assert_eq!(now, before, "{}", system.stderr());
     assert_eq!(system.run(&["stop"]).status.code(), Some(0));
     assert_eq!(system.wait().code(), Some(1), "{}", system.stderr());
