@@ -149,7 +149,7 @@ mod tests {
     fn scans_that_waited_together_are_possible_and_a_stamp_of_the_future_earns_nothing() {
         let known = KnownScan::of(&header(25, 10 * PERIOD), 20 * PERIOD);
         assert_eq!(known.judge(&header(35, 20 * PERIOD), 20 * PERIOD, 0, PERIOD), Ok(()));
-        let far = header(35, 1_000 * PERIOD);
+        let far = header(1_035, 1_000 * PERIOD);
         assert!(known.judge(&far, 10 * PERIOD, 0, PERIOD).is_err());
     }
 

@@ -451,11 +451,7 @@ fn bad_systems_are_refused_with_file_key_and_value() {
                 "name = \"writer\"",
                 "process[6].name = writer is not allowed: each name once",
             ),
-            (
-                "reads = [\"odometry\"]",
-                "reads = [\"echo\"]",
-                "process.reads = writer -> writer",
-            ),
+            ("reads = [\"odometry\"]", "reads = [\"echo\"]", "process.reads = writer -> writer"),
         ] {
             std::fs::write(system.folder().join("lab.toml"), lab.replace(from, to)).unwrap();
             for command in [&["check", "lab.toml"][..], &["run", "--system", "lab.toml"]] {

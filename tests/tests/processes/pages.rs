@@ -67,6 +67,11 @@ fn all() -> Vec<(String, String, How)> {
     found
 }
 
+/// Whether a word stands for what the reader fills in.
+fn is_place(word: &str) -> bool {
+    word.chars().all(|letter| letter.is_ascii_uppercase())
+}
+
 #[test]
 fn the_options_of_every_command_of_the_pages_exist() {
     let mut wrong = Vec::new();
@@ -87,6 +92,7 @@ fn the_options_of_every_command_of_the_pages_exist() {
             let is_part = is_prose
                 && (text.contains("were not provided")
                     || text.contains("none was supplied")
+                    || text.contains("invalid value") && words.iter().any(|word| is_place(word))
                     || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand);
             if !is_help && !is_part {
                 wrong.push(format!(
