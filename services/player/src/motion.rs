@@ -57,7 +57,7 @@ impl Motion {
     }
 
     /// Whether the robot can have driven from here to `later`: forwards, at up to the larger of both speeds and of
-    /// `ordered_mps`, with a tolerance of a tenth and of [`REACH_M`].
+    /// `ordered_mps`, with a tolerance of a tenth and of `REACH_M`.
     ///
     /// Another place is that of a server that was started anew, with its odometry at zero.
     pub fn reaches(&self, later: &Self, ordered_mps: f64) -> bool {

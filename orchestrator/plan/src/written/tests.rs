@@ -183,7 +183,7 @@ fn the_printed_range_of_every_key_is_the_one_that_holds() {
     let mut wrong = Vec::new();
     for (name, key) in keys {
         let ([low, high], has_condition) = range(&key.allowed).unwrap();
-        let beyond = (high - low).max(1.0).min(1e3);
+        let beyond = (high - low).clamp(1.0, 1e3);
         let step =
             if key.default.contains('.') || key.default.is_empty() { 1e-3 * beyond } else { beyond.ceil() };
         for value in [low, high, low - step, high + step] {
