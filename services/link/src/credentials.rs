@@ -37,13 +37,7 @@ const AUTHORITY_DAYS: i64 = 3650;
 /// # Errors
 /// A folder that is not private or can't be written, an authority in it that can't be read, and a host that has a certificate
 /// already, unless `force`.
-pub(crate) fn pair(
-    folder: &Path,
-    host: &str,
-    address: IpAddr,
-    days: i64,
-    force: bool,
-) -> anyhow::Result<()> {
+pub(crate) fn pair(folder: &Path, host: &str, address: IpAddr, days: i64, force: bool) -> anyhow::Result<()> {
     let all = open_or_make(Folder::open(folder)?, || Folder::make(folder))?;
     if !force && all.contains(host) {
         bail!(
@@ -183,7 +177,8 @@ mod tests {
         let folder = folder("good");
         let address = "10.9.0.2".parse().unwrap();
         pair(&folder, "lab", address, 7, false).unwrap();
-        let contents = || [AUTHORITY, "orchestrator/key.pem"].map(|name| std::fs::read(folder.join(name)).unwrap());
+        let contents =
+            || [AUTHORITY, "orchestrator/key.pem"].map(|name| std::fs::read(folder.join(name)).unwrap());
         let before = contents();
         pair(&folder, "desk", address, 7, false).unwrap();
         assert!(contents() == before, "authority and orchestrator keep their keys");
