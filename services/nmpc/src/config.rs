@@ -72,7 +72,7 @@ settings! {
         /// What is kept in addition to `clearance_m`.
         pub margin: MarginSettings = MarginSettings::default();
         /// Length of the horizon, tf [s].
-        pub horizon_s: f64 = 5.44, 0.5..=10.0;
+        pub horizon_s: f64 = 5.44, (0.5..=10.0, "at least `controller.intervals` / `rate_hz`");
         /// Number of intervals of the horizon, N.
         pub intervals: usize = 12, 2.0..=MAX_INTERVALS as f64;
         /// Scan period that is assumed until the stamps of two scans give the true one; `run` takes it from `rate_hz` [s].

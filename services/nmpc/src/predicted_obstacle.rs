@@ -33,6 +33,8 @@ pub(crate) struct PredictedObstacle {
     pub(crate) b: f64,
     /// Box of the body at the start of the plan.
     pub(crate) body: Rectangle,
+    /// Scans that showed the body.
+    pub(crate) sightings: u64,
 }
 
 impl PredictedObstacle {
@@ -102,6 +104,7 @@ pub(crate) fn read(
                 length: item.box_length_m,
                 width: item.box_width_m,
             },
+            sightings: item.sightings,
         });
     }
     true

@@ -5,8 +5,8 @@
 //! down and waits before the way.
 //!
 //! The velocity of a body is wrong at first: as more of it comes into view, its described box grows backwards and to a
-//! side, and so its centre moves slower than its front and in another direction. So the body counts as faster, and its
-//! way widens with the time until it gets there.
+//! side, and so its centre moves slower than its front and in another direction. So a body counts as faster, and its way
+//! widens with the time until it gets there, by as much as its size explains for the time for which it was seen.
 //!
 //! A robot that would be struck if it stopped now, by the velocity as it is measured, may drive any plan that keeps clear.
 //! So may one that meets a body which moves more along the track than across it: there is no place before such a way, and
@@ -25,23 +25,96 @@ use crate::scene::{Baseline, Scene};
 const COMES_S: f64 = 5.0;
 /// Distance from the way of a body in addition to the margin of the robot at rest [m].
 const ASIDE_M: f64 = 0.05;
-
 /// A robot that rests so much nearer to a way is no nearer [m]: the start of a plan is not exact.
 const NEARER_M: f64 = 1e-3;
+/// How far a body may get to the side of its way [m].
+const SIDEWAYS_M: f64 = 0.3;
 
-/// What a body may do.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Doubt {
-    /// By how much faster than measured it may be, as a share and in addition [m/s].
-    faster: (f64, f64),
-    /// How fast it may move to its side [m/s], and how far at most [m].
-    sideways: (f64, f64),
+/// A body that moves: where to, and how wrong that may be.
+#[derive(Debug, Clone, Copy)]
+struct Mover<'a> {
+    obstacle: &'a PredictedObstacle,
+    /// As measured [m/s].
+    speed: f64,
+    /// Unit vectors along its velocity and to the left of that.
+    along: Vector2<f64>,
+    across: Vector2<f64>,
+    /// By how much faster than measured it may be, and how fast it may move to its side [m/s].
+    doubt: [f64; 2],
 }
 
-/// It does what is measured.
-const CERTAIN: Doubt = Doubt { faster: (0.0, 0.0), sideways: (0.0, 0.0) };
-/// A body that comes into view may be so much faster, and move in another direction.
-const UNCERTAIN: Doubt = Doubt { faster: (0.5, 0.1), sideways: (0.2, 0.3) };
+impl<'a> Mover<'a> {
+    /// A body that does what is measured; `None` when it stands.
+    fn certain(obstacle: &'a PredictedObstacle) -> Option<Self> {
+        let [x, y] = obstacle.velocity;
+        let speed = Some(x.hypot(y)).filter(|speed| *speed > 0.0)?;
+        let (along, across) = (Vector2::new(x, y) / speed, Vector2::new(-y, x) / speed);
+        Some(Self { obstacle, speed, along, across, doubt: [0.0; 2] })
+    }
+
+    /// The same body, whose box came into view since it was first seen: its centre moved by half of its size because of
+    /// that.
+    fn doubted(self, period_s: f64) -> Self {
+        let seen_s = self.obstacle.sightings.saturating_sub(1).max(1) as f64 * period_s;
+        let wrong = |axis: &Vector2<f64>| half_extent(&self.obstacle.body, axis) / seen_s;
+        Self { doubt: [wrong(&self.along), wrong(&self.across)], ..self }
+    }
+
+    /// Whether it moves more across the track than along it.
+    fn crosses(&self) -> bool {
+        self.along.y.abs() > self.along.x.abs()
+    }
+
+    /// How fast it may be [m/s].
+    fn fastest(&self) -> f64 {
+        self.speed + self.doubt[0]
+    }
+
+    /// How far it may get to its side in a time [m].
+    fn sideways(&self, t: f64) -> f64 {
+        (self.doubt[1] * t).min(SIDEWAYS_M)
+    }
+
+    /// Distance of a robot that rests from `t` on from the strip that the body covers [m]; negative inside of it.
+    ///
+    /// The strip is as wide as the box and widens. A robot that the box has passed by then, or gets to later than a body
+    /// that comes, is infinitely far away.
+    fn gap(&self, rest: &Rectangle, t: f64) -> f64 {
+        let offset = rest.centre - self.obstacle.body.centre;
+        let reach = |axis: &Vector2<f64>| half_extent(rest, axis) + half_extent(&self.obstacle.body, axis);
+        let (ahead, both) = (offset.dot(&self.along), reach(&self.along));
+        let has_passed = ahead + both < self.speed * t;
+        if has_passed || ahead - both > self.fastest() * (t + COMES_S) {
+            return f64::INFINITY;
+        }
+        let until_there_s = (ahead - both).max(0.0) / self.speed;
+        offset.dot(&self.across).abs() - reach(&self.across) - self.sideways(until_there_s)
+    }
+
+    /// Whether a plan leads through the way before the body gets there, or does not lead into it; `clearance` is kept [m].
+    fn is_left_behind(&self, scene: &Scene, clearance: f64, plan: &[Sampled]) -> bool {
+        let share = self.fastest() / self.speed;
+        let is_aside = |from: &Sampled| self.gap(&resting(scene, from), from.t) >= aside(scene);
+        let mut entered = false;
+        for sample in plan {
+            if sample.state.x > scene.config.goal.x_m {
+                return true;
+            }
+            let body = scene.body_at(&sample.state);
+            let distance = self.obstacle.body_at(sample.t * share).distance_to_rectangle(&body);
+            if distance < clearance + self.sideways(sample.t) {
+                return false;
+            }
+            if entered && is_aside(sample) {
+                return true;
+            }
+            entered |= !is_aside(sample);
+        }
+        let certain = Self { doubt: [0.0; 2], ..*self };
+        let ends_aside = |end: &Sampled| certain.gap(&resting(scene, end), end.t) >= aside(scene);
+        !entered || plan.last().is_some_and(ends_aside)
+    }
+}
 
 /// The body in whose way a robot stands that comes to rest at `rest` after a time: nearer to the way than one that stops
 /// now, on a plan that does not lead past it in time.
@@ -52,53 +125,20 @@ pub(crate) fn stands_in_it(
     plan: &[Sampled],
 ) -> Option<usize> {
     let body = scene.body_at(rest);
-    let start = Sampled { t: 0.0, speed: scene.speed, state: scene.initial };
-    let is_in_the_way = |index: &usize| {
-        let obstacle = &scene.predicted[*index];
-        if !crosses(obstacle) {
-            return false;
-        }
-        let there = gap(obstacle, &body, t, UNCERTAIN);
+    let stopped = resting(scene, &Sampled { t: 0.0, speed: scene.speed, state: scene.initial });
+    let stands_in = |(index, obstacle): (usize, &PredictedObstacle)| {
+        let certain = Mover::certain(obstacle).filter(Mover::crosses)?;
+        let mover = certain.doubted(scene.config.period_s);
+        let there = mover.gap(&body, t);
         if there >= aside(scene) {
-            return false;
+            return None;
         }
-        let stopped = resting(scene, &start);
-        let is_struck = gap(obstacle, &stopped, 0.0, CERTAIN) < 0.0;
-        let is_nearer = there < gap(obstacle, &stopped, 0.0, UNCERTAIN) - NEARER_M;
-        !is_struck && is_nearer && !leads_past(scene, baseline, *index, plan)
+        let is_struck = certain.gap(&stopped, 0.0) < 0.0;
+        let is_nearer = there < mover.gap(&stopped, 0.0) - NEARER_M;
+        let clearance = scene.margin.base().min(baseline.gaps[index]);
+        (!is_struck && is_nearer && !mover.is_left_behind(scene, clearance, plan)).then_some(index)
     };
-    (0..scene.predicted.len().min(shared_types::MAX_OBSTACLES)).find(is_in_the_way)
-}
-
-/// Whether a body moves more across the track than along it.
-fn crosses(obstacle: &PredictedObstacle) -> bool {
-    let [x, y] = obstacle.velocity;
-    obstacle.moves() && y.abs() > x.abs()
-}
-
-/// Whether a plan leads through the way of a body before it gets there, or does not lead into it.
-fn leads_past(scene: &Scene, baseline: &Baseline, index: usize, plan: &[Sampled]) -> bool {
-    let obstacle = &scene.predicted[index];
-    let (share, clearance) = (share(obstacle, UNCERTAIN), scene.margin.base().min(baseline.gaps[index]));
-    let (sideways_mps, sideways_m) = UNCERTAIN.sideways;
-    let mut entered = false;
-    for sample in plan {
-        if sample.state.x > scene.config.goal.x_m {
-            return true;
-        }
-        let body = scene.body_at(&sample.state);
-        let needed = clearance + (sideways_mps * sample.t).min(sideways_m);
-        if obstacle.body_at(sample.t * share).distance_to_rectangle(&body) < needed {
-            return false;
-        }
-        let is_aside = gap(obstacle, &resting(scene, sample), sample.t, UNCERTAIN) >= aside(scene);
-        if entered && is_aside {
-            return true;
-        }
-        entered |= !is_aside;
-    }
-    let is_aside_at = |end: &Sampled| gap(obstacle, &resting(scene, end), end.t, CERTAIN) >= aside(scene);
-    !entered || plan.last().is_some_and(is_aside_at)
+    scene.predicted.iter().take(shared_types::MAX_OBSTACLES).enumerate().find_map(stands_in)
 }
 
 /// Distance that a robot at rest keeps from the way of a body [m].
@@ -115,35 +155,6 @@ fn resting(scene: &Scene, from: &Sampled) -> Rectangle {
     scene.body_at(&State { x: x + slide * cos, y: y + slide * sin, ..from.state })
 }
 
-/// How many times its velocity a body may be fast.
-fn share(obstacle: &PredictedObstacle, doubt: Doubt) -> f64 {
-    let speed = obstacle.velocity[0].hypot(obstacle.velocity[1]);
-    1.0 + doubt.faster.0 + doubt.faster.1 / speed.max(1e-3)
-}
-
-/// Distance of a robot that rests from `t` on from the strip that a body covers [m]; negative inside of it.
-///
-/// The strip is as wide as the box and widens. A robot that the box has passed by then, or gets to later than a body that
-/// comes, is infinitely far away.
-fn gap(obstacle: &PredictedObstacle, rest: &Rectangle, t: f64, doubt: Doubt) -> f64 {
-    let [x, y] = obstacle.velocity;
-    let speed = x.hypot(y);
-    if speed <= 0.0 {
-        return f64::INFINITY;
-    }
-    let (along, across) = (Vector2::new(x, y) / speed, Vector2::new(-y, x) / speed);
-    let offset = rest.centre - obstacle.body.centre;
-    let reach = |axis: &Vector2<f64>| half_extent(rest, axis) + half_extent(&obstacle.body, axis);
-    let (ahead, both) = (offset.dot(&along), reach(&along));
-    let has_passed = ahead + both < speed * t;
-    if has_passed || ahead - both > share(obstacle, doubt) * speed * (t + COMES_S) {
-        return f64::INFINITY;
-    }
-    let until_there_s = (ahead - both).max(0.0) / speed;
-    let (sideways_mps, sideways_m) = doubt.sideways;
-    offset.dot(&across).abs() - reach(&across) - (sideways_mps * until_there_s).min(sideways_m)
-}
-
 /// Half the extent of a rectangle along an axis of unit length [m].
 fn half_extent(rectangle: &Rectangle, axis: &Vector2<f64>) -> f64 {
     let (sin, cos) = rectangle.yaw.sin_cos();
@@ -156,20 +167,24 @@ mod tests {
     use super::*;
     use crate::config::Config;
 
-    /// A cart, 0.6 m by 1 m, that comes from the right of (3, 0) with 0.5 m/s; its front is at `y` + 0.5 m.
+    /// A cart, 0.6 m by 1 m, that comes from the right of (3, 0) with 0.5 m/s; its front is at `y` + 0.5 m. Seen for 2 s, it
+    /// may be 0.25 m/s faster and move to its side by 0.15 m/s.
     fn cart(y: f64) -> PredictedObstacle {
         let body = Rectangle { centre: Vector2::new(3.0, y), yaw: 0.0, length: 0.6, width: 1.0 };
-        PredictedObstacle { id: 1, centre: [3.0, y], velocity: [0.0, 0.5], a: 0.1, b: 0.1, body }
+        let velocity = [0.0, 0.5];
+        PredictedObstacle { id: 1, centre: [3.0, y], velocity, a: 0.1, b: 0.1, body, sightings: 21 }
     }
 
-    fn gap_at(x: f64, y: f64, t: f64, doubt: Doubt) -> f64 {
+    fn gap_at(x: f64, y: f64, t: f64, is_doubted: bool) -> f64 {
         let rest = Rectangle { centre: Vector2::new(x, y), yaw: 0.0, length: 0.56, width: 0.4 };
-        gap(&cart(-2.0), &rest, t, doubt)
+        let cart = cart(-2.0);
+        let certain = Mover::certain(&cart).unwrap();
+        if is_doubted { certain.doubted(0.1).gap(&rest, t) } else { certain.gap(&rest, t) }
     }
 
     #[test]
     fn the_way_is_a_strip_that_begins_with_the_body() {
-        let certain = |x: f64, y: f64, t: f64| gap_at(x, y, t, CERTAIN);
+        let certain = |x: f64, y: f64, t: f64| gap_at(x, y, t, false);
         // Half of the robot is 0.28 m long, half of the cart 0.3 m.
         assert!((certain(2.0, 0.0, 0.0) - 0.42).abs() < 1e-12);
         assert!((certain(4.0, 0.0, 0.0) - 0.42).abs() < 1e-12);
@@ -183,13 +198,27 @@ mod tests {
 
     #[test]
     fn a_body_that_is_not_known_well_comes_from_further_away_and_its_way_widens() {
-        let uncertain = |x: f64, y: f64| gap_at(x, y, 0.0, UNCERTAIN);
-        // With 0.85 m/s, a half and 0.1 m/s more, its front moves 4.25 m in 5 s.
-        assert!(uncertain(3.0, 2.9) < 0.0 && uncertain(3.0, 3.0) == f64::INFINITY);
-        // Its front is 1.3 m before the robot, which takes 2.6 s: 0.52 m to the side, of which 0.3 m count.
-        assert!((uncertain(2.0, 0.0) - 0.12).abs() < 1e-12);
-        // 0.5 m before it: 0.2 m.
-        assert!((uncertain(2.0, -0.8) - 0.22).abs() < 1e-12);
+        let doubted = |x: f64, y: f64| gap_at(x, y, 0.0, true);
+        // With 0.75 m/s its front moves 3.75 m in 5 s.
+        assert!(doubted(3.0, 2.4) < 0.0 && doubted(3.0, 2.5) == f64::INFINITY);
+        // Its front is 1.3 m before the robot, which takes 2.6 s: 0.39 m to the side, of which 0.3 m count.
+        assert!((doubted(2.0, 0.0) - 0.12).abs() < 1e-12);
+        // 0.5 m before it: 0.15 m.
+        assert!((doubted(2.0, -0.8) - 0.27).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_body_that_was_seen_for_long_or_is_small_is_known_well() {
+        let doubt = |sightings: u64, size: f64, period_s: f64| {
+            let body = Rectangle { length: size, width: size, ..cart(0.0).body };
+            let obstacle = PredictedObstacle { sightings, body, ..cart(0.0) };
+            Mover::certain(&obstacle).unwrap().doubted(period_s).doubt
+        };
+        assert_eq!(doubt(21, 1.0, 0.1), [0.25; 2]);
+        assert_eq!(doubt(101, 1.0, 0.02), [0.25; 2], "by time, not by scans");
+        assert_eq!(doubt(41, 1.0, 0.1), [0.125; 2]);
+        assert_eq!(doubt(21, 0.2, 0.1), [0.05; 2]);
+        assert_eq!(doubt(0, 0.2, 0.1), [1.0; 2], "a body just seen");
     }
 
     /// The body in whose way a robot comes to rest that blocks its wheels after 0.2 s at 1 m/s, 0.14 m further on.
@@ -208,18 +237,21 @@ mod tests {
         // The way begins at 2.7 m and widens by 0.3 m; the robot comes to rest 0.18 m before it, or in it. 0.13 m are kept.
         assert_eq!(stands(1.6, -2.0), None);
         assert_eq!(stands(1.8, -2.0), Some(0));
-        // It leaves the way of the box after 1.78 s, and the wider one after 2.07 s. A cart with 0.85 m/s has its front at
-        // 0.01 m and 0.26 m then, or at -0.89 m and -0.64 m: 0.44 m beside the robot, and 0.35 m are kept.
+        // It leaves the way of the box after 1.78 s, and the wider one after 2.07 s. A cart with 0.75 m/s has its front at
+        // -0.85 m then: 0.65 m beside the robot, and 0.35 m are kept.
         assert_eq!(stands(1.8, -2.9), None);
     }
 
     #[test]
     fn a_body_that_comes_along_the_track_is_not_waited_for() {
-        let moving = |velocity: [f64; 2]| crosses(&PredictedObstacle { velocity, ..cart(-2.0) });
+        let crosses = |velocity: [f64; 2]| {
+            let obstacle = PredictedObstacle { velocity, ..cart(-2.0) };
+            Mover::certain(&obstacle).is_some_and(|mover| mover.crosses())
+        };
         // From ahead, from behind, from ahead and aside; across, and across and towards the robot.
-        assert_eq!([[-0.5, 0.0], [0.5, 0.1], [-0.4, 0.3]].map(moving), [false; 3]);
-        assert_eq!([[0.0, 0.5], [-0.3, -0.4]].map(moving), [true; 2]);
-        assert!(!moving([0.0, 0.0]), "it stands");
+        assert_eq!([[-0.5, 0.0], [0.5, 0.1], [-0.4, 0.3]].map(crosses), [false; 3]);
+        assert_eq!([[0.0, 0.5], [-0.3, -0.4]].map(crosses), [true; 2]);
+        assert!(!crosses([0.0, 0.0]), "it stands");
     }
 
     #[test]
