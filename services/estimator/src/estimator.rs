@@ -56,7 +56,7 @@ const UNIFORM: f64 = 0.289;
 /// is the one for the scan before.
 const LATE_SHARE: u64 = 2;
 
-/// Share by which the usual age of a sample follows an older one: scans that come late for seconds are usual.
+/// Share by which the usual age of a sample follows the last one: scans that come late for seconds are usual.
 const AGE_SHARE: u64 = 8;
 
 /// The interval of Q in the settings [s].
@@ -118,6 +118,7 @@ impl Estimator {
             let interval_ns = acquired_ns - self.state.acquired_ns;
             let dt = interval_ns as f64 * 1e-9;
             let (is_known, is_cut) = (self.is_known(&odometry.header, age_ns, interval_ns), self.is_cut());
+            self.note_age(age_ns, interval_ns);
             // The speeds at both ends tell nothing about the way between them when the robot may have braked.
             let way_m = is_cut.then(|| self.state.correction.way_m(reported));
             let measured = self.state.correction.correct(&self.settings.drift, reported, speed, dt, way_m);
@@ -149,7 +150,6 @@ impl Estimator {
         self.state.incarnation = odometry.header.incarnation;
         self.state.sequence = odometry.header.sequence;
         self.state.acquired_ns = acquired_ns;
-        self.note_age(age_ns);
         Some(self.pose(odometry, &update, now_ns))
     }
 
@@ -232,11 +232,18 @@ impl Estimator {
         self.state.own_block_ns > self.state.acquired_ns
     }
 
-    /// Follows the time that samples usually take to come: the shortest one, or a longer one that lasts.
-    fn note_age(&mut self, age_ns: u64) {
+    /// Follows the time that samples usually take to come: the mean, to which one sample that is very late adds little.
+    ///
+    /// Not the shortest time: with stamps that jitter, most samples come later than that, and the ways of those that do not
+    /// would be missing in a sum in which the errors of the stamps cancel.
+    fn note_age(&mut self, age_ns: u64, interval_ns: u64) {
         let usual_ns = self.state.usual_age_ns;
-        self.state.usual_age_ns =
-            age_ns.min(usual_ns.saturating_add(age_ns.saturating_sub(usual_ns) / AGE_SHARE));
+        let limit_ns = interval_ns / LATE_SHARE;
+        self.state.usual_age_ns = if age_ns > usual_ns {
+            usual_ns + (age_ns - usual_ns).min(limit_ns) / AGE_SHARE
+        } else {
+            usual_ns - (usual_ns - age_ns) / AGE_SHARE
+        };
     }
 
     /// Whether the robot can have driven from the estimate to a place within `dt`: forwards, and at most at the largest of
