@@ -135,7 +135,7 @@ fn lands(suite: &Suite) -> Verdict {
     let received = bench.rounds(5 + SCANS)?;
     let last = received[received.len() - 1].message.sample::<Command>()?;
     let kind = CommandKind::try_from(last.kind).map_or("nothing known", CommandKind::name);
-    let distance_m = drive.step(last.header.scan_id).truth.goal_distance_m;
+    let distance_m = bench.drive.step(last.header.scan_id).truth.goal_distance_m;
     let is_landing = last.kind == CommandKind::Land.wire();
     let first = received[0].message.sample::<Command>()?;
     observed(!is_landing || first.kind != CommandKind::Land.wire(), || {
@@ -210,7 +210,7 @@ fn not_driven_on(suite: &Suite, what: &str, spoil: Spoil) -> Verdict {
     let mut bench = suite.started_at(20)?;
     let before = driven(&bench.rounds(3)?)?;
     require(!before.is_empty(), || format!("it does not drive even before {what}"))?;
-    let drive = suite.drive(bench.setup.course)?;
+    let drive = bench.drive.clone();
     for _ in 0..3 {
         bench.ask_with(|message| spoil(&drive, message))?;
     }

@@ -115,6 +115,13 @@ impl Drive {
         measured.collect()
     }
 
+    /// The drive from a scan on, which becomes scan 1: a run begins with that.
+    pub(crate) fn starting_at(&self, first_scan: u64) -> Self {
+        let skipped = (first_scan.max(1) as usize - 1).min(self.steps.len() - 1);
+        let (settings, steps) = (self.settings.clone(), self.steps[skipped..].to_vec());
+        Self { settings, steps, ended: self.ended.saturating_sub(skipped) }
+    }
+
     /// All samples of a scan; a scan beyond the end is the last one.
     pub(crate) fn step(&self, scan_id: u64) -> &Step {
         &self.steps[(scan_id.max(1) as usize - 1).min(self.steps.len() - 1)]

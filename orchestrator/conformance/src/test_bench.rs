@@ -107,7 +107,7 @@ impl Suite {
 
 impl<'a> TestBench<'a> {
     fn new(suite: &'a Suite, setup: Setup, number: u32) -> anyhow::Result<Self> {
-        let drive = suite.drive(setup.course)?;
+        let drive = Arc::new(suite.drive(setup.course)?.starting_at(setup.first_scan));
         let (domain, lock) = Claim::take_new(&format!("c{}-{number}", std::process::id()))?;
         let stop_word = StopWord::create(domain.run_id(), suite.period_ns)?;
         stop_word.hand_down()?;
@@ -127,7 +127,7 @@ impl<'a> TestBench<'a> {
             heartbeat_observer: Observer::new(&bus)?,
             checkpoint_observer: Observer::new(&bus)?,
             directive_publisher: Publisher::new(&bus)?,
-            scan_id: setup.first_scan,
+            scan_id: 1,
             suite,
             setup,
             drive,

@@ -204,12 +204,18 @@ impl Actuator {
     }
 
     /// Why the header of a command cannot be trusted; `None` when it can.
-    fn distrust(&self, header: &Header, now_ns: u64) -> Option<Fault> {
+    fn distrust(&mut self, header: &Header, now_ns: u64) -> Option<Fault> {
         if header.acquired_ns > now_ns.saturating_add(self.period_ns) {
             return Some(Fault::FromTheFuture { ahead_ms: milliseconds(header.acquired_ns - now_ns) });
         }
-        let newest = self.state.header.scan_id;
-        (header.scan_id <= newest).then_some(Fault::AnsweredBefore { newest })
+        let Header { scan_id: newest, acquired_ns, .. } = self.state.header;
+        // Stamps ascend as scans do: the second in a row below the last one answered that was taken after it shows that
+        // the number of that one was wrong.
+        let is_doubt = header.scan_id < newest && header.acquired_ns > acquired_ns;
+        let doubted = if is_doubt { header.scan_id } else { 0 };
+        let before = std::mem::replace(&mut self.state.doubted, doubted);
+        let passes = header.scan_id > newest || is_doubt && (1..header.scan_id).contains(&before);
+        (!passes).then_some(Fault::AnsweredBefore { newest })
     }
 
     fn refuse(&mut self, fault: Fault) {

@@ -16,6 +16,8 @@ plain_state! {
         pub refused: u64,
         /// Gaps between scans since the start
         pub gaps: u64,
+        /// The last scan refused as answered before although it was taken after the last one answered; else 0
+        pub doubted: u64,
         /// Last steering angle desired while driving; blocked wheels keep it [rad]
         pub steering_rad: f64,
         /// Last steering angle sent while driving [rad]

@@ -329,7 +329,7 @@ impl<'a> Failing<'a> {
             scenario.scanner.from_s = onset_s;
         })?;
         let mut last = Obstacles::default();
-        for _ in first_scan..failing.onset {
+        for _ in 1..failing.onset {
             last = failing.round()?;
         }
         observed(!stops(&last), || format!("state `{}` at rest before the fault", state(&last)))?;
@@ -344,8 +344,9 @@ impl<'a> Failing<'a> {
     ) -> Result<Self, Trouble> {
         let drive = suite.drive(setup.course)?;
         let onset_s = drive.step(onset).scan.header.acquired_ns as f64 * 1e-9;
-        let ranges = drive.rescan(|scenario| change(scenario, onset_s));
-        Ok(Self { bench: suite.started(setup)?, ranges, onset })
+        let skipped = setup.first_scan - 1;
+        let ranges = drive.rescan(|scenario| change(scenario, onset_s)).split_off(skipped as usize);
+        Ok(Self { bench: suite.started(setup)?, ranges, onset: onset - skipped })
     }
 
     /// Plays the scans before the onset, after which the box must be known; returns the last answer.

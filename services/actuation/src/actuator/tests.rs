@@ -210,6 +210,20 @@ fn a_scan_is_answered_once() {
 }
 
 #[test]
+fn after_a_wrong_number_the_second_scan_is_answered() {
+    for wrong in [9, 517, 1 << 40] {
+        let mut actuator = driving(4);
+        let mut forged = drive(5);
+        forged.header.scan_id = wrong;
+        actuator.answer(&forged, arrival(5));
+        assert_blocked(&actuator.answer(&drive(6), arrival(6)), BlockReason::StaleCommand, 0);
+        assert_blocked(&actuator.answer(&drive(7), arrival(7)), BlockReason::NoCommand, 1);
+        assert!(turns(&actuator.answer(&drive(8), arrival(8))));
+        assert_blocked(&actuator.answer(&drive(7), arrival(8) + 1), BlockReason::StaleCommand, 0);
+    }
+}
+
+#[test]
 fn a_command_for_an_old_scan_is_refused_at_the_limit_of_its_age() {
     let age_limit = 3 * PERIOD_NS;
     let acquired = drive(7).header.acquired_ns;
