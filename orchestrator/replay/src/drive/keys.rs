@@ -86,6 +86,6 @@ mod tests {
         set_key(&mut table, "controller.stop.time_s", Value::Integer(3)).unwrap();
         assert_eq!(table["controller"]["stop"]["time_s"], Value::Float(3.0));
         let refused = set_key(&mut table, "controller.horizon", Value::Integer(3)).unwrap_err();
-        assert_eq!(refused, "unknown key horizon; known are horizon_s, stop");
+        assert_eq!(refused, "unknown key horizon. Did you mean `horizon_s`? Known are horizon_s, stop");
     }
 }

@@ -288,7 +288,8 @@ mod tests {
     use crate::drive::tests::{ESTIMATOR, late_actuation};
 
     /// Fields of states that end with `_ns` and hold no point in time of a clock: spans, and times since the start of a run.
-    const SPANS: [&str; 7] = [
+    const SPANS: [&str; 8] = [
+        "usual_age_ns",
         "clock_ns",
         "plant_ns",
         "last_actuation_ns",
