@@ -37,8 +37,8 @@ const MAX_SEQUENCE: usize = 32;
 /// What the bytes of a terminal ask for, from one read to the next. Pasted text asks for nothing.
 #[derive(Debug, Default)]
 pub(super) struct Keyboard {
-    /// The start of an escape sequence whose end has not come.
-    pending: Vec<u8>,
+    /// The start of an escape sequence whose end has not come, and when it came.
+    pending: Option<(Vec<u8>, Instant)>,
     is_pasting: bool,
     /// When the last piece of a pasted text came.
     pasted: Option<Instant>,
@@ -47,15 +47,21 @@ pub(super) struct Keyboard {
 impl Keyboard {
     /// The keys in bytes that came at `now`; what means nothing is left out.
     pub(super) fn keys(&mut self, bytes: &[u8], now: Instant) -> Vec<Key> {
-        let mut all = std::mem::take(&mut self.pending);
+        // What comes later is a key of its own: a person has pressed escape.
+        let pending = self.pending.take().filter(|(_, came)| now.saturating_duration_since(*came) < PAUSE);
+        let mut all = pending.map(|(start, _)| start).unwrap_or_default();
         all.extend(bytes);
         let (mut keys, mut letters, mut rest) = (Vec::new(), 0, all.as_slice());
         while let [first, after @ ..] = rest {
+            if rest == b"\x1b" {
+                self.pending = Some((rest.to_vec(), now));
+                break;
+            }
             rest = after;
             if let (0x1b, [b'[' | b'O', body @ ..]) = (first, after) {
                 let Some(last) = body.iter().position(|byte| (0x40..=0x7e).contains(byte)) else {
                     if after.len() < MAX_SEQUENCE {
-                        self.pending = [&[0x1b], after].concat();
+                        self.pending = Some(([&[0x1b], after].concat(), now));
                     }
                     break;
                 };
@@ -124,6 +130,15 @@ mod tests {
             let mut found = keyboard.keys(&text[..split], now);
             found.extend(keyboard.keys(&text[split..], now + Duration::from_millis(1)));
             assert_eq!(found, [Key::Down], "split at {split}");
+        }
+    }
+
+    #[test]
+    fn a_key_after_the_start_of_a_sequence_counts() {
+        for start in [&b"\x1b"[..], b"\x1b[", b"\x1b[1;"] {
+            let (mut keyboard, now) = (Keyboard::default(), Instant::now());
+            assert_eq!(keyboard.keys(start, now), []);
+            assert_eq!(keyboard.keys(b"s", now + PAUSE), [Key::Stop], "{start:?}");
         }
     }
 

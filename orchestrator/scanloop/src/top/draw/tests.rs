@@ -155,5 +155,6 @@ fn text_from_outside_moves_no_cursor() {
     let mut model = driving();
     model.status.as_mut().unwrap().scenario = "a\u{1b}[2Jb\nc".to_owned();
     let first = picture(&model, [80, 24]);
-    assert!(first.starts_with(" lab: driving, a[2Jb c"), "{first}");
+    assert!(first.starts_with(" lab: driving, a\\u001b[2Jb c"), "{first}");
+    assert!(!first.contains('\u{1b}'), "{first}");
 }
