@@ -115,7 +115,14 @@ mod tests {
     #[test]
     fn waits_name_each_thread() {
         let mut child = std::process::Command::new("sleep").arg("60").spawn().expect("a child");
-        let text = waits_of(child.id());
+        let since = std::time::Instant::now();
+        let text = loop {
+            let text = waits_of(child.id());
+            // Until it is the program, it has another name.
+            if text.contains("sleep 60") || since.elapsed() > Duration::from_secs(10) {
+                break text;
+            }
+        };
         child.kill().and_then(|()| child.wait()).expect("the child ends");
         assert!(text.contains("sleep 60") && text.contains("sleep in "), "{text}");
     }

@@ -32,6 +32,8 @@ const RESTARTED: [Role; 4] = [Role::Estimator, Role::Obstacles, Role::Controller
 /// Largest change of a command around swaps, as a multiple of the largest one elsewhere: both are the largest of some hundred
 /// changes of one drive.
 const JUMP: f64 = 2.0;
+/// A smaller change is none [rad, m/s].
+const SAME: [f64; 2] = [0.0, 0.01];
 
 /// What happened, and with which result.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -151,7 +153,9 @@ pub fn swap_live(executable: &str, count: usize, seed: u64) -> Tally {
         tally.jump = larger(tally.jump, recording.jump(&changes));
         tally.normal = larger(tally.normal, recording.normal_change(&changes, 3));
     }
-    let is_normal = tally.jump.iter().zip(tally.normal).all(|(jump, normal)| *jump <= JUMP * normal);
+    // Where the commands between two swaps stay the same, the last digits of another process are no jump.
+    let most = [0, 1].map(|index| (JUMP * tally.normal[index]).max(SAME[index]));
+    let is_normal = tally.jump.iter().zip(most).all(|(jump, most)| *jump <= most);
     assert!(is_normal, "jumps {:?}, normal are {:?}", tally.jump, tally.normal);
     assert_eq!(system.run(&["stop"]).status.code(), Some(0));
     system.wait();

@@ -35,8 +35,8 @@ pub struct Change {
     pub by: f64,
 }
 
-/// Half of the largest velocity: a plan may pass an obstacle that the other one waits for [m/s].
-const PLAN_VELOCITY_MPS: f64 = 0.5;
+/// From the largest velocity to the smallest: a plan may pass an obstacle before which the other one slows down [m/s].
+const PLAN_VELOCITY_MPS: f64 = 0.9;
 /// The largest angle: one plan turns where the other one drives straight on [rad].
 const PLAN_STEERING_RAD: f64 = 0.06;
 /// A filter with other gains, over the scans of a swap; a fifth of the obstacle distance that is kept in reserve [m].

@@ -13,7 +13,7 @@ settings! {
         /// Lateral position [m].
         pub y_m: f64 = 0.0, "within `track.y_m`; with walls the whole body is between them";
         /// Yaw [rad].
-        pub yaw_rad: f64 = 0.0, -PI..=PI;
+        pub yaw_rad: f64 = 0.0, (-PI..=PI, "from which a turn stays on the track");
     }
 }
 
