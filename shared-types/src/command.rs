@@ -78,6 +78,8 @@ wire_enum! {
         NoSafeSpeed = 9 "no_safe_speed",
         /// The scanner is blind, stuck or contradictory: obstacles would not be seen.
         Scanner = 10 "scanner",
+        /// A described obstacle covers the robot: the obstacle detector is wrong.
+        Covered = 11 "covered_by_obstacle",
     }
 }
 

@@ -91,7 +91,8 @@ fn seen_mps(config: &Config, stopping: &Stopping, scanner: &ScannerHealth) -> f6
 /// The state at the start of the plan; the obstacles are read into `predicted`, where `known` are those of the scan before.
 ///
 /// # Errors
-/// [`StopReason::BadInput`] when a number is impossible or the inputs contradict each other.
+/// [`StopReason::BadInput`] when a number is impossible or the inputs contradict each other, [`StopReason::Covered`] when an
+/// obstacle is where the robot is.
 pub(crate) fn read(
     config: &Config,
     pose: &Pose,
@@ -125,7 +126,7 @@ pub(crate) fn read(
         distance < reach + obstacle.body.length + obstacle.body.width
             && body.distance_to_rectangle(&obstacle.body) < -OVERLAP_M
     };
-    if predicted.iter().any(overlaps) { Err(StopReason::BadInput) } else { Ok(initial) }
+    if predicted.iter().any(overlaps) { Err(StopReason::Covered) } else { Ok(initial) }
 }
 
 /// Whether the robot can get from its place to the predicted one in `lead_s`, at a speed that it can have.

@@ -166,13 +166,13 @@ impl ObstacleDetector {
             return 0;
         }
         self.outlines.find(&self.config, scan, place, &mut self.points, self.tracks.expected());
-        self.tracks.sight(&self.outlines, place, elapsed);
+        self.tracks.sight(&self.outlines, &mut self.evidence, place, elapsed);
         self.mark_fixed();
         let fixed = &self.fixed;
         self.evidence.compare(&self.beams, scan, place, &self.returns, |beam| fixed[beam]);
         let overflow = self.tracks.start(&self.outlines, place);
         self.tracks.forget(scan, &self.beams, &mut self.evidence, place, elapsed);
-        self.tracks.unite();
+        self.tracks.unite(place.at);
         overflow
     }
 

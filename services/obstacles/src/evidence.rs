@@ -18,6 +18,7 @@ mod verdict;
 
 use shared_types::{BEAMS, PITCH_RAD, SECTOR_BEAMS, SECTORS, Scan, ScannerHealth, WINDOW, plain_state};
 use std::ops::RangeInclusive;
+use vehicle::geometry::Rectangle;
 use vehicle::{Description, Surroundings};
 
 use crate::points::{Beams, Place, Point, range_of};
@@ -56,6 +57,19 @@ const PREDICTED: f64 = 25.0;
 const THIN_M: f64 = 0.1;
 /// With less sight ahead than this the scanner is degraded [m].
 const DOUBTFUL_M: f64 = 1.0;
+/// A robot slower than this rests [m/s]: blocked wheels are measured as exactly zero.
+pub(crate) const REST_MPS: f64 = 0.02;
+/// While the robot rests, what stood around it is taken anew for comparison after this time [s]: what is gone would be
+/// missed for ever otherwise.
+const RENEWED_S: f64 = 0.5;
+/// What was around a robot that rests has changed when not more than this share of it comes again ...
+const CHANGED: f64 = 0.5;
+/// ... or when the ranges of all beams have changed by this on the average, in which noise vanishes [m]: something that
+/// moves is all that is in view. Where more stands, what stands decides.
+const SHIFTED_M: f64 = 0.05;
+/// For how long the robot is careful after it has relied on a sector without knowing why it shows nothing, or on ranges that
+/// seemed to be wrong [s].
+const CAREFUL_S: f64 = 3.0;
 /// Distance of the robot's side within which what a blind sector hides matters [m].
 const STRIP_M: f64 = 0.15;
 
@@ -72,6 +86,12 @@ plain_state! {
         pub sectors: [[f64; 2]; SECTORS],
         /// Sectors in which a remembered body should be seen and is not, one bit each
         pub silent: u64,
+        /// The same for bodies that seem to have gone while the robot rested
+        pub gone: u64,
+        /// For how long the robot has rested, or rests since the keyframe was taken [s]
+        pub rested_s: f64,
+        /// For how long it is still careful [s]
+        pub careful_s: f64,
         /// Time since the last comparison per sector [s]
         pub waited_s: f64,
         /// Whether the ranges fit the motion
@@ -100,6 +120,8 @@ pub(crate) struct Evidence {
     shown_s: f64,
     /// Walls that are in view when nothing is on the track [m].
     wall_y: [f64; 2],
+    rested_s: f64,
+    careful_s: f64,
     waited_s: f64,
     calibration: CalibrationState,
     /// By `calibration`, which changes seldom.
@@ -112,6 +134,8 @@ pub(crate) struct Evidence {
     is_empty: bool,
     /// Sectors in which a remembered body should be seen and is not, one bit each.
     silent: u64,
+    /// The same for bodies that seem to have gone while the robot rested.
+    gone: u64,
 }
 
 impl Evidence {
@@ -126,6 +150,8 @@ impl Evidence {
             keyframe: Snapshot::empty(),
             returns: Returns::default(),
             sectors: [[0.0; 2]; SECTORS],
+            rested_s: 0.0,
+            careful_s: 0.0,
             waited_s: 0.0,
             calibration: CalibrationState::default(),
             errors: CalibrationState::default().errors(),
@@ -135,6 +161,7 @@ impl Evidence {
             valid_share: 0.0,
             is_empty: false,
             silent: 0,
+            gone: 0,
         }
     }
 
@@ -158,7 +185,9 @@ impl Evidence {
         self.valid_share = window as f64 / WINDOW.count() as f64;
         self.is_empty = self.vehicle.surroundings == Surroundings::Hall
             && (points.len() as f64) < SWEEP_SHARE * BEAMS as f64;
-        self.silent = 0;
+        (self.silent, self.gone) = (0, 0);
+        self.rested_s = if place.speed() < REST_MPS { self.rested_s + elapsed } else { 0.0 };
+        self.careful_s = (self.careful_s - elapsed).max(0.0);
         let brought = self.bring(beams, scan, place, points, elapsed);
         self.findings = Findings { elapsed, brought, ..Findings::default() };
         matches!(brought, Brought::Ranges | Brought::Nothing)
@@ -188,8 +217,7 @@ impl Evidence {
                 return Brought::Jump;
             }
             // The ranges changed as a whole: what contradicted the motion has ended.
-            self.calibration = CalibrationState::default();
-            self.errors = self.calibration.errors();
+            self.trust_ranges();
             self.returns = Returns::default();
             self.keyframe.clear();
         } else {
@@ -197,6 +225,20 @@ impl Evidence {
         }
         self.previous.keep(scan, place, points, |_| false);
         if self.is_empty { Brought::Nothing } else { Brought::Ranges }
+    }
+
+    /// Forgets by how much the ranges seemed to be wrong.
+    fn trust_ranges(&mut self) {
+        self.calibration = CalibrationState::default();
+        self.errors = self.calibration.errors();
+    }
+
+    /// Whether what is around has changed since the keyframe.
+    fn has_changed(&self, beams: &Beams, scan: &Scan, place: &Place) -> bool {
+        let counts = Returns::count(&self.keyframe, beams, scan, place);
+        let (way, turn) = self.keyframe.moved(place);
+        let has_rested = way < REST.0 && turn < REST.1;
+        counts.agreed <= CHANGED * counts.predicted || has_rested && self.keyframe.shift(scan) > SHIFTED_M
     }
 
     /// Compares what does not move with the scan from some way before; `is_fixed` tells of a beam what it shows.
@@ -226,6 +268,18 @@ impl Evidence {
             sectors::compare(&mut counts, beams, scan, seen, (keyframe.scan(), before));
         }
         sectors::add(&mut self.sectors, &counts, waited);
+        if self.rested_s > RENEWED_S && !self.is_empty {
+            self.rested_s = 0.0;
+            // No error of the ranges moves anything while the robot rests: what moves or has gone contradicted nothing.
+            if self.has_changed(beams, scan, place) {
+                if self.calibration.contradicts(&self.errors) {
+                    self.verdict.settle();
+                    self.careful_s = CAREFUL_S;
+                }
+                self.trust_ranges();
+            }
+            self.keyframe.keep(scan, place, points, is_fixed);
+        }
         let (way, turn) = self.keyframe.moved(place);
         // A scan in which something seems to fail is no base for comparison before that was judged.
         let limit = if sectors::may_fail(&counts) { 2.0 } else { 1.0 };
@@ -254,10 +308,38 @@ impl Evidence {
         self.shown[0] |= shown;
     }
 
-    /// Counts the sectors of these beams as without evidence: a remembered body that they should show is not seen.
-    pub(crate) fn doubt(&mut self, beams: RangeInclusive<usize>) {
-        let (first, last) = (beams.start() / SECTOR_BEAMS, beams.end() / SECTOR_BEAMS);
-        (first..=last.min(SECTORS - 1)).for_each(|sector| self.silent |= 1 << sector);
+    /// Counts the sectors of these beams as without evidence: a remembered body that they should show is not seen. One that
+    /// `may_have_gone` counts only if other returns are missing too.
+    pub(crate) fn doubt(&mut self, beams: &RangeInclusive<usize>, may_have_gone: bool) {
+        let sectors = sectors_of(*beams.start(), *beams.end());
+        if may_have_gone {
+            // What else is missing at its ends is of the same body.
+            let beside = (beams.end() - beams.start()) / 3 + SECTOR_BEAMS;
+            self.gone |= sectors_of(beams.start().saturating_sub(beside), beams.end() + beside);
+            self.careful_s = CAREFUL_S;
+        } else {
+            self.silent |= sectors;
+        }
+    }
+
+    /// Whether all that is missing is of bodies that may have gone.
+    pub(crate) fn lacks_only_bodies(&self) -> bool {
+        self.failing() & !(self.silent | self.gone) == 0
+    }
+
+    /// The returns within `rectangle` are no longer expected: the body there moves, or has gone.
+    pub(crate) fn release(&mut self, rectangle: &Rectangle) {
+        self.keyframe.loosen(rectangle);
+    }
+
+    /// Share of the predicted returns that come.
+    fn returned_share(&self) -> f64 {
+        self.returns.agreed_share(PREDICTED).unwrap_or(1.0).clamp(0.0, 1.0)
+    }
+
+    /// Sectors in which hardly anything came of what earlier scans or walls predict.
+    fn failing(&self) -> u64 {
+        sectors::failing(&self.sectors, self.returned_share())
     }
 
     /// Sectors without evidence of this scan. A scan without ranges keeps those of the scan before.
@@ -277,9 +359,11 @@ impl Evidence {
         self.findings.right_share = self.returns.right_share(PREDICTED);
         self.findings.contradicts = self.calibration.contradicts(&self.errors);
         self.findings.is_doubtful = self.calibration.blames_odometry.is_set();
-        let share = agreed.unwrap_or(1.0).clamp(0.0, 1.0);
+        self.findings.is_doubtful |= self.careful_s > 0.0;
+        let share = self.returned_share();
         let lately = self.shown[0] | self.shown[1];
-        let unseen_sectors = sectors::unseen(&self.sectors, self.silent, lately, share);
+        let silent = self.silent | if self.lacks_only_bodies() { 0 } else { self.gone };
+        let unseen_sectors = sectors::unseen(self.failing() | silent, lately);
         // They have to show something again before they are relied on.
         self.proven &= !unseen_sectors;
         let sight_m = self.sight(unseen_sectors, share);
@@ -328,6 +412,9 @@ impl Evidence {
             shown: self.shown,
             shown_s: self.shown_s,
             silent: self.silent,
+            gone: self.gone,
+            rested_s: self.rested_s,
+            careful_s: self.careful_s,
             waited_s: self.waited_s,
             calibration: self.calibration,
             verdict: self.verdict,
@@ -338,7 +425,9 @@ impl Evidence {
     pub(crate) fn is_sound(state: &EvidenceState) -> bool {
         let counts = state.sectors.iter().flatten();
         counts.copied().all(|count| (0.0..1e9).contains(&count))
-            && [state.waited_s, state.shown_s].iter().all(|time| (0.0..1e9).contains(time))
+            && [state.waited_s, state.shown_s, state.rested_s, state.careful_s]
+                .iter()
+                .all(|time| (0.0..1e9).contains(time))
             && state.returns.is_sound()
             && state.calibration.is_sound()
             && state.verdict.is_sound()
@@ -352,7 +441,8 @@ impl Evidence {
         self.sectors = state.sectors;
         self.proven = state.proven;
         (self.shown, self.shown_s) = (state.shown, state.shown_s);
-        self.silent = state.silent;
+        (self.silent, self.gone) = (state.silent, state.gone);
+        (self.rested_s, self.careful_s) = (state.rested_s, state.careful_s);
         self.waited_s = state.waited_s;
         self.calibration = state.calibration;
         self.errors = self.calibration.errors();
@@ -366,4 +456,10 @@ impl Evidence {
             && self.previous.place().is_some()
             && (0..BEAMS).all(|beam| range_of(scan, beam) == range_of(before, beam))
     }
+}
+
+/// The sectors of the beams from `first` to `last`, one bit each.
+fn sectors_of(first: usize, last: usize) -> u64 {
+    let sectors = first / SECTOR_BEAMS..=(last / SECTOR_BEAMS).min(SECTORS - 1);
+    sectors.fold(0, |mask, sector| mask | 1 << sector)
 }

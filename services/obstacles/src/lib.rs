@@ -12,6 +12,8 @@ mod config;
 mod detector;
 mod ellipse;
 mod evidence;
+mod hollow;
+mod hull;
 mod motion;
 mod outline;
 mod outlines;

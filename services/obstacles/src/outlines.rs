@@ -4,6 +4,7 @@ use nalgebra::Vector2;
 use shared_types::{BEAMS, Scan};
 
 use crate::Config;
+use crate::hull::{HOLLOW_M, Hull};
 use crate::outline::{Vertex, trace};
 use crate::part::Known;
 use crate::points::{Place, Point};
@@ -41,6 +42,7 @@ pub(crate) struct Outlines {
     segments: Segments,
     vertices: Vec<Vertex>,
     expected: Vec<Known>,
+    hull: Hull,
 }
 
 impl Outlines {
@@ -51,6 +53,7 @@ impl Outlines {
             segments: Segments::with_capacity(),
             vertices: Vec::with_capacity(4 * BEAMS),
             expected: Vec::with_capacity(TRACKS + 1),
+            hull: Hull::with_capacity(),
         }
     }
 
@@ -88,6 +91,7 @@ impl Outlines {
         points.retain(|point| walls.leaves(point.at));
         self.segments.find(scan, points, config.range_noise_m, config.beside_y_m());
         self.segments.part(&self.expected);
+        self.segments.part_at_hollows(config.range_noise_m);
         self.list.clear();
         self.vertices.clear();
         for cluster in &self.segments.clusters {
@@ -126,7 +130,12 @@ impl Outlines {
                 let gate = GATE_M + GATE_PER_M * (expected.centre - place.at).norm();
                 // The mean decides between two boxes that both touch the outline.
                 let cost = least + 0.1 * sum / vertices.len() as f64;
-                if least < gate && cost < best {
+                // What lies on the body is of it, whatever its shape.
+                let is_on_it = *moves || !outline.may_start || sum < HOLLOW_M * vertices.len() as f64;
+                if least < gate
+                    && cost < best
+                    && (is_on_it || !self.hull.is_hollow(expected, vertices, place.at))
+                {
                     (best, outline.track) = (cost, Some(index));
                 }
             }

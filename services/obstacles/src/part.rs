@@ -8,14 +8,12 @@
 
 use vehicle::geometry::Rectangle;
 
-use crate::segment::{Cluster, End, Segments};
+use crate::segment::{Cluster, End, HIDING_M, Segments};
 
 /// Returns farther than this from each box part no cluster: they may be of anything [m].
 const CLAIM_M: f64 = 0.1;
 /// So many returns show a body.
 const ENOUGH: usize = 3;
-/// A neighbour nearer than this hides what is behind it [m].
-const HIDING_M: f64 = 0.15;
 
 /// A known body: its expected box, and whether it moves.
 pub(crate) type Known = (Rectangle, bool);
@@ -26,7 +24,7 @@ impl Segments {
         if !known.iter().any(|(_, moves)| *moves) {
             return;
         }
-        let Self { members, clusters, parts, owners } = self;
+        let Self { members, clusters, parts, owners, .. } = self;
         parts.clear();
         for cluster in clusters.iter() {
             let members = &members[cluster.first..cluster.end];

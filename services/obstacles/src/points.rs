@@ -65,6 +65,11 @@ impl Place {
         (self.at + self.velocity * time, self.yaw_rate * time)
     }
 
+    /// Speed of the scanner over ground [m/s].
+    pub(crate) fn speed(&self) -> f64 {
+        self.velocity.norm()
+    }
+
     /// The place as plain numbers, see [`Self::from_array`].
     pub(crate) fn to_array(self) -> [f64; 6] {
         [self.at.x, self.at.y, self.yaw, self.velocity.x, self.velocity.y, self.yaw_rate]

@@ -20,7 +20,7 @@ const MAX_BEAM_STEP: usize = 5;
 /// Bodies nearer than this show at least three beams when they are 3 cm wide [m].
 const SPARSE_M: f64 = 3.0;
 /// A neighbour nearer than the end of a body by this hides what is behind it [m].
-const HIDING_M: f64 = 0.15;
+pub(crate) const HIDING_M: f64 = 0.15;
 /// Beyond this range the end of a body cannot be told from the end of the view [m].
 const FADING_M: f64 = 5.4;
 
@@ -58,6 +58,7 @@ pub(crate) struct Segments {
     // Buffers of the parting.
     pub(crate) parts: Vec<Cluster>,
     pub(crate) owners: Vec<Option<usize>>,
+    pub(crate) front: Vec<usize>,
 }
 
 impl Segments {
@@ -68,6 +69,7 @@ impl Segments {
             clusters: Vec::with_capacity(BEAMS),
             parts: Vec::with_capacity(BEAMS),
             owners: Vec::with_capacity(BEAMS),
+            front: Vec::with_capacity(BEAMS),
         }
     }
 
@@ -76,25 +78,26 @@ impl Segments {
     pub(crate) fn find(&mut self, scan: &Scan, points: &[Point], range_noise: f64, beside_y: [f64; 2]) {
         self.members.clear();
         self.clusters.clear();
-        let mut first = 0;
+        let (mut first, mut continues) = (0, false);
         for (index, point) in points.iter().enumerate() {
-            if let Some(last) = self.members[first..].last().copied()
-                && !(is_beside(&last, beside_y) == is_beside(point, beside_y)
-                    && connected(&last, point, range_noise))
-            {
-                if is_speckle(points, index, &last, range_noise) {
-                    continue;
+            if let Some(last) = self.members[first..].last().copied() {
+                let is_one = connected(&last, point, range_noise);
+                if !is_one || is_beside(&last, beside_y) != is_beside(point, beside_y) {
+                    if is_speckle(points, index, &last, range_noise) {
+                        continue;
+                    }
+                    self.close(scan, first, range_noise, [continues, is_one]);
+                    (first, continues) = (self.members.len(), is_one);
                 }
-                self.close(scan, first, range_noise);
-                first = self.members.len();
             }
             self.members.push(*point);
         }
-        self.close(scan, first, range_noise);
+        self.close(scan, first, range_noise, [continues, false]);
     }
 
-    /// Ends the cluster that starts at member `first`, or forgets it when it is too small.
-    fn close(&mut self, scan: &Scan, mut first: usize, range_noise: f64) {
+    /// Ends the cluster that starts at member `first`, or forgets it when it is too small. What it is of `continues` beyond
+    /// its ends, or does not.
+    fn close(&mut self, scan: &Scan, mut first: usize, range_noise: f64, continues: [bool; 2]) {
         let start = first;
         if let [.., inner, neighbour, end] = &self.members[first..]
             && is_mixed(end, neighbour, inner, range_noise)
@@ -113,13 +116,24 @@ impl Segments {
             self.members.truncate(start);
             return;
         }
-        let in_window = members.iter().filter(|point| WINDOW.contains(&point.beam)).count();
-        // A few returns one behind the other are mixed pixels between an edge and its background.
-        let farthest = members.iter().map(|point| point.range).fold(0.0, f64::max);
-        let may_start = in_window >= 2 && (members.len() > 3 || farthest - range < 6.0 * range_noise);
-        let ends = [end_of(scan, &members[0], false), end_of(scan, &members[members.len() - 1], true)];
+        let may_start = may_start(members, range_noise);
+        let mut ends = [end_of(scan, &members[0], false), end_of(scan, &members[members.len() - 1], true)];
+        for (end, continues) in ends.iter_mut().zip(continues) {
+            if continues {
+                *end = End::Hidden;
+            }
+        }
         self.clusters.push(Cluster { first, end: self.members.len(), may_start, ends });
     }
+}
+
+/// Whether returns of one surface are evidence enough for a new body.
+pub(crate) fn may_start(members: &[Point], range_noise: f64) -> bool {
+    let in_window = members.iter().filter(|point| WINDOW.contains(&point.beam)).count();
+    // A few returns one behind the other are mixed pixels between an edge and its background.
+    let nearest = members.iter().map(|point| point.range).fold(f64::INFINITY, f64::min);
+    let farthest = members.iter().map(|point| point.range).fold(0.0, f64::max);
+    in_window >= 2 && (members.len() > 3 || farthest - nearest < 6.0 * range_noise)
 }
 
 /// Whether a return is beyond the lines within which bodies at rest are described.
@@ -166,4 +180,41 @@ fn end_of(scan: &Scan, end: &Point, leftwards: bool) -> End {
         }
     }
     End::Silent
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::points::{Beams, Place};
+    use nalgebra::Vector2;
+
+    /// How many bodies ten returns on each side of `lost` beams without one are, 2 m away.
+    fn bodies(lost: usize) -> usize {
+        let mut scan = Scan::default();
+        scan.ranges_mm[330..350 + lost].fill(2000);
+        scan.ranges_mm[340..340 + lost].fill(0);
+        let mut points = Vec::new();
+        Beams::new().place(&scan, &Place::standing(Vector2::zeros(), 0.0), &mut points);
+        let mut segments = Segments::with_capacity();
+        segments.find(&scan, &points, 0.01, [-2.0, 2.0]);
+        segments.clusters.len()
+    }
+
+    #[test]
+    fn four_lost_beams_part_no_body_and_five_do() {
+        assert_eq!([0, 1, 4, 5, 6].map(bodies), [1, 1, 1, 2, 2]);
+    }
+
+    #[test]
+    fn a_body_continues_where_the_line_beside_the_track_cuts_it() {
+        let mut scan = Scan::default();
+        scan.ranges_mm[300..=340].fill(2000);
+        let mut points = Vec::new();
+        Beams::new().place(&scan, &Place::standing(Vector2::zeros(), 0.0), &mut points);
+        let mut segments = Segments::with_capacity();
+        // 20 beams to the right of the front is 0.245 m across.
+        segments.find(&scan, &points, 0.01, [-0.24, 2.0]);
+        let ends: Vec<_> = segments.clusters.iter().map(|cluster| cluster.ends).collect();
+        assert_eq!(ends, [[End::Silent, End::Hidden], [End::Hidden, End::Silent]]);
+    }
 }

@@ -34,8 +34,8 @@ const OPEN_M: f64 = 0.15;
 const DEAD_BAND_M: f64 = 0.03;
 /// Sine of how far a direction may turn away from the robot while its reach still counts as seen.
 const SILHOUETTE: f64 = -0.1;
-/// The same for the ends across the view, whose directions are rounded by up to 4 deg.
-pub(crate) const ENDS: f64 = -0.2;
+/// The same for the ends across the view of a body that is up to 60 deg wide: its corners are seen, and move with it.
+pub(crate) const ENDS: f64 = -0.5;
 /// A turned box must measure less than this share of the straight one to be preferred.
 const STRAIGHT_SHARE: f64 = 0.92;
 /// How much a box along the edges is preferred: one that is 8.5 deg off them counts a sixth larger.

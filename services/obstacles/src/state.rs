@@ -27,6 +27,8 @@ plain_state! {
         pub unseen_s: f64,
         /// For how long its returns have not come although it should be in view [s]
         pub silent_s: f64,
+        /// For how much of that the robot has rested [s]
+        pub rested_s: f64,
         /// Reach in each direction from the reference point, as bits of an f32 [m]
         pub reach: [u32; DIRECTIONS],
         /// Identity of the body, never 0

@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix2, Matrix4, Vector2, Vector4};
 use shared_types::PITCH_RAD;
+use vehicle::frame::to_robot;
 use vehicle::geometry::Rectangle;
 
 use crate::Config;
@@ -47,6 +48,8 @@ const MAX_GROWTH_M: f64 = 0.2;
 /// A body that ends this much, and this many beams, short of where it is known has not shrunk by noise [m].
 const CUT_M: f64 = 0.03;
 const CUT_BEAMS: f64 = 2.0;
+/// A body that was found to move may have been this far beyond its box [m].
+const SWEPT_M: f64 = 0.2;
 /// Longest prediction of a filter at once [s].
 const MAX_ELAPSED_S: f64 = 1.0;
 
@@ -58,6 +61,8 @@ pub(crate) struct Track {
     pub(crate) unseen_s: f64,
     /// For how long its returns have not come although it should be in view [s].
     pub(crate) silent_s: f64,
+    /// For how much of that the robot has rested [s].
+    pub(crate) rested_s: f64,
     /// Scans in a row that saw its place free.
     pub(crate) free: u32,
     pub(crate) moving: bool,
@@ -101,6 +106,7 @@ impl Track {
             sightings: 1,
             unseen_s: 0.0,
             silent_s: 0.0,
+            rested_s: 0.0,
             free: 0,
             moving: false,
             confirmed: false,
@@ -131,6 +137,19 @@ impl Track {
     /// The box where the body is, by the best estimate.
     pub(crate) fn rectangle(&self, directions: &Directions) -> Rectangle {
         self.shape().rectangle(self.place(), directions)
+    }
+
+    /// The box in which the body was since it was first seen, or last came to rest.
+    pub(crate) fn swept(&self, directions: &Directions) -> Rectangle {
+        let rectangle = self.rectangle(directions);
+        let way = self.place() - self.origin;
+        let turned = to_robot(rectangle.yaw, way.x, way.y);
+        Rectangle {
+            centre: rectangle.centre - way / 2.0,
+            length: rectangle.length + turned.x.abs() + 2.0 * SWEPT_M,
+            width: rectangle.width + turned.y.abs() + 2.0 * SWEPT_M,
+            ..rectangle
+        }
     }
 
     /// Lowest and highest coordinates of the body.
@@ -213,7 +232,7 @@ impl Track {
         self.edges = self.edges * EDGE_MEMORY + view.edges;
         self.orientation = orient(&self.reach, self.edges, self.orientation, directions);
         self.sightings = self.sightings.saturating_add(1);
-        (self.unseen_s, self.silent_s) = (0.0, 0.0);
+        (self.unseen_s, self.silent_s, self.rested_s) = (0.0, 0.0, 0.0);
         self.free = 0;
         self.judge(config);
     }
@@ -231,6 +250,7 @@ impl Track {
         self.confirmed |= other.confirmed;
         if other.unseen_s < self.unseen_s {
             (self.unseen_s, self.silent_s, self.free) = (other.unseen_s, other.silent_s, other.free);
+            self.rested_s = other.rested_s;
         }
     }
 
@@ -251,6 +271,8 @@ impl Track {
             && self.unseen_s.is_finite()
             && self.silent_s >= 0.0
             && self.silent_s.is_finite()
+            && self.rested_s >= 0.0
+            && self.rested_s.is_finite()
     }
 
     /// The track as plain bytes.
@@ -267,6 +289,7 @@ impl Track {
             edges: self.edges.into(),
             unseen_s: self.unseen_s,
             silent_s: self.silent_s,
+            rested_s: self.rested_s,
             reach: self.reach.map(f32::to_bits),
             body: self.body,
             sightings: self.sightings,
@@ -287,6 +310,7 @@ impl Track {
             sightings: state.sightings,
             unseen_s: state.unseen_s,
             silent_s: state.silent_s,
+            rested_s: state.rested_s,
             free: state.free,
             moving: state.moving.is_set(),
             confirmed: state.confirmed.is_set(),
@@ -369,4 +393,42 @@ fn deviations(view: &View<'_>, distance: f64, config: &Config) -> (f64, f64) {
     let along = config.pose_noise_m.hypot(config.range_noise_m / (view.returns.clamp(1, 50) as f64).sqrt());
     let across = config.pose_noise_m.hypot(distance * (config.pose_noise_rad + 0.5 * PITCH_RAD));
     (along, across)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A body first seen 3 m ahead of a robot at the origin.
+    fn track() -> Track {
+        let vertices = [-0.2, 0.2].map(|y| Vertex { at: Vector2::new(3.0, y), end: End::Seen });
+        let view = View {
+            vertices: &vertices,
+            edges: Vector2::zeros(),
+            returns: 20,
+            robot: Vector2::zeros(),
+            elapsed: 0.0,
+        };
+        Track::start(1, &view, &Config::default(), &Directions::new())
+    }
+
+    /// Whether the body moves after sightings that show this speed each, 0.2 m from where it was first seen.
+    fn moves_after(track: &mut Track, speeds: &[f64]) -> bool {
+        for speed in speeds {
+            track.motion.state = Vector4::new(3.2, 0.0, *speed, 0.0);
+            track.motion.covariance = Matrix4::identity() * 1e-4;
+            track.judge(&Config::default());
+        }
+        track.moving
+    }
+
+    #[test]
+    fn only_showings_of_motion_in_a_row_make_a_body_move_and_only_those_of_rest_stop_it() {
+        let mut track = track();
+        let (rest, moves) = (0.0, 0.5);
+        assert!(!moves_after(&mut track, &[moves, moves, rest, moves, moves, rest, moves, moves]));
+        assert!(moves_after(&mut track, &[moves]), "the third in a row");
+        assert!(moves_after(&mut track, &[rest, rest, rest, rest, moves, rest, rest, rest, rest]));
+        assert!(!moves_after(&mut track, &[rest]), "the fifth in a row");
+    }
 }

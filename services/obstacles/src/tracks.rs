@@ -6,7 +6,8 @@ use vehicle::frame::to_robot;
 use vehicle::geometry::Rectangle;
 
 use crate::Config;
-use crate::evidence::Evidence;
+use crate::evidence::{Evidence, REST_MPS};
+use crate::hull::Hull;
 use crate::outline::Vertex;
 use crate::outlines::Outlines;
 use crate::part::Known;
@@ -22,6 +23,16 @@ const TOUCHING_M: f64 = 0.04;
 const SPECKLE_MEMORY_S: f64 = 0.35;
 /// When a body that stands should be in view and has shown nothing for this long, the scanner is doubted there [s].
 const DOUBTFUL_S: f64 = 0.25;
+/// When a body that stands has been silent for this long while the robot rested, the robot may drive on past it [s].
+const RELIED_S: f64 = 0.5;
+/// When it still rests after this time, the body has gone [s]. Neither has moved since it was seen, so its surface has not
+/// turned black: either it has gone, or the scanner fails there and nowhere else.
+const GONE_S: f64 = 0.9;
+/// Only of a body that is seen by so many beams, without its rim, can it be found that it has gone: with its rim that is more
+/// than two sectors. What a sector that fails may hide is not forgotten.
+const WIDE_BEAMS: usize = 14;
+/// A body that has gone was within this distance of where it is known [m].
+const AROUND_M: f64 = 0.2;
 /// A body further away than this is out of reach: the pose must have jumped [m].
 const LOST_M: f64 = 12.0;
 
@@ -37,6 +48,7 @@ pub(crate) struct Tracks {
     config: Config,
     view: Vec<Vertex>,
     boxes: Vec<Rectangle>,
+    hull: Hull,
 }
 
 impl Tracks {
@@ -49,6 +61,7 @@ impl Tracks {
             directions: Directions::new(),
             view: Vec::with_capacity(4 * shared_types::BEAMS),
             boxes: Vec::with_capacity(TRACKS + 1),
+            hull: Hull::with_capacity(),
         }
     }
 
@@ -65,7 +78,13 @@ impl Tracks {
     }
 
     /// Updates each track with all outlines that belong to it.
-    pub(crate) fn sight(&mut self, outlines: &Outlines, place: &Place, elapsed: f64) {
+    pub(crate) fn sight(
+        &mut self,
+        outlines: &Outlines,
+        evidence: &mut Evidence,
+        place: &Place,
+        elapsed: f64,
+    ) {
         for (index, track) in self.list.iter_mut().enumerate() {
             self.view.clear();
             let (mut returns, mut edges) = (0, Vector2::zeros());
@@ -80,8 +99,12 @@ impl Tracks {
             // Time since it was last seen, which may be longer than a scan.
             let elapsed = track.unseen_s.max(elapsed);
             let view = View { vertices: &self.view, edges, returns, robot: place.at, elapsed };
+            let stood = !track.moving;
             track.sight(&view, &self.config, &self.directions);
             track.confirmed = true;
+            if stood && track.moving {
+                evidence.release(&track.swept(&self.directions));
+            }
         }
     }
 
@@ -130,19 +153,29 @@ impl Tracks {
         elapsed: f64,
     ) {
         let is_reliable = evidence.is_reliable();
+        let rests = place.speed() < REST_MPS;
         for track in self.list.iter_mut().filter(|track| track.unseen_s > 0.0) {
             let rectangle = track.rectangle(&self.directions);
             match sight(scan, beams, place, &rectangle) {
                 Sight::Free => track.free = track.free.saturating_add(1),
                 Sight::Taken => track.free = 0,
                 Sight::Silent => {
-                    track.silent_s += if is_reliable { elapsed } else { 0.0 };
+                    let counted = if is_reliable { elapsed } else { 0.0 };
+                    let had_rested = track.rested_s >= RELIED_S;
+                    track.silent_s += counted;
+                    let towards = beams_towards(place, &rectangle);
+                    let is_wide = towards.clone().is_some_and(|towards| towards.count() >= WIDE_BEAMS);
+                    track.rested_s += if rests && is_wide { counted } else { 0.0 };
                     if track.stands()
                         && !self.config.is_beside(rectangle.corners())
                         && track.silent_s > DOUBTFUL_S
-                        && let Some(towards) = beams_towards(place, &rectangle)
+                        && let Some(towards) = towards
                     {
-                        evidence.doubt(towards);
+                        let may_have_gone = track.rested_s >= RELIED_S;
+                        if may_have_gone && !had_rested {
+                            evidence.release(&around(&rectangle));
+                        }
+                        evidence.doubt(&towards, may_have_gone);
                     }
                 }
                 Sight::Unknown => {}
@@ -150,13 +183,21 @@ impl Tracks {
         }
         let limit = self.config.free_scans;
         let memory_s = self.config.memory_s;
+        let lacks_only_bodies = evidence.lacks_only_bodies();
+        let directions = &self.directions;
         self.list.retain(|track| {
-            track.free < if track.confirmed { limit } else { limit.min(2) } && !track.is_outdated(memory_s)
+            let is_free = track.free >= if track.confirmed { limit } else { limit.min(2) };
+            let has_gone = track.rested_s >= GONE_S && lacks_only_bodies;
+            let is_forgotten = is_free || has_gone || track.is_outdated(memory_s);
+            if is_forgotten {
+                evidence.release(&around(&track.rectangle(directions)));
+            }
+            !is_forgotten
         });
     }
 
-    /// Merges standing bodies that touch: parts of one body that were first seen apart.
-    pub(crate) fn unite(&mut self) {
+    /// Merges standing bodies that touch: parts of one body that were first seen apart, by the robot at `robot`.
+    pub(crate) fn unite(&mut self, robot: Vector2<f64>) {
         self.boxes.clear();
         self.boxes.extend(self.list.iter().map(|track| track.rectangle(&self.directions)));
         let mut older = 0;
@@ -169,7 +210,8 @@ impl Tracks {
                 let touch = standing
                     && self.config.is_beside(a.corners()) == self.config.is_beside(b.corners())
                     && (a.centre - b.centre).norm_squared() < reach * reach
-                    && a.distance_to_rectangle(b) < TOUCHING_M;
+                    && a.distance_to_rectangle(b) < TOUCHING_M
+                    && !self.hull.is_hollow_between(a, b, robot);
                 if touch {
                     let part = self.list.remove(younger);
                     self.boxes.remove(younger);
@@ -200,6 +242,12 @@ impl Tracks {
             !(lost || gone || speckle)
         });
     }
+}
+
+/// A box with some room around it.
+fn around(rectangle: &Rectangle) -> Rectangle {
+    let Rectangle { length, width, .. } = *rectangle;
+    Rectangle { length: length + 2.0 * AROUND_M, width: width + 2.0 * AROUND_M, ..*rectangle }
 }
 
 /// Index of the track that is needed least: the farthest that is at rest beside the track, else the farthest among those not

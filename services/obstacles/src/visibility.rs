@@ -109,3 +109,46 @@ fn along(scan: &Scan, beams: &Beams, place: &Place, rectangle: &Rectangle, beam:
         Some(_) => Passage::Ends,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What a robot at the origin sees at the place of a box 0.4 m wide, 1.95 m ahead, where the beams towards it have these
+    /// ranges, from the right to the left.
+    fn sight_of(ranges_mm: &[(usize, u16)]) -> Sight {
+        let body = Rectangle { centre: Vector2::new(2.0, 0.0), yaw: 0.0, length: 0.1, width: 0.4 };
+        let place = Place::standing(Vector2::zeros(), 0.0);
+        let mut scan = Scan::default();
+        let towards = beams_towards(&place, &body).unwrap();
+        // The front is 0.2044 rad wide; a fifth of it is left out at each side.
+        assert_eq!(towards.clone().count(), 19);
+        let ranges = ranges_mm.iter().flat_map(|(count, range)| std::iter::repeat_n(*range, *count));
+        for (beam, range) in towards.zip(ranges) {
+            scan.ranges_mm[beam] = range;
+        }
+        sight(&scan, &Beams::new(), &place, &body)
+    }
+
+    #[test]
+    fn a_place_is_free_when_at_least_a_quarter_of_its_beams_shows_what_is_behind() {
+        assert_eq!(sight_of(&[(5, 3000), (14, 0)]), Sight::Free);
+        assert_eq!(sight_of(&[(4, 3000), (15, 0)]), Sight::Silent);
+        assert_eq!(sight_of(&[(19, 0)]), Sight::Silent);
+    }
+
+    #[test]
+    fn a_place_is_taken_when_more_than_a_third_of_its_returns_is_on_the_body() {
+        assert_eq!(sight_of(&[(12, 3000), (6, 1960), (1, 0)]), Sight::Free);
+        assert_eq!(sight_of(&[(11, 3000), (7, 1960), (1, 0)]), Sight::Taken);
+    }
+
+    #[test]
+    fn a_return_just_before_or_behind_a_body_is_of_the_body() {
+        // Noise of 0.1 m is on it; 0.25 m before it something else is.
+        assert_eq!(sight_of(&[(19, 1850)]), Sight::Taken);
+        assert_eq!(sight_of(&[(19, 2150)]), Sight::Taken);
+        assert_eq!(sight_of(&[(19, 1700)]), Sight::Unknown);
+        assert_eq!(sight_of(&[(19, 2300)]), Sight::Free);
+    }
+}

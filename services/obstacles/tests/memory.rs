@@ -94,6 +94,20 @@ fn missing_returns_erase_nothing_and_an_old_memory_grows_until_it_is_forgotten()
 }
 
 #[test]
+fn a_wide_body_that_goes_while_the_robot_rests_is_forgotten_and_no_other() {
+    let remembered = |width: f64, speed: f64| {
+        let mut detector = detector();
+        let mut scene = Scene::of(&[block(1.8, 0.0, 0.2, width, 0.0)]);
+        let mut robot = Robot { speed, ..Robot::default() };
+        assert_eq!(run(&mut detector, &mut scene, &mut robot, 20)[19].count, 1);
+        scene.bodies.clear();
+        run(&mut detector, &mut scene, &mut robot, 15)[14].count
+    };
+    // 0.6 m at 1.7 m are 57 beams, 0.2 m are 19: one sector has 11. A surface that turns black while the robot drives stays.
+    assert_eq!([remembered(0.6, 0.0), remembered(0.2, 0.0), remembered(0.6, 0.05)], [0, 1, 1]);
+}
+
+#[test]
 fn the_velocity_of_a_moving_obstacle_is_found_with_an_honest_covariance() {
     let (mut inside, mut total) = (0, 0);
     for seed in 0..20 {

@@ -5,6 +5,7 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::f64::consts::PI;
+use std::io::Write;
 
 use obstacles::{Config, ObstacleDetector};
 use shared_types::{BEAMS, Header, Pose, Scan};
@@ -36,10 +37,16 @@ fn rows(text: &str) -> Vec<Row> {
     text.lines().filter(|line| !line.trim().is_empty()).map(row).collect()
 }
 
+/// Says that a test was skipped, on the standard error of the program: that of a test that passes is not shown.
+fn skipped(test: &str) {
+    let mut stderr = std::io::stderr();
+    writeln!(stderr, "skipped: {test}: {FILE} is not there").unwrap();
+}
+
 #[test]
 fn the_recorded_scanner_is_never_blind_stuck_or_contradictory() {
     let Ok(text) = std::fs::read_to_string(FILE) else {
-        eprintln!("{FILE} is not there: only the synthetic log was tested");
+        skipped("the_recorded_scanner_is_never_blind_stuck_or_contradictory");
         return;
     };
     let rows = rows(&text);

@@ -14,6 +14,7 @@ mod moving_bodies;
 mod outputs;
 mod possible;
 mod reference;
+mod released;
 mod scenarios;
 mod system_file;
 mod urg;

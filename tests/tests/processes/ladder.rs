@@ -328,7 +328,7 @@ fn a_body_at_the_place_of_the_robot_blocks_the_wheels() {
     repeat_when_late(|| {
         let samples = drive_with(Role::Obstacles, "inside", "it rests", rests);
         let reasons = samples.reached(Level::Stop).into_iter().map(|scan| samples.commands[&scan].reason);
-        assert!(reasons.into_iter().all(|reason| reason == StopReason::BadInput.wire()));
+        assert!(reasons.into_iter().all(|reason| reason == StopReason::Covered.wire()));
     });
 }
 

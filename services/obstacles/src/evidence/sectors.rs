@@ -111,21 +111,18 @@ fn is_wall_near(beams: &Beams, place: &Place, [low, high]: [f64; 2], beam: usize
     distance > 0.0 && distance < REACH_M * across.abs()
 }
 
-/// The sectors without evidence, one bit each: those of `silent` are, `lately` are those that have shown something lately,
-/// and `share` of all predicted returns come.
-pub(crate) fn unseen(counts: &Counts, silent: u64, lately: u64, share: f64) -> u64 {
-    let is_unseen = |[predicted, came]: &[f64; 2]| {
+/// The sectors in which hardly anything of what was predicted came, one bit each, where `share` of all predicted returns
+/// come.
+pub(crate) fn failing(counts: &Counts, share: f64) -> u64 {
+    let is_failing = |[predicted, came]: &[f64; 2]| {
         *predicted >= NEEDED && *came < BLIND_SHARE * share.min(1.0) * *predicted
     };
-    let failing = (0..)
-        .zip(counts)
-        .filter(|(_, count)| is_unseen(count))
-        .fold(silent, |mask, (sector, _)| mask | 1 << sector);
-    between(failing, lately)
+    (0..).zip(counts).filter(|(_, count)| is_failing(count)).fold(0, |mask, (sector, _)| mask | 1 << sector)
 }
 
-/// `failing` with the sectors that have not shown anything lately and have failing ones at both ends.
-fn between(failing: u64, lately: u64) -> u64 {
+/// The sectors without evidence, one bit each: `failing` with the sectors that have not shown anything lately and have failing
+/// ones at both ends.
+pub(crate) fn unseen(failing: u64, lately: u64) -> u64 {
     let mut unseen = failing;
     let mut begin = None;
     for sector in 0..SECTORS {
@@ -189,9 +186,9 @@ mod tests {
 
     #[test]
     fn a_gap_between_failing_sectors_is_unseen_unless_one_of_it_has_shown_something_lately() {
-        assert_eq!(between(0b100_0100, 0), 0b111_1100);
-        assert_eq!(between(0b100_0100, 0b1_0000), 0b100_0100);
-        assert_eq!(between(0b100, 0), 0b100);
+        assert_eq!(unseen(0b100_0100, 0), 0b111_1100);
+        assert_eq!(unseen(0b100_0100, 0b1_0000), 0b100_0100);
+        assert_eq!(unseen(0b100, 0), 0b100);
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use nalgebra::Vector2;
 use shared_types::{BEAMS, FRONT_BEAM, PITCH_RAD, Scan, plain_state};
+use vehicle::geometry::Rectangle;
 
 use crate::points::{Beams, Place, Point, range_of};
 
@@ -92,6 +93,15 @@ impl Snapshot {
         }
     }
 
+    /// The returns within `rectangle` may have moved: they are not of what stands.
+    pub(crate) fn loosen(&mut self, rectangle: &Rectangle) {
+        for point in &self.points {
+            if rectangle.distance_to_point(point.at) < 0.0 {
+                self.fixed[point.beam / 64] &= !(1 << (point.beam % 64));
+            }
+        }
+    }
+
     /// Forgets the scan.
     pub(crate) fn clear(&mut self) {
         self.place = None;
@@ -117,6 +127,13 @@ impl Snapshot {
     /// Whether the return of a beam is of something that does not move.
     pub(crate) fn is_fixed(&self, beam: usize) -> bool {
         self.fixed[beam / 64] >> (beam % 64) & 1 == 1
+    }
+
+    /// By how much the ranges of `scan`, from the same place, are longer or shorter on the average [m].
+    pub(crate) fn shift(&self, scan: &Scan) -> f64 {
+        let changes = self.points.iter().filter_map(|point| Some(range_of(scan, point.beam)? - point.range));
+        let (count, sum) = changes.fold((0, 0.0), |(count, sum), change| (count + 1, sum + change));
+        (sum / f64::from(count.max(1))).abs()
     }
 
     /// How far the scanner is from where the scan was taken, and how far it has turned [m, rad].
@@ -196,4 +213,29 @@ pub(crate) fn normal_at(points: &[Point], index: usize) -> Option<Vector2<f64>> 
     // The points between lie on the line: an edge or a corner has no normal.
     let is_straight = points[low..=high].iter().all(|point| normal.dot(&(point.at - first.at)).abs() < 0.06);
     is_straight.then_some(normal)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_that_change_as_a_whole_shift_the_scan_and_noise_does_not() {
+        let (beams, place) = (Beams::new(), Place::standing(Vector2::zeros(), 0.0));
+        let mut scan = Scan::default();
+        scan.ranges_mm[300..320].fill(2000);
+        let (mut points, mut snapshot) = (Vec::new(), Snapshot::empty());
+        beams.place(&scan, &place, &mut points);
+        snapshot.keep(&scan, &place, &points, |_| true);
+        assert_eq!(snapshot.shift(&scan), 0.0);
+        scan.ranges_mm[300..310].fill(2100);
+        scan.ranges_mm[310..320].fill(1900);
+        assert!(snapshot.shift(&scan) < 1e-12);
+        // Half of the beams are 0.2 m longer; a lost one does not count.
+        scan.ranges_mm[300..310].fill(2200);
+        scan.ranges_mm[310..320].fill(2000);
+        assert!((snapshot.shift(&scan) - 0.1).abs() < 1e-12);
+        scan.ranges_mm[300..320].fill(0);
+        assert_eq!(snapshot.shift(&scan), 0.0);
+    }
 }

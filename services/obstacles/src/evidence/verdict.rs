@@ -91,6 +91,11 @@ impl VerdictState {
         self.state()
     }
 
+    /// Ends the state with the next scan that finds a better one: its cause was none.
+    pub(crate) fn settle(&mut self) {
+        self.better_s = SETTLE_S;
+    }
+
     /// The state.
     pub(crate) fn state(&self) -> ScannerState {
         ScannerState::try_from(self.state).unwrap_or(ScannerState::Blind)

@@ -4,6 +4,8 @@
 mod gaps;
 mod hostile;
 mod presets;
+mod released;
+mod rooms;
 mod scanner;
 mod seeds;
 mod source;
