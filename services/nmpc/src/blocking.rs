@@ -69,15 +69,7 @@ mod tests {
     fn obstacle(id: u32, x: f64, low: f64, high: f64) -> PredictedObstacle {
         let centre = f64::midpoint(low, high);
         let body = Rectangle { centre: Vector2::new(x, centre), yaw: 0.0, length: 0.1, width: high - low };
-        PredictedObstacle {
-            id,
-            centre: [x, centre],
-            velocity: [0.0, 0.0],
-            a: 1.2,
-            b: 0.8,
-            body,
-            sightings: 1,
-        }
+        PredictedObstacle { id, centre: [x, centre], velocity: [0.0, 0.0], a: 1.2, b: 0.8, body }
     }
 
     #[test]

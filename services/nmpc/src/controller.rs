@@ -295,12 +295,10 @@ impl Controller {
             choice = planner.plan(&task, budget, command);
         }
         let mut task = Task::new(scene, reference_path, state, pose, start);
-        // Where blocked wheels slide far, or before the way of a body, a slower plan may keep clear although the fast one
-        // does not.
+        // Where blocked wheels slide far, a slower plan may keep clear although the fast one does not.
         let slowest = config.vehicle.bounds.velocity_min_mps;
-        let moving = predicted.iter().any(PredictedObstacle::moves);
         while choice.is_none()
-            && (moving || start.stopping.slide(task.fastest_mps) > SLIDE_M)
+            && start.stopping.slide(task.fastest_mps) > SLIDE_M
             && task.fastest_mps > slowest
         {
             task.fastest_mps = (task.fastest_mps / 2.0).max(slowest);

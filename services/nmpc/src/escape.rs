@@ -126,7 +126,6 @@ mod tests {
             a: 1.2,
             b: 0.7,
             body,
-            sightings: 1,
         }];
         let config = Config::default();
         let stopping = Stopping::new(&config, 0.1, 0.1);
@@ -139,15 +138,8 @@ mod tests {
     /// bodies [m].
     fn turns(standing: Option<PredictedObstacle>) -> Option<f64> {
         let body = Rectangle { centre: Vector2::new(0.0, 1.0), yaw: 0.0, length: 0.3, width: 0.3 };
-        let crossing = PredictedObstacle {
-            id: 1,
-            centre: [0.0, 1.0],
-            velocity: [0.0, -0.3],
-            a: 1.2,
-            b: 0.7,
-            body,
-            sightings: 1,
-        };
+        let crossing =
+            PredictedObstacle { id: 1, centre: [0.0, 1.0], velocity: [0.0, -0.3], a: 1.2, b: 0.7, body };
         let predicted: Vec<_> = standing.into_iter().chain([crossing]).collect();
         let config = Config::default();
         let scene = Scene::new(&config, &predicted, State::default());
@@ -164,15 +156,7 @@ mod tests {
     fn a_robot_drives_out_of_the_way_where_there_is_room() {
         assert!(turns(None).is_some_and(|clearance_m| clearance_m > 0.1));
         let body = Rectangle { centre: Vector2::new(0.4, 0.0), yaw: 0.0, length: 0.1, width: 2.0 };
-        let wall = PredictedObstacle {
-            id: 2,
-            centre: [0.4, 0.0],
-            velocity: [0.0; 2],
-            a: 1.2,
-            b: 1.2,
-            body,
-            sightings: 1,
-        };
+        let wall = PredictedObstacle { id: 2, centre: [0.4, 0.0], velocity: [0.0; 2], a: 1.2, b: 1.2, body };
         assert_eq!(turns(Some(wall)), None);
     }
 

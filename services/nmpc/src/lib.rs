@@ -39,7 +39,6 @@ mod state;
 mod stop_rule;
 mod verify;
 mod warm;
-mod way;
 mod weights;
 
 pub use braking::speed_limit;

@@ -33,8 +33,6 @@ pub(crate) struct PredictedObstacle {
     pub(crate) b: f64,
     /// Box of the body at the start of the plan.
     pub(crate) body: Rectangle,
-    /// Scans that showed the body.
-    pub(crate) sightings: u64,
 }
 
 impl PredictedObstacle {
@@ -104,7 +102,6 @@ pub(crate) fn read(
                 length: item.box_length_m,
                 width: item.box_width_m,
             },
-            sightings: item.sightings,
         });
     }
     true

@@ -255,8 +255,7 @@ impl<'a> Scene<'a> {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Baseline {
     values: [f64; shared_types::MAX_OBSTACLES],
-    /// Distances of the body to the obstacles [m].
-    pub(crate) gaps: [f64; shared_types::MAX_OBSTACLES],
+    gaps: [f64; shared_types::MAX_OBSTACLES],
     wall_gap: f64,
     outside: [f64; 2],
 }

@@ -168,7 +168,6 @@ mod tests {
             a: 1.2_f64.max(1.15 * b),
             b,
             body,
-            sightings: 1,
         }];
         let config = Config {
             goal: Goal { x_m: 15.0, ..Goal::default() },

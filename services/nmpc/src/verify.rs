@@ -16,7 +16,6 @@ use crate::config::Config;
 use crate::rollout::{PIECES, Rollout, advance};
 use crate::sampled::Sampled;
 use crate::scene::{Baseline, Scene, Violation};
-use crate::way;
 
 /// How far behind the goal the plan is still checked [m].
 const BEHIND_GOAL_M: f64 = 0.03;
@@ -135,8 +134,7 @@ fn touched_between(scene: &Scene, baseline: &Baseline, from: &Sampled, to: &Samp
     })
 }
 
-/// The first contact of a robot that blocks its wheels instead of following the plan's next command, or where it would
-/// come to rest in the way of a body.
+/// The first contact of a robot that blocks its wheels instead of following the plan's next command.
 ///
 /// Until the block it holds the first control of the plan, because only a command brings another one.
 fn slide(
@@ -161,7 +159,7 @@ fn slide(
         while blocks.next_if(|after_s| held.t >= *after_s).is_some() {
             is_blocked = true;
         }
-        let slid = || if is_blocked { slide_from(scene, baseline, first, &held, samples) } else { None };
+        let slid = || if is_blocked { slide_from(scene, baseline, first, &held) } else { None };
         if let Some(violation) = touched.or_else(slid) {
             // Nothing plans again before it, however late it is.
             return Some((violation, held.t.min(VERIFIED_S)));
@@ -171,37 +169,26 @@ fn slide(
     None
 }
 
-/// The first contact of blocked wheels, or the body in whose way they come to rest on this plan. They keep their angle, so
-/// the robot slides along the arc that the model drives then. It may be faster and brake less than described.
-fn slide_from(
-    scene: &Scene,
-    baseline: &Baseline,
-    control: &Control,
-    start: &Sampled,
-    plan: &[Sampled],
-) -> Option<Violation> {
+/// The first contact of blocked wheels: they keep their angle, so the robot slides along the arc that the model drives then.
+/// It may be faster and brake less than described.
+fn slide_from(scene: &Scene, baseline: &Baseline, control: &Control, start: &Sampled) -> Option<Violation> {
     let stopping = Stopping::new(scene.config, scene.config.period_s, scene.margin.age_s());
     let (deceleration, speed) = (stopping.deceleration_mps2, start.speed * stopping.speed_ratio);
     let length = stopping.slide(start.speed);
     let step_m = if scene.escapes { FINE_SLIDE_STEP_M } else { SLIDE_STEP_M };
     let steps = (length / step_m).ceil().max(1.0);
     let parameters = scene.config.vehicle.parameters();
-    let (mut state, mut before, mut t) = (start.state, speed, start.t);
-    for step in 1..=steps as usize {
+    let (mut state, mut before) = (start.state, speed);
+    (1..=steps as usize).find_map(|step| {
         let way = length * step as f64 / steps;
         let left = (speed * speed - 2.0 * deceleration * way).max(0.0).sqrt();
         // The model has no lateral motion at standstill.
         let control = Control { velocity: f64::midpoint(before, left).max(SLOWEST_MPS), ..*control };
         state = advance(&parameters, &state, &control, (before - left) / deceleration);
         before = left;
-        t = start.t + (speed - left) / deceleration;
-        let touched = scene.touched(baseline, scene.margin.base(), t, &state);
-        if touched.is_some() {
-            return touched;
-        }
-    }
-    let waits = !scene.escapes;
-    way::stands_in_it(scene, baseline, (&state, t), plan).filter(|_| waits).map(Violation::Obstacle)
+        let t = start.t + (speed - left) / deceleration;
+        scene.touched(baseline, scene.margin.base(), t, &state)
+    })
 }
 
 /// The next sample of a robot that holds a control.

@@ -2,7 +2,8 @@
 //!
 //! Both use the same measured place of the body's reference point. The place is measured along two axes: the one
 //! towards the robot, where the nearest surface shows it, and the one across, where both ends must move the same
-//! way. A part that comes into view moves one end only and is no motion. The filter at rest has the smaller gain and
+//! way. A part that comes into view moves one end only and is no motion; it comes into view at an end that something
+//! hides, and then the other end alone shows the motion. The filter at rest has the smaller gain and
 //! gives the place of a static body; the other decides whether it moves.
 //!
 //! Where it fails: errors of the pose are common to all bodies and change slowly, so with a drifting pose static

@@ -22,6 +22,10 @@ const STANDING: u32 = 5;
 const BLIND_M: f64 = 10.0;
 /// A near surface that jumps farther than this has changed its shape and not its place [m].
 const JUMP_M: f64 = 0.25;
+/// Nearer than this an end that is seen may be another one at each scan, because the robot passes the body [m].
+const ONE_END_M: f64 = 2.0;
+/// How much noisier one end is than the mean of two that agree.
+const ONE_END_NOISE: f64 = 2.0;
 /// The place of rest is reset when it is this far from the moving place [m].
 const LEFT_BEHIND_M: f64 = 0.15;
 /// A body counts as moving only when it is this far from where it was first seen [m].
@@ -204,12 +208,22 @@ impl Track {
         let is_cut = is_cut(&seen, &self.reach, [near + DIRECTIONS / 4, near + DIRECTIONS * 3 / 4], distance);
         let along = excess(near).filter(|excess| excess.abs() < JUMP_M && !is_cut);
         let ends = (excess(near + DIRECTIONS / 4), excess(near + DIRECTIONS * 3 / 4));
-        let across = if let (Some(left), Some(right)) = ends { Some(agreed(left, -right)) } else { None };
+        let is_hidden = |index: usize| seen.end[index % DIRECTIONS] == End::Hidden;
+        let is_told_by_one = along.is_some() && distance > ONE_END_M;
+        let across = match ends {
+            (Some(left), Some(right)) => Some(agreed(left, -right)),
+            // The end that is seen shows the motion: what comes into view is at the hidden one.
+            (Some(left), None) if is_told_by_one && is_hidden(near + DIRECTIONS * 3 / 4) => Some(left),
+            (None, Some(right)) if is_told_by_one && is_hidden(near + DIRECTIONS / 4) => Some(-right),
+            _ => None,
+        };
         let across = across.filter(|across| across.abs() < JUMP_M && !is_cut);
 
         let shift = directions.unit(near) * along.unwrap_or(0.0)
             + directions.unit(near + DIRECTIONS / 4) * across.unwrap_or(0.0);
         let (along_noise, across_noise) = deviations(view, distance, config);
+        let is_one = ends.0.is_none() || ends.1.is_none();
+        let across_noise = if is_one { ONE_END_NOISE * across_noise } else { across_noise };
         let noise = noise_along(
             directions.unit(near),
             along.map_or(BLIND_M, |_| along_noise),

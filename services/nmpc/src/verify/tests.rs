@@ -29,7 +29,7 @@ impl Fixture {
 /// A box 0.4 m wide with an ellipse as small as the box, to see the body's own check.
 fn obstacle(x: f64, y: f64, a: f64, b: f64) -> PredictedObstacle {
     let body = Rectangle { centre: Vector2::new(x, y), yaw: 0.0, length: 0.1, width: 0.4 };
-    PredictedObstacle { id: 1, centre: [x, y], velocity: [0.0, 0.0], a, b, body, sightings: 1 }
+    PredictedObstacle { id: 1, centre: [x, y], velocity: [0.0, 0.0], a, b, body }
 }
 
 fn straight(velocity: f64) -> [Control; 6] {
