@@ -271,11 +271,9 @@ impl Evidence {
         if self.rested_s > RENEWED_S && !self.is_empty {
             self.rested_s = 0.0;
             // No error of the ranges moves anything while the robot rests: what moves or has gone contradicted nothing.
-            if self.has_changed(beams, scan, place) {
-                if self.calibration.contradicts(&self.errors) {
-                    self.verdict.settle();
-                    self.careful_s = CAREFUL_S;
-                }
+            if self.calibration.contradicts(&self.errors) && self.has_changed(beams, scan, place) {
+                self.verdict.settle();
+                self.careful_s = CAREFUL_S;
                 self.trust_ranges();
             }
             self.keyframe.keep(scan, place, points, is_fixed);

@@ -102,7 +102,7 @@ impl Tracks {
             let stood = !track.moving;
             track.sight(&view, &self.config, &self.directions);
             track.confirmed = true;
-            if stood && track.moving {
+            if stood && track.moving && place.speed() < REST_MPS {
                 evidence.release(&track.swept(&self.directions));
             }
         }
