@@ -11,7 +11,7 @@ use vehicle::geometry::{Rectangle, ray_in_box};
 use crate::outline::Vertex;
 
 /// Hollows up to this depth are filled: a room is that much smaller [m].
-pub(crate) const HOLLOW_M: f64 = 0.1;
+pub(crate) const HOLLOW_M: f64 = 0.15;
 /// A point is hidden by what is nearer by this share of its distance.
 const HIDDEN_SHARE: f64 = 0.002;
 /// Places along each side of a box at which its hollow is measured, as shares of the side.
