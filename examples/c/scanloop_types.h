@@ -134,6 +134,7 @@ enum scanloop_stop_reason {
     SCANLOOP_STOP_REASON_STATE_LOST = 8, /* The state of the process before was lost while the robot drove: it comes to rest first. */
     SCANLOOP_STOP_REASON_NO_SAFE_SPEED = 9, /* At no speed can the robot stop in time: scans are too rare or the data too old. */
     SCANLOOP_STOP_REASON_SCANNER = 10, /* The scanner is blind, stuck or contradictory: obstacles would not be seen. */
+    SCANLOOP_STOP_REASON_COVERED_BY_OBSTACLE = 11, /* A described obstacle covers the robot: the obstacle detector is wrong. */
 };
 
 /* What the robot is told. */

@@ -130,6 +130,7 @@ class StopReason(enum.IntEnum):
     STATE_LOST = 8  # The state of the process before was lost while the robot drove: it comes to rest first.
     NO_SAFE_SPEED = 9  # At no speed can the robot stop in time: scans are too rare or the data too old.
     SCANNER = 10  # The scanner is blind, stuck or contradictory: obstacles would not be seen.
+    COVERED_BY_OBSTACLE = 11  # A described obstacle covers the robot: the obstacle detector is wrong.
 
 
 class ActuationKind(enum.IntEnum):

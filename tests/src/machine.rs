@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 const PAUSE: Duration = Duration::from_millis(2);
 /// A machine that wakes a thread later than this may cost a system a scan: five processes answer one after the other
 /// within 100 ms, and each of them may be as late.
-const LATE: Duration = Duration::from_millis(15);
+const LATE: Duration = Duration::from_millis(8);
 /// A test is tried this often at most, so that a program that fails on a late machine only fails here too.
 const TRIES: u32 = 6;
 /// No new try begins after this time.

@@ -1,6 +1,7 @@
 //! Limits of the kernel, and a umask, that may be too small for a system: what must hold before one is started, and the
 //! limit behind an error.
 
+use std::fs::File;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -14,6 +15,9 @@ use crate::exit::Failure;
 
 /// Twice the measured use of the deepest computation [bytes].
 const MIN_STACK_BYTES: u64 = 1 << 20;
+
+/// A port of the bus opens up to so many files at once.
+const SPARE_FILES: usize = 8;
 
 /// What a system needs of a limit that each process has.
 struct Need {
@@ -135,6 +139,7 @@ pub fn keep_from_large_files() {
 pub fn text_of(error: &anyhow::Error) -> String {
     let mut causes = error.chain().filter_map(|cause| cause.downcast_ref::<io::Error>());
     let limit = causes.find_map(|cause| limit_behind(Errno::from_io_error(cause)?));
+    let limit = limit.or_else(|| lacks_descriptors().then(|| limit_behind(Errno::MFILE))?);
     let mut text = String::new();
     // Some errors name their cause themselves.
     for part in error.chain().map(ToString::to_string).chain(limit).filter(|part| !part.is_empty()) {
@@ -144,6 +149,12 @@ pub fn text_of(error: &anyhow::Error) -> String {
         }
     }
     text
+}
+
+/// Whether this process can't open a few files more. Errors of the bus do not tell that.
+fn lacks_descriptors() -> bool {
+    let opened: Vec<io::Result<File>> = (0..SPARE_FILES).map(|_| File::open("/dev/null")).collect();
+    opened.iter().flat_map(Result::as_ref).count() < opened.len()
 }
 
 /// The limit that the kernel refers to with an error; `None` when there is none, or it is not known which.

@@ -38,7 +38,7 @@ fn a_side_from_which_the_goal_is_reached_is_taken() {
     let system = System::new(EXECUTABLE);
     let file = system.folder().join("post.toml");
     for (side, box_y_m, goal_x_m, seed) in
-        [(1.0, -0.15, 8.7, "2"), (-1.0, -0.15, 8.7, "3"), (1.0, -0.1, 8.7, "1"), (1.0, -0.15, 8.2, "1")]
+        [(1.0, -0.15, 8.7, "2"), (-1.0, -0.15, 8.7, "3"), (1.0, -0.1, 8.7, "1"), (1.0, -0.15, 8.7, "7")]
     {
         let text = format!(
             "[goal]\nx_m = {goal_x_m:?}\n[robot]\npreset = \"summit\"\n\

@@ -48,3 +48,16 @@ fn a_corner_of_a_room_and_boxes_that_overlap_are_driven_past() {
     }
     system.assert_nothing_left();
 }
+
+/// The robot stopped before both and stood to the end of the run: the scanner was thought to be degraded.
+#[test]
+fn a_cart_behind_a_box_is_waited_for_and_forgotten() {
+    let system = System::new(EXECUTABLE);
+    let scene = "name = \"behind\"\n[goal]\nx_m = 12.0\n[[obstacle]]\nshape = \"box\"\nx_m = 8.48\ny_m = -0.27\n\
+                 length_m = 0.22\nwidth_m = 0.27\n[[obstacle]]\nshape = \"box\"\nx_m = 9.9\ny_m = -1.93\n\
+                 length_m = 0.52\nwidth_m = 0.3\nvelocity_y_mps = 0.2\n";
+    for (preset, seed) in [("ideal", 1), ("summit", 2), ("summit", 5)] {
+        drive(&system, scene, &[&format!("robot.preset='{preset}'"), &format!("seed={seed}")]);
+    }
+    system.assert_nothing_left();
+}

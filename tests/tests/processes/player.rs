@@ -614,16 +614,28 @@ fn the_closed_connection_stops_the_wheels_when_driver_and_guard_are_killed() {
 #[test]
 fn the_driver_meets_what_is_required_of_a_robot() {
     repeat_when_late(|| {
-        let server = server("free");
         let system = System::new(EXECUTABLE);
-        let file = system_file(&system, server.port(), "");
         // One robot: one case at a time.
-        let arguments =
-            ["conformance", "robot", "--to", "player", "--system", &file, "--jobs", "1", "--json"];
-        let output = system.run(&arguments);
-        let text = String::from_utf8_lossy(&output.stderr);
-        let report: conformance::Report = serde_json::from_slice(&output.stdout).unwrap();
-        assert_eq!((output.status.code(), report.failed), (Some(0), 0), "{text}");
+        let test = |more: &[&str]| {
+            let server = server("free");
+            let file = system_file(&system, server.port(), "");
+            let arguments =
+                ["conformance", "robot", "--to", "player", "--system", &file, "--jobs", "1", "--json"];
+            let output = system.run(&[&arguments[..], more].concat());
+            let text = String::from_utf8_lossy(&output.stderr).into_owned();
+            (serde_json::from_slice::<conformance::Report>(&output.stdout).unwrap(), text)
+        };
+        let (mut report, text) = test(&[]);
+        // The robot drives on from case to case, until nothing is in reach of its scanner: the last ones get a new robot.
+        let is_unseen = |case: &conformance::CaseReport| case.outcome == conformance::Outcome::NotObserved;
+        let unseen = report.cases.iter().filter(|case| is_unseen(case));
+        let again: Vec<&str> = unseen.flat_map(|case| ["--case", case.name.as_str()]).collect();
+        if !again.is_empty() {
+            let (once_more, _) = test(&again);
+            report.cases.retain(|case| !is_unseen(case));
+            report.cases.extend(once_more.cases);
+        }
+        assert_eq!(report.failed, 0, "{text}");
         let missed = report.cases.iter().filter(|case| case.outcome != conformance::Outcome::Passed);
         let missed: Vec<&str> = missed.map(|case| case.name.as_str()).collect();
         assert_eq!(
