@@ -629,7 +629,7 @@ fn the_driver_meets_what_is_required_of_a_robot() {
         // The robot drives on from case to case, until nothing is in reach of its scanner: the last ones get a new robot.
         let is_unseen = |case: &conformance::CaseReport| case.outcome == conformance::Outcome::NotObserved;
         let unseen = report.cases.iter().filter(|case| is_unseen(case));
-        let again: Vec<&str> = unseen.flat_map(|case| ["--case", case.name.as_str()]).collect();
+        let again: Vec<&str> = unseen.flat_map(|case| ["--only", case.name.as_str()]).collect();
         if !again.is_empty() {
             let (once_more, _) = test(&again);
             report.cases.retain(|case| !is_unseen(case));
