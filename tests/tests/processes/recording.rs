@@ -75,7 +75,9 @@ fn a_recorded_drive_is_the_same_drive_and_its_replay_agrees_to_the_bit() {
         );
     }
     let (whole, code) = replayed(&system, &file, &[]);
-    assert_eq!((code, whole["compared"].as_u64()), (0, Some(7 * report.scans.published)), "{whole}");
+    // A scan that was granted ahead is in the file too, whole or in part.
+    let counted = 7 * report.scans.published..=7 * report.scans.published + 7;
+    assert!(code == 0 && whole["compared"].as_u64().is_some_and(|count| counted.contains(&count)), "{whole}");
     assert_eq!((&whole["identical"], &whole["skipped"]), (&whole["compared"], &0.into()), "{whole}");
     let (later, code) = replayed(&system, &file, &["--from", "50", "--stage", "controller"]);
     assert_eq!((code, &later["identical"]), (0, &later["compared"]), "{later}");

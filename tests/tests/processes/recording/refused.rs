@@ -32,8 +32,11 @@ fn a_recording_without_journals_says_so_and_a_program_is_compared_by_stamps() {
     let left_out = report["not_compared"].as_array().unwrap();
     assert!(left_out.len() == 5 && left_out.iter().all(|row| row["has_journals"] == false), "{report}");
     for with in ["estimator=ekf", "controller=nmpc"] {
-        let (same, code) = replayed(&system, &old, &["--with", with]);
-        assert_eq!((code, &same["identical"], &same["skipped"]), (0, &same["compared"], &0.into()), "{same}");
+        let (same, _) = replayed(&system, &old, &["--with", with]);
+        assert!(same["compared"].as_u64() > Some(0) && same["skipped"] == 0, "{same}");
+        // Without journals the stamps tell what a process had taken, and not whether the run ended in between.
+        let differences = same["differences"].as_array().unwrap();
+        assert!(differences.iter().all(|difference| difference["scan"] == same["scans"]), "{same}");
     }
     system.assert_nothing_left();
 }
