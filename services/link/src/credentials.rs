@@ -154,7 +154,7 @@ fn open_or_make(
     there.map_or_else(make, Ok)
 }
 
-/// Writes a file that only its owner may read, and syncs it: a lost key is a host that nobody can reach.
+/// Writes a file that only its owner may read, and syncs it: with a lost key a host can not be reached.
 fn write(folder: &Folder, name: &str, text: &str) -> anyhow::Result<()> {
     folder.write(name, text.as_bytes())?;
     let synced = std::fs::File::open(folder.by_descriptor(name)).and_then(|file| file.sync_all());

@@ -59,7 +59,7 @@ fn a_recording_is_not_destroyed_by_an_output_onto_itself() {
             assert!(std::fs::read(place("drive.mcap")).unwrap() == whole, "{arguments:?}");
         }
     }
-    // Nothing is left beside it either.
+    // Nothing is left in its folder either.
     assert_eq!(files(&place("bag")), ["recording.mcap"]);
     assert_eq!(files(&place("tables")), ["scan.csv"]);
     // A link to another file is replaced, and the file it leads to is not.
