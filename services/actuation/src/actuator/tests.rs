@@ -224,6 +224,38 @@ fn after_a_wrong_number_the_second_scan_is_answered() {
 }
 
 #[test]
+fn two_old_commands_in_a_row_are_no_doubt() {
+    // Both were taken before the last one answered, or one at the same time; or the second has its very number.
+    let late = |scan: u64, acquired_ns: u64| {
+        let mut command = drive(scan);
+        command.header.acquired_ns = acquired_ns;
+        command
+    };
+    let acquired_ns = drive(5).header.acquired_ns;
+    for pair in [
+        [drive(2), drive(3)],
+        [late(2, acquired_ns), late(3, acquired_ns)],
+        [late(4, acquired_ns + 1), late(5, acquired_ns + 2)],
+    ] {
+        let mut actuator = driving(5);
+        for command in pair {
+            assert_blocked(&actuator.answer(&command, arrival(5) + 1), BlockReason::StaleCommand, 0);
+        }
+    }
+}
+
+#[test]
+fn a_refusal_names_by_how_much() {
+    let mut actuator = driving(1);
+    actuator.answer(&drive(2), drive(2).header.acquired_ns + 450_000_000);
+    assert_eq!(actuator.refusal().map(Fault::finding), Some(("age_ms", 450.0)));
+    let mut future = drive(3);
+    future.header.acquired_ns = arrival(3) + 250_000_000;
+    actuator.answer(&future, arrival(3));
+    assert_eq!(actuator.refusal().map(Fault::finding), Some(("ahead_ms", 250.0)));
+}
+
+#[test]
 fn a_command_for_an_old_scan_is_refused_at_the_limit_of_its_age() {
     let age_limit = 3 * PERIOD_NS;
     let acquired = drive(7).header.acquired_ns;
@@ -239,6 +271,12 @@ fn a_command_from_the_future_does_not_shut_out_the_present() {
     (future.header.scan_id, future.header.acquired_ns) = (u64::MAX, u64::MAX);
     assert_blocked(&actuator.answer(&future, arrival(2)), BlockReason::InvalidCommand, 0);
     assert!(turns(&actuator.answer(&drive(2), arrival(2))));
+    // A period ahead is what a clock may be off.
+    let mut ahead = drive(3);
+    ahead.header.acquired_ns = arrival(3) + PERIOD_NS;
+    assert!(turns(&actuator.clone().answer(&ahead, arrival(3))));
+    ahead.header.acquired_ns += 1;
+    assert_blocked(&actuator.answer(&ahead, arrival(3)), BlockReason::InvalidCommand, 0);
 }
 
 #[test]
@@ -249,6 +287,9 @@ fn silence_of_one_and_a_half_periods_blocks_and_is_repeated_once_per_period() {
     let block = actuator.tick(valid + PERIOD_NS * 3 / 2 + 1).unwrap();
     assert_blocked(&block, BlockReason::NoCommand, 0);
     assert_eq!(block.header.scan_id, 3);
+    let told_ns = valid + PERIOD_NS * 3 / 2 + 1;
+    assert_eq!(actuator.clone().tick(told_ns + PERIOD_NS - 1), None);
+    assert!(actuator.clone().tick(told_ns + PERIOD_NS).is_some());
     let mut sent = 0;
     for millisecond in 151..=1150 {
         sent += u32::from(actuator.tick(valid + 1_000_000 * millisecond).is_some());
@@ -310,6 +351,12 @@ fn a_gap_between_scans_ends_with_the_next_valid_command_and_is_counted() {
     assert!(turns(&actuation));
     assert_eq!(actuation.gaps, 1);
     assert!(turns(&actuator.answer(&drive_late(5, gap_ns), arrival(5) + gap_ns)));
+    // The command may take half a period longer than the one before.
+    let slow_ns = arrival(4) + gap_ns + PERIOD_NS / 2;
+    for (late_ns, gaps) in [(0, 1), (1, 0)] {
+        let actuation = driving(3).answer(&drive_late(4, gap_ns), slow_ns + late_ns);
+        assert_eq!((turns(&actuation), actuation.gaps), (gaps == 1, gaps));
+    }
     // In lock-step no tick sees it.
     let untold = driving(3).answer(&drive_late(4, gap_ns), arrival(4) + gap_ns);
     assert_eq!((turns(&untold), untold.gaps), (true, 1));
@@ -344,7 +391,9 @@ fn refused_commands_do_not_break_the_silence() {
 #[test]
 fn before_the_first_command_the_robot_is_told_to_wait() {
     let mut actuator = actuator();
+    assert!(!actuator.is_awake());
     assert_eq!(actuator.tick(1_000), None);
+    assert!(actuator.is_awake());
     assert_blocked(&actuator.tick(1_001 + PERIOD_NS * 3 / 2).unwrap(), BlockReason::Start, 0);
     assert!(turns(&actuator.answer(&drive(4), arrival(4))), "the start is no silence");
 }

@@ -7,14 +7,15 @@ use scanloop_tests::swaps::{assert_seamless, assert_seamless_swap, swap};
 
 use super::*;
 
-/// Tries of a move: on a busy machine an output may be late enough for a rollback.
+/// Tries of a move: on a busy machine an output may be late enough for a refusal or a rollback, or one of two controllers
+/// gets a sample so late that it plans another way past a body. A user then asks again.
 const TRIES: usize = 3;
 
-/// Moves a role, and asserts that no scan was missed, also by tries that were rolled back.
+/// Moves a role, and asserts that no scan was missed, also by tries that were refused or rolled back.
 fn move_to(hosts: &TwoHosts, role: Role, to: &str) -> Certificate {
     let mut certificate = swap(&hosts.system, &[role.name(), "--to", to]);
     for _ in 1..TRIES {
-        if certificate.outcome == SwapOutcome::RolledBack {
+        if certificate.outcome == SwapOutcome::RolledBack || is_of_the_load(&certificate.reason) {
             assert_seamless(&certificate);
             certificate = swap(&hosts.system, &[role.name(), "--to", to]);
         }
@@ -33,6 +34,11 @@ fn move_to(hosts: &TwoHosts, role: Role, to: &str) -> Certificate {
         }
     }
     certificate
+}
+
+/// Whether a move was refused for what load does: an output in time and another one late, or of a late input.
+fn is_of_the_load(reason: &str) -> bool {
+    ["late:", "disagreement at scan"].iter().any(|begin| reason.starts_with(begin))
 }
 
 #[test]
