@@ -253,6 +253,16 @@ fn a_refusal_names_by_how_much() {
     future.header.acquired_ns = arrival(3) + 250_000_000;
     actuator.answer(&future, arrival(3));
     assert_eq!(actuator.refusal().map(Fault::finding), Some(("ahead_ms", 250.0)));
+    let plan_start_ns = drive(4).header.acquired_ns + 1_250_000_000;
+    actuator.answer(&Command { plan_length: 13, plan_start_ns, ..drive(4) }, arrival(4));
+    assert_eq!(actuator.refusal().map(Fault::finding), Some(("plan_start_ms", 1_250.0)));
+    // At a limit of the velocity, the steering angle is what is wrong.
+    for (scan, velocity_mps) in [(5, 0.1 - 0.5e-6), (6, 1.0 + 0.5e-6)] {
+        actuator.answer(&Command { velocity_mps, steering_rad: -0.5, ..drive(scan) }, arrival(scan));
+        let expected =
+            Fault::OutsideBounds { field: "steering_rad", value: -0.5, lowest: -0.06, highest: 0.06 };
+        assert_eq!(actuator.refusal(), Some(&expected));
+    }
 }
 
 #[test]
