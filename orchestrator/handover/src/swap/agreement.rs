@@ -350,6 +350,15 @@ mod tests {
         assert!(
             text_of(&command(1.0, 0.0), &command(0.89, 0.0)).starts_with("velocity differs by 0.1100 m/s")
         );
+        assert!(
+            text_of(&command(0.5, 0.0), &command(0.61, 0.0)).starts_with("velocity differs by 0.1100 m/s")
+        );
+        // To the right as to the left.
+        assert_eq!(text_of(&command(1.0, -0.04), &command(1.0, -0.045)), "");
+        assert_eq!(
+            text_of(&command(1.0, -0.04), &command(1.0, -0.032)),
+            "steering angle differs by 0.0080 rad, allowed are 0.0060 rad"
+        );
         assert!(disagreement(&command(1.0, 0.04), &command(1.0, 0.048), 2.0, &Meant::default()).is_none());
     }
 

@@ -10,6 +10,8 @@ use super::{
 const PERIOD_NS: u64 = 100_000_000;
 const OLD: u32 = 4;
 const NEW: u32 = 9;
+/// No swap of these tests takes so many scans.
+const MANY: u64 = 100;
 
 /// A swap of the controller; both processes behave well unless the test changes that.
 struct Trial {
@@ -133,7 +135,11 @@ impl Trial {
             [SwapAction::Authorise(authority(OLD, NEW, from_scan)), SwapAction::KillNew]
         );
         assert_eq!(self.swap.candidate(), NEW);
+        // It was killed, which is not another failure.
+        self.send(SwapEvent::Exited(Party::New, "killed by signal 9 (SIGKILL)".to_owned()));
+        assert_eq!(self.actions.len(), 2);
         while self.swap.stage() == Stage::Settling {
+            assert!(self.scan < MANY, "it settles");
             self.publish();
             self.output(Party::Old, 2, Ok(command(0.04)));
             self.record();
@@ -193,7 +199,7 @@ fn a_default_swap_has_its_certificate_within_three_seconds() {
         trial.output(Party::Old, 2, Ok(command(0.04)));
         trial.record();
     }
-    while trial.swap.stage() != Stage::Over {
+    while trial.swap.stage() != Stage::Over && trial.scan < MANY {
         trial.good_scan();
     }
     assert!(trial.scan - 10 <= 28, "{} scans", trial.scan - 10);
@@ -343,6 +349,34 @@ fn a_process_that_hangs_in_charge_is_rolled_back_before_the_actuator_blocks() {
 }
 
 #[test]
+fn a_scanner_that_pauses_while_the_new_one_is_in_charge_is_no_hang_of_it() {
+    let mut trial = Trial::new();
+    trial.in_charge();
+    trial.scan += 4;
+    trial.publish();
+    // Five periods after the last output; the time to answer this scan has just begun.
+    trial.output(Party::Old, 2, Ok(command(0.04)));
+    trial.tick_at(19);
+    assert!(trial.actions.is_empty(), "{:?}", trial.actions);
+    trial.tick_at(20);
+    assert!(trial.rolled_back(22).reason.starts_with("hangs: no output for scan 22"));
+}
+
+#[test]
+fn a_swap_whose_scans_are_not_recorded_is_over_two_seconds_after_its_decision() {
+    let mut trial = Trial::new();
+    trial.in_charge();
+    trial.send(SwapEvent::Exited(Party::Old, "exit code 1".to_owned()));
+    let decided_ns = trial.now_ns;
+    trial.now_ns = decided_ns + 1_999_999_999;
+    trial.send(SwapEvent::Tick);
+    assert_eq!((trial.swap.stage(), trial.actions.len()), (Stage::Settling, 2));
+    trial.now_ns += 1;
+    trial.send(SwapEvent::Tick);
+    assert_eq!(trial.certificate().outcome, SwapOutcome::Swapped);
+}
+
+#[test]
 fn an_invalid_or_different_output_in_charge_is_rolled_back() {
     let mut trial = Trial::new();
     trial.in_charge();
@@ -440,7 +474,7 @@ fn the_certificate_counts_answers_and_measures_the_jump_around_the_change_only()
         17..=21 => [0.01, 1.2],
         _ => [0.5, 1.2],
     };
-    while trial.swap.stage() != Stage::Over {
+    while trial.swap.stage() != Stage::Over && trial.scan < MANY {
         trial.publish();
         trial.output(Party::Old, 2, Ok(command(0.04)));
         trial.output(Party::New, 3, Ok(command(0.04)));
