@@ -399,6 +399,7 @@ impl Trial {
             let deadline_ns = monotonic_ns() + limit_ns;
             while !self.is_gone() && monotonic_ns() < deadline_ns {
                 self.poll();
+                self.wake();
                 // A run that began while the one before was stopped.
                 if round < rounds && self.stopped() && self.drives() {
                     break;
@@ -422,6 +423,18 @@ impl Trial {
         }
         self.is_clean_within(GONE_NS);
         self.seen.left = self.left();
+    }
+
+    /// Continues orchestrators that were suspended while they ended, as `fg` does: no `stop` finds them any more.
+    fn wake(&mut self) {
+        if self.system.find().is_some() || !self.system.processes().is_empty() {
+            return;
+        }
+        for program in self.programs.iter_mut().filter(|program| program.out.is_some()) {
+            if matches!(program.signals.last(), Some(&(Signal::STOP | Signal::TSTP))) {
+                program.signal(Signal::CONT);
+            }
+        }
     }
 
     /// Waits until nothing is left of the system; whether that is so in time.
