@@ -12,8 +12,8 @@ use std::time::{Duration, Instant};
 /// Pause between two samples of the lateness.
 const PAUSE: Duration = Duration::from_millis(2);
 /// A machine that wakes a thread later than this may cost a system a scan: five processes answer one after the other
-/// within 100 ms, and each of them may be as late.
-const LATE: Duration = Duration::from_millis(8);
+/// within 100 ms, with the links of two hosts ten within 50 ms, and each of them may be as late.
+const LATE: Duration = Duration::from_millis(4);
 /// A test is tried this often at most, so that a program that fails on a late machine only fails here too.
 const TRIES: u32 = 6;
 /// No new try begins after this time.
