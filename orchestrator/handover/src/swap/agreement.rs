@@ -401,6 +401,88 @@ mod tests {
         assert!(text_of(&pose(0.0, 1.0), &pose(f64::NAN, 1.0)).starts_with("yaw differs by NaN rad"));
     }
 
+    /// A robot with all ranges 2 m.
+    fn robot() -> Sensed {
+        let scan = Scan { ranges_mm: [2000; BEAMS], ..Scan::default() };
+        Sensed::new(&scan, &Odometry::default(), Some(&Truth::default()))
+    }
+
+    fn text_of_robots(change: impl FnOnce(&mut Sensed)) -> String {
+        let mut new = robot();
+        change(&mut new);
+        text_of(&OutputSummary::Sensed(Box::new(robot())), &OutputSummary::Sensed(Box::new(new)))
+    }
+
+    #[test]
+    fn robots_are_compared_by_their_places_and_by_the_share_of_their_beams() {
+        assert_eq!(text_of_robots(|_| {}), "");
+        let truth = text_of_robots(|new| new.truth = Some([0.0, 0.0, -0.011]));
+        assert_eq!(truth, "true position differs by 0.0110 m, allowed are 0.0100 m");
+        let truth = text_of_robots(|new| new.truth = Some([0.006, 0.0, 0.0]));
+        assert_eq!(truth, "true yaw differs by 0.0060 rad, allowed are 0.0050 rad");
+        let reported = text_of_robots(|new| new.reported[1] = 0.06);
+        assert_eq!(reported, "reported position differs by 0.0600 m, allowed are 0.0500 m");
+        assert_eq!(text_of_robots(|new| (new.truth, new.reported[1]) = (None, 0.049)), "", "a real robot");
+        // 34 of 682 beams are 4.99 %; lost ones count, and those within a tenth of a metre do not.
+        assert_eq!(text_of_robots(|new| new.ranges_mm[..34].fill(2101)), "");
+        let beams = "the share of beams with another range differs by 0.0513 , allowed are 0.0500 ";
+        assert_eq!(text_of_robots(|new| new.ranges_mm[..35].fill(1899)), beams);
+        assert_eq!(text_of_robots(|new| new.ranges_mm[..35].fill(MIN_RANGE_MM - 1)), beams);
+        assert_eq!(text_of_robots(|new| new.ranges_mm.fill(2100)), "");
+        let mut lost = robot();
+        lost.ranges_mm.fill(0);
+        assert_eq!(lost.other_beams(&Sensed { ranges_mm: [19; BEAMS], ..lost.clone() }, 0.001), 0);
+        assert_eq!(robot().other_beams(&Sensed { ranges_mm: [MIN_RANGE_MM; BEAMS], ..robot() }, 1.98), 0);
+    }
+
+    #[test]
+    fn what_is_sent_may_differ_twice_as_much_as_what_is_desired() {
+        let sent = |kind: ActuationKind, sent_velocity_mps, sent_steering_rad| {
+            let kind = kind.wire();
+            let actuation =
+                Actuation { kind, sent_velocity_mps, sent_steering_rad, ..Actuation::default() };
+            OutputSummary::from(&actuation)
+        };
+        let old = sent(ActuationKind::Drive, 1.0, 0.0);
+        assert_eq!(text_of(&old, &sent(ActuationKind::Drive, 1.19, 0.0059)), "");
+        let text = text_of(&old, &sent(ActuationKind::Drive, 0.79, 0.0));
+        assert_eq!(text, "velocity differs by 0.2100 m/s, allowed are 0.2000 m/s");
+        let text = text_of(&old, &sent(ActuationKind::Drive, 1.0, -0.0061));
+        assert_eq!(text, "steering angle differs by 0.0061 rad, allowed are 0.0060 rad");
+        let text = text_of(&old, &sent(ActuationKind::Block, 1.0, 0.0));
+        assert_eq!(text, "kind differs: drive by the old process, block by the new one");
+        assert_eq!(text_of(&old, &command(1.0, 0.0)), "the samples are of different types");
+        let unknown = OutputSummary::Command(77, 0.0, 0.0);
+        assert!(text_of(&command(1.0, 0.0), &unknown).ends_with("77 by the new one"));
+        let unknown = OutputSummary::Actuation(77, 0.0, 0.0);
+        assert!(text_of(&old, &unknown).ends_with("77 by the new one"));
+    }
+
+    #[test]
+    fn differences_are_those_of_the_new_one() {
+        let pose = |yaw_rad, x_m, y_m| OutputSummary::from(&Pose { yaw_rad, x_m, y_m, ..Pose::default() });
+        assert_eq!(differences(&pose(0.5, 1.0, 4.0), &pose(0.25, 3.0, 3.0)), Some(vec![2.0, -1.0, -0.25]));
+        let mut other = robot();
+        (other.reported, other.truth) = ([0.25, 1.0, 2.0], Some([0.0, 3.0, 4.0]));
+        other.ranges_mm[..341].fill(1000);
+        let robots = [robot(), other].map(|sensed| OutputSummary::Sensed(Box::new(sensed)));
+        assert_eq!(differences(&robots[0], &robots[1]), Some(vec![1.0, 2.0, 0.25, 5.0, 0.5]));
+        assert_eq!(differences(&command(1.0, 0.5), &command(0.5, 0.75)), Some(vec![-0.5, 0.25]));
+        assert_eq!(differences(&command(1.0, 0.5), &OutputSummary::from(&Command::default())), None);
+        let at = |places: &[(f64, bool)]| {
+            let bodies = places.iter().map(|(x, seen)| Body { centre_m: [*x, 0.0], seen: *seen });
+            OutputSummary::Obstacles(bodies.collect())
+        };
+        // 0.125 and 0.25 m apart, one lacks here and two there, of which the scan shows one.
+        let old = at(&[(1.0, true), (2.0, true), (5.0, true)]);
+        let new = at(&[(1.125, true), (2.25, true), (7.0, true), (9.0, false)]);
+        assert_eq!(differences(&old, &new), Some(vec![0.1875, 2.0]));
+        for role in Role::ALL {
+            assert!((2..=5).contains(&quantities(*role).len()), "{role}");
+        }
+        assert_eq!(quantities(Role::Robot).len(), differences(&robots[0], &robots[1]).unwrap().len());
+    }
+
     #[test]
     fn bodies_are_matched_by_place_whatever_their_numbers() {
         let described = |bodies: &[(u32, f64, u64)]| {
@@ -424,5 +506,9 @@ mod tests {
             "",
             "just come into view"
         );
+        let meant = Meant { body_m: 0.1, ..Meant::default() };
+        let apart = |x_m| disagreement(&old, &described(&[(1, 5.0, 9), (2, x_m, 9)]), 2.0, &meant);
+        assert_eq!(apart(8.69), None, "twice 0.3 m and 0.1 m");
+        assert_eq!(apart(8.71), Some(Disagreement::Body("old", [8.0, 0.0])));
     }
 }

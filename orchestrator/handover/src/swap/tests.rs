@@ -332,6 +332,11 @@ fn a_death_in_charge_is_rolled_back_from_the_first_open_scan_on() {
     let certificate = trial.rolled_back(18);
     assert_eq!(certificate.reason, "the new process ended: killed by signal 9 (SIGKILL)");
     assert_eq!((certificate.missed_scans, certificate.first_scan_new), (0, Some(17)));
+    // Its first scan is the newest one.
+    let mut trial = Trial::new();
+    trial.in_charge();
+    trial.send(SwapEvent::Exited(Party::New, "exit code 1".to_owned()));
+    assert_eq!(trial.rolled_back(18).first_scan_new, Some(17));
 }
 
 #[test]
@@ -425,6 +430,14 @@ fn the_new_one_answers_earlier_when_the_old_one_ends_before_the_change() {
     trial.send(SwapEvent::Exited(Party::Old, "exit code 1".to_owned()));
     assert_eq!(trial.actions, [SwapAction::Authorise(authority(NEW, OLD, 16)), SwapAction::Commit]);
     assert_eq!(trial.swap.candidate(), OLD);
+    trial.record();
+    // The certificate covers three scans after the change.
+    trial.good_scans(3);
+    assert_eq!((trial.scan, trial.swap.stage()), (19, Stage::Settling));
+    trial.send(SwapEvent::Tick);
+    let certificate = trial.certificate();
+    assert_eq!((certificate.last_scan_old, certificate.first_scan_new), (Some(15), Some(16)));
+    assert_eq!(certificate.outcome, SwapOutcome::Swapped);
 }
 
 #[test]
@@ -455,6 +468,11 @@ fn the_end_of_the_run_ends_a_swap_in_favour_of_the_process_in_charge() {
     trial.good_scans(2);
     trial.send(SwapEvent::RunEnds);
     assert_eq!(trial.refused(), "the run ended");
+    // Authority goes to it from a scan on that is not there.
+    let mut trial = Trial::new();
+    trial.good_scans(5);
+    trial.send(SwapEvent::RunEnds);
+    assert_eq!(trial.certificate().outcome, SwapOutcome::Refused);
     let mut trial = Trial::new();
     trial.in_charge();
     trial.send(SwapEvent::RunEnds);
@@ -502,6 +520,12 @@ fn across_hosts_the_new_one_is_announced_before_it_takes_over() {
     assert_eq!(trial.actions[1..], [SwapAction::Authorise(authority(NEW, OLD, 19))]);
     trial.good_scans(8);
     assert_eq!(trial.actions[3], SwapAction::Commit);
+    // A long standby is not taken for a handover that was not acknowledged.
+    let mut trial = Trial::with(|plan| (plan.is_acknowledged, plan.standby_scans) = (false, 40));
+    trial.good_scans(5);
+    trial.send(SwapEvent::Acknowledged);
+    trial.good_scans(43);
+    assert_eq!(trial.certificate().outcome, SwapOutcome::Swapped);
 }
 
 #[test]
