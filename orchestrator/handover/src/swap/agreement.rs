@@ -439,8 +439,7 @@ mod tests {
     fn what_is_sent_may_differ_twice_as_much_as_what_is_desired() {
         let sent = |kind: ActuationKind, sent_velocity_mps, sent_steering_rad| {
             let kind = kind.wire();
-            let actuation =
-                Actuation { kind, sent_velocity_mps, sent_steering_rad, ..Actuation::default() };
+            let actuation = Actuation { kind, sent_velocity_mps, sent_steering_rad, ..Actuation::default() };
             OutputSummary::from(&actuation)
         };
         let old = sent(ActuationKind::Drive, 1.0, 0.0);

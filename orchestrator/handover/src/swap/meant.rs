@@ -189,6 +189,33 @@ mod tests {
     }
 
     #[test]
+    fn each_effect_widens_what_follows_from_it() {
+        let none = Meant::default();
+        let path = Meant { velocity_mps: 0.9, steering_rad: 0.06, ..none };
+        let motion = Meant {
+            position_m: 1.0,
+            yaw_rad: 0.2,
+            true_position_m: 1.0,
+            true_yaw_rad: 0.2,
+            beam_share: 1.0,
+            ..none
+        };
+        for (key, expected) in [
+            ("controller.cruise_mps", Meant { velocity_mps: 0.5, steering_rad: 0.06, ..none }),
+            ("controller.weights.goal", path),
+            ("actuator.calibration", path),
+            ("estimator.gate", Meant { position_m: 0.2, yaw_rad: 0.08, ..none }),
+            ("obstacles.moving_mps", Meant { body_m: 1.0, ..none }),
+            ("robot.deceleration_mps2", motion),
+            ("noise.odometry_m", Meant { position_m: 3.0, ..none }),
+            ("noise.odometry_rad", Meant { yaw_rad: 3.0, ..none }),
+            ("noise.range_m", Meant { beam_share: 1.0, ..none }),
+        ] {
+            assert_eq!(of(key, 0.5), expected, "{key}");
+        }
+    }
+
+    #[test]
     fn several_keys_have_the_larger_allowance_of_each() {
         let changes = [("noise.odometry_m", 0.01), ("noise.range_m", 0.5)]
             .map(|(key, by)| Change { key: key.to_owned(), by });

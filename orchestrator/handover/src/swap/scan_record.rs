@@ -141,6 +141,12 @@ mod tests {
             (certificate.last_scan_old, certificate.first_scan_new, certificate.first_scan_back),
             (Some(2), Some(3), Some(5))
         );
+        let certificate = record(&[Old, New, Old, New, Old], |_| 0.0);
+        assert_eq!(
+            (certificate.first_scan_new, certificate.first_scan_back),
+            (Some(2), Some(3)),
+            "the first"
+        );
         let certificate = record(&[Old, Old, Old], |_| 0.0);
         assert_eq!(
             (certificate.last_scan_old, certificate.first_scan_new, certificate.first_scan_back),
