@@ -214,12 +214,15 @@ impl Drop for SystemLock {
 
 /// Whether processes of the system live of which none can be seen: they are in another pid or user namespace.
 pub fn is_hidden(domain: &Domain) -> bool {
-    is_held(domain) && LivingRun::seen(domain.run_id()).is_none() && !is_starting(domain)
+    is_held(domain) && LivingRun::seen(domain.run_id()).is_none() && !is_here(&text_of(domain))
 }
 
-/// Whether the holder of the lock can be seen here: an orchestrator that has not made its stop word yet.
-fn is_starting(domain: &Domain) -> bool {
-    let text = text_of(domain);
+/// Whether a lock with this text is not that of a process which can't be seen: its holder can be seen, an orchestrator
+/// that has not made its stop word yet; or there is no text, because the directory is just being made or removed.
+fn is_here(text: &str) -> bool {
+    if text.is_empty() {
+        return true;
+    }
     let mut words = text.split_whitespace();
     let (pid, namespace) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
     namespace == pid_namespace().to_string() && std::fs::read(format!("/proc/{pid}/environ")).is_ok()
@@ -282,6 +285,21 @@ fn already_running(system_id: &str, run: &LivingRun) -> anyhow::Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_directory_that_is_being_removed_is_not_hidden() {
+        let id = format!("lockgone{}", std::process::id());
+        let domain = Domain::create(&id).unwrap();
+        let mut lock = SystemLock::take(&domain).unwrap();
+        lock.own();
+        assert!(is_here(&text_of(&domain)) && !is_hidden(&domain));
+        let elsewhere = format!("{} {}\n", std::process::id(), pid_namespace() + 1);
+        std::fs::write(domain.directory().join(LOCK_FILE), elsewhere).unwrap();
+        assert!(is_hidden(&domain) && !is_leaving(&id), "its holder lives in another namespace");
+        // The file of the lock goes before the directory does.
+        std::fs::remove_file(domain.directory().join(LOCK_FILE)).unwrap();
+        assert!(!is_hidden(&domain) && is_leaving(&id));
+    }
 
     #[test]
     fn a_run_waits_for_a_stop_that_removes_what_was_left() {
