@@ -15,7 +15,7 @@ use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use rustix::fs::{AtFlags, CWD, Mode, OFlags, RenameFlags};
+use rustix::fs::{AtFlags, CWD, FlockOperation, Mode, OFlags, RenameFlags, flock};
 use rustix::io::Errno;
 
 use crate::exit::Failure;
@@ -66,6 +66,9 @@ impl NewFile {
         if existing == Existing::Keep && there.is_some() {
             return Err(refusal(path, TAKEN));
         }
+        if there.as_ref().is_some_and(Metadata::is_file) && is_growing(path) {
+            return Err(refusal(path, "another process is writing this file; name another one"));
+        }
         let made = match is_device {
             true => OpenOptions::new().write(true).open(path).map(|file| (file, None)),
             false => begin(path, there.as_ref()),
@@ -85,12 +88,15 @@ impl NewFile {
         self.publish().map(drop)
     }
 
-    /// Gives the file its name before it is whole: for one that is read while it grows.
+    /// Gives the file its name before it is whole: for one that is read while it grows. Until it is closed, or its process
+    /// ends, no other command replaces it.
     ///
     /// # Errors
     /// As [`NewFile::finish`].
     pub fn publish(mut self) -> anyhow::Result<File> {
         if let Some(place) = &self.place {
+            // Where the file system knows no locks, it is as before.
+            let _ = flock(&self.file, FlockOperation::NonBlockingLockExclusive);
             place.rename(self.existing).map_err(|error| match error {
                 Errno::EXIST => refusal(&self.path, TAKEN),
                 error => refusal(&self.path, io::Error::from(error)),
@@ -143,6 +149,13 @@ impl Place {
         let _ = rustix::fs::openat(&self.folder, ".", flags, Mode::empty()).and_then(rustix::fs::fsync);
         Ok(())
     }
+}
+
+/// Whether a process is writing a file that has its name already.
+fn is_growing(path: &Path) -> bool {
+    let flags = (OFlags::NONBLOCK | OFlags::NOFOLLOW).bits().cast_signed();
+    let opened = OpenOptions::new().read(true).custom_flags(flags).open(path);
+    opened.is_ok_and(|file| flock(&file, FlockOperation::NonBlockingLockShared) == Err(Errno::WOULDBLOCK))
 }
 
 /// Why a file is not made: its name is taken.
@@ -291,6 +304,19 @@ mod tests {
         let message = file.finish().unwrap_err().to_string();
         assert!(message.ends_with(TAKEN), "{message}");
         assert_eq!((std::fs::read_to_string(&path).unwrap().as_str(), names(folder.path())), ("own", 1));
+    }
+
+    #[test]
+    fn a_file_that_another_process_is_writing_is_not_replaced() {
+        let folder = Scratch::new().unwrap();
+        let path = folder.path().join("drive.mcap");
+        let mut growing = NewFile::create(&path, Existing::Keep, &[]).unwrap().publish().unwrap();
+        growing.write_all(b"half").unwrap();
+        let message = write(&path, b"other").unwrap_err().to_string();
+        assert!(message.ends_with("another process is writing this file; name another one"), "{message}");
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "half");
+        drop(growing);
+        write(&path, b"other").unwrap();
     }
 
     #[test]

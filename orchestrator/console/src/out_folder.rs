@@ -86,12 +86,17 @@ impl OutFolder {
     /// As [`OutFolder::claim`], and the first error of the file system; exit code 2.
     pub fn claim_growing(&self, name: &str) -> anyhow::Result<()> {
         let path = self.folder.join(name);
-        let line = line(name, b"");
-        if !self.force && path.symlink_metadata().is_ok() && !leads_to_device(&path) && !self.has(&line) {
+        if !self.force && path.symlink_metadata().is_ok() && !leads_to_device(&path) && !self.has_grown(name)
+        {
             return Err(foreign(&path));
         }
-        let noted = std::fs::create_dir_all(&self.folder).and_then(|()| self.note(&line));
+        let noted = std::fs::create_dir_all(&self.folder).and_then(|()| self.note(&line(name, b"")));
         noted.map_err(|error| Failure::bad_input(format!("{}: {error}", path.display())))
+    }
+
+    /// Whether a file of this name was claimed by [`OutFolder::claim_growing`].
+    pub fn has_grown(&self, name: &str) -> bool {
+        self.has(&line(name, b""))
     }
 
     fn require_own(&self, name: &str) -> anyhow::Result<()> {
@@ -128,9 +133,8 @@ impl OutFolder {
             let name = |line: &str| line.splitn(3, ' ').nth(2).map(str::to_owned);
             let names: BTreeSet<String> = list.lines().filter_map(name).collect();
             let kept = |name: &String| {
-                let growing = self::line(name, b"");
                 let there = || self.content(name).map(|content| self::line(name, &content));
-                if self.has(&growing) { Some(growing) } else { there() }
+                if self.has_grown(name) { Some(self::line(name, b"")) } else { there() }
             };
             let kept: String = names.iter().filter_map(kept).collect();
             return new_file::write(&path, (kept + line).as_bytes()).map_err(std::io::Error::other);

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use console::exit::{Exit, Failure};
+use console::new_file::require_apart;
 use console::output::require_writable;
 use faults::PERMIT_FILE;
 use plan::{Choice, Plan, difference};
@@ -65,10 +66,12 @@ pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
     let results = claim(&out, *force)?;
     let Choice { system, calibration, .. } = &arguments.choice;
     let inputs = [arguments.scenario.as_deref().map(Path::new), system.as_deref(), calibration.as_deref()];
-    results.require_apart(&inputs.into_iter().flatten().collect::<Vec<_>>())?;
+    let inputs: Vec<&Path> = inputs.into_iter().flatten().collect();
+    results.require_apart(&inputs)?;
     let recording = match &arguments.record {
         Some(Some(file)) => Some(new_file(file)?),
         Some(None) => {
+            require_apart(&out.join(RECORDING), &inputs)?;
             results.claim_growing(RECORDING)?;
             Some(out.join(RECORDING))
         }

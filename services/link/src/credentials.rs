@@ -38,7 +38,7 @@ const AUTHORITY_DAYS: i64 = 3650;
 /// A folder that is not private or can't be written, an authority in it that can't be read, and a host that has a certificate
 /// already, unless `force`.
 pub(crate) fn pair(folder: &Path, host: &str, address: IpAddr, days: i64, force: bool) -> anyhow::Result<()> {
-    let all = open_or_make(Folder::open(folder)?, || Folder::make(folder))?;
+    let all = open(folder)?.map_or_else(|| Folder::make(folder), Ok)?;
     if !force && all.contains(host) {
         bail!(
             "{}: the host has been paired already; name another folder, or replace its key with --force",
@@ -63,7 +63,7 @@ pub(crate) fn pair(folder: &Path, host: &str, address: IpAddr, days: i64, force:
         limit(&mut params, days);
         let key = KeyPair::generate()?;
         let certificate = params.signed_by(&key, &issuer)?;
-        let own = open_or_make(all.folder(name)?, || all.make_folder(name))?;
+        let own = all.folder(name).map_err(not_private)?.map_or_else(|| all.make_folder(name), Ok)?;
         write(&own, AUTHORITY, &authority_pem)?;
         write(&own, CERTIFICATE, &certificate.pem())?;
         write(&own, KEY, &key.serialize_pem())?;
@@ -77,7 +77,7 @@ pub(crate) fn pair(folder: &Path, host: &str, address: IpAddr, days: i64, force:
 /// A folder that is not private, and the file with its value: one that is missing, no certificate, one for another host or
 /// purpose, not yet valid or expired.
 pub(crate) fn check(folder: &Path, host: &str) -> anyhow::Result<()> {
-    if Folder::open(folder)?.is_none() {
+    if open(folder)?.is_none() {
         bail!("{}: there is no such folder", folder.display());
     }
     for name in [AUTHORITY, CERTIFICATE] {
@@ -146,12 +146,20 @@ fn limit(params: &mut CertificateParams, days: i64) {
     (params.not_before, params.not_after) = (now - BEFORE, now + Duration::days(days));
 }
 
-/// A folder of keys, as private as those of running systems are.
-fn open_or_make(
-    there: Option<Folder>,
-    make: impl FnOnce() -> Result<Folder, RuntimeError>,
-) -> Result<Folder, RuntimeError> {
-    there.map_or_else(make, Ok)
+/// A folder of keys, as private as those of running systems are; `None` where there is none.
+fn open(folder: &Path) -> anyhow::Result<Option<Folder>> {
+    Folder::open(folder).map_err(not_private)
+}
+
+/// The folders of running systems have a variable that names another place; those of keys are named by the user.
+fn not_private(error: RuntimeError) -> anyhow::Error {
+    match error {
+        RuntimeError::NotPrivate { path, reason } => anyhow::anyhow!(
+            "{} {reason}; it has to be a directory of this user with mode 0700: change it, or name another one",
+            path.display()
+        ),
+        error => error.into(),
+    }
 }
 
 /// Writes a file that only its owner may read, and syncs it: with a lost key a host can not be reached.

@@ -78,6 +78,21 @@ fn a_recording_is_not_destroyed_by_an_output_onto_itself() {
 }
 
 #[test]
+fn a_run_does_not_record_over_its_scenario_or_its_system() {
+    let system = System::new(EXECUTABLE);
+    let path = system.folder().join("recording.mcap");
+    let run = ["run", "--lockstep", "--quiet", "--out", ".", "--force", "--record"];
+    for (text, arguments) in
+        [("[goal]\nx_m = 4.0\n", &["recording.mcap"][..]), ("rate_hz = 5\n", &["--system", "recording.mcap"])]
+    {
+        std::fs::write(&path, text).unwrap();
+        let message = refused(&system, &[&run[..], arguments].concat());
+        assert!(message.contains("the same file as the input"), "{message}");
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
+    }
+}
+
+#[test]
 fn a_file_of_the_user_is_replaced_only_when_asked_for() {
     let system = System::new(EXECUTABLE);
     let place = |name: &str| system.folder().join(name);

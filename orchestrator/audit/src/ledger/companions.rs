@@ -23,7 +23,7 @@ const ENDED_WRITERS: usize = 8;
 /// Reasons that point at a fault of the writer, with what they say.
 const NAMED: [(&str, &str); 3] = [
     ("content", "a number is not finite or not allowed"),
-    ("layout", "another layout"),
+    ("layout", "another layout, or a number that no sample has by now"),
     ("queue_full", "more came at once than its queue holds"),
 ];
 

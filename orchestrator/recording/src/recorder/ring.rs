@@ -5,6 +5,7 @@ use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 
 use console::new_file::{Existing, NewFile};
+use console::out_folder::OutFolder;
 
 use super::opening::Opening;
 use crate::mcap::{Chunk, OpenChunk};
@@ -46,16 +47,20 @@ impl Ring {
     }
 
     /// Writes all that it holds into `incident-SCAN.mcap` and returns its path, or `None` if it holds nothing. The oldest
-    /// of more than five such files is removed.
+    /// of more than five such files is removed. Files that no run has written stay: another name is taken.
     ///
     /// # Errors
     /// Those of the file system. The file that was there remains.
     pub(super) fn save(&mut self, scan_id: u64) -> io::Result<Option<PathBuf>> {
         self.end_chunk()?;
         let Some((lost_before, _)) = self.chunks.front() else { return Ok(None) };
-        let path = self.folder.join(format!("incident-{scan_id}.mcap"));
+        let out = OutFolder::claim(&self.folder, &[], false).map_err(io::Error::other)?;
+        let names = ["", "-a", "-b", "-c"].map(|more| format!("incident-{scan_id}{more}.mcap"));
+        let claimed = names.iter().find(|name| out.claim_growing(name).is_ok());
+        let name = claimed.ok_or_else(|| io::Error::other(format!("{} and others exist", names[0])))?;
+        let path = self.folder.join(name);
         self.write(&path, self.lost - lost_before)?;
-        remove_oldest(&self.folder)?;
+        remove_oldest(&out)?;
         Ok(Some(path))
     }
 
@@ -103,11 +108,10 @@ impl Target for Ring {
     }
 }
 
-/// Removes the oldest files of incidents.
-fn remove_oldest(folder: &Path) -> io::Result<()> {
-    let number = |name: &str| name.strip_prefix("incident-")?.strip_suffix(".mcap")?.parse::<u64>().ok();
-    let is_incident = |name: &str| number(name).is_some();
-    let mut files: Vec<_> = std::fs::read_dir(folder)?
+/// Removes the oldest files of incidents that runs have written.
+fn remove_oldest(out: &OutFolder) -> io::Result<()> {
+    let is_incident = |name: &str| name.starts_with("incident-") && out.has_grown(name);
+    let mut files: Vec<_> = std::fs::read_dir(out.folder())?
         .flatten()
         .filter(|entry| entry.file_name().to_str().is_some_and(is_incident))
         .filter_map(|entry| Some((entry.metadata().ok()?.modified().ok()?, entry.path())))
@@ -143,13 +147,21 @@ mod tests {
             largest[half] = largest[half].max(tape.target().bytes);
         }
         assert!(largest[1] < largest[0] + largest[0] / 10, "{largest:?}");
+        // Files of the user, one of them with a name that is needed.
+        let own = ["incident-3.mcap", "incident-99.mcap"].map(|name| folder.join(name));
+        own.iter().for_each(|path| std::fs::write(path, "own").unwrap());
         for scan_id in 1..=7 {
-            assert!(tape.target().save(scan_id).unwrap().is_some());
+            let path = tape.target().save(scan_id).unwrap().unwrap();
+            let expected =
+                if scan_id == 3 { "incident-3-a.mcap".into() } else { format!("incident-{scan_id}.mcap") };
+            assert_eq!(path, folder.join(expected));
         }
-        let files = std::fs::read_dir(&folder).unwrap().count();
+        assert!(own.iter().all(|path| std::fs::read_to_string(path).unwrap() == "own"));
+        let names = std::fs::read_dir(&folder).unwrap().flatten().map(|entry| entry.file_name());
+        let files = names.filter(|name| name.to_string_lossy().starts_with("incident-")).count();
         let info = crate::info::Info::read(&folder.join("incident-7.mcap")).unwrap();
         std::fs::remove_dir_all(&folder).unwrap();
-        assert_eq!((files, info.complete, info.lost), (5, true, Some(0)));
+        assert_eq!((files, info.complete, info.lost), (5 + 2, true, Some(0)));
         assert!((10.0..12.0).contains(&info.duration_s), "{info}");
     }
 
