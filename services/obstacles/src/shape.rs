@@ -3,8 +3,8 @@
 //! Reaches (values of the support function) are kept relative to the body's reference point in fixed directions
 //! of the track, so what was seen from one side stays known while the robot sees another. Where the body faces
 //! the robot a reach follows what is seen, up and down with the same small gain, so that noise averages out and
-//! does not widen the body. Where it faces away, points only show that it reaches at least so far: such reaches grow
-//! and never shrink, except where their neighbours imply it.
+//! does not widen the body. Where it faces away, points only show that it reaches at least so far: such reaches grow,
+//! and shrink only where their neighbours imply it, or where beams pass beside what is seen of the body ([`cut`]).
 //!
 //! Where it fails: a hollow in a body is filled, and two bodies that touch are one.
 
@@ -32,6 +32,8 @@ const HIDDEN_GAIN: f64 = 0.2;
 const OPEN_M: f64 = 0.15;
 /// Growth that noise alone may cause where the body faces away [m].
 const DEAD_BAND_M: f64 = 0.03;
+/// Less than this is not cut off [m].
+const CUT_M: f64 = 0.05;
 /// Sine of how far a direction may turn away from the robot while its reach still counts as seen.
 const SILHOUETTE: f64 = -0.1;
 /// The same for the ends across the view of a body that is up to 60 deg wide: its corners are seen, and move with it.
@@ -199,6 +201,41 @@ fn tighten(reach: &mut [f32; DIRECTIONS]) {
         let after = f64::from(reach[(index + 1) % DIRECTIONS]);
         reach[index] = f64::from(reach[index]).min((before + after) * limit) as f32;
     }
+}
+
+/// Cuts off what lies beyond a line: where `normal` points to, more than `limit` away from the reference point. Whether
+/// anything was cut off; a body that lies beyond it as a whole stays.
+pub(crate) fn cut(
+    reach: &mut [f32; DIRECTIONS],
+    normal: Vector2<f64>,
+    limit: f64,
+    directions: &Directions,
+) -> bool {
+    // The corners between neighbouring directions.
+    let step = TAU / DIRECTIONS as f64;
+    let corner = |index: usize| {
+        let [own, next] = [index, index + 1].map(|index| f64::from(reach[index % DIRECTIONS]));
+        let unit = directions.unit(index);
+        unit * own + Vector2::new(-unit.y, unit.x) * ((next - own * step.cos()) / step.sin())
+    };
+    let mut kept = [f64::NEG_INFINITY; DIRECTIONS];
+    let mut is_cut = false;
+    for index in 0..DIRECTIONS {
+        let (from, to) = (corner(index), corner(index + 1));
+        let [before, after] = [from, to].map(|at| normal.dot(&at) - limit);
+        is_cut |= before > CUT_M;
+        let on_the_line = (before * after < 0.0).then(|| from + (to - from) * (before / (before - after)));
+        for at in on_the_line.into_iter().chain((before <= 0.0).then_some(from)) {
+            for (reach, unit) in kept.iter_mut().zip(&directions.0) {
+                *reach = reach.max(unit.dot(&at));
+            }
+        }
+    }
+    if !is_cut || kept[0] == f64::NEG_INFINITY {
+        return false;
+    }
+    reach.iter_mut().zip(kept).for_each(|(reach, kept)| *reach = reach.min(kept as f32));
+    true
 }
 
 /// Gives a body that is seen as a thin line at least the depth `depth`, away from the robot.

@@ -9,7 +9,7 @@ use crate::Config;
 use crate::motion::{Motion, Rest, agreed, noise_along};
 use crate::outline::Vertex;
 use crate::segment::End;
-use crate::shape::{DIRECTIONS, Directions, ENDS, Seen, Shape, Sighting, deepen, facing, merge, orient};
+use crate::shape::{DIRECTIONS, Directions, ENDS, Seen, Shape, Sighting, cut, deepen, facing, merge, orient};
 use crate::state::TrackState;
 
 /// Identity of an ellipse: that of its body times this, plus the number of the piece.
@@ -67,7 +67,7 @@ pub(crate) struct Track {
     pub(crate) silent_s: f64,
     /// For how much of that the robot has rested [s].
     pub(crate) rested_s: f64,
-    /// Scans in a row that saw its place free.
+    /// Scans in a row that saw its place free, or a side of it while they saw the rest.
     pub(crate) free: u32,
     pub(crate) moving: bool,
     pub(crate) confirmed: bool,
@@ -247,8 +247,35 @@ impl Track {
         self.orientation = orient(&self.reach, self.edges, self.orientation, directions);
         self.sightings = self.sightings.saturating_add(1);
         (self.unseen_s, self.silent_s, self.rested_s) = (0.0, 0.0, 0.0);
-        self.free = 0;
         self.judge(config);
+    }
+
+    /// Counts the scans in a row in which beams pass beside what is seen of the body although they go through where it is
+    /// known; after `limit` of them it ends there: a part of it has gone, or was another body that moved on. Returns the box
+    /// before, where something was cut off.
+    pub(crate) fn trim(
+        &mut self,
+        sides: [Option<Vector2<f64>>; 2],
+        scanner: Vector2<f64>,
+        limit: u32,
+        directions: &Directions,
+    ) -> Option<Rectangle> {
+        self.free = if sides == [None; 2] { 0 } else { self.free.saturating_add(1) };
+        if self.free < limit {
+            return None;
+        }
+        self.free = 0;
+        let before = self.rectangle(directions);
+        let offset = scanner - self.place();
+        let mut is_cut = false;
+        for (side, along) in [-1.0, 1.0].into_iter().zip(sides) {
+            let Some(along) = along else { continue };
+            // To the right, or to the left of the beam.
+            let normal = Vector2::new(-along.y, along.x) * side;
+            is_cut |= cut(&mut self.reach, normal, normal.dot(&offset), directions);
+        }
+        self.orientation = orient(&self.reach, self.edges, self.orientation, directions);
+        is_cut.then_some(before)
     }
 
     /// Merges another body, which is a part of this one.

@@ -15,7 +15,7 @@ use crate::points::{Beams, Place};
 use crate::shape::Directions;
 use crate::state::TRACKS;
 use crate::track::{MAX_BODY, Track, View};
-use crate::visibility::{Sight, beams_towards, sight};
+use crate::visibility::{Sight, beams_towards, free_sides, sight};
 
 /// Bodies nearer to each other than this are one [m].
 const TOUCHING_M: f64 = 0.04;
@@ -96,6 +96,9 @@ impl Tracks {
             if returns == 0 {
                 continue;
             }
+            if track.unseen_s > elapsed {
+                track.free = 0;
+            }
             // Time since it was last seen, which may be longer than a scan.
             let elapsed = track.unseen_s.max(elapsed);
             let view = View { vertices: &self.view, edges, returns, robot: place.at, elapsed };
@@ -154,7 +157,16 @@ impl Tracks {
     ) {
         let is_reliable = evidence.is_reliable();
         let rests = place.speed() < REST_MPS;
+        for track in self.list.iter_mut().filter(|track| track.unseen_s == 0.0 && !track.moving) {
+            let sides = free_sides(scan, beams, place, &track.rectangle(&self.directions));
+            if let Some(before) = track.trim(sides, place.at, self.config.free_scans, &self.directions) {
+                evidence.release(&around(&before));
+            }
+        }
         for track in self.list.iter_mut().filter(|track| track.unseen_s > 0.0) {
+            if track.unseen_s <= elapsed {
+                track.free = 0;
+            }
             let rectangle = track.rectangle(&self.directions);
             match sight(scan, beams, place, &rectangle) {
                 Sight::Free => track.free = track.free.saturating_add(1),

@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 
 use nalgebra::Vector2;
 use shared_types::{BEAMS, FIRST_BEAM_YAW_RAD, PITCH_RAD, Scan};
-use vehicle::frame::{to_robot, wrap_angle};
+use vehicle::frame::{to_robot, to_track, wrap_angle};
 use vehicle::geometry::{Rectangle, ray_in_box};
 
 use crate::points::{Beams, Place, range_of};
@@ -17,6 +17,12 @@ const REACH_M: f64 = 5.2;
 const THROUGH_SHARE: u32 = 3;
 /// Share of the silhouette's width, at each side, that is not used because of noise of the yaw.
 const RIM: f64 = 0.2;
+/// So many beams in a row must pass beside a body before it is taken to end there: a thin part may be missed by fewer.
+const BESIDE_BEAMS: usize = 4;
+/// What is further apart is not one body [m].
+const GAP_M: f64 = 0.3;
+/// The beams of a gap are counted as if it were no nearer than this [m].
+const NEAR_M: f64 = 0.5;
 
 /// What the beams towards a place show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -33,6 +39,11 @@ pub(crate) enum Sight {
 
 /// The beams towards `rectangle`, without those at its rim; `None` when the scanner stands on it, or it is too far.
 pub(crate) fn beams_towards(place: &Place, rectangle: &Rectangle) -> Option<RangeInclusive<usize>> {
+    beams_within(place, rectangle, RIM)
+}
+
+/// [`beams_towards`] without this share of the width at each side.
+fn beams_within(place: &Place, rectangle: &Rectangle, rim: f64) -> Option<RangeInclusive<usize>> {
     let distance = rectangle.distance_to_point(place.at);
     if !(distance > 0.0 && distance <= REACH_M) {
         return None;
@@ -47,7 +58,7 @@ pub(crate) fn beams_towards(place: &Place, rectangle: &Rectangle) -> Option<Rang
         let offset = wrap_angle(bearing(corner) - middle);
         (low, high) = (low.min(offset), high.max(offset));
     }
-    let rim = RIM * (high - low);
+    let rim = rim * (high - low);
     let index = |angle: f64| (angle - FIRST_BEAM_YAW_RAD) / PITCH_RAD;
     let from = index(middle + low + rim).ceil().max(0.0);
     // A body narrower than a beam still has the one nearest to its middle.
@@ -78,6 +89,93 @@ pub(crate) fn sight(scan: &Scan, beams: &Beams, place: &Place, rectangle: &Recta
         _ if through >= 2 * there && through * THROUGH_SHARE >= silent => Sight::Free,
         (_, 0, _) => Sight::Silent,
         _ => Sight::Taken,
+    }
+}
+
+/// Where the scan shows that the body in `rectangle` has ended, to the right and to the left of what it shows most of: the
+/// direction of the innermost beam but one that passes beside it. Beams pass beside it where enough of them in a row return
+/// from beyond, or not at all among such: [`BESIDE_BEAMS`] from a side of the rectangle on, or as many as make [`GAP_M`] in between. A scanner that
+/// stands in the rectangle looks at it in all directions.
+pub(crate) fn free_sides(
+    scan: &Scan,
+    beams: &Beams,
+    place: &Place,
+    rectangle: &Rectangle,
+) -> [Option<Vector2<f64>>; 2] {
+    let distance = rectangle.distance_to_point(place.at);
+    let towards = if distance <= 0.0 { Some(0..=BEAMS - 1) } else { beams_within(place, rectangle, 0.0) };
+    let Some(towards) = towards else { return [None; 2] };
+    let first = *towards.start();
+    let gap_beams = ((GAP_M / (PITCH_RAD * distance.max(NEAR_M))).ceil() as usize).max(BESIDE_BEAMS);
+    let (mut best, mut part) = (Part::from(first, false), Part::from(first, false));
+    let mut gap = Gap::default();
+    for beam in towards {
+        let passage = along(scan, beams, place, rectangle, beam);
+        match passage {
+            Passage::Through => gap.through += 1,
+            Passage::Silent => gap.silent += 1,
+            Passage::Ends | Passage::Elsewhere => {}
+        }
+        if matches!(passage, Passage::Through | Passage::Silent) {
+            continue;
+        }
+        let is_at_the_side = gap.beams() == beam - first;
+        if gap.is_free(if is_at_the_side { BESIDE_BEAMS } else { gap_beams }) {
+            part.is_free[1] = true;
+            best = best.larger(part);
+            part = Part::from(beam, true);
+        }
+        (gap, part.last) = (Gap::default(), beam);
+        part.returns += usize::from(matches!(passage, Passage::Ends));
+    }
+    part.is_free[1] = gap.is_free(BESIDE_BEAMS);
+    let Part { first, last, is_free: [right, left], returns } = best.larger(part);
+    let direction = |beam: usize| {
+        let unit = beams.unit(beam);
+        to_track(place.yaw, unit.x, unit.y)
+    };
+    let is_shown = returns > 0;
+    [(is_shown && right).then(|| direction(first - 2)), (is_shown && left).then(|| direction(last + 2))]
+}
+
+/// Beams in a row from which no return comes that is on the body.
+#[derive(Debug, Clone, Copy, Default)]
+struct Gap {
+    through: usize,
+    silent: usize,
+}
+
+impl Gap {
+    fn beams(&self) -> usize {
+        self.through + self.silent
+    }
+
+    /// Whether at least `beams` show that nothing is there; those without a return by what is around them.
+    fn is_free(&self, beams: usize) -> bool {
+        self.beams() >= beams
+            && self.through >= BESIDE_BEAMS
+            && self.through * THROUGH_SHARE as usize >= self.silent
+    }
+}
+
+/// What is seen of a body between two gaps.
+#[derive(Debug, Clone, Copy)]
+struct Part {
+    first: usize,
+    last: usize,
+    /// Whether beams pass beside it, to the right and to the left.
+    is_free: [bool; 2],
+    returns: usize,
+}
+
+impl Part {
+    fn from(beam: usize, is_free: bool) -> Self {
+        Self { first: beam, last: beam, is_free: [is_free, false], returns: 0 }
+    }
+
+    /// The one of both that more returns come from.
+    fn larger(self, other: Self) -> Self {
+        if other.returns > self.returns { other } else { self }
     }
 }
 
