@@ -101,6 +101,9 @@ impl<'a> Scene<'a> {
             gaps: [f64::INFINITY; shared_types::MAX_OBSTACLES],
             wall_gap: self.config.clearance_m,
             outside: [OUTSIDE_M; 2],
+            turned_outside: OUTSIDE_M,
+            curvature: self.config.guide.curvature_share
+                * self.full_lock_curvature(self.config.vehicle.bounds.velocity_max_mps),
         };
         let State { x, y, .. } = self.initial;
         for (index, obstacle) in self.predicted.iter().enumerate().take(shared_types::MAX_OBSTACLES) {
@@ -110,6 +113,8 @@ impl<'a> Scene<'a> {
         baseline.wall_gap = self.wall_gap(&self.initial).min(self.config.clearance_m) - TOLERANCE_M;
         baseline.outside = [excess(x, self.config.track.x_m), excess(y, self.y_range)]
             .map(|now| OUTSIDE_M.max(now + TOLERANCE_M));
+        let turned = self.excess_of_turn(&self.initial, baseline.curvature);
+        baseline.turned_outside = OUTSIDE_M.max(turned + TOLERANCE_M);
         baseline
     }
 
@@ -240,6 +245,20 @@ impl<'a> Scene<'a> {
         vehicle::model::steady_turn(&self.config.vehicle.parameters(), control).1 / control.velocity
     }
 
+    /// Whether a robot that turns back to along the track from here would leave the bounds: then a plan that ends before it
+    /// has turned leads to where nothing is possible any more.
+    pub(crate) fn leads_out(&self, baseline: &Baseline, state: &State) -> Option<Violation> {
+        let excess = self.excess_of_turn(state, baseline.curvature);
+        (excess > baseline.turned_outside).then_some(Violation::Outside)
+    }
+
+    /// How far the sharpest turn of a path back to along the track leaves the bounds [m].
+    fn excess_of_turn(&self, state: &State, curvature: f64) -> f64 {
+        let course = state.yaw + state.sideslip;
+        let way = (1.0 - course.cos()).min(1.0) / curvature;
+        excess(state.y + way.copysign(course.sin()), self.y_range)
+    }
+
     fn wall_gap(&self, state: &State) -> f64 {
         if !self.config.track.walls {
             return f64::INFINITY;
@@ -258,6 +277,10 @@ pub(crate) struct Baseline {
     gaps: [f64; shared_types::MAX_OBSTACLES],
     wall_gap: f64,
     outside: [f64; 2],
+    /// Across the track, after the turn back.
+    turned_outside: f64,
+    /// Of the sharpest turn of a path [1/m].
+    curvature: f64,
 }
 
 /// How far `value` is outside of `range` [m].

@@ -2,7 +2,8 @@
 //!
 //! The plan's controls are driven through the model from the initial state, without the states of the solver. The
 //! trajectory is checked against the obstacles every few centimetres. A robot that is already too near, or outside
-//! a bound, may drive a plan that does not make it worse. Behind the goal nothing is checked, because the robot
+//! a bound, may drive a plan that does not make it worse. A plan must leave room to turn back to along the track: at a
+//! crawl its end is nearer than such a turn. Behind the goal nothing is checked, because the robot
 //! lands there; the plan is cut.
 //!
 //! Assumed: the obstacles are described correctly. Obstacles out of sight are not known here; they are seen before
@@ -110,7 +111,8 @@ pub(crate) fn verify(scene: &Scene, controls: &[Control], rollout: &mut Rollout)
         behind_goal |= sample.state.x > scene.config.goal.x_m + BEHIND_GOAL_M;
         let before = index.checked_sub(1).filter(|_| scene.escapes).map(|before| &rollout.samples[before]);
         let found = before.and_then(|before| touched_between(scene, &baseline, before, sample));
-        if let Some(violation) = found.or_else(|| scene.check(&baseline, sample)) {
+        let checked = || scene.check(&baseline, sample).or_else(|| scene.leads_out(&baseline, &sample.state));
+        if let Some(violation) = found.or_else(checked) {
             let intervals = index.saturating_sub(1) / PIECES;
             let violation = (!behind_goal || intervals == 0).then_some((violation, sample.t));
             let slid = slide(scene, &baseline, &first, &rollout.samples[..index]);

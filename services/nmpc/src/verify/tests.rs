@@ -75,6 +75,24 @@ fn a_robot_at_rest_does_not_start_beside_a_body_that_is_too_near_but_a_moving_on
 }
 
 #[test]
+fn a_plan_is_refused_that_ends_where_no_turn_back_keeps_the_bounds() {
+    // A turn back from half a radian needs 0.36 m at full lock, and the bound is at 1.5 m.
+    let fixture = Fixture::new(Vec::new());
+    let crawls = |y: f64, yaw: f64, steering: f64| {
+        let scene = fixture.from(State { y, yaw, ..State::default() });
+        verdict(&scene, &[Control { velocity: 0.1, steering }; 6])
+    };
+    let outwards = crawls(1.1, 0.4, 0.06);
+    assert_eq!(outwards.violation.unwrap().0, Violation::Outside);
+    assert!(!outwards.holds());
+    assert!(crawls(1.1, 0.4, -0.06).holds(), "it turns back");
+    assert_eq!(crawls(-1.1, -0.4, -0.06).violation.unwrap().0, Violation::Outside);
+    // Too late already: what does not make it worse is driven.
+    assert!(crawls(1.4, 0.5, -0.06).holds());
+    assert!(!crawls(1.4, 0.5, 0.0).holds());
+}
+
+#[test]
 fn an_ellipse_is_not_entered_but_may_be_left() {
     let ahead = Fixture::new(vec![obstacle(2.5, 0.0, 1.2, 0.8)]);
     let (violation, t) = verdict(&ahead.scene(), &straight(1.0)).violation.unwrap();
