@@ -85,9 +85,14 @@ pub fn repair(from: &Path, to: &Path, force: bool) -> anyhow::Result<Copied> {
 /// A file that can't be read, one without a message in that time, and a new file that can't be written; exit code 2.
 pub fn copy(from: &Path, to: &Path, force: bool, times: RangeInclusive<u64>) -> anyhow::Result<Copied> {
     // What is damaged is found before anything is written.
-    let mut reader = open(from)?;
-    while reader.next_message().map_err(|error| refusal(from, &error))?.is_some() {}
+    read(open(from)?, from)?;
     write(open(from)?, from, to, force, times)
+}
+
+/// Passes when all of a file can be read; its memory is free afterwards.
+fn read(mut reader: Reader<BufReader<File>>, path: &Path) -> anyhow::Result<()> {
+    while reader.next_message().map_err(|error| refusal(path, &error))?.is_some() {}
+    Ok(())
 }
 
 fn open(path: &Path) -> anyhow::Result<Reader<BufReader<File>>> {
@@ -307,3 +312,6 @@ impl NewRecording {
         output.into_inner().map_err(IntoInnerError::into_error)?.finish()
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -101,4 +101,6 @@ pub(crate) fn append(records: &mut Vec<u8>, opcode: u8, body: &[u8]) {
 }
 
 #[cfg(test)]
+pub(crate) mod handmade;
+#[cfg(test)]
 mod tests;

@@ -1,5 +1,6 @@
 //! What a file holds beside its messages.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use super::damage::Fault;
@@ -9,8 +10,51 @@ use super::{Channel, Damage, Schema, opcode};
 /// Schemas, channels, attached files and texts of a file may take so much memory [bytes]: recordings of this program take
 /// half a megabyte.
 pub const MAX_HELD: u64 = 128 << 20;
-/// A map of empty texts takes so much more memory than bytes of the file.
+/// A definition, a name or a text may have so many bytes.
+pub(super) const MAX_TEXT: u64 = 4 << 20;
+/// A map of empty texts, or of numbers, takes so much more memory than bytes of the file.
 const MAP_FACTOR: u64 = 6;
+/// A repair leaves so much of [`MAX_HELD`] for what it adds: definitions, and a text about what is missing [bytes].
+const REPAIR_BYTES: u64 = 4 << 20;
+
+/// The memory that is taken by what a file holds beside its messages. It is counted once, from the walk over the records to
+/// the last message.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Memory {
+    bytes: u64,
+    limit: u64,
+}
+
+impl Memory {
+    pub(super) fn new(is_salvage: bool) -> Self {
+        Self { bytes: 0, limit: if is_salvage { MAX_HELD - REPAIR_BYTES } else { MAX_HELD } }
+    }
+
+    /// Counts a record, with what stands around its texts.
+    pub(super) fn hold(&mut self, bytes: u64) -> Result<(), Fault> {
+        let (bytes, limit) = (self.bytes + 256 + bytes, self.limit);
+        if bytes > limit {
+            return Err(Fault::TooLarge { what: "definitions, attached files and texts", bytes, limit });
+        }
+        self.bytes = bytes;
+        Ok(())
+    }
+
+    /// Counts the memory of a definition that is new.
+    fn hold_new<T: PartialEq>(
+        &mut self,
+        known: &BTreeMap<u16, T>,
+        number: u16,
+        new: &T,
+        (bytes, replaces): (u64, bool),
+    ) -> Result<(), Fault> {
+        match known.get(&number) {
+            Some(old) if old == new => Ok(()),
+            Some(_) if !replaces => Err(Damage::Misplaced.into()),
+            _ => self.hold(bytes),
+        }
+    }
+}
 
 /// A message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -86,67 +130,56 @@ pub struct Contents {
 }
 
 impl Contents {
-    /// Takes in a record; `held` is the memory that definitions, files and texts take until now [bytes]. A definition that
-    /// contradicts an earlier one is damage, or `replaces` it.
+    /// Takes in a record, and counts its memory. A definition that contradicts an earlier one is damage, or `replaces` it.
     ///
     /// # Errors
-    /// A record that is damaged, one that contradicts an earlier one, and more than [`MAX_HELD`].
+    /// A record that is damaged, one that contradicts an earlier one, and more than [`MAX_TEXT`] or the `memory` allow.
     pub(super) fn define(
         &mut self,
         opcode: u8,
         body: &[u8],
-        held: &mut u64,
+        memory: &mut Memory,
         replaces: bool,
     ) -> Result<(), Fault> {
         let mut fields = Fields(body);
         match opcode {
-            opcode::HEADER => (self.profile, self.library) = (fields.text()?, fields.text()?),
+            opcode::HEADER => {
+                let (profile, library) = (fields.text()?, fields.text()?);
+                memory.hold(text_bytes(body, &[&profile, &library])?)?;
+                (self.profile, self.library) = (profile, library);
+            }
             opcode::SCHEMA => {
                 let number = fields.u16()?;
                 let schema = Schema { name: fields.text()?, encoding: fields.text()?, text: fields.text()? };
-                hold_new(&self.schemas, number, &schema, (body.len() as u64, replaces), held)?;
+                let bytes = text_bytes(body, &[&schema.name, &schema.encoding, &schema.text])?;
+                memory.hold_new(&self.schemas, number, &schema, (bytes, replaces))?;
                 self.schemas.insert(number, schema);
             }
             opcode::CHANNEL => {
                 let (number, schema, topic) = (fields.u16()?, fields.u16()?, fields.text()?);
                 let channel = Channel { topic, schema, encoding: fields.text()?, metadata: fields.map()? };
-                let bytes = MAP_FACTOR * body.len() as u64;
-                hold_new(&self.channels, number, &channel, (bytes, replaces), held)?;
+                let mut texts = vec![channel.topic.as_str(), &channel.encoding];
+                texts.extend(channel.metadata.iter().flat_map(|(key, value)| [key.as_str(), value]));
+                let bytes = MAP_FACTOR * text_bytes(body, &texts)?;
+                memory.hold_new(&self.channels, number, &channel, (bytes, replaces))?;
                 self.channels.insert(number, channel);
             }
             opcode::ATTACHMENT => {
-                let content = body.len().checked_sub(4).ok_or(Damage::Short)?;
-                let crc = u32::from_le_bytes(body[content..].try_into().unwrap_or_default());
-                if crc != 0 && crc32fast::hash(&body[..content]) != crc {
-                    return Err(Damage::Checksum.into());
-                }
-                let (log_ns, _, name, media_type) =
-                    (fields.u64()?, fields.u64()?, fields.text()?, fields.text()?);
-                let length = fields.u64()?;
-                let data = fields.take(length as usize)?;
-                if fields.0.len() != 4 {
-                    return Err(Damage::Length.into());
-                }
-                hold(length, held)?;
+                let Attached { name, media_type, log_ns, data } = attached(body)?;
+                memory.hold(text_bytes(&[], &[&name, &media_type])? + data.len() as u64)?;
+                let (name, media_type) = (name.into_owned(), media_type.into_owned());
                 self.attachments.push(Attachment { name, media_type, log_ns, data: data.to_vec() });
             }
             opcode::METADATA => {
                 let (name, map) = (fields.text()?, fields.map()?);
-                hold(MAP_FACTOR * body.len() as u64, held)?;
+                let mut texts = vec![name.as_str()];
+                texts.extend(map.iter().flat_map(|(key, value)| [key.as_str(), value]));
+                memory.hold(MAP_FACTOR * text_bytes(body, &texts)?)?;
                 self.metadata.push(Metadata { name, map });
             }
             opcode::STATISTICS => {
-                let messages = fields.u64()?;
-                fields.take(2 + 4)?;
-                let attached = [fields.u32()?, fields.u32()?];
-                fields.u32()?;
-                let (times, bytes) = ([fields.u64()?, fields.u64()?], fields.u32()?);
-                let mut counts = Fields(fields.take(bytes as usize)?);
-                let mut channels = BTreeMap::new();
-                while !counts.0.is_empty() {
-                    channels.insert(counts.u16()?, counts.u64()?);
-                }
-                self.statistics = Some(Statistics { messages, channels, times, attached });
+                memory.hold(MAP_FACTOR * body.len() as u64)?;
+                self.statistics = Some(statistics(fields)?);
             }
             _ => {}
         }
@@ -154,33 +187,57 @@ impl Contents {
     }
 }
 
-/// Counts the memory of a definition that is new.
-fn hold_new<T: PartialEq>(
-    known: &BTreeMap<u16, T>,
-    number: u16,
-    new: &T,
-    (bytes, replaces): (u64, bool),
-    held: &mut u64,
-) -> Result<(), Fault> {
-    match known.get(&number) {
-        Some(old) if old == new => Ok(()),
-        Some(_) if !replaces => Err(Damage::Misplaced.into()),
-        _ => hold(bytes, held),
+/// The bytes of a record with these texts: where they were no UTF-8, they have become longer.
+///
+/// # Errors
+/// More than [`MAX_TEXT`], so that what is written anew can be read.
+fn text_bytes(body: &[u8], texts: &[&str]) -> Result<u64, Fault> {
+    let texts_bytes: usize = 8 + texts.iter().map(|text| 4 + text.len()).sum::<usize>();
+    let bytes = body.len().max(texts_bytes) as u64;
+    match bytes > MAX_TEXT {
+        true => Err(Fault::TooLarge { what: "a definition, a name or a text", bytes, limit: MAX_TEXT }),
+        false => Ok(bytes),
     }
 }
 
-/// Counts the memory of a record.
-fn hold(bytes: u64, held: &mut u64) -> Result<(), Fault> {
-    // What stands around its texts.
-    *held += 256 + bytes;
-    match *held > MAX_HELD {
-        true => Err(Fault::TooLarge {
-            what: "definitions, attached files and texts",
-            bytes: *held,
-            limit: MAX_HELD,
-        }),
-        false => Ok(()),
+/// The fields of an attached file.
+pub(super) struct Attached<'a> {
+    name: Cow<'a, str>,
+    media_type: Cow<'a, str>,
+    log_ns: u64,
+    data: &'a [u8],
+}
+
+/// The attached file in the fields of a record, whose checksum is checked.
+pub(super) fn attached(body: &[u8]) -> Result<Attached<'_>, Damage> {
+    let content = body.len().checked_sub(4).ok_or(Damage::Short)?;
+    let crc = u32::from_le_bytes(body[content..].try_into().unwrap_or_default());
+    if crc != 0 && crc32fast::hash(&body[..content]) != crc {
+        return Err(Damage::Checksum);
     }
+    let mut fields = Fields(body);
+    let (log_ns, _, name, media_type) = (fields.u64()?, fields.u64()?, fields.str()?, fields.str()?);
+    let length = fields.u64()?;
+    let data = fields.take(length as usize)?;
+    if fields.0.len() != 4 {
+        return Err(Damage::Length);
+    }
+    Ok(Attached { name, media_type, log_ns, data })
+}
+
+/// What the summary counts.
+fn statistics(mut fields: Fields<'_>) -> Result<Statistics, Damage> {
+    let messages = fields.u64()?;
+    fields.take(2 + 4)?;
+    let attached = [fields.u32()?, fields.u32()?];
+    fields.u32()?;
+    let (times, bytes) = ([fields.u64()?, fields.u64()?], fields.u32()?);
+    let mut counts = Fields(fields.take(bytes as usize)?);
+    let mut channels = BTreeMap::new();
+    while !counts.0.is_empty() {
+        channels.insert(counts.u16()?, counts.u64()?);
+    }
+    Ok(Statistics { messages, channels, times, attached })
 }
 
 /// The message in the fields of a record.

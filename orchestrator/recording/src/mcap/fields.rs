@@ -1,5 +1,7 @@
 //! Reads the fields of a record one after the other.
 
+use std::borrow::Cow;
+
 use super::Damage;
 
 /// The rest of a record.
@@ -32,9 +34,13 @@ impl<'a> Fields<'a> {
         self.array().map(u64::from_le_bytes)
     }
 
-    pub(super) fn text(&mut self) -> Result<String, Damage> {
+    pub(super) fn str(&mut self) -> Result<Cow<'a, str>, Damage> {
         let length = self.u32()?;
-        Ok(String::from_utf8_lossy(self.take(length as usize)?).into_owned())
+        Ok(String::from_utf8_lossy(self.take(length as usize)?))
+    }
+
+    pub(super) fn text(&mut self) -> Result<String, Damage> {
+        self.str().map(Cow::into_owned)
     }
 
     pub(super) fn map(&mut self) -> Result<Vec<(String, String)>, Damage> {

@@ -4,7 +4,7 @@
 
 use std::io::{self, Read, Seek};
 
-use super::contents::{Contents, MAX_HELD};
+use super::contents::{Contents, MAX_HELD, MAX_TEXT, Memory};
 use super::damage::Fault;
 use super::input::{Head, Input};
 use super::unpack::{self, ChunkHead, MAX_CHUNK};
@@ -14,8 +14,6 @@ use super::{Damage, MAGIC, ReadError, opcode, sound};
 const LOOSE_BYTES: u64 = 1 << 18;
 /// So many files may be joined to one.
 const MAX_FILES: usize = 1024;
-/// A definition or text may have so many bytes.
-const MAX_TEXT: u64 = 4 << 20;
 
 /// A piece of a file that holds messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -43,7 +41,7 @@ pub(super) struct Place {
 }
 
 /// What is where in a file.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Index {
     /// The joined files; mostly one.
     pub(super) files: Vec<Contents>,
@@ -52,6 +50,8 @@ pub(super) struct Index {
     pub(super) places: Vec<Place>,
     /// The first reason for which something could not be read although it may be whole.
     pub(super) refusal: Option<ReadError>,
+    /// Memory of what was read beside messages.
+    pub(super) memory: Memory,
 }
 
 /// Walks over a file.
@@ -62,9 +62,14 @@ pub(super) fn index<R: Read + Seek>(input: &mut Input<R>, is_salvage: bool) -> R
     let mut walk = Walk {
         input,
         is_salvage,
-        index: Index::default(),
+        index: Index {
+            files: Vec::new(),
+            parts: Vec::new(),
+            places: Vec::new(),
+            refusal: None,
+            memory: Memory::new(is_salvage),
+        },
         record: Vec::new(),
-        held: 0,
         is_open: false,
         data_end: None,
         has_chunks: false,
@@ -89,8 +94,6 @@ struct Walk<'a, R> {
     is_salvage: bool,
     index: Index,
     record: Vec<u8>,
-    /// Memory of what was read beside messages.
-    held: u64,
     /// Whether the end of the file that was begun is still to come.
     is_open: bool,
     /// Where the data of this file have ended.
@@ -259,7 +262,8 @@ impl<R: Read + Seek> Walk<'_, R> {
                 }
                 let mut record = std::mem::take(&mut self.record);
                 self.input.read(head.body(), head.length, &mut record)?;
-                let defined = self.index.files[file].define(opcode, &record, &mut self.held, false);
+                let Index { files, memory, .. } = &mut self.index;
+                let defined = files[file].define(opcode, &record, memory, false);
                 self.record = record;
                 defined?;
             }

@@ -41,8 +41,6 @@ pub struct Reader<R> {
     content: Vec<u8>,
     place: usize,
     record: Vec<u8>,
-    /// Memory of what was read beside messages.
-    held: u64,
     /// Messages that were read of each joined file, by channel; `None` after a jump.
     counts: Option<Vec<BTreeMap<u16, u64>>>,
     /// The newest message of the file that is read [ns].
@@ -84,7 +82,6 @@ impl<R: Read + Seek> Reader<R> {
             content: Vec::new(),
             place: 0,
             record: Vec::new(),
-            held: 0,
             counts,
             newest_ns: None,
             gaps: Vec::new(),
@@ -277,8 +274,8 @@ impl<R: Read + Seek> Reader<R> {
                 }
                 opcode::SCHEMA | opcode::CHANNEL => {
                     // A chunk has a checksum, a damaged summary may have none.
-                    let contents = &mut self.index.files[part.file];
-                    contents.define(opcode, body, &mut self.held, self.is_salvage)?;
+                    let Index { files, memory, .. } = &mut self.index;
+                    files[part.file].define(opcode, body, memory, self.is_salvage)?;
                 }
                 // Nothing else may stand in a chunk; an attached file would be unpacked with it.
                 _ if !self.is_salvage => return Err(Damage::Misplaced.into()),

@@ -2,7 +2,8 @@
 
 use std::io::{self, Read, Seek};
 
-use super::contents::{Contents, MAX_HELD};
+use super::contents::{self, Contents, MAX_HELD, Memory};
+use super::damage::Fault;
 use super::fields::Fields;
 use super::input::{Head, Input};
 use super::unpack::{self, ChunkHead};
@@ -92,8 +93,16 @@ pub(super) fn has_fields<R: Read + Seek>(input: &mut Input<R>, head: &Head) -> i
         _ if head.length > MAX_HELD => Ok(false),
         opcode => {
             input.read(head.body(), head.length, &mut bytes)?;
-            let defined = Contents::default().define(opcode, &bytes, &mut 0, false);
-            Ok(defined.is_ok() && (is_loaded(opcode) || has_index_fields(opcode, &bytes).is_ok()))
+            let memory = &mut Memory::new(false);
+            Ok(match opcode {
+                opcode::ATTACHMENT => contents::attached(&bytes).is_ok(),
+                // One that is too large is refused for that, and its fields fit.
+                opcode if is_loaded(opcode) => {
+                    let defined = Contents::default().define(opcode, &bytes, memory, false);
+                    matches!(defined, Ok(()) | Err(Fault::TooLarge { .. }))
+                }
+                opcode => has_index_fields(opcode, &bytes).is_ok(),
+            })
         }
     }
 }

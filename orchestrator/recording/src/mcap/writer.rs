@@ -83,7 +83,7 @@ impl<W: Write> Writer<W> {
         writer.put(&MAGIC)?;
         let mut header = Vec::new();
         header.text(profile).text(library);
-        writer.record(opcode::HEADER, &header)?;
+        writer.record(opcode::HEADER, &[&header])?;
         Ok(writer)
     }
 
@@ -131,11 +131,12 @@ impl<W: Write> Writer<W> {
     /// # Errors
     /// Those of the output.
     pub fn attach(&mut self, name: &str, media_type: &str, data: &[u8], log_ns: u64) -> io::Result<()> {
-        let mut body = Vec::new();
-        body.u64(log_ns).u64(0).text(name).text(media_type).u64(data.len() as u64).extend(data);
-        let crc = crc32fast::hash(&body);
-        body.u32(crc);
-        let (start, length) = self.record(opcode::ATTACHMENT, &body)?;
+        let mut fields = Vec::new();
+        fields.u64(log_ns).u64(0).text(name).text(media_type).u64(data.len() as u64);
+        let mut crc = crc32fast::Hasher::new();
+        [&fields, data].iter().for_each(|part| crc.update(part));
+        let crc = crc.finalize().to_le_bytes();
+        let (start, length) = self.record(opcode::ATTACHMENT, &[&fields, data, &crc])?;
         let mut index = Vec::new();
         index.u64(start).u64(length).u64(log_ns).u64(0).u64(data.len() as u64).text(name).text(media_type);
         self.attachments.push(index);
@@ -149,7 +150,7 @@ impl<W: Write> Writer<W> {
     pub fn metadata(&mut self, name: &str, map: &[(String, String)]) -> io::Result<()> {
         let mut body = Vec::new();
         body.text(name).map(map);
-        let (start, length) = self.record(opcode::METADATA, &body)?;
+        let (start, length) = self.record(opcode::METADATA, &[&body])?;
         let mut index = Vec::new();
         index.u64(start).u64(length).text(name);
         self.metadata.push(index);
@@ -223,7 +224,7 @@ impl<W: Write> Writer<W> {
     /// Those of the output.
     pub fn finish(mut self) -> io::Result<(W, u64)> {
         self.end_chunk()?;
-        self.record(opcode::DATA_END, &0_u32.to_le_bytes())?;
+        self.record(opcode::DATA_END, &[&0_u32.to_le_bytes()])?;
         let summary_start = self.written;
         let mut summary = Vec::new();
         let mut offsets = Vec::new();
@@ -272,13 +273,13 @@ impl<W: Write> Writer<W> {
         record
     }
 
-    /// Writes a record in one piece; returns where it begins and its whole length.
-    fn record(&mut self, opcode: u8, body: &[u8]) -> io::Result<(u64, u64)> {
+    /// Writes a record of fields in parts; returns where it begins and its whole length.
+    fn record(&mut self, opcode: u8, body: &[&[u8]]) -> io::Result<(u64, u64)> {
         let start = self.written;
         let mut head = vec![opcode];
-        head.u64(body.len() as u64);
+        head.u64(body.iter().map(|part| part.len() as u64).sum());
         self.put(&head)?;
-        self.put(body)?;
+        body.iter().try_for_each(|part| self.put(part))?;
         Ok((start, self.written - start))
     }
 

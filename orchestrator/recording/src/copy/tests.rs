@@ -1,0 +1,101 @@
+//! Files that are repaired and cut: what is kept, and what is told to be missing.
+
+use std::ops::Range;
+
+use console::new_file::Scratch;
+
+use super::*;
+use crate::mcap::MAX_CHUNK;
+use crate::mcap::handmade::{attachment, begun, channel, chunk, counted_end, end, message, schema};
+
+/// A second [ns].
+const SECOND: u64 = 1_000_000_000;
+
+/// A file of `seconds` chunks with ten messages each, and where in the file each chunk lies with its index.
+fn seconds(seconds: u64) -> (Vec<u8>, Vec<Range<usize>>) {
+    let topic = Channel { topic: "/a".into(), schema: 0, encoding: "cdr".into(), metadata: vec![] };
+    let mut writer = Writer::new(Vec::new(), "test", &[], &[topic]).unwrap();
+    let mut chunks = Vec::new();
+    writer.attach("a.toml", "application/toml", b"seed = 7\n", 1).unwrap();
+    for second in 0..seconds {
+        let start = writer.bytes() as usize;
+        for tenth in 0..10 {
+            let number = (10 * second + tenth) as u32;
+            // A chunk begins with a message that is older than the last one of the chunk before.
+            let late_ns = if tenth == 0 && second > 0 { SECOND / 5 } else { 0 };
+            let log_ns = (10 * second + tenth) * SECOND / 10 - late_ns;
+            writer.message(0, number, 5 * SECOND + log_ns, &[&number.to_le_bytes()]);
+        }
+        writer.end_chunk().unwrap();
+        chunks.push(start..writer.bytes() as usize);
+    }
+    writer.metadata("end", &[("lost".into(), "0".into())]).unwrap();
+    (writer.finish().unwrap().0, chunks)
+}
+
+/// A file of another program without chunks.
+fn loose(times: Range<u64>) -> Vec<u8> {
+    let messages: Vec<u8> = times.flat_map(|time| message(3, time * SECOND, b"loose")).collect();
+    [begun("other"), channel(3, 0, "/b"), messages, end()].concat()
+}
+
+/// Files of a test, in a folder of its own.
+struct Files(Scratch);
+
+impl Files {
+    fn new() -> Self {
+        Self(Scratch::new().unwrap())
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn input(&self, content: &[u8]) -> PathBuf {
+        let path = self.path("input.mcap");
+        std::fs::write(&path, content).unwrap();
+        path
+    }
+
+    fn repair(&self, content: &[u8]) -> Copied {
+        repair(&self.input(content), &self.path("repaired.mcap"), true).unwrap()
+    }
+
+    fn names(&self) -> Vec<String> {
+        let name =
+            |entry: std::io::Result<std::fs::DirEntry>| entry.unwrap().file_name().into_string().unwrap();
+        let mut names: Vec<String> = std::fs::read_dir(self.0.path()).unwrap().map(name).collect();
+        names.sort();
+        names
+    }
+}
+
+/// Reads a whole file; returns its messages: topic, and log time [ns].
+fn read(path: &Path) -> Vec<(String, u64)> {
+    let (mut reader, mut found) = (open(path).unwrap(), Vec::new());
+    while let Some((channel, log_ns)) =
+        reader.next_message().unwrap().map(|found| (found.channel, found.log_ns))
+    {
+        found.push((reader.contents().channels[&channel].topic.clone(), log_ns));
+    }
+    assert!(reader.files().iter().all(|contents| contents.is_complete));
+    found
+}
+
+fn told(copied: &Copied) -> String {
+    copied.gaps.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n")
+}
+
+#[test]
+fn names_of_attached_files_are_counted() {
+    let files = Files::new();
+    let one = chunk(&[channel(1, 0, "/a"), message(1, SECOND, b"a")].concat(), "", [SECOND; 2]);
+    let refused = |attached: Vec<u8>| {
+        let input = files.input(&[begun("other"), attached, one.clone(), end()].concat());
+        copy(&input, &files.path("cut.mcap"), true, 0..=u64::MAX).unwrap_err().to_string()
+    };
+    let message = refused(attachment(&"n".repeat(5 << 20), b""));
+    assert!(message.contains("4194304 are allowed"), "{message}");
+    let message = refused(attachment(&"n".repeat(3 << 20), b"").repeat(45));
+    assert!(message.contains("134217728 are allowed"), "{message}");
+}
