@@ -5,6 +5,7 @@ use std::fs::File;
 use std::io::{BufReader, BufWriter, IntoInnerError};
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use console::exit::Failure;
 use console::new_file::{Existing, NewFile};
@@ -212,8 +213,11 @@ struct NewRecording {
     /// The joined file with which it begins, and those whose attachments it has.
     file: usize,
     taken: usize,
-    /// Channels of the new file by their definition, and by joined file and number.
-    known: BTreeMap<(Option<Schema>, Channel), u16>,
+    /// Numbers in the new file, of schemas and channels by their definition. Schemas are shared with the input: a single one
+    /// may have megabytes.
+    schemas: BTreeMap<Arc<Schema>, u16>,
+    known: BTreeMap<Channel, u16>,
+    /// The same of channels by joined file and number.
     channels: BTreeMap<(usize, u16), u16>,
 }
 
@@ -222,8 +226,8 @@ impl NewRecording {
     fn begin(output: NewFile, files: &[Contents], file: usize) -> anyhow::Result<Self> {
         let Contents { profile, library, .. } = &files[file];
         let writer = Writer::empty(BufWriter::new(output), profile, library)?;
-        let (known, channels) = (BTreeMap::new(), BTreeMap::new());
-        let mut copy = Self { writer, file, taken: file, known, channels };
+        let (schemas, known, channels) = Default::default();
+        let mut copy = Self { writer, file, taken: file, schemas, known, channels };
         copy.attach(&files[file], None)?;
         // Also those without messages.
         files[file].channels.keys().for_each(|channel| _ = copy.define(&files[file], (file, *channel)));
@@ -269,21 +273,23 @@ impl NewRecording {
     /// Defines a channel in the new file, or finds the same one.
     fn define(&mut self, contents: &Contents, of: (usize, u16)) -> u16 {
         let channel = contents.channels[&of.1].clone();
-        let schema = contents.schemas.get(&channel.schema).cloned();
-        let is_same = |known: &&(Option<Schema>, Channel)| known.0.is_some() && known.0 == schema;
-        let known_schema = self.known.keys().find(is_same).map(|(_, channel)| channel.schema);
-        let number = match (&schema, known_schema) {
-            (None, _) => 0,
-            (Some(_), Some(number)) => number,
-            (Some(schema), None) => self.writer.add_schema(schema),
+        let schema = match contents.schemas.get(&channel.schema) {
+            None => 0,
+            Some(schema) => match self.schemas.get(schema) {
+                Some(number) => *number,
+                None => {
+                    let number = self.writer.add_schema(schema);
+                    self.schemas.insert(schema.clone(), number);
+                    number
+                }
+            },
         };
-        let channel = Channel { schema: number, ..channel };
-        let key = (schema, channel);
-        let number = match self.known.get(&key) {
+        let channel = Channel { schema, ..channel };
+        let number = match self.known.get(&channel) {
             Some(number) => *number,
             None => {
-                let number = self.writer.add_channel(&key.1);
-                self.known.insert(key, number);
+                let number = self.writer.add_channel(&channel);
+                self.known.insert(channel, number);
                 number
             }
         };

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use super::damage::Fault;
 use super::fields::Fields;
@@ -43,12 +44,11 @@ impl Memory {
     /// Counts the memory of a definition that is new.
     fn hold_new<T: PartialEq>(
         &mut self,
-        known: &BTreeMap<u16, T>,
-        number: u16,
+        known: Option<&T>,
         new: &T,
         (bytes, replaces): (u64, bool),
     ) -> Result<(), Fault> {
-        match known.get(&number) {
+        match known {
             Some(old) if old == new => Ok(()),
             Some(_) if !replaces => Err(Damage::Misplaced.into()),
             _ => self.hold(bytes),
@@ -114,7 +114,7 @@ pub struct Contents {
     /// Program that wrote the file.
     pub library: String,
     /// Schemas by number.
-    pub schemas: BTreeMap<u16, Schema>,
+    pub schemas: BTreeMap<u16, Arc<Schema>>,
     /// Channels by number; `schema` is the number of their schema.
     pub channels: BTreeMap<u16, Channel>,
     /// Attached files.
@@ -152,8 +152,9 @@ impl Contents {
                 let number = fields.u16()?;
                 let schema = Schema { name: fields.text()?, encoding: fields.text()?, text: fields.text()? };
                 let bytes = text_bytes(body, &[&schema.name, &schema.encoding, &schema.text])?;
-                memory.hold_new(&self.schemas, number, &schema, (bytes, replaces))?;
-                self.schemas.insert(number, schema);
+                let known = self.schemas.get(&number).map(Arc::as_ref);
+                memory.hold_new(known, &schema, (bytes, replaces))?;
+                self.schemas.insert(number, schema.into());
             }
             opcode::CHANNEL => {
                 let (number, schema, topic) = (fields.u16()?, fields.u16()?, fields.text()?);
@@ -161,7 +162,7 @@ impl Contents {
                 let mut texts = vec![channel.topic.as_str(), &channel.encoding];
                 texts.extend(channel.metadata.iter().flat_map(|(key, value)| [key.as_str(), value]));
                 let bytes = MAP_FACTOR * text_bytes(body, &texts)?;
-                memory.hold_new(&self.channels, number, &channel, (bytes, replaces))?;
+                memory.hold_new(self.channels.get(&number), &channel, (bytes, replaces))?;
                 self.channels.insert(number, channel);
             }
             opcode::ATTACHMENT => {

@@ -353,7 +353,7 @@ impl<R: Read + Seek> Reader<R> {
         let file = self.current.map_or(0, |part| part.file);
         let contents = &mut self.index.files[file];
         if let Some(schema) = schemas.get(&channel.schema) {
-            contents.schemas.entry(channel.schema).or_insert_with(|| schema.clone());
+            contents.schemas.entry(channel.schema).or_insert_with(|| schema.clone().into());
         }
         contents.channels.insert(number, channel.clone());
         true

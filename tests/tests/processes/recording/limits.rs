@@ -1,6 +1,7 @@
 //! Files that unpack to more than there is memory.
 
 use std::fs::File;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -121,4 +122,69 @@ fn a_small_file_with_many_samples_is_refused_before_they_fill_the_memory() {
         assert_eq!(output.status.code(), Some(2), "{command}: {message}");
         assert!(message.contains("its samples have more than 268435456 bytes"), "{command}: {message}");
     }
+}
+
+/// A file of another program: a chunk with this content behind these records, without a summary.
+fn foreign(path: &Path, records: &[u8], content: &[u8]) {
+    let mut file = File::create(path).expect("of a test");
+    let mut chunk = [[0_u8; 16].as_slice(), &(content.len() as u64).to_le_bytes(), &[0; 8]].concat();
+    chunk.extend((content.len() as u64).to_le_bytes());
+    chunk.extend_from_slice(content);
+    let header = record(1, &[0; 8]);
+    let end = [record(15, &[0; 4]), record(2, &[0; 20]), MAGIC.to_vec()].concat();
+    let parts = [&MAGIC[..], &header, records, &record(CHUNK, &chunk), &end];
+    parts.iter().try_for_each(|part| file.write_all(part)).expect("of a test");
+}
+
+fn record(opcode: u8, body: &[u8]) -> Vec<u8> {
+    [&[opcode], &(body.len() as u64).to_le_bytes()[..], body].concat()
+}
+
+fn sized(text: &[u8]) -> Vec<u8> {
+    [&(text.len() as u32).to_le_bytes(), text].concat()
+}
+
+fn channel(number: u16, schema: u16) -> Vec<u8> {
+    let topic = sized(format!("/t{number}").as_bytes());
+    record(4, &[&number.to_le_bytes()[..], &schema.to_le_bytes(), &topic, &sized(b"cdr"), &[0; 4]].concat())
+}
+
+fn message(channel: u16) -> Vec<u8> {
+    record(5, &[&channel.to_le_bytes()[..], &[1; 4], &[0; 16], b"content"].concat())
+}
+
+#[test]
+fn a_large_schema_of_many_channels_is_held_once() {
+    let system = System::new(EXECUTABLE);
+    let (file, out) = (system.folder().join("channels.mcap"), system.folder().join("out.mcap"));
+    let fields = sized(&vec![b'\n'; (4 << 20) - 100]);
+    let schema = record(3, &[&1_u16.to_le_bytes()[..], &sized(b"a/msg/A"), &sized(b"ros2msg"), &fields].concat());
+    let channels: Vec<u8> = (1..400).flat_map(|number| channel(number, 1)).collect();
+    foreign(&file, &[schema, channels].concat(), &message(1));
+    let bag = system.folder().join("bag");
+    for arguments in [
+        ["recording", "repair", text(&file), "--out", text(&out), "--force"].as_slice(),
+        &["recording", "cut", text(&file), "--out", text(&out), "--force"],
+        &["recording", "export", text(&file), "--rosbag2", text(&bag)],
+    ] {
+        let output = limited(&system, arguments);
+        assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", scanloop_tests::printed(&output));
+    }
+}
+
+#[test]
+fn large_names_of_attached_files_are_refused_before_they_fill_the_memory() {
+    let system = System::new(EXECUTABLE);
+    let (file, out) = (system.folder().join("names.mcap"), system.folder().join("out.mcap"));
+    let name = vec![0; 120 << 20];
+    let attached = record(9, &[&[0; 16][..], &sized(&name), &[0; 4 + 8 + 4]].concat());
+    foreign(&file, &attached.repeat(5), &[channel(1, 0), message(1)].concat());
+    for command in [&["recording", "info", text(&file)][..], &["recording", "cut", text(&file), "--out", text(&out)]] {
+        let output = limited(&system, command);
+        let message = scanloop_tests::printed(&output);
+        assert!(output.status.code() == Some(2) && message.contains("4194304 are allowed"), "{message}");
+    }
+    let output = limited(&system, &["recording", "repair", text(&file), "--out", text(&out)]);
+    let message = scanloop_tests::printed(&output);
+    assert_eq!(output.status.code(), Some(1), "{message}");
 }
