@@ -10,12 +10,14 @@ use std::sync::Arc;
 use console::exit::Failure;
 use console::new_file::{Existing, NewFile};
 
-use crate::mcap::{Channel, Contents, Gap, Reader, Schema, Writer};
+use crate::mcap::{Channel, Contents, Gap, MAX_TEXT, MESSAGE_BYTES, Reader, Schema, Writer};
 use crate::read::{RECORDING, metadata, refusal};
 use crate::tape::{LIBRARY, PREFIX, definitions};
 
 /// Chunks end with this many bytes.
 const CHUNK_BYTES: usize = 1 << 18;
+/// A definition has at most so many bytes, with the head of its record.
+const DEFINITION_BYTES: usize = 9 + MAX_TEXT as usize;
 /// Name of the metadata about what a repair could not read.
 pub(crate) const REPAIRED: &str = "repaired";
 /// Between the last message of a recording and the first of one that is joined to it [ns].
@@ -230,7 +232,9 @@ impl NewRecording {
         let mut copy = Self { writer, file, taken: file, schemas, known, channels };
         copy.attach(&files[file], None)?;
         // Also those without messages.
-        files[file].channels.keys().for_each(|channel| _ = copy.define(&files[file], (file, *channel)));
+        for channel in files[file].channels.keys() {
+            copy.define(&files[file], (file, *channel))?;
+        }
         Ok(copy)
     }
 
@@ -261,8 +265,9 @@ impl NewRecording {
     ) -> anyhow::Result<()> {
         let number = match self.channels.get(&(file, channel)) {
             Some(number) => *number,
-            None => self.define(contents, (file, channel)),
+            None => self.define(contents, (file, channel))?,
         };
+        self.writer.make_room(MESSAGE_BYTES + data.len())?;
         self.writer.message_of(number, sequence, times_ns, data);
         if self.writer.open_bytes() >= CHUNK_BYTES {
             self.writer.end_chunk()?;
@@ -271,13 +276,14 @@ impl NewRecording {
     }
 
     /// Defines a channel in the new file, or finds the same one.
-    fn define(&mut self, contents: &Contents, of: (usize, u16)) -> u16 {
+    fn define(&mut self, contents: &Contents, of: (usize, u16)) -> std::io::Result<u16> {
         let channel = contents.channels[&of.1].clone();
         let schema = match contents.schemas.get(&channel.schema) {
             None => 0,
             Some(schema) => match self.schemas.get(schema) {
                 Some(number) => *number,
                 None => {
+                    self.writer.make_room(DEFINITION_BYTES)?;
                     let number = self.writer.add_schema(schema);
                     self.schemas.insert(schema.clone(), number);
                     number
@@ -288,13 +294,14 @@ impl NewRecording {
         let number = match self.known.get(&channel) {
             Some(number) => *number,
             None => {
+                self.writer.make_room(DEFINITION_BYTES)?;
                 let number = self.writer.add_channel(&channel);
                 self.known.insert(channel, number);
                 number
             }
         };
         self.channels.insert(of, number);
-        number
+        Ok(number)
     }
 
     /// Ends the file with what later joined files of its run have attached, and with what is missing.

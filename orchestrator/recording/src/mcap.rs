@@ -19,7 +19,9 @@ mod sound;
 mod unpack;
 mod writer;
 
+pub(crate) use chunk::MESSAGE_BYTES;
 pub use chunk::{Chunk, OpenChunk};
+pub(crate) use contents::MAX_TEXT;
 pub use contents::{Attachment, Contents, MAX_HELD, Message, Metadata, Statistics};
 pub use damage::{Damage, ReadError};
 pub use reader::{Gap, Reader};

@@ -87,6 +87,33 @@ fn told(copied: &Copied) -> String {
 }
 
 #[test]
+fn what_is_repaired_or_cut_is_within_the_limits_of_a_file() {
+    let files = Files::new();
+    // Two messages that fill a chunk each, without the definitions; the noise does not become smaller by compression.
+    let mut noise = vec![0_u8; MAX_CHUNK as usize - 40];
+    noise.iter_mut().fold(1_u32, |state, byte| {
+        *byte = (state >> 24) as u8;
+        state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223)
+    });
+    let large = chunk(&message(1, SECOND, &noise), "", [SECOND; 2]);
+    let small = chunk(&message(1, SECOND, b"small"), "", [SECOND; 2]);
+    let input = [begun("other"), channel(1, 0, "/a"), small, large.clone(), large, end()].concat();
+    assert_eq!(read(&files.repair(&input).files[0]).len(), 3);
+    let cut = copy(&files.input(&input), &files.path("cut.mcap"), true, 0..=u64::MAX).unwrap();
+    assert_eq!(read(&cut.files[0]).len(), 3);
+    // A text that is too long for a record of its own, as which the summary repeats it.
+    let long = [schema(1, &"\n".repeat(5 << 20)), channel(1, 1, "/a"), message(1, SECOND, b"a")].concat();
+    let input = files.input(&[begun("other"), chunk(&long, "zstd", [SECOND; 2]), end()].concat());
+    for result in [
+        copy(&input, &files.path("long.mcap"), true, 0..=u64::MAX),
+        repair(&input, &files.path("long.mcap"), true),
+    ] {
+        let message = result.unwrap_err().to_string();
+        assert!(message.contains("4194304 are allowed"), "{message}");
+    }
+}
+
+#[test]
 fn names_of_attached_files_are_counted() {
     let files = Files::new();
     let one = chunk(&[channel(1, 0, "/a"), message(1, SECOND, b"a")].concat(), "", [SECOND; 2]);

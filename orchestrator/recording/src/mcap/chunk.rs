@@ -8,6 +8,11 @@ use lz4_flex::frame::FrameEncoder;
 
 use super::{Put, append, opcode};
 
+/// Name of the compression of chunks that become smaller by it.
+const LZ4: &str = "lz4";
+/// A message has so many bytes in front of its data.
+pub(crate) const MESSAGE_BYTES: usize = 9 + 22;
+
 /// Messages that are being collected.
 #[derive(Debug, Default)]
 pub struct OpenChunk {
@@ -30,6 +35,7 @@ pub struct Chunk {
     pub(crate) chunk_bytes: u64,
     /// Per channel the place of its index in `records`, and its messages.
     pub(crate) channels: Vec<(u16, u64, u64)>,
+    pub(crate) compression: &'static str,
     pub(crate) stored_bytes: u64,
     pub(crate) full_bytes: u64,
 }
@@ -57,9 +63,9 @@ impl OpenChunk {
         self.messages.len()
     }
 
-    /// Whether it begins with records that are in no chunk yet.
-    pub(crate) fn has_records(&self) -> bool {
-        !self.sorted.is_empty()
+    /// The same with the records in front of them, which are in no chunk yet.
+    pub(crate) fn full_bytes(&self) -> usize {
+        self.sorted.len() + self.messages.len()
     }
 
     /// Compresses what was collected, and begins the next chunk.
@@ -72,14 +78,21 @@ impl OpenChunk {
         let mut encoder = FrameEncoder::new(std::mem::take(&mut self.compressed));
         encoder.write_all(&self.sorted)?;
         self.compressed = encoder.finish().map_err(io::Error::other)?;
-        let (stored_bytes, full_bytes) = (self.compressed.len() as u64, self.sorted.len() as u64);
+        // What does not become smaller is stored as it is, so that no chunk is larger than its content.
+        let (compression, stored) = match self.compressed.len() < self.sorted.len() {
+            true => (LZ4, &self.compressed),
+            false => ("", &self.sorted),
+        };
+        let (stored_bytes, full_bytes) = (stored.len() as u64, self.sorted.len() as u64);
         let [first, last] = times.unwrap_or_default();
-        let mut record = Vec::with_capacity(64 + self.compressed.len());
-        record.u64(first).u64(last).u64(full_bytes).u32(crc32fast::hash(&self.sorted));
-        record.text("lz4").u64(stored_bytes).extend_from_slice(&self.compressed);
+        let mut fields = Vec::with_capacity(64);
+        fields.u64(first).u64(last).u64(full_bytes).u32(crc32fast::hash(&self.sorted));
+        fields.text(compression).u64(stored_bytes);
         let index_bytes: usize = index.iter().map(|(_, entries)| 15 + entries.len()).sum();
-        let mut records = Vec::with_capacity(9 + record.len() + index_bytes);
-        append(&mut records, opcode::CHUNK, &record);
+        let mut records = Vec::with_capacity(9 + fields.len() + stored.len() + index_bytes);
+        records.push(opcode::CHUNK);
+        records.u64((fields.len() + stored.len()) as u64).extend_from_slice(&fields);
+        records.extend_from_slice(stored);
         let chunk_bytes = records.len() as u64;
         let mut channels = Vec::with_capacity(index.len());
         for (channel, entries) in index {
@@ -91,7 +104,7 @@ impl OpenChunk {
         self.messages.clear();
         self.sorted.clear();
         self.compressed.clear();
-        Ok(Chunk { times, records, chunk_bytes, channels, stored_bytes, full_bytes })
+        Ok(Chunk { times, records, chunk_bytes, channels, compression, stored_bytes, full_bytes })
     }
 
     /// Sorts the messages by channel; returns the entries of the index of each: log time and new place.

@@ -12,7 +12,7 @@ use super::{Channel, Damage, Schema, opcode};
 /// half a megabyte.
 pub const MAX_HELD: u64 = 128 << 20;
 /// A definition, a name or a text may have so many bytes.
-pub(super) const MAX_TEXT: u64 = 4 << 20;
+pub(crate) const MAX_TEXT: u64 = 4 << 20;
 /// A map of empty texts, or of numbers, takes so much more memory than bytes of the file.
 const MAP_FACTOR: u64 = 6;
 /// A repair leaves so much of [`MAX_HELD`] for what it adds: definitions, and a text about what is missing [bytes].

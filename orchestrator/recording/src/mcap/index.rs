@@ -231,8 +231,10 @@ impl<R: Read + Seek> Walk<'_, R> {
             opcode::MESSAGE if self.is_salvage && self.has_chunks => return Err(Damage::Misplaced.into()),
             opcode::MESSAGE => {
                 self.require_data()?;
-                if head.length > MAX_CHUNK {
-                    return Err(Fault::TooLarge { what: "a message", bytes: head.length, limit: MAX_CHUNK });
+                // A copy of it stands in a chunk.
+                let (bytes, limit) = (head.length.saturating_add(Head::BYTES), MAX_CHUNK);
+                if bytes > limit {
+                    return Err(Fault::TooLarge { what: "a message", bytes, limit });
                 }
                 self.input.read(head.body(), head.length.min(22), &mut self.record)?;
                 super::contents::message(&self.record)?;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 
-use super::{Chunk, MAGIC, OpenChunk, Put, append, opcode};
+use super::{Chunk, MAGIC, MAX_CHUNK, OpenChunk, Put, append, opcode};
 
 /// The type of the messages of a channel.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
@@ -173,8 +173,7 @@ impl<W: Write> Writer<W> {
     /// Those of the output.
     pub fn end_chunk(&mut self) -> io::Result<()> {
         if self.open.bytes() > 0 {
-            let chunk = self.open.seal()?;
-            self.put_chunk(&chunk)?;
+            self.seal()?;
         }
         self.out.flush()
     }
@@ -184,11 +183,28 @@ impl<W: Write> Writer<W> {
     /// # Errors
     /// Those of the output.
     pub fn chunk(&mut self, chunk: &Chunk) -> io::Result<()> {
-        if self.open.bytes() > 0 || self.open.has_records() {
-            let open = self.open.seal()?;
-            self.put_chunk(&open)?;
-        }
+        self.seal()?;
         self.put_chunk(chunk)
+    }
+
+    /// Ends the open chunk if it would be larger than any reader allows with so many more bytes.
+    ///
+    /// # Errors
+    /// Those of the output.
+    pub(crate) fn make_room(&mut self, bytes: usize) -> io::Result<()> {
+        match (self.open.full_bytes() + bytes) as u64 > MAX_CHUNK {
+            true => self.seal(),
+            false => Ok(()),
+        }
+    }
+
+    /// Writes the open chunk, also if it has definitions alone.
+    fn seal(&mut self) -> io::Result<()> {
+        if self.open.full_bytes() == 0 {
+            return Ok(());
+        }
+        let chunk = self.open.seal()?;
+        self.put_chunk(&chunk)
     }
 
     fn put_chunk(&mut self, chunk: &Chunk) -> io::Result<()> {
@@ -208,7 +224,7 @@ impl<W: Write> Writer<W> {
             .u64(chunk.chunk_bytes)
             .u32(offsets.len() as u32)
             .extend(&offsets);
-        index.u64(chunk.records.len() as u64 - chunk.chunk_bytes).text("lz4");
+        index.u64(chunk.records.len() as u64 - chunk.chunk_bytes).text(chunk.compression);
         index.u64(chunk.stored_bytes).u64(chunk.full_bytes);
         self.chunks.push(index);
         if chunk.times.is_some() {
