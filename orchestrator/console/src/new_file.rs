@@ -82,10 +82,19 @@ impl NewFile {
     /// # Errors
     /// The first error of the file system, with the file; exit code 2. What had the name before is still there then.
     pub fn finish(self) -> anyhow::Result<()> {
-        if self.place.is_some() {
-            self.file.sync_all().map_err(|error| refusal(&self.path, error))?;
+        finish_all(vec![self])
+    }
+
+    /// Passes when the file is on the disk, and its name is still free if what has it is to be kept.
+    fn sync(&self) -> anyhow::Result<()> {
+        if self.place.is_none() {
+            return Ok(());
         }
-        self.publish().map(drop)
+        self.file.sync_all().map_err(|error| refusal(&self.path, error))?;
+        match self.existing == Existing::Keep && self.path.symlink_metadata().is_ok() {
+            true => Err(refusal(&self.path, TAKEN)),
+            false => Ok(()),
+        }
     }
 
     /// Gives the file its name before it is whole: for one that is read while it grows. Until it is closed, or its process
@@ -156,6 +165,15 @@ fn is_growing(path: &Path) -> bool {
     let flags = (OFlags::NONBLOCK | OFlags::NOFOLLOW).bits().cast_signed();
     let opened = OpenOptions::new().read(true).custom_flags(flags).open(path);
     opened.is_ok_and(|file| flock(&file, FlockOperation::NonBlockingLockShared) == Err(Errno::WOULDBLOCK))
+
+/// Gives the files of one command their names: none of them before all are on the disk and all names are free.
+///
+/// # Errors
+/// The first error of the file system, with the file; exit code 2. What had the names before is still there then, unless a name
+/// was taken between the last check and its use.
+pub fn finish_all(files: Vec<NewFile>) -> anyhow::Result<()> {
+    files.iter().try_for_each(NewFile::sync)?;
+    files.into_iter().try_for_each(|file| file.publish().map(drop))
 }
 
 /// Why a file is not made: its name is taken.
@@ -317,6 +335,17 @@ mod tests {
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "half");
         drop(growing);
         write(&path, b"other").unwrap();
+
+    fn of_files_that_belong_together_none_appears_when_one_name_was_taken_meanwhile() {
+        let folder = Scratch::new().unwrap();
+        let paths = ["one", "two"].map(|name| folder.path().join(name));
+        let files = paths.iter().map(|path| NewFile::create(path, Existing::Keep, &[]).unwrap()).collect();
+        std::fs::write(&paths[1], "own").unwrap();
+        assert!(finish_all(files).unwrap_err().to_string().ends_with(TAKEN));
+        assert_eq!((paths[0].exists(), names(folder.path())), (false, 1));
+        let create = |path| NewFile::create(path, Existing::Replace, &[]).unwrap();
+        finish_all(paths.iter().map(|path| create(path)).collect()).unwrap();
+        assert_eq!((std::fs::read(&paths[1]).unwrap().len(), names(folder.path())), (0, 2));
     }
 
     #[test]

@@ -7,11 +7,11 @@ use std::io::{BufWriter, IntoInnerError, Write};
 use std::path::Path;
 
 use console::exit::Failure;
-use console::new_file::{Existing, NewFile};
+use console::new_file::{Existing, NewFile, finish_all};
 use shared_types::{Field, Kind, Topic};
 
-use crate::copy::copy;
-use crate::read::{Recording, refusal};
+use crate::copy::{Summary, prepare};
+use crate::read::Recording;
 
 /// Exports each topic as a table, one column per number; returns the number of rows. Checkpoints have no columns.
 ///
@@ -26,9 +26,9 @@ pub fn csv(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
         topic => tables.add(topic.name(), topic.fields(), sample.log_ns, sample.bytes),
     })?;
     recording.own_samples(|name, fields, log_ns, bytes| tables.add(name, fields, log_ns, bytes))?;
-    for table in tables.files.into_values() {
-        table.into_inner().map_err(IntoInnerError::into_error)?.finish()?;
-    }
+    let files = tables.files.into_values();
+    let files = files.map(|table| table.into_inner().map_err(IntoInnerError::into_error));
+    finish_all(files.collect::<Result<_, _>>()?)?;
     Ok(tables.rows)
 }
 
@@ -76,11 +76,13 @@ pub fn rosbag2(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
     make(folder)?;
     let path = folder.join("metadata.yaml");
     let mut description = NewFile::create(&path, Existing::forced(force), &[from])?;
-    let copied = copy(from, &folder.join("recording.mcap"), force, 0..=u64::MAX)?;
+    let (copied, mut new_files) = prepare(from, &folder.join("recording.mcap"), force, 0..=u64::MAX)?;
     let (mut topics, mut files) = (BTreeMap::<String, (String, u64)>::new(), String::new());
     let (mut names, mut span_ns) = (String::new(), [u64::MAX, 0]);
-    for path in &copied.files {
-        let (times_ns, messages) = add_topics(path, &mut topics)?;
+    for (path, Summary { times_ns, messages, topics: found }) in copied.files.iter().zip(copied.summaries) {
+        for (topic, (kind, count)) in found {
+            topics.entry(topic).or_insert((kind, 0)).1 += count;
+        }
         span_ns = [span_ns[0].min(times_ns[0]), span_ns[1].max(times_ns[1])];
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let _ = writeln!(names, "    - {name}");
@@ -114,27 +116,9 @@ pub fn rosbag2(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
         "  compression_format: \"\"\n  compression_mode: \"\"\n  relative_file_paths:\n{names}  files:\n{files}"
     );
     description.write_all(text.as_bytes())?;
-    description.finish()?;
+    new_files.push(description);
+    finish_all(new_files)?;
     Ok(total)
-}
-
-/// Adds the channels of a file of the bag with their types and messages; returns the times of its first and last message [ns],
-/// and how many there are.
-fn add_topics(path: &Path, topics: &mut BTreeMap<String, (String, u64)>) -> anyhow::Result<([u64; 2], u64)> {
-    let mut recording = Recording::open(path)?;
-    let (mut counts, mut times_ns) = (BTreeMap::<u16, u64>::new(), [u64::MAX, 0]);
-    while let Some(message) = recording.reader().next_message().map_err(|error| refusal(path, &error))? {
-        *counts.entry(message.channel).or_default() += 1;
-        times_ns = [times_ns[0].min(message.log_ns), times_ns[1].max(message.log_ns)];
-    }
-    let contents = recording.contents();
-    for (number, channel) in &contents.channels {
-        let schema = contents.schemas.get(&channel.schema);
-        let kind = schema.map_or("", |schema| &schema.name);
-        let (_, count) = topics.entry(channel.topic.clone()).or_insert((kind.to_owned(), 0));
-        *count += counts.get(number).copied().unwrap_or_default();
-    }
-    Ok((times_ns, counts.values().sum()))
 }
 
 fn make(folder: &Path) -> anyhow::Result<()> {

@@ -5,8 +5,8 @@ use std::ops::Range;
 use console::new_file::Scratch;
 
 use super::*;
-use crate::mcap::MAX_CHUNK;
 use crate::mcap::handmade::{attachment, begun, channel, chunk, counted_end, end, message, schema};
+use crate::mcap::{Channel, MAX_CHUNK, Writer};
 
 /// A second [ns].
 const SECOND: u64 = 1_000_000_000;
@@ -125,4 +125,47 @@ fn names_of_attached_files_are_counted() {
     assert!(message.contains("4194304 are allowed"), "{message}");
     let message = refused(attachment(&"n".repeat(3 << 20), b"").repeat(45));
     assert!(message.contains("134217728 are allowed"), "{message}");
+}
+
+#[test]
+fn of_several_new_files_none_is_there_when_one_is_refused() {
+    let files = Files::new();
+    let (new, second) = (files.path("new.mcap"), files.path("new-2.mcap"));
+    let joined = [seconds(2).0, loose(1..5)].concat();
+    let run = |text: &str, file: Vec<u8>| {
+        let body = [("run_id".to_owned(), text.to_owned())];
+        let mut writer = Writer::empty(Vec::new(), "", text).unwrap();
+        writer.metadata(RECORDING, &body).unwrap();
+        let number = writer.add_channel(&Channel {
+            topic: "/a".into(),
+            schema: 0,
+            encoding: "cdr".into(),
+            metadata: vec![],
+        });
+        writer.message_of(number, 1, [SECOND; 2], b"a");
+        [writer.finish().unwrap().0, file].concat()
+    };
+    let joined = [run("one", run("two", vec![])), joined].concat();
+    // The second new file is there already, as a file of its own or as the input.
+    let input = files.input(&joined);
+    std::fs::write(&second, "own").unwrap();
+    assert!(repair(&input, &new, false).is_err());
+    assert_eq!(files.names(), ["input.mcap", "new-2.mcap"]);
+    std::fs::write(&new, "old").unwrap();
+    std::fs::rename(&input, &second).unwrap();
+    for refused in [repair(&second, &new, true), copy(&second, &new, true, 0..=u64::MAX)] {
+        assert!(refused.unwrap_err().to_string().contains("the same file as the input"));
+        assert_eq!(
+            (files.names(), std::fs::read(&new).unwrap()),
+            (vec!["new-2.mcap".into(), "new.mcap".into()], b"old".to_vec())
+        );
+    }
+    let bag = files.path("bag");
+    std::fs::create_dir(&bag).unwrap();
+    std::fs::write(bag.join("recording-2.mcap"), "own").unwrap();
+    assert!(crate::export::rosbag2(&second, &bag, false).is_err());
+    assert_eq!(std::fs::read_dir(&bag).unwrap().count(), 1);
+    std::fs::remove_file(bag.join("recording-2.mcap")).unwrap();
+    assert_eq!(crate::export::rosbag2(&second, &bag, false).unwrap(), 26);
+    assert!(std::fs::read_to_string(bag.join("metadata.yaml")).unwrap().contains("message_count: 26"));
 }

@@ -121,6 +121,16 @@ impl<W: Write> Writer<W> {
         self.written
     }
 
+    /// Messages in the chunks that were written, by channel.
+    pub(crate) fn messages(&self) -> &BTreeMap<u16, u64> {
+        &self.messages
+    }
+
+    /// First and last log time of the same [ns].
+    pub(crate) fn times(&self) -> Option<[u64; 2]> {
+        self.times
+    }
+
     /// Bytes of the open chunk, uncompressed.
     pub fn open_bytes(&self) -> usize {
         self.open.bytes()
