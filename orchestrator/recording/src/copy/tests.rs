@@ -87,6 +87,49 @@ fn told(copied: &Copied) -> String {
 }
 
 #[test]
+fn a_file_without_chunks_that_was_joined_behind_one_with_chunks_is_kept() {
+    let (files, chunked) = (Files::new(), seconds(2).0);
+    let copied = files.repair(&[&chunked[..], &loose(1..5)].concat());
+    assert_eq!((copied.messages, copied.is_loss), (24, false), "{}", told(&copied));
+    let messages: usize = copied.files.iter().map(|file| read(file).len()).sum();
+    assert_eq!(messages, 24);
+    // Also when the bytes of the joint are damaged.
+    let mut damaged = [&chunked[..], &loose(1..5)].concat();
+    damaged[chunked.len()..chunked.len() + 8].fill(0);
+    assert_eq!(files.repair(&damaged).messages, 24);
+    // What is lost of the second file, which counts nothing, is a loss.
+    let mut damaged = [&chunked[..], &loose(1..2)].concat();
+    let at = chunked.len() + loose(1..1).len() - end().len();
+    damaged[at..at + 9].fill(0);
+    let copied = files.repair(&damaged);
+    assert_eq!((copied.messages, copied.is_loss), (20, true), "{}", told(&copied));
+}
+
+#[test]
+fn messages_beside_chunks_are_kept_and_an_index_or_a_channel_with_a_damaged_first_byte_is_none() {
+    let files = Files::new();
+    let content = [channel(1, 0, "/a"), message(1, SECOND, b"packed")].concat();
+    let packed = chunk(&content, "zstd", [SECOND; 2]);
+    let beside =
+        [channel(3, 0, "/b"), message(3, 2 * SECOND, b"loose"), message(3, 3 * SECOND, b"loose")].concat();
+    let copied = files.repair(&[begun("other"), packed.clone(), beside, packed, end()].concat());
+    assert_eq!((copied.messages, copied.is_loss), (4, false), "{}", told(&copied));
+    let times: Vec<u64> = read(&copied.files[0]).iter().map(|(_, log_ns)| log_ns / SECOND).collect();
+    assert_eq!(times.iter().sum::<u64>(), 7);
+    let (whole, chunks) = seconds(3);
+    let index = chunks[1].end - (9 + 6 + 160);
+    assert_eq!(whole[index], 7);
+    let named = whole.windows(2).rposition(|bytes| bytes == b"/a").unwrap() - 17;
+    assert_eq!(whole[named], 4);
+    for at in [index, named] {
+        let mut damaged = whole.clone();
+        damaged[at] = 5;
+        let copied = files.repair(&damaged);
+        assert_eq!((copied.messages, copied.is_loss), (30, false), "{at}: {}", told(&copied));
+    }
+}
+
+#[test]
 fn what_is_repaired_or_cut_is_within_the_limits_of_a_file() {
     let files = Files::new();
     // Two messages that fill a chunk each, without the definitions; the noise does not become smaller by compression.

@@ -130,6 +130,17 @@ pub struct Contents {
 }
 
 impl Contents {
+    /// Whether nothing was read.
+    pub(super) fn is_empty(&self) -> bool {
+        let Self { schemas, channels, attachments, metadata, .. } = self;
+        let is_headed = !self.profile.is_empty() || !self.library.is_empty() || self.statistics.is_some();
+        !is_headed
+            && schemas.is_empty()
+            && channels.is_empty()
+            && attachments.is_empty()
+            && metadata.is_empty()
+    }
+
     /// Takes in a record, and counts its memory. A definition that contradicts an earlier one is damage, or `replaces` it.
     ///
     /// # Errors

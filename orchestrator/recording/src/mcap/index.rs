@@ -71,8 +71,10 @@ pub(super) fn index<R: Read + Seek>(input: &mut Input<R>, is_salvage: bool) -> R
         },
         record: Vec::new(),
         is_open: false,
+        is_guessed: false,
         data_end: None,
         has_chunks: false,
+        has_loose: false,
     };
     let mut at = walk.begin()?;
     while at < walk.input.length() {
@@ -81,11 +83,7 @@ pub(super) fn index<R: Read + Seek>(input: &mut Input<R>, is_salvage: bool) -> R
     if walk.is_open {
         walk.end_cut_off();
     }
-    // What followed the end of a file was none.
-    let has_parts = |index: &Index| index.parts.last().is_some_and(|part| part.file + 1 == index.files.len());
-    if is_salvage && walk.index.files.len() > 1 && !has_parts(&walk.index) {
-        walk.index.files.pop();
-    }
+    walk.drop_guessed();
     Ok(walk.index)
 }
 
@@ -96,10 +94,14 @@ struct Walk<'a, R> {
     record: Vec<u8>,
     /// Whether the end of the file that was begun is still to come.
     is_open: bool,
+    /// Whether this file was begun because something follows the end of another one.
+    is_guessed: bool,
     /// Where the data of this file have ended.
     data_end: Option<u64>,
-    /// Whether there are chunks: messages outside of them have no checksum, and are looked for only where there is none.
+    /// Whether this file has chunks, and messages outside of them. The latter have no checksum, and are searched behind
+    /// damage only in files that have them, or no chunk.
     has_chunks: bool,
+    has_loose: bool,
 }
 
 impl<R: Read + Seek> Walk<'_, R> {
@@ -132,8 +134,19 @@ impl<R: Read + Seek> Walk<'_, R> {
             return Err(ReadError::Unsupported { at, what });
         }
         self.index.files.push(Contents::default());
-        (self.is_open, self.data_end) = (true, None);
+        (self.is_open, self.is_guessed, self.data_end) = (true, false, None);
+        (self.has_chunks, self.has_loose) = (false, false);
         Ok(())
+    }
+
+    /// What followed the end of a file was none if it has not one record; its damaged place belongs to the file before.
+    fn drop_guessed(&mut self) {
+        let Index { files, parts, .. } = &mut self.index;
+        let file = files.len() - 1;
+        let has_parts = parts.last().is_some_and(|part| part.file == file);
+        if self.is_guessed && !has_parts && files[file].is_empty() {
+            files.pop();
+        }
     }
 
     /// The file that was begun has no end.
@@ -150,9 +163,10 @@ impl<R: Read + Seek> Walk<'_, R> {
     /// Takes in the record at a place; returns where the next one begins.
     fn step(&mut self, at: u64) -> Result<u64, ReadError> {
         if self.input.has_magic(at)? {
-            if self.is_open {
+            if self.is_open && !self.is_guessed {
                 self.end_cut_off();
             }
+            self.drop_guessed();
             self.open(at)?;
             return Ok(at + MAGIC.len() as u64);
         }
@@ -160,6 +174,7 @@ impl<R: Read + Seek> Walk<'_, R> {
             // Behind an end only another file may follow, whose first bytes may be damaged.
             self.note(at, Damage::Magic, None)?;
             self.open(at)?;
+            self.is_guessed = true;
         }
         let length = self.input.length();
         let Some(head) = self.input.head(at)? else { return Ok(length) };
@@ -227,9 +242,11 @@ impl<R: Read + Seek> Walk<'_, R> {
                 self.has_chunks = true;
                 self.index.parts.push(Part { at: head.at, end: head.end(), file, is_chunk: true });
             }
-            // An index, whose first byte is damaged.
-            opcode::MESSAGE if self.is_salvage && self.has_chunks => return Err(Damage::Misplaced.into()),
             opcode::MESSAGE => {
+                // Indices and channels are repeated in a file with chunks, and some have a damaged first byte.
+                if self.is_salvage && self.has_chunks && sound::is_other_record(self.input, &head)? {
+                    return Err(Damage::Opcode.into());
+                }
                 self.require_data()?;
                 // A copy of it stands in a chunk.
                 let (bytes, limit) = (head.length.saturating_add(Head::BYTES), MAX_CHUNK);
@@ -238,6 +255,7 @@ impl<R: Read + Seek> Walk<'_, R> {
                 }
                 self.input.read(head.body(), head.length.min(22), &mut self.record)?;
                 super::contents::message(&self.record)?;
+                self.has_loose = true;
                 match self.index.parts.last_mut() {
                     Some(part)
                         if !part.is_chunk
@@ -359,12 +377,13 @@ impl<R: Read + Seek> Walk<'_, R> {
         Ok((is_one && self.is_record(head.end())?).then_some(head.end()))
     }
 
+    /// Whether a record begins at a place that another one names.
     fn is_record(&mut self, at: u64) -> io::Result<bool> {
-        sound::is_record(self.input, at, !self.has_chunks)
+        sound::is_record(self.input, at, true)
     }
 
     /// The first place from `at` on at which a record begins.
     fn next_record(&mut self, at: u64) -> io::Result<Option<u64>> {
-        sound::next_record(self.input, at, !self.has_chunks)
+        sound::next_record(self.input, at, self.has_loose || !self.has_chunks)
     }
 }

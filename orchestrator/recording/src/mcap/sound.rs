@@ -2,11 +2,11 @@
 
 use std::io::{self, Read, Seek};
 
-use super::contents::{self, Contents, MAX_HELD, Memory};
+use super::contents::{self, Contents, MAX_HELD, MAX_TEXT, Memory};
 use super::damage::Fault;
 use super::fields::Fields;
 use super::input::{Head, Input};
-use super::unpack::{self, ChunkHead};
+use super::unpack::{self, ChunkHead, MAX_CHUNK};
 use super::{Damage, MAGIC, opcode};
 
 /// So much is searched at a time [bytes].
@@ -105,6 +105,29 @@ pub(super) fn has_fields<R: Read + Seek>(input: &mut Input<R>, head: &Head) -> i
             })
         }
     }
+}
+
+/// Whether what claims to be a message is an index of messages, or a channel: all its fields fit to its length.
+pub(super) fn is_other_record<R: Read + Seek>(input: &mut Input<R>, head: &Head) -> io::Result<bool> {
+    let mut bytes = Vec::new();
+    input.read(head.body(), 6, &mut bytes)?;
+    if check_message_index(head, &bytes).is_ok() {
+        input.read(head.body(), head.length.min(MAX_CHUNK), &mut bytes)?;
+        let places = bytes[6..].chunks_exact(16).map(|entry| entry[8..].try_into().map(u64::from_le_bytes));
+        return Ok(places.into_iter().all(|place| place.is_ok_and(|place| place < MAX_CHUNK)));
+    }
+    if head.length > MAX_TEXT {
+        return Ok(false);
+    }
+    input.read(head.body(), head.length, &mut bytes)?;
+    let mut fields = Fields(&bytes);
+    let channel = (|| {
+        fields.take(4)?;
+        let texts = (fields.str()?, fields.str()?);
+        fields.map().map(|map| (texts, map))
+    })();
+    let is_channel = channel.is_ok();
+    Ok(is_channel && fields.0.is_empty())
 }
 
 /// Reads the fields of an index in the summary.

@@ -76,6 +76,15 @@ fn a_recording_that_another_program_has_written_anew_is_read_by_every_command() 
         let rows = std::fs::read_to_string(folder.join("pose.csv")).expect("a table").lines().count() as u64;
         assert_eq!(rows - 1, before["channels"]["/scanloop/pose"], "{compression} {chunks}");
     }
+    // A file without chunks behind one with chunks, both of one run.
+    let pieces = ["ZSTD-chunks", "NONE-none"].map(|name| system.folder().join(format!("{name}.mcap")));
+    let joined = system.folder().join("joined.mcap");
+    let bytes = pieces.map(|piece| std::fs::read(piece).expect("of a test")).concat();
+    std::fs::write(&joined, bytes).expect("of a test");
+    let found = info(&repaired(&system, &joined));
+    for (topic, count) in found["channels"].as_object().expect("channels") {
+        assert_eq!(count.as_u64(), before["channels"][topic].as_u64().map(|count| 2 * count), "{topic}");
+    }
 }
 
 #[test]
