@@ -3,6 +3,7 @@
 mod copied;
 mod new_recording;
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufReader;
 use std::ops::RangeInclusive;
@@ -90,6 +91,8 @@ fn write(
     let (mut copied, mut files) = (Copied::default(), Vec::new());
     let mut copy: Option<NewRecording> = None;
     let mut axis = Axis { start_ns: start_ns(reader.contents()), ..Axis::default() };
+    // The files in front of this one are in new files that were ended.
+    let mut ended = 0;
     let mut data = Vec::new();
     loop {
         let message = match reader.next_message() {
@@ -107,7 +110,8 @@ fn write(
         let file = reader.file();
         if copy.as_ref().is_none_or(|copy| !is_one_run(reader.files(), copy.file, file)) {
             if let Some(copy) = copy.take() {
-                files.push(copy.finish(&reader, &mut copied)?);
+                files.push(copy.finish(&reader, ended..file, &axis, &mut copied)?);
+                ended = file;
             }
             let path = numbered(to, copied.files.len() + 1);
             let output = NewFile::create(&path, Existing::forced(force), &[from])?;
@@ -120,14 +124,22 @@ fn write(
         }
     }
     copied.gaps = reader.gaps().iter().map(|gap| axis.missing(*gap)).collect();
-    copied.missing_attachments = reader.missing_attachments();
-    let is_all = reader.missing(|_| true) == Some(0) && copied.missing_attachments == Some(0);
-    copied.is_loss = copied.gaps.iter().any(|missing| missing.gap.is_data) && !is_all;
+    let all = 0..reader.files().len();
+    copied.missing_messages = reader.missing(all.clone(), |_| true);
+    copied.missing_attachments = reader.missing_attachments(all.clone());
+    copied.is_loss = is_loss(&copied.gaps, copied.missing_messages, copied.missing_attachments);
     match copy {
-        Some(copy) => files.push(copy.finish(&reader, &mut copied)?),
+        Some(copy) => files.push(copy.finish(&reader, ended..all.end, &axis, &mut copied)?),
         None => return Err(refuse(from, &"no whole second of this time is in the recording")),
     }
     Ok((copied, files))
+}
+
+/// Whether something of the drive or of what is attached is missing, or may be where that is not known.
+fn is_loss(gaps: &[Missing], messages: Option<u64>, attachments: Option<u64>) -> bool {
+    let is_missing = |count: Option<u64>| count.is_some_and(|count| count > 0);
+    let may_be = gaps.iter().any(|missing| missing.gap.is_data);
+    may_be || is_missing(messages) || is_missing(attachments)
 }
 
 /// The time of the first message by the summary, if there is one [ns].
@@ -158,26 +170,27 @@ struct Axis {
     /// The first message of all [ns].
     start_ns: Option<u64>,
     newest_ns: u64,
-    file: usize,
-    /// Added to the times of the file that is read [ns].
-    shift_ns: u64,
+    /// Added to the times of each file that was read; the first has none [ns].
+    shifts_ns: BTreeMap<usize, u64>,
 }
 
 impl Axis {
     fn since_start_ns(&mut self, file: usize, log_ns: u64) -> u64 {
-        if file != self.file {
-            self.file = file;
-            self.shift_ns = (self.newest_ns + JOINT_NS).saturating_sub(log_ns);
-        }
+        let first_ns = self.newest_ns.saturating_add(JOINT_NS);
+        let shift_ns = match file {
+            0 => 0,
+            file => *self.shifts_ns.entry(file).or_insert(first_ns.saturating_sub(log_ns)),
+        };
         let start_ns = *self.start_ns.get_or_insert(log_ns);
-        let time_ns = log_ns + self.shift_ns;
+        let time_ns = log_ns.saturating_add(shift_ns);
         self.newest_ns = self.newest_ns.max(time_ns);
         time_ns.saturating_sub(start_ns)
     }
 
     fn missing(&self, gap: Gap) -> Missing {
         let start_ns = self.start_ns.unwrap_or_default();
-        let since_s = |time_ns: u64| time_ns.saturating_sub(start_ns) as f64 * 1e-9;
+        let shift_ns = self.shifts_ns.range(..=gap.file).next_back().map_or(0, |(_, shift_ns)| *shift_ns);
+        let since_s = |time_ns: u64| time_ns.saturating_add(shift_ns).saturating_sub(start_ns) as f64 * 1e-9;
         Missing { gap, from_s: gap.from_ns.map(since_s), to_s: gap.to_ns.map(since_s) }
     }
 }

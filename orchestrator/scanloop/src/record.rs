@@ -144,16 +144,13 @@ pub(crate) fn recording(command: &RecordingCommand) -> anyhow::Result<Exit> {
         RecordingCommand::Repair { file, out, force } => {
             let out = out.clone().unwrap_or_else(|| repaired(file));
             let copied = copy::repair(file, &out, *force)?;
-            for missing in &copied.gaps {
+            for missing in copied.missing() {
                 answer!(false, "{missing}")?;
             }
-            if let Some(missing) = copied.missing_attachments.filter(|missing| *missing > 0) {
-                answer!(false, "{missing} attached files or texts can't be read")?;
-            }
-            let state = match (copied.gaps.is_empty(), copied.is_loss) {
-                (true, _) => "was complete",
+            let state = match (copied.is_loss, copied.gaps.is_empty()) {
+                (true, _) => "was damaged or cut off, and is not whole",
+                (false, true) => "was complete",
                 (false, false) => "was damaged, but nothing of the drive is missing",
-                (false, true) => "was damaged or cut off, and is not whole",
             };
             let (messages, files) = (copied.messages, names(&copied.files));
             answer!(false, "{} {state}; {messages} messages in {files}", file.display())?;

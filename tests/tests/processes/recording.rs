@@ -139,7 +139,8 @@ fn rewrite_with(
             (message.channel, message.sequence, message.log_ns, message.data.to_vec());
         let contents = reader.contents();
         let writer = writer.get_or_insert_with(|| {
-            let schemas: Vec<Schema> = contents.schemas.values().map(|schema| schema.as_ref().clone()).collect();
+            let schemas: Vec<Schema> =
+                contents.schemas.values().map(|schema| schema.as_ref().clone()).collect();
             let channels: Vec<Channel> = contents.channels.values().cloned().collect();
             let mut writer = Writer::new(File::create(to).expect("of a test"), "test", &schemas, &channels)
                 .expect("of a test");

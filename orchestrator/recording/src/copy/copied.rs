@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use crate::mcap::Gap;
+use crate::mcap::{Damage, Gap};
 
 /// What was copied.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -18,10 +18,35 @@ pub struct Copied {
     pub bytes: u64,
     /// Damaged places, and what is missing there.
     pub gaps: Vec<Missing>,
+    /// Messages that are missing by what the summary counts; `None` when that is not known.
+    pub missing_messages: Option<u64>,
     /// Attached files and texts that could not be read; `None` when that is not known.
     pub missing_attachments: Option<u64>,
     /// Whether something of the drive, or of what is attached, is missing.
     pub is_loss: bool,
+}
+
+impl Copied {
+    /// What is missing, a line each.
+    pub fn missing(&self) -> Vec<String> {
+        missing(&self.gaps, self.missing_messages, self.missing_attachments)
+    }
+}
+
+/// What is missing, a line each: damaged places, messages, and attached files.
+pub(super) fn missing(gaps: &[Missing], messages: Option<u64>, attachments: Option<u64>) -> Vec<String> {
+    let mut lines: Vec<String> = gaps.iter().map(ToString::to_string).collect();
+    lines.extend(
+        messages
+            .filter(|messages| *messages > 0)
+            .map(|messages| format!("{messages} of the messages that the summary counts are missing")),
+    );
+    lines.extend(
+        attachments
+            .filter(|attachments| *attachments > 0)
+            .map(|attachments| format!("{attachments} attached files or texts can't be read")),
+    );
+    lines
 }
 
 /// What a new file holds.
@@ -57,6 +82,7 @@ impl std::fmt::Display for Missing {
                 write!(formatter, "up to {:.2} s, between {from_s:.2} s and {to_s:.2} s", to_s - from_s)
             }
             (Some(from_s), None) => write!(formatter, "what followed {from_s:.2} s"),
+            (None, None) if gap.what == Damage::Count => write!(formatter, "at a time that is not known"),
             (None, _) => write!(formatter, "what came before the first message that is left"),
         }
     }

@@ -3,16 +3,20 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, BufWriter, IntoInnerError};
+use std::ops::Range;
 use std::sync::Arc;
 
 use console::new_file::NewFile;
 
-use super::{Copied, REPAIRED, Summary, is_one_run};
+use super::copied::missing;
+use super::{Axis, Copied, Missing, REPAIRED, Summary, is_loss, is_one_run};
 use crate::mcap::{Channel, Contents, MAX_TEXT, MESSAGE_BYTES, Reader, Schema, Writer};
 use crate::tape::PREFIX;
 
 /// Chunks end with this many bytes.
 const CHUNK_BYTES: usize = 1 << 18;
+/// A new file names so many damaged places of the old one.
+const MAX_LINES: usize = 1000;
 /// A definition has at most so many bytes, with the head of its record.
 const DEFINITION_BYTES: usize = 9 + MAX_TEXT as usize;
 /// A new recording.
@@ -110,10 +114,13 @@ impl NewRecording {
         Ok(number)
     }
 
-    /// Ends the file with what later joined files of its run have attached, and with what is missing.
+    /// Ends the file with what later joined files of its run have attached, and with what is missing of the joined files `of`
+    /// which it is.
     pub(super) fn finish(
         mut self,
         reader: &Reader<BufReader<File>>,
+        of: Range<usize>,
+        axis: &Axis,
         copied: &mut Copied,
     ) -> anyhow::Result<NewFile> {
         let files = reader.files();
@@ -123,18 +130,38 @@ impl NewRecording {
                 self.taken = file;
             }
         }
-        if !copied.gaps.is_empty() && copied.is_loss {
-            let lost = reader.missing(|topic| topic.starts_with(PREFIX));
-            let gaps: Vec<String> = copied.gaps.iter().map(ToString::to_string).collect();
-            let lost = lost.map_or("unknown".to_owned(), |lost| lost.to_string());
-            let texts = [("lost", lost), ("missing", gaps.join("; "))];
-            self.writer.metadata(REPAIRED, &texts.map(|(key, text)| (key.to_owned(), text)))?;
+        if reader.is_salvage() {
+            self.tell_missing(reader, of, axis)?;
         }
         self.writer.end_chunk()?;
         copied.summaries.push(self.summary());
         let (output, bytes) = self.writer.finish()?;
         copied.bytes += bytes;
         Ok(output.into_inner().map_err(IntoInnerError::into_error)?)
+    }
+
+    /// Adds what is missing of the joined files from which it is.
+    fn tell_missing(
+        &mut self,
+        reader: &Reader<BufReader<File>>,
+        of: Range<usize>,
+        axis: &Axis,
+    ) -> std::io::Result<()> {
+        let gaps = reader.gaps().iter().filter(|gap| of.contains(&gap.file));
+        let gaps: Vec<Missing> = gaps.map(|gap| axis.missing(*gap)).collect();
+        let messages = reader.missing(of.clone(), |_| true);
+        let attachments = reader.missing_attachments(of.clone());
+        if !is_loss(&gaps, messages, attachments) {
+            return Ok(());
+        }
+        let lost = reader.missing(of, |topic| topic.starts_with(PREFIX));
+        let lost = lost.map_or("unknown".to_owned(), |lost| lost.to_string());
+        let mut lines = missing(&gaps[..gaps.len().min(MAX_LINES)], messages, attachments);
+        if gaps.len() > MAX_LINES {
+            lines.push(format!("{} more places", gaps.len() - MAX_LINES));
+        }
+        let texts = [("lost", lost), ("missing", lines.join("; "))];
+        self.writer.metadata(REPAIRED, &texts.map(|(key, text)| (key.to_owned(), text)))
     }
 
     /// What was written.

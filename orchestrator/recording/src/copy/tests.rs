@@ -130,6 +130,90 @@ fn messages_beside_chunks_are_kept_and_an_index_or_a_channel_with_a_damaged_firs
 }
 
 #[test]
+fn chunks_that_were_cut_out_are_told_with_their_messages_and_seconds() {
+    let (files, (whole, chunks)) = (Files::new(), seconds(6));
+    let without = |range: Range<usize>| [&whole[..range.start], &whole[range.end..]].concat();
+    for (cut, messages, times) in [
+        (2..3, 10, "between 1.80 s and 2.90 s"),
+        (2..4, 20, "between 1.80 s and 3.90 s"),
+        (0..1, 10, "between 0.00 s and 0.90 s"),
+        (5..6, 10, "between 4.80 s and 5.90 s"),
+    ] {
+        let copied = files.repair(&without(chunks[cut.start].start..chunks[cut.end - 1].end));
+        assert!(copied.is_loss && copied.messages == 60 - messages, "{cut:?}: {copied:?}");
+        assert!(told(&copied).contains(times) && copied.gaps.len() == 1, "{cut:?}: {}", told(&copied));
+        assert_eq!(copied.missing_messages, Some(messages));
+        assert!(read(&copied.files[0]).len() as u64 == 60 - messages);
+    }
+    // The last one and the text behind it.
+    let data_end = whole.len() - seconds_end(&whole);
+    let copied = files.repair(&without(chunks[5].start..data_end));
+    assert_eq!((copied.is_loss, copied.missing_attachments), (true, Some(1)), "{}", told(&copied));
+}
+
+/// Length of a file from the end of its data on.
+fn seconds_end(whole: &[u8]) -> usize {
+    let end = [&[15][..], &4_u64.to_le_bytes(), &[0; 4]].concat();
+    whole.len() - whole.windows(end.len()).rposition(|bytes| bytes == end).unwrap()
+}
+
+#[test]
+fn a_summary_that_counts_more_is_a_loss_also_where_it_names_no_chunk() {
+    let files = Files::new();
+    let one = |time: u64| {
+        chunk(&[channel(1, 0, "/a"), message(1, time * SECOND, b"a")].concat(), "", [time * SECOND; 2])
+    };
+    let of = |times: [u64; 2], counted: u64| {
+        let end = counted_end(counted, 0, [SECOND, 9 * SECOND]);
+        files.repair(&[begun("other"), one(times[0]), one(times[1]), end].concat())
+    };
+    let whole = of([1, 9], 2);
+    assert!(!whole.is_loss && whole.gaps.is_empty(), "{}", told(&whole));
+    for (times, text) in [
+        ([1, 7], "between 6.00 s and 8.00 s"),
+        ([3, 9], "between 0.00 s and 2.00 s"),
+        ([1, 9], "at a time that is not known"),
+    ] {
+        let copied = of(times, 3);
+        assert!(copied.is_loss && copied.missing_messages == Some(1), "{}", told(&copied));
+        assert!(told(&copied).contains(text), "{}", told(&copied));
+    }
+    let more = of([1, 9], 1);
+    assert!(!more.is_loss && told(&more).ends_with("nothing of the drive"), "{}", told(&more));
+}
+
+#[test]
+fn a_chunk_that_stands_twice_is_taken_once() {
+    let (files, (whole, chunks)) = (Files::new(), seconds(6));
+    let twice = [&whole[..chunks[4].end], &whole[chunks[4].clone()], &whole[chunks[4].end..]].concat();
+    let copied = files.repair(&twice);
+    assert_eq!((copied.messages, copied.is_loss, copied.gaps.len()), (60, false, 1), "{}", told(&copied));
+    // One that was put in the place of another.
+    let instead = [&whole[..chunks[3].end], &whole[chunks[3].clone()], &whole[chunks[4].end..]].concat();
+    let copied = files.repair(&instead);
+    assert_eq!(
+        (copied.messages, copied.is_loss, copied.missing_messages),
+        (50, true, Some(10)),
+        "{}",
+        told(&copied)
+    );
+}
+
+#[test]
+fn an_attached_file_that_cannot_be_read_is_a_loss() {
+    let (files, (mut whole, _)) = (Files::new(), seconds(3));
+    let at = whole.windows(4).position(|bytes| bytes == b"seed").unwrap();
+    whole[at] ^= 1;
+    let copied = files.repair(&whole);
+    assert_eq!(
+        (copied.messages, copied.missing_attachments, copied.is_loss),
+        (30, Some(1), true),
+        "{}",
+        told(&copied)
+    );
+}
+
+#[test]
 fn what_is_repaired_or_cut_is_within_the_limits_of_a_file() {
     let files = Files::new();
     // Two messages that fill a chunk each, without the definitions; the noise does not become smaller by compression.

@@ -32,8 +32,13 @@ impl Memory {
     }
 
     /// Counts a record, with what stands around its texts.
+    fn hold_record(&mut self, bytes: u64) -> Result<(), Fault> {
+        self.hold(256 + bytes)
+    }
+
+    /// Counts some memory.
     pub(super) fn hold(&mut self, bytes: u64) -> Result<(), Fault> {
-        let (bytes, limit) = (self.bytes + 256 + bytes, self.limit);
+        let (bytes, limit) = (self.bytes + bytes, self.limit);
         if bytes > limit {
             return Err(Fault::TooLarge { what: "definitions, attached files and texts", bytes, limit });
         }
@@ -51,7 +56,7 @@ impl Memory {
         match known {
             Some(old) if old == new => Ok(()),
             Some(_) if !replaces => Err(Damage::Misplaced.into()),
-            _ => self.hold(bytes),
+            _ => self.hold_record(bytes),
         }
     }
 }
@@ -156,7 +161,7 @@ impl Contents {
         match opcode {
             opcode::HEADER => {
                 let (profile, library) = (fields.text()?, fields.text()?);
-                memory.hold(text_bytes(body, &[&profile, &library])?)?;
+                memory.hold_record(text_bytes(body, &[&profile, &library])?)?;
                 (self.profile, self.library) = (profile, library);
             }
             opcode::SCHEMA => {
@@ -178,7 +183,7 @@ impl Contents {
             }
             opcode::ATTACHMENT => {
                 let Attached { name, media_type, log_ns, data } = attached(body)?;
-                memory.hold(text_bytes(&[], &[&name, &media_type])? + data.len() as u64)?;
+                memory.hold_record(text_bytes(&[], &[&name, &media_type])? + data.len() as u64)?;
                 let (name, media_type) = (name.into_owned(), media_type.into_owned());
                 self.attachments.push(Attachment { name, media_type, log_ns, data: data.to_vec() });
             }
@@ -186,11 +191,11 @@ impl Contents {
                 let (name, map) = (fields.text()?, fields.map()?);
                 let mut texts = vec![name.as_str()];
                 texts.extend(map.iter().flat_map(|(key, value)| [key.as_str(), value]));
-                memory.hold(MAP_FACTOR * text_bytes(body, &texts)?)?;
+                memory.hold_record(MAP_FACTOR * text_bytes(body, &texts)?)?;
                 self.metadata.push(Metadata { name, map });
             }
             opcode::STATISTICS => {
-                memory.hold(MAP_FACTOR * body.len() as u64)?;
+                memory.hold_record(MAP_FACTOR * body.len() as u64)?;
                 self.statistics = Some(statistics(fields)?);
             }
             _ => {}

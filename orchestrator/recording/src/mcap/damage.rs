@@ -71,6 +71,12 @@ pub enum Damage {
     /// A chunk holds a record that does not belong there, or a channel is defined twice.
     #[error("a record stands where it does not belong")]
     Misplaced,
+    /// A chunk that the summary names is not there.
+    #[error("what the summary names is not there")]
+    Missing,
+    /// A chunk is there again, and the summary names it once.
+    #[error("a chunk stands twice")]
+    Repeated,
     /// The summary counts other messages.
     #[error("the summary counts more or fewer messages than there are")]
     Count,

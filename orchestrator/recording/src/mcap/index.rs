@@ -7,6 +7,7 @@ use std::io::{self, Read, Seek};
 use super::contents::{Contents, MAX_HELD, MAX_TEXT, Memory};
 use super::damage::Fault;
 use super::input::{Head, Input};
+use super::named::NamedChunks;
 use super::unpack::{self, ChunkHead, MAX_CHUNK};
 use super::{Damage, MAGIC, ReadError, opcode, sound};
 
@@ -30,6 +31,8 @@ pub(super) struct Part {
 /// A place at which something is wrong.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Place {
+    /// Which of the joined files it is in.
+    pub(super) file: usize,
     pub(super) at: u64,
     pub(super) what: Damage,
     /// Whether it is in front of the end of the data: behind it, nothing but the summary is lost.
@@ -48,6 +51,8 @@ pub(super) struct Index {
     pub(super) parts: Vec<Part>,
     /// In the order of their place; none unless it is a salvage.
     pub(super) places: Vec<Place>,
+    /// The chunks that the summaries name; none unless it is a salvage.
+    pub(super) named: NamedChunks,
     /// The first reason for which something could not be read although it may be whole.
     pub(super) refusal: Option<ReadError>,
     /// Memory of what was read beside messages.
@@ -66,11 +71,13 @@ pub(super) fn index<R: Read + Seek>(input: &mut Input<R>, is_salvage: bool) -> R
             files: Vec::new(),
             parts: Vec::new(),
             places: Vec::new(),
+            named: NamedChunks::default(),
             refusal: None,
             memory: Memory::new(is_salvage),
         },
         record: Vec::new(),
         is_open: false,
+        begin: 0,
         is_guessed: false,
         data_end: None,
         has_chunks: false,
@@ -80,10 +87,8 @@ pub(super) fn index<R: Read + Seek>(input: &mut Input<R>, is_salvage: bool) -> R
     while at < walk.input.length() {
         at = walk.step(at)?;
     }
-    if walk.is_open {
-        walk.end_cut_off();
-    }
-    walk.drop_guessed();
+    walk.end_open();
+    walk.index.named.sort();
     Ok(walk.index)
 }
 
@@ -94,6 +99,8 @@ struct Walk<'a, R> {
     record: Vec<u8>,
     /// Whether the end of the file that was begun is still to come.
     is_open: bool,
+    /// Where this file begins.
+    begin: u64,
     /// Whether this file was begun because something follows the end of another one.
     is_guessed: bool,
     /// Where the data of this file have ended.
@@ -135,46 +142,66 @@ impl<R: Read + Seek> Walk<'_, R> {
         }
         self.index.files.push(Contents::default());
         (self.is_open, self.is_guessed, self.data_end) = (true, false, None);
-        (self.has_chunks, self.has_loose) = (false, false);
+        (self.begin, self.has_chunks, self.has_loose) = (at, false, false);
         Ok(())
     }
 
-    /// What followed the end of a file was none if it has not one record; its damaged place belongs to the file before.
-    fn drop_guessed(&mut self) {
-        let Index { files, parts, .. } = &mut self.index;
+    /// No further record of the file follows, which may have no end.
+    fn end_open(&mut self) {
+        if !self.drop_guessed() && self.is_open {
+            self.end_cut_off();
+        }
+    }
+
+    /// What followed the end of a file was none if it has not one record; its damaged place belongs to the file before. False
+    /// if it was one.
+    fn drop_guessed(&mut self) -> bool {
+        let Index { files, parts, places, .. } = &mut self.index;
         let file = files.len() - 1;
         let has_parts = parts.last().is_some_and(|part| part.file == file);
-        if self.is_guessed && !has_parts && files[file].is_empty() {
+        let is_none = self.is_guessed && !has_parts && files[file].is_empty();
+        if is_none {
             files.pop();
+            places.iter_mut().rev().take_while(|place| place.file == file).for_each(|place| place.file -= 1);
         }
+        is_none
     }
 
     /// The file that was begun has no end.
     fn end_cut_off(&mut self) {
         self.is_open = false;
-        let is_noted = self.index.places.last().is_some_and(|place| place.part == self.index.parts.len());
+        let here = (self.index.parts.len(), self.index.files.len() - 1);
+        let is_noted = self.index.places.last().is_some_and(|place| (place.part, place.file) == here);
         if self.is_salvage && self.data_end.is_none() && !is_noted {
-            let (at, part) = (self.input.length(), self.index.parts.len());
+            let (at, part, file) = (self.input.length(), self.index.parts.len(), self.index.files.len() - 1);
             let what = Damage::CutOff;
-            self.index.places.push(Place { at, what, is_data: true, part, until_ns: None });
+            self.index.places.push(Place { file, at, what, is_data: true, part, until_ns: None });
         }
     }
 
     /// Takes in the record at a place; returns where the next one begins.
     fn step(&mut self, at: u64) -> Result<u64, ReadError> {
         if self.input.has_magic(at)? {
-            if self.is_open && !self.is_guessed {
-                self.end_cut_off();
+            let next = at + MAGIC.len() as u64;
+            let is_end = self.is_open && (next == self.input.length() || self.input.has_magic(next)?);
+            self.end_open();
+            // The end of a file may follow a damaged footer.
+            match is_end {
+                true => self.is_open = false,
+                false => self.open(at)?,
             }
-            self.drop_guessed();
-            self.open(at)?;
-            return Ok(at + MAGIC.len() as u64);
+            return Ok(next);
         }
         if !self.is_open {
             // Behind an end only another file may follow, whose first bytes may be damaged.
-            self.note(at, Damage::Magic, None)?;
+            if !self.is_salvage {
+                return Err(ReadError::Damaged { at, what: Damage::Magic });
+            }
             self.open(at)?;
             self.is_guessed = true;
+            let (file, part) = (self.index.files.len() - 1, self.index.parts.len());
+            let what = Damage::Magic;
+            self.index.places.push(Place { file, at, what, is_data: false, part, until_ns: None });
         }
         let length = self.input.length();
         let Some(head) = self.input.head(at)? else { return Ok(length) };
@@ -215,12 +242,13 @@ impl<R: Read + Seek> Walk<'_, R> {
             return Err(ReadError::Damaged { at, what });
         }
         let (part, is_data) = (self.index.parts.len(), self.data_end.is_none());
-        match self.index.places.last_mut().filter(|last| last.part == part) {
+        let file = self.index.files.len() - 1;
+        match self.index.places.last_mut().filter(|last| (last.part, last.file) == (part, file)) {
             Some(last) => {
                 last.until_ns = last.until_ns.max(until_ns);
                 last.is_data |= is_data;
             }
-            None => self.index.places.push(Place { at, what, is_data, part, until_ns }),
+            None => self.index.places.push(Place { file, at, what, is_data, part, until_ns }),
         }
         Ok(())
     }
@@ -291,6 +319,11 @@ impl<R: Read + Seek> Walk<'_, R> {
                 if !sound::has_fields(self.input, &head)? {
                     return Err(Damage::Length.into());
                 }
+                if opcode == opcode::CHUNK_INDEX && self.is_salvage {
+                    self.input.read(head.body(), head.length.min(24), &mut self.record)?;
+                    self.index.memory.hold(NamedChunks::BYTES)?;
+                    self.index.named.add(file, self.begin, &self.record)?;
+                }
             }
             // Records of other programs are skipped, but not a chunk whose first byte is damaged.
             _ => {
@@ -344,6 +377,7 @@ impl<R: Read + Seek> Walk<'_, R> {
             if let Some(contents) = self.index.files.last_mut() {
                 contents.statistics = None;
             }
+            self.index.named.forget(self.index.files.len() - 1);
             return Err(Damage::Checksum.into());
         }
         if self.input.length() - head.end() < MAGIC.len() as u64 {

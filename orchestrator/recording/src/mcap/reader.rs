@@ -1,32 +1,27 @@
 //! Reads the messages of MCAP files, also of several files that were joined.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Seek};
+use std::ops::Range;
 
 use super::contents::message;
 use super::damage::Fault;
 use super::fields::Fields;
+use super::gaps::{Counted, Gap, Gaps};
 use super::index::{Index, Part, Place, index};
 use super::input::{Head, Input};
 use super::unpack::{self, ChunkHead};
 use super::{Channel, Contents, Damage, Message, ReadError, Schema, opcode};
 
-/// The time that a chunk covers is believed up to this [ns].
-const MAX_CHUNK_NS: u64 = 3_600_000_000_000;
-
-/// A place of a damaged file, and the time of which messages may be missing there.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Gap {
-    /// Where it begins in the file.
-    pub at: u64,
-    /// What is wrong there.
-    pub what: Damage,
-    /// Whether messages or attached files may be missing; behind the end of the data is nothing but the summary.
-    pub is_data: bool,
-    /// Log time of the last message before it [ns]; `None` at the start of a file.
-    pub from_ns: Option<u64>,
-    /// Log time of the first message behind it, or what the file tells about its end [ns].
-    pub to_ns: Option<u64>,
+/// What a part holds.
+#[derive(Debug)]
+enum Loaded {
+    /// Messages, with their first and last log time [ns].
+    Messages([u64; 2]),
+    /// Schemas and channels alone.
+    Definitions,
+    /// What was read before, and is named once.
+    Repeated,
 }
 
 /// Reads a file message by message.
@@ -43,11 +38,13 @@ pub struct Reader<R> {
     record: Vec<u8>,
     /// Messages that were read of each joined file, by channel; `None` after a jump.
     counts: Option<Vec<BTreeMap<u16, u64>>>,
-    /// The newest message of the file that is read [ns].
-    newest_ns: Option<u64>,
-    gaps: Vec<Gap>,
-    /// The gap whose end is not known yet.
-    open_gap: Option<Gap>,
+    /// The file that is read, whose damaged places are noted.
+    noted: usize,
+    gaps: Gaps,
+    /// The first damaged place that was not passed.
+    place_ahead: usize,
+    /// The chunks that were read of files whose summary names chunks: file, times and checksum.
+    chunks: BTreeSet<(usize, [u64; 2], u32)>,
     /// Definitions that are assumed where a damaged file has none.
     assumed: (BTreeMap<u16, Schema>, BTreeMap<u16, Channel>),
 }
@@ -83,11 +80,17 @@ impl<R: Read + Seek> Reader<R> {
             place: 0,
             record: Vec::new(),
             counts,
-            newest_ns: None,
-            gaps: Vec::new(),
-            open_gap: None,
+            noted: 0,
+            gaps: Gaps::default(),
+            place_ahead: 0,
+            chunks: BTreeSet::new(),
             assumed: Default::default(),
         })
+    }
+
+    /// Whether it skips what is damaged.
+    pub(crate) fn is_salvage(&self) -> bool {
+        self.is_salvage
     }
 
     /// What the file holds beside the messages, from which the last message is; of joined files the first at the start.
@@ -147,8 +150,7 @@ impl<R: Read + Seek> Reader<R> {
                 if !self.is_salvage {
                     return Err(ReadError::Damaged { at, what: Damage::Channel });
                 }
-                let from_ns = self.newest_ns;
-                self.gap(Gap { at, what: Damage::Channel, is_data: true, from_ns, to_ns: None });
+                self.gaps.note(file, at, Damage::Channel, true, None);
                 continue;
             }
             if let Some(counts) = &mut self.counts {
@@ -179,32 +181,39 @@ impl<R: Read + Seek> Reader<R> {
 
     /// The damaged places that were passed until now.
     pub fn gaps(&self) -> &[Gap] {
-        &self.gaps
+        self.gaps.found()
     }
 
-    /// Messages that are missing by what the summaries count, of the channels that `counts`; `None` when a summary is
-    /// missing.
-    pub fn missing(&self, counts: impl Fn(&str) -> bool) -> Option<u64> {
-        let mut missing = 0;
-        for (contents, found) in self.index.files.iter().zip(self.counts.as_ref()?) {
-            for (channel, expected) in &contents.statistics.as_ref()?.channels {
-                let topic = contents.channels.get(channel).map_or("", |channel| channel.topic.as_str());
-                if topic.is_empty() || counts(topic) {
-                    missing += expected.saturating_sub(found.get(channel).copied().unwrap_or_default());
-                }
-            }
+    /// Messages of these files that are missing by what the summaries count, of the channels that `counts`; `None` when a
+    /// summary is missing.
+    pub fn missing(&self, mut files: Range<usize>, counts: impl Fn(&str) -> bool) -> Option<u64> {
+        files.try_fold(0, |sum, file| Some(sum + self.missing_in(file, &counts)?))
+    }
+
+    fn missing_in(&self, file: usize, counts: impl Fn(&str) -> bool) -> Option<u64> {
+        let contents = self.index.files.get(file)?;
+        let (counted, found) = (contents.statistics.as_ref()?, self.counts.as_ref()?.get(file)?);
+        // Counts by channel may be left out.
+        if counted.channels.is_empty() {
+            return Some(counted.messages.saturating_sub(found.values().sum()));
         }
-        Some(missing)
+        let topic = |channel| contents.channels.get(channel).map_or("", |channel| channel.topic.as_str());
+        let is_counted = |channel| topic(channel).is_empty() || counts(topic(channel));
+        let missing = |(channel, expected): (&u16, &u64)| {
+            expected.saturating_sub(found.get(channel).copied().unwrap_or_default())
+        };
+        let counted = counted.channels.iter().filter(|(channel, _)| is_counted(channel));
+        Some(counted.map(missing).fold(0, u64::saturating_add))
     }
 
-    /// Attached files and texts that are missing by what the summaries count; `None` when a summary is missing.
-    pub fn missing_attachments(&self) -> Option<u64> {
+    /// Attached files and texts of these files that are missing by what the summaries count; `None` when a summary is missing.
+    pub fn missing_attachments(&self, files: Range<usize>) -> Option<u64> {
         let of = |contents: &Contents| {
             let counted = contents.statistics.as_ref()?.attached.map(u64::from);
             let found = [contents.attachments.len() as u64, contents.metadata.len() as u64];
             Some(counted[0].saturating_sub(found[0]) + counted[1].saturating_sub(found[1]))
         };
-        self.index.files.iter().map(of).sum()
+        self.index.files.get(files)?.iter().map(of).sum()
     }
 
     /// Opens the next part; false at the end.
@@ -213,26 +222,21 @@ impl<R: Read + Seek> Reader<R> {
             self.take_places(self.next);
             let Some(part) = self.index.parts.get(self.next).copied() else { return Ok(false) };
             self.next += 1;
-            if self.current.is_some_and(|before| before.file != part.file) {
-                self.end_file();
-            }
+            self.end_files(part.file);
             self.current = Some(part);
             self.place = 0;
             match self.load(part) {
-                Ok(Some([first_ns, last_ns])) => {
-                    if let Some(gap) = self.open_gap.take() {
-                        let counted = self.contents().statistics.as_ref();
-                        let from_ns = gap.from_ns.or(counted.map(|counted| counted.times[0]));
-                        // A chunk also holds some messages that are older than it, such as states and log lines.
-                        let claimed_ns = gap.to_ns.filter(|to_ns| *to_ns <= last_ns);
-                        self.gaps.push(Gap { from_ns, to_ns: claimed_ns.max(Some(first_ns)), ..gap });
-                    }
-                    self.newest_ns = self.newest_ns.max(Some(last_ns));
+                Ok(Loaded::Messages(times_ns)) => {
+                    let counted = self.contents().statistics.as_ref();
+                    self.gaps.end_at(times_ns, counted.map(|counted| counted.times[0]));
                     self.index.files[part.file].chunks += u64::from(self.counts.is_some());
                     return Ok(true);
                 }
-                // Definitions alone.
-                Ok(None) => self.content.clear(),
+                Ok(Loaded::Definitions) => self.content.clear(),
+                Ok(Loaded::Repeated) => {
+                    self.content.clear();
+                    self.gaps.note(part.file, part.at, Damage::Repeated, false, None);
+                }
                 Err(Fault::Io(error)) => return Err(error.into()),
                 Err(fault) if !self.is_salvage => return Err(fault.at(part.at)),
                 Err(fault) => {
@@ -241,15 +245,14 @@ impl<R: Read + Seek> Reader<R> {
                     if !matches!(fault, Fault::Damage(_)) {
                         self.index.refusal.get_or_insert(fault.at(part.at));
                     }
-                    let (from_ns, to_ns) = (self.newest_ns, self.claimed_ns());
-                    self.gap(Gap { at: part.at, what, is_data: true, from_ns, to_ns });
+                    self.gaps.note(part.file, part.at, what, true, self.claimed_ns());
                 }
             }
         }
     }
 
-    /// Reads a part and walks over its records; returns first and last log time of its messages [ns].
-    fn load(&mut self, part: Part) -> Result<Option<[u64; 2]>, Fault> {
+    /// Reads a part and walks over its records.
+    fn load(&mut self, part: Part) -> Result<Loaded, Fault> {
         let content = if part.is_chunk { &mut self.record } else { &mut self.content };
         self.input.read(part.at, part.end - part.at, content)?;
         if content.len() as u64 != part.end - part.at {
@@ -282,7 +285,15 @@ impl<R: Read + Seek> Reader<R> {
                 _ => {}
             }
         }
-        Ok(times)
+        if part.is_chunk && self.index.named.has(part.file) {
+            let times_ns = times.unwrap_or_default();
+            let is_named = self.index.named.read(part.file, times_ns);
+            let is_new = self.chunks.insert((part.file, times_ns, crc32fast::hash(&self.record)));
+            if !is_named && !is_new && self.index.files[part.file].is_complete {
+                return Ok(Loaded::Repeated);
+            }
+        }
+        Ok(times.map_or(Loaded::Definitions, Loaded::Messages))
     }
 
     /// The last time that the head of the chunk names which could not be read [ns].
@@ -293,43 +304,38 @@ impl<R: Read + Seek> Reader<R> {
 
     /// Takes in the damaged places in front of a part.
     fn take_places(&mut self, part: usize) {
-        while let Some(place) = self.index.places.first().copied().filter(|place| place.part <= part) {
-            self.index.places.remove(0);
-            let Place { at, what, is_data, until_ns, .. } = place;
-            let from_ns = self.newest_ns;
-            self.gap(Gap { at, what, is_data, from_ns, to_ns: until_ns });
-        }
-    }
-
-    /// Notes a damaged place behind the newest message.
-    fn gap(&mut self, new: Gap) {
-        match &mut self.open_gap {
-            Some(gap) => {
-                gap.to_ns = gap.to_ns.max(new.to_ns);
-                gap.is_data |= new.is_data;
+        while let Some(place) = self.index.places.get(self.place_ahead).copied() {
+            let Place { file, at, what, is_data, until_ns, .. } = place;
+            if place.part > part {
+                break;
             }
-            None => self.open_gap = Some(new),
+            self.place_ahead += 1;
+            self.end_files(file);
+            self.gaps.note(file, at, what, is_data, until_ns);
         }
     }
 
-    /// No further message of the file is read.
-    fn end_file(&mut self) {
-        let file = self.file();
-        let end_ns = self.index.files.get(file).and_then(|contents| contents.statistics.as_ref());
-        let end_ns = end_ns.map(|statistics| statistics.times[1]);
-        if let Some(gap) = self.open_gap.take() {
-            // A time that lies far ahead is damaged itself.
-            let latest_ns = gap.from_ns.map(|from_ns| from_ns.saturating_add(MAX_CHUNK_NS));
-            let claimed_ns = gap.to_ns.filter(|to_ns| Some(*to_ns) <= latest_ns);
-            let to_ns = claimed_ns.max(end_ns).filter(|to_ns| Some(*to_ns) >= gap.from_ns);
-            self.gaps.push(Gap { to_ns, ..gap });
+    /// No further message of the files in front of one is read.
+    fn end_files(&mut self, next: usize) {
+        while self.noted < next {
+            let file = self.noted;
+            let counted = self.counted(file);
+            self.gaps.end_file(file, self.chunk_at(), counted, &self.index.named.unread(file));
+            self.noted += 1;
         }
-        self.newest_ns = None;
+    }
+
+    /// What was counted of a file; `None` without a summary.
+    fn counted(&self, file: usize) -> Option<Counted> {
+        let counted = self.index.files[file].statistics.as_ref()?;
+        let found: u64 = self.counts.as_ref()?.get(file)?.values().sum();
+        let missing = self.missing_in(file, |_| true)?;
+        Some(Counted { missing, differs: counted.messages != found, times_ns: counted.times })
     }
 
     /// All parts were read: the summaries must count as many messages.
     fn end(&mut self) -> Result<(), ReadError> {
-        self.end_file();
+        self.end_files(self.index.files.len());
         let read: u64 = self.counts.iter().flatten().flat_map(BTreeMap::values).sum();
         if self.is_salvage {
             return match self.index.refusal.take_if(|_| read == 0 && self.counts.is_some()) {

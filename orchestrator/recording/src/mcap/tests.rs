@@ -126,7 +126,7 @@ fn salvage(bytes: &[u8]) -> Result<Salvaged, ReadError> {
         assert_eq!(message.data[..4], (message.log_ns as u32 / 1000).to_le_bytes());
         times.push(message.log_ns);
     }
-    Ok((times, reader.gaps().to_vec(), reader.missing(|_| true)))
+    Ok((times, reader.gaps().to_vec(), reader.missing(0..reader.files().len(), |_| true)))
 }
 
 /// Reads a file until its end, or until it is refused; true when nothing was wrong.

@@ -108,6 +108,36 @@ fn a_damaged_chunk_costs_its_second_alone_and_the_loss_is_told() {
 }
 
 #[test]
+fn a_second_that_was_cut_out_is_told_and_one_that_stands_twice_is_taken_once() {
+    let (system, file) = recorded(&SHORT_FREE);
+    let (whole, before) = (std::fs::read(&file).expect("of a test"), info(&system, &file));
+    let (chunks, end) = (records(&whole, CHUNK), records(&whole, DATA_END)[0].clone());
+    let third = chunks[2].start..chunks[3].start;
+    let last = chunks.last().expect("chunks").start..end.start;
+    let counts = poses_of_chunks(&file, &chunks);
+    for (name, cut, chunk) in [("third", third.clone(), 2), ("last", last, chunks.len() - 1)] {
+        let path = system.folder().join(format!("{name}.mcap"));
+        std::fs::write(&path, [&whole[..cut.start], &whole[cut.end..]].concat()).expect("of a test");
+        assert_refused(&system, &path);
+        let (new, code, message) = repair(&system, &path);
+        assert!(code == 1 && message.contains("was damaged or cut off, and is not whole"), "{message}");
+        let [missing_s, from_s, to_s] = seconds(&message)[..] else { panic!("{message}") };
+        assert!((to_s - from_s - missing_s).abs() < 0.02 && missing_s < 2.5, "{message}");
+        assert!(message.contains(" of the messages that the summary counts are missing"), "{message}");
+        let after = info(&system, &new);
+        assert_eq!(poses(&before) - poses(&after), counts[chunk], "{after}");
+        assert!(after["missing"].as_str().is_some_and(|missing| missing.contains(" s, between ")), "{after}");
+    }
+    let path = system.folder().join("twice.mcap");
+    let twice = [&whole[..third.end], &whole[third.clone()], &whole[third.end..]].concat();
+    std::fs::write(&path, twice).expect("of a test");
+    assert_refused(&system, &path);
+    let (new, code, message) = repair(&system, &path);
+    assert!(code == 0 && message.contains("a chunk stands twice: nothing of the drive"), "{message}");
+    assert_eq!(info(&system, &new)["channels"], before["channels"]);
+}
+
+#[test]
 fn damage_beside_the_chunks_costs_nothing_and_a_tail_of_zeros_what_it_covers() {
     let (system, file) = recorded(&SHORT_FREE);
     let (whole, before) = (std::fs::read(&file).expect("of a test"), info(&system, &file));

@@ -158,7 +158,8 @@ fn a_large_schema_of_many_channels_is_held_once() {
     let system = System::new(EXECUTABLE);
     let (file, out) = (system.folder().join("channels.mcap"), system.folder().join("out.mcap"));
     let fields = sized(&vec![b'\n'; (4 << 20) - 100]);
-    let schema = record(3, &[&1_u16.to_le_bytes()[..], &sized(b"a/msg/A"), &sized(b"ros2msg"), &fields].concat());
+    let schema =
+        record(3, &[&1_u16.to_le_bytes()[..], &sized(b"a/msg/A"), &sized(b"ros2msg"), &fields].concat());
     let channels: Vec<u8> = (1..400).flat_map(|number| channel(number, 1)).collect();
     foreign(&file, &[schema, channels].concat(), &message(1));
     let bag = system.folder().join("bag");
@@ -179,7 +180,9 @@ fn large_names_of_attached_files_are_refused_before_they_fill_the_memory() {
     let name = vec![0; 120 << 20];
     let attached = record(9, &[&[0; 16][..], &sized(&name), &[0; 4 + 8 + 4]].concat());
     foreign(&file, &attached.repeat(5), &[channel(1, 0), message(1)].concat());
-    for command in [&["recording", "info", text(&file)][..], &["recording", "cut", text(&file), "--out", text(&out)]] {
+    for command in
+        [&["recording", "info", text(&file)][..], &["recording", "cut", text(&file), "--out", text(&out)]]
+    {
         let output = limited(&system, command);
         let message = scanloop_tests::printed(&output);
         assert!(output.status.code() == Some(2) && message.contains("4194304 are allowed"), "{message}");
