@@ -214,6 +214,25 @@ fn an_attached_file_that_cannot_be_read_is_a_loss() {
 }
 
 #[test]
+fn no_time_that_is_missing_is_negative() {
+    let (files, (whole, chunks)) = (Files::new(), seconds(5));
+    let index = chunks[1].end - 175;
+    let mut zeroed = whole.clone();
+    zeroed[index..index + 64].fill(0);
+    let mut junk = whole.clone();
+    junk.splice(chunks[2].start..chunks[2].start, [0xa5; 777]);
+    for damaged in [zeroed, junk] {
+        let copied = files.repair(&damaged);
+        assert_eq!((copied.messages, copied.is_loss, copied.gaps.len()), (50, false, 1), "{}", told(&copied));
+        assert!(told(&copied).ends_with("nothing of the drive"), "{}", told(&copied));
+        // Without the summary it is not known whether something was there.
+        let copied = files.repair(&damaged[..damaged.len() - seconds_end(&whole)]);
+        assert!(copied.is_loss && !told(&copied).contains('-'), "{}", told(&copied));
+        assert!(told(&copied).contains("up to 0.00 s, between "), "{}", told(&copied));
+    }
+}
+
+#[test]
 fn what_is_repaired_or_cut_is_within_the_limits_of_a_file() {
     let files = Files::new();
     // Two messages that fill a chunk each, without the definitions; the noise does not become smaller by compression.

@@ -70,7 +70,7 @@ impl Gaps {
             let from_ns = gap.from_ns.or(start_ns);
             // A chunk also holds some messages that are older than it, such as states and log lines.
             let claimed_ns = gap.to_ns.filter(|to_ns| *to_ns <= last_ns);
-            let to_ns = claimed_ns.max(Some(first_ns));
+            let to_ns = claimed_ns.max(Some(first_ns)).max(from_ns);
             self.found.push(Gap { from_ns, to_ns, ..gap });
         }
         let [oldest_ns, newest_ns] = self.times_ns.unwrap_or([first_ns, last_ns]);
