@@ -62,8 +62,8 @@ pub enum Damage {
     /// A chunk can't be decompressed.
     #[error("the chunk can't be decompressed")]
     Compression,
-    /// A chunk that may be whole.
-    #[error("the chunk is too large or has a compression that is not supported")]
+    /// A record that may be whole.
+    #[error("the record is too large or has a compression that is not supported")]
     Refused,
     /// A message of a channel that was not announced.
     #[error("a message belongs to no channel")]

@@ -342,14 +342,18 @@ impl<R: Read + Seek> Walk<'_, R> {
             return Ok(());
         }
         match head.opcode {
-            opcode::CHUNK if head.length <= MAX_CHUNK + unpack::FIELDS => {
+            opcode::CHUNK if head.length <= MAX_CHUNK + unpack::FIELDS && !self.input.is_exhausted() => {
                 self.input.read(head.body(), head.length, &mut self.record)?;
                 let fields = self.record.len().min(unpack::FIELDS as usize);
                 let chunk = ChunkHead::read(head, &self.record[..fields])?;
-                Ok(chunk.unpack(&self.record, &mut Vec::new())?)
+                let mut content = Vec::new();
+                let unpacked = chunk.unpack(&self.record, &mut content);
+                self.input.spend(content.len());
+                Ok(unpacked?)
             }
             // These have a checksum.
             opcode::ATTACHMENT => Ok(()),
+            _ if self.input.is_exhausted() => Err(Damage::Length.into()),
             _ => match self.next_record(head.at + 1)? {
                 Some(next) if next < head.end() => Err(Damage::Length.into()),
                 _ => Ok(()),

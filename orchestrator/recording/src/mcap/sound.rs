@@ -9,8 +9,10 @@ use super::input::{Head, Input};
 use super::unpack::{self, ChunkHead, MAX_CHUNK};
 use super::{Damage, MAGIC, opcode};
 
-/// So much is searched at a time [bytes].
-const WINDOW: u64 = 1 << 16;
+/// So much is searched at a time: at first, and at most [bytes].
+const WINDOWS: [u64; 2] = [1 << 10, 1 << 16];
+/// In a file that is exhausted, so much of a record is read to find out whether it is one [bytes].
+const MAX_TRIED: u64 = 1 << 10;
 
 /// Whether the format has such a record.
 pub(super) fn is_known(opcode: u8) -> bool {
@@ -30,12 +32,13 @@ pub(super) fn next_record<R: Read + Seek>(
     knows_loose: bool,
 ) -> io::Result<Option<u64>> {
     let mut window = Vec::new();
+    let [mut length, max_length] = WINDOWS;
     while at < input.length() {
-        input.read(at, WINDOW + Head::BYTES - 1, &mut window)?;
+        input.read(at, length + Head::BYTES - 1, &mut window)?;
         if window.is_empty() {
             break;
         }
-        let starts = window.len().min(WINDOW as usize);
+        let starts = window.len().min(length as usize);
         for start in 0..starts {
             let rest = &window[start..];
             // Lengths of a terabyte and more are none.
@@ -45,6 +48,7 @@ pub(super) fn next_record<R: Read + Seek>(
             }
         }
         at += starts as u64;
+        length = (2 * length).min(max_length);
     }
     Ok(None)
 }
@@ -67,7 +71,7 @@ pub(super) fn is_record<R: Read + Seek>(
         None => true,
     };
     // What has a checksum or several lengths is believed also in front of a damaged place.
-    let is_strong = matches!(head.opcode, opcode::CHUNK | opcode::ATTACHMENT);
+    let is_strong = matches!(head.opcode, opcode::CHUNK | opcode::ATTACHMENT) && !input.is_exhausted();
     Ok((is_followed || is_strong)
         && (head.opcode != opcode::MESSAGE || knows_loose)
         && has_fields(input, &head)?)
@@ -90,7 +94,7 @@ pub(super) fn has_fields<R: Read + Seek>(input: &mut Input<R>, head: &Head) -> i
             input.read(head.body(), 6, &mut bytes)?;
             Ok(check_message_index(head, &bytes).is_ok())
         }
-        _ if head.length > MAX_HELD => Ok(false),
+        _ if head.length > if input.is_exhausted() { MAX_TRIED } else { MAX_HELD } => Ok(false),
         opcode => {
             input.read(head.body(), head.length, &mut bytes)?;
             let memory = &mut Memory::new(false);

@@ -6,6 +6,8 @@ use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 
 use super::*;
 
+mod effort;
+
 fn channel(topic: &str, metadata: Vec<(String, String)>) -> Channel {
     Channel { topic: topic.into(), schema: 1, encoding: "cdr".into(), metadata }
 }
