@@ -19,6 +19,7 @@ mod named;
 mod reader;
 mod sound;
 mod unpack;
+mod walk;
 mod writer;
 
 pub(crate) use chunk::MESSAGE_BYTES;

@@ -8,9 +8,10 @@ use super::contents::message;
 use super::damage::Fault;
 use super::fields::Fields;
 use super::gaps::{Counted, Gap, Gaps};
-use super::index::{Index, Part, Place, index};
+use super::index::{Index, Part, Place};
 use super::input::{Head, Input};
 use super::unpack::{self, ChunkHead};
+use super::walk::index;
 use super::{Channel, Contents, Damage, Message, ReadError, Schema, opcode};
 
 /// What a part holds.
