@@ -165,6 +165,7 @@ fn is_growing(path: &Path) -> bool {
     let flags = (OFlags::NONBLOCK | OFlags::NOFOLLOW).bits().cast_signed();
     let opened = OpenOptions::new().read(true).custom_flags(flags).open(path);
     opened.is_ok_and(|file| flock(&file, FlockOperation::NonBlockingLockShared) == Err(Errno::WOULDBLOCK))
+}
 
 /// Gives the files of one command their names: none of them before all are on the disk and all names are free.
 ///
@@ -335,7 +336,9 @@ mod tests {
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "half");
         drop(growing);
         write(&path, b"other").unwrap();
+    }
 
+    #[test]
     fn of_files_that_belong_together_none_appears_when_one_name_was_taken_meanwhile() {
         let folder = Scratch::new().unwrap();
         let paths = ["one", "two"].map(|name| folder.path().join(name));
