@@ -50,7 +50,7 @@ mod tests {
         let config = Config { vehicle, ..Config::default() };
         assert_eq!(
             config.validate().unwrap_err().to_string(),
-            "vehicle.bounds.velocity_min_mps = 1.5 is not allowed: 0 to 1"
+            "vehicle.bounds.velocity_min_mps = 1.5 is not allowed: 0.02 to 1"
         );
         assert_eq!(Config { recovery: 0, ..Config::default() }.validate().unwrap_err().key, "recovery");
     }

@@ -2,6 +2,7 @@
 
 use ocp::SolverSettings;
 use serde::{Deserialize, Serialize};
+use vehicle::correction::SENT_VELOCITY_MAX_MPS;
 use vehicle::{Description, Goal, Invalid, Setting, Track, require, settings};
 
 use crate::explicit_side::SideRule;
@@ -120,7 +121,7 @@ impl Config {
             ));
         }
         let (slowest, fastest) = (self.vehicle.bounds.velocity_min_mps, self.vehicle.bounds.velocity_max_mps);
-        require("vehicle.bounds.velocity_max_mps", fastest, slowest..=10.0)?;
+        require("vehicle.bounds.velocity_max_mps", fastest, slowest..=SENT_VELOCITY_MAX_MPS)?;
         require("cruise_mps", self.cruise_mps, slowest..=fastest)?;
         require("careful_mps", self.careful_mps, slowest..=fastest)
     }
@@ -156,6 +157,14 @@ mod tests {
         assert!((config.y_range()[1] - 1.5).abs() < 1e-12);
         let narrow = Config { track: Track { y_m: [-0.4, 0.4], ..track }, ..config };
         assert_eq!(narrow.validate().unwrap_err().key, "track.y_m");
+    }
+
+    #[test]
+    fn the_range_of_the_largest_velocity_is_one_that_its_own_rule_allows() {
+        let mut config = Config::default();
+        config.vehicle.bounds.velocity_max_mps = 0.05;
+        let refused = config.validate().unwrap_err().to_string();
+        assert_eq!(refused, "vehicle.bounds.velocity_max_mps = 0.05 is not allowed: 0.1 to 2");
     }
 
     #[test]

@@ -9,6 +9,9 @@ use crate::{Control, Invalid, require};
 /// has to cover and the defaults of all settings follow from it.
 pub const STEERING_MAX_RAD: f64 = 0.06;
 
+/// The least velocity that may be a bound [m/s]: the model divides by the velocity.
+const BOUND_MIN_MPS: f64 = 0.02;
+
 /// How far desired values may be outside of their bounds [m/s, rad]: the rounding of a solver, no more.
 pub const ROUNDING: f64 = 1e-6;
 
@@ -17,9 +20,13 @@ settings! {
     #[derive(Copy)]
     pub struct Bounds {
         /// Smallest velocity, (7.41) [m/s]. It is above zero because the model divides by it.
-        pub velocity_min_mps: f64 = 0.1, (0.02..=SENT_VELOCITY_MAX_MPS, "at most `velocity_max_mps`");
+        pub velocity_min_mps: f64 = 0.1, (BOUND_MIN_MPS..=SENT_VELOCITY_MAX_MPS, "at most `velocity_max_mps`");
         /// Largest velocity, (7.41) [m/s].
-        pub velocity_max_mps: f64 = 1.0, (0.02..=SENT_VELOCITY_MAX_MPS, "at least `velocity_min_mps`");
+        pub velocity_max_mps: f64 = 1.0,
+            (
+                BOUND_MIN_MPS..=SENT_VELOCITY_MAX_MPS,
+                "at least `velocity_min_mps`; by the factor of `actuator.calibration` at most 2 m/s",
+            );
         /// Largest steering angle to either side, (7.41) [rad].
         pub steering_max_rad: f64 = STEERING_MAX_RAD, 0.001..=SENT_STEERING_MAX_RAD;
         /// Largest sideslip angle to either side, (7.42) [rad].
@@ -35,9 +42,9 @@ impl Bounds {
     /// Passes when the smallest velocity is not above the largest one.
     ///
     /// # Errors
-    /// [`Invalid`] with the smallest velocity.
+    /// [`Invalid`] with the smallest velocity, and all that its own range leaves of it.
     pub fn require_order(&self) -> Result<(), Invalid> {
-        require("velocity_min_mps", self.velocity_min_mps, 0.0..=self.velocity_max_mps)
+        require("velocity_min_mps", self.velocity_min_mps, BOUND_MIN_MPS..=self.velocity_max_mps)
     }
 
     /// The nearest admissible control.
@@ -60,6 +67,16 @@ impl Bounds {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_range_of_the_smallest_velocity_is_one_that_its_own_rule_allows() {
+        let bounds = |velocity_min_mps| Bounds { velocity_min_mps, ..Bounds::default() };
+        let refused = bounds(1.5).require_order().unwrap_err();
+        assert_eq!(refused.to_string(), "velocity_min_mps = 1.5 is not allowed: 0.02 to 1");
+        for end in [0.02, 1.0] {
+            assert_eq!(bounds(end).require_ranges().and_then(|()| bounds(end).require_order()), Ok(()));
+        }
+    }
 
     #[test]
     fn nan_is_never_admissible() {

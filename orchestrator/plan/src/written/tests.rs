@@ -66,7 +66,13 @@ fn a_default_that_does_not_fit_is_told_with_what_was_written() {
     let option = refused("", "", &["vehicle.bounds.velocity_min_mps=1.5"]);
     assert_eq!(
         option,
-        "--set vehicle.bounds.velocity_min_mps=1.5: vehicle.bounds.velocity_min_mps = 1.5 is not allowed: 0 to 1"
+        "--set vehicle.bounds.velocity_min_mps=1.5: vehicle.bounds.velocity_min_mps = 1.5 is not allowed: 0.02 to 1"
+    );
+    let option = refused("", "", &["vehicle.bounds.velocity_max_mps=0.05"]);
+    assert_eq!(
+        option,
+        "--set vehicle.bounds.velocity_max_mps=0.05 is not allowed with vehicle.bounds.velocity_min_mps = 0.1, \
+         for which is allowed: 0.02 to 0.05"
     );
     let goal = "is not allowed with goal.x_m = 10, for which is allowed: ";
     let track = refused("seed = 1\n[track]\nx_m = [0.0, 5.0]\n", "", &[]);
