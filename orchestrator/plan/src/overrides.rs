@@ -13,7 +13,21 @@ pub fn parse_override(text: &str) -> anyhow::Result<(String, Value)> {
         .filter(|(key, _)| !key.trim().is_empty())
         .ok_or_else(|| Failure::bad_input(format!("--set {text}: expected KEY=VALUE, for example seed=7")))?;
     let parsed = format!("value = {value}").parse::<Table>().ok().and_then(|mut table| table.remove("value"));
+    if parsed.is_none() && is_whole_number(value.trim()) {
+        return Err(Failure::bad_input(format!(
+            "--set {text} is not allowed: a whole number is at most {} and at least {}",
+            i64::MAX,
+            i64::MIN
+        )));
+    }
     Ok((key.trim().to_owned(), parsed.unwrap_or_else(|| Value::String(value.trim().to_owned()))))
+}
+
+/// Whether a text is a whole number, of any size.
+fn is_whole_number(text: &str) -> bool {
+    let digits = text.strip_prefix(['+', '-']).unwrap_or(text);
+    digits.starts_with(|first: char| first.is_ascii_digit() && first != '0')
+        && digits.chars().all(|digit| digit.is_ascii_digit() || digit == '_')
 }
 
 /// Puts `value` at the dotted `key`; elements of arrays are named by index, those with a `role` by role.
@@ -86,6 +100,11 @@ mod tests {
         assert_eq!(parse_override("a=identity").unwrap().1, Value::String("identity".to_owned()));
         assert_eq!(parse_override("a=[1, 2]").unwrap().1.as_array().unwrap().len(), 2);
         assert!(parse_override("novalue").is_err());
+        let large = parse_override("seed=9223372036854775808").unwrap_err().to_string();
+        let whole = "a whole number is at most 9223372036854775807 and at least -9223372036854775808";
+        assert_eq!(large, format!("--set seed=9223372036854775808 is not allowed: {whole}"));
+        // A version or an address is a text.
+        assert_eq!(parse_override("a=1.2.3").unwrap().1, Value::String("1.2.3".to_owned()));
     }
 
     #[test]

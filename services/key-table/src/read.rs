@@ -68,6 +68,7 @@ fn allowed(key: &str, message: &str) -> String {
     }
     match expected {
         "f64" => "a number".to_owned(),
+        "u32" if message.starts_with("invalid value") => format!("a whole number from 0 to {}", u32::MAX),
         "u32" | "u64" | "usize" => "a whole number from 0".to_owned(),
         "an array of length 2" => "an array of two numbers".to_owned(),
         table if table.starts_with("struct ") => format!("a table [{key}]"),

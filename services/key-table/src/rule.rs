@@ -97,17 +97,26 @@ impl<T> Rule<T> for String {
     }
 }
 
-/// Two different numbers within the range, in ascending order.
-pub struct Ascending(pub RangeInclusive<f64>);
+/// Two different numbers within the range in ascending order, and at least so far apart.
+pub struct Ascending(pub RangeInclusive<f64>, pub f64);
+
+/// Share of the distance of two numbers that rounding may take.
+const ROUNDING: f64 = 1e-9;
 
 impl Rule<[f64; 2]> for Ascending {
     fn text(&self) -> String {
-        format!("two numbers from {} to {}, the smaller one first", self.0.start(), self.0.end())
+        let Self(range, apart) = self;
+        let order = match *apart > 0.0 {
+            true => format!("the second at least {apart} above the first"),
+            false => "the smaller one first".to_owned(),
+        };
+        format!("two numbers from {} to {}, {order}", range.start(), range.end())
     }
 
     fn require(&self, key: &str, value: &[f64; 2]) -> Result<(), Invalid> {
         let [low, high] = value;
-        if self.0.contains(low) && self.0.contains(high) && low < high {
+        let is_apart = low < high && high - low >= self.1 * (1.0 - ROUNDING);
+        if self.0.contains(low) && self.0.contains(high) && is_apart {
             return Ok(());
         }
         Err(Invalid::new(key, format!("[{low}, {high}]"), self.text()))
@@ -136,12 +145,22 @@ mod tests {
 
     #[test]
     fn two_numbers_ascend_within_their_range() {
-        let rule = Ascending(-1e3..=1e3);
+        let rule = Ascending(-1e3..=1e3, 0.0);
         assert_eq!(refusal(&rule, [-1.0, 1.0]), "");
         let text = "two numbers from -1000 to 1000, the smaller one first";
         for [low, high] in [[1.0, 1.0], [1.0, 0.0], [0.0, 1001.0], [f64::NAN, 1.0]] {
             assert_eq!(refusal(&rule, [low, high]), format!("key = [{low}, {high}] is not allowed: {text}"));
         }
+    }
+
+    #[test]
+    fn two_numbers_are_as_far_apart_as_the_rule_says() {
+        let rule = Ascending(-1e3..=1e3, 0.5);
+        assert_eq!(refusal(&rule, [1.8, 2.3]), "");
+        assert_eq!(
+            refusal(&rule, [-0.01, 0.01]),
+            "key = [-0.01, 0.01] is not allowed: two numbers from -1000 to 1000, the second at least 0.5 above the first"
+        );
     }
 
     #[test]

@@ -120,6 +120,13 @@ mod tests {
     }
 
     #[test]
+    fn a_whole_number_that_is_too_large_for_its_key_is_refused_with_the_largest_one() {
+        let table = crate::parse("count = 5000000000").unwrap();
+        let refused = crate::read::<Example>(table).unwrap_err().to_string();
+        assert_eq!(refused, "count = 5000000000 is not allowed: a whole number from 0 to 4294967295");
+    }
+
+    #[test]
     fn a_key_of_a_table_is_named_with_the_tables_around_it() {
         let bad = Example { count: 6, ..Example::default() };
         let key = |outer: Outer| outer.require_ranges().unwrap_err().key;

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
-use vehicle::{Ascending, Description, Invalid, Setting, Surroundings, settings};
+use vehicle::{Ascending, Description, Invalid, Setting, Surroundings, Track, settings};
 
 /// A body beside the track may seem to reach so far across its line [m].
 const BESIDE_NOISE_M: f64 = 0.05;
@@ -28,9 +28,9 @@ settings! {
         pub walls: bool = false;
         /// Surfaces of the right and left wall, or without walls the lateral bounds of the track; `run` takes them from the
         /// scenario [m].
-        pub wall_y_m: [f64; 2] = [-1.5, 1.5], (-1e4..=1e4, "the second at least 0.5 m above the first");
+        pub wall_y_m: [f64; 2] = [-1.5, 1.5], Ascending(-1e4..=1e4, Track::MIN_WIDTH_M);
         /// Ends of the track along it; `run` takes them from the scenario [m].
-        pub track_x_m: [f64; 2] = [-1e4, 1e4], Ascending(-1e4..=1e4);
+        pub track_x_m: [f64; 2] = [-1e4, 1e4], Ascending(-1e4..=1e4, 0.0);
         /// Returns within this distance of a wall belong to the wall [m].
         pub wall_band_m: f64 = 0.12, 0.02..=0.5;
         /// Obstacles at rest farther than this outside of the track are not described where it has no walls [m].
@@ -119,16 +119,7 @@ impl Config {
     /// # Errors
     /// [`Invalid`] with the first key out of range.
     pub fn validate(&self) -> Result<(), Invalid> {
-        self.require_ranges()?;
-        let [low, high] = self.wall_y_m;
-        if high - low < 0.5 {
-            return Err(Invalid::new(
-                "wall_y_m",
-                format!("[{low}, {high}]"),
-                "the second at least 0.5 m above the first",
-            ));
-        }
-        Ok(())
+        self.require_ranges()
     }
 }
 
@@ -143,5 +134,7 @@ mod tests {
         assert_eq!(nan.validate().unwrap_err().key, "clearance_m");
         let swapped = Config { wall_y_m: [1.5, -1.5], ..Config::default() };
         assert_eq!(swapped.validate().unwrap_err().key, "wall_y_m");
+        let near = Config { wall_y_m: [0.0, 0.49], ..Config::default() };
+        assert_eq!(near.validate().unwrap_err().key, "wall_y_m");
     }
 }

@@ -42,9 +42,9 @@ settings! {
     #[derive(Copy)]
     pub struct Track {
         /// Bounds of the robot's centre along the track, (7.45) [m].
-        pub x_m: [f64; 2] = [0.0, 22.0], Ascending(-1e4..=1e4);
+        pub x_m: [f64; 2] = [0.0, 22.0], Ascending(-1e4..=1e4, 0.0);
         /// Bounds of the robot's centre across the track, (7.46), or with `walls` the surfaces of the walls [m].
-        pub y_m: [f64; 2] = [-1.5, 1.5], Ascending(-1e3..=1e3);
+        pub y_m: [f64; 2] = [-1.5, 1.5], Ascending(-1e3..=1e3, Self::MIN_WIDTH_M);
         /// Whether the track has walls at `y_m`, which the scanner sees. The robot's centre then stays half the body width
         /// and the safety distance away from them.
         pub walls: bool = false;
@@ -52,6 +52,11 @@ settings! {
         /// pillars of 0.3 m every 2.5 m; `walls` hides it, and the robot can't touch it. `open`: nothing.
         pub surroundings: Surroundings = Surroundings::Hall;
     }
+}
+
+impl Track {
+    /// Smallest width of a track: what is between the bands of its walls [m].
+    pub const MIN_WIDTH_M: f64 = 0.5;
 }
 
 settings! {

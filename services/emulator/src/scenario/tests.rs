@@ -54,7 +54,7 @@ fn messages_name_file_key_value_and_what_is_allowed() {
         ("[track]\nx_m = [0.0]", "my.toml: track.x_m = [0.0] is not allowed: an array of two numbers"),
         (
             "[track]\ny_m = [1.5, -1.5]",
-            "my.toml: track.y_m = [1.5, -1.5] is not allowed: two numbers from -1000 to 1000, the smaller one first",
+            "my.toml: track.y_m = [1.5, -1.5] is not allowed: two numbers from -1000 to 1000, the second at least 0.5 above the first",
         ),
         ("[start]\ny_m = 1.6", "my.toml: start.y_m = 1.6 is not allowed: -1.5 to 1.5, the bounds track.y_m"),
         ("[goal]\nx_m = 22.5", "my.toml: goal.x_m = 22.5 is not allowed: 0 to 22, the bounds track.x_m"),
