@@ -192,21 +192,15 @@ fn is_of_scenario(name: &str) -> bool {
 /// A scenario file, or a shipped scenario.
 fn read_scenario(name: &str) -> anyhow::Result<Source> {
     let path = Path::new(name);
-    let (text, file) = match Scenario::shipped(name) {
-        Some(text) if !path.is_file() => (text.to_owned(), format!("shipped scenario {name}")),
-        _ => {
-            let text = user_file::read(path, TEXT_BYTES).map_err(|error| {
-                let shipped: Vec<&str> = Scenario::names().collect();
-                let meant = did_you_mean(name, Scenario::names());
-                Failure::bad_input(format!(
-                    "{name}: {error}.{meant} Shipped scenarios are {}",
-                    shipped.join(", ")
-                ))
-            })?;
-            (text, name.to_owned())
-        }
-    };
-    Source::parse(text, file)
+    if let Some(text) = Scenario::shipped(name).filter(|_| !path.is_file()) {
+        return Source::shipped(text, format!("shipped scenario {name}"));
+    }
+    let text = user_file::read(path, TEXT_BYTES).map_err(|error| {
+        let shipped: Vec<&str> = Scenario::names().collect();
+        let meant = did_you_mean(name, Scenario::names());
+        Failure::bad_input(format!("{name}: {error}.{meant} Shipped scenarios are {}", shipped.join(", ")))
+    })?;
+    Source::parse(text, name.to_owned())
 }
 
 #[cfg(test)]

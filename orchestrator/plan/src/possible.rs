@@ -64,6 +64,7 @@ pub(crate) fn require_goal(scenario: &Scenario, controller: &Config) -> Result<(
     let [low, high] = controller.y_range();
     let reach_m = goal.tolerance_m + OUTSIDE_M;
     if !(low - reach_m..=high + reach_m).contains(&goal.y_m) {
+        let (low, high) = (ceil(low), floor(high));
         let allowed = format!("{low} to {high}, the bounds of the robot's centre between the walls");
         return Err(Invalid::new("goal.y_m", goal.y_m, allowed));
     }

@@ -13,6 +13,8 @@ pub struct Source {
     pub name: String,
     /// The text that the table was read from.
     pub(crate) text: String,
+    /// Whether it comes with this program, so that no user wrote it.
+    pub(crate) is_shipped: bool,
 }
 
 impl Source {
@@ -22,9 +24,17 @@ impl Source {
     /// A message with the file, and the line where the text is no TOML; exit code 2.
     pub fn parse(text: String, name: String) -> anyhow::Result<Self> {
         match vehicle::parse(&text) {
-            Ok(table) => Ok(Self { table, name, text }),
+            Ok(table) => Ok(Self { table, name, text, is_shipped: false }),
             Err(error) => Err(Failure::bad_input(format!("{name}: {error}"))),
         }
+    }
+
+    /// The same of a file that comes with this program.
+    ///
+    /// # Errors
+    /// As [`Self::parse`].
+    pub(crate) fn shipped(text: &str, name: String) -> anyhow::Result<Self> {
+        Self::parse(text.to_owned(), name).map(|source| Self { is_shipped: true, ..source })
     }
 
     /// Name of the file and line of a key in it.

@@ -116,7 +116,7 @@ impl System {
     /// A message with the file, and the line where the text is no TOML; exit code 2.
     pub fn read_table(file: Option<&Path>) -> anyhow::Result<Source> {
         let Some(path) = file else {
-            return Source::parse(BUILT_IN.to_owned(), "built-in system".to_owned());
+            return Source::shipped(BUILT_IN, "built-in system".to_owned());
         };
         let name = path.display().to_string();
         let text = user_file::read(path, TEXT_BYTES);

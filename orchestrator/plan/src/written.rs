@@ -1,8 +1,8 @@
 //! Scenario and system as a user wrote them, to name the source of a value that is refused.
 //!
 //! A value comes from one of the two files or from an option, and reaches the checks under other keys too: each stage has a
-//! copy of `[vehicle]`, for example. If the refused value is a default, what makes it wrong is found by leaving out one given
-//! value after the other until the refusal is gone.
+//! copy of `[vehicle]`, for example. If the refused value is a default, or stands in a file that comes with this program, what
+//! makes it wrong is found by leaving out one given value after the other until the refusal is gone.
 
 use std::path::PathBuf;
 
@@ -122,31 +122,45 @@ impl Written {
         if let Some((place, key)) = written {
             return sentence(&place, &key, invalid);
         }
-        let without =
-            |changed: Self, path: &str| changed.tables().ok().map(check_with(&check, invalid, path));
+        let without = |changed: Self, path: &str| {
+            changed.tables().map_or(Without::Refused, |tables| Without::of(check(tables), invalid, path))
+        };
+        let named = self.name_of(&refused);
         // What the command line has comes after the files, so it is what made them wrong.
-        for index in (0..self.given.len()).rev() {
+        let last_first = self.given.iter().enumerate().rev();
+        let options = last_first.map(|(index, given)| {
             let mut changed = self.clone();
-            let given = changed.given.remove(index);
-            if without(changed, "") == Some(true) {
-                return because(&given.name(), None, invalid);
-            }
+            changed.given.remove(index);
+            (without(changed, ""), given)
+        });
+        if let Some(given) = decisive(options) {
+            return because(&given.name(), None, &named, invalid);
         }
         let in_file = candidates(&refused).into_iter().find_map(|key| Some((self.place_of(&key)?, key)));
-        if let Some((place, key)) = in_file {
-            return sentence(&place, &key, invalid);
+        let refused_there = in_file.map(|(place, key)| (self.source(&key), sentence(&place, &key, invalid)));
+        if let Some((_, message)) = refused_there.as_ref().filter(|(source, _)| !source.is_shipped) {
+            return message.clone();
         }
-        for path in self.paths() {
+        let values = self.paths().into_iter().map(|path| {
             let mut changed = self.clone();
             let source = if self.is_in_scenario(&path) { &mut changed.scenario } else { &mut changed.system };
             remove(&mut source.table, &path);
-            if without(changed, &path) == Some(true) {
-                let place =
-                    self.source(&path).place(&path).unwrap_or_else(|| self.source(&path).name.clone());
-                return because(&place, Some(&path), invalid);
-            }
+            (without(changed, &path), path)
+        });
+        if let Some(path) = decisive(values) {
+            let source = self.source(&path);
+            let place = source.place(&path).unwrap_or_else(|| source.name.clone());
+            return because(&place, Some(&path), &named, invalid);
         }
-        format!("{}: {invalid}", self.source(&refused).name)
+        refused_there
+            .map_or_else(|| sentence(&self.source(&named).name, &named, invalid), |(_, message)| message)
+    }
+
+    /// The name of a key as the files have it: where it is written, or where it can be.
+    fn name_of(&self, key: &str) -> String {
+        let written = candidates(key).into_iter().find(|key| self.place_of(key).is_some());
+        let of_vehicle = || key.split_once(".vehicle.").map(|(_, rest)| format!("vehicle.{rest}"));
+        written.or_else(|| of_the_scenario(key)).or_else(of_vehicle).unwrap_or_else(|| key.to_owned())
     }
 
     /// Where a file has a key, or the table of a list that lacks it.
@@ -193,10 +207,10 @@ impl Written {
         if self.is_in_scenario(key) { &self.scenario } else { &self.system }
     }
 
-    /// All keys with a value in both files, but for the tables that no file has.
+    /// All keys with a value in the files that a user wrote, but for the tables that no file has.
     fn paths(&self) -> Vec<String> {
         let mut found = Vec::new();
-        for source in [&self.scenario, &self.system] {
+        for source in [&self.scenario, &self.system].into_iter().filter(|source| !source.is_shipped) {
             let table = source.text.parse::<Table>().unwrap_or_default();
             leaves(&Value::Table(table), "", &mut found);
         }
@@ -236,16 +250,43 @@ fn require_known(key: &str, text: &str) -> anyhow::Result<()> {
     )))
 }
 
-/// Whether a refusal is gone without the value at `path`. Another refusal of the table that lacks the value now says nothing:
-/// it may only come before the first one.
-fn check_with<'a>(
-    check: &'a impl Fn([Table; 2]) -> Option<Invalid>,
-    invalid: &'a Invalid,
-    path: &'a str,
-) -> impl Fn([Table; 2]) -> bool + 'a {
-    let is_other =
-        |other: &Invalid| other.key != invalid.key && first_of(&path_of(&other.key)) != first_of(path);
-    move |tables| check(tables).is_none_or(|other| is_other(&other))
+/// What becomes of a refusal without one of the values.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Without {
+    /// All is allowed.
+    Allowed,
+    /// Another value is refused.
+    Other,
+    /// The same is refused.
+    Refused,
+}
+
+impl Without {
+    /// `other` is what is refused without the value at `path`. Another refusal of the table that lacks the value now says
+    /// nothing: it may only come before the first one.
+    fn of(other: Option<Invalid>, invalid: &Invalid, path: &str) -> Self {
+        match other {
+            None => Self::Allowed,
+            Some(Invalid { key, .. }) if key != invalid.key && first_of(&path_of(&key)) != first_of(path) => {
+                Self::Other
+            }
+            Some(_) => Self::Refused,
+        }
+    }
+}
+
+/// The first value without which all is allowed, or else the first one without which another value is refused: that one may
+/// only be refused earlier.
+fn decisive<T>(values: impl Iterator<Item = (Without, T)>) -> Option<T> {
+    let mut second = None;
+    for (without, value) in values {
+        match without {
+            Without::Allowed => return Some(value),
+            Without::Other => _ = second.get_or_insert(value),
+            Without::Refused => {}
+        }
+    }
+    second
 }
 
 /// The first part of a path.
@@ -258,10 +299,10 @@ fn sentence(place: &str, key: &str, Invalid { value, allowed, .. }: &Invalid) ->
     format!("{place}: {} = {value} is not allowed: {allowed}", key_of(key))
 }
 
-/// The message for a value that is wrong because of what was written elsewhere.
-fn because(place: &str, path: Option<&str>, Invalid { key, value, allowed }: &Invalid) -> String {
+/// The message for a value that makes the one at `key` wrong, which was written elsewhere or is a default.
+fn because(place: &str, path: Option<&str>, key: &str, Invalid { value, allowed, .. }: &Invalid) -> String {
     let path = path.map_or_else(String::new, |path| format!(": {}", key_of(path)));
-    format!("{place}{path} is not allowed with {key} = {value}, for which is allowed: {allowed}")
+    format!("{place}{path} is not allowed with {} = {value}, for which is allowed: {allowed}", key_of(key))
 }
 
 /// `process[2].role` as `process.2.role`.
@@ -278,18 +319,22 @@ fn key_of(path: &str) -> String {
     path.split('.').map(part).collect::<String>().trim_start_matches('.').to_owned()
 }
 
-/// The keys that may have given the value of a key, the nearest one first.
-fn candidates(key: &str) -> Vec<String> {
-    const OF_THE_SCENARIO: [(&str, &str); 5] = [
+/// The key of the scenario that a stage has a copy of.
+fn of_the_scenario(key: &str) -> Option<String> {
+    const COPIES: [(&str, &str); 5] = [
         ("controller.goal", "goal"),
         ("controller.track", "track"),
         ("obstacles.wall_y_m", "track.y_m"),
         ("obstacles.walls", "track.walls"),
         ("obstacles.track_x_m", "track.x_m"),
     ];
+    COPIES.iter().find_map(|(from, to)| key.strip_prefix(from).map(|rest| format!("{to}{rest}")))
+}
+
+/// The keys that may have given the value of a key, the nearest one first.
+fn candidates(key: &str) -> Vec<String> {
     let mut found = vec![key.to_owned()];
-    let moved = |(from, to): &(&str, &str)| key.strip_prefix(from).map(|rest| format!("{to}{rest}"));
-    found.extend(OF_THE_SCENARIO.iter().find_map(moved));
+    found.extend(of_the_scenario(key));
     if let Some((stage, rest)) = key.split_once(".vehicle.") {
         found.extend(crate::vehicle_table::old_keys_of(stage, rest));
         found.push(format!("vehicle.{rest}"));

@@ -114,11 +114,12 @@ impl Config {
         self.require_ranges()?;
         let [low, high] = self.y_range();
         if low >= high {
-            return Err(Invalid::new(
-                "track.y_m",
-                high - low,
-                "walls further apart than body width plus 2 theta",
-            ));
+            let [right, left] = self.track.y_m;
+            let allowed = format!(
+                "walls further apart than vehicle.width_m = {} and twice controller.theta_m = {}",
+                self.vehicle.width_m, self.theta_m
+            );
+            return Err(Invalid::new("track.y_m", format!("[{right}, {left}]"), allowed));
         }
         let (slowest, fastest) = (self.vehicle.bounds.velocity_min_mps, self.vehicle.bounds.velocity_max_mps);
         require("vehicle.bounds.velocity_max_mps", fastest, slowest..=SENT_VELOCITY_MAX_MPS)?;
@@ -156,7 +157,11 @@ mod tests {
         let config = Config { track, ..Config::default() };
         assert!((config.y_range()[1] - 1.5).abs() < 1e-12);
         let narrow = Config { track: Track { y_m: [-0.4, 0.4], ..track }, ..config };
-        assert_eq!(narrow.validate().unwrap_err().key, "track.y_m");
+        assert_eq!(
+            narrow.validate().unwrap_err().to_string(),
+            "track.y_m = [-0.4, 0.4] is not allowed: walls further apart than vehicle.width_m = 0.4 and twice \
+             controller.theta_m = 0.2"
+        );
     }
 
     #[test]

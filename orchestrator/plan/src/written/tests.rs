@@ -90,6 +90,43 @@ fn a_default_that_does_not_fit_is_told_with_what_was_written() {
 }
 
 #[test]
+fn the_value_without_which_all_is_allowed_is_named_before_one_without_which_another_is_refused() {
+    // Without `controller.intervals` the rate is too low for the intervals, which is found earlier.
+    let goal = "is not allowed with goal.tolerance_m = 0.1, for which is allowed: at least 0.167, ";
+    let options = ["rate_hz=0.6", "controller.horizon_s=10", "controller.intervals=2"];
+    let option = refused("", "", &options);
+    assert!(option.starts_with(&format!("--set rate_hz=0.6 {goal}")), "{option}");
+    let system = "rate_hz = 0.6\n[controller]\nhorizon_s = 10.0\nintervals = 2\n";
+    let file = refused("", system, &[]);
+    assert!(file.starts_with(&format!("lab.toml: line 1: rate_hz {goal}")), "{file}");
+    // Nor is a file of ours named for what the user's file does.
+    let scenario = Source::shipped("[goal]\ntolerance_m = 0.1\n", "shipped scenario".to_owned()).unwrap();
+    let mut source = Source::parse(system.to_owned(), "lab.toml".to_owned()).unwrap();
+    crate::system::add_built_in(&mut source.table);
+    let written = Written::new(scenario, source, &Choice::default()).unwrap();
+    let check = |tables| Plan::checked(tables).err();
+    let shipped = written.refusal(&check(written.tables().unwrap()).unwrap(), check);
+    assert!(shipped.starts_with(&format!("lab.toml: line 1: rate_hz {goal}")), "{shipped}");
+}
+
+#[test]
+fn a_copy_of_a_stage_is_named_as_the_files_have_it() {
+    let narrow = "[track]\ny_m = [-1.5, 1.5]\nwalls = true\n";
+    let track = "track.y_m = [-1.5, 1.5]";
+    let allowed =
+        "allowed: walls further apart than vehicle.width_m = 2.8 and twice controller.theta_m = 0.2";
+    assert_eq!(
+        refused(narrow, "", &["vehicle.width_m=2.8"]),
+        format!("--set vehicle.width_m=2.8 is not allowed with {track}, for which is {allowed}")
+    );
+    let file = "[vehicle]\nwidth_m = 2.8\n";
+    assert_eq!(
+        refused("", file, &["track.walls=true"]),
+        format!("--set track.walls=true is not allowed with {track}, for which is {allowed}")
+    );
+}
+
+#[test]
 fn a_table_of_the_other_file_and_an_unknown_key_are_named() {
     let vehicle = refused("seed = 1\n[vehicle]\nwidth_m = 0.5\n", "", &[]);
     assert_eq!(
