@@ -174,6 +174,7 @@ impl System {
     fn validate(&self) -> Result<(), Invalid> {
         self.require_ranges()?;
         // First: everything else asks for the roles.
+        self.require_each_role_once()?;
         for (index, entry) in self.processes.iter().enumerate() {
             entry.validate().map_err(|error| error.within(&format!("process[{index}]")))?;
             if !entry.is_companion()
@@ -187,29 +188,35 @@ impl System {
         require("orphan_stop_s", self.orphan_stop_s(), MIN_ORPHAN_STOP_S..=self.orphan_timeout_s)?;
         self.player.validate().map_err(|invalid| invalid.within("player"))?;
         realtime::validate(&self.realtime).map_err(|invalid| invalid.within("realtime"))?;
-        for role in Role::ALL {
-            let count = self.roles().filter(|entry| entry.role() == *role).count();
-            if count > 1 {
-                let topics: Vec<&str> = role.writes().iter().map(|topic| topic.name()).collect();
-                let allowed = format!(
-                    "one process per role; {count} processes would write topic {}",
-                    topics.join(", ")
-                );
-                return Err(Invalid::new("process.role", role, allowed));
-            }
-            if count == 0 {
-                return Err(Invalid::new(
-                    "process",
-                    format!("no process of role {role}"),
-                    "one process per role",
-                ));
-            }
+        if let Some(role) = Role::ALL.iter().find(|role| self.entry(**role).is_none()) {
+            let missing = format!("no process of role {role}");
+            return Err(Invalid::new("process", missing, "one process per role"));
         }
         hosts::validate(self)?;
         topics::validate(self)?;
         require_rate(&self.controller, self.rate_hz)?;
         possible::require_velocity(self)?;
         self.tuning().validate()
+    }
+
+    /// Passes when no role stands twice. That comes before the checks of an entry: the second one of a role has none of the
+    /// values that the built-in system gives the first one.
+    fn require_each_role_once(&self) -> Result<(), Invalid> {
+        for role in Role::ALL {
+            let is_of_role = |entry: &ProcessEntry| !entry.is_companion() && entry.role == role.name();
+            let of_role = self.processes.iter().enumerate().filter(|(_, entry)| is_of_role(entry));
+            let indices: Vec<usize> = of_role.map(|(index, _)| index).collect();
+            if let [_, second, ..] = indices.as_slice() {
+                let topics: Vec<&str> = role.writes().iter().map(|topic| topic.name()).collect();
+                let allowed = format!(
+                    "one process per role; {} processes would write topic {}",
+                    indices.len(),
+                    topics.join(", ")
+                );
+                return Err(Invalid::new(&format!("process[{second}].role"), role, allowed));
+            }
+        }
+        Ok(())
     }
 }
 
@@ -290,11 +297,12 @@ mod tests {
         let twice = error_of("[[process]]\nrole = \"controller\"\nimplementation = \"nmpc\"");
         assert_eq!(
             twice,
-            "lab.toml: process.role = controller is not allowed: one process per role; 2 processes would write topic command"
+            "lab.toml: process[5].role = controller is not allowed: one process per role; 2 processes would write topic command"
         );
         let unknown = error_of("[[process]]\nrole = \"pilot\"\nimplementation = \"nmpc\"");
         assert!(unknown.contains("process[5].role = pilot is not allowed: one of robot"), "{unknown}");
-        let foreign = error_of("[[process]]\nrole = \"controller\"\nimplementation = \"ekf\"");
-        assert!(foreign.contains("process[5].implementation = ekf is not allowed: one of nmpc"), "{foreign}");
+        let foreign = BUILT_IN.replace("\"nmpc\"", "\"ekf\"").parse().unwrap();
+        let foreign = System::from_table(foreign, "lab.toml").unwrap_err().to_string();
+        assert!(foreign.contains("process[3].implementation = ekf is not allowed: one of nmpc"), "{foreign}");
     }
 }

@@ -46,8 +46,10 @@ fn a_file_is_named_with_the_line_and_an_option_as_it_was_typed() {
     );
     let twice =
         "[[process]]\nrole = \"robot\"\nimplementation = \"emulator\"\n[[process]]\nrole = \"robot\"\n";
-    assert!(
-        refused("", twice, &[]).starts_with("lab.toml: line 4: process[1].implementation = both or none")
+    assert_eq!(
+        refused("", twice, &[]),
+        "lab.toml: line 5: process[1].role = robot is not allowed: one process per role; 2 processes would write topic \
+         scan, odometry"
     );
 }
 
