@@ -2,11 +2,12 @@
 
 use console::exit::Failure;
 use toml::{Table, Value};
+use vehicle::did_you_mean;
 
 /// Splits `KEY=VALUE`; the value is TOML, or a text where it is not.
 ///
 /// # Errors
-/// A message that shows the expected form.
+/// A message that shows the expected form, or the largest whole number of a file.
 pub fn parse_override(text: &str) -> anyhow::Result<(String, Value)> {
     let (key, value) = text
         .split_once('=')
@@ -60,8 +61,11 @@ fn set_within(outer: &mut Value, name: &str, key: &str, value: Value) -> Result<
         Value::Array(items) => {
             let count = items.len();
             let index = index_of(items, first);
+            let names = items.iter().flat_map(|item| NAMES.iter().filter_map(|key| item.get(key)?.as_str()));
+            let meant = did_you_mean(first, names);
+            let meant = if meant.is_empty() { meant } else { format!(".{meant}") };
             let item = index.and_then(|index| items.get_mut(index));
-            (item.ok_or_else(|| format!("{name} has no element `{first}`, it has {count}"))?, value)
+            (item.ok_or_else(|| format!("{name} has no element `{first}`, it has {count}{meant}"))?, value)
         }
         _ => return Err(format!("{name} is a value, not a table")),
     };
@@ -74,11 +78,14 @@ fn set_within(outer: &mut Value, name: &str, key: &str, value: Value) -> Result<
     }
 }
 
+/// The keys that name an element of an array.
+const NAMES: [&str; 2] = ["role", "name"];
+
 /// Index of the element of an array that is named by its index, role or name.
 pub(crate) fn index_of(items: &[Value], which: &str) -> Option<usize> {
     items.iter().enumerate().position(|(index, item)| {
-        let is_it = |key: &str| item.get(key).and_then(Value::as_str) == Some(which);
-        index.to_string() == which || is_it("role") || is_it("name")
+        let is_it = |key: &&str| item.get(key).and_then(Value::as_str) == Some(which);
+        index.to_string() == which || NAMES.iter().any(is_it)
     })
 }
 
@@ -120,6 +127,11 @@ mod tests {
         assert_eq!(table["process"][1]["restart"].as_str(), Some("never"));
         assert_eq!(table["process"][0]["restart"].as_str(), Some("always"));
         assert!(set(&mut table, "process.pilot.x", Value::Integer(1)).is_err());
+        let unknown = set(&mut table, "process.controler.x", Value::Integer(1)).unwrap_err().to_string();
+        assert!(
+            unknown.ends_with("process has no element `controler`, it has 2. Did you mean `controller`?"),
+            "{unknown}"
+        );
         assert!(set(&mut table, "robot.x.y", Value::Integer(1)).is_err());
     }
 }

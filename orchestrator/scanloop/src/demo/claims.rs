@@ -112,7 +112,9 @@ impl Claims {
             let claim = claims.iter_mut().find(|claim| claim.name == name);
             let claim = claim.ok_or_else(|| {
                 let meant = did_you_mean(name, PROMISES.iter().map(|promise| promise.name));
-                refuse(&format!("{name} is unknown: expected one of {}.{meant}", names()))
+                let unknown =
+                    if meant.is_empty() { ": expected".to_owned() } else { format!(".{meant} Expected") };
+                refuse(&format!("{name} is unknown{unknown} one of {}", names()))
             })?;
             let value = value.parse().ok().filter(|value: &f64| value.is_finite());
             claim.promised = value.ok_or_else(|| refuse("expected a number"))?;
@@ -212,6 +214,11 @@ mod tests {
         let error = |change| claims(&[change]).unwrap_err().to_string();
         assert!(
             error("speed=1").contains("--promise speed=1: speed is unknown: expected one of answered_scans")
+        );
+        assert!(
+            error("left_behnd=1").contains(
+                "left_behnd is unknown. Did you mean `left_behind`? Expected one of answered_scans"
+            )
         );
         assert!(error("left_behind=no").contains("expected a number"));
         assert!(error("left_behind").contains("expected NAME=NUMBER"));
