@@ -3,7 +3,8 @@
 #[cfg(test)]
 mod tests;
 
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufRead, BufReader, ErrorKind, Write};
+use std::net::{TcpListener, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -12,6 +13,7 @@ use std::time::Duration;
 use anyhow::Context;
 use console::exit::{Exit, Failure};
 use console::note;
+use plan::hosts::Transport;
 use runtime::{STOOD_STILL_NS, Shutdown, link_version, monotonic_ns};
 
 use crate::file::AgentFile;
@@ -291,11 +293,22 @@ impl Link {
             Ok(_listening) => Ok(Self { process, input, lines }),
             Err(_) => {
                 let _ = process.wait();
-                Err(Failure::process(format!(
-                    "listen = {} can't be used: see the message of the link",
-                    file.listen
-                )))
+                let reason = refusal_of_address(file.transport, &file.listen);
+                Err(Failure::process(format!("listen = {} can't be used: {reason}", file.listen)))
             }
         }
+    }
+}
+
+/// Why nothing can listen at an address, as far as this machine tells.
+fn refusal_of_address(transport: Transport, listen: &str) -> &'static str {
+    let bound = match transport {
+        Transport::Tcp => TcpListener::bind(listen).map(drop),
+        Transport::Udp | Transport::Quic => UdpSocket::bind(listen).map(drop),
+    };
+    match bound.map_err(|error| error.kind()) {
+        Err(ErrorKind::AddrInUse) => "another program has taken the port; name another one",
+        Err(ErrorKind::AddrNotAvailable) => "it is not an address of this machine",
+        _ => "see the message of the link",
     }
 }

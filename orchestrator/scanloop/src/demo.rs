@@ -104,6 +104,7 @@ impl Act {
 pub(crate) fn demo(system_id: Option<&str>, arguments: &DemoArguments) -> anyhow::Result<Exit> {
     let acts = if arguments.only.is_empty() { Act::value_variants() } else { &arguments.only };
     let is_live = acts.iter().any(|act| *act != Act::Lockstep);
+    require_page(is_live, arguments.port)?;
     let whole_drive = ["clearance_", "unaccounted_"];
     let is_chosen = |name: &str| {
         let begins = |starts: &[&str]| starts.iter().any(|start| name.starts_with(start));
@@ -164,6 +165,15 @@ pub(crate) fn demo(system_id: Option<&str>, arguments: &DemoArguments) -> anyhow
     Ok(if show.claims.held { Exit::Done } else { Exit::NotReached })
 }
 
+/// Refuses a port for the page of a demo that has none.
+fn require_page(is_live: bool, port: u16) -> anyhow::Result<()> {
+    if is_live || port == 0 {
+        return Ok(());
+    }
+    let reason = "act `lockstep` alone has no live page: leave it out, or name another act too";
+    Err(Failure::bad_input(format!("--port {port}: {reason}")))
+}
+
 /// Plays the acts in their order. An act that fails leaves its claims unmeasured.
 fn play(show: &mut Show<'_>, acts: &[Act], live: Option<Option<u16>>) -> anyhow::Result<()> {
     if let Some(port) = live {
@@ -221,5 +231,26 @@ fn settle(show: &mut Show<'_>, played: anyhow::Result<()>) -> anyhow::Result<boo
             Ok(false)
         }
         Ok(()) => Ok(true),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_port_is_refused_where_no_page_is_served() {
+        let of = |only: Vec<Act>, port: u16| DemoArguments {
+            fast: false,
+            json: false,
+            out: None,
+            force: false,
+            port,
+            only,
+            promises: Vec::new(),
+        };
+        let refused = demo(None, &of(vec![Act::Lockstep], 7117)).unwrap_err().to_string();
+        assert!(refused.starts_with("--port 7117: act `lockstep` alone has no live page: "), "{refused}");
+        assert!(require_page(true, 7117).is_ok() && require_page(false, 0).is_ok());
     }
 }

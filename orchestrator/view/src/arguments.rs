@@ -29,18 +29,33 @@ pub struct ViewArguments {
     pub for_run: bool,
 }
 
-/// Opens the listening socket of the page.
+/// Opens the listening socket of the page. Its messages name no option: `view` and `run` have different ones for the port.
 ///
 /// # Errors
 /// An address that is in use or is not one of this machine; exit code 2.
 pub(crate) fn listen(address: IpAddr, port: u16) -> anyhow::Result<TcpListener> {
     TcpListener::bind(SocketAddr::new(address, port)).map_err(|error| match error.kind() {
         std::io::ErrorKind::AddrInUse => Failure::bad_input(format!(
-            "--port {port}: {address}:{port} is in use; name another port, or 0 for any free one"
+            "port {port} of {address} is in use; name another one, or 0 for any free one"
         )),
         std::io::ErrorKind::AddrNotAvailable => Failure::bad_input(format!(
             "--listen {address}: not an address of this machine; allowed: 127.0.0.1, 0.0.0.0 or one of its own"
         )),
-        _ => Failure::bad_input(format!("--listen {address} --port {port}: {error}")),
+        _ => Failure::bad_input(format!("port {port} of {address}: {error}")),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_port_in_use_is_named_without_an_option_that_was_not_written() {
+        let address = IpAddr::from([127, 0, 0, 1]);
+        let held = listen(address, 0).unwrap();
+        let port = held.local_addr().unwrap().port();
+        let refused = listen(address, port).unwrap_err().to_string();
+        let advice = "name another one, or 0 for any free one";
+        assert_eq!(refused, format!("port {port} of 127.0.0.1 is in use; {advice}"));
+    }
 }

@@ -94,3 +94,20 @@ fn an_orchestrator_of_another_version_or_with_other_samples_is_refused_by_name()
         assert!(reason.contains(&own) && reason.contains(&other), "{reason}");
     }
 }
+
+#[test]
+fn an_address_that_is_taken_or_of_another_machine_is_told_so() {
+    let stream = TcpListener::bind("127.0.0.1:0").unwrap();
+    let datagrams = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let taken = "another program has taken the port; name another one";
+    for (transport, held) in [
+        (Transport::Tcp, stream.local_addr().unwrap()),
+        (Transport::Udp, datagrams.local_addr().unwrap()),
+        (Transport::Quic, datagrams.local_addr().unwrap()),
+    ] {
+        assert_eq!(refusal_of_address(transport, &held.to_string()), taken);
+    }
+    let foreign = refusal_of_address(Transport::Udp, "192.0.2.1:7000");
+    assert_eq!(foreign, "it is not an address of this machine");
+    assert_eq!(refusal_of_address(Transport::Tcp, "127.0.0.1:0"), "see the message of the link");
+}

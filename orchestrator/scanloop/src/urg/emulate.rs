@@ -1,5 +1,7 @@
 //! `scanloop urg emulate`: a scanner for a try without hardware.
 
+use std::io;
+
 use anyhow::Context;
 use console::exit::{Exit, Failure};
 use console::note;
@@ -22,7 +24,7 @@ pub(super) fn emulate(arguments: &EmulateArguments) -> anyhow::Result<Exit> {
     let emulator = Emulator::in_a_room(started_ns);
     let (mut port, place) = match &arguments.tcp {
         Some(address) => {
-            let refused = |error: std::io::Error| Failure::bad_input(format!("--tcp {address}: {error}"));
+            let refused = |error| Failure::bad_input(format!("--tcp {address}: {}", refusal(&error)));
             let port = Port::tcp(address, emulator).map_err(refused)?;
             let place = port.address().map(|address| address.to_string()).unwrap_or_default();
             (port, place)
@@ -40,6 +42,17 @@ pub(super) fn emulate(arguments: &EmulateArguments) -> anyhow::Result<Exit> {
         port.serve(CHECK_NS, monotonic_ns)?;
     }
     Ok(Exit::Done)
+}
+
+/// Why an address can't be used, and what can.
+fn refusal(error: &io::Error) -> String {
+    match error.kind() {
+        io::ErrorKind::AddrInUse => "the port is in use; name another one, or 0 for any free one".to_owned(),
+        io::ErrorKind::AddrNotAvailable => {
+            "not an address of this machine; allowed: 127.0.0.1, 0.0.0.0 or one of its own".to_owned()
+        }
+        _ => format!("{error}; expected HOST:PORT, for example 127.0.0.1:0"),
+    }
 }
 
 /// The faults by their names in `--fault`; some last so long [ms], or as many bytes.
@@ -67,4 +80,24 @@ fn fault(text: &str) -> anyhow::Result<(f64, &'static str, DeviceFault)> {
     let at_s = at_s.parse().ok().filter(|at_s: &f64| (0.0..=1e9).contains(at_s)).ok_or_else(allowed)?;
     let (name, fault) = FAULTS.into_iter().find(|(known, _)| *known == name).ok_or_else(allowed)?;
     Ok((at_s, name, fault))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_that_can_not_be_used_is_refused_with_one_that_can() {
+        let refused = |address: &str| {
+            let arguments =
+                EmulateArguments { tcp: Some(address.to_owned()), fault: Vec::new(), duration: Some(0.001) };
+            emulate(&arguments).unwrap_err().to_string()
+        };
+        let held = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = held.local_addr().unwrap().to_string();
+        let advice = "the port is in use; name another one, or 0 for any free one";
+        assert_eq!(refused(&address), format!("--tcp {address}: {advice}"));
+        assert!(refused("192.0.2.1:7000").contains("not an address of this machine"));
+        assert!(refused("nonsense").ends_with("expected HOST:PORT, for example 127.0.0.1:0"));
+    }
 }
