@@ -43,7 +43,7 @@ pub mod watch;
 use shared_types::{Authority, Role};
 
 pub use agreement::{Disagreement, OutputSummary};
-pub use certificate::{Certificate, SwapOutcome};
+pub use certificate::{Certificate, RUN_ENDS, SwapOutcome};
 use comparison::Comparison;
 pub use meant::{Change, Meant};
 pub use scan_record::Recorded;
@@ -432,7 +432,7 @@ impl Swap {
     }
 
     fn run_ends(&mut self, now_ns: u64, actions: &mut Vec<SwapAction>) {
-        let reason = || "the run ended".to_owned();
+        let reason = || RUN_ENDS.to_owned();
         match self.stage {
             // The process in charge keeps its authority until the run is over.
             Stage::Standby if self.newest >= self.from_scan => {

@@ -207,7 +207,7 @@ fn a_run_that_ends_takes_the_new_process_with_it() {
         let certificate = certificate(&shadow.wait_with_output().unwrap());
         assert_eq!(
             (certificate.outcome, certificate.reason.as_str()),
-            (SwapOutcome::Refused, "the run ended")
+            (SwapOutcome::Refused, "the run ends")
         );
         system.wait();
         system.assert_nothing_left();

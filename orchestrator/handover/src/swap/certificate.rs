@@ -17,6 +17,9 @@ pub enum SwapOutcome {
     RolledBack,
 }
 
+/// The reason of a swap that the end of the run decides.
+pub const RUN_ENDS: &str = "the run ends";
+
 impl fmt::Display for Certificate {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { role, from, to, reason, missed_scans, duplicate_scans, .. } = self;
@@ -28,6 +31,7 @@ impl fmt::Display for Certificate {
             (SwapOutcome::RolledBack, _) => {
                 write!(formatter, "{role}: {to} was rolled back to {from}{because}")?
             }
+            _ if reason == RUN_ENDS => return write!(formatter, "{role}: {to} was refused{because}"),
             _ => return write!(formatter, "{role}: {to} was refused, {from} keeps driving{because}"),
         }
         write!(formatter, "; {missed_scans} scans missed, {duplicate_scans} answered twice")
@@ -45,6 +49,7 @@ impl Certificate {
                 )
             }
             (SwapOutcome::Swapped, None) => format!("{role} was restarted: {reason}"),
+            _ if reason == RUN_ENDS => format!("{role} was not restarted: {reason}"),
             _ => format!("{role} was not restarted, the old process keeps driving: {reason}"),
         }
     }

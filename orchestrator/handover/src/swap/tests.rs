@@ -3,8 +3,8 @@
 use shared_types::{Authority, Command, CommandKind, Role};
 
 use super::{
-    Certificate, FIRST_OUTPUT_NS, Meant, Output, OutputSummary, Party, Recorded, Stage, Swap, SwapAction,
-    SwapEvent, SwapOutcome, SwapPlan,
+    Certificate, FIRST_OUTPUT_NS, Meant, Output, OutputSummary, Party, RUN_ENDS, Recorded, Stage, Swap,
+    SwapAction, SwapEvent, SwapOutcome, SwapPlan,
 };
 
 const PERIOD_NS: u64 = 100_000_000;
@@ -494,8 +494,8 @@ fn a_certificate_tells_how_it_ended() {
     assert_eq!(swapped.to_string(), text);
     let text = "controller was restarted: the new process drives since scan 7; 2 scans missed";
     assert_eq!(swapped.of_restart(), text);
-    let unseen = certificate(SwapOutcome::Swapped, None, "the run ended");
-    assert_eq!(unseen.of_restart(), "controller was restarted: the run ended");
+    let unseen = certificate(SwapOutcome::Swapped, None, RUN_ENDS);
+    assert_eq!(unseen.of_restart(), "controller was restarted: the run ends");
     let back = certificate(SwapOutcome::RolledBack, Some(7), "it hangs");
     let text = "controller: mine was rolled back to nmpc: it hangs; 2 scans missed, 0 answered twice";
     assert_eq!(back.to_string(), text);
@@ -503,6 +503,10 @@ fn a_certificate_tells_how_it_ended() {
     assert_eq!(back.of_restart(), text);
     let refused = certificate(SwapOutcome::Refused, None, "it hangs");
     assert_eq!(refused.to_string(), "controller: mine was refused, nmpc keeps driving: it hangs");
+    // Nothing drives on then.
+    let ended = certificate(SwapOutcome::Refused, None, RUN_ENDS);
+    assert_eq!(ended.to_string(), "controller: mine was refused: the run ends");
+    assert_eq!(ended.of_restart(), "controller was not restarted: the run ends");
 }
 
 #[test]
@@ -674,7 +678,7 @@ fn the_end_of_the_run_ends_a_swap_in_favour_of_the_process_in_charge() {
     let mut trial = Trial::new();
     trial.good_scans(2);
     trial.send(SwapEvent::RunEnds);
-    assert_eq!(trial.refused(), "the run ended");
+    assert_eq!(trial.refused(), RUN_ENDS);
     // Authority goes to it from a scan on that is not there.
     let mut trial = Trial::new();
     trial.good_scans(5);

@@ -6,8 +6,8 @@
 
 use audit::samples::ScanRecord;
 use handover::swap::{
-    Certificate, LOCKSTEP_TIMEOUT_NS, MAX_TOLERANCE, Meant, Party, Recorded, Stage, Swap, SwapAction,
-    SwapEvent, SwapOutcome, SwapPlan,
+    Certificate, LOCKSTEP_TIMEOUT_NS, MAX_TOLERANCE, Meant, Party, RUN_ENDS, Recorded, Stage, Swap,
+    SwapAction, SwapEvent, SwapOutcome, SwapPlan,
 };
 use shared_types::{Checkpoint, ProcessState, Role, Topic};
 use supervision::supervisor::VisibleState;
@@ -297,7 +297,7 @@ impl Swaps {
     /// The run ends: a swap that was accepted does not begin, and one in progress is decided.
     pub(super) fn run_ends(&mut self, now_ns: u64) -> Vec<Order> {
         if let Some(Asked { plan, purpose, .. }) = self.asked.take() {
-            return vec![self.finish(refusal(&plan, "the run ended".to_owned()), purpose)];
+            return vec![self.finish(refusal(&plan, RUN_ENDS.to_owned()), purpose)];
         }
         self.handle(now_ns, SwapEvent::RunEnds)
     }

@@ -152,7 +152,7 @@ fn the_end_of_the_run_refuses_a_swap_that_has_not_begun_and_rejects_one_that_has
     let mut swaps = Swaps::new(PERIOD_NS, false);
     ask(&mut swaps, &request(5), true).unwrap();
     assert_eq!(swaps.run_ends(1).len(), 1);
-    assert_eq!(certificate(&swaps).reason, "the run ended");
+    assert_eq!(certificate(&swaps).to_string(), "controller: ./new was refused: the run ends");
     let mut swaps = begun(false);
     assert_eq!(swaps.run_ends(1)[0], Order::Reject(NEW));
     assert!(!swaps.is_busy());
