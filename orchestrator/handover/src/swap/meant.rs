@@ -5,6 +5,8 @@
 //! bounds of the quantities that follow from it, and of no other. Whether the process wants to drive at all is compared with
 //! every key.
 
+use vehicle::bounds::STEERING_MAX_RAD;
+
 /// How much further than [`agreement`](super::agreement) allows two processes may differ.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Meant {
@@ -37,8 +39,10 @@ pub struct Change {
 
 /// From the largest velocity to the smallest: a plan may pass an obstacle before which the other one slows down [m/s].
 const PLAN_VELOCITY_MPS: f64 = 0.9;
-/// The largest angle: one plan turns where the other one drives straight on [rad].
-const PLAN_STEERING_RAD: f64 = 0.06;
+/// From the largest angle to one side to that to the other: two plans may pass a body on different sides [rad].
+const PLAN_STEERING_RAD: f64 = 2.0 * STEERING_MAX_RAD;
+/// The largest desired angle: another calibration sends so much more or less for the same command [rad].
+const SENT_STEERING_RAD: f64 = STEERING_MAX_RAD;
 /// A filter with other gains, over the scans of a swap; a fifth of the obstacle distance that is kept in reserve [m].
 const ESTIMATE_M: f64 = 0.2;
 /// At the end of the horizon of 2.5 m this is [`ESTIMATE_M`] again [rad].
@@ -131,9 +135,8 @@ impl Meant {
         let none = Self::default();
         match effect {
             Effect::Speed => Self { velocity_mps: by, steering_rad: PLAN_STEERING_RAD, ..none },
-            Effect::Path | Effect::Sent => {
-                Self { velocity_mps: PLAN_VELOCITY_MPS, steering_rad: PLAN_STEERING_RAD, ..none }
-            }
+            Effect::Path => Self { velocity_mps: PLAN_VELOCITY_MPS, steering_rad: PLAN_STEERING_RAD, ..none },
+            Effect::Sent => Self { velocity_mps: PLAN_VELOCITY_MPS, steering_rad: SENT_STEERING_RAD, ..none },
             Effect::Estimate => Self { position_m: ESTIMATE_M, yaw_rad: ESTIMATE_RAD, ..none },
             Effect::Bodies => Self { body_m: BODIES_M, ..none },
             Effect::Motion => Self {
@@ -191,7 +194,7 @@ mod tests {
     #[test]
     fn each_effect_widens_what_follows_from_it() {
         let none = Meant::default();
-        let path = Meant { velocity_mps: 0.9, steering_rad: 0.06, ..none };
+        let path = Meant { velocity_mps: 0.9, steering_rad: 0.12, ..none };
         let motion = Meant {
             position_m: 1.0,
             yaw_rad: 0.2,
@@ -201,9 +204,9 @@ mod tests {
             ..none
         };
         for (key, expected) in [
-            ("controller.cruise_mps", Meant { velocity_mps: 0.5, steering_rad: 0.06, ..none }),
+            ("controller.cruise_mps", Meant { velocity_mps: 0.5, steering_rad: 0.12, ..none }),
             ("controller.weights.goal", path),
-            ("actuator.calibration", path),
+            ("actuator.calibration", Meant { steering_rad: 0.06, ..path }),
             ("estimator.gate", Meant { position_m: 0.2, yaw_rad: 0.08, ..none }),
             ("obstacles.moving_mps", Meant { body_m: 1.0, ..none }),
             ("robot.deceleration_mps2", motion),
