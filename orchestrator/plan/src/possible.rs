@@ -5,7 +5,9 @@
 //! otherwise than the user may think is a warning.
 //!
 //! The robot drives forwards only and does not turn round. Its turns are circles of the steady state, 4 % larger where it
-//! has to get into the turn first. Obstacles count for nothing here: the stages do not know them.
+//! has to get into the turn first, and larger by the curvature that the controller leaves for corrections where it plans a path
+//! to the goal. That path begins a scan period after the start, and does not leave the track. Obstacles count for nothing
+//! here: the stages do not know them.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -23,6 +25,9 @@ const ENTRY_SHARE: f64 = 1.04;
 const OUTSIDE_M: f64 = 0.05;
 /// Largest share of the tolerance of the goal that half the way of one scan period may be: the rest is for the estimate.
 const LANDING_SHARE: f64 = 0.5;
+/// Share of the stopping distance by which a landing may miss: drives missed by so much whose robot has no lag, while the
+/// description has one.
+const STOP_ERROR_SHARE: f64 = 0.75;
 /// Step of the search for the nearest goal [m].
 const STEP_M: f64 = 0.01;
 
@@ -80,13 +85,13 @@ pub(crate) fn require_goal(scenario: &Scenario, controller: &Config) -> Result<(
         return Err(Invalid::new("goal.x_m", goal.x_m, allowed));
     }
     require_heading(start, controller, ENTRY_SHARE * radius_m)?;
-    if is_outside_of_turns(start, goal, goal.x_m, radius_m) {
+    let turns = Turns::new(start, goal, controller, ENTRY_SHARE * radius_m);
+    if turns.reach(goal.x_m, goal.y_m) {
         return Ok(());
     }
     let nearest = (1..).map(|step| goal.x_m + f64::from(step) * STEP_M);
-    let nearest = nearest
-        .take_while(|x_m| *x_m <= controller.track.x_m[1])
-        .find(|x_m| is_outside_of_turns(start, goal, *x_m, radius_m));
+    let nearest =
+        nearest.take_while(|x_m| *x_m <= controller.track.x_m[1]).find(|x_m| turns.reach(*x_m, goal.y_m));
     let place =
         format!("start.x_m = {}, start.y_m = {} and start.yaw_rad = {}", start.x_m, start.y_m, start.yaw_rad);
     let allowed = match nearest {
@@ -94,9 +99,9 @@ pub(crate) fn require_goal(scenario: &Scenario, controller: &Config) -> Result<(
         None => "none on the track".to_owned(),
     };
     let allowed = format!(
-        "{allowed} for goal.y_m = {}, as the smallest turn from {place} has {} m radius",
+        "{allowed} for goal.y_m = {}, as the smallest planned turn from {place} has {} m radius and stays on the track",
         goal.y_m,
-        ceil(radius_m)
+        ceil(turns.radius_m)
     );
     Err(Invalid::new("goal.x_m", goal.x_m, allowed))
 }
@@ -120,16 +125,19 @@ pub(crate) fn warnings(scenario: &Scenario, controller: &Config) -> Vec<String> 
     over.into_iter().collect()
 }
 
-/// Passes when half the way of one scan period at the smallest velocity is well within the tolerance of the goal.
+/// Passes when half the way of one scan period at the smallest velocity is well within the tolerance of the goal, and also with
+/// the error of the stop from that velocity.
 fn require_landing(goal: &Goal, controller: &Config) -> Result<(), Invalid> {
     let slowest_mps = controller.vehicle.bounds.velocity_min_mps;
-    let needed_m = slowest_mps * controller.period_s / 2.0 / LANDING_SHARE;
+    let stop_m = slowest_mps * slowest_mps / (2.0 * controller.vehicle.blocked_deceleration_mps2);
+    let half_way_m = slowest_mps * controller.period_s / 2.0;
+    let needed_m = (half_way_m / LANDING_SHARE).max(half_way_m + STOP_ERROR_SHARE * stop_m);
     // Rounding of the product.
     if needed_m <= goal.tolerance_m + 1e-9 {
         return Ok(());
     }
     let allowed = format!(
-        "at least {}, the way of one scan period of {} s at vehicle.bounds.velocity_min_mps = {slowest_mps}",
+        "at least {}, for the way of one scan period of {} s and the stop at vehicle.bounds.velocity_min_mps = {slowest_mps}",
         ceil(needed_m),
         ceil(controller.period_s)
     );
@@ -159,13 +167,59 @@ fn require_heading(start: &Start, controller: &Config, radius_m: f64) -> Result<
     Err(Invalid::new("start.yaw_rad", start.yaw_rad, allowed))
 }
 
-/// Whether the goal, moved to `x_m`, is outside of the two circles that the robot turns on at the start.
-fn is_outside_of_turns(start: &Start, goal: &Goal, x_m: f64, radius_m: f64) -> bool {
-    let (sin, cos) = start.yaw_rad.sin_cos();
-    [radius_m, -radius_m].iter().all(|left| {
-        let centre = [start.x_m - left * sin, start.y_m + left * cos];
-        (x_m - centre[0]).hypot(goal.y_m - centre[1]) >= radius_m - goal.tolerance_m
-    })
+/// The sharpest paths that the controller plans: a turn to one side, and back into the direction of the track before its bound.
+struct Turns {
+    /// Where the turns begin: x, y and yaw.
+    from: [f64; 3],
+    radius_m: f64,
+    /// Bounds of the robot's centre across the track.
+    y_m: [f64; 2],
+    /// How near to the goal a path has to lead: its tolerance without the way of one scan period at the smallest velocity, of
+    /// which the landing may miss a half.
+    within_m: f64,
+}
+
+impl Turns {
+    fn new(start: &Start, goal: &Goal, controller: &Config, radius_m: f64) -> Self {
+        let late_m = controller.cruise_mps * controller.period_s;
+        let (sin, cos) = start.yaw_rad.sin_cos();
+        let landing_m = controller.vehicle.bounds.velocity_min_mps * controller.period_s;
+        Self {
+            from: [start.x_m + late_m * cos, start.y_m + late_m * sin, start.yaw_rad],
+            radius_m: radius_m / controller.guide.curvature_share,
+            y_m: controller.y_range(),
+            within_m: (goal.tolerance_m - landing_m).max(0.0),
+        }
+    }
+
+    /// Whether a path leads to a place.
+    fn reach(&self, x_m: f64, y_m: f64) -> bool {
+        let [from_x_m, from_y_m, yaw_rad] = self.from;
+        let [low_m, high_m] = self.y_m;
+        let ahead_m = x_m - from_x_m;
+        self.reach_to_left(ahead_m, y_m - from_y_m, yaw_rad, high_m - from_y_m)
+            && self.reach_to_left(ahead_m, from_y_m - y_m, -yaw_rad, from_y_m - low_m)
+    }
+
+    /// Whether a place that is so far ahead and to the left of the start is not beyond the path that turns sharpest to the
+    /// left, with the bound of the track at `bound_m` to the left. To the right, all is mirrored.
+    fn reach_to_left(&self, ahead_m: f64, left_m: f64, yaw_rad: f64, bound_m: f64) -> bool {
+        let Self { radius_m, within_m, .. } = *self;
+        let (sin, cos) = yaw_rad.sin_cos();
+        if (ahead_m + radius_m * sin).hypot(left_m - radius_m * cos) < radius_m - within_m {
+            return false;
+        }
+        // From this angle on the robot turns back, and is parallel to the track at the bound.
+        let cos_back = (1.0 + cos - bound_m / radius_m) / 2.0;
+        if cos_back <= 0.0 || cos_back >= 1.0 || yaw_rad.abs() >= FRAC_PI_2 {
+            return true;
+        }
+        let sin_back = (1.0 - cos_back * cos_back).sqrt();
+        let back_m = radius_m * (sin_back - sin);
+        let parallel_m = back_m + radius_m * sin_back;
+        let is_on_way_back = (back_m..parallel_m).contains(&ahead_m);
+        !is_on_way_back || (ahead_m - parallel_m).hypot(left_m - bound_m + radius_m) <= radius_m + within_m
+    }
 }
 
 /// Radius of a steady turn at full lock and cruising velocity [m].
@@ -213,14 +267,15 @@ mod tests {
     }
 
     #[test]
-    fn a_goal_inside_of_the_turning_circles_is_refused_with_the_nearest_one_that_is_not() {
-        // The circle to the left has its centre at (0, 3.1) and 3.1 m radius; 0.1 m of it are allowed.
+    fn a_goal_inside_of_the_planned_turns_is_refused_with_the_nearest_one_that_is_not() {
+        // From 0.1 m on, the circle to the left has its centre at y = 3.4 m and 3.4 m radius; 0.09 m of it are allowed.
         let radius = turning_radius(&Config::default());
         assert!((radius - 3.1).abs() < 0.01, "{radius}");
-        let nearest = ((radius - 0.1_f64).powi(2) - (radius - 0.8).powi(2)).sqrt();
-        let message = refused([0.0; 3], [nearest - 0.02, 0.8]).unwrap();
+        let planned = 1.04 / 0.95 * radius;
+        let nearest = 0.1 + ((planned - 0.09_f64).powi(2) - (planned - 0.6).powi(2)).sqrt();
+        let message = refused([0.0; 3], [nearest - 0.02, 0.6]).unwrap();
         assert!(
-            message.contains("for goal.y_m = 0.8, as the smallest turn from start.x_m = 0, "),
+            message.contains("for goal.y_m = 0.6, as the smallest planned turn from start.x_m = 0, "),
             "{message}"
         );
         let named: f64 = message
@@ -231,8 +286,42 @@ mod tests {
             .parse()
             .unwrap();
         assert!((named - nearest).abs() < 0.011, "{message}");
-        assert_eq!(refused([0.0; 3], [named, 0.8]), None);
-        assert_eq!(refused([0.0; 3], [named, -0.8]), None);
+        assert_eq!(refused([0.0; 3], [named, 0.6]), None);
+        assert_eq!(refused([0.0; 3], [named, -0.6]), None);
+    }
+
+    /// What drives have missed by a little, and the nearest goals of the same y that they have reached.
+    #[test]
+    fn goals_that_drives_miss_are_refused_and_those_that_they_reach_well_are_not() {
+        let missed = [
+            [0.8, 0.2],
+            [1.35, 0.4],
+            [1.75, 0.6],
+            [2.05, 0.8],
+            [2.3, 1.0],
+            [2.5, -1.2],
+            [2.7, 1.3],
+            [2.65, 1.4],
+            [2.85, 1.4],
+            [3.05, 1.4],
+            [3.55, -1.5],
+        ];
+        for goal in missed {
+            assert!(refused([0.0; 3], goal).is_some(), "{goal:?}");
+        }
+        let reached = [
+            [0.95, 0.2],
+            [1.5, 0.4],
+            [1.9, 0.6],
+            [2.25, 0.8],
+            [2.45, -1.0],
+            [2.8, 1.2],
+            [3.3, 1.4],
+            [3.65, 1.5],
+        ];
+        for goal in reached {
+            assert_eq!(refused([0.0; 3], goal), None, "{goal:?}");
+        }
     }
 
     #[test]
@@ -264,6 +353,15 @@ mod tests {
         assert_eq!(of(0.1, 0.4), Ok(()));
         let refused = of(0.01, 0.4).unwrap_err().to_string();
         assert!(refused.starts_with("goal.tolerance_m = 0.01 is not allowed: at least 0.04, "), "{refused}");
+        // The stop from 1 m/s takes 0.1 m.
+        let from = |slowest_mps: f64| {
+            let mut controller = Config::default();
+            controller.vehicle.bounds.velocity_min_mps = slowest_mps;
+            require_goal(&Scenario::default(), &controller).map_err(|refused| refused.to_string())
+        };
+        assert_eq!(from(0.8), Ok(()));
+        let refused = from(1.0).unwrap_err();
+        assert!(refused.starts_with("goal.tolerance_m = 0.1 is not allowed: at least 0.125, "), "{refused}");
     }
 
     #[test]
