@@ -3,6 +3,7 @@
 mod adoption;
 mod deaths;
 mod hang;
+mod messages;
 mod refusal;
 mod replacement;
 mod start;

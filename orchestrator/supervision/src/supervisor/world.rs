@@ -5,7 +5,7 @@ use shared_types::{Phase, ProcessState, Role};
 use super::policy::nanoseconds;
 use super::slot::{Life, Slot};
 use super::watch::feeders;
-use super::{Action, Event, Exit, ProcessPolicy, Supervisor, VisibleState};
+use super::{Action, Event, Exit, ProcessPolicy, Severity, Supervisor, VisibleState};
 
 /// The state of one role in the world.
 #[derive(Debug, Clone, Default)]
@@ -55,6 +55,8 @@ pub(super) struct World {
     lockstep: bool,
     /// All actions but log lines, for tests of their order.
     pub(super) actions: Vec<Action>,
+    /// The log lines.
+    pub(super) log: Vec<(Severity, String)>,
 }
 
 impl Process {
@@ -121,6 +123,7 @@ impl World {
             phases: Vec::new(),
             lockstep,
             actions: Vec::new(),
+            log: Vec::new(),
         }
     }
 
@@ -314,8 +317,9 @@ impl World {
     fn take(&mut self, action: Action) {
         let lives = self.places.iter().any(|place| place.process.is_some() || place.pending.is_some());
         assert!(!self.all_stopped || matches!(action, Action::Log(..)), "{action:?} after the end");
-        if !matches!(action, Action::Log(..)) {
-            self.actions.push(action.clone());
+        match &action {
+            Action::Log(severity, text) => self.log.push((*severity, text.clone())),
+            other => self.actions.push(other.clone()),
         }
         match action {
             Action::Grant { role, incarnation } => {

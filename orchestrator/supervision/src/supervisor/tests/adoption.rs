@@ -4,7 +4,7 @@ use shared_types::{Phase, ProcessState, Role};
 
 use super::{assert_robot_is_left_running, state, terminated};
 use crate::supervisor::world::{Found, World, policies};
-use crate::supervisor::{Action, Event, Exit, VisibleState};
+use crate::supervisor::{Action, Event, Exit, Supervisor, VisibleState};
 
 #[test]
 fn an_adopted_run_continues_where_it_was() {
@@ -68,4 +68,21 @@ fn a_run_that_was_ending_is_ended_by_the_orchestrator_that_adopts_it() {
     });
     assert_eq!(terminated(&world), [Role::Actuator]);
     world.bring_down(true);
+}
+
+#[test]
+fn what_is_adopted_twice_or_after_the_end_changes_nothing() {
+    let adopted =
+        |pid| Event::Adopted { role: Role::Controller, pid: Some(pid), incarnation: 7, restarts: 0 };
+    let pid = |supervisor: &Supervisor| supervisor.process(Role::Controller).unwrap().pid;
+    let mut supervisor = Supervisor::new(policies());
+    supervisor.handle(0, adopted(11));
+    supervisor.handle(0, adopted(12));
+    assert_eq!(pid(&supervisor), Some(11));
+    let mut supervisor = Supervisor::new(policies());
+    supervisor.handle(0, Event::StopRequested);
+    supervisor.handle(0, adopted(11));
+    assert_eq!(pid(&supervisor), None);
+    let actions = supervisor.handle(0, Event::Resume { phase: Phase::Driving, last_incarnation: 9 });
+    assert_eq!((actions, supervisor.phase()), (Vec::new(), Phase::Stopping));
 }

@@ -107,6 +107,47 @@ fn a_process_that_dies_soon_after_it_is_ready_is_given_up_after_five_restarts_in
 #[test]
 fn deaths_that_are_far_apart_end_no_run() {
     assert_eq!(deaths_until_failure(13_000), u32::MAX);
+    // The first of six is a minute old.
+    assert_eq!(deaths_until_failure(12_000), u32::MAX);
+}
+
+#[test]
+fn a_requested_restart_does_not_wait_for_the_pause_after_a_death() {
+    let mut world = World::driving();
+    for _ in 0..2 {
+        world.die(Role::Estimator, KILLED);
+        world.send(Event::RestartRequested { role: Role::Estimator });
+        world.clean(Role::Estimator);
+        assert!(world.place(Role::Estimator).pending.is_some(), "it is started at once");
+        world.bring_up();
+    }
+}
+
+#[test]
+fn a_run_that_fails_waits_for_the_robot_only_while_it_may_drive() {
+    // While it drives, the robot is given time to rest.
+    let mut policies_once = policies();
+    policies_once[Role::Controller.index()].restart = Restart::Never;
+    let mut world = World::new(policies_once.clone(), false);
+    world.send(Event::Start);
+    world.bring_up();
+    world.die(Role::Controller, KILLED);
+    assert!(world.failure.is_some());
+    assert_eq!(world.supervisor.phase(), Phase::Driving);
+    // Without a robot, before the drive, and in lock-step it ends at once.
+    let mut world = World::driving();
+    world.die(Role::Robot, KILLED);
+    assert_eq!(world.supervisor.phase(), Phase::Stopping);
+    let mut world = World::new(policies_once.clone(), false);
+    world.send(Event::Start);
+    Role::ALL.iter().for_each(|role| world.answer(*role, true));
+    world.die(Role::Controller, KILLED);
+    assert_eq!(world.supervisor.phase(), Phase::Stopping);
+    let mut world = World::new(policies_once, true);
+    world.send(Event::Start);
+    world.bring_up();
+    world.die(Role::Controller, KILLED);
+    assert_eq!(world.supervisor.phase(), Phase::Stopping);
 }
 
 #[test]

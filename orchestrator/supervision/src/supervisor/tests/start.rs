@@ -81,6 +81,28 @@ fn an_attached_process_waits_for_the_others_without_a_limit() {
     world.advance(100_000);
     world.send(Event::Tick);
     assert!(!world.place(Role::Actuator).process.as_ref().unwrap().killed);
+    // Nor does one that needs no input.
+    world.answer(Role::Robot, true);
+    world.report(Role::Robot, ProcessState::Attached);
+    world.advance(100_000);
+    world.send(Event::Tick);
+    assert!(!world.place(Role::Robot).process.as_ref().unwrap().killed);
+}
+
+#[test]
+fn a_process_that_has_connected_before_the_others_attached_has_no_limit_any_more() {
+    let mut world = World::new(policies(), false);
+    world.send(Event::Start);
+    Role::ALL.iter().for_each(|role| world.answer(*role, true));
+    world.report(Role::Actuator, ProcessState::Attached);
+    world.report(Role::Actuator, ProcessState::Connected);
+    Role::ALL.iter().for_each(|role| world.report(*role, ProcessState::Attached));
+    assert_eq!(world.supervisor.phase(), Phase::Connecting);
+    Role::ALL[1..].iter().for_each(|role| world.report(*role, ProcessState::Connected));
+    world.advance(10_000);
+    world.send(Event::Tick);
+    let killed = |role: Role| world.place(role).process.as_ref().unwrap().killed;
+    assert!(killed(Role::Robot) && !killed(Role::Actuator));
 }
 
 #[test]
