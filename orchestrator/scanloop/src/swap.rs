@@ -8,7 +8,7 @@ use console::exit::{Exit, Failure};
 use console::{answer, note};
 use handover::swap::{Certificate, MAX_TOLERANCE, SwapOutcome};
 use plan::change;
-use runtime::{Domain, OwnTopics};
+use runtime::{Domain, OwnTopics, RuntimeError};
 use session::control::{Reply, Request, Successor, SwapRequest, ask};
 use shared_types::Role;
 
@@ -190,8 +190,12 @@ fn certificate(
             Ok(Reply::Certificate(certificate)) => return Ok(Some(*certificate)),
             Ok(Reply::Refused(reason)) => anyhow::bail!(reason),
             Ok(_) => std::thread::sleep(SWAP_POLL),
-            Err(error) => {
+            Err(error) if matches!(error.downcast_ref(), Some(RuntimeError::NotRunning(_))) => {
                 note!("the system ended before the swap did: {error:#}");
+                return Ok(None);
+            }
+            Err(error) => {
+                note!("the swap was accepted, but its result is not known: {error:#}");
                 return Ok(None);
             }
         }

@@ -288,8 +288,7 @@ impl ControlSocket {
     /// Answers all requests that are waiting; never waits for a client.
     pub fn serve(&self, mut answer: impl FnMut(Request) -> Reply) {
         for asked in self.server.take() {
-            // A request whose client is gone is dropped, except a stop.
-            if asked.until > Instant::now() || asked.request == Request::Stop {
+            if asked.is_awaited() {
                 let _ = asked.answer.try_send(answer(asked.request));
             }
         }

@@ -6,7 +6,8 @@ use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
-use scanloop_tests::{System, pause};
+use scanloop_tests::{System, pause, printed};
+use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
@@ -104,4 +105,31 @@ fn many_idle_connections_stop_no_command_for_long() {
     });
     assert!(refused.count() >= 40 - 16);
     end(system);
+}
+
+#[test]
+fn what_was_reported_as_failed_is_not_carried_out_later() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["endless"]);
+    let (controller, orchestrator) = (system.pid(Role::Controller), system.orchestrator());
+    for command in [
+        &["restart", "controller"][..],
+        &["set", "controller.cruise_mps=0.9", "--shadow-scans", "1", "--standby-scans", "1"],
+    ] {
+        system.signal(orchestrator, Signal::STOP);
+        system
+            .wait_until("it is suspended", |system| printed(&system.run(&["status"])).contains("suspended"));
+        let refused = system.run(command);
+        system.signal(orchestrator, Signal::CONT);
+        assert_eq!(refused.status.code(), Some(4), "{}", printed(&refused));
+        assert!(printed(&refused).contains("was suspended by a signal"), "{}", printed(&refused));
+        let scan = system.status().unwrap().scan;
+        system.wait_until("forty scans", |system| {
+            system.status().is_some_and(|status| status.scan > scan + 40)
+        });
+        assert_eq!(system.pid(Role::Controller), controller, "{command:?}: {}", system.stderr());
+    }
+    system.run(&["stop"]);
+    system.wait();
+    system.assert_nothing_left();
 }

@@ -1,6 +1,7 @@
 //! One line over a socket, with a limit of length and a time by which all of it must be there.
 //!
-//! The deadline is that of the whole line: a peer that sends a byte now and then does not extend it.
+//! The deadline is that of the whole line: a peer that sends a byte now and then does not extend it. A reader that was
+//! suspended itself until after the deadline still takes what has come.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
@@ -8,6 +9,9 @@ use std::time::{Duration, Instant};
 
 /// Written at once [bytes]: the kernel starts the timeout anew for each piece of a longer write.
 const PIECE: usize = 4096;
+
+/// Zero would mean no timeout.
+const SHORTEST: Duration = Duration::from_micros(1);
 
 /// Reads up to the end of the line or of the connection, at most `limit` bytes, until `until`; `None` when nothing came
 /// before the end of the connection.
@@ -18,10 +22,14 @@ const PIECE: usize = 4096;
 pub(super) fn read_line(mut stream: &UnixStream, limit: usize, until: Instant) -> io::Result<Option<String>> {
     let (mut line, mut piece) = (Vec::new(), [0; PIECE]);
     loop {
-        stream.set_read_timeout(Some(left(until)?))?;
+        let left = left(until);
+        stream.set_read_timeout(Some(*left.as_ref().unwrap_or(&SHORTEST)))?;
         let count = match stream.read(&mut piece) {
             Ok(0) if line.is_empty() => return Ok(None),
             Ok(count) => count,
+            Err(error) if error.kind() == ErrorKind::WouldBlock && left.is_err() => {
+                return Err(ErrorKind::TimedOut.into());
+            }
             Err(error) if is_retried(&error) => continue,
             Err(error) => return Err(error),
         };
@@ -54,10 +62,10 @@ pub(super) fn write_line(mut stream: &UnixStream, text: &str, until: Instant) ->
     Ok(())
 }
 
-/// The time until the deadline, never zero, which would mean no timeout.
+/// The time until the deadline, at least [`SHORTEST`].
 fn left(until: Instant) -> io::Result<Duration> {
     let left = until.saturating_duration_since(Instant::now());
-    if left.is_zero() { Err(ErrorKind::TimedOut.into()) } else { Ok(left.max(Duration::from_micros(1))) }
+    if left.is_zero() { Err(ErrorKind::TimedOut.into()) } else { Ok(left.max(SHORTEST)) }
 }
 
 fn is_retried(error: &io::Error) -> bool {
@@ -79,6 +87,15 @@ mod tests {
         assert_eq!(read_line(&near, 100, soon()).unwrap().as_deref(), Some("\"status\""));
         drop(far);
         assert_eq!(read_line(&near, 100, soon()).unwrap(), None);
+    }
+
+    #[test]
+    fn a_line_that_has_come_is_read_after_the_deadline() {
+        let (near, mut far) = UnixStream::pair().unwrap();
+        let past = Instant::now();
+        assert_eq!(read_line(&near, 100, past).unwrap_err().kind(), ErrorKind::TimedOut);
+        far.write_all(b"\"done\"\n\"mo").unwrap();
+        assert_eq!(read_line(&near, 100, past).unwrap().as_deref(), Some("\"done\""));
     }
 
     #[test]

@@ -15,7 +15,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use runtime::{peer_uid, wait_for};
-use rustix::event::{EventfdFlags, eventfd};
+use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 use rustix::io::Errno;
 use rustix::process::geteuid;
 
@@ -47,8 +47,23 @@ pub(super) const BUSY: &str = "too many connections to the orchestrator at once"
 pub(super) struct Asked {
     pub(super) request: Request,
     pub(super) answer: SyncSender<Reply>,
-    /// The client is gone after this time.
-    pub(super) until: Instant,
+    /// The client is told after this time that the request was not carried out.
+    until: Instant,
+    client: Arc<UnixStream>,
+}
+
+impl Asked {
+    /// Whether it is still carried out: a client that has hung up was told that it was not. A stop always is.
+    ///
+    /// A client that only sends nothing more waits for its answer.
+    pub(super) fn is_awaited(&self) -> bool {
+        if self.request == Request::Stop {
+            return true;
+        }
+        let mut set = [PollFd::new(&*self.client, PollFlags::empty())];
+        let has_hung_up = matches!(poll(&mut set, Some(&Timespec::default())), Ok(ready) if ready > 0);
+        Instant::now() < self.until && !has_hung_up
+    }
 }
 
 /// The threads of the socket; they end when this is dropped.
@@ -125,7 +140,7 @@ fn accept_until(listener: &UnixListener, end: &OwnedFd, inbox: &Inbox) {
             Ok((stream, _)) => admit(stream, &places, inbox),
             Err(error) if spare.free_for(&error) => {
                 if let Ok((stream, _)) = listener.accept() {
-                    serve_here(&stream, inbox);
+                    serve_here(&Arc::new(stream), inbox);
                 }
                 spare.renew(end);
             }
@@ -164,13 +179,13 @@ fn admit(stream: UnixStream, places: &Arc<()>, inbox: &Inbox) {
 }
 
 /// Serves a connection on this thread, if it is allowed.
-fn serve_here(stream: &UnixStream, inbox: &Inbox) {
+fn serve_here(stream: &Arc<UnixStream>, inbox: &Inbox) {
     if peer_uid(stream).is_ok_and(|peer| may_ask(peer, geteuid().as_raw())) {
         serve_one(stream, inbox);
     }
 }
 
-fn serve_one(stream: &UnixStream, inbox: &Inbox) {
+fn serve_one(stream: &Arc<UnixStream>, inbox: &Inbox) {
     if let Err(error) = answer_one(stream, inbox) {
         tracing::debug!(%error, "a client of the control socket was dropped");
     }
@@ -201,7 +216,7 @@ fn may_ask(peer: u32, own: u32) -> bool {
 }
 
 /// Reads a request, has it answered by the loop, and writes the answer.
-fn answer_one(stream: &UnixStream, inbox: &Inbox) -> io::Result<()> {
+fn answer_one(stream: &Arc<UnixStream>, inbox: &Inbox) -> io::Result<()> {
     stream.set_nonblocking(false)?;
     let request = match read_line(stream, MAX_REQUEST, Instant::now() + READ_TIMEOUT) {
         Ok(Some(line)) => serde_json::from_str::<Request>(&line).map_err(|error| error.to_string()),
@@ -212,7 +227,7 @@ fn answer_one(stream: &UnixStream, inbox: &Inbox) -> io::Result<()> {
         Err(error) => return Err(error),
     };
     let reply = match request {
-        Ok(request) => ask_loop(request, inbox),
+        Ok(request) => ask_loop(request, stream, inbox),
         Err(reason) => Some(Reply::Refused(format!("not a request: {reason}"))),
     };
     // Without a reply the run is over, and the connection is closed.
@@ -220,11 +235,12 @@ fn answer_one(stream: &UnixStream, inbox: &Inbox) -> io::Result<()> {
 }
 
 /// What the loop answers; `None` when the run is over.
-fn ask_loop(request: Request, inbox: &Inbox) -> Option<Reply> {
+fn ask_loop(request: Request, stream: &Arc<UnixStream>, inbox: &Inbox) -> Option<Reply> {
     let (answer, answers) = sync_channel(1);
     let until = Instant::now() + LOOP_TIMEOUT;
     let late = |within: &str| Some(Reply::Refused(format!("the orchestrator does not answer{within}")));
-    match inbox.sender.try_send(Asked { request, answer, until }) {
+    let asked = Asked { request, answer, until, client: Arc::clone(stream) };
+    match inbox.sender.try_send(asked) {
         Ok(()) => signal(&inbox.wake),
         Err(TrySendError::Full(_)) => return late(""),
         Err(TrySendError::Disconnected(_)) => return None,
@@ -249,5 +265,39 @@ mod tests {
         let [root, own, other] = [0, 1000, 1001];
         assert!(may_ask(own, own) && may_ask(root, own) && may_ask(root, root));
         assert!(!may_ask(other, own) && !may_ask(own, root));
+    }
+
+    /// The requests that a server carries out of those whose clients have sent them and done `after`, in their order.
+    fn carried_out(requests: &[Request], after: fn(UnixStream) -> Option<UnixStream>) -> Vec<Request> {
+        let folder = console::new_file::Scratch::new().unwrap();
+        let path = folder.path().join("control.sock");
+        let server = Server::open(&path).unwrap();
+        let mut found = Vec::new();
+        for request in requests {
+            let client = UnixStream::connect(&path).unwrap();
+            let line = serde_json::to_string(request).unwrap();
+            write_line(&client, &line, Instant::now() + READ_TIMEOUT).unwrap();
+            let client = after(client);
+            assert!(wait_for(&[server.wake.as_fd()], 10_000_000_000), "no request came");
+            found.extend(server.take().filter(Asked::is_awaited).map(|asked| asked.request));
+            drop(client);
+        }
+        found
+    }
+
+    #[test]
+    fn of_a_client_that_has_hung_up_only_a_stop_is_carried_out() {
+        let role = shared_types::Role::Controller;
+        let swap = r#"{"swap":{"role":"controller","implementation":null,"command":null,"set":["controller.cruise_mps=0.9"],
+            "shadow_scans":10,"standby_scans":10,"tolerance":1.0}}"#;
+        let swap = serde_json::from_str(swap).unwrap();
+        let requests = [Request::Restart { role }, swap, Request::Stop, Request::Status];
+        assert_eq!(carried_out(&requests, |_gone| None), [Request::Stop]);
+        assert_eq!(carried_out(&requests, Some), requests);
+        let sends_no_more = |client: UnixStream| {
+            client.shutdown(std::net::Shutdown::Write).unwrap();
+            Some(client)
+        };
+        assert_eq!(carried_out(&requests, sends_no_more), requests);
     }
 }
