@@ -85,7 +85,8 @@ fn show(system_id: &str, of_run: bool) -> anyhow::Result<Exit> {
     let mut keyboard = Keyboard::default();
     let mut next = Instant::now();
     loop {
-        let left = next.saturating_duration_since(Instant::now());
+        let due = keyboard.due().map_or(next, |due| due.min(next));
+        let left = due.saturating_duration_since(Instant::now());
         wait_for(&[io::stdin().as_fd(), shutdown.descriptor()], left.as_nanos() as u64);
         if shutdown.requested() || !answer_keys(&mut keyboard, &mut model, &sender)? {
             return Ok(Exit::Done);
@@ -101,19 +102,20 @@ fn show(system_id: &str, of_run: bool) -> anyhow::Result<Exit> {
     }
 }
 
-/// Does what the pressed keys ask for; false when the view ends.
+/// Does what the pressed keys ask for, new ones and those that were held; false when the view ends.
 fn answer_keys(keyboard: &mut Keyboard, model: &mut Model, notes: &Sender<String>) -> anyhow::Result<bool> {
-    if !wait_for(&[io::stdin().as_fd()], 0) {
-        return Ok(true);
+    // Before the poll: what comes after it has not come within the pause.
+    let now = Instant::now();
+    let (mut bytes, mut count) = ([0; KEY_BYTES], 0);
+    if wait_for(&[io::stdin().as_fd()], 0) {
+        // Not through the buffer of `io::stdin`: a wait does not see what it holds.
+        count = match rustix::io::read(io::stdin(), &mut bytes) {
+            // The terminal is gone.
+            Ok(0) | Err(_) => return Ok(false),
+            Ok(count) => count,
+        };
     }
-    let mut bytes = [0; KEY_BYTES];
-    // Not through the buffer of `io::stdin`: a wait does not see what it holds.
-    let count = match rustix::io::read(io::stdin(), &mut bytes) {
-        // The terminal is gone.
-        Ok(0) | Err(_) => return Ok(false),
-        Ok(count) => count,
-    };
-    for key in keyboard.keys(&bytes[..count], Instant::now()) {
+    for key in keyboard.keys(&bytes[..count], now) {
         let role = model.role();
         match key {
             Key::Quit => return Ok(false),
@@ -125,6 +127,7 @@ fn answer_keys(keyboard: &mut Keyboard, model: &mut Model, notes: &Sender<String
                 }
                 return Ok(false);
             }
+            Key::Text => model.note("a text asks for nothing: press one key at a time".to_owned()),
             Key::Help => model.help = !model.help,
             Key::Up => model.select(false),
             Key::Down => model.select(true),

@@ -126,10 +126,22 @@ fn a_pasted_text_stops_nothing() {
         .repeat(30);
     terminal.press(&text);
     terminal.press(&format!("\x1b[200~s\n{text}\x1b[201~"));
-    // A key after it counts, once the terminal has been quiet.
+    // In pieces, as a slow connection brings it.
+    for (pieces, between_ms) in [
+        (&["ru", "n s", "top\n"][..], 20),
+        (&["h", "e", "l", "l", "o", " ", "t", "h", "i", "s", " ", "i", "s"], 10),
+        (&["\x1b]0;s", "top\x07", "\x1b[Ms", "qr"], 20),
+    ] {
+        for piece in pieces {
+            terminal.press(piece);
+            std::thread::park_timeout(Duration::from_millis(between_ms));
+        }
+        std::thread::park_timeout(Duration::from_millis(500));
+    }
+    // A key after it counts, once the terminal has been quiet. It is pressed again only after it must have been shown.
     system.wait_until("the help is shown", |_| {
-        std::thread::park_timeout(Duration::from_millis(200));
         terminal.press("?");
+        std::thread::park_timeout(Duration::from_millis(700));
         terminal.screen(24).iter().any(|line| line.contains("blocks the wheels at once"))
     });
     let scan = system.status().unwrap().scan;

@@ -23,68 +23,195 @@ pub(super) enum Key {
     Down,
     /// Select the role of this index.
     Role(usize),
+    /// None: a text has come, and is dropped.
+    Text,
+}
+
+impl Key {
+    /// Whether it changes more than what is shown.
+    fn acts(self) -> bool {
+        matches!(self, Self::Quit | Self::Interrupt | Self::Stop | Self::Restart | Self::Swap)
+    }
 }
 
 /// A terminal puts this before and after a text that is pasted, once [`console::screen::ENTER`] has asked for it.
 const PASTE: (&[u8], &[u8]) = (b"200", b"201");
-/// Not all terminals do. More letters at once than a person types are pasted as well.
+/// Not all terminals do. More different letters in a row than a person types are pasted as well.
 const MAX_TYPED: usize = 3;
-/// What follows a pasted text within this time belongs to it: a long text comes in pieces.
+/// What follows within this time belongs to what came before: a text and a sequence come in pieces. So a letter counts only
+/// after this time, when it is known that no text follows.
 const PAUSE: Duration = Duration::from_millis(150);
-/// Longest escape sequence that may come in two pieces [bytes].
+/// A letter that is pressed again and again counts after this time: no text has it so often.
+const MAX_HELD: Duration = Duration::from_millis(300);
+/// Longest part of an escape sequence that is kept [bytes]; those that have a meaning are shorter.
 const MAX_SEQUENCE: usize = 32;
 
-/// What the bytes of a terminal ask for, from one read to the next. Pasted text asks for nothing.
+const ESCAPE: u8 = 0x1b;
+const BELL: u8 = 0x07;
+const CTRL_C: u8 = 0x03;
+
+/// What the bytes of a terminal ask for, from one read to the next. Pasted text asks for nothing, and no byte of an escape
+/// sequence is a letter.
+///
+/// Letters are held until the terminal has been quiet. They count when a person can have typed them: one key, or a
+/// selection and a key. Ctrl-C is in no text and counts at once.
 #[derive(Debug, Default)]
 pub(super) struct Keyboard {
-    /// The start of an escape sequence whose end has not come, and when it came.
-    pending: Option<(Vec<u8>, Instant)>,
+    sequence: Sequence,
     is_pasting: bool,
-    /// When the last piece of a pasted text came.
-    pasted: Option<Instant>,
+    run: Run,
+    /// When the last bytes came.
+    came: Option<Instant>,
+}
+
+/// The escape sequence whose end has not come.
+#[derive(Debug, Default)]
+enum Sequence {
+    #[default]
+    None,
+    /// It has begun with escape.
+    Escape,
+    /// A control sequence, `ESC [` or `ESC O`, with its bytes up to here.
+    Control(Vec<u8>),
+    /// A report of the mouse in the form of X10, `ESC [ M` and so many bytes.
+    Mouse(usize),
+    /// A text for programs, such as a title or a clipboard, up to a bell or `ESC \`.
+    Text,
+    /// The same after an escape in it.
+    TextEscape,
+}
+
+/// Letters without a pause between them.
+#[derive(Debug, Default)]
+struct Run {
+    /// What they ask for when a person has typed them.
+    held: Vec<Key>,
+    /// The last letter, and when it was first pressed.
+    last: Option<(u8, Instant)>,
+    /// Number of letters; one that is repeated counts once.
+    letters: usize,
+    /// No person has typed them.
+    is_text: bool,
 }
 
 impl Keyboard {
-    /// The keys in bytes that came at `now`; what means nothing is left out.
+    /// The keys in bytes that came at `now`; what means nothing is left out. Without bytes, at [`due`](Self::due) or later,
+    /// those that were held: nothing has followed them.
     pub(super) fn keys(&mut self, bytes: &[u8], now: Instant) -> Vec<Key> {
-        // What comes later is a key of its own: a person has pressed escape.
-        let pending = self.pending.take().filter(|(_, came)| now.saturating_duration_since(*came) < PAUSE);
-        let mut all = pending.map(|(start, _)| start).unwrap_or_default();
-        all.extend(bytes);
-        let (mut keys, mut letters, mut rest) = (Vec::new(), 0, all.as_slice());
-        while let [first, after @ ..] = rest {
-            if rest == b"\x1b" {
-                self.pending = Some((rest.to_vec(), now));
-                break;
-            }
-            rest = after;
-            if let (0x1b, [b'[' | b'O', body @ ..]) = (first, after) {
-                let Some(last) = body.iter().position(|byte| (0x40..=0x7e).contains(byte)) else {
-                    if after.len() < MAX_SEQUENCE {
-                        self.pending = Some(([&[0x1b], after].concat(), now));
-                    }
-                    break;
-                };
-                rest = &body[last + 1..];
-                match (&body[..last], body[last]) {
-                    (number, b'~') if number == PASTE.0 => self.is_pasting = true,
-                    (number, b'~') if number == PASTE.1 => self.is_pasting = false,
-                    (_, b'A') if !self.is_pasting => keys.push(Key::Up),
-                    (_, b'B') if !self.is_pasting => keys.push(Key::Down),
-                    _ => {}
-                }
-            } else if !self.is_pasting {
-                letters += usize::from(!first.is_ascii_control());
-                keys.extend(key(*first));
-            }
+        if bytes.is_empty() {
+            return match self.due() {
+                Some(due) if due <= now => self.release(),
+                _ => Vec::new(),
+            };
         }
-        let goes_on = self.pasted.is_some_and(|came| now.saturating_duration_since(came) < PAUSE);
-        if letters > MAX_TYPED || goes_on {
-            self.pasted = Some(now);
-            // Ctrl-C is in no text.
-            keys.retain(|key| *key == Key::Interrupt);
+        self.came = Some(now);
+        let mut keys = Vec::new();
+        for byte in bytes {
+            match self.take(*byte) {
+                Some(Taken::Key(Key::Interrupt)) => keys.push(Key::Interrupt),
+                Some(Taken::Key(key)) if self.run.is_quiet() => keys.push(key),
+                // In their order: what is held is for the role that was selected before.
+                Some(Taken::Key(key)) => self.run.held.push(key),
+                Some(Taken::Letter(letter)) => keys.extend(self.run.take(letter, now)),
+                None => {}
+            }
         }
         keys
+    }
+
+    /// When it is known what the bytes up to here mean, if nothing follows.
+    pub(super) fn due(&self) -> Option<Instant> {
+        let is_open = !matches!(self.sequence, Sequence::None);
+        if !is_open && self.run.is_quiet() {
+            return None;
+        }
+        let quiet = self.came? + PAUSE;
+        let held = self.run.last.map(|(_, pressed)| pressed + MAX_HELD);
+        Some(held.filter(|_| !is_open && !self.run.is_text).map_or(quiet, |held| held.min(quiet)))
+    }
+
+    /// The keys that were held. A sequence without an end was a key: a person has pressed escape.
+    fn release(&mut self) -> Vec<Key> {
+        self.sequence = Sequence::None;
+        let run = std::mem::take(&mut self.run);
+        if run.is_text { Vec::new() } else { run.held }
+    }
+
+    /// What one more byte is; `None` for a part of a sequence and of a text that is marked as pasted.
+    fn take(&mut self, byte: u8) -> Option<Taken> {
+        if byte == CTRL_C && !self.is_pasting {
+            self.sequence = Sequence::None;
+            return Some(Taken::Key(Key::Interrupt));
+        }
+        let letter = (!byte.is_ascii_control() && !self.is_pasting).then_some(Taken::Letter(byte));
+        self.sequence = match (std::mem::take(&mut self.sequence), byte) {
+            (Sequence::Text | Sequence::TextEscape, ESCAPE) => Sequence::TextEscape,
+            (Sequence::Text, BELL) | (Sequence::TextEscape, b'\\') => Sequence::None,
+            (Sequence::Text | Sequence::TextEscape, _) => Sequence::Text,
+            (_, ESCAPE) => Sequence::Escape,
+            (Sequence::Escape, b'[' | b'O') => Sequence::Control(Vec::new()),
+            // Within a pasted text only its end counts.
+            (Sequence::Escape, b']' | b'P' | b'X' | b'^' | b'_') if !self.is_pasting => Sequence::Text,
+            (Sequence::Control(body), 0x40..=0x7e) => return self.end(&body, byte),
+            (Sequence::Control(mut body), _) => {
+                if body.len() < MAX_SEQUENCE {
+                    body.push(byte);
+                }
+                Sequence::Control(body)
+            }
+            (Sequence::Mouse(left), _) if left > 1 => Sequence::Mouse(left - 1),
+            (Sequence::Mouse(_), _) => Sequence::None,
+            (Sequence::None | Sequence::Escape, _) => return letter,
+        };
+        None
+    }
+
+    /// What a control sequence asks for: its bytes up to the last one, and that.
+    fn end(&mut self, body: &[u8], last: u8) -> Option<Taken> {
+        match (body, last) {
+            (number, b'~') if number == PASTE.0 => self.is_pasting = true,
+            (number, b'~') if number == PASTE.1 => self.is_pasting = false,
+            (b"", b'M') if !self.is_pasting => self.sequence = Sequence::Mouse(3),
+            (_, b'A') if !self.is_pasting => return Some(Taken::Key(Key::Up)),
+            (_, b'B') if !self.is_pasting => return Some(Taken::Key(Key::Down)),
+            _ => {}
+        }
+        None
+    }
+}
+
+/// What a byte, with those before it, is.
+enum Taken {
+    /// A key that is no letter.
+    Key(Key),
+    /// A printable letter, or a part of one.
+    Letter(u8),
+}
+
+impl Run {
+    fn is_quiet(&self) -> bool {
+        self.last.is_none()
+    }
+
+    /// Adds a letter; [`Key::Text`] when with it no person can have typed them all.
+    fn take(&mut self, letter: u8, now: Instant) -> Option<Key> {
+        let (key, is_repeated) = (key(letter), self.last.is_some_and(|(last, _)| last == letter));
+        let acts = key.is_some_and(Key::acts);
+        if !is_repeated {
+            self.letters += 1;
+            self.last = Some((letter, now));
+        }
+        // After a letter that acts another one makes it a word.
+        let follows = !is_repeated && self.held.iter().any(|key| key.acts());
+        if self.letters > MAX_TYPED || follows || key.is_none() {
+            self.held.clear();
+            return (!std::mem::replace(&mut self.is_text, true)).then_some(Key::Text);
+        }
+        let counts_once = acts && is_repeated;
+        if !self.is_text && !counts_once {
+            self.held.extend(key);
+        }
+        None
     }
 }
 
@@ -92,7 +219,6 @@ impl Keyboard {
 fn key(byte: u8) -> Option<Key> {
     Some(match byte {
         b'q' => Key::Quit,
-        0x03 => Key::Interrupt,
         b'?' | b'h' => Key::Help,
         b's' => Key::Stop,
         b'r' => Key::Restart,
@@ -108,48 +234,124 @@ fn key(byte: u8) -> Option<Key> {
 mod tests {
     use super::*;
 
+    /// The keys of pieces that come at these times [ms], each with the time at which it counts, as the view takes them.
+    fn timed(pieces: &[(u64, &[u8])]) -> Vec<(u64, Key)> {
+        let (mut keyboard, start, mut found) = (Keyboard::default(), Instant::now(), Vec::new());
+        let end = pieces.last().unwrap().0 + 1000;
+        for ms in 0..=end {
+            let now = start + Duration::from_millis(ms);
+            let mut keys = keyboard.keys(b"", now);
+            for (_, piece) in pieces.iter().filter(|(at, _)| *at == ms) {
+                keys.extend(keyboard.keys(piece, now));
+            }
+            found.extend(keys.into_iter().map(|key| (ms, key)));
+        }
+        found
+    }
+
+    /// The keys of pieces that come one after the other with so much time between them [ms].
+    fn pieces(pieces: &[&[u8]], between_ms: u64) -> Vec<Key> {
+        let timed_pieces: Vec<_> = (0..).step_by(between_ms as usize).zip(pieces.iter().copied()).collect();
+        timed(&timed_pieces).into_iter().map(|(_, key)| key).collect()
+    }
+
     fn keys(bytes: &[u8]) -> Vec<Key> {
-        Keyboard::default().keys(bytes, Instant::now())
+        pieces(&[bytes], 1)
     }
 
     #[test]
     fn letters_and_arrows_are_keys_and_other_sequences_are_not() {
-        assert_eq!(keys(b"s\x1b[A\x1b[1;5Bq"), [Key::Stop, Key::Up, Key::Down, Key::Quit]);
-        assert_eq!(keys(b"\x1bOB3\x03"), [Key::Down, Key::Role(2), Key::Interrupt]);
+        assert_eq!(keys(b"2\x1b[A\x1b[1;5Bq"), [Key::Role(1), Key::Up, Key::Down, Key::Quit]);
+        assert_eq!(keys(b"\x1bOB3"), [Key::Down, Key::Role(2)]);
+        assert_eq!(keys(b"?2r"), [Key::Help, Key::Role(1), Key::Restart]);
         // The letters of a sequence ask for nothing: no s of an unknown sequence stops a robot.
         assert_eq!(keys(b"\x1b[15~\x1b[200;3s\x1b[<0;1"), []);
-        assert_eq!(keys(&[0x80, 0xff, b' ', 0x1b]), []);
+        assert_eq!(keys(&[0x80, 0xff, b' ', 0x1b]), [Key::Text]);
+    }
+
+    #[test]
+    fn a_letter_counts_soon_and_an_arrow_and_an_interrupt_at_once() {
+        assert_eq!(timed(&[(5, b"s")]), [(155, Key::Stop)]);
+        assert_eq!(timed(&[(5, b"s\r")]), [(155, Key::Stop)]);
+        assert_eq!(timed(&[(5, b"\x1b[A")]), [(5, Key::Up)]);
+        for before in [&b"s"[..], b"a text", b"\x1b", b"\x1b[1;", b"\x1b]0;t", b"\x1b[M "] {
+            assert!(timed(&[(5, before), (6, b"\x03")]).contains(&(6, Key::Interrupt)), "{before:?}");
+        }
+        // The selection of the moment in which a key was pressed counts, not a later one.
+        assert_eq!(pieces(&[b"r", b"\x1b[B"], 20), [Key::Restart, Key::Down]);
+        // Who presses a key again and again means it.
+        let presses: Vec<_> = (0..20).map(|index| (90 * index, &b"s"[..])).collect();
+        assert_eq!(timed(&presses)[0], (300, Key::Stop));
+        assert_eq!(keys(b"ssssssss"), [Key::Stop]);
     }
 
     #[test]
     fn a_pasted_text_asks_for_nothing_however_it_is_split() {
-        let text = b"\x1b[200~s\x1b[A sr\nq\x1b[201~j";
+        let text = b"\x1b[200~s\x1b[A sr\nq\x1b]\x1b[201~j";
         for split in 0..text.len() {
-            let mut keyboard = Keyboard::default();
-            let now = Instant::now();
-            let mut found = keyboard.keys(&text[..split], now);
-            found.extend(keyboard.keys(&text[split..], now + Duration::from_millis(1)));
-            assert_eq!(found, [Key::Down], "split at {split}");
+            assert_eq!(pieces(&[&text[..split], &text[split..]], 1), [Key::Down], "split at {split}");
+        }
+    }
+
+    #[test]
+    fn a_text_that_is_not_marked_asks_for_nothing_however_it_is_split() {
+        let mut all: Vec<(Vec<&[u8]>, u64)> = vec![
+            (vec![b"ru", b"n s", b"top\n"], 20),
+            (vec![b"hello thi", b"s", b" is text"], 120),
+            (vec![b"s", b"s", b"h robot"], 120),
+            (vec![b"stop the robot", b"s"], 5),
+        ];
+        for between_ms in [1, 10, 120, 149] {
+            for text in [
+                &b"hello this"[..],
+                b"stop",
+                b"run s",
+                b"quit\rs",
+                b"2 s",
+                b"rs",
+                b"s3",
+                "\u{e4}s".as_bytes(),
+            ] {
+                all.push((text.chunks(1).collect(), between_ms));
+                all.push((text.chunks(3).collect(), between_ms));
+            }
+        }
+        for (text, between_ms) in all {
+            assert_eq!(pieces(&text, between_ms), [Key::Text], "{text:?} every {between_ms} ms");
+        }
+        assert_eq!(timed(&[(0, b"stop the robot"), (1000, b"s")]), [(0, Key::Text), (1150, Key::Stop)]);
+    }
+
+    #[test]
+    fn no_byte_of_a_text_for_programs_and_of_the_mouse_is_a_key() {
+        for sequence in [
+            &b"\x1b]0;s\x07"[..],
+            b"\x1b]52;c;qs\x1b\\",
+            b"\x1bP1$r0 q\x1b\\",
+            b"\x1b_s\x1b\\",
+            b"\x1b[Msqs",
+            b"\x1b[M rw\x1b[Msss",
+        ] {
+            for split in 0..=sequence.len() {
+                let (before, after) = sequence.split_at(split);
+                assert_eq!(
+                    pieces(&[before, after, b"\x1b[B"], 140),
+                    [Key::Down],
+                    "{sequence:?} split at {split}"
+                );
+                assert_eq!(
+                    pieces(&[before, after, b"r"], 1),
+                    [Key::Restart],
+                    "{sequence:?} split at {split}"
+                );
+            }
         }
     }
 
     #[test]
     fn a_key_after_the_start_of_a_sequence_counts() {
-        for start in [&b"\x1b"[..], b"\x1b[", b"\x1b[1;"] {
-            let (mut keyboard, now) = (Keyboard::default(), Instant::now());
-            assert_eq!(keyboard.keys(start, now), []);
-            assert_eq!(keyboard.keys(b"s", now + PAUSE), [Key::Stop], "{start:?}");
+        for start in [&b"\x1b"[..], b"\x1b[", b"\x1b[1;", b"\x1b]", b"\x1b]0;title", b"\x1bP", b"\x1b[M"] {
+            assert_eq!(pieces(&[start, b"s"], 151), [Key::Stop], "{start:?}");
         }
-    }
-
-    #[test]
-    fn many_letters_at_once_are_pasted_and_so_is_what_follows_at_once() {
-        let mut keyboard = Keyboard::default();
-        let at = |ms| Instant::now() + Duration::from_millis(ms);
-        assert_eq!(keyboard.keys(b"stop the robot", at(0)), []);
-        assert_eq!(keyboard.keys(b"s", at(5)), [], "the last piece of it");
-        assert_eq!(keyboard.keys(b"\x03", at(10)), [Key::Interrupt]);
-        assert_eq!(keyboard.keys(b"s", at(1000)), [Key::Stop]);
-        assert_eq!(keyboard.keys(b"?2r", at(2000)), [Key::Help, Key::Role(1), Key::Restart]);
     }
 }
