@@ -20,19 +20,22 @@ pub const DATA_BYTES: u64 = 1 << 28;
 /// The reason, without the name of the file; with the line where the file is no text in UTF-8.
 pub fn read(path: &Path, max_bytes: u64) -> Result<String, String> {
     let text = read_any(path, max_bytes)?;
-    match text.contains('\r') && !text.contains('\n') {
-        true => Err("line 1: its lines end with CR alone; save it with LF or CR LF".to_owned()),
-        false => Ok(text),
+    let lone = lone_returns(text.as_bytes()).next();
+    match lone {
+        Some(at) => {
+            let line = line_of(text.as_bytes(), at);
+            Err(format!("line {line}: it ends with CR alone; save the file with LF or CR LF"))
+        }
+        None => Ok(text),
     }
 }
 
-/// A table of comma-separated values in a file, as [`read`] has it; its lines may end with CR.
+/// A table of comma-separated values in a file with at least one row; its lines may end with CR, and those of blanks are empty.
 ///
 /// # Errors
 /// As [`read`]; also a table in the form of another program, with the line.
 pub fn read_table(path: &Path) -> Result<String, String> {
-    let text = read_any(path, DATA_BYTES)?;
-    table::require_form(&text).map(|()| text)
+    table::read(&read_any(path, DATA_BYTES)?)
 }
 
 fn read_any(path: &Path, max_bytes: u64) -> Result<String, String> {
@@ -42,12 +45,26 @@ fn read_any(path: &Path, max_bytes: u64) -> Result<String, String> {
 fn decode(bytes: Vec<u8>) -> Result<String, String> {
     const SAVE: &str = "save it as UTF-8";
     let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
+    if text.starts_with(b"PK\x03\x04") {
+        return Err(
+            "line 1: it is a ZIP archive, as a workbook of a spreadsheet is; save it as text".to_owned()
+        );
+    }
+    // The last letter of a text in UTF-16 may have one.
+    let written = text.len() - text.iter().rev().take_while(|byte| **byte == 0).count();
     // A letter of ASCII has a zero byte in UTF-16, before or after it.
-    let zeros =
-        |first: usize| text.iter().take(512).skip(first).step_by(2).filter(|byte| **byte == 0).count();
+    let zeros = |first: usize| {
+        text[..written].iter().take(512).skip(first).step_by(2).filter(|byte| **byte == 0).count()
+    };
     let is_marked = text.starts_with(b"\xff\xfe") || text.starts_with(b"\xfe\xff");
-    if is_marked || zeros(0).max(zeros(1)) > text.len().min(512) / 8 {
+    if is_marked || zeros(0).max(zeros(1)) > written.min(512) / 8 {
         return Err(format!("line 1: it is a text in UTF-16, or no text; {SAVE}"));
+    }
+    if written < text.len() {
+        let (line, count) = (line_of(text, written), text.len() - written);
+        return Err(format!(
+            "line {line}: zero bytes at its end, {count} of them, as of a file that was not written to its end; remove them"
+        ));
     }
     let wrong = match std::str::from_utf8(text) {
         Err(error) => Some(error.valid_up_to()),
@@ -55,11 +72,23 @@ fn decode(bytes: Vec<u8>) -> Result<String, String> {
     };
     match wrong {
         Some(at) => {
-            let line = 1 + text[..at].iter().filter(|byte| **byte == b'\n').count();
+            let line = line_of(text, at);
             Err(format!("line {line}: the byte {:#04x} belongs to no text in UTF-8; {SAVE}", text[at]))
         }
         None => Ok(String::from_utf8_lossy(text).into_owned()),
     }
+}
+
+/// The line of a byte; lines end with LF, CR LF or CR.
+fn line_of(text: &[u8], at: usize) -> usize {
+    let returns = lone_returns(text).take_while(|place| *place < at).count();
+    1 + text[..at].iter().filter(|byte| **byte == b'\n').count() + returns
+}
+
+/// The places of each CR that no LF follows.
+fn lone_returns(text: &[u8]) -> impl Iterator<Item = usize> + '_ {
+    let is_lone = |at: &usize| text[*at] == b'\r' && text.get(at + 1) != Some(&b'\n');
+    (0..text.len()).filter(is_lone)
 }
 
 /// The content of a regular file with at most `max_bytes`.
@@ -109,6 +138,20 @@ mod tests {
         }
         let latin = decode(b"rate_hz = 10\nname = \"\xe4\"\n".to_vec()).unwrap_err();
         assert!(latin.starts_with("line 2: the byte 0xe4"), "{latin}");
-        assert!(decode(b"one\ntwo\n\0".to_vec()).unwrap_err().starts_with("line 3: the byte 0x00"));
+        assert!(decode(b"one\ntw\0o\n".to_vec()).unwrap_err().starts_with("line 2: the byte 0x00"));
+        let cut = decode([&b"rate_hz = 10\rname\n"[..], &[0; 500]].concat()).unwrap_err();
+        assert!(cut.starts_with("line 3: zero bytes at its end, 500 of them"), "{cut}");
+        assert!(decode(b"PK\x03\x04\x14\0".to_vec()).unwrap_err().contains("a ZIP archive"));
+    }
+
+    #[test]
+    fn a_line_that_ends_with_cr_alone_is_named() {
+        let path = std::env::temp_dir().join(format!("scanloop-user-file-cr-{}", std::process::id()));
+        for (text, line) in [("a = 1\r\nb = 2\n# c\rd = 3\n", 3), ("a\rb\r", 1), ("a\nb\r\r\nc\n", 2)] {
+            std::fs::write(&path, text).unwrap();
+            let fault = read(&path, 100).unwrap_err();
+            assert!(fault.starts_with(&format!("line {line}: it ends with CR alone")), "{fault}");
+        }
+        std::fs::remove_file(&path).unwrap();
     }
 }

@@ -125,12 +125,19 @@ impl Child {
             return Err(no_program(reason));
         }
         let mut process = command.spawn().map_err(|source| match source.kind() {
-            _ if source.raw_os_error() == Some(Errno::NOEXEC.raw_os_error()) => {
+            // A program that is cut off can't be read where its parts should be.
+            _ if [Errno::NOEXEC, Errno::IO]
+                .map(|errno| Some(errno.raw_os_error()))
+                .contains(&source.raw_os_error()) =>
+            {
                 no_program(script::why_not_executed(Path::new(program)))
             }
-            io::ErrorKind::NotFound => script::missing_interpreter(Path::new(program))
+            io::ErrorKind::NotFound => script::unusable_interpreter(Path::new(program))
                 .map_or_else(|| ChildError::NotFound(name()), no_program),
-            io::ErrorKind::PermissionDenied => ChildError::NotExecutable(name()),
+            io::ErrorKind::PermissionDenied => Some(Path::new(program))
+                .filter(|program| script::is_executable(program))
+                .and_then(script::unusable_interpreter)
+                .map_or_else(|| ChildError::NotExecutable(name()), no_program),
             _ => refused(source),
         })?;
         let pid = Pid::from_child(&process);

@@ -6,7 +6,7 @@
 use serde::{Deserialize, Serialize};
 use vehicle::correction::{CommandCorrection, SteeringCorrection};
 use vehicle::network::SteeringNetwork;
-use vehicle::{Invalid, require};
+use vehicle::{Invalid, require, toml_fault};
 
 use crate::drift::DriftFit;
 use crate::steering::{DESIRED_MAX_RAD, SteeringFit};
@@ -130,10 +130,8 @@ impl CalibrationFile {
     /// # Errors
     /// [`Refusal::Unreadable`] with file, key, value and allowed range.
     pub fn parse(text: &str, file: &str) -> Result<Self, Refusal> {
-        let read: Self = toml::from_str(text).map_err(|error| {
-            let line = error.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
-            Refusal::unreadable(format!("{file}: line {line}"), error.message().replace('\n', ", "))
-        })?;
+        let read: Self =
+            toml::from_str(text).map_err(|error| Refusal::unreadable(file, toml_fault(text, &error)))?;
         read.validate().map_err(|invalid| Refusal::unreadable(file, invalid.to_string()))?;
         Ok(read)
     }

@@ -130,17 +130,41 @@ pub fn append<R: Record>(rows: &mut Vec<R>, more: &mut Vec<R>) {
 pub fn read<R: Record>(text: &str, file: &str) -> Result<Vec<R>, Refusal> {
     let mut reader =
         csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(text.as_bytes());
-    let headers = reader.headers().map_err(|error| unreadable(file, &error, None))?.clone();
-    let mut rows = Vec::new();
+    let headers = reader.headers().map_err(|error| unreadable(text, file, &error))?.clone();
+    let (mut rows, mut lines) = (Vec::new(), Lines::of(text));
     for record in reader.records() {
-        let record = record.map_err(|error| unreadable(file, &error, Some(&headers)))?;
-        let line = record.position().map_or(0, csv::Position::line);
-        let mut row: R =
-            record.deserialize(Some(&headers)).map_err(|error| unreadable(file, &error, Some(&headers)))?;
-        row.locate(format!("{file}: line {line}"));
+        let record = record.map_err(|error| unreadable(text, file, &error))?;
+        let place = format!("{file}: line {}", lines.line(record.position()));
+        let mut row: R = record
+            .deserialize(Some(&headers))
+            .map_err(|error| not_a_row(file, &place, &error, &headers, &record))?;
+        row.locate(place);
         rows.push(row);
     }
     Ok(rows)
+}
+
+/// Counts the lines of a text up to one record after the other.
+struct Lines<'a> {
+    text: &'a str,
+    counted: usize,
+    line: usize,
+}
+
+impl<'a> Lines<'a> {
+    fn of(text: &'a str) -> Self {
+        Self { text, counted: 0, line: 1 }
+    }
+
+    /// The line of a record. Its position is the end of the record before, so comments and empty lines may follow that.
+    fn line(&mut self, position: Option<&csv::Position>) -> usize {
+        let start = position.and_then(|position| usize::try_from(position.byte()).ok());
+        let start = start.unwrap_or_default().clamp(self.counted, self.text.len());
+        self.line += self.text[self.counted..start].matches('\n').count();
+        self.counted = start;
+        let is_skipped = |line: &&str| line.is_empty() || line.starts_with('#');
+        self.line + self.text[start..].lines().take_while(is_skipped).count()
+    }
 }
 
 /// The table that reads back as these rows.
@@ -153,23 +177,42 @@ pub fn write<R: Record>(rows: &[R]) -> String {
     writer.into_inner().ok().and_then(|bytes| String::from_utf8(bytes).ok()).unwrap_or_default()
 }
 
-fn unreadable(file: &str, error: &csv::Error, headers: Option<&csv::StringRecord>) -> Refusal {
-    // A column that is missing or unknown is the fault of the header line, not of the row where it is noticed.
-    let of_header = matches!(error.kind(), csv::ErrorKind::Deserialize { err, .. } if err.field().is_none());
-    let line = error.position().map_or(1, csv::Position::line);
-    let place = if of_header { format!("{file}: header") } else { format!("{file}: line {line}") };
+/// A text that is no table.
+fn unreadable(text: &str, file: &str, error: &csv::Error) -> Refusal {
+    let line = Lines::of(text).line(error.position());
     let message = match error.kind() {
-        csv::ErrorKind::Deserialize { err, .. } => {
-            let field = err.field().and_then(|field| headers?.get(usize::try_from(field).ok()?));
-            let column = field.map_or_else(String::new, |name| format!("{name}: "));
-            format!("{column}{}", err.kind())
-        }
         csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
             format!("{len} values, but the header names {expected_len} columns")
         }
         _ => error.to_string(),
     };
-    Refusal::unreadable(place, message)
+    Refusal::unreadable(format!("{file}: line {line}"), message)
+}
+
+/// A row with a value that its column can't have.
+fn not_a_row(
+    file: &str,
+    place: &str,
+    error: &csv::Error,
+    headers: &csv::StringRecord,
+    record: &csv::StringRecord,
+) -> Refusal {
+    use csv::DeserializeErrorKind::{ParseFloat, ParseInt};
+
+    let csv::ErrorKind::Deserialize { err, .. } = error.kind() else {
+        return Refusal::unreadable(place, error.to_string());
+    };
+    // A column that is missing or unknown is the fault of the header line, not of the row where it is noticed.
+    let Some(field) = err.field().and_then(|field| usize::try_from(field).ok()) else {
+        return Refusal::unreadable(format!("{file}: header"), err.kind().to_string());
+    };
+    let [name, value] = [headers, record].map(|row| row.get(field).unwrap_or_default());
+    let allowed = match err.kind() {
+        ParseFloat(_) => "a number, with a point and without its unit".to_owned(),
+        ParseInt(_) => "a whole number from 0".to_owned(),
+        other => other.to_string(),
+    };
+    Refusal::unreadable(place, format!("{name} = {value} is not allowed: {allowed}"))
 }
 
 #[cfg(test)]
@@ -223,8 +266,12 @@ mod tests {
         let head = "sent_velocity_mps,distance_m,time_s\n";
         assert_eq!(
             message(&format!("{head}1.0,5.0,6.9\n1.0,5.0,fast\n")),
-            "a.csv: line 3: time_s: invalid float literal"
+            "a.csv: line 3: time_s = fast is not allowed: a number, with a point and without its unit"
         );
+        assert!(
+            message(&format!("{head}# fast\n\n1.0,5.0,fast\n")).starts_with("a.csv: line 4: time_s = fast")
+        );
+        assert!(message(&format!("{head}# fast\r\n\r\n1.0,5.0\r\n")).starts_with("a.csv: line 4: 2 values"));
         assert_eq!(
             message(&format!("{head}1.0,5.0\n")),
             "a.csv: line 2: 2 values, but the header names 3 columns"

@@ -11,6 +11,6 @@ mod settings;
 
 pub use invalid::{Invalid, require};
 pub use key::{Key, Setting, require_key, toml_text};
-pub use read::{parse, read};
+pub use read::{ForeignLetter, parse, read, toml_fault};
 pub use rule::{Ascending, Numeric, Rule};
 pub use shared_types::did_you_mean;

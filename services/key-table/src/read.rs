@@ -1,5 +1,7 @@
 //! From the text of a file to a struct, with errors that name the line or the key.
 
+use std::fmt;
+
 use serde::de::DeserializeOwned;
 use toml::{Table, Value};
 
@@ -10,25 +12,77 @@ use crate::{Invalid, did_you_mean};
 /// # Errors
 /// What the parser reports, with the line.
 pub fn parse(text: &str) -> Result<Table, String> {
-    text.parse::<Table>().map_err(|error| {
-        let line = error.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
-        let foreign = text.lines().nth(line - 1).and_then(typographic).unwrap_or_default();
-        format!("line {line}: {}{foreign}", error.message().replace('\n', ", "))
-    })
+    text.parse::<Table>().map_err(|error| toml_fault(text, &error))
 }
 
-/// What is to be said of a line that a program for letters has written: `“` instead of `"`.
-fn typographic(line: &str) -> Option<String> {
-    let instead = |letter: char| match letter {
-        '\u{201c}'..='\u{201f}' | '\u{ab}' | '\u{bb}' => Some('"'),
-        '\u{2018}'..='\u{201b}' => Some('\''),
-        '\u{2010}'..='\u{2015}' | '\u{2212}' => Some('-'),
-        '\u{a0}' | '\u{2007}' | '\u{202f}' => Some(' '),
-        _ => None,
-    };
-    let code = line.split('#').next()?;
-    let (found, plain) = code.chars().find_map(|letter| Some((letter, instead(letter)?)))?;
-    Some(format!("; it has {found} (U+{:04X}), write {plain}", found as u32))
+/// What the parser reports of a TOML text, with the line, and with what another program has written there.
+pub fn toml_fault(text: &str, error: &toml::de::Error) -> String {
+    let line = error.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
+    let foreign = text.lines().nth(line - 1).and_then(foreign).unwrap_or_default();
+    format!("line {line}: {}{foreign}", error.message().replace('\n', ", "))
+}
+
+/// What is to be said of a line that TOML does not have: `“` instead of `"`, a decimal comma, a semicolon at its end.
+fn foreign(line: &str) -> Option<String> {
+    let code = line.split('#').next()?.trim();
+    if let Some(letter) = ForeignLetter::of(code) {
+        return Some(format!("; it has {letter}"));
+    }
+    if code.ends_with(';') {
+        return Some("; it ends with a semicolon, remove that".to_owned());
+    }
+    let value = code.split_once('=')?.1.trim();
+    let (whole, decimals) = value.split_once(',')?;
+    let is_whole = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    (is_whole(whole.trim_start_matches(['-', '+'])) && is_whole(decimals))
+        .then(|| format!("; it has a decimal comma, write {whole}.{decimals}"))
+}
+
+/// A letter that a program for texts writes instead of a plain one, or that can't be seen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ForeignLetter {
+    found: char,
+    /// What stands for it in plain text; nothing for one that can't be seen.
+    pub plain: Option<char>,
+}
+
+impl ForeignLetter {
+    /// The first one in a text.
+    pub fn of(text: &str) -> Option<Self> {
+        text.chars().find_map(Self::new)
+    }
+
+    /// The text with plain letters instead.
+    pub fn mended(text: &str) -> String {
+        let plain = |letter| Self::new(letter).map_or(Some(letter), |foreign| foreign.plain);
+        text.chars().filter_map(plain).collect()
+    }
+
+    fn new(found: char) -> Option<Self> {
+        let plain = match found {
+            '\u{201c}'..='\u{201f}' | '\u{ab}' | '\u{bb}' => Some('"'),
+            '\u{2018}'..='\u{201b}' => Some('\''),
+            '\u{2010}'..='\u{2015}' | '\u{2212}' => Some('-'),
+            '\u{a0}' | '\u{2007}' | '\u{2009}' | '\u{202f}' => Some(' '),
+            '\u{ad}' | '\u{200b}'..='\u{200f}' | '\u{2060}' | '\u{feff}' => None,
+            _ => return None,
+        };
+        Some(Self { found, plain })
+    }
+}
+
+impl fmt::Display for ForeignLetter {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let code = self.found as u32;
+        match (self.found, self.plain) {
+            ('\u{feff}', _) => {
+                write!(formatter, "a byte order mark (U+{code:04X}) within the text, remove it")
+            }
+            (_, None) => write!(formatter, "a letter that can't be seen (U+{code:04X}), remove it"),
+            (_, Some(' ')) => write!(formatter, "a space of another width (U+{code:04X}), write a plain one"),
+            (found, Some(plain)) => write!(formatter, "{found} (U+{code:04X}), write {plain}"),
+        }
+    }
 }
 
 /// The struct in a table, with names and types of its keys checked, rules not yet.
@@ -80,4 +134,31 @@ fn allowed(key: &str, message: &str) -> String {
 fn split_names(message: &str) -> [Vec<&str>; 2] {
     let mut quoted = message.split('`').skip(1).step_by(2);
     [quoted.next().into_iter().collect(), quoted.collect()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_other_programs_write_is_named_with_the_line() {
+        for (text, place, end) in [
+            ("a = 1\nb = \u{201c}c\u{201d}\n", "line 2: ", "; it has \u{201c} (U+201C), write \""),
+            ("a\u{200b} = 1\n", "line 1: ", "; it has a letter that can't be seen (U+200B), remove it"),
+            (
+                "a = 1\n\u{feff}b = 1\n",
+                "line 2: ",
+                "; it has a byte order mark (U+FEFF) within the text, remove it",
+            ),
+            ("a =\u{a0}1\n", "line 1: ", "; it has a space of another width (U+00A0), write a plain one"),
+            ("a = 1\nb = 20,5 # s\n", "line 2: ", "; it has a decimal comma, write 20.5"),
+            ("a = -0,5\n", "line 1: ", "; it has a decimal comma, write -0.5"),
+            ("a = 1;\nb = 2;\n", "line 1: ", "; it ends with a semicolon, remove that"),
+        ] {
+            let fault = parse(text).unwrap_err();
+            assert!(fault.starts_with(place) && fault.ends_with(end), "{fault}");
+        }
+        let plain = parse("a = 1\nb\n").unwrap_err();
+        assert!(plain.starts_with("line 2: ") && !plain.contains("it has"), "{plain}");
+    }
 }

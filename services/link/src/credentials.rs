@@ -19,6 +19,7 @@ use rcgen::{
 use runtime::{Folder, HUB, RuntimeError};
 use time::{Duration, OffsetDateTime};
 use x509_parser::certificate::X509Certificate;
+use x509_parser::pem::Pem;
 
 /// Files of a host.
 pub(crate) const AUTHORITY: &str = "authority.pem";
@@ -71,34 +72,79 @@ pub(crate) fn pair(folder: &Path, host: &str, address: IpAddr, days: i64, force:
     Ok(())
 }
 
-/// Passes when the certificates of a host are valid now, are for that host, and are in a private folder.
+/// Passes when the certificates of a host are valid now, are for that host and of its key and authority, and are in a private
+/// folder.
 ///
 /// # Errors
-/// A folder that is not private, and the file with its value: one that is missing, no certificate, one for another host or
-/// purpose, not yet valid or expired.
+/// A folder that is not private, and the file with its value: one that is missing, is no certificate or key, is for another
+/// host or purpose, is not yet valid or expired, or does not belong to the others.
 pub(crate) fn check(folder: &Path, host: &str) -> anyhow::Result<()> {
     if open(folder)?.is_none() {
         bail!("{}: there is no such folder", folder.display());
     }
-    for name in [AUTHORITY, CERTIFICATE] {
+    let [authority, certificate, key] = [AUTHORITY, CERTIFICATE, KEY].map(|name| {
         let path = folder.join(name);
-        let text = std::fs::read(&path).with_context(|| path.display().to_string())?;
-        if text.starts_with(b"\xff\xfe") || text.starts_with(b"\xfe\xff") {
-            bail!("{}: it is a text in UTF-16; save it as ASCII", path.display());
-        }
-        let (_, pem) = x509_parser::pem::parse_x509_pem(&text).with_context(|| path.display().to_string())?;
-        let certificate = pem.parse_x509().with_context(|| path.display().to_string())?;
+        read_pem(&path).with_context(|| path.display().to_string())
+    });
+    let [authority, certificate, key] = [authority?, certificate?, key?];
+    for (name, pem) in [(AUTHORITY, &authority), (CERTIFICATE, &certificate)] {
+        let named = || folder.join(name).display().to_string();
+        let certificate = pem[0].parse_x509().with_context(named)?;
         if name == CERTIFICATE {
-            is_for(&certificate, host).with_context(|| path.display().to_string())?;
+            is_for(&certificate, host).with_context(named)?;
         }
         let validity = certificate.validity();
         if !validity.is_valid() {
             let (from, until) = (validity.not_before, validity.not_after);
             bail!(
                 "{}: it is valid from {from} until {until}, not now; make another with `scanloop agent pair`",
-                path.display()
+                named()
             );
         }
+    }
+    let own = certificate[0].parse_x509()?;
+    is_key_of(&key[0], &own).with_context(|| folder.join(KEY).display().to_string())?;
+    // A certificate may come with those of authorities between.
+    let mut signers = authority.iter().chain(&certificate[1..]).filter_map(|pem| pem.parse_x509().ok());
+    if !signers.any(|signer| own.verify_signature(Some(signer.public_key())).is_ok()) {
+        bail!(
+            "{}: this authority has not signed {CERTIFICATE}; copy all files of the host from one `scanloop agent pair` folder",
+            folder.join(AUTHORITY).display()
+        );
+    }
+    Ok(())
+}
+
+/// The parts of a file in PEM, at least one.
+fn read_pem(path: &Path) -> anyhow::Result<Vec<Pem>> {
+    let text = std::fs::read(path)?;
+    match text.as_slice() {
+        [] => bail!("it is empty"),
+        [0xff, 0xfe, ..] | [0xfe, 0xff, ..] | [b'-', 0, ..] | [0, b'-', ..] => {
+            bail!("it is a text in UTF-16; save it as ASCII")
+        }
+        [0xef, 0xbb, 0xbf, ..] => bail!("it begins with a byte order mark; save it as ASCII without one"),
+        _ => {}
+    }
+    let parts: Vec<Pem> = Pem::iter_from_buffer(&text).collect::<Result<_, _>>()?;
+    if parts.is_empty() {
+        bail!("it has no line `-----BEGIN ...-----`");
+    }
+    Ok(parts)
+}
+
+/// Passes when a file is the private key of a certificate. Of a key in another form than PKCS #8 only the form is checked.
+fn is_key_of(key: &Pem, certificate: &X509Certificate<'_>) -> anyhow::Result<()> {
+    match key.label.as_str() {
+        "PRIVATE KEY" => {}
+        "EC PRIVATE KEY" | "RSA PRIVATE KEY" => return Ok(()),
+        label => bail!("it is a {label}, no private key"),
+    }
+    let pair = KeyPair::try_from(key.contents.as_slice())?;
+    if pair.public_key_raw() != certificate.public_key().subject_public_key.data.as_ref() {
+        bail!(
+            "it is the key of another certificate than {CERTIFICATE}; copy both from one `scanloop agent pair` folder"
+        );
     }
     Ok(())
 }
@@ -238,6 +284,48 @@ mod tests {
         let message = format!("{:#}", check(&folder.join("lab"), "lab").unwrap_err());
         assert!(message.contains("0777"), "{message}");
         std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn files_that_do_not_belong_together_or_are_of_other_editors_are_named() {
+        let folder = folder("files");
+        let other = self::folder("files-other");
+        let address = "10.9.0.2".parse().unwrap();
+        pair(&folder, "lab", address, 7, false).unwrap();
+        pair(&other, "lab", address, 7, false).unwrap();
+        let file = |name: &str| folder.join("lab").join(name);
+        let refused = |name: &str, bytes: &[u8]| {
+            let good = std::fs::read(file(name)).unwrap();
+            std::fs::write(file(name), bytes).unwrap();
+            let message = format!("{:#}", check(&folder.join("lab"), "lab").unwrap_err());
+            std::fs::write(file(name), good).unwrap();
+            assert!(message.starts_with(&format!("{}: ", file(name).display())), "{message}");
+            message
+        };
+        for name in [AUTHORITY, CERTIFICATE, KEY] {
+            let text = std::fs::read_to_string(file(name)).unwrap();
+            let utf_16 = |mark: &str| -> Vec<u8> {
+                [mark, &text].concat().encode_utf16().flat_map(u16::to_le_bytes).collect()
+            };
+            for (bytes, expected) in [
+                (utf_16("\u{feff}"), "UTF-16"),
+                (utf_16(""), "UTF-16"),
+                (["\u{feff}", &text].concat().into_bytes(), "byte order mark"),
+                (Vec::new(), "it is empty"),
+                (b"secret\n".to_vec(), ""),
+                (text.as_bytes()[..text.len() / 2].to_vec(), ""),
+            ] {
+                let message = refused(name, &bytes);
+                assert!(message.contains(expected), "{message}");
+            }
+        }
+        let of_other = |name: &str| std::fs::read(other.join("lab").join(name)).unwrap();
+        assert!(refused(KEY, &of_other(KEY)).contains("the key of another certificate"));
+        assert!(refused(KEY, &of_other(CERTIFICATE)).contains("it is a CERTIFICATE, no private key"));
+        assert!(refused(AUTHORITY, &of_other(AUTHORITY)).contains("has not signed certificate.pem"));
+        check(&folder.join("lab"), "lab").unwrap();
+        std::fs::remove_dir_all(&folder).unwrap();
+        std::fs::remove_dir_all(&other).unwrap();
     }
 
     #[test]

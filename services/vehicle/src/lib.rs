@@ -19,7 +19,8 @@ pub mod tyre;
 pub use bounds::Bounds;
 pub use description::Description;
 pub use key_table::{
-    Ascending, Invalid, Key, Rule, Setting, did_you_mean, parse, read, require, settings, toml_text,
+    Ascending, Invalid, Key, Rule, Setting, did_you_mean, parse, read, require, settings, toml_fault,
+    toml_text,
 };
 pub use parameters::Parameters;
 pub use state::{Control, State};

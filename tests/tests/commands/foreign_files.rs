@@ -57,6 +57,8 @@ fn texts_of_other_editors_are_read_or_named_for_what_they_are() {
         refused(&system, arguments, &[name, "line 1", "CR alone"]);
         write(name, &[text.as_bytes(), b"# Gr\xfc\xdfe\n"].concat());
         refused(&system, arguments, &[name, "the byte 0xfc belongs to no text in UTF-8"]);
+        write(name, &[text.as_bytes(), &[0; 600]].concat());
+        refused(&system, arguments, &[name, "line ", "zero bytes at its end, 600 of them"]);
     }
     for (name, text, arguments) in &files[..2] {
         write(name, format!("\u{feff}{}", text.replace('\n', "\r\n")).as_bytes());
@@ -69,6 +71,18 @@ fn texts_of_other_editors_are_read_or_named_for_what_they_are() {
         &["check", "scenario.toml"],
         &["scenario.toml", "line 2", "\u{201c} (U+201C), write \""],
     );
+    for (text, line, reason) in [
+        ("name = \"lab\"\ntimeout_s = 20,5\n", 2, "it has a decimal comma, write 20.5"),
+        ("name = \"lab\";\ntimeout_s = 20;\n", 1, "it ends with a semicolon"),
+        ("name = \"lab\"\ntimeout\u{200b}_s = 20\n", 2, "a letter that can't be seen (U+200B), remove it"),
+        ("name = \"lab\"\n\u{feff}timeout_s = 20\n", 2, "a byte order mark (U+FEFF) within the text"),
+        ("name = \"lab\"\r\n# one\rtimeout_s = 20\n", 2, "it ends with CR alone"),
+    ] {
+        write("scenario.toml", text.as_bytes());
+        refused(&system, &["check", "scenario.toml"], &["scenario.toml", &format!("line {line}: "), reason]);
+    }
+    write("imu.toml", layout.replace("f64", "float").as_bytes());
+    refused(&system, &["types", "--layout", "imu.toml"], &["imu.toml: line 4: rate = float is not allowed"]);
     system.assert_nothing_left();
 }
 
@@ -99,13 +113,34 @@ fn tables_of_spreadsheets_are_named_for_what_they_are() {
         (table(&format!("{header},,"), |row| format!("{row},,")), 1, "have no name; remove the commas"),
         (table(header, |row| format!("{row},,")), 2, "empty values too many at its end"),
         (format!("{good},,\n"), 7, "it has commas and no value"),
+        (format!("sep=,\n{good}"), 1, "`sep=,` is for a spreadsheet only; remove the line"),
+        (good.replace("8.4", "8,4"), 2, "4 values under 3 names; if they have decimal commas"),
+        (good.replace("0.9,6.0,9.3", "0.9;6.0;9.3"), 6, "separated by semicolons"),
+        (good.replace("8.4", "\u{2212}8.4"), 2, "time_s = \u{2212}8.4: it has \u{2212} (U+2212), write -"),
+        (good.replace("8.4", "\"1,000.5\""), 2, "it has commas between thousands; write 1000.5"),
+        (
+            good.replace("8.4", "8.4 s"),
+            2,
+            "time_s = 8.4 s is not allowed: a number, with a point and without its unit",
+        ),
+        (
+            good.replace("0.5,", "#DIV/0!,"),
+            4,
+            "sent_velocity_mps = #DIV/0!: a spreadsheet had no result here",
+        ),
+        (String::new(), 1, "the table is empty"),
+        (format!("{header}\n"), 1, "no row follows the header"),
+        ("<html><body>runs</body></html>\n".to_owned(), 1, "it is HTML or XML"),
+        ("{\"runs\": []}\n".to_owned(), 1, "it is JSON"),
     ] {
         write(text.as_bytes());
         refused(&system, &calibrate, &["runs.csv", &format!("line {line}: "), reason]);
     }
     write(&utf_16(&good, true));
     refused(&system, &calibrate, &["runs.csv", "line 1", "UTF-16"]);
-    for text in [format!("\u{feff}{}", good.replace('\n', "\r\n")), good.replace('\n', "\r")] {
+    for text in
+        [format!("\u{feff}{}", good.replace('\n', "\r\n")), good.replace('\n', "\r"), format!("{good} \t \n")]
+    {
         write(text.as_bytes());
         let (code, text) = printed(&system, &calibrate);
         assert_eq!(code, 0, "{text}");
@@ -122,6 +157,9 @@ fn a_process_that_is_no_program_is_named_for_what_it_is() {
         (&b"import scanloop\n"[..], "line 1: a script must begin with `#!`"),
         (b"#!/usr/bin/env python3\r\nimport scanloop\r\n", "line 1: it ends with CR LF"),
         (b"\xef\xbb\xbf#!/bin/sh\n", "it begins with a byte order mark"),
+        (b"import scanloop  # Gr\xfc\xdfe\n", "line 1: a script must begin with `#!`"),
+        (b"#!/usr/bin\n", "line 1: the interpreter `/usr/bin` is a directory"),
+        (b"#!/etc/passwd\n", "line 1: the interpreter `/etc/passwd` is not executable"),
     ] {
         std::fs::write(&script, content).unwrap();
         std::fs::set_permissions(&script, std::fs::Permissions::from_mode(0o755)).unwrap();

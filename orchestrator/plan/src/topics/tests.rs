@@ -100,13 +100,15 @@ fn a_layout_with_a_hole_or_without_fields_is_refused_with_its_file() {
     let folder = Folder::new("layout");
     let more = format!("{TOPIC}{}", writer("sensor"));
     std::fs::write(folder.0.join("imu.toml"), "name = \"Imu\"\n").unwrap();
-    assert!(folder.system(&more).unwrap_err().to_string().contains("imu.toml: field = [] is not allowed"));
+    assert!(
+        folder.system(&more).unwrap_err().to_string().contains("imu.toml: line 1: field = [] is not allowed")
+    );
     let field = |name: &str, kind: &str| format!("[[field]]\nname = \"{name}\"\ntype = \"{kind}\"\n");
     let hole = format!("name = \"Imu\"\n{}{}", field("a", "u32"), field("b", "f64"));
     std::fs::write(folder.0.join("imu.toml"), hole).unwrap();
     let message = folder.system(&more).unwrap_err().to_string();
     assert!(
-        message.contains("imu.toml: b = a field that begins at byte 196 is not allowed: no hole"),
+        message.contains("imu.toml: line 7: b = a field that begins at byte 196 is not allowed: no hole"),
         "{message}"
     );
     std::fs::remove_file(folder.0.join("imu.toml")).unwrap();

@@ -68,6 +68,9 @@ fn a_file_that_is_no_program_is_named_for_what_it_is() {
             }
         }
     };
+    let own = std::fs::read("/proc/self/exe").unwrap();
+    // Bytes 18 and 19 name the kind of processor.
+    let foreign = [&own[..18], &[0xff, 0x7f], &own[20..64]].concat();
     for (content, expected) in [
         (&b"echo hello\n"[..], "line 1: a script must begin with `#!`"),
         (b"\xef\xbb\xbf#!/bin/sh\n", "it begins with a byte order mark"),
@@ -75,7 +78,14 @@ fn a_file_that_is_no_program_is_named_for_what_it_is() {
         (b"#!/bin/sh\r\necho\r\n", "line 1: it ends with CR LF"),
         (b"#!/no/such/sh\n", "line 1: there is no interpreter `/no/such/sh`"),
         (b"", "the file is empty"),
-        (b"\x7fELF\x02\x01", "it is a program for another kind of processor"),
+        (b"import scanloop  # Gr\xfc\xdfe\n", "line 1: a script must begin with `#!`"),
+        (b"#!/etc/passwd\n", "line 1: the interpreter `/etc/passwd` is not executable"),
+        (b"#!/usr/bin\n", "line 1: the interpreter `/usr/bin` is a directory"),
+        (b"#!\necho\n", "line 1: no interpreter follows `#!`"),
+        (b"\x7fELF\x02\x01", "it is a program of which a part is missing or damaged"),
+        (&own[..64], "it is a program of which a part is missing or damaged"),
+        (&foreign[..], "it is a program for another kind of processor"),
+        (b"PK\x03\x04\x14\0", "it is a ZIP archive"),
     ] {
         let message = refusal(content);
         assert!(message.contains("stage` can't be executed: ") && message.contains(expected), "{message}");

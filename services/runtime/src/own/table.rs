@@ -96,10 +96,39 @@ impl FromStr for LayoutFile {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let layout: Self = toml::from_str(text).map_err(|error| error.message().to_owned())?;
-        layout.own_type().map_err(|fault| fault.to_string())?;
+        let layout: Self = toml::from_str(text).map_err(|error| key_table::toml_fault(text, &error))?;
+        layout.own_type().map_err(|fault| {
+            let start = place(text, &fault).unwrap_or_default();
+            format!("line {}: {fault}", 1 + text[..start].matches('\n').count())
+        })?;
         Ok(layout)
     }
+}
+
+/// Where the text has what a fault is about; `None` for what it does not have.
+fn place(text: &str, fault: &LayoutFault) -> Option<usize> {
+    #[derive(Deserialize)]
+    struct Places {
+        name: toml::Spanned<String>,
+        #[serde(default)]
+        field: Vec<FieldPlaces>,
+    }
+    #[derive(Deserialize)]
+    struct FieldPlaces {
+        name: toml::Spanned<String>,
+        #[serde(rename = "type")]
+        kind: toml::Spanned<String>,
+    }
+    let Places { name, field } = toml::from_str(text).ok()?;
+    // Of a name that is there twice the second one is refused.
+    let mut fields = field.iter().rev();
+    Some(match fault.at.as_str() {
+        "name" => name.span().start,
+        "field.name" => fields.find(|field| *field.name.get_ref() == fault.value)?.name.span().start,
+        // A hole before the stamps is one after the last field.
+        "stage" => fields.next()?.kind.span().start,
+        at => fields.find(|field| field.name.get_ref() == at)?.kind.span().start,
+    })
 }
 
 /// One topic that the system file adds.

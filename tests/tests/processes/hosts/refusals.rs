@@ -110,6 +110,32 @@ fn a_key_that_others_can_read_is_refused() {
 }
 
 #[test]
+fn keys_and_certificates_that_do_not_belong_together_are_refused_with_the_file() {
+    let Some(hosts) = TwoHosts::new("files of two pairs") else { return };
+    hosts.trust("keys", "orchestrator", "system.toml");
+    hosts.trust("foreign", "lab", "agent.toml");
+    let own = |name: &str| hosts.system.folder().join("keys/orchestrator").join(name);
+    let foreign =
+        |name: &str| std::fs::read(hosts.system.folder().join("foreign/orchestrator").join(name)).unwrap();
+    let marked = |name: &str| [&b"\xef\xbb\xbf"[..], &std::fs::read(own(name)).unwrap()].concat();
+    for (name, content, reason) in [
+        ("key.pem", foreign("key.pem"), "it is the key of another certificate"),
+        ("key.pem", Vec::new(), "it is empty"),
+        ("certificate.pem", marked("certificate.pem"), "it begins with a byte order mark"),
+        ("authority.pem", foreign("authority.pem"), "this authority has not signed certificate.pem"),
+    ] {
+        let good = std::fs::read(own(name)).unwrap();
+        std::fs::write(own(name), content).unwrap();
+        let arguments = ["run", "free", "--system", "system.toml"];
+        let output = hosts.system.command(&arguments).env("PATH", &hosts.path).output().unwrap();
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{stderr}");
+        assert!(stderr.contains(&format!("keys/orchestrator/{name}: {reason}")), "{stderr}");
+        std::fs::write(own(name), good).unwrap();
+    }
+}
+
+#[test]
 fn without_the_program_of_the_link_a_system_of_several_hosts_is_refused_with_the_command_that_builds_it() {
     let Some(hosts) = TwoHosts::new("a link that is not there") else { return };
     let output = hosts.system.run(&["run", "free", "--system", "system.toml"]);
