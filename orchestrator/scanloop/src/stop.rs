@@ -3,7 +3,7 @@
 //! The command finds runs in `/proc`, latches their stop words and waits for the acknowledgement. The rest takes
 //! longer: standstill, reports, the end of the processes, the removal of files. A copy of this program does that in a
 //! session of its own, so closing the terminal does not interrupt it. What processes of a run have started in groups of
-//! their own is named and ended as well.
+//! their own is named and ended as well; the command returns when it has ended, or says that it lives.
 //!
 //! A run in another pid or user namespace is stopped over its control socket. Without an orchestrator there it can't be.
 
@@ -25,7 +25,7 @@ use crate::cli::StopArguments;
 
 /// Time between two requests to an orchestrator in another namespace.
 const POLL: Duration = Duration::from_millis(10);
-/// The command returns at most this long after its start when the wheels are blocked [ns].
+/// The command returns at most this long after its start when the wheels are blocked and there are no strays [ns].
 const RETURN_NS: u64 = 900_000_000;
 
 /// Stops systems.
@@ -49,18 +49,24 @@ pub(crate) fn stop(system_id: &str, arguments: &StopArguments) -> anyhow::Result
         living.iter().filter(|run| arguments.all || run.system_id == system_id).collect();
     // All runs are stopped before the first one is waited for.
     chosen.iter().filter_map(|run| run.word.as_ref()).for_each(runtime::StopWord::latch);
+    let strays: Vec<Vec<Named>> = chosen.iter().map(|run| run.strays().map(Named::of).collect()).collect();
     let seen = chosen.iter().map(|run| stop_one(run)).fold(true, |all, confirmed| all & confirmed);
     let hidden = match arguments.uid {
         None if arguments.all || chosen.is_empty() => hidden_systems(system_id, arguments.all, &living)?,
         _ => Vec::new(),
     };
-    let over = over.iter().filter(|run| arguments.all || run.system_id == system_id);
-    let strays: Vec<RunProcess> = over.flat_map(LivingRun::strays).cloned().collect();
-    if chosen.is_empty() && hidden.is_empty() && strays.is_empty() {
+    let over: Vec<&LivingRun> =
+        over.iter().filter(|run| arguments.all || run.system_id == system_id).collect();
+    if chosen.is_empty() && hidden.is_empty() && over.is_empty() {
         return nothing(system_id, arguments, &living);
     }
     let unseen = hidden.iter().map(stop_unseen).fold(true, |all, confirmed| all & confirmed);
-    let all_confirmed = seen & unseen & end_strays(&strays);
+    let have_ended = chosen
+        .iter()
+        .zip(&strays)
+        .map(|(run, strays)| follow_strays(run, strays))
+        .fold(true, |all, end| all & end);
+    let all_confirmed = seen & unseen & have_ended & end_strays(&over);
     Ok(if all_confirmed { Exit::Done } else { Exit::ProcessFailed })
 }
 
@@ -101,16 +107,48 @@ fn stop_unseen(domain: &Domain) -> bool {
     }
 }
 
+/// A stray with its description from the time when it lived.
+struct Named {
+    process: RunProcess,
+    description: String,
+}
+
+impl Named {
+    fn of(process: &RunProcess) -> Self {
+        Self { process: process.clone(), description: process.description() }
+    }
+}
+
 /// Ends what runs that are over have left; false when some of it does not end.
-fn end_strays(strays: &[RunProcess]) -> bool {
-    let named: Vec<String> = strays.iter().map(RunProcess::description).collect();
-    let left = halt::end_strays(strays);
-    for name in &named {
-        let end = if left.contains(name) { "does not end" } else { "is ended" };
-        print(
-            Priority::Notice,
-            &format!("no system lives by it, but a run that is over had left {name}: it {end}"),
-        );
+fn end_strays(over: &[&LivingRun]) -> bool {
+    let strays: Vec<Named> = over.iter().flat_map(|run| run.strays()).map(Named::of).collect();
+    let left = halt::end_strays(over);
+    tell_ends(&strays, &left, |stray, has_ended| {
+        let end = if has_ended { "it is ended" } else { "it does not end, and lives" };
+        format!("no system lives by it, but a run that is over had left {stray}: {end}")
+    })
+}
+
+/// Waits until the strays of a run that was stopped are ended; false when some of them do not end.
+fn follow_strays(run: &LivingRun, strays: &[Named]) -> bool {
+    if strays.is_empty() {
+        return true;
+    }
+    let left = halt::wait_for_strays(run);
+    tell_ends(strays, &left, |stray, has_ended| {
+        let end = if has_ended { "is ended too" } else { "does not end, and lives" };
+        format!("{stray}, {end}")
+    })
+}
+
+/// Prints what became of strays, also of those that have been started meanwhile; true when all have ended.
+fn tell_ends(strays: &[Named], left: &[RunProcess], text: impl Fn(&str, bool) -> String) -> bool {
+    let lives = |process: &RunProcess| left.iter().any(|other| other.identity == process.identity);
+    for stray in strays.iter().filter(|stray| !lives(&stray.process)) {
+        tell(&text(&stray.description, true));
+    }
+    for stray in left {
+        print(Priority::Error, &text(&stray.description(), false));
     }
     left.is_empty()
 }
@@ -127,19 +165,19 @@ fn stop_one(run: &LivingRun) -> bool {
         print(Priority::Error, &format!("system `{system_id}`: {what}; alive: {alive}"));
     }
     let is_over = halt::wait_for_end(run, RETURN_NS.saturating_sub(after_ns));
-    let strays: Vec<String> = run.strays().map(RunProcess::description).collect();
-    if is_over && strays.is_empty() {
-        halt::finish(run);
-    } else if let Err(error) = detach(run) {
-        print(Priority::Warning, &format!("system `{system_id}`: nothing ends its processes: {error}"));
-    }
+    let is_all = is_over && run.strays().next().is_none();
+    let detached = if is_all { Ok(()) } else { detach(run) };
     if confirmed {
         let state = if orphaned { ", which had lost its orchestrator," } else { "" };
         let end = if is_over { "and it has ended" } else { "its processes are ending" };
         tell(&format!("system `{system_id}`{state} is stopped: wheels blocked after {after_ms} ms, {end}"));
     }
-    for stray in strays {
-        tell(&format!("{stray}, is ended too"));
+    if let Err(error) = &detached {
+        let what = "this command ends its processes itself, which takes longer";
+        print(Priority::Warning, &format!("system `{system_id}`: {what}: {error}"));
+    }
+    if is_all || detached.is_err() {
+        halt::finish(run);
     }
     confirmed
 }

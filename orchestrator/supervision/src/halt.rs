@@ -8,10 +8,12 @@
 //! 2. [`finish`]: the orchestrator is given time to end its run itself. Then controller, obstacles and estimator end, then
 //!    the actuator, then the robot, and last an orchestrator that does not respond. A robot is killed only when it is
 //!    known to rest; otherwise it is left and named.
+//! 3. Strays are asked to end, then killed. One may start processes again and again, so the search is repeated until it
+//!    finds none. Those of actuator and robot are killed once no process of the run is left.
 
 use std::time::Duration;
 
-use runtime::{Domain, Identified, StopWord, Wheels, monotonic_ns, remove_bus_files_of};
+use runtime::{Domain, Identified, Identity, StopWord, Wheels, monotonic_ns, remove_bus_files_of};
 use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
 use shared_types::Role;
 
@@ -33,6 +35,12 @@ const REST_NS: u64 = 2_000_000_000;
 const GRACE_NS: u64 = 1_500_000_000;
 /// A killed process ends within this time unless it hangs in the kernel [ns].
 const KILLED_NS: u64 = 1_000_000_000;
+/// Strays that start processes again and again are searched and killed for this long [ns].
+const SWEEP_NS: u64 = 2_000_000_000;
+/// The end of an orchestrator, of the processes of its run and of its strays takes less [ns].
+const STRAYS_NS: u64 = 15_000_000_000;
+/// Time between two searches for strays, each of which reads all of `/proc`.
+const SEARCH_POLL: Duration = Duration::from_millis(20);
 /// Time between two checks.
 const POLL: Duration = Duration::from_millis(2);
 
@@ -96,7 +104,7 @@ fn is_blocked(run: &LivingRun, robots: &[Identified]) -> bool {
 
 /// Waits until no process of the run lives, for `timeout_ns` at most; returns whether none does.
 pub fn wait_for_end(run: &LivingRun, timeout_ns: u64) -> bool {
-    wait_until(timeout_ns, || run.is_over())
+    wait_until(timeout_ns, POLL, || run.is_over())
 }
 
 /// Ends all processes of a run that was stopped and removes its files; returns labels of those that could not be ended.
@@ -122,8 +130,12 @@ pub fn end_processes(run: &LivingRun) -> Vec<String> {
     let others = run.processes.iter();
     let others = others.filter(|process| !matches!(process.role, Some(Role::Actuator | Role::Robot)));
     end_all(others.filter_map(|process| process.open()).collect());
+    sweep(|| strays_of(&[&run], |stray| !is_of_wheels(stray)));
     end_all(run.of_role(Role::Actuator).collect());
     end_robots(&run);
+    if run.members().next().is_none() {
+        end_strays(&[&run]);
+    }
     run.members().map(RunProcess::label).chain(run.strays().map(RunProcess::description)).collect()
 }
 
@@ -137,10 +149,62 @@ pub fn end_own_run(domain: &Domain, stop_word: &StopWord) {
     }
 }
 
-/// Ends what runs that are over have left; returns those that do not end.
-pub fn end_strays(strays: &[RunProcess]) -> Vec<String> {
-    end_all(strays.iter().filter_map(RunProcess::open).collect());
-    strays.iter().filter(|stray| stray.open().is_some()).map(RunProcess::description).collect()
+/// Ends the strays of runs, also those that they start meanwhile; returns those that live after it.
+pub fn end_strays(runs: &[&LivingRun]) -> Vec<RunProcess> {
+    let search = || strays_of(runs, |_| true);
+    let asked: Vec<Identified> = search().iter().filter_map(RunProcess::open).collect();
+    ask_to_end(&asked);
+    let have_all_ended = || have_ended(&asked) && search().is_empty();
+    if !wait_until(GRACE_NS, SEARCH_POLL, have_all_ended) {
+        sweep(search);
+    }
+    search()
+}
+
+/// Waits until another process has ended the strays of a run; returns those that live after it.
+pub fn wait_for_strays(run: &LivingRun) -> Vec<RunProcess> {
+    let search = || strays_of(&[run], |_| true);
+    wait_until(STRAYS_NS, SEARCH_POLL, || search().is_empty());
+    search()
+}
+
+/// The strays of runs that live now.
+fn strays_of(runs: &[&LivingRun], is_wanted: impl Fn(&RunProcess) -> bool) -> Vec<RunProcess> {
+    let Some(uid) = runs.first().map(|run| run.uid) else { return Vec::new() };
+    let found = LivingRun::with_strays(uid).into_iter();
+    let found = found.filter(|found| runs.iter().any(|run| run.run_id == found.run_id));
+    found.flat_map(|run| run.strays().filter(|stray| is_wanted(stray)).cloned().collect::<Vec<_>>()).collect()
+}
+
+/// Whether a stray may be what makes the robot move and stop.
+fn is_of_wheels(stray: &RunProcess) -> bool {
+    matches!(stray.role, Some(Role::Actuator | Role::Robot))
+}
+
+/// Kills all that a search finds, and searches again until it finds none, for [`SWEEP_NS`] at most.
+///
+/// A process that is killed may be started again by another one. So all are suspended first, until a search finds no new
+/// one, and killed then.
+fn sweep(search: impl Fn() -> Vec<RunProcess>) {
+    let deadline_ns = monotonic_ns() + SWEEP_NS;
+    let mut suspended: Vec<Identity> = Vec::new();
+    loop {
+        let found = search();
+        if found.is_empty() {
+            return;
+        }
+        let opened: Vec<Identified> = found.iter().filter_map(RunProcess::open).collect();
+        let is_over = monotonic_ns() >= deadline_ns;
+        if is_over || found.iter().all(|process| suspended.contains(&process.identity)) {
+            kill(&opened);
+        } else {
+            opened.iter().for_each(|process| process.signal(Signal::STOP));
+        }
+        if is_over {
+            return;
+        }
+        suspended = found.into_iter().map(|process| process.identity).collect();
+    }
 }
 
 /// The orchestrator of the run, unless it is this process.
@@ -151,7 +215,7 @@ fn foreign_orchestrator(run: &LivingRun) -> Option<u32> {
 /// TERM, grace, KILL.
 fn end_all(processes: Vec<Identified>) {
     ask_to_end(&processes);
-    if !wait_until(GRACE_NS, || have_ended(&processes)) {
+    if !wait_until(GRACE_NS, POLL, || have_ended(&processes)) {
         kill(&processes);
     }
 }
@@ -165,16 +229,16 @@ fn ask_to_end(processes: &[Identified]) {
 
 fn kill(processes: &[Identified]) {
     processes.iter().for_each(|process| process.signal(Signal::KILL));
-    wait_until(KILLED_NS, || have_ended(processes));
+    wait_until(KILLED_NS, POLL, || have_ended(processes));
 }
 
 /// A robot ends when it rests; one that does not report is given the time to. It is killed only when it is known to rest.
 fn end_robots(run: &LivingRun) {
     let robots: Vec<Identified> = run.of_role(Role::Robot).collect();
     let rests = || run.word.as_ref().is_some_and(|word| word.wheels(Role::Robot).0 == Wheels::Resting);
-    wait_until(REST_NS, || rests() || have_ended(&robots));
+    wait_until(REST_NS, POLL, || rests() || have_ended(&robots));
     ask_to_end(&robots);
-    if !wait_until(GRACE_NS, || have_ended(&robots)) && rests() {
+    if !wait_until(GRACE_NS, POLL, || have_ended(&robots)) && rests() {
         kill(&robots);
     }
 }
@@ -195,13 +259,13 @@ fn have_ended(processes: &[Identified]) -> bool {
     processes.iter().all(Identified::has_ended)
 }
 
-fn wait_until(timeout_ns: u64, is_done: impl Fn() -> bool) -> bool {
+fn wait_until(timeout_ns: u64, poll: Duration, is_done: impl Fn() -> bool) -> bool {
     let deadline_ns = monotonic_ns() + timeout_ns;
     while !is_done() {
         if monotonic_ns() >= deadline_ns {
             return false;
         }
-        std::thread::sleep(POLL);
+        std::thread::sleep(poll);
     }
     true
 }
@@ -227,5 +291,48 @@ fn signal_orchestrator(run: &LivingRun, pid: u32, signal: Signal) {
         && run.orchestrator() == Some(pid)
     {
         let _ = pidfd_send_signal(process, signal);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::process::{Child, Command};
+
+    use runtime::{INCARNATION_VARIABLE, RUN_ID_VARIABLE};
+
+    use super::*;
+
+    /// A process of a run without orchestrator and stop word, so a stray.
+    fn stray(run_id: &str, script: &str) -> Child {
+        let mut command = Command::new("setsid");
+        command.args(["sh", "-c", script]).env(RUN_ID_VARIABLE, run_id).env(INCARNATION_VARIABLE, "7");
+        command.spawn().unwrap()
+    }
+
+    /// The run, once so many processes of it are found.
+    fn run_of(run_id: &str, count: usize) -> LivingRun {
+        let uid = rustix::process::geteuid().as_raw();
+        loop {
+            let found = LivingRun::with_strays(uid).into_iter().find(|run| run.run_id == run_id);
+            if let Some(run) = found.filter(|run| run.strays().count() >= count) {
+                return run;
+            }
+            std::thread::sleep(POLL);
+        }
+    }
+
+    #[test]
+    fn strays_that_ignore_the_request_or_start_others_are_ended_with_what_they_start() {
+        for (run_id, script) in [
+            ("haltstubborn", "trap : TERM HUP INT; while :; do sleep 90; done"),
+            ("haltprolific", "trap '' TERM; while :; do setsid sleep 90 & sleep 0.02; done"),
+        ] {
+            let mut first = stray(run_id, script);
+            let left = end_strays(&[&run_of(run_id, 2)]);
+            first.wait().unwrap();
+            let uid = rustix::process::geteuid().as_raw();
+            assert!(left.is_empty(), "{left:?}");
+            assert!(LivingRun::with_strays(uid).iter().all(|run| run.run_id != run_id));
+        }
     }
 }

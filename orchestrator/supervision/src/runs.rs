@@ -73,12 +73,14 @@ impl RunProcess {
     pub fn description(&self) -> String {
         let pid = self.identity.pid;
         let program = std::fs::read_to_string(format!("/proc/{pid}/comm")).unwrap_or_default();
+        // A program names itself, with what moves the cursor of a terminal too.
+        let program: String = program.chars().filter(|letter| !letter.is_control()).collect();
         let starter = match (self.role, &self.companion) {
             (Some(role), _) => format!("the process of role {role}"),
             (None, Some(name)) => format!("companion {name}"),
             (None, None) => "a process of the run".to_owned(),
         };
-        format!("process {pid} ({}), which {starter} has started", program.trim())
+        format!("process {pid} ({program}), which {starter} has started")
     }
 }
 
@@ -148,9 +150,11 @@ impl LivingRun {
         self.processes.iter().filter(|process| !process.is_stray && process.open().is_some())
     }
 
-    /// What its processes have started in groups of its own, and still lives.
+    /// What its processes have started in groups of its own, and still lives; without this process.
     pub fn strays(&self) -> impl Iterator<Item = &RunProcess> {
-        self.processes.iter().filter(|process| process.is_stray && process.open().is_some())
+        let own = std::process::id();
+        let strays = self.processes.iter().filter(move |process| process.is_stray);
+        strays.filter(move |process| process.identity.pid != own && process.open().is_some())
     }
 
     /// Its living processes and orchestrator, as `controller 812`.

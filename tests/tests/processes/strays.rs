@@ -31,6 +31,31 @@ fn system() -> System {
     system
 }
 
+/// The built-in system with a companion that is a script.
+fn system_with(script: &str) -> System {
+    let system = System::new(EXECUTABLE);
+    let command = ["sh", "-c", script];
+    let text = format!(
+        "[[process]]\nrole = \"companion\"\nname = \"lidar\"\nrestart = \"never\"\ncommand = {command:?}\n"
+    );
+    std::fs::write(system.folder().join("lab.toml"), text).unwrap();
+    system
+}
+
+/// Waits until a program of the system runs that sleeps for so long.
+fn wait_for_sleeper(system: &System, seconds: &str) {
+    let line = format!("sleep\0{seconds}\0");
+    let is_sleeper =
+        |pid: &i32| std::fs::read(format!("/proc/{pid}/cmdline")).is_ok_and(|found| found == line.as_bytes());
+    system.wait_until("the daemon sleeps", |system| system.processes().iter().any(is_sleeper));
+}
+
+/// A daemon that ignores the request to end and sleeps again when its program is ended.
+const STUBBORN: &str = "setsid sh -c 'trap : TERM HUP INT; while :; do sleep 90114; done' & exec sleep 90214";
+/// A daemon that starts others again and again, each in a session of its own.
+const PROLIFIC: &str =
+    "setsid sh -c 'trap \"\" TERM; while :; do setsid sleep 90115 & sleep 0.1; done' & exec sleep 90215";
+
 /// Process ids of the daemons, once all three are there.
 fn daemons(system: &System) -> Vec<i32> {
     let of = |pid: &i32| {
@@ -107,4 +132,39 @@ fn a_run_of_which_only_daemons_are_left_is_over() {
     }
     system.wait_until("only the daemons live", |system| system.processes().len() == daemons.len());
     assert_no_system_lives(&system, &daemons);
+}
+
+#[test]
+fn a_stop_returns_when_daemons_that_ignore_the_request_have_ended() {
+    for (script, seconds) in [(STUBBORN, "90114"), (PROLIFIC, "90115")] {
+        let mut system = system_with(script);
+        system.start(&["endless", "--system", "lab.toml"]);
+        wait_for_sleeper(&system, seconds);
+        let output = system.run(&["stop"]);
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output));
+        assert!(
+            text(&output).contains("which companion lidar has started, is ended too"),
+            "{}",
+            text(&output)
+        );
+        // What was said holds at once.
+        assert_eq!(system.processes(), [0; 0], "{}", text(&output));
+        system.wait();
+        system.assert_nothing_left();
+    }
+}
+
+#[test]
+fn a_stop_ends_daemons_of_a_run_that_is_over_and_what_they_start_meanwhile() {
+    for (script, seconds) in [(STUBBORN, "90114"), (PROLIFIC, "90115")] {
+        let mut system = system_with(script);
+        system.start(&[&SHORT_FREE[..], &["--system", "lab.toml"]].concat());
+        wait_for_sleeper(&system, seconds);
+        assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+        let output = system.run(&["stop"]);
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output));
+        assert!(text(&output).contains("a run that is over had left process"), "{}", text(&output));
+        assert_eq!(system.processes(), [0; 0], "{}", text(&output));
+        system.assert_nothing_left();
+    }
 }
