@@ -7,14 +7,18 @@
 //! What such a process has started in a group of its own, a daemon, inherits the same environment and is a *stray*: it is
 //! named and ended, but no run lives by it. This is the one definition for all commands.
 //!
+//! A stray may have changed its user. Root finds it as long as its run has another process, or it holds the page of the stop
+//! word of its run itself. It is never more than a stray: another user may have given a process the environment of a run.
+//!
 //! Limit: processes of other pid or user namespaces are not visible here; [`crate::lock::is_hidden`] notices them.
 
 use std::os::unix::fs::MetadataExt;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use runtime::{
     COMPANION_VARIABLE, DIRECTORY_VARIABLE, Domain, Identified, Identity, ROLE_VARIABLE, RuntimeError,
-    SYSTEM_ID_VARIABLE, Seen, StopWord, identify, start_ticks, started_processes, uid_of,
+    SYSTEM_ID_VARIABLE, Seen, StopWord, identify, start_ticks, started_processes,
+    started_processes_of_others, uid_of,
 };
 use shared_types::Role;
 
@@ -119,6 +123,13 @@ impl LivingRun {
                 run.word = StopWord::open(&link).ok();
             }
         }
+        for seen in started_processes_of_others(uid) {
+            let (run_id, pid) = (seen.identity.run_id.clone(), seen.identity.pid);
+            let is_known = runs.iter().any(|run| run.run_id == run_id);
+            if is_known || stop_words_of(pid, uid).iter().any(|(held, _)| *held == run_id) {
+                Self::entry(&mut runs, &run_id, uid).take(seen);
+            }
+        }
         runs.iter_mut().for_each(Self::mark_strays);
         runs
     }
@@ -128,9 +139,10 @@ impl LivingRun {
         Self::all(rustix::process::geteuid().as_raw()).into_iter().find(|run| run.run_id == run_id)
     }
 
-    /// The living processes of one role.
+    /// The living processes of one role, of the user of the run.
     pub fn of_role(&self, role: Role) -> impl Iterator<Item = Identified> {
-        self.processes.iter().filter(move |process| process.role == Some(role)).filter_map(RunProcess::open)
+        let own = self.processes.iter().filter(|process| process.identity.uid == self.uid);
+        own.filter(move |process| process.role == Some(role)).filter_map(RunProcess::open)
     }
 
     /// Process id of the orchestrator, if it lives. Any process of the user can write into the page of the stop word, so a
@@ -191,16 +203,16 @@ impl LivingRun {
     }
 
     /// Tells strays by the page of the stop word. Where that does not tell, none is: the safe side. Where no process has
-    /// it, all are, because those of the orchestrator inherit it. One that reports what the wheels do is none.
+    /// it, all are, because those of the orchestrator inherit it. One that reports what the wheels do is none. One of
+    /// another user is always one.
     fn mark_strays(&mut self) {
         let word = self.word.clone();
         for process in &mut self.processes {
             let pid = process.identity.pid;
             let reports = |word: &StopWord| Role::ALL.iter().any(|role| word.obeyed_by(*role) == pid);
-            process.is_stray = process.identity.incarnation != LINK_INCARNATION
-                && word
-                    .as_ref()
-                    .is_none_or(|word| word.has_started(process.group) == Some(false) && !reports(word));
+            let is_told = |word: &StopWord| word.has_started(process.group) == Some(false) && !reports(word);
+            process.is_stray = process.identity.uid != self.uid
+                || process.identity.incarnation != LINK_INCARNATION && word.as_ref().is_none_or(is_told);
         }
     }
 
@@ -255,15 +267,18 @@ fn stop_words(uid: u32) -> Vec<(String, PathBuf)> {
     // that one would drop the lock by which the bus knows that this process lives.
     let own = std::process::id();
     for pid in runtime::processes(uid).filter(|pid| *pid != own) {
-        let Ok(entries) = std::fs::read_dir(format!("/proc/{pid}/fd")) else { continue };
-        for path in entries.flatten().map(|entry| entry.path()) {
-            let Ok(link) = std::fs::read_link(&path) else { continue };
-            if let Some(run_id) = StopWord::run_id_of_link(Path::new(&link))
-                && std::fs::metadata(&path).is_ok_and(|page| page.uid() == uid)
-            {
-                found.push((run_id.to_owned(), path));
-            }
-        }
+        found.append(&mut stop_words_of(pid, uid));
     }
     found
+}
+
+/// Run ids and paths of the stop words of a user that a process holds open.
+fn stop_words_of(pid: u32, uid: u32) -> Vec<(String, PathBuf)> {
+    let entries = std::fs::read_dir(format!("/proc/{pid}/fd")).into_iter().flatten().flatten();
+    let held = |path: PathBuf| {
+        let link = std::fs::read_link(&path).ok()?;
+        let run_id = StopWord::run_id_of_link(&link)?.to_owned();
+        std::fs::metadata(&path).is_ok_and(|page| page.uid() == uid).then_some((run_id, path))
+    };
+    entries.filter_map(|entry| held(entry.path())).collect()
 }

@@ -177,6 +177,16 @@ pub fn started_processes(uid: u32) -> Vec<Seen> {
     processes(uid).filter_map(seen).filter(|process| process.identity.uid == uid).collect()
 }
 
+/// All running processes of other users than `uid` whose environment names a run and an incarnation. The environment of
+/// another user is readable for root alone.
+pub fn started_processes_of_others(uid: u32) -> Vec<Seen> {
+    if !rustix::process::geteuid().is_root() {
+        return Vec::new();
+    }
+    let others = all_processes().filter(|pid| uid_of(*pid) != Some(uid));
+    others.filter_map(seen).filter(|process| process.identity.uid != uid).collect()
+}
+
 /// The running processes of one run of this user.
 pub fn processes_of(run_id: &str) -> Vec<Seen> {
     let mut found = started_processes(rustix::process::geteuid().as_raw());
@@ -186,9 +196,12 @@ pub fn processes_of(run_id: &str) -> Vec<Seen> {
 
 /// Ids of all running processes of a user.
 pub fn processes(uid: u32) -> impl Iterator<Item = u32> {
+    all_processes().filter(move |pid| uid_of(*pid) == Some(uid))
+}
+
+fn all_processes() -> impl Iterator<Item = u32> {
     let entries = std::fs::read_dir("/proc").into_iter().flatten().flatten();
-    let pids = entries.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
-    pids.filter(move |pid| uid_of(*pid) == Some(uid))
+    entries.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok())
 }
 
 fn seen(pid: u32) -> Option<Seen> {
@@ -319,7 +332,11 @@ mod tests {
     #[test]
     fn processes_of_another_user_are_not_listed() {
         let _sleeper = Sleeper::new("identitydd", "7");
-        assert!(started_processes(rustix::process::geteuid().as_raw() + 1).is_empty());
+        let other = rustix::process::geteuid().as_raw() + 1;
+        assert!(started_processes(other).is_empty());
+        let found = started_processes_of_others(other);
+        let is_found = found.iter().any(|seen| seen.identity.run_id == "identitydd");
+        assert_eq!(is_found, rustix::process::geteuid().is_root());
     }
 
     #[test]

@@ -85,7 +85,7 @@ pub use folder::Folder;
 pub use handover::{Handover, HandoverData, read as read_handover, write as write_handover};
 pub use identity::{
     Identified, Identity, NotOurs, PROCESSES_FILE, Seen, identify, pid_namespace, processes, processes_of,
-    start_ticks, started_processes, uid_of,
+    start_ticks, started_processes, started_processes_of_others, uid_of,
 };
 pub use input::{Input, QUEUE_DEPTH, Taken, join};
 pub use layouts::{LAYOUTS_FILE, verify_layouts};

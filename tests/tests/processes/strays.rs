@@ -168,3 +168,34 @@ fn a_stop_ends_daemons_of_a_run_that_is_over_and_what_they_start_meanwhile() {
         system.assert_nothing_left();
     }
 }
+
+#[test]
+fn a_daemon_that_has_changed_its_user_is_named_and_ended_by_root() {
+    let changes = std::process::Command::new("setpriv").args(["--reuid", "1234", "true"]).output();
+    if !changes.is_ok_and(|output| output.status.success()) {
+        println!("skipped: this test needs root and `setpriv`");
+        return;
+    }
+    let script = "setsid setpriv --reuid 1234 sleep 90105 & exec sleep 90205";
+    let mut system = system_with(script);
+    system.start(&["endless", "--system", "lab.toml"]);
+    wait_for_sleeper(&system, "90105");
+    let output = system.run(&["stop"]);
+    assert!(
+        text(&output).contains("(sleep), which companion lidar has started, is ended too"),
+        "{}",
+        text(&output)
+    );
+    assert_eq!((output.status.code(), system.processes()), (Some(0), Vec::new()));
+    system.wait();
+    let mut system = system_with(script);
+    system.start(&[&SHORT_FREE[..], &["--system", "lab.toml"]].concat());
+    wait_for_sleeper(&system, "90105");
+    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+    assert!(system.stderr().contains("has left process"), "{}", system.stderr());
+    let daemons = system.processes();
+    assert_eq!(named(&system, &daemons, &["status"]), Some(2));
+    assert_eq!(named(&system, &daemons, &["stop"]), Some(0));
+    assert_eq!(system.processes(), [0; 0]);
+    system.assert_nothing_left();
+}
