@@ -7,6 +7,10 @@
 //! as `Host`, so names are refused. An address or `localhost` can't be pointed elsewhere: with any port they are a page
 //! that was opened through a tunnel, and the token decides. Without the token, `Host` must be the very address of the
 //! connection.
+//!
+//! A browser adds the `Origin` of the page that asks. Without the token it must be the one that `Host` names. With the token
+//! it may have another scheme or port, or any name of the loopback interface: what stands in between may add TLS or write
+//! its own `Host`. Only the page of the printed link knows the token.
 
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 
@@ -90,11 +94,11 @@ pub(crate) fn admit(
     local: SocketAddr,
 ) -> Result<(), Refusal> {
     let host = request.host.as_deref().filter(|host| is_unnamed(host)).ok_or(Refusal::Host)?;
-    let is_same = |origin: &str| origin.strip_prefix("http://") == Some(host);
-    if !request.origin.as_deref().is_none_or(is_same) {
+    let has_token = request.token.as_deref().is_some_and(|given| token.is(given));
+    let is_ours = |origin: &str| is_same(origin, host) || has_token && is_of_this_machine(origin, host);
+    if !request.origin.as_deref().is_none_or(is_ours) {
         return Err(Refusal::Origin);
     }
-    let has_token = || request.token.as_deref().is_some_and(|given| token.is(given));
     let is_this_user = || {
         let own = rustix::process::geteuid().as_raw();
         is_own(host, local)
@@ -103,24 +107,50 @@ pub(crate) fn admit(
     };
     let admitted = match need {
         Need::Page => true,
-        Need::Data => has_token() || is_this_user(),
-        Need::Control => has_token(),
+        Need::Data => has_token || is_this_user(),
+        Need::Control => has_token,
     };
     if admitted { Ok(()) } else { Err(Refusal::Token) }
 }
 
-/// Whether `host` is an address or `localhost`, which no web site can point to another machine.
-fn is_unnamed(host: &str) -> bool {
+/// Whether an origin is the page that is served as `host`, without encryption.
+fn is_same(origin: &str, host: &str) -> bool {
+    origin.strip_prefix("http://").is_some_and(|site| parts(site, "80") == parts(host, "80"))
+}
+
+/// Whether an origin is a site of this machine: it has the name in `host`, or one of the loopback interface.
+fn is_of_this_machine(origin: &str, host: &str) -> bool {
+    let site = origin.strip_prefix("http://").or_else(|| origin.strip_prefix("https://"));
+    site.is_some_and(|site| {
+        let (name, _port) = parts(site, "");
+        is_unnamed(site) && (name == parts(host, "").0 || is_loopback(&name))
+    })
+}
+
+/// The name in small letters, and the port.
+fn parts<'a>(host: &'a str, default_port: &'a str) -> (String, &'a str) {
     let (name, port) = match host.rsplit_once(':') {
         Some((name, port)) if !port.contains(']') => (name, port),
-        _ => (host, "80"),
+        _ => (host, default_port),
     };
+    (name.to_ascii_lowercase(), port)
+}
+
+/// Whether a name leads to this machine wherever it is used: `localhost`, or an address of the loopback interface.
+fn is_loopback(name: &str) -> bool {
+    let bare = name.strip_prefix('[').and_then(|inner| inner.strip_suffix(']')).unwrap_or(name);
+    name == "localhost" || bare.parse::<std::net::IpAddr>().is_ok_and(|ip| ip.to_canonical().is_loopback())
+}
+
+/// Whether `host` is an address or `localhost`, which no web site can point to another machine.
+fn is_unnamed(host: &str) -> bool {
+    let (name, port) = parts(host, "80");
     let bare = name.strip_prefix('[').and_then(|inner| inner.strip_suffix(']'));
     let is_address = match bare {
         Some(inner) => inner.parse::<Ipv6Addr>().is_ok(),
         None => name.parse::<Ipv4Addr>().is_ok(),
     };
-    port.parse::<u16>().is_ok() && (is_address || name.eq_ignore_ascii_case("localhost"))
+    port.parse::<u16>().is_ok() && (is_address || name == "localhost")
 }
 
 /// Whether `host` is the address at which the connection arrived.
@@ -232,12 +262,62 @@ mod tests {
     #[test]
     fn another_origin_is_refused_even_with_the_token() {
         let token = "f".repeat(32);
-        for origin in ["http://evil.example", "https://127.0.0.1:7117", "null", "http://127.0.0.1:7118"] {
+        for origin in [
+            "http://evil.example",
+            "https://evil.example:7117",
+            "http://localhost.evil.example:7117",
+            "http://127.0.0.1.evil.example",
+            "http://user@127.0.0.1:7117",
+            "http://127.0.0.1:7117/path",
+            "http://192.168.0.8:7117",
+            "http://[::2]:7117",
+            "http://2130706433:7117",
+            "ftp://127.0.0.1:7117",
+            "127.0.0.1:7117",
+            "http://",
+            "",
+            "null",
+        ] {
             let asked = request("127.0.0.1:7117", Some(origin), Some(&token));
-            assert_eq!(admitted(Need::Data, &asked), Err(Refusal::Origin), "{origin}");
+            for need in [Need::Page, Need::Data, Need::Control] {
+                assert_eq!(admitted(need, &asked), Err(Refusal::Origin), "{origin}");
+            }
         }
         let same = request("127.0.0.1:7117", Some("http://127.0.0.1:7117"), Some(&token));
         assert_eq!(admitted(Need::Control, &same), Ok(()));
+    }
+
+    #[test]
+    fn with_the_token_another_port_or_scheme_of_this_machine_is_the_page_behind_a_tunnel() {
+        let token = "f".repeat(32);
+        for (host, origin) in [
+            ("localhost:8443", "https://localhost:8443"),
+            ("127.0.0.1:17820", "http://localhost:8080"),
+            ("127.0.0.1:7117", "http://127.0.0.1:7118"),
+            ("localhost:8080", "http://LOCALHOST:8080"),
+            ("192.168.0.7:7117", "https://192.168.0.7"),
+            ("127.0.0.1:7117", "https://[::1]:8443"),
+        ] {
+            for need in [Need::Page, Need::Data, Need::Control] {
+                assert_eq!(admitted(need, &request(host, Some(origin), Some(&token))), Ok(()), "{origin}");
+            }
+            let wrong = "e".repeat(32);
+            for given in [None, Some(wrong.as_str())] {
+                let refused = admitted(Need::Control, &request(host, Some(origin), given));
+                assert!(refused.is_err(), "{origin}");
+            }
+        }
+        // The same origin, written in another way.
+        for (host, origin) in [("localhost:80", "http://localhost"), ("LocalHost:1", "http://localhost:1")] {
+            assert_eq!(admitted(Need::Page, &request(host, Some(origin), None)), Ok(()), "{origin}");
+            assert_eq!(
+                admitted(Need::Control, &request(host, Some(origin), Some(&token))),
+                Ok(()),
+                "{origin}"
+            );
+        }
+        let without = request("127.0.0.1:7117", Some("http://127.0.0.1:7118"), None);
+        assert_eq!(admitted(Need::Page, &without), Err(Refusal::Origin));
     }
 
     #[test]
