@@ -8,6 +8,9 @@ use console::exit::Failure;
 
 /// The port of the page, unless another one is named.
 pub(crate) const DEFAULT_PORT: u16 = 7117;
+/// So many connections may wait to be accepted; the kernel allows fewer where `net.core.somaxconn` is smaller. The default of
+/// 128 is full within the time slice of another user who connects all the time, and then nobody gets in.
+const BACKLOG: i32 = 4096;
 
 /// Arguments of `view`.
 #[derive(Debug, Clone, Args)]
@@ -34,7 +37,12 @@ pub struct ViewArguments {
 /// # Errors
 /// An address that is in use or is not one of this machine; exit code 2.
 pub(crate) fn listen(address: IpAddr, port: u16) -> anyhow::Result<TcpListener> {
-    TcpListener::bind(SocketAddr::new(address, port)).map_err(|error| match error.kind() {
+    let bound = TcpListener::bind(SocketAddr::new(address, port)).and_then(|listener| {
+        // A second call changes nothing but the length of the queue.
+        rustix::net::listen(&listener, BACKLOG)?;
+        Ok(listener)
+    });
+    bound.map_err(|error| match error.kind() {
         std::io::ErrorKind::AddrInUse => Failure::bad_input(format!(
             "port {port} of {address} is in use; name another one, or 0 for any free one"
         )),
@@ -47,7 +55,21 @@ pub(crate) fn listen(address: IpAddr, port: u16) -> anyhow::Result<TcpListener> 
 
 #[cfg(test)]
 mod tests {
+    use std::net::{Ipv4Addr, TcpStream};
+    use std::time::Duration;
+
     use super::*;
+
+    #[test]
+    fn more_connections_wait_than_by_default() {
+        let allowed = std::fs::read_to_string("/proc/sys/net/core/somaxconn").unwrap();
+        let count = allowed.trim().parse::<usize>().unwrap().min(400);
+        let listener = listen(IpAddr::V4(Ipv4Addr::LOCALHOST), 0).unwrap();
+        let address = listener.local_addr().unwrap();
+        let connect = || TcpStream::connect_timeout(&address, Duration::from_secs(5)).unwrap();
+        let waiting: Vec<TcpStream> = (0..count).map(|_| connect()).collect();
+        assert_eq!(waiting.len(), count);
+    }
 
     #[test]
     fn a_port_in_use_is_named_without_an_option_that_was_not_written() {

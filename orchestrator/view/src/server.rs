@@ -245,10 +245,15 @@ fn start_accepting(listener: TcpListener, site: Arc<Site>) -> anyhow::Result<()>
         let places = Places::new(MAX_CONNECTIONS, MAX_OTHERS);
         loop {
             wait_for(&[listener.as_fd()], ACCEPT_NS);
-            match listener.accept() {
-                Ok((stream, peer)) => accept(&site, &places, stream, peer),
-                Err(error) if error.kind() == std::io::ErrorKind::WouldBlock => {}
-                Err(_) => _ = wait_for(&[], REFUSED_PAUSE_NS),
+            // All that wait are taken at once: those without a place are closed, and keep none in the queue.
+            let refused = loop {
+                match listener.accept() {
+                    Ok((stream, peer)) => accept(&site, &places, stream, peer),
+                    Err(error) => break error,
+                }
+            };
+            if refused.kind() != std::io::ErrorKind::WouldBlock {
+                wait_for(&[], REFUSED_PAUSE_NS);
             }
         }
     })?;
