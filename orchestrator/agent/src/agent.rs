@@ -281,13 +281,18 @@ impl Link {
         let input = process.stdin.take().context("the link has no input")?;
         let output = process.stdout.take().context("the link has no output")?;
         let (sender, lines): (Sender<String>, _) = channel();
-        std::thread::spawn(move || {
+        let forward = move || {
             for line in BufReader::new(output).lines().map_while(Result::ok) {
                 if sender.send(line).is_err() {
                     break;
                 }
             }
-        });
+        };
+        if let Err(error) = std::thread::Builder::new().name("link".to_owned()).spawn(forward) {
+            let _ = process.kill();
+            let _ = process.wait();
+            return Err(error.into());
+        }
         // It prints why it can't listen, and ends.
         match lines.recv() {
             Ok(_listening) => Ok(Self { process, input, lines }),

@@ -195,7 +195,7 @@ fn candidate(role: Role, arguments: &ConformanceArguments) -> anyhow::Result<(Ve
 fn play_all(cases: &[Case], suite: &Suite, arguments: &ConformanceArguments) -> anyhow::Result<Vec<Verdict>> {
     let (jobs, tries) = (usize::from(arguments.jobs), u32::from(arguments.tries));
     let next = AtomicUsize::new(0);
-    let mut played = std::thread::scope(|scope| {
+    let played = std::thread::scope(|scope| -> std::io::Result<_> {
         let work = || {
             let mut mine = Vec::new();
             loop {
@@ -208,11 +208,15 @@ fn play_all(cases: &[Case], suite: &Suite, arguments: &ConformanceArguments) -> 
                 mine.push((index, verdict));
             }
         };
-        let workers: Vec<_> = (0..jobs.min(cases.len())).map(|_| scope.spawn(work)).collect();
-        let ended = workers.into_iter().map(|worker| worker.join());
-        ended.collect::<Result<Vec<_>, _>>().map(|each| each.into_iter().flatten().collect::<Vec<_>>())
-    })
-    .map_err(|_| anyhow::anyhow!("a case panicked"))?;
+        let start = |_| std::thread::Builder::new().spawn_scoped(scope, work);
+        let workers = (0..jobs.min(cases.len())).map(start).collect::<Result<Vec<_>, _>>();
+        if workers.is_err() {
+            next.store(cases.len(), Ordering::Relaxed);
+        }
+        let ended = workers?.into_iter().map(|worker| worker.join());
+        Ok(ended.collect::<Result<Vec<_>, _>>().map(|each| each.into_iter().flatten().collect::<Vec<_>>()))
+    })?;
+    let mut played = played.map_err(|_| anyhow::anyhow!("a case panicked"))?;
     played.sort_by_key(|(index, _)| *index);
     let mut verdicts = Vec::new();
     for (index, verdict) in played {

@@ -24,6 +24,20 @@ pub fn processes_reached() -> Option<Reached> {
     })
 }
 
+/// The smallest limit of processes and threads of the control groups of this process, if one of them has refused a start.
+/// Meanwhile some of them may have ended.
+pub fn processes_refused() -> Option<Reached> {
+    let folders = folders("self", "pids");
+    let has_refused = |folder: &PathBuf| {
+        let events = std::fs::read_to_string(folder.join("pids.events")).unwrap_or_default();
+        events.lines().any(|line| line.strip_prefix("max ").is_some_and(|count| count.trim() != "0"))
+    };
+    let limit =
+        |folder: &PathBuf| Some(Reached { group: name(folder), limit: number(&folder.join("pids.max"))? });
+    let is_refused = folders.iter().any(has_refused);
+    folders.iter().filter_map(limit).min_by_key(|found| found.limit).filter(|_| is_refused)
+}
+
 /// The smallest limit of memory of the control groups of this process [bytes].
 pub fn memory_limit() -> Option<Reached> {
     let of = |folder: PathBuf| {

@@ -6,9 +6,10 @@ use std::io;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use runtime::RuntimeError;
 use rustix::fs::Mode;
 use rustix::io::Errno;
-use rustix::process::{Resource, Rlimit, Signal, getrlimit, setrlimit, umask};
+use rustix::process::{Resource, Rlimit, Signal, geteuid, getrlimit, setrlimit, umask};
 
 use crate::control_group;
 use crate::exit::Failure;
@@ -17,7 +18,10 @@ use crate::exit::Failure;
 const MIN_STACK_BYTES: u64 = 1 << 20;
 
 /// A port of the bus opens up to so many files at once.
-const SPARE_FILES: usize = 8;
+pub const SPARE_FILES: usize = 8;
+
+/// A system has files as large as this [bytes].
+const MIN_FILE_BYTES: u64 = 256 << 20;
 
 /// What a system needs of a limit that each process has.
 struct Need {
@@ -46,7 +50,7 @@ const NEEDS: [Need; 5] = [
     Need {
         resource: Resource::Fsize,
         // The reserve of shared memory for one more process is a file, and the largest one; recordings may grow beyond it.
-        minimum: 256 << 20,
+        minimum: MIN_FILE_BYTES,
         wanted: None,
         unit: 1024,
         what: "files are limited to {} KiB",
@@ -135,11 +139,34 @@ pub fn keep_from_large_files() {
     }
 }
 
-/// The text of an error, with the limit that it is about when the kernel has refused something for a limit.
-pub fn text_of(error: &anyhow::Error) -> String {
+/// Passes when `count` files more can be opened; raises the limit when that is allowed. What a command finds without them, for
+/// example that no system is running, would be wrong.
+///
+/// # Errors
+/// The limit; exit code 4.
+pub fn require_files(count: usize) -> anyhow::Result<()> {
+    let Some(errno) = lacking_descriptors(count) else { return Ok(()) };
+    raise(Resource::Nofile, u64::MAX);
+    if lacking_descriptors(count).is_none() {
+        return Ok(());
+    }
+    Err(Failure::process(limit_behind(errno).unwrap_or_else(|| errno.to_string())))
+}
+
+/// The limit that an error is about when the kernel has refused something for one.
+pub fn limit_of(error: &anyhow::Error) -> Option<String> {
     let mut causes = error.chain().filter_map(|cause| cause.downcast_ref::<io::Error>());
     let limit = causes.find_map(|cause| limit_behind(Errno::from_io_error(cause)?));
-    let limit = limit.or_else(|| lacks_descriptors().then(|| limit_behind(Errno::MFILE))?);
+    let limit = limit.or_else(|| limit_behind(lacking_descriptors(SPARE_FILES)?));
+    // Errors of the bus do not tell their causes.
+    let is_of_bus = error.chain().any(|cause| matches!(cause.downcast_ref(), Some(RuntimeError::Bus { .. })));
+    let is_too_small = || getrlimit(Resource::Fsize).current.is_some_and(|bytes| bytes < MIN_FILE_BYTES);
+    limit.or_else(|| limit_behind(Errno::FBIG).filter(|_| is_of_bus && is_too_small()))
+}
+
+/// The text of an error, with the limit that it is about when the kernel has refused something for a limit.
+pub fn text_of(error: &anyhow::Error) -> String {
+    let limit = limit_of(error);
     let mut text = String::new();
     // Some errors name their cause themselves.
     for part in error.chain().map(ToString::to_string).chain(limit).filter(|part| !part.is_empty()) {
@@ -151,23 +178,18 @@ pub fn text_of(error: &anyhow::Error) -> String {
     text
 }
 
-/// Whether this process can't open a few files more. Errors of the bus do not tell that.
-fn lacks_descriptors() -> bool {
-    let opened: Vec<io::Result<File>> = (0..SPARE_FILES).map(|_| File::open("/dev/null")).collect();
-    opened.iter().flat_map(Result::as_ref).count() < opened.len()
+/// Why this process can't open `count` files more, if that is so. Errors of the bus do not tell it.
+fn lacking_descriptors(count: usize) -> Option<Errno> {
+    let opened: Vec<io::Result<File>> = (0..count).map(|_| File::open("/dev/null")).collect();
+    let errors = opened.iter().filter_map(|opened| Errno::from_io_error(opened.as_ref().err()?));
+    errors.into_iter().find(|errno| [Errno::MFILE, Errno::NFILE].contains(errno))
 }
 
 /// The limit that the kernel refers to with an error; `None` when there is none, or it is not known which.
 fn limit_behind(errno: Errno) -> Option<String> {
     let of = |resource| getrlimit(resource).current;
     match errno {
-        Errno::AGAIN => match control_group::processes_reached() {
-            Some(control_group::Reached { group, limit }) => Some(format!(
-                "its control group {group} allows {limit} processes and threads, and has as many: raise `pids.max`"
-            )),
-            None => of(Resource::Nproc)
-                .map(|most| format!("a user may have {most} processes and threads: raise `ulimit -u`")),
-        },
+        Errno::AGAIN => processes_limit(),
         Errno::MFILE => of(Resource::Nofile)
             .map(|most| format!("at most {most} files may be open in a process: raise `ulimit -n`")),
         Errno::NFILE => Some("the machine allows no more open files: raise `sysctl fs.file-max`".to_owned()),
@@ -182,6 +204,26 @@ fn limit_behind(errno: Errno) -> Option<String> {
             }),
         },
         _ => None,
+    }
+}
+
+/// The limit of processes and threads that holds.
+fn processes_limit() -> Option<String> {
+    if let Some(control_group::Reached { group, limit }) = control_group::processes_reached() {
+        return Some(format!(
+            "its control group {group} allows {limit} processes and threads, and has as many: raise `pids.max`"
+        ));
+    }
+    let of_user = getrlimit(Resource::Nproc).current;
+    // The kernel does not limit the processes of root by user.
+    let holding = of_user.filter(|_| !geteuid().is_root()).unwrap_or(u64::MAX);
+    match control_group::processes_refused().filter(|refused| refused.limit <= holding) {
+        Some(control_group::Reached { group, limit }) => {
+            Some(format!("its control group {group} allows {limit} processes and threads: raise `pids.max`"))
+        }
+        None => {
+            of_user.map(|most| format!("a user may have {most} processes and threads: raise `ulimit -u`"))
+        }
     }
 }
 
@@ -202,6 +244,15 @@ fn raise(resource: Resource, wanted: u64) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_error_of_the_bus_names_the_size_of_files_only_where_it_is_limited() {
+        let error =
+            RuntimeError::Bus { action: "join the bus".to_owned(), reason: "InternalError".to_owned() };
+        let is_limited = getrlimit(Resource::Fsize).current.is_some_and(|bytes| bytes < MIN_FILE_BYTES);
+        assert_eq!(limit_of(&error.into()).is_some(), is_limited);
+        assert!(require_files(SPARE_FILES).is_ok());
+    }
 
     #[test]
     fn an_error_names_the_limit_behind_it() {

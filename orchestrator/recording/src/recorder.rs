@@ -12,7 +12,6 @@ mod opening;
 mod queue;
 mod ring;
 
-use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -96,6 +95,8 @@ pub fn record(domain: &Domain, options: &Options, shutdown: &Shutdown) -> anyhow
     });
     let own: Vec<OwnObserver> = own.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect();
     own.iter().for_each(OwnObserver::connect);
+    // It is read while it grows, so it has its name from the start; without a bus there is none.
+    let file = file.map(NewFile::publish).transpose()?;
     let mut logs = Logs::new(&opening.out.join("logs"), options.companion);
     let (lockstep, period_ns) = (opening.lockstep, opening.period_ns);
     let known_settings = opening.settings_at_start();
@@ -202,11 +203,10 @@ pub fn record(domain: &Domain, options: &Options, shutdown: &Shutdown) -> anyhow
 }
 
 /// Makes the file of a recording.
-fn create(path: &Path, force: bool) -> anyhow::Result<File> {
+fn create(path: &Path, force: bool) -> anyhow::Result<NewFile> {
     let refuse = |reason: &dyn std::fmt::Display| Failure::bad_input(format!("{}: {reason}", path.display()));
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).map_err(|error| refuse(&error))?;
     }
-    // It is read while it grows, so it has its name from the start.
-    NewFile::create(path, Existing::forced(force), &[])?.publish()
+    NewFile::create(path, Existing::forced(force), &[])
 }

@@ -210,7 +210,7 @@ fn replay_drive(
     }
     let is_built_in = |role: &Role| options.with.iter().all(|(other, _)| other != role);
     let built_in: Vec<Role> = stages.into_iter().filter(is_built_in).collect();
-    for findings in replay_stages(&built_in, drive, options) {
+    for findings in replay_stages(&built_in, drive, options)? {
         findings?.add_to(report);
     }
     Ok(())
@@ -220,7 +220,14 @@ fn replay_drive(
 const BY_COST: [Role; 5] = [Role::Controller, Role::Obstacles, Role::Robot, Role::Estimator, Role::Actuator];
 
 /// Replays stages on as many threads as there are processors; in real time each has its own.
-fn replay_stages(stages: &[Role], drive: &Drive, options: &Options) -> Vec<anyhow::Result<Findings>> {
+///
+/// # Errors
+/// A thread that can't be started; then no further stage is begun.
+fn replay_stages(
+    stages: &[Role],
+    drive: &Drive,
+    options: &Options,
+) -> std::io::Result<Vec<anyhow::Result<Findings>>> {
     let queue = BY_COST.iter().filter(|role| stages.contains(role));
     let processors = std::thread::available_parallelism().map_or(1, usize::from);
     let threads = if options.in_real_time { stages.len() } else { processors.min(stages.len()) };
@@ -232,11 +239,15 @@ fn replay_stages(stages: &[Role], drive: &Drive, options: &Options) -> Vec<anyho
         }
         found
     };
-    let mut found: Vec<_> = std::thread::scope(|scope| {
-        let threads: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+    let mut found: Vec<_> = std::thread::scope(|scope| -> std::io::Result<_> {
+        let start = |_| std::thread::Builder::new().spawn_scoped(scope, work);
+        let threads = (0..threads).map(start).collect::<Result<Vec<_>, _>>();
+        if threads.is_err() {
+            queue.lock().into_iter().for_each(|mut queue| queue.by_ref().for_each(drop));
+        }
         let lost = || vec![(ROLES, Err(anyhow::anyhow!("a stage ended with a panic")))];
-        threads.into_iter().flat_map(|thread| thread.join().unwrap_or_else(|_| lost())).collect()
-    });
+        Ok(threads?.into_iter().flat_map(|thread| thread.join().unwrap_or_else(|_| lost())).collect())
+    })?;
     found.sort_by_key(|(place, _)| *place);
-    found.into_iter().map(|(_, findings)| findings).collect()
+    Ok(found.into_iter().map(|(_, findings)| findings).collect())
 }

@@ -57,6 +57,6 @@ fn drive_all(arguments: &CampaignArguments) -> anyhow::Result<Vec<CourseRun>> {
     }
     let mut steps = Steps::new(courses.len() as u64, "courses");
     let runs =
-        on_all_cores(courses.len(), |index| CourseRun::of(courses[index], arguments), || steps.step(""));
+        on_all_cores(courses.len(), |index| CourseRun::of(courses[index], arguments), || steps.step(""))?;
     runs.into_iter().collect()
 }

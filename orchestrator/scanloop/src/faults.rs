@@ -117,7 +117,7 @@ fn drive(chosen: &[(&Fault, Phase)]) -> anyhow::Result<Matrix> {
                 format!("{}: the scenario of the fault is not allowed", name(&fault.name, phase))
             })
         };
-        driven = on_all_cores(simulated.len(), cell, || steps.step(""));
+        driven = on_all_cores(simulated.len(), cell, || steps.step(""))?;
     }
     let mut systems = Live::default();
     for (fault, phase) in live {

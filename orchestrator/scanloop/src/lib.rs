@@ -43,6 +43,9 @@ use cli::{AgentCommand, Cli, Command, TopicCommand};
 /// Limit for the last output at exit. A terminal usually takes it within microseconds.
 const FLUSH_TIMEOUT: Duration = Duration::from_millis(300);
 
+/// So many files suffice to find a system, to stop it and to ask it.
+const FILES_OF_STOP: usize = 3;
+
 /// Runs the command line and returns its exit code.
 pub fn main() -> ExitCode {
     program(parse_and_run)
@@ -54,7 +57,11 @@ pub fn program(command: fn() -> anyhow::Result<Exit>) -> ExitCode {
     limits::keep_from_large_files();
     let exit = limits::require_stack().and_then(|()| command()).unwrap_or_else(|error| {
         runtime::print(runtime::Priority::Error, &format!("error: {}", limits::text_of(&error)));
-        exit_of(&error)
+        match exit_of(&error) {
+            // The bus does not tell why it refuses something.
+            Exit::Internal if limits::limit_of(&error).is_some() => Exit::ProcessFailed,
+            exit => exit,
+        }
     });
     runtime::flush_terminal(FLUSH_TIMEOUT);
     ExitCode::from(exit as u8)
@@ -75,6 +82,11 @@ fn parse_and_run() -> anyhow::Result<Exit> {
             | Command::Agent { command: None, .. }
     ) {
         limits::require_room_for_a_system()?;
+    }
+    match cli.command {
+        Command::Service { .. } => {}
+        Command::Status { .. } | Command::Stop(_) => limits::require_files(FILES_OF_STOP)?,
+        _ => limits::require_files(limits::SPARE_FILES)?,
     }
     if matches!(cli.command, Command::Run(_) | Command::Adopt(_) | Command::Bench(_)) {
         runtime::start_terminal();

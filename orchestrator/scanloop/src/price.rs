@@ -64,7 +64,7 @@ pub(crate) fn price(arguments: &PriceArguments) -> anyhow::Result<Exit> {
     let results = OutFolder::claim(&arguments.out, &[PICTURE], arguments.force)?;
     let base = condition::base(arguments)?;
     base.warnings.iter().for_each(|warning| note!("{warning}"));
-    let price = measured(arguments, &base);
+    let price = measured(arguments, &base)?;
     answer!(arguments.json, "{}", text::text(&price))?;
     let picture = results.write(PICTURE, picture::draw(&price)?.as_bytes())?;
     answer!(arguments.json, "picture         {}", picture.display())?;
@@ -72,22 +72,22 @@ pub(crate) fn price(arguments: &PriceArguments) -> anyhow::Result<Exit> {
     Ok(if price.contacts == 0 { Exit::Done } else { Exit::Collision })
 }
 
-fn measured(arguments: &PriceArguments, base: &Plan) -> Price {
+fn measured(arguments: &PriceArguments, base: &Plan) -> std::io::Result<Price> {
     let conditions = condition::all(base);
     let measurements = Measurement::of_conditions(arguments, &conditions);
     let mut steps = Steps::new(measurements.len() as u64, "conditions");
-    let figures = measure::on_all_cores(&measurements, || steps.step(""));
+    let figures = measure::on_all_cores(&measurements, || steps.step(""))?;
     let of = |condition: &Condition| {
         let index = measurements.iter().position(|measurement| measurement.belongs_to(condition));
         index.map(|index| figures[index].clone()).unwrap_or_default()
     };
     let rows: Vec<Row> = conditions.iter().map(|condition| row(condition, of(condition))).collect();
-    Price {
+    Ok(Price {
         costs: Costs::of(&rows, base.system.rate_hz),
         rows,
         body_width_m: base.scenario.robot.width_m,
         contacts: figures.iter().map(|figures| figures.contacts).sum(),
-    }
+    })
 }
 
 fn row(condition: &Condition, figures: Figures) -> Row {

@@ -147,11 +147,14 @@ fn request(model: &mut Model, notes: &Sender<String>, arguments: &[&str]) {
     command.args(["--system-id", &model.system_id]).args(arguments);
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
     let notes = notes.clone();
-    std::thread::spawn(move || {
+    let started = std::thread::Builder::new().name("request".to_owned()).spawn(move || {
         let text = match command.output() {
             Ok(output) => String::from_utf8_lossy(&output.stderr).into_owned(),
             Err(error) => format!("error: {error}"),
         };
         text.lines().filter(|line| !line.trim().is_empty()).for_each(|line| _ = notes.send(line.to_owned()));
     });
+    if let Err(error) = started {
+        model.note(format!("error: {}", console::limits::text_of(&error.into())));
+    }
 }

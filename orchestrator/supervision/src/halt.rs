@@ -13,7 +13,9 @@
 
 use std::time::Duration;
 
-use runtime::{Domain, Identified, Identity, StopWord, Wheels, monotonic_ns, remove_bus_files_of};
+use runtime::{
+    Domain, Identified, Identity, StopWord, Wheels, monotonic_ns, remove_bus_files_of, start_ticks,
+};
 use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
 use shared_types::Role;
 
@@ -93,11 +95,16 @@ pub fn block(run: &LivingRun) -> Blocked {
 /// Whether the wheels are known to be blocked since the stop: by the robot, or by the actuator for a robot that does not
 /// report. Without a process of the role robot there are none.
 fn is_blocked(run: &LivingRun, robots: &[Identified]) -> bool {
-    if have_ended(robots) {
+    // Without a free descriptor a process can't be opened, and lives nevertheless.
+    let own = run.processes.iter().filter(|process| process.identity.uid == run.uid);
+    let rows = own.filter(|process| process.role == Some(Role::Robot));
+    let lives =
+        |process: &RunProcess| start_ticks(process.identity.pid) == Some(process.identity.start_ticks);
+    if have_ended(robots) && !rows.clone().any(lives) {
         return true;
     }
     let Some(word) = &run.word else { return false };
-    let reports = robots.iter().any(|robot| robot.pid() == word.obeyed_by(Role::Robot));
+    let reports = rows.clone().any(|robot| robot.identity.pid == word.obeyed_by(Role::Robot));
     let (wheels, seen_ns) = word.wheels(if reports { Role::Robot } else { Role::Actuator });
     wheels >= Wheels::Blocked && seen_ns >= word.stopped_ns()
 }

@@ -87,7 +87,7 @@ impl Domain {
             let path = folder.path().to_path_buf();
             // Only a directory without files may be just being made or removed.
             let is_settled = folder.names().iter().any(|name| !name.starts_with(RUN_ID_FILE));
-            if let Some(found) = Self::of_folder(system_id, folder) {
+            if let Some(found) = Self::of_folder(system_id, folder)? {
                 return Ok(Some(found));
             }
             if is_settled || since.elapsed() > UNMARKED {
@@ -132,14 +132,17 @@ impl Domain {
     /// All systems of this user that have a directory.
     ///
     /// # Errors
-    /// [`RuntimeError::NotPrivate`] when `SCANLOOP_RUNTIME_DIR` is no absolute path.
+    /// [`RuntimeError::NotPrivate`] when `SCANLOOP_RUNTIME_DIR` is no absolute path, and [`RuntimeError::File`] when the kernel
+    /// allows no more open files.
     pub fn all() -> Result<Vec<Self>, RuntimeError> {
         let mut found: Vec<Self> = Vec::new();
         for place in place::all()? {
             let names = place.names().into_iter().filter(|name| check_id(name).is_ok());
             for name in names {
-                if let Ok(Some(folder)) = place.folder(&name) {
-                    found.extend(Self::of_folder(&name, folder));
+                match place.folder(&name) {
+                    Ok(Some(folder)) => found.extend(Self::of_folder(&name, folder)?),
+                    Err(error) if error.is_shortage() => return Err(error),
+                    _ => {}
                 }
             }
         }
@@ -168,10 +171,11 @@ impl Domain {
         let missing = || RuntimeError::file(path, ErrorKind::NotFound);
         let folder = Folder::open(path)?.ok_or_else(missing)?;
         let domain = Self::assemble(system_id, run_id.to_owned(), folder);
-        if !domain.is_current() {
-            return Err(RuntimeError::NotOurs { path: path.to_path_buf() });
+        match domain.folder.read_text(RUN_ID_FILE) {
+            Ok(found) if found == domain.run_id => Ok(domain),
+            Err(error) if error.is_shortage() => Err(error),
+            _ => Err(RuntimeError::NotOurs { path: path.to_path_buf() }),
         }
-        Ok(domain)
     }
 
     /// The id.
@@ -260,9 +264,15 @@ impl Domain {
     }
 
     /// `None` for a directory that does not name a run.
-    fn of_folder(system_id: &str, folder: Folder) -> Option<Self> {
-        let run_id = folder.read_text(RUN_ID_FILE).ok().filter(|run_id| is_run_id(run_id))?;
-        Some(Self::assemble(system_id, run_id, folder))
+    ///
+    /// # Errors
+    /// [`RuntimeError::File`] when the kernel allows no more open files.
+    fn of_folder(system_id: &str, folder: Folder) -> Result<Option<Self>, RuntimeError> {
+        match folder.read_text(RUN_ID_FILE) {
+            Ok(run_id) if is_run_id(&run_id) => Ok(Some(Self::assemble(system_id, run_id, folder))),
+            Err(error) if error.is_shortage() => Err(error),
+            _ => Ok(None),
+        }
     }
 
     fn assemble(system_id: &str, run_id: String, folder: Folder) -> Self {

@@ -3,6 +3,7 @@
 use std::fmt::Display;
 use std::path::PathBuf;
 
+use rustix::io::Errno;
 use shared_types::{Difference, Role, Topic};
 
 use crate::shared_memory::Shortage;
@@ -136,6 +137,11 @@ pub enum RuntimeError {
 }
 
 impl RuntimeError {
+    /// Whether the kernel allows no more open files or memory: that says nothing of the file.
+    pub(crate) fn is_shortage(&self) -> bool {
+        matches!(self, Self::File { source, .. } if Errno::from_io_error(source).is_some_and(is_shortage))
+    }
+
     pub(crate) fn file(path: impl Into<PathBuf>, source: impl Into<std::io::Error>) -> Self {
         Self::File { path: path.into(), source: source.into() }
     }
@@ -147,4 +153,9 @@ impl RuntimeError {
     pub(crate) fn bus(action: impl Into<String>, reason: impl std::fmt::Debug) -> Self {
         Self::Bus { action: action.into(), reason: format!("{reason:?}") }
     }
+}
+
+/// Whether the kernel allows no more open files or memory.
+pub(crate) fn is_shortage(errno: Errno) -> bool {
+    [Errno::MFILE, Errno::NFILE, Errno::NOMEM].contains(&errno)
 }

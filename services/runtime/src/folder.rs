@@ -15,6 +15,7 @@ use rustix::fs::{AtFlags, CWD, FileType, Mode, OFlags, Stat};
 use rustix::io::Errno;
 
 use crate::RuntimeError;
+use crate::error::is_shortage;
 
 /// Readable, writable and searchable by the owner alone.
 const PRIVATE: Mode = Mode::RWXU;
@@ -40,7 +41,8 @@ impl Folder {
     /// Opens a directory; `None` when there is none of that name.
     ///
     /// # Errors
-    /// [`RuntimeError::NotPrivate`] when it is a link, belongs to another user, or others may enter it.
+    /// [`RuntimeError::NotPrivate`] when it is a link, belongs to another user, or others may enter it; [`RuntimeError::File`]
+    /// when the kernel allows no more open files.
     pub fn open(path: &Path) -> Result<Option<Self>, RuntimeError> {
         Self::open_at(CWD, path, path.to_path_buf())
     }
@@ -207,6 +209,7 @@ impl Folder {
         let descriptor = match rustix::fs::openat(&at, name, flags, Mode::empty()) {
             Ok(descriptor) => descriptor,
             Err(Errno::NOENT) => return Ok(None),
+            Err(error) if is_shortage(error) => return Err(RuntimeError::file(path, error)),
             Err(error) => {
                 let reason = match rustix::fs::statat(&at, name, AtFlags::SYMLINK_NOFOLLOW) {
                     Ok(found) => fault_of(&found).unwrap_or_else(|| error.to_string()),

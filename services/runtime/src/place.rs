@@ -108,7 +108,9 @@ pub(crate) fn make() -> Result<Folder, RuntimeError> {
         match place.make() {
             Ok(Some(folder)) => return Ok(folder),
             Ok(None) => {}
-            Err(error) if matches!(place, Place::Named(_) | Place::Last(_)) => return Err(error),
+            Err(error) if matches!(place, Place::Named(_) | Place::Last(_)) || error.is_shortage() => {
+                return Err(error);
+            }
             Err(error) => refused = Some(error),
         }
     }
@@ -121,12 +123,13 @@ pub(crate) fn make() -> Result<Folder, RuntimeError> {
 /// All places in which systems may be, default ones that are not private left out.
 ///
 /// # Errors
-/// [`RuntimeError::NotPrivate`] when `SCANLOOP_RUNTIME_DIR` can't be used.
+/// [`RuntimeError::NotPrivate`] when `SCANLOOP_RUNTIME_DIR` can't be used, and [`RuntimeError::File`] when the kernel allows no
+/// more open files.
 pub(crate) fn all() -> Result<Vec<Folder>, RuntimeError> {
     let mut found = Vec::new();
     for place in places()? {
         match place.open() {
-            Err(error) if matches!(place, Place::Named(_)) => return Err(error),
+            Err(error) if matches!(place, Place::Named(_)) || error.is_shortage() => return Err(error),
             opened => found.extend(opened.ok().flatten()),
         }
     }

@@ -137,3 +137,72 @@ fn a_system_whose_control_group_allows_no_more_processes_is_asked_and_stopped() 
     system.assert_nothing_left();
     drop(group);
 }
+
+/// Runs a command of the executable in a control group that allows so many processes and threads.
+fn run_in(group: &Full, most: u32, system: &System, arguments: &str) -> Output {
+    std::fs::write(group.0.join("pids.max"), most.to_string()).unwrap();
+    let (procs, id) = (group.0.join("cgroup.procs").display().to_string(), system.id());
+    let script = format!("echo $$ > {procs} && exec {EXECUTABLE} --system-id {id} {arguments}");
+    Command::new("sh").args(["-c", &script]).current_dir(system.folder()).output().unwrap()
+}
+
+#[test]
+fn a_command_whose_control_group_allows_no_thread_names_the_limit() {
+    let system = System::new(EXECUTABLE);
+    let Some(group) = Full::new(system.id()) else {
+        eprintln!("skipped a_command_whose_control_group_allows_no_thread: no control group can be made");
+        return;
+    };
+    let recorded = system.run(&["run", "--lockstep", "--quiet", "--record=f.mcap", "free"]);
+    assert_eq!(recorded.status.code(), Some(0), "{}", text(&recorded));
+    for most in [1, 2] {
+        for command in [
+            "replay f.mcap",
+            "bench latency --duration 1 --out latency",
+            "conformance controller --to nmpc --only header",
+        ] {
+            let refused = run_in(&group, most, &system, command);
+            // With two, a machine with one processor replays a drive.
+            if command.starts_with("replay") && refused.status.success() && most == 2 {
+                continue;
+            }
+            assert_eq!(refused.status.code(), Some(4), "{most} {command}: {}", text(&refused));
+            let named = format!("allows {most} processes and threads");
+            assert!(text(&refused).contains(&named), "{command}: {}", text(&refused));
+            assert!(!text(&refused).contains("ulimit -u"), "{command}: {}", text(&refused));
+            assert!(!text(&refused).contains("panicked"), "{command}: {}", text(&refused));
+        }
+    }
+    drop(group);
+}
+
+#[test]
+fn a_command_beside_a_running_system_names_the_limit_of_files_or_of_their_size() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["endless", "--set", "timeout_s=600"]);
+    let limited = |limit: &str, command: &str| {
+        let script = format!("ulimit {limit} && exec {EXECUTABLE} --system-id {} {command}", system.id());
+        Command::new("bash").args(["-c", &script]).current_dir(system.folder()).output().unwrap()
+    };
+    for files in [4, 5] {
+        for command in ["status", "stop", "topic hz scan --duration 1"] {
+            let refused = limited(&format!("-n {files}"), command);
+            assert_eq!(refused.status.code(), Some(4), "{files} {command}: {}", text(&refused));
+            let named = format!("at most {files} files may be open in a process: raise `ulimit -n`");
+            assert!(text(&refused).contains(&named), "{command}: {}", text(&refused));
+            for wrong in ["remove it", "move it", "not running"] {
+                assert!(!text(&refused).contains(wrong), "{command}: {}", text(&refused));
+            }
+        }
+    }
+    for command in ["topic hz scan --duration 1", "record x.mcap --duration 1"] {
+        let refused = limited("-f 0", command);
+        assert_eq!(refused.status.code(), Some(4), "{command}: {}", text(&refused));
+        assert!(text(&refused).contains("raise `ulimit -f`"), "{command}: {}", text(&refused));
+    }
+    assert!(!system.folder().join("x.mcap").exists(), "a recording that was not begun has left a file");
+    let stopped = system.run(&["stop"]);
+    assert_eq!(stopped.status.code(), Some(0), "{}", text(&stopped));
+    assert_eq!(system.wait().code(), Some(1), "{}", system.stderr());
+    system.assert_nothing_left();
+}

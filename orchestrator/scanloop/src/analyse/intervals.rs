@@ -94,7 +94,7 @@ pub(super) fn analyse(arguments: &IntervalsArguments) -> anyhow::Result<Exit> {
         }
     };
     let horizons = arguments.n.map(|n| definition.longest_horizon(n));
-    let schemes = other_schemes(&definition, arguments.tf, found.lengths_s.len(), limit);
+    let schemes = other_schemes(&definition, arguments.tf, found.lengths_s.len(), limit)?;
     let result = result(arguments, &definition, errors, &found, n, horizons.as_ref(), schemes);
     let chart = match &horizons {
         None => count_chart(&result, &definition),
@@ -108,7 +108,12 @@ pub(super) fn analyse(arguments: &IntervalsArguments) -> anyhow::Result<Exit> {
 }
 
 /// All schemes on equal intervals: the error of `count` intervals, and the smallest number for a held control.
-fn other_schemes(definition: &Definition, horizon_s: f64, count: usize, limit: usize) -> Vec<OtherScheme> {
+fn other_schemes(
+    definition: &Definition,
+    horizon_s: f64,
+    count: usize,
+    limit: usize,
+) -> std::io::Result<Vec<OtherScheme>> {
     let of = move |(name, scheme): &(&'static str, ocp::Scheme)| {
         let equal = Definition { scheme: *scheme, grid: Grid::Uniform, ..*definition };
         // For piecewise controls the search takes too long for all schemes and numbers.
@@ -117,8 +122,9 @@ fn other_schemes(definition: &Definition, horizon_s: f64, count: usize, limit: u
         OtherScheme { scheme: name, max_error: equal.worst(horizon_s, count).error, n }
     };
     std::thread::scope(|scope| {
-        let workers: Vec<_> = SCHEMES.iter().map(|named| scope.spawn(move || of(named))).collect();
-        workers.into_iter().filter_map(|worker| worker.join().ok()).collect()
+        let start = |named| std::thread::Builder::new().spawn_scoped(scope, move || of(named));
+        let workers = SCHEMES.iter().map(start).collect::<Result<Vec<_>, _>>()?;
+        Ok(workers.into_iter().filter_map(|worker| worker.join().ok()).collect())
     })
 }
 

@@ -57,7 +57,7 @@ pub(crate) fn ride(arguments: &RideArguments) -> anyhow::Result<Exit> {
     let problems = |folder: &PathBuf| OutFolder::claim(folder, &[], arguments.force);
     let problems = arguments.problems.as_ref().map(problems).transpose()?;
     let mut steps = Steps::new(courses.len() as u64, "courses");
-    let measured = on_all_cores(courses.len(), |index| courses[index].measure(), || steps.step(""));
+    let measured = on_all_cores(courses.len(), |index| courses[index].measure(), || steps.step(""))?;
     let mut rows: Vec<Row> = Vec::new();
     for (course, measured) in courses.iter().zip(measured) {
         let (row, optimum) = measured?;

@@ -74,7 +74,7 @@ impl Scheduling {
     }
 
     fn try_out(&self) -> anyhow::Result<()> {
-        if !is_granted(Realtime { cpu: self.cpus.clone(), ..Realtime::default() }) {
+        if !is_granted(Realtime { cpu: self.cpus.clone(), ..Realtime::default() })? {
             return Err(Failure::process(format!(
                 "the kernel refuses processors {:?} to this process",
                 self.cpus
@@ -82,7 +82,7 @@ impl Scheduling {
         }
         let fifo = Realtime { scheduler: Scheduler::Fifo, ..Realtime::default() };
         let priority = fifo.priority;
-        if self.policy == Some(Policy::Fifo) && !is_granted(fifo) {
+        if self.policy == Some(Policy::Fifo) && !is_granted(fifo)? {
             return Err(Failure::process(format!(
                 "the kernel refuses `--sched fifo`: run as root, or allow priority {priority}: `ulimit -r {priority}`, \
                  or a line `USER - rtprio {priority}` in /etc/security/limits.conf and log in anew"
@@ -93,13 +93,13 @@ impl Scheduling {
 }
 
 /// Whether the kernel grants the settings to a new thread.
-fn is_granted(realtime: Realtime) -> bool {
+fn is_granted(realtime: Realtime) -> std::io::Result<bool> {
     let try_out = move || {
         // The kernel accepts the id of a thread as that of a process.
         let thread = rustix::thread::gettid().as_raw_nonzero().get().cast_unsigned();
         Realtime { slice_us: 0, ..realtime }.apply_to(thread).is_empty()
     };
-    std::thread::spawn(try_out).join().unwrap_or(false)
+    Ok(std::thread::Builder::new().spawn(try_out)?.join().unwrap_or(false))
 }
 
 /// The processors of this machine that are online.

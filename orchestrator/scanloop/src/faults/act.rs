@@ -48,7 +48,9 @@ pub(crate) fn act(fault: &ProcessFault, targets: Vec<Pid>, domain: &Domain) -> a
             send(Signal::STOP);
             acting.suspended = targets;
         }
-        ProcessAction::Flood => acting.flood = faulty_role(fault).map(|role| Flood::start(role, domain)),
+        ProcessAction::Flood => {
+            acting.flood = faulty_role(fault).map(|role| Flood::start(role, domain)).transpose()?;
+        }
         ProcessAction::Fill => acting.ballast = Some(Ballast::fill()?),
     }
     Ok(acting)
@@ -70,10 +72,10 @@ struct Flood {
 }
 
 impl Flood {
-    fn start(role: Role, domain: &Domain) -> Self {
+    fn start(role: Role, domain: &Domain) -> std::io::Result<Self> {
         let ends = Arc::new(AtomicBool::new(false));
         let (asked, domain) = (Arc::clone(&ends), domain.clone());
-        let thread = std::thread::spawn(move || {
+        let thread = std::thread::Builder::new().name("flood".to_owned()).spawn(move || {
             // A system that has ended meanwhile can't be flooded.
             let _ = match role {
                 Role::Robot => flood::<Scan>(&domain, &asked),
@@ -82,8 +84,8 @@ impl Flood {
                 Role::Controller => flood::<Command>(&domain, &asked),
                 Role::Actuator => flood::<Actuation>(&domain, &asked),
             };
-        });
-        Self { ends, thread: Some(thread) }
+        })?;
+        Ok(Self { ends, thread: Some(thread) })
     }
 }
 

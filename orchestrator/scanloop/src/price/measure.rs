@@ -96,14 +96,20 @@ impl Measurement {
 }
 
 /// The figures of all measurements in their order, from all cores; `done` is called after each.
-pub(super) fn on_all_cores(measurements: &[Measurement], mut done: impl FnMut()) -> Vec<Figures> {
+///
+/// # Errors
+/// A thread that can't be started.
+pub(super) fn on_all_cores(
+    measurements: &[Measurement],
+    mut done: impl FnMut(),
+) -> std::io::Result<Vec<Figures>> {
     // The longest first, so that no core waits long for the last one.
     let mut order: Vec<usize> = (0..measurements.len()).collect();
     order.sort_by(|a, b| measurements[*b].rate_hz().total_cmp(&measurements[*a].rate_hz()));
-    let figures = cores::on_all_cores(order.len(), |place| measurements[order[place]].figures(), &mut done);
+    let figures = cores::on_all_cores(order.len(), |place| measurements[order[place]].figures(), &mut done)?;
     let mut figures: Vec<(usize, Figures)> = order.into_iter().zip(figures).collect();
     figures.sort_by_key(|(index, _)| *index);
-    figures.into_iter().map(|(_, figures)| figures).collect()
+    Ok(figures.into_iter().map(|(_, figures)| figures).collect())
 }
 
 impl Figures {

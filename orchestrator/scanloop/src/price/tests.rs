@@ -128,5 +128,5 @@ fn figures(set: &[&str], pick: impl Fn(&Condition) -> bool) -> Figures {
         .into_iter()
         .find(|condition| pick(condition))
         .unwrap();
-    measure::on_all_cores(&Measurement::of_conditions(&arguments, &[condition]), || ()).remove(0)
+    measure::on_all_cores(&Measurement::of_conditions(&arguments, &[condition]), || ()).unwrap().remove(0)
 }

@@ -104,13 +104,13 @@ impl Peers {
         let requests = child.stdin.take().context("the peers have no standard input")?;
         let output = child.stdout.take().context("the peers have no standard output")?;
         let (sender, responses) = channel();
-        std::thread::spawn(move || {
+        std::thread::Builder::new().name("peers".to_owned()).spawn(move || {
             for line in BufReader::new(output).lines().map_while(Result::ok) {
                 if sender.send(line).is_err() {
                     return;
                 }
             }
-        });
+        })?;
         let mut peers = Self { child, requests, responses, about: About::default() };
         peers.about = peers.ask(&setting(problem), START_TIMEOUT)?;
         Ok(peers)
