@@ -87,14 +87,18 @@ fn host_line(host: &LinkedHost) -> String {
 }
 
 fn table(status: &Status) -> String {
-    let Status { system_id, state, scenario, scan, .. } = status;
+    let Status { system_id, state, scenario, .. } = status;
+    // Processes that do not run publish nothing, and without an orchestrator that answers it is all that is known.
+    let is_known = status.scan > 0 || ![SUSPENDED, ORPHANED].contains(&state.as_str());
+    let known = |figure: String| if is_known { figure } else { "-".to_owned() };
+    let scan = if is_known { format!(", scan {}", status.scan) } else { String::new() };
     let judged_by = status.judged_by.filter(|judged_by| *judged_by == JudgedBy::Estimate);
     let judged_by = judged_by.map_or("", |_| ", judged by the estimate");
     let blocking = status.blocking.map(|blocking| format!("stopped: blocked by {blocking}\n"));
     let scanner = status.scanner.as_ref().filter(|scanner| scanner.state != ScannerState::Healthy.name());
     let scanner = scanner.map(|scanner| format!("scanner {}\n", scanner.explanation));
     let mut text = format!(
-        "system {system_id}: {state}, scenario {scenario}, scan {scan}{judged_by}\n{}{}\
+        "system {system_id}: {state}, scenario {scenario}{scan}{judged_by}\n{}{}\
          {:<11} {:<16} {:>7}  {:<9} {:>8} {:>8} {:>8} {:>6} {:>9}\n",
         blocking.unwrap_or_default(),
         scanner.unwrap_or_default(),
@@ -111,14 +115,14 @@ fn table(status: &Status) -> String {
     for process in &status.processes {
         let _ = writeln!(
             text,
-            "{:<11} {:<16.16} {:>7}  {:<9} {:>8} {:>8.1} {:>8.0} {:>6.1} {:>9}",
+            "{:<11} {:<16.16} {:>7}  {:<9} {:>8} {:>8} {:>8} {:>6.1} {:>9}",
             process.role,
             process.implementation,
             process.pid,
             process.state,
             process.restarts,
-            process.rate_hz,
-            process.last_sample_age_ms,
+            known(format!("{:.1}", process.rate_hz)),
+            known(format!("{:.0}", process.last_sample_age_ms)),
             process.cpu_percent,
             process.memory_kib
         );
@@ -191,6 +195,25 @@ mod tests {
         });
         assert_eq!(json["scanner"], keys);
         assert_eq!(ScannerStatus::from(healthy).state, "healthy");
+    }
+
+    #[test]
+    fn what_is_not_known_of_a_suspended_system_is_not_shown_as_zero() {
+        let row = serde_json::json!({
+            "role": "robot", "implementation": "emulator", "pid": 7, "state": "ready", "restarts": 0,
+            "rate_hz": 0.0, "last_sample_age_ms": 0.0, "cpu_percent": 0.0, "memory_kib": 9,
+            "obeys_stop": true, "last_words": [],
+        });
+        let process: ProcessStatus = serde_json::from_value(row).unwrap();
+        let shown = |state: &str, scan| {
+            let state = state.to_owned();
+            table(&Status { state, scan, processes: vec![process.clone()], ..Status::default() })
+        };
+        let suspended = shown(SUSPENDED, 0);
+        assert!(!suspended.contains("scan 0"), "{suspended}");
+        assert!(suspended.ends_with("       0        -        -    0.0         9\n"), "{suspended}");
+        assert!(shown("starting", 0).contains(", scan 0\n"));
+        assert!(shown(ORPHANED, 12).contains(", scan 12\n"));
     }
 
     #[test]
