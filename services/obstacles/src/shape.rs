@@ -345,4 +345,28 @@ mod tests {
                 && !is_faced(&body, Vector2::new(0.0, -1.0), beside)
         );
     }
+
+    #[test]
+    fn what_lies_beyond_a_line_is_cut_off() {
+        let directions = Directions::new();
+        let origin = Vector2::new(1.0, 2.0);
+        let whole = Rectangle { centre: Vector2::new(1.5, 2.0), yaw: 0.0, length: 2.0, width: 1.0 };
+        let mut reach = reaches(&whole, origin);
+        // Along x it reaches from -0.5 to 1.5 m; what is beyond 0.5 m goes.
+        assert!(cut(&mut reach, Vector2::new(1.0, 0.0), 0.5, &directions));
+        let left = Shape { reach: &reach, orientation: 0 }.rectangle(origin, &directions);
+        assert!((left.length - 1.0).abs() < 1e-5 && (left.width - 1.0).abs() < 1e-5, "{left:?}");
+        assert!((left.centre - Vector2::new(1.0, 2.0)).norm() < 1e-5, "{left:?}");
+        // A corner is cut off at an angle, and the sides stay: x + y reaches 1.0 m.
+        let normal = Vector2::new(1.0, 1.0) / 2.0_f64.sqrt();
+        assert!(cut(&mut reach, normal, 0.5, &directions));
+        let at = |index: usize| f64::from(reach[index]);
+        assert!((at(QUARTER / 2) - 0.5).abs() < 1e-5 && (at(0) - 0.5).abs() < 1e-5, "{reach:?}");
+        // Less than 5 cm, nothing, and all of it stay.
+        for limit in [0.46, 0.8, -2.0] {
+            let before = reach;
+            assert!(!cut(&mut reach, Vector2::new(1.0, 0.0), limit, &directions));
+            assert_eq!(reach, before);
+        }
+    }
 }

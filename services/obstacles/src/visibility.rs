@@ -249,4 +249,45 @@ mod tests {
         assert_eq!(sight_of(&[(19, 1700)]), Sight::Unknown);
         assert_eq!(sight_of(&[(19, 2300)]), Sight::Free);
     }
+
+    /// [`free_sides`] of a box 1 m wide, 1.95 m ahead: 81 beams, from the right to the left; as the sines of the directions.
+    fn sides_of(ranges_mm: &[(usize, u16)]) -> [Option<f64>; 2] {
+        let body = Rectangle { centre: Vector2::new(2.0, 0.0), yaw: 0.0, length: 0.1, width: 1.0 };
+        let place = Place::standing(Vector2::zeros(), 0.0);
+        let towards = beams_within(&place, &body, 0.0).unwrap();
+        assert_eq!(towards.clone().count(), 81);
+        let mut scan = Scan::default();
+        let ranges = ranges_mm.iter().flat_map(|(count, range)| std::iter::repeat_n(*range, *count));
+        for (beam, range) in towards.zip(ranges) {
+            scan.ranges_mm[beam] = range;
+        }
+        free_sides(&scan, &Beams::new(), &place, &body).map(|side| side.map(|along| along.y))
+    }
+
+    #[test]
+    fn a_body_ends_where_beams_pass_beside_what_is_seen_of_it() {
+        let sine = |beam: f64| ((beam - 40.0) * PITCH_RAD).sin();
+        let close = |found: Option<f64>, beam: f64| {
+            assert!((found.unwrap() - sine(beam)).abs() < 0.5 * PITCH_RAD, "{found:?} {}", sine(beam));
+        };
+        // The right half has gone: the last beam but one beside what is left is the 38th.
+        let [right, left] = sides_of(&[(40, 3000), (41, 1960)]);
+        close(right, 38.0);
+        assert_eq!(left, None);
+        let [right, left] = sides_of(&[(41, 1960), (40, 3000)]);
+        close(left, 42.0);
+        assert_eq!(right, None);
+        // Fewer than four beams may have missed a thin part.
+        assert_eq!(sides_of(&[(3, 3000), (78, 1960)]), [None; 2]);
+        // 0.3 m between two bodies, here with beams that get no return among them; the larger one is left.
+        let [right, left] = sides_of(&[(43, 1960), (10, 3000), (18, 0), (10, 1960)]);
+        close(left, 44.0);
+        assert_eq!(right, None);
+        // A slit of 0.12 m, silence alone, and a place where nothing is seen at all.
+        assert_eq!(sides_of(&[(40, 1960), (10, 3000), (31, 1960)]), [None; 2]);
+        assert_eq!(sides_of(&[(41, 1960), (40, 0)]), [None; 2]);
+        assert_eq!(sides_of(&[(81, 3000)]), [None; 2]);
+        // What something else hides is not free.
+        assert_eq!(sides_of(&[(40, 1000), (41, 1960)]), [None; 2]);
+    }
 }

@@ -54,3 +54,44 @@ fn a_side_from_which_the_goal_is_reached_is_taken() {
         assert!(truth.min_clearance_m >= 0.05, "{side} {box_y_m} {goal_x_m}: {truth:?}");
     }
 }
+
+/// Circles that cross 5 cm behind a box, which was then described with them to the end of the run; carts beside posts; and
+/// bodies past which a robot crept to the bound of the track before they went.
+#[test]
+fn a_robot_drives_on_when_what_was_beside_a_body_at_rest_has_gone() {
+    let system = System::new(EXECUTABLE);
+    let file = system.folder().join("left.toml");
+    let box_of = |[x_m, y_m, length_m, width_m]: [f64; 4], more: &str| {
+        format!(
+            "[[obstacle]]\nshape = \"box\"\nx_m = {x_m:?}\ny_m = {y_m:?}\nlength_m = {length_m:?}\n\
+             width_m = {width_m:?}\n{more}"
+        )
+    };
+    let behind = |side: f64, speed_mps: f64| {
+        let circle = format!(
+            "[[obstacle]]\nshape = \"circle\"\nx_m = 6.03\ny_m = {:?}\nradius_m = 0.3\nvelocity_y_mps = {:?}\n\
+             appears_s = 0.6\n",
+            1.8 * side,
+            -speed_mps * side
+        );
+        box_of([5.0, 0.82 * side, 1.36, 0.6], "") + &circle
+    };
+    let goes = |place: [f64; 4], at_s: f64| {
+        "[track]\nsurroundings = \"open\"\n".to_owned()
+            + &box_of(place, &format!("appears_s = 2.0\ndisappears_s = {at_s:?}\n"))
+    };
+    for (name, text, rate) in [
+        ("behind, from the left", behind(1.0, 0.5), "10"),
+        ("behind, from the right", behind(-1.0, 0.5), "20"),
+        ("behind, faster", behind(1.0, 0.7), "5"),
+        ("wide, in open surroundings", goes([4.3065, 0.2979, 0.6, 1.6], 11.5), "10"),
+        ("wide, to the other side", goes([4.3065, -0.2979, 0.6, 1.6], 12.5), "20"),
+    ] {
+        std::fs::write(&file, "timeout_s = 150.0\nstop_final_s = 40.0\n".to_owned() + &text).unwrap();
+        let report = system.lockstep(&["left.toml", "--set", &format!("rate_hz={rate}")]);
+        let truth = report.drive.truth.unwrap();
+        let drive = format!("{name}: {}, {truth:?}", report.reason);
+        assert!(!truth.collided && !truth.struck && truth.min_clearance_m > 0.0, "{drive}");
+        assert_eq!(report.outcome, Outcome::Reached, "{drive}");
+    }
+}
