@@ -186,7 +186,7 @@ impl Turns {
         let landing_m = controller.vehicle.bounds.velocity_min_mps * controller.period_s;
         Self {
             from: [start.x_m + late_m * cos, start.y_m + late_m * sin, start.yaw_rad],
-            radius_m: radius_m / controller.guide.curvature_share,
+            radius_m: radius_m / controller.curvature_share(),
             y_m: controller.y_range(),
             within_m: (goal.tolerance_m - landing_m).max(0.0),
         }

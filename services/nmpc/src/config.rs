@@ -136,6 +136,11 @@ impl Config {
         [self.track.y_m[0] + shrink, self.track.y_m[1] - shrink]
     }
 
+    /// Share of the largest curvature that a path may use.
+    pub fn curvature_share(&self) -> f64 {
+        self.guide.curvature_share
+    }
+
     /// Length of one interval [s].
     pub fn interval_s(&self) -> f64 {
         self.horizon_s / self.intervals as f64

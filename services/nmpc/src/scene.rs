@@ -102,7 +102,7 @@ impl<'a> Scene<'a> {
             wall_gap: self.config.clearance_m,
             outside: [OUTSIDE_M; 2],
             turned_outside: OUTSIDE_M,
-            curvature: self.config.guide.curvature_share
+            curvature: self.config.curvature_share()
                 * self.full_lock_curvature(self.config.vehicle.bounds.velocity_max_mps),
         };
         let State { x, y, .. } = self.initial;
