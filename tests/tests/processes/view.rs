@@ -218,7 +218,7 @@ fn a_port_in_use_is_refused_before_anything_starts() {
         let output = system.run(&arguments);
         let message = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(2), "{message}");
-        assert!(message.contains(&format!("--port {port}: 127.0.0.1:{port} is in use")), "{message}");
+        assert!(message.contains(&format!("port {port} of 127.0.0.1 is in use; name another")), "{message}");
     }
     let (code, text) = view.ask("GET /system", "Origin: http://example.org\r\n", "");
     assert_eq!(code, 403, "{text}");

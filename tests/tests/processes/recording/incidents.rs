@@ -58,7 +58,7 @@ fn a_recording_that_is_being_written_is_not_replaced() {
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
     let recording = system.report().recording.expect("a recording");
     let info = json(&system.run(&["recording", "info", "drive.mcap", "--json"]));
-    assert_eq!((&info["complete"], &info["samples"]), (&true.into(), &recording.samples.into()), "{info}");
+    assert_eq!((&info["complete"], &info["bytes"]), (&true.into(), &recording.bytes.into()), "{info}");
     system.assert_nothing_left();
 }
 
