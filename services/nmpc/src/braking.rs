@@ -85,6 +85,10 @@ mod tests {
         // 1 m/s: 0.25 m until the wheels are blocked and 0.1 m until they rest.
         assert!((stopping.distance(1.0) - 0.35).abs() < 1e-12);
         assert!((stopping.speed(0.35) - 1.0).abs() < 1e-12);
+        // It may be a quarter faster: 1.25 m/s for 0.25 s, and 1.25^2 / 10 m.
+        let faster = Stopping { speed_ratio: 1.25, ..stopping };
+        assert!((faster.distance(1.0) - (0.3125 + 0.15625)).abs() < 1e-12);
+        assert!((faster.speed(0.46875) - 1.0).abs() < 1e-12);
         assert_eq!(stopping.speed(0.0), 0.0);
         assert_eq!(stopping.speed(-1.0), 0.0);
     }

@@ -122,4 +122,24 @@ mod tests {
         let later = model.at(2.0, 0.5).pose_m;
         assert!((later - 2.0 * (9e-4 + 2.0 * 3.6e-5_f64).sqrt()).abs() < 1e-12);
     }
+
+    #[test]
+    fn the_larger_eigenvalue_counts_and_parts_are_left_out() {
+        let mut pose = Pose { predicted_ns: 150_000_000, ..Pose::default() };
+        // Along x 0.03 m, across 0.01 m.
+        (pose.local_covariance[4], pose.local_covariance[8]) = (9e-4, 1e-4);
+        let model = MarginModel::of(&Config::default(), &pose);
+        assert!((model.at(0.0, 0.5).pose_m - 2.0 * 0.03).abs() < 1e-12);
+        assert!((model.age_s() - 0.15).abs() < 1e-12);
+        assert!((model.growth(0.0, 0.5) - (0.06 + 0.075 + 0.015 + 0.015)).abs() < 1e-12);
+        // After the longest time that counts it does not grow any more.
+        assert!(model.sum(2.0, 0.5) < model.sum(2.7, 0.5));
+        assert_eq!(model.sum(2.7, 0.5), model.sum(9.0, 0.5));
+        let used_up = model.used_up();
+        assert!((used_up.sum(0.0, 0.5) - (0.05 + 0.06 + 0.075)).abs() < 1e-12);
+        assert!(used_up.at(2.0, 0.5).pose_m > used_up.at(0.0, 0.5).pose_m, "errors of the pose stay");
+        let bare = model.bare();
+        assert_eq!((bare.sum(0.0, 0.5), bare.sum(2.0, 1.0), bare.age_s()), (0.05, 0.05, 0.0));
+        assert_eq!((model.none().sum(0.0, 0.5), model.none().sum(2.0, 1.0)), (0.0, 0.0));
+    }
 }

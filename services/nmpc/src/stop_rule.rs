@@ -227,4 +227,71 @@ mod tests {
     fn an_obstacle_beside_the_path_never_blocks() {
         assert!(!blocked_at(1.5, 1.2, 0.9, 0.1));
     }
+
+    /// What a drive from the origin meets, in a scene with these bodies.
+    fn driven(predicted: &[PredictedObstacle], state: State, side: f64, length: f64, end_x: f64) -> Reach {
+        let config = Config { goal: Goal { x_m: 15.0, ..Goal::default() }, ..Config::default() };
+        let scene = Scene::new(&config, predicted, State::default());
+        let curvature = scene.full_lock_curvature(1.0);
+        let turns = Turns { scene: &scene, baseline: scene.baseline(), end_x, curvature, speed: 1.0 };
+        turns.drive(Sampled { t: 0.0, speed: 1.0, state }, side, length)
+    }
+
+    fn body(x: f64, y: f64, b: f64, velocity_y: f64) -> PredictedObstacle {
+        let body = Rectangle { centre: Vector2::new(x, y), yaw: 0.0, length: 0.1, width: 2.0 * b };
+        PredictedObstacle { id: 1, centre: [x, y], velocity: [0.0, velocity_y], a: b, b, body }
+    }
+
+    #[test]
+    fn after_a_turn_the_opposite_lock_leads_back_to_along_the_track() {
+        let straight = State::default();
+        for side in [1.0, -1.0] {
+            // 2 R (1 - cos(l / R)) with a radius of 3.09 m: 0.9 m across for 1.7 m, and 1.7 m for 2.4 m, where 1.55 m are free.
+            assert!(matches!(driven(&[], straight, side, 1.7, 8.0), Reach::Past));
+            assert!(matches!(driven(&[], straight, side, 2.4, 12.0), Reach::Hit { obstacle: None, .. }));
+            let Reach::Hit { x, obstacle: None } = driven(&[], straight, side, 9.0, 12.0) else {
+                panic!("it leaves the track")
+            };
+            assert!((x - 2.76).abs() < 0.02, "{x}");
+        }
+        // Without a turn it goes on along its course, of yaw and sideslip: 1.55 m to the left after 1.55 / tan 0.4.
+        for (yaw, sideslip) in [(0.3, 0.1), (0.5, -0.1)] {
+            let state = State { yaw, sideslip, ..State::default() };
+            let Reach::Hit { x, obstacle: None } = driven(&[], state, 0.0, 0.0, 12.0) else {
+                panic!("it leaves the track")
+            };
+            assert!((x - 3.67).abs() < 0.09, "{x}");
+        }
+        let Reach::Hit { x, .. } = driven(&[], straight, 0.0, 0.0, 21.0) else { panic!("it is too far") };
+        assert!((x - 2.0 * SIGHT_M).abs() < 0.1, "{x}");
+    }
+
+    #[test]
+    fn what_a_turn_meets_is_named_and_is_where_it_will_be() {
+        // The second one is in the way; it has left when the robot gets there at 1 m/s.
+        let beside = body(2.0, 1.3, 0.1, 0.0);
+        let reach = driven(&[beside, body(3.0, 0.0, 0.5, 0.0)], State::default(), 0.0, 0.0, 5.0);
+        assert!(matches!(reach, Reach::Hit { x, obstacle: Some(1) } if (2.0..3.0).contains(&x)));
+        let reach = driven(&[beside, body(3.0, 0.0, 0.5, 0.8)], State::default(), 0.0, 0.0, 5.0);
+        assert!(matches!(reach, Reach::Past));
+        let reach = driven(&[beside, body(3.0, -2.4, 0.5, 0.8)], State::default(), 0.0, 0.0, 5.0);
+        assert!(matches!(reach, Reach::Hit { obstacle: Some(1), .. }));
+    }
+
+    #[test]
+    fn the_body_is_named_that_the_best_turn_meets_before_the_goal() {
+        let blocked = |bodies: &[PredictedObstacle], goal_x_m: f64| {
+            let goal = Goal { x_m: goal_x_m, ..Goal::default() };
+            let track = Track { x_m: [-10.0, 22.0], ..Track::default() };
+            let config = Config { goal, track, ..Config::default() };
+            blocked_by(&Scene::new(&config, bodies, State::default()), &[], 0.1, 1.0)
+        };
+        let closed = |x: f64| PredictedObstacle { a: 1.2, ..body(x, 0.0, 1.9, 0.0) };
+        assert_eq!(blocked(&[closed(4.4), closed(3.0)], 15.0), Some(1));
+        assert_eq!(blocked(&[closed(3.0), closed(4.4)], 15.0), Some(0));
+        // What begins behind the goal, and what is behind the robot, blocks nothing.
+        assert_eq!(blocked(&[closed(3.0)], 2.5), Some(0));
+        assert_eq!(blocked(&[closed(3.8)], 2.5), None);
+        assert_eq!(blocked(&[closed(-0.5)], 15.0), None);
+    }
 }
