@@ -284,3 +284,30 @@ fn a_command_that_is_held_for_longer_than_its_interval_is_verified_for_as_long()
     fixture.predicted[0].centre[0] = fixture.predicted[0].body.centre.x;
     assert!(!verdict(&fixture.scene(), &creeping(0.0)).holds());
 }
+
+#[test]
+fn between_two_samples_a_contact_is_found_by_place_angle_and_time() {
+    let small = |x: f64, y: f64, velocity_y: f64| {
+        let body = Rectangle { centre: Vector2::new(x, y), yaw: 0.0, length: 0.01, width: 0.01 };
+        let velocity = [0.0, velocity_y];
+        Fixture::new(vec![PredictedObstacle { id: 1, centre: [x, y], velocity, a: 0.01, b: 0.01, body }])
+    };
+    let found = |fixture: &Fixture, to: State| {
+        let scene = fixture.scene();
+        let scene = scene.keeping(scene.margin.none(), 0.0);
+        let [from, to] =
+            [(0.0, State::default()), (0.1, to)].map(|(t, state)| Sampled { t, speed: 0.0, state });
+        touched_between(&scene, &scene.baseline(), &from, &to)
+    };
+    let touched = Some(Violation::Obstacle(0));
+    let still = State::default();
+    // The body is 0.56 by 0.4 m: it is met on the way, at neither end.
+    assert_eq!(found(&small(1.0, 0.0, 0.0), State { x: 2.0, ..still }), touched);
+    assert_eq!(found(&small(0.0, 1.0, 0.0), State { y: 2.0, ..still }), touched);
+    // A corner is 0.344 m away, front and sides are nearer.
+    assert_eq!(found(&small(0.0, 0.33, 0.0), State { yaw: std::f64::consts::FRAC_PI_2, ..still }), touched);
+    // It passes through the robot in a tenth of a second.
+    assert_eq!(found(&small(0.0, -1.0, 20.0), still), touched);
+    assert_eq!(found(&small(0.0, -1.0, 2.0), still), None);
+    assert_eq!(found(&small(1.0, 1.0, 0.0), State { x: 2.0, ..still }), None);
+}
