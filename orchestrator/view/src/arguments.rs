@@ -9,7 +9,7 @@ use console::exit::Failure;
 /// The port of the page, unless another one is named.
 pub(crate) const DEFAULT_PORT: u16 = 7117;
 /// So many connections may wait to be accepted; the kernel allows fewer where `net.core.somaxconn` is smaller. The default of
-/// 128 is full within the time slice of another user who connects all the time, and then nobody gets in.
+/// 128 is full within the time slice of another user who connects all the time, and then no other connection gets in.
 const BACKLOG: i32 = 4096;
 
 /// Arguments of `view`.

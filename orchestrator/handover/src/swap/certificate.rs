@@ -86,3 +86,40 @@ pub struct Certificate {
     /// Why it ended so; empty when all went as asked.
     pub reason: String,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_certificate_tells_how_it_ended() {
+        let certificate = |outcome, first_scan_new, reason: &str| Certificate {
+            role: "controller".to_owned(),
+            from: "nmpc".to_owned(),
+            to: "mine".to_owned(),
+            first_scan_new,
+            outcome,
+            reason: reason.to_owned(),
+            missed_scans: 2,
+            ..Certificate::default()
+        };
+        let swapped = certificate(SwapOutcome::Swapped, Some(7), "");
+        let text = "controller: mine has taken over from nmpc at scan 7; 2 scans missed, 0 answered twice";
+        assert_eq!(swapped.to_string(), text);
+        let text = "controller was restarted: the new process drives since scan 7; 2 scans missed";
+        assert_eq!(swapped.of_restart(), text);
+        let unseen = certificate(SwapOutcome::Swapped, None, RUN_ENDS);
+        assert_eq!(unseen.of_restart(), "controller was restarted: the run ends");
+        let back = certificate(SwapOutcome::RolledBack, Some(7), "it hangs");
+        let text = "controller: mine was rolled back to nmpc: it hangs; 2 scans missed, 0 answered twice";
+        assert_eq!(back.to_string(), text);
+        let text = "controller was not restarted, the old process keeps driving: it hangs";
+        assert_eq!(back.of_restart(), text);
+        let refused = certificate(SwapOutcome::Refused, None, "it hangs");
+        assert_eq!(refused.to_string(), "controller: mine was refused, nmpc keeps driving: it hangs");
+        // Nothing drives on then.
+        let ended = certificate(SwapOutcome::Refused, None, RUN_ENDS);
+        assert_eq!(ended.to_string(), "controller: mine was refused: the run ends");
+        assert_eq!(ended.of_restart(), "controller was not restarted: the run ends");
+    }
+}

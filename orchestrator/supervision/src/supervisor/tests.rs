@@ -9,10 +9,10 @@ mod replacement;
 mod start;
 mod stop;
 
-use shared_types::Role;
+use shared_types::{ProcessState, Role};
 
 use super::world::World;
-use super::{Action, Exit, VisibleState};
+use super::{Action, Event, Exit, VisibleState};
 
 const KILLED: Exit = Exit::Signal(9);
 
@@ -35,4 +35,24 @@ fn assert_robot_is_left_running(world: &World) {
     };
     assert!(reason.contains("it is not killed"), "{reason}");
     assert!(world.supervisor.process(Role::Robot).is_some_and(|view| view.pid.is_some()));
+}
+
+/// Lets time pass in which all processes make progress.
+fn watch(world: &mut World, steps: u32) {
+    for _ in 0..steps {
+        world.advance(100);
+        Role::ALL.iter().for_each(|role| world.progress(*role));
+        world.send(Event::Tick);
+    }
+}
+
+/// A loop whose obstacle description has just been started again and has had no input yet.
+fn with_a_new_reader() -> World {
+    let mut world = World::driving();
+    world.die(Role::Obstacles, KILLED);
+    world.clean(Role::Obstacles);
+    world.answer(Role::Obstacles, true);
+    world.report(Role::Obstacles, ProcessState::Attached);
+    world.report(Role::Obstacles, ProcessState::Connected);
+    world
 }

@@ -1,8 +1,8 @@
 //! What the supervisor tells, and with which numbers.
 
-use shared_types::{ProcessState, Role};
+use shared_types::Role;
 
-use super::{KILLED, state};
+use super::{KILLED, state, watch, with_a_new_reader};
 use crate::supervisor::world::{World, policies};
 use crate::supervisor::{Event, Exit, Severity, Supervisor, VisibleState};
 
@@ -43,18 +43,9 @@ fn a_process_that_hung_and_one_without_a_valid_output_are_told_by_that() {
     let text = format!("controller died: made no progress for {limit_ms} ms; restarted in 0 ms");
     assert_said(&world, Severity::Warn, &text);
 
-    let mut world = World::driving();
-    world.die(Role::Obstacles, KILLED);
-    world.clean(Role::Obstacles);
-    world.answer(Role::Obstacles, true);
-    world.report(Role::Obstacles, ProcessState::Attached);
-    world.report(Role::Obstacles, ProcessState::Connected);
+    let mut world = with_a_new_reader();
     world.refuse(Role::Estimator, Role::Obstacles);
-    for _ in 0..100 {
-        world.advance(100);
-        Role::ALL.iter().for_each(|role| world.progress(*role));
-        world.send(Event::Tick);
-    }
+    watch(&mut world, 100);
     assert_said(&world, Severity::Warn, "estimator had no valid output within 10000 ms and is killed");
     world.die(Role::Estimator, KILLED);
     let begin = "estimator died: had no valid output within 10000 ms: ";

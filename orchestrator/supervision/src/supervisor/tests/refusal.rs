@@ -2,29 +2,9 @@
 
 use shared_types::{ProcessState, Role};
 
-use super::{KILLED, state};
+use super::{KILLED, state, watch, with_a_new_reader};
 use crate::supervisor::world::{World, policies};
 use crate::supervisor::{Action, Event, VisibleState};
-
-/// Lets time pass in which all processes make progress.
-fn watch(world: &mut World, steps: u32) {
-    for _ in 0..steps {
-        world.advance(100);
-        Role::ALL.iter().for_each(|role| world.progress(*role));
-        world.send(Event::Tick);
-    }
-}
-
-/// A loop whose obstacle description has just been started again and has had no input yet.
-fn with_a_new_reader() -> World {
-    let mut world = World::driving();
-    world.die(Role::Obstacles, KILLED);
-    world.clean(Role::Obstacles);
-    world.answer(Role::Obstacles, true);
-    world.report(Role::Obstacles, ProcessState::Attached);
-    world.report(Role::Obstacles, ProcessState::Connected);
-    world
-}
 
 fn killed(world: &World) -> Vec<Role> {
     let kill = |action: &Action| match action {
