@@ -100,6 +100,14 @@ impl Trial {
         self.record();
     }
 
+    /// A scan that the new one answers so long after it, as the old one did in time.
+    fn late_scan(&mut self, after_ms: u64) {
+        self.publish();
+        self.output(Party::Old, 2, Ok(command(0.04)));
+        self.output(Party::New, after_ms, Ok(command(0.04)));
+        self.tick_at(52);
+    }
+
     fn good_scans(&mut self, count: u64) {
         (0..count).for_each(|_| self.good_scan());
     }
@@ -289,10 +297,7 @@ fn two_late_outputs_are_forgiven_and_the_third_is_not() {
     let mut trial = warm();
     for _ in 0..3 {
         assert!(trial.actions.is_empty());
-        trial.publish();
-        trial.output(Party::Old, 2, Ok(command(0.04)));
-        trial.output(Party::New, 51, Ok(command(0.04)));
-        trial.tick_at(52);
+        trial.late_scan(51);
     }
     assert_eq!(trial.refused(), "late: output for scan 18 51.0 ms after the scan, allowed are 50.0 ms");
     let mut trial = warm();
@@ -312,20 +317,14 @@ fn one_more_late_output_is_forgiven_per_ten_scans() {
     trial.good_scans(25);
     for late in 1..=5 {
         assert!(trial.actions.is_empty(), "{late}");
-        trial.publish();
-        trial.output(Party::Old, 2, Ok(command(0.04)));
         // At the limit it is in time.
-        trial.output(Party::New, if late == 1 { 50 } else { 51 }, Ok(command(0.04)));
-        trial.tick_at(52);
+        trial.late_scan(if late == 1 { 50 } else { 51 });
     }
     // Four late ones of thirty scans: two and one per ten.
     assert!(trial.actions.is_empty());
     trial.good_scans(5);
     for _ in 0..2 {
-        trial.publish();
-        trial.output(Party::Old, 2, Ok(command(0.04)));
-        trial.output(Party::New, 51, Ok(command(0.04)));
-        trial.tick_at(52);
+        trial.late_scan(51);
     }
     assert!(trial.refused().starts_with("late: output for scan 47"), "{}", trial.refused());
 }
