@@ -254,7 +254,7 @@ mod tests {
             };
             assert!((x - 2.76).abs() < 0.02, "{x}");
         }
-        // Without a turn it goes on along its course, of yaw and sideslip: 1.55 m to the left after 1.55 / tan 0.4.
+        // Without a turn it keeps its course, of yaw and sideslip: 1.55 m to the left after 1.55 / tan 0.4.
         for (yaw, sideslip) in [(0.3, 0.1), (0.5, -0.1)] {
             let state = State { yaw, sideslip, ..State::default() };
             let Reach::Hit { x, obstacle: None } = driven(&[], state, 0.0, 0.0, 12.0) else {
