@@ -169,19 +169,21 @@ impl ObstacleDetector {
         self.tracks.sight(&self.outlines, &mut self.evidence, place, elapsed);
         self.mark_fixed();
         let fixed = &self.fixed;
-        self.evidence.compare(&self.beams, scan, place, &self.returns, |beam| fixed[beam]);
+        let something_moves = self.tracks.list.iter().any(|track| track.moving && track.unseen_s == 0.0);
+        self.evidence.compare(&self.beams, scan, place, &self.returns, something_moves, |beam| fixed[beam]);
         let overflow = self.tracks.start(&self.outlines, place);
         self.tracks.forget(scan, &self.beams, &mut self.evidence, place, elapsed);
         self.tracks.unite(place.at);
         overflow
     }
 
-    /// Marks the beams whose return is outside of the track, on a wall, or on a body that stands.
+    /// Marks the beams whose return is outside of the track, on a wall, or on a body that stands. In open surroundings nothing
+    /// is known to stand that is too far away to be followed.
     fn mark_fixed(&mut self) {
-        self.fixed.fill(true);
+        self.fixed.fill(!self.evidence.is_open());
         let [low, high] = self.config.beside_y_m();
-        for point in self.points.iter().filter(|point| (low..=high).contains(&point.at.y)) {
-            self.fixed[point.beam] = false;
+        for point in &self.points {
+            self.fixed[point.beam] = !(low..=high).contains(&point.at.y);
         }
         for (outline, members) in self.outlines.members() {
             let Some(track) = outline.track.map(|index| &self.tracks.list[index]) else { continue };

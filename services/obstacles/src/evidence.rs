@@ -233,21 +233,25 @@ impl Evidence {
         self.errors = self.calibration.errors();
     }
 
-    /// Whether what is around has changed since the keyframe.
-    fn has_changed(&self, beams: &Beams, scan: &Scan, place: &Place) -> bool {
+    /// Whether what is around has changed since the keyframe. A body that still moves when the robot has rested since then
+    /// does move: its returns may have contradicted the motion before it was known to.
+    fn has_changed(&self, beams: &Beams, scan: &Scan, place: &Place, something_moves: bool) -> bool {
         let counts = Returns::count(&self.keyframe, beams, scan, place);
         let (way, turn) = self.keyframe.moved(place);
         let has_rested = way < REST.0 && turn < REST.1;
-        counts.agreed <= CHANGED * counts.predicted || has_rested && self.keyframe.shift(scan) > SHIFTED_M
+        counts.agreed <= CHANGED * counts.predicted
+            || has_rested && (something_moves || self.keyframe.shift(scan) > SHIFTED_M)
     }
 
-    /// Compares what does not move with the scan from some way before; `is_fixed` tells of a beam what it shows.
+    /// Compares what does not move with the scan from some way before; `is_fixed` tells of a beam what it shows, and
+    /// `something_moves` whether the scan shows a body that seems to move.
     pub(crate) fn compare(
         &mut self,
         beams: &Beams,
         scan: &Scan,
         place: &Place,
         points: &[Point],
+        something_moves: bool,
         is_fixed: impl Fn(usize) -> bool + Copy,
     ) {
         self.waited_s += self.findings.elapsed;
@@ -271,7 +275,9 @@ impl Evidence {
         if self.rested_s > RENEWED_S && !self.is_empty {
             self.rested_s = 0.0;
             // No error of the ranges moves anything while the robot rests: what moves or has gone contradicted nothing.
-            if self.calibration.contradicts(&self.errors) && self.has_changed(beams, scan, place) {
+            if self.calibration.contradicts(&self.errors)
+                && self.has_changed(beams, scan, place, something_moves)
+            {
                 self.verdict.settle();
                 self.careful_s = CAREFUL_S;
                 self.trust_ranges();
@@ -392,6 +398,11 @@ impl Evidence {
         let strip = self.vehicle.width_m / 2.0 + STRIP_M;
         let seen = sectors::seen_ahead(unseen_sectors, self.vehicle.scanner_yaw_rad, strip);
         seen.min(THIN_M * share / (3.0 * PITCH_RAD))
+    }
+
+    /// Whether nothing need be in view.
+    pub(crate) fn is_open(&self) -> bool {
+        self.vehicle.surroundings == Surroundings::Open
     }
 
     /// Whether the ranges can be relied on, so that it tells something when none comes from a direction.

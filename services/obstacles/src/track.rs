@@ -44,8 +44,10 @@ const STARTS: u32 = 3;
 const STOPS: u32 = 5;
 /// Weight of the edges seen before against those of a new scan: the last second counts most.
 const EDGE_MEMORY: f64 = 0.9;
-/// How long a body is remembered for each scan that showed it, where nothing tells whether it is still there [s].
-const MEMORY_PER_SIGHTING_S: f64 = 0.5;
+/// How long a body is remembered that was seen once, where nothing tells whether it is still there [s] ...
+const FIRST_MEMORY_S: f64 = 0.5;
+/// ... and for how many times the time that it was seen thereafter.
+const MEMORY: f64 = 5.0;
 /// Where nothing tells, a body may have moved with this speed [m/s], at most this far [m].
 const GROWTH_MPS: f64 = 0.02;
 const MAX_GROWTH_M: f64 = 0.2;
@@ -161,9 +163,11 @@ impl Track {
         self.shape().extent(self.place())
     }
 
-    /// Whether it is forgotten by its age: nothing has shown it for too long where it should be in view.
-    pub(crate) fn is_outdated(&self, memory_s: f64) -> bool {
-        self.silent_s > (MEMORY_PER_SIGHTING_S * f64::from(self.sightings)).min(memory_s)
+    /// Whether it is forgotten by its age: nothing has shown it for too long where it should be in view. `period` is the time
+    /// since the scan before [s].
+    pub(crate) fn is_outdated(&self, memory_s: f64, period: f64) -> bool {
+        let seen_s = period * f64::from(self.sightings.saturating_sub(1));
+        self.silent_s > (FIRST_MEMORY_S + MEMORY * seen_s).min(memory_s)
     }
 
     /// How much larger than seen it may be by now, at each side [m].

@@ -200,7 +200,7 @@ impl Tracks {
         self.list.retain(|track| {
             let is_free = track.free >= if track.confirmed { limit } else { limit.min(2) };
             let has_gone = track.rested_s >= GONE_S && lacks_only_bodies;
-            let is_forgotten = is_free || has_gone || track.is_outdated(memory_s);
+            let is_forgotten = is_free || has_gone || track.is_outdated(memory_s, elapsed);
             if is_forgotten {
                 evidence.release(&around(&track.rectangle(directions)));
             }

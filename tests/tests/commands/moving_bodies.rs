@@ -95,3 +95,44 @@ fn a_robot_drives_on_when_what_was_beside_a_body_at_rest_has_gone() {
         assert_eq!(report.outcome, Outcome::Reached, "{drive}");
     }
 }
+
+/// Bodies that pass slowly before one at rest, and out of the sensor's watch: what they showed contradicted the motion of the
+/// robot, which stood for ever, as the body at rest stayed in view.
+#[test]
+fn a_body_that_went_past_another_one_in_the_open_contradicts_nothing() {
+    let system = System::new(EXECUTABLE);
+    let file = system.folder().join("passes.toml");
+    let scene = |rest: [f64; 4], more: &str| {
+        let [x_m, y_m, length_m, width_m] = rest;
+        format!(
+            "[goal]\nx_m = 11.0\n[track]\nsurroundings = \"open\"\n\
+             [[obstacle]]\nshape = \"box\"\nx_m = {x_m:?}\ny_m = {y_m:?}\nlength_m = {length_m:?}\n\
+             width_m = {width_m:?}\n[[obstacle]]\n{more}"
+        )
+    };
+    let circle = scene(
+        [5.0, 0.82, 1.36, 0.6],
+        "shape = \"circle\"\nx_m = 3.97\ny_m = 1.8\nradius_m = 0.3\nvelocity_y_mps = -0.25\nappears_s = 0.6\n",
+    );
+    let cart = scene(
+        [5.5, -0.6, 0.4, 0.5],
+        "shape = \"box\"\nx_m = 4.85\ny_m = -2.0\nlength_m = 0.8\nwidth_m = 0.5\nvelocity_y_mps = 0.5\n\
+         appears_s = 0.0\n",
+    );
+    for (text, rate, preset) in [
+        (&circle, "10", "ideal"),
+        (&circle, "20", "summit"),
+        (&circle, "50", "worn"),
+        (&cart, "10", "summit"),
+        (&cart, "20", "worn"),
+        (&cart, "50", "ideal"),
+    ] {
+        std::fs::write(&file, text).unwrap();
+        let (rate, preset) = (format!("rate_hz={rate}"), format!("robot.preset={preset}"));
+        let report = system.lockstep(&["passes.toml", "--set", &rate, "--set", &preset]);
+        let truth = report.drive.truth.unwrap();
+        let drive = format!("{rate} {preset}: {}, {truth:?}", report.reason);
+        assert!(!truth.collided && !truth.struck && truth.min_clearance_m > 0.0, "{drive}");
+        assert_eq!(report.outcome, Outcome::Reached, "{drive}");
+    }
+}
