@@ -40,7 +40,7 @@ impl Newest {
             return match sequence.cmp(newest) {
                 std::cmp::Ordering::Less => {
                     let (of, before) = self.late;
-                    let goes_on = of == incarnation && before.saturating_add(1) == sequence;
+                    let goes_on = of == incarnation && before < sequence && sequence - before <= MAX_LATE;
                     self.late = (incarnation, sequence);
                     if !goes_on || *newest - sequence <= MAX_LATE {
                         return Arrival::Older;

@@ -180,7 +180,7 @@ impl ObstacleDetector {
     /// Marks the beams whose return is outside of the track, on a wall, or on a body that stands. In open surroundings nothing
     /// is known to stand that is too far away to be followed.
     fn mark_fixed(&mut self) {
-        self.fixed.fill(!self.evidence.is_open());
+        self.fixed.fill(!self.evidence.is_open() || self.config.walls);
         let [low, high] = self.config.beside_y_m();
         for point in &self.points {
             self.fixed[point.beam] = !(low..=high).contains(&point.at.y);

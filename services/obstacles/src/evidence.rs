@@ -59,9 +59,10 @@ const THIN_M: f64 = 0.1;
 const DOUBTFUL_M: f64 = 1.0;
 /// A robot slower than this rests [m/s]: blocked wheels are measured as exactly zero.
 pub(crate) const REST_MPS: f64 = 0.02;
-/// While the robot rests, what stood around it is taken anew for comparison after this time [s]: what is gone would be
-/// missed for ever otherwise.
+/// While the robot rests, what stood around it is taken anew for comparison after this time [s] ...
 const RENEWED_S: f64 = 0.5;
+/// ... and so many scans, after which what only seemed to move is known to stand: what is gone would be missed for ever otherwise.
+const RENEWED_SCANS: f64 = 5.0;
 /// What was around a robot that rests has changed when not more than this share of it comes again ...
 const CHANGED: f64 = 0.5;
 /// ... or when the ranges of all beams have changed by this on the average, in which noise vanishes [m]: something that
@@ -272,7 +273,7 @@ impl Evidence {
             sectors::compare(&mut counts, beams, scan, seen, (keyframe.scan(), before));
         }
         sectors::add(&mut self.sectors, &counts, waited);
-        if self.rested_s > RENEWED_S && !self.is_empty {
+        if self.rested_s > RENEWED_S.max(RENEWED_SCANS * self.findings.elapsed) && !self.is_empty {
             self.rested_s = 0.0;
             // No error of the ranges moves anything while the robot rests: what moves or has gone contradicted nothing.
             if self.calibration.contradicts(&self.errors)

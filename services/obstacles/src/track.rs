@@ -164,7 +164,7 @@ impl Track {
     }
 
     /// Whether it is forgotten by its age: nothing has shown it for too long where it should be in view. `period` is the time
-    /// since the scan before [s].
+    /// between scans [s].
     pub(crate) fn is_outdated(&self, memory_s: f64, period: f64) -> bool {
         let seen_s = period * f64::from(self.sightings.saturating_sub(1));
         self.silent_s > (FIRST_MEMORY_S + MEMORY * seen_s).min(memory_s)

@@ -177,7 +177,7 @@ impl Tracks {
                     track.silent_s += counted;
                     let towards = beams_towards(place, &rectangle);
                     let is_wide = towards.clone().is_some_and(|towards| towards.count() >= WIDE_BEAMS);
-                    track.rested_s += if rests && is_wide { counted } else { 0.0 };
+                    track.rested_s = if rests && is_wide { track.rested_s + counted } else { 0.0 };
                     if track.stands()
                         && !self.config.is_beside(rectangle.corners())
                         && track.silent_s > DOUBTFUL_S
@@ -195,12 +195,14 @@ impl Tracks {
         }
         let limit = self.config.free_scans;
         let memory_s = self.config.memory_s;
+        // Scans may come at irregular times, but none in less than it takes to sweep.
+        let period = elapsed.max(scan.sweep_ns as f64 * 1e-9);
         let lacks_only_bodies = evidence.lacks_only_bodies();
         let directions = &self.directions;
         self.list.retain(|track| {
             let is_free = track.free >= if track.confirmed { limit } else { limit.min(2) };
             let has_gone = track.rested_s >= GONE_S && lacks_only_bodies;
-            let is_forgotten = is_free || has_gone || track.is_outdated(memory_s, elapsed);
+            let is_forgotten = is_free || has_gone || track.is_outdated(memory_s, period);
             if is_forgotten {
                 evidence.release(&around(&track.rectangle(directions)));
             }
