@@ -436,6 +436,49 @@ mod tests {
     }
 
     #[test]
+    fn each_bound_grows_with_the_tolerance_and_by_what_a_setting_is_meant_to_change() {
+        let meant = Meant {
+            steering_rad: 0.001,
+            position_m: 0.02,
+            yaw_rad: 0.03,
+            true_position_m: 0.04,
+            true_yaw_rad: 0.05,
+            beam_share: 0.06,
+            ..Meant::default()
+        };
+        let bound = |old: &OutputSummary, new: &OutputSummary| match disagreement(old, new, 2.0, &meant) {
+            Some(Disagreement::Beyond { difference, bound, .. }) => {
+                [difference, bound].map(|number| (number * 1e6).round() / 1e6)
+            }
+            other => panic!("{other:?}"),
+        };
+        let of = |change: fn(&mut Sensed)| {
+            let mut old = robot();
+            (old.reported, old.truth) = ([0.5, 1.0, 2.0], Some([0.5, 1.0, 2.0]));
+            let mut new = old.clone();
+            change(&mut new);
+            bound(&OutputSummary::Sensed(Box::new(old)), &OutputSummary::Sensed(Box::new(new)))
+        };
+        assert_eq!(of(|new| new.truth = Some([0.5, 4.0, 6.0])), [5.0, 0.06]);
+        assert_eq!(of(|new| new.truth = Some([1.0, 1.0, 2.0])), [0.5, 0.06]);
+        assert_eq!(of(|new| new.reported = [0.5, 4.0, 6.0]), [5.0, 0.12]);
+        assert_eq!(of(|new| new.reported[0] = 1.0), [0.5, 0.07]);
+        assert_eq!(of(|new| new.ranges_mm[..341].fill(1000)), [0.5, 0.16]);
+        assert_eq!(bound(&command(1.0, -0.1), &command(1.0, 0.1)), [0.2, 0.031]);
+        let moved = |x_m, y_m| OutputSummary::from(&Pose { x_m, y_m, ..Pose::default() });
+        assert_eq!(bound(&moved(1.0, 2.0), &moved(4.0, 6.0)), [5.0, 0.12]);
+    }
+
+    #[test]
+    fn truths_are_compared_by_their_distance_and_two_bodies_at_the_bound_are_one() {
+        let sensed = |truth| OutputSummary::Sensed(Box::new(Sensed { truth, ..robot() }));
+        let of = |old, new| differences(&sensed(Some(old)), &sensed(Some(new))).unwrap()[3];
+        assert_eq!(of([0.0, 1.0, 2.0], [0.0, 4.0, 6.0]), 5.0);
+        let body = |x_m| Body { centre_m: [x_m, 0.0], seen: true };
+        assert!(!is_lacking(&body(1.0), &[body(1.25)], 0.25) && is_lacking(&body(1.0), &[body(1.25)], 0.24));
+    }
+
+    #[test]
     fn what_is_sent_may_differ_twice_as_much_as_what_is_desired() {
         let sent = |kind: ActuationKind, sent_velocity_mps, sent_steering_rad| {
             let kind = kind.wire();
