@@ -13,7 +13,7 @@ use std::time::Duration;
 use console::exit::{Exit, Failure};
 use console::note;
 use console::output::answer;
-use runtime::{Domain, Priority, RuntimeError, monotonic_ns, print};
+use runtime::{Domain, INCARNATION_VARIABLE, Priority, RUN_ID_VARIABLE, RuntimeError, monotonic_ns, print};
 use rustix::process::{geteuid, setsid};
 use session::control::{Reply, Request, ask};
 use supervision::child::this_program;
@@ -194,6 +194,8 @@ fn detach(run: &LivingRun) -> std::io::Result<()> {
     let mut command = Command::new(this_program());
     command.args(["--system-id", &run.system_id, "stop", "--finish", &run.run_id]);
     command.args(["--uid", &run.uid.to_string()]).current_dir("/");
+    // A process of the run may have started this command; the copy is none, or it would end itself.
+    command.env_remove(RUN_ID_VARIABLE).env_remove(INCARNATION_VARIABLE);
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
     command.spawn().map(drop)
 }
