@@ -85,12 +85,11 @@ impl Domain {
         loop {
             let Some(folder) = place.folder(system_id)? else { return Ok(None) };
             let path = folder.path().to_path_buf();
-            // Only a directory without files may be just being made or removed.
-            let is_settled = folder.names().iter().any(|name| !name.starts_with(RUN_ID_FILE));
             if let Some(found) = Self::of_folder(system_id, folder)? {
                 return Ok(Some(found));
             }
-            if is_settled || since.elapsed() > UNMARKED {
+            // Files tell nothing: a run may remove the last ones, or make the first ones, between two reads of them.
+            if since.elapsed() > UNMARKED {
                 return Err(RuntimeError::NotOurs { path });
             }
             std::thread::sleep(UNMARKED_POLL);
@@ -437,6 +436,18 @@ mod tests {
         assert!(made.bus_directory().exists() && made.exists(), "nothing is removed");
         made.folder().write(RUN_ID_FILE, made.run_id().as_bytes()).unwrap();
         Domain::existing(made.system_id()).unwrap().remove().unwrap();
+    }
+
+    #[test]
+    fn a_directory_that_is_being_removed_is_waited_for_whatever_it_still_holds() {
+        let made = domain("dw");
+        made.folder().write("settings", b"").unwrap();
+        made.folder().remove(RUN_ID_FILE).unwrap();
+        let id = made.system_id().to_owned();
+        let found = std::thread::spawn(move || Domain::find(&id));
+        std::thread::sleep(4 * UNMARKED_POLL);
+        made.remove().unwrap();
+        assert_eq!(found.join().unwrap().unwrap(), None);
     }
 
     #[test]
