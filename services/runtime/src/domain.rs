@@ -19,6 +19,8 @@ use crate::{
 
 /// Name of the file that holds the run id.
 const RUN_ID_FILE: &str = "run-id";
+/// Name of the file in the directory of the system that an orchestrator holds locked.
+pub const LOCK_FILE: &str = "lock";
 /// Name of the file in the directory of the bus that holds the system id.
 const SYSTEM_ID_FILE: &str = "system-id";
 /// Letters of a run id: 50 random bits.
@@ -29,6 +31,8 @@ const ALPHABET: &[u8; 32] = b"abcdefghijklmnopqrstuvwxyz234567";
 const UNMARKED: Duration = Duration::from_millis(500);
 /// Time between two looks at such a directory.
 const UNMARKED_POLL: Duration = Duration::from_millis(5);
+/// What a directory without its run id may hold when the process that made or removed it was killed.
+const UNMARKED_FILES: [&str; 2] = ["run-id.tmp", LOCK_FILE];
 /// Content of the mark of a system that was stopped.
 const STOPPED_MARK: &[u8] = b"stopped by scanloop\n";
 
@@ -85,12 +89,14 @@ impl Domain {
         loop {
             let Some(folder) = place.folder(system_id)? else { return Ok(None) };
             let path = folder.path().to_path_buf();
-            if let Some(found) = Self::of_folder(system_id, folder)? {
+            if let Some(found) = Self::of_folder(system_id, folder.clone())? {
                 return Ok(Some(found));
             }
             // Files tell nothing: a run may remove the last ones, or make the first ones, between two reads of them.
             if since.elapsed() > UNMARKED {
-                return Err(RuntimeError::NotOurs { path });
+                // A process that was killed while it made or removed the directory leaves it so.
+                let is_removed = folder.delete_remains(&UNMARKED_FILES);
+                return if is_removed { Ok(None) } else { Err(RuntimeError::NotOurs { path }) };
             }
             std::thread::sleep(UNMARKED_POLL);
         }
@@ -448,6 +454,25 @@ mod tests {
         std::thread::sleep(4 * UNMARKED_POLL);
         made.remove().unwrap();
         assert_eq!(found.join().unwrap().unwrap(), None);
+    }
+
+    #[test]
+    fn a_directory_that_a_killed_process_left_without_its_run_id_blocks_no_system() {
+        for names in [&[][..], &UNMARKED_FILES[..1], &UNMARKED_FILES] {
+            let made = domain("de");
+            made.remove_bus_files().unwrap();
+            made.folder().remove(RUN_ID_FILE).unwrap();
+            names.iter().for_each(|name| std::fs::write(made.directory().join(name), "").unwrap());
+            assert_eq!(Domain::find(made.system_id()).unwrap(), None, "{names:?}");
+            assert!(!made.exists());
+        }
+        let made = domain("de");
+        made.folder().remove(RUN_ID_FILE).unwrap();
+        UNMARKED_FILES.iter().for_each(|name| made.folder().write(name, b"").unwrap());
+        made.folder().write("mine", b"").unwrap();
+        assert!(Domain::find(made.system_id()).is_err());
+        assert_eq!(made.folder().names().len(), 3, "nothing is removed beside a file of somebody else");
+        made.remove().unwrap();
     }
 
     #[test]
