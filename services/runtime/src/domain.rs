@@ -7,9 +7,12 @@
 //! The file with the run id marks the directory as one of ours: it is the first file that is written and the last that is
 //! removed. A directory without it belongs to somebody else, whatever its name: it is refused and left as it is.
 
-use std::io::ErrorKind;
+use std::io::{ErrorKind, Read};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
+
+use rustix::fs::OFlags;
 
 use crate::folder::Folder;
 use crate::shared_memory::{self, SHARED_MEMORY};
@@ -128,8 +131,8 @@ impl Domain {
     /// [`RuntimeError::SystemId`], and [`RuntimeError::File`].
     pub fn take_stopped_mark(system_id: &str) -> Result<bool, RuntimeError> {
         let name = mark(system_id)?;
-        let is_marked = |place: &Folder| place.read(&name).is_ok_and(|mark| mark == STOPPED_MARK);
-        let marked: Vec<Folder> = place::all()?.into_iter().filter(is_marked).collect();
+        let marked: Vec<Folder> =
+            place::all()?.into_iter().filter(|place| is_stop_mark(place, &name)).collect();
         marked.iter().try_for_each(|place| place.remove(&name))?;
         Ok(!marked.is_empty())
     }
@@ -347,7 +350,17 @@ fn mark(system_id: &str) -> Result<String, RuntimeError> {
 
 /// Whether a file of that name exists which is no mark of a stop.
 fn is_taken_by_another(place: &Folder, name: &str) -> bool {
-    place.contains(name) && !place.read(name).is_ok_and(|content| content == STOPPED_MARK)
+    place.contains(name) && !is_stop_mark(place, name)
+}
+
+/// Whether a file is the mark of a stop: also an empty file of this user, as an earlier version has left it.
+fn is_stop_mark(place: &Folder, name: &str) -> bool {
+    let Ok(file) = place.open_file(name, OFlags::RDONLY) else { return false };
+    let user = rustix::process::geteuid().as_raw();
+    let is_own = file.metadata().is_ok_and(|found| found.is_file() && found.uid() == user);
+    let mut content = Vec::new();
+    let is_read = file.take(STOPPED_MARK.len() as u64 + 1).read_to_end(&mut content).is_ok();
+    is_own && is_read && (content.is_empty() || content == STOPPED_MARK)
 }
 
 /// The limit keeps lists readable; the letters keep an id one component of a path.
@@ -485,6 +498,11 @@ mod tests {
         assert!(Domain::mark_stopped(&id).is_err());
         assert_eq!(place.read(&mark(&id).unwrap()).unwrap(), b"mine");
         place.remove(&mark(&id).unwrap()).unwrap();
+        // The mark of an earlier version.
+        std::fs::write(place.path().join(mark(&id).unwrap()), "").unwrap();
+        Domain::mark_stopped(&id).unwrap();
+        std::fs::write(place.path().join(mark(&id).unwrap()), "").unwrap();
+        assert!(Domain::take_stopped_mark(&id).unwrap());
         Domain::mark_stopped(&id).unwrap();
         assert!(Domain::take_stopped_mark(&id).unwrap() && !Domain::take_stopped_mark(&id).unwrap());
         made.remove().unwrap();
