@@ -220,12 +220,12 @@ impl LivingRun {
         }
     }
 
-    /// A run without processes has its name from its directory.
+    /// A run without processes has its name from its directory, in the places that can be opened.
     fn name(&mut self) {
         if !self.system_id.is_empty() {
             return;
         }
-        let domains = Domain::all().unwrap_or_default();
+        let (domains, _) = Domain::all_found();
         if let Some(domain) = domains.into_iter().find(|domain| domain.run_id() == self.run_id) {
             self.system_id = domain.system_id().to_owned();
             self.directory = Some(domain.directory().to_path_buf());

@@ -143,19 +143,29 @@ impl Domain {
     /// [`RuntimeError::NotPrivate`] when `SCANLOOP_RUNTIME_DIR` is no absolute path, and [`RuntimeError::File`] when the kernel
     /// allows no more open files.
     pub fn all() -> Result<Vec<Self>, RuntimeError> {
+        let (found, refused) = Self::all_found();
+        refused.map_or(Ok(found), Err)
+    }
+
+    /// The systems of [`Domain::all`] that can be found, also where a place can't be used; and the first error.
+    pub fn all_found() -> (Vec<Self>, Option<RuntimeError>) {
+        let (places, mut refused) = place::usable();
         let mut found: Vec<Self> = Vec::new();
-        for place in place::all()? {
+        for place in places {
             let names = place.names().into_iter().filter(|name| check_id(name).is_ok());
             for name in names {
-                match place.folder(&name) {
-                    Ok(Some(folder)) => found.extend(Self::of_folder(&name, folder)?),
-                    Err(error) if error.is_shortage() => return Err(error),
-                    _ => {}
+                let opened = place.folder(&name);
+                match opened
+                    .and_then(|folder| folder.map_or(Ok(None), |folder| Self::of_folder(&name, folder)))
+                {
+                    Ok(domain) => found.extend(domain),
+                    Err(error) if error.is_shortage() => _ = refused.get_or_insert(error),
+                    Err(_) => {}
                 }
             }
         }
         found.sort_by(|one, other| one.system_id.cmp(&other.system_id));
-        Ok(found)
+        (found, refused)
     }
 
     /// The system whose orchestrator started this process.
