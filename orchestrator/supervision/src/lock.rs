@@ -273,7 +273,12 @@ pub fn suspended_orchestrator(domain: &Domain) -> Option<u32> {
     let text = text_of(domain);
     let (pid, namespace) = text.trim().split_once(' ')?;
     let is_here = namespace == pid_namespace().to_string();
-    pid.parse().ok().filter(|pid| is_here && is_suspended(*pid))
+    // A process that was killed leaves the text, and another one may have its number now.
+    let is_locked = || {
+        let opened = domain.folder().open_file(LOCK_FILE, OFlags::RDONLY);
+        opened.is_ok_and(|file| !can_lock(&file, FlockOperation::NonBlockingLockShared))
+    };
+    pid.parse().ok().filter(|pid| is_here && is_suspended(*pid) && is_locked())
 }
 
 fn holder(domain: &Domain) -> String {
@@ -350,6 +355,26 @@ mod tests {
         let held = opened();
         flock(&held, FlockOperation::NonBlockingLockShared).unwrap();
         assert!(is_held(&domain));
+        domain.remove().unwrap();
+    }
+
+    #[test]
+    fn a_suspended_process_is_the_orchestrator_only_while_the_lock_is_held() {
+        let domain = Domain::create(&format!("locksusp{}", std::process::id() % 1_000_000)).unwrap();
+        let mut process = std::process::Command::new("sleep").arg("90").spawn().unwrap();
+        let pid = rustix::process::Pid::from_child(&process);
+        rustix::process::kill_process(pid, rustix::process::Signal::STOP).unwrap();
+        while !is_suspended(process.id()) {
+            std::thread::sleep(PROBE_POLL);
+        }
+        let lock = SystemLock::take(&domain).unwrap();
+        let text = format!("{} {}\n", process.id(), pid_namespace());
+        std::fs::write(domain.directory().join(LOCK_FILE), text).unwrap();
+        assert_eq!(suspended_orchestrator(&domain), Some(process.id()));
+        drop(lock);
+        assert_eq!(suspended_orchestrator(&domain), None, "the number is that of another process");
+        process.kill().unwrap();
+        process.wait().unwrap();
         domain.remove().unwrap();
     }
 }
