@@ -91,8 +91,11 @@ fn lone_returns(text: &[u8]) -> impl Iterator<Item = usize> + '_ {
     (0..text.len()).filter(is_lone)
 }
 
-/// The content of a regular file with at most `max_bytes`.
-pub(crate) fn read_bytes(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
+/// The first bytes of a regular file, at most `count`. It never waits, as opening a pipe would.
+///
+/// # Errors
+/// What is no regular file, and those of the file system.
+pub fn read_start(path: &Path, count: u64) -> io::Result<Vec<u8>> {
     // A FIFO that is opened for reading waits for a writer otherwise.
     let flags = OFlags::NONBLOCK.bits().cast_signed();
     let file = OpenOptions::new().read(true).custom_flags(flags).open(path)?;
@@ -100,7 +103,13 @@ pub(crate) fn read_bytes(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
         return Err(io::Error::other("it is not a regular file"));
     }
     let mut bytes = Vec::new();
-    file.take(max_bytes + 1).read_to_end(&mut bytes)?;
+    file.take(count).read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
+/// The content of a regular file with at most `max_bytes`.
+pub(crate) fn read_bytes(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
+    let bytes = read_start(path, max_bytes + 1)?;
     if bytes.len() as u64 > max_bytes {
         return Err(io::Error::other(format!("it has more than {max_bytes} bytes, the limit")));
     }

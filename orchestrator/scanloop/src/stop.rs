@@ -13,7 +13,7 @@ use std::time::Duration;
 use console::exit::{Exit, Failure};
 use console::note;
 use console::output::answer;
-use runtime::{Domain, Priority, RuntimeError, monotonic_ns, print};
+use runtime::{Domain, INCARNATION_VARIABLE, Priority, RUN_ID_VARIABLE, RuntimeError, monotonic_ns, print};
 use rustix::process::{geteuid, setsid};
 use session::control::{Reply, Request, ask};
 use supervision::child::this_program;
@@ -51,13 +51,14 @@ pub(crate) fn stop(system_id: &str, arguments: &StopArguments) -> anyhow::Result
     chosen.iter().filter_map(|run| run.word.as_ref()).for_each(runtime::StopWord::latch);
     let strays: Vec<Vec<Named>> = chosen.iter().map(|run| run.strays().map(Named::of).collect()).collect();
     let seen = chosen.iter().map(|run| stop_one(run)).fold(true, |all, confirmed| all & confirmed);
-    let hidden = match arguments.uid {
-        None if arguments.all || chosen.is_empty() => hidden_systems(system_id, arguments.all, &living)?,
-        _ => Vec::new(),
+    let (hidden, refused) = match arguments.uid {
+        None if arguments.all || chosen.is_empty() => hidden_systems(system_id, arguments.all, &living),
+        _ => (Vec::new(), None),
     };
     let over: Vec<&LivingRun> =
         over.iter().filter(|run| arguments.all || run.system_id == system_id).collect();
     if chosen.is_empty() && hidden.is_empty() && over.is_empty() {
+        refused.map_or(Ok(()), Err)?;
         return nothing(system_id, arguments, &living);
     }
     let unseen = hidden.iter().map(stop_unseen).fold(true, |all, confirmed| all & confirmed);
@@ -66,15 +67,24 @@ pub(crate) fn stop(system_id: &str, arguments: &StopArguments) -> anyhow::Result
         .zip(&strays)
         .map(|(run, strays)| follow_strays(run, strays))
         .fold(true, |all, end| all & end);
-    let all_confirmed = seen & unseen & have_ended & end_strays(&over);
+    if let Some(error) = &refused {
+        let text = format!("warning: systems of another namespace may be left: {error}");
+        print(Priority::Warning, &text);
+    }
+    let all_confirmed = seen & unseen & have_ended & end_strays(&over) & refused.is_none();
     Ok(if all_confirmed { Exit::Done } else { Exit::ProcessFailed })
 }
 
-/// The systems of that id, or all, whose processes live but can't be seen here.
-fn hidden_systems(system_id: &str, all: bool, living: &[LivingRun]) -> anyhow::Result<Vec<Domain>> {
+/// The systems of that id, or all, whose processes live but can't be seen here; and why some may be missing.
+fn hidden_systems(system_id: &str, all: bool, living: &[LivingRun]) -> (Vec<Domain>, Option<RuntimeError>) {
     let is_seen = |domain: &Domain| living.iter().any(|run| run.run_id == domain.run_id());
-    let domains = if all { Domain::all()? } else { Domain::find(system_id)?.into_iter().collect() };
-    Ok(domains.into_iter().filter(|domain| !is_seen(domain) && is_hidden(domain)).collect())
+    let one = || match Domain::find(system_id) {
+        Ok(found) => (found.into_iter().collect(), None),
+        Err(error) => (Vec::new(), Some(error)),
+    };
+    let (mut domains, refused) = if all { Domain::all_found() } else { one() };
+    domains.retain(|domain| !is_seen(domain) && is_hidden(domain));
+    (domains, refused)
 }
 
 /// Stops a run whose processes can't be seen here by its orchestrator; true when its wheels are confirmed to be blocked.
@@ -194,6 +204,8 @@ fn detach(run: &LivingRun) -> std::io::Result<()> {
     let mut command = Command::new(this_program());
     command.args(["--system-id", &run.system_id, "stop", "--finish", &run.run_id]);
     command.args(["--uid", &run.uid.to_string()]).current_dir("/");
+    // A process of the run may have started this command; the copy is none, or it would end itself.
+    command.env_remove(RUN_ID_VARIABLE).env_remove(INCARNATION_VARIABLE);
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
     command.spawn().map(drop)
 }

@@ -34,12 +34,10 @@ pub(crate) fn claim(out: &Path, force: bool) -> anyhow::Result<OutFolder> {
 /// Drives to the end, writes the results and prints the summary.
 pub(crate) fn conclude(mut session: Session, plan: &Plan, out: &OutFolder) -> anyhow::Result<Exit> {
     let result = session.drive()?;
-    let (run_id, was_stopped) = (session.run_id().to_owned(), session.was_stopped());
+    let run_id = session.run_id().to_owned();
     let (recorder, digests) = session.finish();
-    if !was_stopped {
-        // The command that stopped it names and ends them.
-        name_strays(&run_id);
-    }
+    // Also after a stop: a signal or a request over the control socket ends no strays, only `scanloop stop` does.
+    name_strays(&run_id);
     let report = Report { digests: digests.texts(), ..recorder.report(&result) };
     // The scenario tells nothing about a robot that is not emulated.
     let has_truth = report.judged_by == JudgedBy::Truth;

@@ -271,11 +271,6 @@ impl Session {
         Ok(result)
     }
 
-    /// Whether the run was stopped for good.
-    pub(crate) fn was_stopped(&self) -> bool {
-        !self.run.stop_word.is_armed()
-    }
-
     /// The random id of the run.
     pub(crate) fn run_id(&self) -> &str {
         self.run.domain.run_id()

@@ -303,10 +303,11 @@ pub fn is_runnable(pid: u32) -> Option<(bool, f64)> {
 }
 
 /// Whether a process does not run until another one lets it: suspended by a signal, or frozen with its control group.
+/// One that a debugger holds is none: a signal does not continue it.
 pub fn is_suspended(pid: u32) -> bool {
     let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
     let state = stat.rsplit_once(')').and_then(|(_, fields)| fields.trim_start().chars().next());
-    matches!(state, Some('T' | 't')) || control_group::is_frozen(pid)
+    state == Some('T') || control_group::is_frozen(pid)
 }
 
 /// What a process has used so far; `None` when there is none.

@@ -19,6 +19,7 @@ use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError, Weak};
 use anyhow::Context;
 use console::exit::Failure;
 use console::new_file::open_log;
+use console::user_file::read_start;
 use runtime::wait_for;
 
 /// A longer file is trimmed [bytes]: the output of a day of lifecycle lines, and nothing to a disk or a tmpfs.
@@ -38,6 +39,9 @@ const MAX_LINE: usize = 400;
 
 /// Stack of the thread, which holds one piece of a log [bytes].
 const STACK: usize = 256 << 10;
+
+/// A log is known by so much of its start [bytes].
+const LOG_START: u64 = 64;
 
 /// Starts the line that separates two incarnations in the file.
 const MARK: &str = "=== scanloop: ";
@@ -88,15 +92,18 @@ impl ChildLog {
         if path.is_symlink() && !path.metadata().is_ok_and(|target| target.file_type().is_char_device()) {
             std::fs::remove_file(path).with_context(|| name.to_string())?;
         }
-        let mut start = [0; 64];
-        let found = File::open(path).and_then(|file| file.read_at(&mut start, 0));
-        if let Ok(length) = found
-            && !continues
-        {
-            if length > 0 && !is_log(&start[..length]) {
-                let text =
-                    format!("{name}: the file is no log of a run, and is left as it is; name another --out");
-                return Err(Failure::bad_input(text));
+        let refused = || {
+            let text =
+                format!("{name}: the file is no log of a run, and is left as it is; name another --out");
+            Failure::bad_input(text)
+        };
+        // A process that writes into a pipe blocks when it is full.
+        if !continues && path.metadata().is_ok_and(|found| found.file_type().is_fifo()) {
+            return Err(refused());
+        }
+        if !continues && let Ok(start) = read_start(path, LOG_START) {
+            if !start.is_empty() && !is_log(&start) {
+                return Err(refused());
             }
             std::fs::remove_file(path).with_context(|| name.to_string())?;
         }
@@ -385,5 +392,29 @@ pub(crate) mod tests {
         let refused = ChildLog::of_run(&path, false).unwrap_err().to_string();
         assert!(refused.contains("robot.log: the file is no log of a run"), "{refused}");
         assert_eq!(std::fs::read(&path).unwrap(), b"2026-11-26 my own robot\n");
+    }
+
+    #[test]
+    fn a_pipe_blocks_no_start_and_no_adoption() {
+        let scratch = Scratch::new();
+        std::fs::create_dir_all(&scratch.0).unwrap();
+        let path = scratch.0.join("robot.log");
+        rustix::fs::mkfifoat(rustix::fs::CWD, &path, rustix::fs::Mode::RWXU).unwrap();
+        let refused = ChildLog::of_run(&path, false).unwrap_err().to_string();
+        assert!(refused.contains("robot.log: the file is no log of a run"), "{refused}");
+        ChildLog::of_run(&path, true).unwrap().begin("incarnation 1").unwrap();
+        assert!(path.symlink_metadata().unwrap().file_type().is_fifo());
+    }
+
+    #[test]
+    fn a_link_to_a_device_stays_and_is_written_to() {
+        let scratch = Scratch::new();
+        std::fs::create_dir_all(&scratch.0).unwrap();
+        let path = scratch.0.join("robot.log");
+        std::os::unix::fs::symlink("/dev/null", &path).unwrap();
+        for continues in [false, true] {
+            ChildLog::of_run(&path, continues).unwrap().begin("incarnation 1").unwrap();
+            assert_eq!(path.read_link().unwrap(), Path::new("/dev/null"));
+        }
     }
 }

@@ -96,7 +96,7 @@ pub fn block(run: &LivingRun) -> Blocked {
 /// report. Without a process of the role robot there are none.
 fn is_blocked(run: &LivingRun, robots: &[Identified]) -> bool {
     // Without a free descriptor a process can't be opened, and lives nevertheless.
-    let own = run.processes.iter().filter(|process| process.identity.uid == run.uid);
+    let own = run.others().filter(|process| process.identity.uid == run.uid);
     let rows = own.filter(|process| process.role == Some(Role::Robot));
     let lives =
         |process: &RunProcess| start_ticks(process.identity.pid) == Some(process.identity.start_ticks);
@@ -134,7 +134,7 @@ pub fn end_processes(run: &LivingRun) -> Vec<String> {
     // More processes may have been started since `run` was read.
     let now = LivingRun::with_strays(run.uid).into_iter().find(|found| found.run_id == run.run_id);
     let run = now.unwrap_or_else(|| run.clone());
-    let others = run.processes.iter();
+    let others = run.others();
     let others = others.filter(|process| !matches!(process.role, Some(Role::Actuator | Role::Robot)));
     end_all(others.filter_map(|process| process.open()).collect());
     sweep(|| strays_of(&[&run], |stray| !is_of_wheels(stray)));
@@ -341,5 +341,17 @@ mod tests {
             assert!(left.is_empty(), "{left:?}");
             assert!(LivingRun::with_strays(uid).iter().all(|run| run.run_id != run_id));
         }
+    }
+
+    #[test]
+    fn a_command_that_a_process_of_the_run_has_started_does_not_end_itself() {
+        let mut other = stray("haltasking", "exec sleep 90");
+        let found = run_of("haltasking", 1);
+        let mut run = found.clone();
+        assert!(run.others().any(|process| process.identity.pid == other.id()));
+        run.processes.iter_mut().for_each(|process| process.identity.pid = std::process::id());
+        assert!(run.others().next().is_none());
+        assert!(end_strays(&[&found]).is_empty());
+        other.wait().unwrap();
     }
 }

@@ -20,6 +20,10 @@ const LEAVING_NS: u64 = 15_000_000_000;
 const SPARE_DESCRIPTORS: usize = 6;
 /// File in the directory of the system that all processes of a run hold locked, by a descriptor that they inherit.
 const LIVING_FILE: &str = "living";
+/// A lock that another command only probes is free again at one of so many tries.
+const PROBES: u32 = 10;
+/// Time between two of them.
+const PROBE_POLL: std::time::Duration = std::time::Duration::from_millis(2);
 /// Time between two tries.
 const RETRY: std::time::Duration = std::time::Duration::from_millis(20);
 
@@ -155,7 +159,7 @@ impl SystemLock {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
             opened => opened.with_context(context)?,
         };
-        if flock(&lock, FlockOperation::NonBlockingLockExclusive).is_err() {
+        if !can_lock(&lock, FlockOperation::NonBlockingLockExclusive) {
             return Ok(None);
         }
         // An earlier holder may have removed the file meanwhile: then this lock protects nothing.
@@ -182,7 +186,9 @@ impl SystemLock {
         self.owns = true;
         let held =
             self.domain.folder().open_file(LIVING_FILE, OFlags::RDWR | OFlags::CREATE).and_then(|file| {
-                flock(&file, FlockOperation::NonBlockingLockShared)?;
+                if !can_lock(&file, FlockOperation::NonBlockingLockShared) {
+                    return Err(ErrorKind::WouldBlock.into());
+                }
                 fcntl_setfd(&file, FdFlags::empty())?;
                 Ok(file)
             });
@@ -231,7 +237,17 @@ fn is_here(text: &str) -> bool {
 /// Whether any process holds the lock that processes of a run inherit.
 fn is_held(domain: &Domain) -> bool {
     let opened = domain.folder().open_file(LIVING_FILE, OFlags::RDWR);
-    opened.is_ok_and(|file| flock(&file, FlockOperation::NonBlockingLockExclusive).is_err())
+    opened.is_ok_and(|file| !can_lock(&file, FlockOperation::NonBlockingLockExclusive))
+}
+
+/// Locks a file; false when a process holds it, not only probes it at this moment.
+fn can_lock(file: &File, operation: FlockOperation) -> bool {
+    (0..PROBES).any(|probe| {
+        if probe > 0 {
+            std::thread::sleep(PROBE_POLL);
+        }
+        flock(file, operation).is_ok()
+    })
 }
 
 /// That a system can't be judged or ended from here; exit code 4.
@@ -257,7 +273,12 @@ pub fn suspended_orchestrator(domain: &Domain) -> Option<u32> {
     let text = text_of(domain);
     let (pid, namespace) = text.trim().split_once(' ')?;
     let is_here = namespace == pid_namespace().to_string();
-    pid.parse().ok().filter(|pid| is_here && is_suspended(*pid))
+    // A process that was killed leaves the text, and another one may have its number now.
+    let is_locked = || {
+        let opened = domain.folder().open_file(LOCK_FILE, OFlags::RDONLY);
+        opened.is_ok_and(|file| !can_lock(&file, FlockOperation::NonBlockingLockShared))
+    };
+    pid.parse().ok().filter(|pid| is_here && is_suspended(*pid) && is_locked())
 }
 
 fn holder(domain: &Domain) -> String {
@@ -316,5 +337,44 @@ mod tests {
         drop(stop);
         let made = run.join().unwrap().unwrap();
         assert!(made.run_id() != left.run_id() && !made.exists() && !left.bus_directory().exists());
+    }
+
+    #[test]
+    fn commands_that_probe_at_once_take_each_other_for_no_process_of_the_run() {
+        let domain = Domain::create(&format!("lockprobe{}", std::process::id() % 1_000_000)).unwrap();
+        domain.folder().write(LIVING_FILE, b"").unwrap();
+        let opened = || domain.folder().open_file(LIVING_FILE, OFlags::RDWR).unwrap();
+        let probed = opened();
+        flock(&probed, FlockOperation::NonBlockingLockExclusive).unwrap();
+        let probe = std::thread::spawn(move || {
+            std::thread::sleep(PROBE_POLL);
+            drop(probed);
+        });
+        assert!(!is_held(&domain), "it is only probed");
+        probe.join().unwrap();
+        let held = opened();
+        flock(&held, FlockOperation::NonBlockingLockShared).unwrap();
+        assert!(is_held(&domain));
+        domain.remove().unwrap();
+    }
+
+    #[test]
+    fn a_suspended_process_is_the_orchestrator_only_while_the_lock_is_held() {
+        let domain = Domain::create(&format!("locksusp{}", std::process::id() % 1_000_000)).unwrap();
+        let mut process = std::process::Command::new("sleep").arg("90").spawn().unwrap();
+        let pid = rustix::process::Pid::from_child(&process);
+        rustix::process::kill_process(pid, rustix::process::Signal::STOP).unwrap();
+        while !is_suspended(process.id()) {
+            std::thread::sleep(PROBE_POLL);
+        }
+        let lock = SystemLock::take(&domain).unwrap();
+        let text = format!("{} {}\n", process.id(), pid_namespace());
+        std::fs::write(domain.directory().join(LOCK_FILE), text).unwrap();
+        assert_eq!(suspended_orchestrator(&domain), Some(process.id()));
+        drop(lock);
+        assert_eq!(suspended_orchestrator(&domain), None, "the number is that of another process");
+        process.kill().unwrap();
+        process.wait().unwrap();
+        domain.remove().unwrap();
     }
 }

@@ -139,9 +139,15 @@ impl LivingRun {
         Self::all(rustix::process::geteuid().as_raw()).into_iter().find(|run| run.run_id == run_id)
     }
 
-    /// The living processes of one role, of the user of the run.
+    /// Its processes and strays without this process: a command that a process of the run has started must not end itself.
+    pub fn others(&self) -> impl Iterator<Item = &RunProcess> + Clone {
+        let own = std::process::id();
+        self.processes.iter().filter(move |process| process.identity.pid != own)
+    }
+
+    /// The living processes of one role, of the user of the run; without this process.
     pub fn of_role(&self, role: Role) -> impl Iterator<Item = Identified> {
-        let own = self.processes.iter().filter(|process| process.identity.uid == self.uid);
+        let own = self.others().filter(|process| process.identity.uid == self.uid);
         own.filter(move |process| process.role == Some(role)).filter_map(RunProcess::open)
     }
 
@@ -157,16 +163,14 @@ impl LivingRun {
         self.orchestrator().is_none() && self.members().next().is_none()
     }
 
-    /// Its processes that still live, without strays.
+    /// Its processes that still live, without strays and without this process.
     pub fn members(&self) -> impl Iterator<Item = &RunProcess> {
-        self.processes.iter().filter(|process| !process.is_stray && process.open().is_some())
+        self.others().filter(|process| !process.is_stray && process.open().is_some())
     }
 
     /// What its processes have started in groups of its own, and still lives; without this process.
     pub fn strays(&self) -> impl Iterator<Item = &RunProcess> {
-        let own = std::process::id();
-        let strays = self.processes.iter().filter(move |process| process.is_stray);
-        strays.filter(move |process| process.identity.pid != own && process.open().is_some())
+        self.others().filter(|process| process.is_stray && process.open().is_some())
     }
 
     /// Its living processes and orchestrator, as `controller 812`.
@@ -216,12 +220,12 @@ impl LivingRun {
         }
     }
 
-    /// A run without processes has its name from its directory.
+    /// A run without processes has its name from its directory, in the places that can be opened.
     fn name(&mut self) {
         if !self.system_id.is_empty() {
             return;
         }
-        let domains = Domain::all().unwrap_or_default();
+        let (domains, _) = Domain::all_found();
         if let Some(domain) = domains.into_iter().find(|domain| domain.run_id() == self.run_id) {
             self.system_id = domain.system_id().to_owned();
             self.directory = Some(domain.directory().to_path_buf());

@@ -7,9 +7,12 @@
 //! The file with the run id marks the directory as one of ours: it is the first file that is written and the last that is
 //! removed. A directory without it belongs to somebody else, whatever its name: it is refused and left as it is.
 
-use std::io::ErrorKind;
+use std::io::{ErrorKind, Read};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
+
+use rustix::fs::OFlags;
 
 use crate::folder::Folder;
 use crate::shared_memory::{self, SHARED_MEMORY};
@@ -19,6 +22,8 @@ use crate::{
 
 /// Name of the file that holds the run id.
 const RUN_ID_FILE: &str = "run-id";
+/// Name of the file in the directory of the system that an orchestrator holds locked.
+pub const LOCK_FILE: &str = "lock";
 /// Name of the file in the directory of the bus that holds the system id.
 const SYSTEM_ID_FILE: &str = "system-id";
 /// Letters of a run id: 50 random bits.
@@ -29,6 +34,8 @@ const ALPHABET: &[u8; 32] = b"abcdefghijklmnopqrstuvwxyz234567";
 const UNMARKED: Duration = Duration::from_millis(500);
 /// Time between two looks at such a directory.
 const UNMARKED_POLL: Duration = Duration::from_millis(5);
+/// What a directory without its run id may hold when the process that made or removed it was killed.
+const UNMARKED_FILES: [&str; 2] = ["run-id.tmp", LOCK_FILE];
 /// Content of the mark of a system that was stopped.
 const STOPPED_MARK: &[u8] = b"stopped by scanloop\n";
 
@@ -85,13 +92,14 @@ impl Domain {
         loop {
             let Some(folder) = place.folder(system_id)? else { return Ok(None) };
             let path = folder.path().to_path_buf();
-            // Only a directory without files may be just being made or removed.
-            let is_settled = folder.names().iter().any(|name| !name.starts_with(RUN_ID_FILE));
-            if let Some(found) = Self::of_folder(system_id, folder)? {
+            if let Some(found) = Self::of_folder(system_id, folder.clone())? {
                 return Ok(Some(found));
             }
-            if is_settled || since.elapsed() > UNMARKED {
-                return Err(RuntimeError::NotOurs { path });
+            // Files tell nothing: a run may remove the last ones, or make the first ones, between two reads of them.
+            if since.elapsed() > UNMARKED {
+                // A process that was killed while it made or removed the directory leaves it so.
+                let is_removed = folder.delete_remains(&UNMARKED_FILES);
+                return if is_removed { Ok(None) } else { Err(RuntimeError::NotOurs { path }) };
             }
             std::thread::sleep(UNMARKED_POLL);
         }
@@ -123,8 +131,8 @@ impl Domain {
     /// [`RuntimeError::SystemId`], and [`RuntimeError::File`].
     pub fn take_stopped_mark(system_id: &str) -> Result<bool, RuntimeError> {
         let name = mark(system_id)?;
-        let is_marked = |place: &Folder| place.read(&name).is_ok_and(|mark| mark == STOPPED_MARK);
-        let marked: Vec<Folder> = place::all()?.into_iter().filter(is_marked).collect();
+        let marked: Vec<Folder> =
+            place::all()?.into_iter().filter(|place| is_stop_mark(place, &name)).collect();
         marked.iter().try_for_each(|place| place.remove(&name))?;
         Ok(!marked.is_empty())
     }
@@ -135,19 +143,29 @@ impl Domain {
     /// [`RuntimeError::NotPrivate`] when `SCANLOOP_RUNTIME_DIR` is no absolute path, and [`RuntimeError::File`] when the kernel
     /// allows no more open files.
     pub fn all() -> Result<Vec<Self>, RuntimeError> {
+        let (found, refused) = Self::all_found();
+        refused.map_or(Ok(found), Err)
+    }
+
+    /// The systems of [`Domain::all`] that can be found, also where a place can't be used; and the first error.
+    pub fn all_found() -> (Vec<Self>, Option<RuntimeError>) {
+        let (places, mut refused) = place::usable();
         let mut found: Vec<Self> = Vec::new();
-        for place in place::all()? {
+        for place in places {
             let names = place.names().into_iter().filter(|name| check_id(name).is_ok());
             for name in names {
-                match place.folder(&name) {
-                    Ok(Some(folder)) => found.extend(Self::of_folder(&name, folder)?),
-                    Err(error) if error.is_shortage() => return Err(error),
-                    _ => {}
+                let opened = place.folder(&name);
+                match opened
+                    .and_then(|folder| folder.map_or(Ok(None), |folder| Self::of_folder(&name, folder)))
+                {
+                    Ok(domain) => found.extend(domain),
+                    Err(error) if error.is_shortage() => _ = refused.get_or_insert(error),
+                    Err(_) => {}
                 }
             }
         }
         found.sort_by(|one, other| one.system_id.cmp(&other.system_id));
-        Ok(found)
+        (found, refused)
     }
 
     /// The system whose orchestrator started this process.
@@ -342,7 +360,17 @@ fn mark(system_id: &str) -> Result<String, RuntimeError> {
 
 /// Whether a file of that name exists which is no mark of a stop.
 fn is_taken_by_another(place: &Folder, name: &str) -> bool {
-    place.contains(name) && !place.read(name).is_ok_and(|content| content == STOPPED_MARK)
+    place.contains(name) && !is_stop_mark(place, name)
+}
+
+/// Whether a file is the mark of a stop: also an empty file of this user, as an earlier version has left it.
+fn is_stop_mark(place: &Folder, name: &str) -> bool {
+    let Ok(file) = place.open_file(name, OFlags::RDONLY) else { return false };
+    let user = rustix::process::geteuid().as_raw();
+    let is_own = file.metadata().is_ok_and(|found| found.is_file() && found.uid() == user);
+    let mut content = Vec::new();
+    let is_read = file.take(STOPPED_MARK.len() as u64 + 1).read_to_end(&mut content).is_ok();
+    is_own && is_read && (content.is_empty() || content == STOPPED_MARK)
 }
 
 /// The limit keeps lists readable; the letters keep an id one component of a path.
@@ -440,6 +468,37 @@ mod tests {
     }
 
     #[test]
+    fn a_directory_that_is_being_removed_is_waited_for_whatever_it_still_holds() {
+        let made = domain("dw");
+        made.folder().write("settings", b"").unwrap();
+        made.folder().remove(RUN_ID_FILE).unwrap();
+        let id = made.system_id().to_owned();
+        let found = std::thread::spawn(move || Domain::find(&id));
+        std::thread::sleep(4 * UNMARKED_POLL);
+        made.remove().unwrap();
+        assert_eq!(found.join().unwrap().unwrap(), None);
+    }
+
+    #[test]
+    fn a_directory_that_a_killed_process_left_without_its_run_id_blocks_no_system() {
+        for names in [&[][..], &UNMARKED_FILES[..1], &UNMARKED_FILES] {
+            let made = domain("de");
+            made.remove_bus_files().unwrap();
+            made.folder().remove(RUN_ID_FILE).unwrap();
+            names.iter().for_each(|name| std::fs::write(made.directory().join(name), "").unwrap());
+            assert_eq!(Domain::find(made.system_id()).unwrap(), None, "{names:?}");
+            assert!(!made.exists());
+        }
+        let made = domain("de");
+        made.folder().remove(RUN_ID_FILE).unwrap();
+        UNMARKED_FILES.iter().for_each(|name| made.folder().write(name, b"").unwrap());
+        made.folder().write("mine", b"").unwrap();
+        assert!(Domain::find(made.system_id()).is_err());
+        assert_eq!(made.folder().names().len(), 3, "nothing is removed beside a file of somebody else");
+        made.remove().unwrap();
+    }
+
+    #[test]
     fn a_file_with_the_name_of_a_mark_is_neither_taken_nor_replaced() {
         let id = format!("dk{}", std::process::id());
         let made = Domain::create(&id).unwrap();
@@ -449,6 +508,11 @@ mod tests {
         assert!(Domain::mark_stopped(&id).is_err());
         assert_eq!(place.read(&mark(&id).unwrap()).unwrap(), b"mine");
         place.remove(&mark(&id).unwrap()).unwrap();
+        // The mark of an earlier version.
+        std::fs::write(place.path().join(mark(&id).unwrap()), "").unwrap();
+        Domain::mark_stopped(&id).unwrap();
+        std::fs::write(place.path().join(mark(&id).unwrap()), "").unwrap();
+        assert!(Domain::take_stopped_mark(&id).unwrap());
         Domain::mark_stopped(&id).unwrap();
         assert!(Domain::take_stopped_mark(&id).unwrap() && !Domain::take_stopped_mark(&id).unwrap());
         made.remove().unwrap();

@@ -11,7 +11,7 @@ use std::os::fd::{AsFd, AsRawFd, OwnedFd};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use rustix::fs::{AtFlags, CWD, FileType, Mode, OFlags, Stat};
+use rustix::fs::{AtFlags, CWD, FileType, FlockOperation, Mode, OFlags, Stat, flock};
 use rustix::io::Errno;
 
 use crate::RuntimeError;
@@ -171,7 +171,28 @@ impl Folder {
                 _ => {}
             }
         }
-        // Only when the name still leads to this directory.
+        self.delete_empty()
+    }
+
+    /// Removes the directory when it holds nothing but files of these names, of which no process holds one locked;
+    /// returns whether it is gone.
+    pub(crate) fn delete_remains(&self, allowed: &[&str]) -> bool {
+        let names = self.names();
+        let is_remains = |name: &String| {
+            let file = self.open_file(name, OFlags::RDONLY);
+            let is_free = |file: File| {
+                file.metadata().is_ok_and(|found| found.is_file())
+                    && flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok()
+            };
+            allowed.contains(&name.as_str()) && file.is_ok_and(is_free)
+        };
+        names.iter().all(is_remains)
+            && names.iter().all(|name| self.remove(name).is_ok())
+            && self.delete_empty().is_ok()
+    }
+
+    /// Removes the directory, but only when the name still leads to it.
+    fn delete_empty(&self) -> Result<(), RuntimeError> {
         let same =
             rustix::fs::statat(CWD, &self.path, AtFlags::SYMLINK_NOFOLLOW).is_ok_and(|there| self.is(&there));
         if !same {

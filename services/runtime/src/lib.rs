@@ -74,7 +74,7 @@ mod waker;
 pub use bus::Bus;
 pub use clock::{Clock, boottime_ns, monotonic_ns};
 pub use crash::{latch_on_crash, report_crashes};
-pub use domain::{Domain, remove_bus_files_of};
+pub use domain::{Domain, LOCK_FILE, remove_bus_files_of};
 pub use environment::{
     CANDIDATE_VARIABLE, COMPANION_VARIABLE, DIRECTORY_VARIABLE, INCARNATION_VARIABLE, REPORT_VARIABLE,
     RESTART_VARIABLE, ROLE_VARIABLE, RUN_ID_VARIABLE, RUNTIME_DIR_VARIABLE, STOP_FD_VARIABLE,
@@ -95,7 +95,7 @@ pub use link::{
 };
 pub use logging::{Priority, check_log_filter, print, print_answer, start_logging, writes_to_journal};
 pub use observer::{Checked, Observer, Publisher, TopicObserver, TopicPublishers};
-pub use orphan::{LEAVING, LOCK_FILE};
+pub use orphan::LEAVING;
 pub use output::Output;
 pub use own::{
     AlsoReads, ByteTopic, Companion, CompanionPage, CompanionReport, CompanionRow, Delays, LayoutField,

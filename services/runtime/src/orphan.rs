@@ -13,12 +13,11 @@ use rustix::fs::{FlockOperation, OFlags, flock};
 use rustix::process::Signal;
 use shared_types::Role;
 
+use crate::domain::LOCK_FILE;
 use crate::identity::{Identified, identify, processes_of};
 use crate::stop::{StopWord, Wheels};
 use crate::{Domain, ROLE_VARIABLE, monotonic_ns};
 
-/// Name of the file in the directory of the system that an orchestrator holds locked.
-pub const LOCK_FILE: &str = "lock";
 /// Follows the process id in that file while the last process of a system cleans up.
 pub const LEAVING: &str = "leaving";
 

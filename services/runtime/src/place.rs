@@ -72,10 +72,13 @@ impl Place {
     }
 }
 
+/// The value of a variable that is set and not empty.
+fn variable(name: &str) -> Option<PathBuf> {
+    std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from)
+}
+
 /// The places, in the order in which they are used.
 fn places() -> Result<Vec<Place>, RuntimeError> {
-    let variable = |name| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
-    let user = rustix::process::geteuid().as_raw();
     let mut places = Vec::new();
     if let Some(path) = variable(RUNTIME_DIR_VARIABLE) {
         if !path.is_absolute() {
@@ -86,6 +89,14 @@ fn places() -> Result<Vec<Place>, RuntimeError> {
         }
         places.push(Place::Named(path));
     }
+    places.extend(unnamed_places());
+    Ok(places)
+}
+
+/// The places that the user does not name.
+fn unnamed_places() -> Vec<Place> {
+    let user = rustix::process::geteuid().as_raw();
+    let mut places = Vec::new();
     let given = variable("XDG_RUNTIME_DIR").filter(|path| path.is_absolute());
     for path in given.into_iter().chain([Path::new("/run/user").join(user.to_string())]) {
         let place = Place::Within(path);
@@ -94,7 +105,7 @@ fn places() -> Result<Vec<Place>, RuntimeError> {
         }
     }
     places.push(Place::Last(PathBuf::from(format!("/tmp/scanloop-{user}"))));
-    Ok(places)
+    places
 }
 
 /// The place for a new system.
@@ -126,14 +137,30 @@ pub(crate) fn make() -> Result<Folder, RuntimeError> {
 /// [`RuntimeError::NotPrivate`] when `SCANLOOP_RUNTIME_DIR` can't be used, and [`RuntimeError::File`] when the kernel allows no
 /// more open files.
 pub(crate) fn all() -> Result<Vec<Folder>, RuntimeError> {
-    let mut found = Vec::new();
-    for place in places()? {
+    let (found, refused) = usable();
+    refused.map_or(Ok(found), Err)
+}
+
+/// The places of [`all`] that can be opened, and the first error of another one.
+pub(crate) fn usable() -> (Vec<Folder>, Option<RuntimeError>) {
+    match places() {
+        Ok(places) => open_all(&places),
+        Err(error) => (open_all(&unnamed_places()).0, Some(error)),
+    }
+}
+
+/// Those of the places that can be opened, and the first error of another one that counts.
+fn open_all(places: &[Place]) -> (Vec<Folder>, Option<RuntimeError>) {
+    let (mut found, mut refused) = (Vec::new(), None);
+    for place in places {
         match place.open() {
-            Err(error) if matches!(place, Place::Named(_)) || error.is_shortage() => return Err(error),
+            Err(error) if matches!(place, Place::Named(_)) || error.is_shortage() => {
+                refused.get_or_insert(error);
+            }
             opened => found.extend(opened.ok().flatten()),
         }
     }
-    Ok(found)
+    (found, refused)
 }
 
 /// Whether a directory is a place that this program makes, and may remove when it is empty; never one that the user
@@ -142,4 +169,27 @@ pub(crate) fn is_default(path: &Path) -> bool {
     let places = places().unwrap_or_default();
     !places.iter().any(|place| matches!(place, Place::Named(named) if named == path))
         && places.iter().any(|place| place.is_default(path))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
+    use super::*;
+
+    #[test]
+    fn a_named_place_that_is_not_private_hides_no_other_place() {
+        let folder = std::env::temp_dir().join(format!("scanloop-places-{}", std::process::id()));
+        Folder::make(&folder).unwrap();
+        let private = folder.join("private");
+        Folder::make(&private).unwrap();
+        let open = folder.join("open");
+        std::fs::create_dir(&open).unwrap();
+        std::fs::set_permissions(&open, PermissionsExt::from_mode(0o755)).unwrap();
+        let places = [Place::Named(open), Place::Last(private.clone())];
+        let (found, refused) = open_all(&places);
+        assert_eq!(found.iter().map(Folder::path).collect::<Vec<_>>(), [private.as_path()]);
+        assert!(matches!(refused, Some(RuntimeError::NotPrivate { .. })), "{refused:?}");
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
 }

@@ -1,8 +1,8 @@
 //! Why a file is not executed: what its first bytes are instead of a program or a script.
 
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
+
+use console::user_file::read_start;
 
 /// The kernel reads so much of a script to find its interpreter [bytes].
 const START_BYTES: u64 = 256;
@@ -32,6 +32,7 @@ fn is_text(start: &[u8]) -> bool {
 pub(super) fn why_not_executed(program: &Path) -> String {
     let start = start(program);
     match start.as_slice() {
+        [] if !has_slash(program) => "what PATH leads to is neither a program nor a script".to_owned(),
         [] => "the file is empty".to_owned(),
         [0xef, 0xbb, 0xbf, ..] => "it begins with a byte order mark; save it as UTF-8 without one".to_owned(),
         [0xff, 0xfe, ..] | [0xfe, 0xff, ..] | [b'#', 0, ..] | [0, b'#', ..] => {
@@ -44,7 +45,8 @@ pub(super) fn why_not_executed(program: &Path) -> String {
         [b'P', b'K', 3, 4, ..] => "it is a ZIP archive; unpack it".to_owned(),
         [b'#', b'!', ..] => unusable_interpreter(program).unwrap_or_else(|| {
             let interpreter = interpreter(program).unwrap_or_default();
-            let fault = why_not_executed_unless_script(Path::new(&interpreter));
+            // An interpreter is not searched in PATH.
+            let fault = why_not_executed_unless_script(&Path::new(".").join(&interpreter));
             format!("line 1: the interpreter `{interpreter}` can't be executed: {fault}")
         }),
         text if is_text(text) => {
@@ -67,7 +69,8 @@ fn is_of_this_machine(start: &[u8]) -> bool {
     /// Class and byte order, and the kind of processor behind them.
     const PLACES: [std::ops::Range<usize>; 2] = [4..6, 18..20];
     let own = self::start(Path::new("/proc/self/exe"));
-    start.len() < ELF_HEADER || PLACES.into_iter().all(|place| start[place.clone()] == own[place])
+    let is_cut = start.len() < ELF_HEADER || own.len() < ELF_HEADER;
+    is_cut || PLACES.into_iter().all(|place| start[place.clone()] == own[place])
 }
 
 /// What is wrong with the interpreter of a script that is there.
@@ -111,11 +114,15 @@ fn first_line(program: &Path) -> Option<String> {
     Some(String::from_utf8_lossy(line).into_owned())
 }
 
+/// The first bytes of a program; none of what is no regular file.
 fn start(program: &Path) -> Vec<u8> {
-    let mut start = Vec::new();
-    // A name without a slash was looked up in PATH, where a file that can't be executed is passed over.
-    if let Ok(file) = File::open(program) {
-        let _ = file.take(START_BYTES).read_to_end(&mut start);
+    // A name without a slash is searched in PATH: a file of that name in the working folder is another one.
+    if !has_slash(program) {
+        return Vec::new();
     }
-    start
+    read_start(program, START_BYTES).unwrap_or_default()
+}
+
+fn has_slash(program: &Path) -> bool {
+    program.as_os_str().as_encoded_bytes().contains(&b'/')
 }

@@ -179,6 +179,24 @@ fn the_pidfd_wakes_a_poll_at_the_end_of_the_process() {
 }
 
 #[test]
+fn only_a_path_to_a_regular_file_is_read_before_it_is_executed() {
+    use rustix::fs::{CWD, Mode, mkfifoat};
+
+    let scratch = Scratch::new();
+    let log = scratch.log();
+    let pipe = scratch.0.join("pipe");
+    mkfifoat(CWD, &pipe, Mode::RWXU).unwrap();
+    let launch = Launch { command: vec![pipe.clone().into()], ..Launch::default() };
+    let error = Child::spawn(&launch, &log).unwrap_err();
+    assert!(matches!(error, ChildError::NotExecutable(_)), "{error}");
+    require_script(&pipe).unwrap();
+    // The tests run in the folder of the crate.
+    assert!(Path::new("Cargo.toml").exists());
+    require_script(Path::new("Cargo.toml")).unwrap();
+    assert!(require_script(Path::new("./Cargo.toml")).is_err());
+}
+
+#[test]
 fn a_command_that_cannot_run_is_named() {
     let scratch = Scratch::new();
     let log = scratch.log();
