@@ -180,6 +180,7 @@ impl Queue {
 
 /// Puts a batch on a tape, up to the first error.
 fn put<T: Target>(tape: &mut Tape<T>, batch: &Batch) -> io::Result<()> {
+    tape.set_clock(monotonic_ns());
     batch.samples().try_for_each(|(topic, bytes)| match TOPICS.get(topic) {
         Some(topic) => tape.sample(*topic, bytes),
         None => {
@@ -254,12 +255,12 @@ fn keep(mut tape: Tape<Ring>, receiver: &Receiver<Batch>, reports: &Sender<Saved
         }
         match (&mut following, batch.incident) {
             (Some(following), Some(_)) => {
-                following.until_ns = (now_ns + FOLLOWING_NS).min(following.limit_ns);
+                following.until_ns = now_ns.saturating_add(FOLLOWING_NS).min(following.limit_ns);
             }
             (None, Some(scan_id)) => {
                 save(&mut tape, scan_id);
-                let limit_ns = now_ns + tape.target().span_ns() / 2;
-                let until_ns = (now_ns + FOLLOWING_NS).min(limit_ns);
+                let limit_ns = now_ns.saturating_add(tape.target().span_ns() / 2);
+                let until_ns = now_ns.saturating_add(FOLLOWING_NS).min(limit_ns);
                 following = Some(Following { scan_id, until_ns, limit_ns });
             }
             (_, None) => {}
