@@ -66,8 +66,8 @@ impl NewFile {
         if existing == Existing::Keep && there.is_some() {
             return Err(refusal(path, TAKEN));
         }
-        if there.as_ref().is_some_and(Metadata::is_file) && is_growing(path) {
-            return Err(refusal(path, "another process is writing this file; name another one"));
+        if there.as_ref().is_some_and(Metadata::is_file) {
+            require_at_rest(path)?;
         }
         let made = match is_device {
             true => OpenOptions::new().write(true).open(path).map(|file| (file, None)),
@@ -85,15 +85,21 @@ impl NewFile {
         finish_all(vec![self])
     }
 
-    /// Passes when the file is on the disk, and its name is still free if what has it is to be kept.
+    /// Passes when the file is on the disk, and its name can still be given to it.
     fn sync(&self) -> anyhow::Result<()> {
         if self.place.is_none() {
             return Ok(());
         }
         self.file.sync_all().map_err(|error| refusal(&self.path, error))?;
-        match self.existing == Existing::Keep && self.path.symlink_metadata().is_ok() {
-            true => Err(refusal(&self.path, TAKEN)),
-            false => Ok(()),
+        self.require_name()
+    }
+
+    /// Passes when no file has the name that is to be kept, also one that has begun to grow meanwhile.
+    fn require_name(&self) -> anyhow::Result<()> {
+        match (self.existing, self.path.symlink_metadata()) {
+            (Existing::Keep, Ok(_)) => Err(refusal(&self.path, TAKEN)),
+            (Existing::Replace, Ok(there)) if there.is_file() => require_at_rest(&self.path),
+            _ => Ok(()),
         }
     }
 
@@ -106,6 +112,7 @@ impl NewFile {
         if let Some(place) = &self.place {
             // Where the file system knows no locks, it is as before.
             let _ = flock(&self.file, FlockOperation::NonBlockingLockExclusive);
+            self.require_name()?;
             place.rename(self.existing).map_err(|error| match error {
                 Errno::EXIST => refusal(&self.path, TAKEN),
                 error => refusal(&self.path, io::Error::from(error)),
@@ -160,11 +167,17 @@ impl Place {
     }
 }
 
-/// Whether a process is writing a file that has its name already.
-fn is_growing(path: &Path) -> bool {
+/// Passes when no process is writing a file that has its name already.
+fn require_at_rest(path: &Path) -> anyhow::Result<()> {
     let flags = (OFlags::NONBLOCK | OFlags::NOFOLLOW).bits().cast_signed();
     let opened = OpenOptions::new().read(true).custom_flags(flags).open(path);
-    opened.is_ok_and(|file| flock(&file, FlockOperation::NonBlockingLockShared) == Err(Errno::WOULDBLOCK))
+    let locked = opened.map(|file| flock(&file, FlockOperation::NonBlockingLockShared));
+    match locked {
+        Ok(Err(Errno::WOULDBLOCK)) => {
+            Err(refusal(path, "another process is writing this file; name another one"))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Gives the files of one command their names: none of them before all are on the disk and all names are free.
@@ -336,6 +349,22 @@ mod tests {
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "half");
         drop(growing);
         write(&path, b"other").unwrap();
+    }
+
+    #[test]
+    fn a_file_that_began_to_grow_meanwhile_is_not_replaced() {
+        let folder = Scratch::new().unwrap();
+        let path = folder.path().join("drive.mcap");
+        let create = || NewFile::create(&path, Existing::Replace, &[]).unwrap();
+        let [late, later] = [create(), create()];
+        let mut growing = create().publish().unwrap();
+        growing.write_all(b"half").unwrap();
+        for message in
+            [late.finish().unwrap_err(), later.publish().unwrap_err()].map(|error| error.to_string())
+        {
+            assert!(message.ends_with("another process is writing this file; name another one"), "{message}");
+        }
+        assert_eq!((std::fs::read_to_string(&path).unwrap().as_str(), names(folder.path())), ("half", 1));
     }
 
     #[test]
