@@ -18,7 +18,7 @@ use anyhow::Context;
 use rustix::fs::{AtFlags, CWD, FlockOperation, Mode, OFlags, RenameFlags, flock};
 use rustix::io::Errno;
 
-use crate::exit::Failure;
+use crate::exit::{Failure, Unwritable};
 
 /// What happens to a file that has the name already.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -129,13 +129,14 @@ impl Drop for NewFile {
     }
 }
 
+/// Its errors name the file, and end a command with exit code 2.
 impl Write for NewFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.file.write(bytes)
+        self.file.write(bytes).map_err(|error| Unwritable::wrap(&self.path, error))
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.file.flush()
+        self.file.flush().map_err(|error| Unwritable::wrap(&self.path, error))
     }
 }
 
@@ -199,7 +200,7 @@ const TAKEN: &str = "the file exists; name another one, or replace it with --for
 /// The first error of the file system, with the file; exit code 2.
 pub fn write(path: &Path, content: &[u8]) -> anyhow::Result<()> {
     let mut file = NewFile::create(path, Existing::Replace, &[])?;
-    file.write_all(content).map_err(|error| refusal(path, error))?;
+    file.write_all(content).map_err(Failure::bad_input)?;
     file.finish()
 }
 
@@ -304,6 +305,7 @@ mod tests {
     use std::os::unix::fs::{PermissionsExt, symlink};
 
     use super::*;
+    use crate::exit::{Exit, exit_of};
 
     fn names(folder: &Path) -> usize {
         std::fs::read_dir(folder).unwrap().count()
@@ -408,8 +410,14 @@ mod tests {
         let opened = open_log(&folder.path().join("log"), OpenOptions::new().append(true));
         assert!(opened.is_err());
         symlink("/dev/full", folder.path().join("full")).unwrap();
-        let message = write(&folder.path().join("full"), b"lost").unwrap_err().to_string();
-        assert!(message.contains("No space left"), "{message}");
+        let full = folder.path().join("full");
+        let expected = format!("{}: No space left on device (os error 28)", full.display());
+        assert_eq!(write(&full, b"lost").unwrap_err().to_string(), expected);
+        let mut file = std::io::BufWriter::new(NewFile::create(&full, Existing::Replace, &[]).unwrap());
+        let error = file.write_all(b"lost").and_then(|()| file.flush()).unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::StorageFull);
+        let error = anyhow::Error::from(error);
+        assert_eq!((crate::limits::text_of(&error), exit_of(&error)), (expected, Exit::BadInput));
         assert!(folder.path().join("full").is_symlink(), "a device is written to, not replaced");
     }
 }

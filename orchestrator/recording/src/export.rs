@@ -16,7 +16,7 @@ use crate::read::Recording;
 /// Exports each topic as a table, one column per number; returns the number of rows. Checkpoints have no columns.
 ///
 /// # Errors
-/// A recording that can't be read, and a folder that can't be written to.
+/// A recording that can't be read, and a folder or file that can't be written; exit code 2.
 pub fn csv(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
     let mut recording = Recording::open(from)?;
     make(folder)?;
