@@ -4,13 +4,13 @@
 //! open. The name is a random one in the same folder, made with `O_EXCL`: no link that another user has put there is
 //! followed. A link of the wanted name is replaced itself, not what it leads to.
 //!
-//! Three kinds of files are written in another way: logs and live recordings, which are read while they grow, and devices
-//! and pipes such as `/dev/stdout`, which nothing can be renamed to.
+//! Three kinds of files are written in another way: logs and live recordings, which are read while they grow, and devices,
+//! pipes and open files such as `/dev/stdout`, which nothing can be renamed to.
 
 use std::ffi::OsString;
 use std::fs::{File, Metadata, OpenOptions};
 use std::io::{self, Write};
-use std::os::fd::OwnedFd;
+use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
@@ -70,7 +70,7 @@ impl NewFile {
             require_at_rest(path)?;
         }
         let made = match is_device {
-            true => OpenOptions::new().write(true).open(path).map(|file| (file, None)),
+            true => open_device(path).map(|file| (file, None)),
             false => begin(path, there.as_ref()),
         };
         let (file, place) = made.map_err(|error| refusal(path, error))?;
@@ -229,12 +229,41 @@ pub fn open_log(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     options.custom_flags(flags.bits().cast_signed()).open(path)
 }
 
-/// Whether a path is a device of characters or a pipe, or a link to one that this user or root has made.
+/// Whether a path is a device of characters or a pipe, or a link to one that this user or root has made, or such a link to a
+/// file that a process has open. All these are written to, never replaced.
 pub(crate) fn leads_to_device(path: &Path) -> bool {
     let Ok(own) = path.symlink_metadata() else { return false };
     let is_trusted = !own.is_symlink() || [0, rustix::process::geteuid().as_raw()].contains(&own.uid());
     let is_device = |kind: std::fs::FileType| kind.is_char_device() || kind.is_fifo();
-    is_trusted && path.metadata().is_ok_and(|found| is_device(found.file_type()))
+    let is_open = || own.is_symlink() && leads_to_open_file(path);
+    is_trusted && (path.metadata().is_ok_and(|found| is_device(found.file_type())) || is_open())
+}
+
+/// Whether a link stands in `/dev`, or leads to a file that a process has open: `/dev/stdout` may be any kind of file, or none.
+fn leads_to_open_file(link: &Path) -> bool {
+    let folder = |path: &Path| path.parent().and_then(|parent| parent.canonicalize().ok());
+    let is_open = |found: &PathBuf| found.starts_with("/proc") && found.ends_with("fd");
+    let target = link.read_link().ok().map(|target| link.parent().unwrap_or(Path::new("")).join(target));
+    folder(link).is_some_and(|found| found == Path::new("/dev") || is_open(&found))
+        || target.and_then(|target| folder(&target)).is_some_and(|found| is_open(&found))
+}
+
+/// Opens what [`leads_to_device`] has found. Standard output and standard error are not opened anew when they are regular
+/// files: a later line would be written over the start of this one.
+fn open_device(path: &Path) -> io::Result<File> {
+    let found = path.metadata()?;
+    if found.file_type().is_block_device() {
+        return Err(io::Error::other("it is no regular file"));
+    }
+    let inode = |found: &Metadata| (found.dev(), found.ino());
+    let is_it = |file: &File| file.metadata().is_ok_and(|own| inode(&own) == inode(&found));
+    for stream in [io::stdout().as_fd(), io::stderr().as_fd()] {
+        let file = File::from(stream.try_clone_to_owned()?);
+        if found.is_file() && is_it(&file) {
+            return Ok(file);
+        }
+    }
+    OpenOptions::new().append(true).open(path)
 }
 
 /// Makes the file with a random name beside `path`, with the mode of the one that it replaces.
@@ -302,6 +331,7 @@ impl Drop for Scratch {
 
 #[cfg(test)]
 mod tests {
+    use std::os::fd::AsRawFd;
     use std::os::unix::fs::{PermissionsExt, symlink};
 
     use super::*;
@@ -395,6 +425,22 @@ mod tests {
             assert!(names.iter().all(|name| message.contains(name)), "{message}");
             assert!(!message.contains("--force"), "{message}");
         }
+    }
+
+    #[test]
+    fn a_link_to_an_open_file_is_written_to() {
+        let folder = Scratch::new().unwrap();
+        let (link, target) = (folder.path().join("stdout"), folder.path().join("target"));
+        let mut open = File::create(&target).unwrap();
+        open.write_all(b"first").unwrap();
+        symlink(format!("/proc/self/fd/{}", open.as_raw_fd()), &link).unwrap();
+        write(&link, b" second").unwrap();
+        assert!(link.is_symlink());
+        assert_eq!(std::fs::read_to_string(&target).unwrap(), "first second");
+        // The same link under its own name.
+        write(&Path::new("/dev/fd").join(open.as_raw_fd().to_string()), b" third").unwrap();
+        assert_eq!(std::fs::read_to_string(&target).unwrap(), "first second third");
+        assert_eq!(names(folder.path()), 2);
     }
 
     #[test]
