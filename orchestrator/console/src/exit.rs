@@ -1,5 +1,8 @@
 //! Exit codes of the public interface.
 
+use std::io;
+use std::path::{Path, PathBuf};
+
 use rustix::io::Errno;
 
 /// How a command ends.
@@ -42,6 +45,25 @@ impl Failure {
     }
 }
 
+/// A new file that can't be written, as on a full disk: wrapped into the errors of its writes.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {source}", path.display())]
+pub(crate) struct Unwritable {
+    path: PathBuf,
+    source: io::Error,
+}
+
+impl Unwritable {
+    /// Adds the file to an error of its writes, which keeps its kind.
+    pub(crate) fn wrap(path: &Path, source: io::Error) -> io::Error {
+        io::Error::new(source.kind(), Self { path: path.to_owned(), source })
+    }
+
+    fn is_in(error: &io::Error) -> bool {
+        error.get_ref().is_some_and(|inner| inner.is::<Self>())
+    }
+}
+
 /// The exit code that an error asks for.
 pub fn exit_of(error: &anyhow::Error) -> Exit {
     if let Some(failure) = error.downcast_ref::<Failure>() {
@@ -49,6 +71,9 @@ pub fn exit_of(error: &anyhow::Error) -> Exit {
     }
     if error.chain().filter_map(|cause| cause.downcast_ref()).any(is_shortage) {
         return Exit::ProcessFailed;
+    }
+    if error.chain().filter_map(|cause| cause.downcast_ref()).any(Unwritable::is_in) {
+        return Exit::BadInput;
     }
     match error.downcast_ref::<runtime::RuntimeError>() {
         Some(

@@ -4,13 +4,13 @@
 //! open. The name is a random one in the same folder, made with `O_EXCL`: no link that another user has put there is
 //! followed. A link of the wanted name is replaced itself, not what it leads to.
 //!
-//! Three kinds of files are written in another way: logs and live recordings, which are read while they grow, and devices
-//! and pipes such as `/dev/stdout`, which nothing can be renamed to.
+//! Three kinds of files are written in another way: logs and live recordings, which are read while they grow, and devices,
+//! pipes and open files such as `/dev/stdout`, which nothing can be renamed to.
 
 use std::ffi::OsString;
 use std::fs::{File, Metadata, OpenOptions};
 use std::io::{self, Write};
-use std::os::fd::OwnedFd;
+use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
@@ -18,7 +18,7 @@ use anyhow::Context;
 use rustix::fs::{AtFlags, CWD, FlockOperation, Mode, OFlags, RenameFlags, flock};
 use rustix::io::Errno;
 
-use crate::exit::Failure;
+use crate::exit::{Failure, Unwritable};
 
 /// What happens to a file that has the name already.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -66,11 +66,11 @@ impl NewFile {
         if existing == Existing::Keep && there.is_some() {
             return Err(refusal(path, TAKEN));
         }
-        if there.as_ref().is_some_and(Metadata::is_file) && is_growing(path) {
-            return Err(refusal(path, "another process is writing this file; name another one"));
+        if there.as_ref().is_some_and(Metadata::is_file) {
+            require_at_rest(path)?;
         }
         let made = match is_device {
-            true => OpenOptions::new().write(true).open(path).map(|file| (file, None)),
+            true => open_device(path).map(|file| (file, None)),
             false => begin(path, there.as_ref()),
         };
         let (file, place) = made.map_err(|error| refusal(path, error))?;
@@ -85,15 +85,21 @@ impl NewFile {
         finish_all(vec![self])
     }
 
-    /// Passes when the file is on the disk, and its name is still free if what has it is to be kept.
+    /// Passes when the file is on the disk, and its name can still be given to it.
     fn sync(&self) -> anyhow::Result<()> {
         if self.place.is_none() {
             return Ok(());
         }
         self.file.sync_all().map_err(|error| refusal(&self.path, error))?;
-        match self.existing == Existing::Keep && self.path.symlink_metadata().is_ok() {
-            true => Err(refusal(&self.path, TAKEN)),
-            false => Ok(()),
+        self.require_name()
+    }
+
+    /// Passes when no file has the name that is to be kept, also one that has begun to grow meanwhile.
+    fn require_name(&self) -> anyhow::Result<()> {
+        match (self.existing, self.path.symlink_metadata()) {
+            (Existing::Keep, Ok(_)) => Err(refusal(&self.path, TAKEN)),
+            (Existing::Replace, Ok(there)) if there.is_file() => require_at_rest(&self.path),
+            _ => Ok(()),
         }
     }
 
@@ -106,6 +112,7 @@ impl NewFile {
         if let Some(place) = &self.place {
             // Where the file system knows no locks, it is as before.
             let _ = flock(&self.file, FlockOperation::NonBlockingLockExclusive);
+            self.require_name()?;
             place.rename(self.existing).map_err(|error| match error {
                 Errno::EXIST => refusal(&self.path, TAKEN),
                 error => refusal(&self.path, io::Error::from(error)),
@@ -122,13 +129,14 @@ impl Drop for NewFile {
     }
 }
 
+/// Its errors name the file, and end a command with exit code 2.
 impl Write for NewFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.file.write(bytes)
+        self.file.write(bytes).map_err(|error| Unwritable::wrap(&self.path, error))
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.file.flush()
+        self.file.flush().map_err(|error| Unwritable::wrap(&self.path, error))
     }
 }
 
@@ -160,11 +168,17 @@ impl Place {
     }
 }
 
-/// Whether a process is writing a file that has its name already.
-fn is_growing(path: &Path) -> bool {
+/// Passes when no process is writing a file that has its name already.
+fn require_at_rest(path: &Path) -> anyhow::Result<()> {
     let flags = (OFlags::NONBLOCK | OFlags::NOFOLLOW).bits().cast_signed();
     let opened = OpenOptions::new().read(true).custom_flags(flags).open(path);
-    opened.is_ok_and(|file| flock(&file, FlockOperation::NonBlockingLockShared) == Err(Errno::WOULDBLOCK))
+    let locked = opened.map(|file| flock(&file, FlockOperation::NonBlockingLockShared));
+    match locked {
+        Ok(Err(Errno::WOULDBLOCK)) => {
+            Err(refusal(path, "another process is writing this file; name another one"))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Gives the files of one command their names: none of them before all are on the disk and all names are free.
@@ -186,7 +200,7 @@ const TAKEN: &str = "the file exists; name another one, or replace it with --for
 /// The first error of the file system, with the file; exit code 2.
 pub fn write(path: &Path, content: &[u8]) -> anyhow::Result<()> {
     let mut file = NewFile::create(path, Existing::Replace, &[])?;
-    file.write_all(content).map_err(|error| refusal(path, error))?;
+    file.write_all(content).map_err(Failure::bad_input)?;
     file.finish()
 }
 
@@ -215,12 +229,41 @@ pub fn open_log(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     options.custom_flags(flags.bits().cast_signed()).open(path)
 }
 
-/// Whether a path is a device of characters or a pipe, or a link to one that this user or root has made.
+/// Whether a path is a device of characters or a pipe, or a link to one that this user or root has made, or such a link to a
+/// file that a process has open. All these are written to, never replaced.
 pub(crate) fn leads_to_device(path: &Path) -> bool {
     let Ok(own) = path.symlink_metadata() else { return false };
     let is_trusted = !own.is_symlink() || [0, rustix::process::geteuid().as_raw()].contains(&own.uid());
     let is_device = |kind: std::fs::FileType| kind.is_char_device() || kind.is_fifo();
-    is_trusted && path.metadata().is_ok_and(|found| is_device(found.file_type()))
+    let is_open = || own.is_symlink() && leads_to_open_file(path);
+    is_trusted && (path.metadata().is_ok_and(|found| is_device(found.file_type())) || is_open())
+}
+
+/// Whether a link stands in `/dev`, or leads to a file that a process has open: `/dev/stdout` may be any kind of file, or none.
+fn leads_to_open_file(link: &Path) -> bool {
+    let folder = |path: &Path| path.parent().and_then(|parent| parent.canonicalize().ok());
+    let is_open = |found: &PathBuf| found.starts_with("/proc") && found.ends_with("fd");
+    let target = link.read_link().ok().map(|target| link.parent().unwrap_or(Path::new("")).join(target));
+    folder(link).is_some_and(|found| found == Path::new("/dev") || is_open(&found))
+        || target.and_then(|target| folder(&target)).is_some_and(|found| is_open(&found))
+}
+
+/// Opens what [`leads_to_device`] has found. Standard output and standard error are not opened anew when they are regular
+/// files: a later line would be written over the start of this one.
+fn open_device(path: &Path) -> io::Result<File> {
+    let found = path.metadata()?;
+    if found.file_type().is_block_device() {
+        return Err(io::Error::other("it is no regular file"));
+    }
+    let inode = |found: &Metadata| (found.dev(), found.ino());
+    let is_it = |file: &File| file.metadata().is_ok_and(|own| inode(&own) == inode(&found));
+    for stream in [io::stdout().as_fd(), io::stderr().as_fd()] {
+        let file = File::from(stream.try_clone_to_owned()?);
+        if found.is_file() && is_it(&file) {
+            return Ok(file);
+        }
+    }
+    OpenOptions::new().append(true).open(path)
 }
 
 /// Makes the file with a random name beside `path`, with the mode of the one that it replaces.
@@ -288,9 +331,11 @@ impl Drop for Scratch {
 
 #[cfg(test)]
 mod tests {
+    use std::os::fd::AsRawFd;
     use std::os::unix::fs::{PermissionsExt, symlink};
 
     use super::*;
+    use crate::exit::{Exit, exit_of};
 
     fn names(folder: &Path) -> usize {
         std::fs::read_dir(folder).unwrap().count()
@@ -339,6 +384,22 @@ mod tests {
     }
 
     #[test]
+    fn a_file_that_began_to_grow_meanwhile_is_not_replaced() {
+        let folder = Scratch::new().unwrap();
+        let path = folder.path().join("drive.mcap");
+        let create = || NewFile::create(&path, Existing::Replace, &[]).unwrap();
+        let [late, later] = [create(), create()];
+        let mut growing = create().publish().unwrap();
+        growing.write_all(b"half").unwrap();
+        for message in
+            [late.finish().unwrap_err(), later.publish().unwrap_err()].map(|error| error.to_string())
+        {
+            assert!(message.ends_with("another process is writing this file; name another one"), "{message}");
+        }
+        assert_eq!((std::fs::read_to_string(&path).unwrap().as_str(), names(folder.path())), ("half", 1));
+    }
+
+    #[test]
     fn of_files_that_belong_together_none_appears_when_one_name_was_taken_meanwhile() {
         let folder = Scratch::new().unwrap();
         let paths = ["one", "two"].map(|name| folder.path().join(name));
@@ -367,6 +428,22 @@ mod tests {
     }
 
     #[test]
+    fn a_link_to_an_open_file_is_written_to() {
+        let folder = Scratch::new().unwrap();
+        let (link, target) = (folder.path().join("stdout"), folder.path().join("target"));
+        let mut open = File::create(&target).unwrap();
+        open.write_all(b"first").unwrap();
+        symlink(format!("/proc/self/fd/{}", open.as_raw_fd()), &link).unwrap();
+        write(&link, b" second").unwrap();
+        assert!(link.is_symlink());
+        assert_eq!(std::fs::read_to_string(&target).unwrap(), "first second");
+        // The same link under its own name.
+        write(&Path::new("/dev/fd").join(open.as_raw_fd().to_string()), b" third").unwrap();
+        assert_eq!(std::fs::read_to_string(&target).unwrap(), "first second third");
+        assert_eq!(names(folder.path()), 2);
+    }
+
+    #[test]
     fn a_link_is_replaced_and_what_it_leads_to_stays() {
         let folder = Scratch::new().unwrap();
         let (link, target) = (folder.path().join("link"), folder.path().join("target"));
@@ -379,8 +456,14 @@ mod tests {
         let opened = open_log(&folder.path().join("log"), OpenOptions::new().append(true));
         assert!(opened.is_err());
         symlink("/dev/full", folder.path().join("full")).unwrap();
-        let message = write(&folder.path().join("full"), b"lost").unwrap_err().to_string();
-        assert!(message.contains("No space left"), "{message}");
+        let full = folder.path().join("full");
+        let expected = format!("{}: No space left on device (os error 28)", full.display());
+        assert_eq!(write(&full, b"lost").unwrap_err().to_string(), expected);
+        let mut file = std::io::BufWriter::new(NewFile::create(&full, Existing::Replace, &[]).unwrap());
+        let error = file.write_all(b"lost").and_then(|()| file.flush()).unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::StorageFull);
+        let error = anyhow::Error::from(error);
+        assert_eq!((crate::limits::text_of(&error), exit_of(&error)), (expected, Exit::BadInput));
         assert!(folder.path().join("full").is_symlink(), "a device is written to, not replaced");
     }
 }

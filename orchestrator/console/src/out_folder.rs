@@ -16,6 +16,8 @@ use crate::user_file::{self, TEXT_BYTES};
 const LIST: &str = ".scanloop";
 /// A list that is longer is written anew, with the lines of files that are there [bytes].
 const MAX_LIST_BYTES: usize = 1 << 16;
+/// A name in so many of the last lines may be that of a file which is about to be made.
+const NEWEST_LINES: usize = 64;
 /// A file that is larger is none that a command writes whole [bytes].
 const MAX_RESULT_BYTES: u64 = 1 << 30;
 
@@ -131,10 +133,16 @@ impl OutFolder {
         let path = self.folder.join(LIST);
         if list.len() > MAX_LIST_BYTES {
             let name = |line: &str| line.splitn(3, ' ').nth(2).map(str::to_owned);
+            let newest: BTreeSet<String> = list.lines().rev().take(NEWEST_LINES).filter_map(name).collect();
             let names: BTreeSet<String> = list.lines().filter_map(name).collect();
             let kept = |name: &String| {
                 let there = || self.content(name).map(|content| self::line(name, &content));
-                if self.has_grown(name) { Some(self::line(name, b"")) } else { there() }
+                if !self.has_grown(name) {
+                    return there();
+                }
+                // A file of this name that comes later may be of the user.
+                let is_needed = newest.contains(name) || self.folder.join(name).symlink_metadata().is_ok();
+                is_needed.then(|| self::line(name, b""))
             };
             let kept: String = names.iter().filter_map(kept).collect();
             return new_file::write(&path, (kept + line).as_bytes()).map_err(std::io::Error::other);
@@ -192,8 +200,17 @@ mod tests {
         let results = OutFolder::claim(folder.path(), &[], false).unwrap();
         results.write("other", b"stays").unwrap();
         std::fs::write(folder.path().join(LIST), results.list() + &"0 0 gone\n".repeat(10_000)).unwrap();
+        for scan in ["1", "2"] {
+            results.claim_growing(&format!("incident-{scan}.mcap")).unwrap();
+            std::fs::write(folder.path().join(format!("incident-{scan}.mcap")), "recorded").unwrap();
+        }
+        std::fs::write(folder.path().join(LIST), results.list() + &"0 0 gone\n".repeat(10_000)).unwrap();
+        std::fs::remove_file(folder.path().join("incident-1.mcap")).unwrap();
+        results.claim_growing("recording.mcap").unwrap();
         results.write("a", b"new").unwrap();
+        assert!(results.has_grown("recording.mcap"), "it is about to be made");
         assert!(results.list().len() < 100, "{}", results.list());
+        assert_eq!(["1", "2"].map(|scan| results.has_grown(&format!("incident-{scan}.mcap"))), [false, true]);
         OutFolder::claim(folder.path(), &["a", "other"], false).unwrap();
     }
 }

@@ -13,21 +13,22 @@ use shared_types::{Field, Kind, Topic};
 use crate::copy::{Summary, prepare};
 use crate::read::Recording;
 
-/// Exports each topic as a table, one column per number; returns the number of rows. Checkpoints have no columns.
+/// Exports each topic as a table, one column per number; returns the number of rows. Checkpoints have no columns. Where
+/// joined recordings have other columns of a topic, these are a table of their own: `TOPIC.2.csv`.
 ///
 /// # Errors
-/// A recording that can't be read, and a folder that can't be written to.
+/// A recording that can't be read, and a folder or file that can't be written; exit code 2.
 pub fn csv(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
     let mut recording = Recording::open(from)?;
     make(folder)?;
-    let mut tables = Tables { from, folder, force, files: BTreeMap::new(), rows: 0 };
+    let mut tables = Tables { from, folder, force, of_topics: BTreeMap::new(), rows: 0 };
     recording.samples(|_, sample| match sample.topic {
         Topic::Checkpoint => Ok(()),
         topic => tables.add(topic.name(), topic.fields(), sample.log_ns, sample.bytes),
     })?;
     recording.own_samples(|name, fields, log_ns, bytes| tables.add(name, fields, log_ns, bytes))?;
-    let files = tables.files.into_values();
-    let files = files.map(|table| table.into_inner().map_err(IntoInnerError::into_error));
+    let files = tables.of_topics.into_values().flatten();
+    let files = files.map(|table| table.file.into_inner().map_err(IntoInnerError::into_error));
     finish_all(files.collect::<Result<_, _>>()?)?;
     Ok(tables.rows)
 }
@@ -37,34 +38,64 @@ struct Tables<'a> {
     from: &'a Path,
     folder: &'a Path,
     force: bool,
-    files: BTreeMap<String, BufWriter<NewFile>>,
+    of_topics: BTreeMap<String, Vec<Table>>,
     rows: u64,
+}
+
+/// A table of one topic.
+struct Table {
+    names: String,
+    /// The layouts with these columns; one per joined recording.
+    layouts: Vec<&'static [Field]>,
+    file: BufWriter<NewFile>,
 }
 
 impl Tables<'_> {
     /// Adds a row, and makes the table when it is the first.
-    fn add(&mut self, topic: &str, fields: &[Field], log_ns: u64, bytes: &[u8]) -> anyhow::Result<()> {
-        if !self.files.contains_key(topic) {
-            // The name may be that of a file of another program.
-            let is_name = |letter: char| letter.is_ascii_alphanumeric() || "-_".contains(letter);
-            if !topic.chars().all(is_name) {
-                return Ok(());
-            }
-            let path = self.folder.join(format!("{topic}.csv"));
-            let mut names = String::from("log_ns");
-            columns(fields, "", &mut names);
-            let mut file =
-                BufWriter::new(NewFile::create(&path, Existing::forced(self.force), &[self.from])?);
-            writeln!(file, "{names}")?;
-            self.files.insert(topic.to_owned(), file);
+    fn add(
+        &mut self,
+        topic: &str,
+        fields: &'static [Field],
+        log_ns: u64,
+        bytes: &[u8],
+    ) -> anyhow::Result<()> {
+        // The name may be that of a file of another program.
+        let is_name = |letter: char| letter.is_ascii_alphanumeric() || "-_".contains(letter);
+        if !topic.chars().all(is_name) {
+            return Ok(());
         }
-        if let Some(file) = self.files.get_mut(topic) {
-            let mut row = log_ns.to_string();
-            values(fields, bytes, &mut row);
-            writeln!(file, "{row}")?;
-            self.rows += 1;
-        }
+        let table = self.table(topic, fields)?;
+        let mut row = log_ns.to_string();
+        values(fields, bytes, &mut row);
+        writeln!(table.file, "{row}")?;
+        self.rows += 1;
         Ok(())
+    }
+
+    /// The table of a topic with these columns.
+    fn table(&mut self, topic: &str, fields: &'static [Field]) -> anyhow::Result<&mut Table> {
+        let tables = self.of_topics.entry(topic.to_owned()).or_default();
+        let is_known = |table: &Table| table.layouts.iter().any(|known| std::ptr::eq(*known, fields));
+        if let Some(index) = tables.iter().position(is_known) {
+            return Ok(&mut tables[index]);
+        }
+        let mut names = String::from("log_ns");
+        columns(fields, "", &mut names);
+        let index = tables.iter().position(|table| table.names == names);
+        let index = match index {
+            Some(index) => index,
+            None => {
+                let number = if tables.is_empty() { String::new() } else { format!(".{}", tables.len() + 1) };
+                let path = self.folder.join(format!("{topic}{number}.csv"));
+                let new = NewFile::create(&path, Existing::forced(self.force), &[self.from])?;
+                let mut file = BufWriter::new(new);
+                writeln!(file, "{names}")?;
+                tables.push(Table { names, layouts: Vec::new(), file });
+                tables.len() - 1
+            }
+        };
+        tables[index].layouts.push(fields);
+        Ok(&mut tables[index])
     }
 }
 
@@ -180,9 +211,29 @@ pub fn number(name: &str, bytes: &[u8]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use console::new_file::Scratch;
     use shared_types::Odometry;
 
     use super::*;
+
+    #[test]
+    fn other_columns_of_a_topic_are_a_table_of_their_own() {
+        const OLD: [Field; 1] = [Field { name: "old", doc: "", offset: 0, kind: Kind::Scalar("u8") }];
+        const NEW: [Field; 1] = [Field { name: "new", ..OLD[0] }];
+        let folder = Scratch::new().unwrap();
+        let path = folder.path();
+        let mut tables =
+            Tables { from: path, folder: path, force: false, of_topics: BTreeMap::new(), rows: 0 };
+        let again: &[Field] = Box::leak(Box::new(OLD));
+        for (log_ns, fields) in [(1, &OLD as &[Field]), (2, &NEW), (3, again), (4, &NEW)] {
+            tables.add("own", fields, log_ns, &[7]).unwrap();
+        }
+        let files = tables.of_topics.into_values().flatten().map(|table| table.file.into_inner().unwrap());
+        finish_all(files.collect()).unwrap();
+        let read = |name: &str| std::fs::read_to_string(path.join(name)).unwrap();
+        assert_eq!(read("own.csv"), "log_ns,old\n1,7\n3,7\n");
+        assert_eq!(read("own.2.csv"), "log_ns,new\n2,7\n4,7\n");
+    }
 
     #[test]
     fn a_row_has_a_value_for_each_column() {

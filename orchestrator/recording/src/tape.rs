@@ -19,6 +19,10 @@ const CHUNK_NS: u64 = 1_000_000_000;
 const CHUNK_BYTES: usize = 4 << 20;
 /// Of the checkpoints of a role, one is recorded in this time [ns].
 const CHECKPOINT_NS: u64 = 1_000_000_000;
+/// In simulated time, a stamp that lies further ahead needs one of another role that agrees with it [ns].
+const AHEAD_NS: u64 = 10_000_000_000;
+/// No drive in simulated time lasts longer: a year [ns].
+const MAX_SIMULATED_NS: u64 = 365 * 24 * 3600 * 1_000_000_000;
 /// What the file names as its writer.
 pub(crate) const LIBRARY: &str = concat!("scanloop ", env!("CARGO_PKG_VERSION"));
 /// In front of the topics of the system.
@@ -115,6 +119,10 @@ pub struct Tape<T: Target> {
     chunk_start_ns: Option<u64>,
     /// The newest time of the loop that was recorded [ns].
     now_ns: u64,
+    /// The time of the machine, where that of the loop can't be later [ns].
+    clock_ns: Option<u64>,
+    /// The last stamp that lay too far ahead, and the role that wrote it [ns].
+    ahead: Option<(Option<Role>, u64)>,
     /// The newest checkpoint of each role, and when the last one was recorded.
     checkpoints: [(Option<Box<Checkpoint>>, u64); ROLES],
     authority: [u32; ROLES],
@@ -134,12 +142,19 @@ impl<T: Target> Tape<T> {
             target,
             chunk_start_ns: None,
             now_ns,
+            clock_ns: None,
+            ahead: None,
             checkpoints,
             authority: [0; ROLES],
             joins: [(0, 0); ROLES],
             simulated,
             samples: [0; 2],
         }
+    }
+
+    /// Tells the time of the machine [ns]: in real time, stamps that lie after it are of a wrong clock.
+    pub(crate) fn set_clock(&mut self, clock_ns: u64) {
+        self.clock_ns = (!self.simulated).then_some(clock_ns);
     }
 
     /// Adds a file as an attachment.
@@ -163,7 +178,7 @@ impl<T: Target> Tape<T> {
                 let checkpoint: &Checkpoint = from_bytes(bytes);
                 let Ok(role) = Role::try_from(checkpoint.role) else { return Ok(()) };
                 let (newest, recorded_ns) = &mut self.checkpoints[role.index()];
-                let is_due = self.now_ns >= *recorded_ns + CHECKPOINT_NS || *recorded_ns == 0;
+                let is_due = self.now_ns >= recorded_ns.saturating_add(CHECKPOINT_NS) || *recorded_ns == 0;
                 if !is_due && self.now_ns >= self.joins[role.index()].1 {
                     match newest {
                         Some(newest) => **newest = *checkpoint,
@@ -203,7 +218,7 @@ impl<T: Target> Tape<T> {
         self.samples[0] += 1;
         // A stamp that lies far ahead is of another clock: that of a sample by hand in lock-step.
         let stamp_ns = published_ns_of(bytes);
-        let is_near = stamp_ns > 0 && stamp_ns <= self.now_ns + CHUNK_NS;
+        let is_near = stamp_ns > 0 && stamp_ns <= self.now_ns.saturating_add(CHUNK_NS);
         let log_ns = if is_near { stamp_ns } else { self.now_ns };
         let channel = TOPICS.len() + foxglove::CHANNELS.len() + index;
         self.message(channel as u16, header.sequence as u32, log_ns, &[&ENCAPSULATION, bytes])
@@ -262,7 +277,7 @@ impl<T: Target> Tape<T> {
         let Ok(role) = Role::try_from(heartbeat.role) else { return Ok(()) };
         let (newest, until_ns) = &mut self.joins[role.index()];
         if heartbeat.header.incarnation > *newest {
-            (*newest, *until_ns) = (heartbeat.header.incarnation, self.now_ns + CHECKPOINT_NS);
+            (*newest, *until_ns) = (heartbeat.header.incarnation, self.now_ns.saturating_add(CHECKPOINT_NS));
             if let Some(handed) = self.checkpoints[role.index()].0.take() {
                 self.put(Topic::Checkpoint, bytemuck::bytes_of(&*handed))?;
             }
@@ -294,9 +309,27 @@ impl<T: Target> Tape<T> {
             Topic::Checkpoint if !self.simulated => from_bytes::<Checkpoint>(bytes).issued_ns,
             _ => topic.writer().map_or(0, |role| published_ns(header, role)),
         };
-        self.now_ns = self.now_ns.max(stamp_ns);
-        let log_ns = if stamp_ns == 0 { self.now_ns } else { stamp_ns };
+        let is_plausible = self.is_plausible(topic.writer(), stamp_ns);
+        if is_plausible {
+            self.now_ns = self.now_ns.max(stamp_ns);
+        }
+        let log_ns = if stamp_ns == 0 || !is_plausible { self.now_ns } else { stamp_ns };
         self.message(topic as u16, header.sequence as u32, log_ns, &[&ENCAPSULATION, bytes])
+    }
+
+    /// Whether the loop can have reached the time of a stamp. One wrong clock never moves the time of the recording; a pause
+    /// of the recorder itself does, as then the stamps of all roles lie ahead.
+    fn is_plausible(&mut self, writer: Option<Role>, stamp_ns: u64) -> bool {
+        if let Some(clock_ns) = self.clock_ns {
+            return stamp_ns <= clock_ns.saturating_add(CHUNK_NS);
+        }
+        // A recording may begin in the middle of a drive.
+        let is_near = self.now_ns == 0 || stamp_ns <= self.now_ns.saturating_add(AHEAD_NS);
+        if is_near || stamp_ns > MAX_SIMULATED_NS {
+            return stamp_ns <= MAX_SIMULATED_NS;
+        }
+        let before = self.ahead.replace((writer, stamp_ns));
+        before.is_some_and(|(other, ns)| other != writer && ns.abs_diff(stamp_ns) <= AHEAD_NS)
     }
 
     fn draw(&mut self, channel: usize, message: &[u8]) -> io::Result<()> {
@@ -306,7 +339,7 @@ impl<T: Target> Tape<T> {
     fn message(&mut self, channel: u16, sequence: u32, log_ns: u64, data: &[&[u8]]) -> io::Result<()> {
         let start_ns = *self.chunk_start_ns.get_or_insert(self.now_ns);
         self.target.message(channel, sequence, log_ns, data);
-        if self.now_ns >= start_ns + CHUNK_NS || self.target.open_bytes() >= CHUNK_BYTES {
+        if self.now_ns >= start_ns.saturating_add(CHUNK_NS) || self.target.open_bytes() >= CHUNK_BYTES {
             self.chunk_start_ns = None;
             self.target.end_chunk()?;
             self.samples[1] = self.samples[0];
@@ -324,4 +357,74 @@ pub(crate) fn published_ns(header: &Header, role: Role) -> u64 {
 fn published_ns_of(bytes: &[u8]) -> u64 {
     let start = bytes.len().saturating_sub(size_of::<StageStamps>());
     bytemuck::try_pod_read_unaligned::<StageStamps>(&bytes[start..]).map_or(0, |stamps| stamps.published_ns)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Log times of all messages.
+    #[derive(Default)]
+    struct Times(Vec<u64>);
+
+    impl Target for Times {
+        fn message(&mut self, _channel: u16, _sequence: u32, log_ns: u64, _data: &[&[u8]]) {
+            self.0.push(log_ns);
+        }
+
+        fn open_bytes(&self) -> usize {
+            0
+        }
+
+        fn end_chunk(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+
+        fn attach(&mut self, _: &str, _: &str, _: &[u8], _: u64) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    fn put(tape: &mut Tape<Times>, topic: Topic, stamp_ns: u64) -> (u64, u64) {
+        let mut bytes = vec![0_u64; topic.sample_type().size.div_ceil(8)];
+        let bytes = &mut bytemuck::cast_slice_mut::<u64, u8>(&mut bytes)[..topic.sample_type().size];
+        let mut header = Header::default();
+        header.stage_mut(topic.writer().unwrap()).published_ns = stamp_ns;
+        bytes[..size_of::<Header>()].copy_from_slice(bytemuck::bytes_of(&header));
+        tape.put(topic, bytes).unwrap();
+        (*tape.target().0.last().unwrap(), tape.now_ns())
+    }
+
+    const SECOND_NS: u64 = 1_000_000_000;
+
+    #[test]
+    fn a_stamp_of_a_wrong_clock_does_not_move_the_time_of_a_recording() {
+        let now_ns = 500 * SECOND_NS;
+        let mut tape = Tape::new(Times::default(), false, now_ns);
+        tape.set_clock(now_ns);
+        for stamp_ns in [u64::MAX, u64::MAX, now_ns + 2 * SECOND_NS] {
+            assert_eq!(put(&mut tape, Topic::Odometry, stamp_ns), (now_ns, now_ns));
+            assert_eq!(put(&mut tape, Topic::Command, stamp_ns), (now_ns, now_ns));
+        }
+        // The recorder stood still for a minute.
+        let later_ns = now_ns + 60 * SECOND_NS;
+        tape.set_clock(later_ns);
+        assert_eq!(put(&mut tape, Topic::Odometry, later_ns), (later_ns, later_ns));
+        assert_eq!(put(&mut tape, Topic::Command, now_ns), (now_ns, later_ns));
+    }
+
+    #[test]
+    fn in_simulated_time_a_stamp_far_ahead_needs_one_of_another_role() {
+        let mut tape = Tape::new(Times::default(), true, 0);
+        assert_eq!(put(&mut tape, Topic::Odometry, u64::MAX), (0, 0));
+        // It began in the middle of a drive.
+        let [start_ns, ahead_ns] = [5000, 6000].map(|seconds| seconds * SECOND_NS);
+        assert_eq!(put(&mut tape, Topic::Odometry, start_ns), (start_ns, start_ns));
+        for _ in 0..3 {
+            assert_eq!(put(&mut tape, Topic::Command, u64::MAX), (start_ns, start_ns));
+            assert_eq!(put(&mut tape, Topic::Pose, u64::MAX), (start_ns, start_ns));
+            assert_eq!(put(&mut tape, Topic::Command, ahead_ns), (start_ns, start_ns));
+        }
+        assert_eq!(put(&mut tape, Topic::Odometry, ahead_ns), (ahead_ns, ahead_ns));
+    }
 }

@@ -19,6 +19,7 @@ use console::progress::Steps;
 use crate::cores::on_all_cores;
 use crate::print_json;
 use arguments::CampaignArguments;
+use failures::Bad;
 use run::CourseRun;
 use summary::Summary;
 
@@ -34,14 +35,21 @@ pub(crate) fn campaign(arguments: &CampaignArguments) -> anyhow::Result<Exit> {
     let results = OutFolder::claim(&arguments.out, &[PICTURE], arguments.force)?;
     let runs = drive_all(arguments)?;
     let mut summary = Summary::of(&runs);
-    for run in runs.iter().filter(|run| failures::is_bad(run)) {
-        summary.add_bad(failures::save(run, arguments, &results)?);
-    }
-    answer!(arguments.json, "{}", text::text(&summary, &failures::settings(arguments)))?;
+    let bad: Vec<Bad> = runs
+        .iter()
+        .filter(|run| failures::is_bad(run))
+        .map(|run| Bad::of(run, arguments, &results))
+        .collect();
+    bad.iter().for_each(|bad| summary.add_bad(bad.course.clone()));
+    // The results of hours are printed, whatever becomes of the files; and the other way round.
+    let printed = answer!(arguments.json, "{}", text::text(&summary, &failures::settings(arguments)))
+        .and_then(|_| print_json(arguments.json, &summary));
+    let saved: Vec<anyhow::Result<()>> = bad.iter().map(|bad| bad.save(&results)).collect();
+    printed?;
     if let Some(picture) = picture::draw(&summary.families, arguments.robot.name())? {
         answer!(arguments.json, "picture         {}", results.write(PICTURE, picture.as_bytes())?.display())?;
     }
-    print_json(arguments.json, &summary)?;
+    saved.into_iter().collect::<anyhow::Result<()>>()?;
     Ok(match (summary.collision, summary.bad.is_empty()) {
         (0, true) => Exit::Done,
         (0, false) => Exit::NotReached,

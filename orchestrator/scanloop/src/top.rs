@@ -145,14 +145,17 @@ fn request(model: &mut Model, notes: &Sender<String>, arguments: &[&str]) {
     model.note(format!("{} ...", arguments.join(" ")));
     let mut command = Command::new(this_program());
     command.args(["--system-id", &model.system_id]).args(arguments);
-    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+    command.stdin(Stdio::null());
     let notes = notes.clone();
     let started = std::thread::Builder::new().name("request".to_owned()).spawn(move || {
         let text = match command.output() {
-            Ok(output) => String::from_utf8_lossy(&output.stderr).into_owned(),
-            Err(error) => format!("error: {error}"),
+            Ok(output) => {
+                [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).into_owned())
+            }
+            Err(error) => [String::new(), format!("error: {error}")],
         };
-        text.lines().filter(|line| !line.trim().is_empty()).for_each(|line| _ = notes.send(line.to_owned()));
+        let lines = text.iter().flat_map(|text| text.lines());
+        lines.filter(|line| !line.trim().is_empty()).for_each(|line| _ = notes.send(line.to_owned()));
     });
     if let Err(error) = started {
         model.note(format!("error: {}", console::limits::text_of(&error.into())));

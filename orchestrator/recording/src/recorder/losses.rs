@@ -6,12 +6,15 @@ use shared_types::{Header, TOPICS, Topic};
 
 /// A jump of the numbers beyond this is none that samples could have been published in.
 const MAX_GAP: u64 = u32::MAX as u64;
+/// So many publishers are known at most; the one that was silent for longest is forgotten.
+const MAX_PUBLISHERS: usize = 1024;
 
 /// The newest sequence number of each publisher, and how many are missing.
 #[derive(Debug, Default)]
 pub(super) struct Losses {
-    /// By channel and incarnation.
-    newest: BTreeMap<(usize, u32), u64>,
+    /// By channel and incarnation; with the place of the sample among all.
+    newest: BTreeMap<(usize, u32), (u64, u64)>,
+    samples: u64,
     lost: u64,
 }
 
@@ -33,7 +36,17 @@ impl Losses {
     }
 
     fn note_number(&mut self, channel: usize, incarnation: u32, sequence: u64) {
-        let newest = self.newest.entry((channel, incarnation)).or_insert(sequence);
+        let publisher = (channel, incarnation);
+        if self.newest.len() >= MAX_PUBLISHERS
+            && !self.newest.contains_key(&publisher)
+            && let Some((silent, _)) = self.newest.iter().min_by_key(|(_, (_, place))| *place)
+        {
+            let silent = *silent;
+            self.newest.remove(&silent);
+        }
+        self.samples += 1;
+        let (newest, place) = self.newest.entry(publisher).or_insert((sequence, 0));
+        *place = self.samples;
         let gap = sequence.saturating_sub(newest.saturating_add(1));
         self.lost += if gap > MAX_GAP { 0 } else { gap };
         *newest = sequence.max(*newest);
@@ -68,5 +81,17 @@ mod tests {
             losses.note_own(index, &Header { incarnation: 1, sequence, ..Header::default() });
         }
         assert_eq!(losses.lost(), 3, "numbers that no publisher can have reached are not missing samples");
+    }
+
+    #[test]
+    fn of_many_publishers_those_that_publish_are_known() {
+        let mut losses = Losses::default();
+        for incarnation in 2..=10_000 {
+            losses.note_own(0, &Header { incarnation: 1, sequence: incarnation.into(), ..Header::default() });
+            losses.note_own(0, &Header { incarnation, sequence: 1, ..Header::default() });
+        }
+        assert_eq!((losses.newest.len(), losses.lost()), (MAX_PUBLISHERS, 0));
+        losses.note_own(0, &Header { incarnation: 1, sequence: 10_002, ..Header::default() });
+        assert_eq!(losses.lost(), 1);
     }
 }

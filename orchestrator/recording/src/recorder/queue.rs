@@ -4,9 +4,10 @@ use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, SendError, Sender, SyncSender, TrySendError, channel, sync_channel};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 use bytemuck::cast_slice;
 use runtime::monotonic_ns;
@@ -19,6 +20,12 @@ use crate::tape::{Tape, Target};
 
 /// How many batches may wait for the disk: at 100 a second, five seconds.
 const BATCHES: usize = 512;
+/// Batches that wait for the disk hold no more than this, and one batch more [bytes].
+const MAX_BYTES: usize = 64 << 20;
+/// In lock-step, the one that copies checks this often whether there is room again.
+const ROOM_POLL: Duration = Duration::from_millis(1);
+/// Of the lines that wait for room in the queue, so many are kept.
+const MAX_LINES: usize = 4096;
 /// In real time, batches are passed on this often at most, whatever the scan rate [ns].
 const BATCH_NS: u64 = 10_000_000;
 /// What follows an incident within this time is part of it: its file is written at once, and again with that [ns].
@@ -48,6 +55,23 @@ impl Batch {
         self.samples.is_empty() && self.lines.is_empty() && self.files.is_empty() && self.incident.is_none()
     }
 
+    /// What it holds [bytes].
+    fn bytes(&self) -> usize {
+        let files = self.files.iter().map(|(name, data)| name.len() + data.len());
+        let lines = self.lines.iter().map(|(role, line)| role.len() + line.len());
+        size_of_val(&*self.words) + files.chain(lines).sum::<usize>()
+    }
+
+    /// Of a batch that could not be passed on, what is not lost: all but the samples, and but the newest of many lines.
+    fn without_samples(mut self) -> Self {
+        if self.lines.len() > MAX_LINES {
+            self.lines.truncate(MAX_LINES - 1);
+            let text = "WARN lines of logs are missing here: the disk was too slow";
+            self.lines.push(("recorder".to_owned(), text.to_owned()));
+        }
+        Self { files: self.files, lines: self.lines, incident: self.incident, ..Self::default() }
+    }
+
     fn samples(&self) -> impl Iterator<Item = (usize, &[u8])> {
         let mut start = 0;
         self.samples.iter().map(move |(topic, length, end)| {
@@ -72,6 +96,8 @@ pub(super) type Saved = Result<PathBuf, String>;
 pub(super) struct Queue {
     batch: Batch,
     sender: SyncSender<Batch>,
+    /// What the batches hold that the writing thread has not yet written [bytes].
+    waiting: Arc<AtomicUsize>,
     thread: JoinHandle<Written>,
     saved: Receiver<Saved>,
     failed: Arc<AtomicBool>,
@@ -96,13 +122,16 @@ impl Queue {
         let (reports, saved) = channel();
         let failed = Arc::new(AtomicBool::new(false));
         let has_failed = Arc::clone(&failed);
+        let waiting = Arc::new(AtomicUsize::new(0));
+        let batches = Batches { receiver, waiting: Arc::clone(&waiting) };
         // Log lines may come before the first sample.
         let now_ns = if simulated { 0 } else { monotonic_ns() };
         let thread = std::thread::Builder::new().name("recording".to_owned()).spawn(move || match sink {
-            Sink::File(writer) => write(Tape::new(writer, simulated, now_ns), &receiver, &has_failed),
-            Sink::Ring(ring) => keep(Tape::new(ring, simulated, now_ns), &receiver, &reports),
+            Sink::File(writer) => write(Tape::new(writer, simulated, now_ns), &batches, &has_failed),
+            Sink::Ring(ring) => keep(Tape::new(ring, simulated, now_ns), &batches, &reports),
         })?;
-        Ok(Self { batch: Batch::default(), sender, thread, saved, failed, waits, passed_ns: 0, lost: 0 })
+        let batch = Batch::default();
+        Ok(Self { batch, sender, waiting, thread, saved, failed, waits, passed_ns: 0, lost: 0 })
     }
 
     /// Adds a sample of a topic of the loop, or of one of the system, which are counted behind them.
@@ -138,15 +167,33 @@ impl Queue {
         self.passed_ns = now_ns;
         let batch = Batch { lost: missed + self.lost, ..std::mem::take(&mut self.batch) };
         let samples = batch.samples.len() as u64;
-        let incident = batch.incident;
-        let is_sent = match self.waits {
-            true => self.sender.send(batch).is_ok(),
-            false => self.sender.try_send(batch).is_ok(),
-        };
-        if !is_sent {
+        if let Err(batch) = self.send(batch) {
             self.lost += samples;
-            self.batch.incident = incident;
+            self.batch = batch.without_samples();
         }
+    }
+
+    /// Hands a batch to the writing thread; returns it when the queue is full, or the thread has ended.
+    fn send(&self, batch: Batch) -> Result<(), Batch> {
+        let bytes = batch.bytes();
+        let is_full = || {
+            let waiting = self.waiting.load(Ordering::Relaxed);
+            waiting > 0 && waiting + bytes > MAX_BYTES
+        };
+        while self.waits && is_full() && !self.thread.is_finished() {
+            std::thread::sleep(ROOM_POLL);
+        }
+        if !self.waits && is_full() {
+            return Err(batch);
+        }
+        self.waiting.fetch_add(bytes, Ordering::Relaxed);
+        let sent = match self.waits {
+            true => self.sender.send(batch).map_err(|SendError(batch)| batch),
+            false => self.sender.try_send(batch).map_err(|error| match error {
+                TrySendError::Full(batch) | TrySendError::Disconnected(batch) => batch,
+            }),
+        };
+        sent.inspect_err(|_| _ = self.waiting.fetch_sub(bytes, Ordering::Relaxed))
     }
 
     /// Whether nothing can be written any more.
@@ -162,7 +209,8 @@ impl Queue {
     /// Ends the recording; `missed` samples did not even reach this queue, and `last_scan` is the last of the run.
     /// Returns also the files that [`Queue::saved`] has not returned.
     pub(super) fn finish(self, missed: u64, last_scan: u64) -> (Summary, Vec<Saved>) {
-        let Self { batch, sender, thread, saved, lost, .. } = self;
+        let Self { batch, sender, waiting, thread, saved, lost, .. } = self;
+        waiting.fetch_add(batch.bytes(), Ordering::Relaxed);
         let _ = sender.send(Batch { lost: missed + lost, last_scan: Some(last_scan), ..batch });
         drop(sender);
         let error = || Some(io::Error::other("the writing thread ended"));
@@ -178,8 +226,27 @@ impl Queue {
     }
 }
 
+/// The end at which the writing thread takes them out.
+struct Batches {
+    receiver: Receiver<Batch>,
+    waiting: Arc<AtomicUsize>,
+}
+
+impl Batches {
+    /// Passes each batch to `take` until the queue is closed.
+    fn each(&self, mut take: impl FnMut(&Batch)) {
+        for batch in &self.receiver {
+            let bytes = batch.bytes();
+            take(&batch);
+            drop(batch);
+            self.waiting.fetch_sub(bytes, Ordering::Relaxed);
+        }
+    }
+}
+
 /// Puts a batch on a tape, up to the first error.
 fn put<T: Target>(tape: &mut Tape<T>, batch: &Batch) -> io::Result<()> {
+    tape.set_clock(monotonic_ns());
     batch.samples().try_for_each(|(topic, bytes)| match TOPICS.get(topic) {
         Some(topic) => tape.sample(*topic, bytes),
         None => {
@@ -192,21 +259,17 @@ fn put<T: Target>(tape: &mut Tape<T>, batch: &Batch) -> io::Result<()> {
 }
 
 /// Writes a recording until the queue is closed; returns what is in it.
-fn write(
-    mut tape: Tape<Writer<BufWriter<File>>>,
-    receiver: &Receiver<Batch>,
-    failed: &AtomicBool,
-) -> Written {
+fn write(mut tape: Tape<Writer<BufWriter<File>>>, batches: &Batches, failed: &AtomicBool) -> Written {
     let mut written = Written::default();
     let (mut lost, mut last_scan) = (0, 0);
-    for batch in receiver {
+    batches.each(|batch| {
         (lost, last_scan) = (batch.lost, batch.last_scan.unwrap_or(0));
         written.samples += batch.samples.len() as u64;
         if written.error.is_none() {
-            written.error = put(&mut tape, &batch).err();
+            written.error = put(&mut tape, batch).err();
             failed.store(written.error.is_some(), Ordering::Relaxed);
         }
-    }
+    });
     let safe = tape.samples();
     let mut writer = tape.into_target();
     written.bytes = writer.bytes();
@@ -236,7 +299,7 @@ struct Following {
 }
 
 /// Keeps the last seconds in memory until the queue is closed, and writes them when something happens.
-fn keep(mut tape: Tape<Ring>, receiver: &Receiver<Batch>, reports: &Sender<Saved>) -> Written {
+fn keep(mut tape: Tape<Ring>, batches: &Batches, reports: &Sender<Saved>) -> Written {
     let mut written = Written::default();
     let save = |tape: &mut Tape<Ring>, scan_id| {
         if let Some(saved) = tape.target().save(scan_id).map_err(|error| error.to_string()).transpose() {
@@ -244,29 +307,81 @@ fn keep(mut tape: Tape<Ring>, receiver: &Receiver<Batch>, reports: &Sender<Saved
         }
     };
     let mut following: Option<Following> = None;
-    for batch in receiver {
+    batches.each(|batch| {
         tape.target().set_lost(batch.lost);
         written.samples += batch.samples.len() as u64;
-        written.error = put(&mut tape, &batch).err();
+        written.error = put(&mut tape, batch).err();
         let now_ns = tape.now_ns();
         if let Some(over) = following.take_if(|following| now_ns >= following.until_ns) {
             save(&mut tape, over.scan_id);
         }
         match (&mut following, batch.incident) {
             (Some(following), Some(_)) => {
-                following.until_ns = (now_ns + FOLLOWING_NS).min(following.limit_ns);
+                following.until_ns = now_ns.saturating_add(FOLLOWING_NS).min(following.limit_ns);
             }
             (None, Some(scan_id)) => {
                 save(&mut tape, scan_id);
-                let limit_ns = now_ns + tape.target().span_ns() / 2;
-                let until_ns = (now_ns + FOLLOWING_NS).min(limit_ns);
+                let limit_ns = now_ns.saturating_add(tape.target().span_ns() / 2);
+                let until_ns = now_ns.saturating_add(FOLLOWING_NS).min(limit_ns);
                 following = Some(Following { scan_id, until_ns, limit_ns });
             }
             (_, None) => {}
         }
-    }
+    });
     if let Some(following) = following {
         save(&mut tape, following.scan_id);
     }
     written
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A queue of which nothing is taken out, and its other end.
+    fn queue() -> (Queue, Batches) {
+        let (sender, receiver) = sync_channel(BATCHES);
+        let (waiting, failed) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicBool::new(false)));
+        let batches = Batches { receiver, waiting: Arc::clone(&waiting) };
+        let (thread, saved) = (std::thread::spawn(Written::default), channel().1);
+        let batch = Batch::default();
+        (
+            Queue { batch, sender, waiting, thread, saved, failed, waits: false, passed_ns: 0, lost: 0 },
+            batches,
+        )
+    }
+
+    #[test]
+    fn a_queue_is_full_with_few_large_samples_and_keeps_files_and_lines() {
+        let (mut queue, batches) = queue();
+        let sample = vec![0; 4 << 20];
+        for poll in 1..=20 {
+            queue.add(TOPICS.len(), &sample);
+            queue.attach(format!("settings-{poll}.toml"), vec![1]);
+            queue.log("robot", "line");
+            queue.incident(poll);
+            queue.pass_on(poll * BATCH_NS, 0);
+        }
+        assert!(queue.waiting.load(Ordering::Relaxed) <= MAX_BYTES);
+        let sent = 15;
+        assert_eq!((queue.lost, queue.batch.files.len(), queue.batch.lines.len()), (20 - sent, 5, 5));
+        assert_eq!((queue.batch.samples.len(), queue.batch.incident), (0, Some(16)));
+        for _ in 0..2 * MAX_LINES {
+            queue.log("robot", "line");
+        }
+        queue.batch.incident = None;
+        queue.add(TOPICS.len(), &sample);
+        queue.pass_on(30 * BATCH_NS, 0);
+        assert_eq!(queue.batch.lines.len(), MAX_LINES);
+        // There is room again, then the writing thread ends.
+        let taken = batches.receiver.try_iter().map(|batch| batch.bytes()).sum();
+        queue.waiting.fetch_sub(taken, Ordering::Relaxed);
+        assert_eq!(queue.waiting.load(Ordering::Relaxed), 0);
+        queue.pass_on(40 * BATCH_NS, 0);
+        assert!(queue.batch.is_empty());
+        drop(batches);
+        queue.attach("settings-21.toml".to_owned(), vec![1]);
+        queue.pass_on(50 * BATCH_NS, 0);
+        assert_eq!(queue.batch.files.len(), 1);
+    }
 }

@@ -94,7 +94,7 @@ impl Target for Ring {
         self.bytes += chunk.bytes();
         self.chunks.push_back((self.lost, chunk));
         while let Some((_, oldest)) = self.chunks.front()
-            && (oldest.last_ns() + self.span_ns < newest_ns || self.bytes > MAX_BYTES)
+            && (oldest.last_ns().saturating_add(self.span_ns) < newest_ns || self.bytes > MAX_BYTES)
         {
             self.bytes -= oldest.bytes();
             self.chunks.pop_front();

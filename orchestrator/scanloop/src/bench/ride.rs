@@ -58,16 +58,21 @@ pub(crate) fn ride(arguments: &RideArguments) -> anyhow::Result<Exit> {
     let problems = arguments.problems.as_ref().map(problems).transpose()?;
     let mut steps = Steps::new(courses.len() as u64, "courses");
     let measured = on_all_cores(courses.len(), |index| courses[index].measure(), || steps.step(""))?;
-    let mut rows: Vec<Row> = Vec::new();
+    let (mut rows, mut optima): (Vec<Row>, Vec<_>) = (Vec::new(), Vec::new());
     for (course, measured) in courses.iter().zip(measured) {
         let (row, optimum) = measured?;
-        if let (Some(folder), Some(optimum)) = (&problems, optimum) {
-            problems::write(folder, &row.name, &optimum)?;
-        }
+        optima.extend(optimum.map(|optimum| (row.name.clone(), optimum)));
         rows.push(Row { seed: course.seed(), ..row });
     }
     let results = Results::new(rows, arguments.random.is_some());
-    answer!(arguments.json, "{}", table::text(&results))?;
-    print_json(arguments.json, &results)?;
+    // The results of hours are printed, whatever becomes of the files; and the other way round.
+    let printed = answer!(arguments.json, "{}", table::text(&results))
+        .and_then(|_| print_json(arguments.json, &results));
+    if let Some(folder) = &problems {
+        let write = |(name, optimum): &(String, _)| problems::write(folder, name, optimum);
+        let saved: Vec<anyhow::Result<()>> = optima.iter().map(write).collect();
+        saved.into_iter().collect::<anyhow::Result<()>>()?;
+    }
+    printed?;
     Ok(results.exit())
 }

@@ -34,27 +34,48 @@ fn is_wrong(run: &CourseRun) -> bool {
     matches!(run.judgement.verdict, Verdict::StoppedWrongly | Verdict::Missed | Verdict::Collision)
 }
 
-/// Writes the scenario of a bad course to the folder of its cause.
-///
-/// # Errors
-/// Errors of the file system.
-pub(super) fn save(
-    run: &CourseRun,
-    arguments: &CampaignArguments,
-    results: &OutFolder,
-) -> anyhow::Result<BadCourse> {
-    let (scenario, _) = run.course.scenario(arguments);
-    let cause = if is_wrong(run) { run.judgement.cause.clone() } else { WITHOUT_REST.to_owned() };
-    let mut reason = run.reason.clone();
-    if run.without_rest > 0 {
-        let _ = write!(reason, ", {} scans without a way to rest", run.without_rest);
+/// A bad course, and the file that replays it.
+pub(super) struct Bad {
+    pub(super) course: BadCourse,
+    name: String,
+    text: String,
+}
+
+impl Bad {
+    /// What is to be told and written of a bad course.
+    pub(super) fn of(run: &CourseRun, arguments: &CampaignArguments, results: &OutFolder) -> Self {
+        let (scenario, _) = run.course.scenario(arguments);
+        let cause = if is_wrong(run) { run.judgement.cause.clone() } else { WITHOUT_REST.to_owned() };
+        let mut reason = run.reason.clone();
+        if run.without_rest > 0 {
+            let _ = write!(reason, ", {} scans without a way to rest", run.without_rest);
+        }
+        let set = settings(arguments);
+        let text = format!(
+            "# {}: {reason}\n# scanloop run --lockstep FILE{set}\n{}",
+            run.outcome,
+            scenario.to_toml()
+        );
+        let name = format!("{cause}/{}.toml", scenario.name);
+        let (seed, family) = (run.course.seed, run.course.kind.name());
+        let course = BadCourse {
+            seed,
+            family,
+            cause,
+            outcome: run.outcome,
+            reason,
+            scenario: results.folder().join(&name),
+        };
+        Self { course, name, text }
     }
-    let set = settings(arguments);
-    let text =
-        format!("# {}: {reason}\n# scanloop run --lockstep FILE{set}\n{}", run.outcome, scenario.to_toml());
-    let path = results.write(&format!("{cause}/{}.toml", scenario.name), text.as_bytes())?;
-    let (seed, family) = (run.course.seed, run.course.kind.name());
-    Ok(BadCourse { seed, family, cause, outcome: run.outcome, reason, scenario: path })
+
+    /// Writes its scenario to the folder of its cause.
+    ///
+    /// # Errors
+    /// A file of the user, and errors of the file system; exit code 2.
+    pub(super) fn save(&self, results: &OutFolder) -> anyhow::Result<()> {
+        results.write(&self.name, self.text.as_bytes()).map(drop)
+    }
 }
 
 /// The overrides as arguments of `run`.
