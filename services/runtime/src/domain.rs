@@ -34,8 +34,11 @@ const ALPHABET: &[u8; 32] = b"abcdefghijklmnopqrstuvwxyz234567";
 const UNMARKED: Duration = Duration::from_millis(500);
 /// Time between two looks at such a directory.
 const UNMARKED_POLL: Duration = Duration::from_millis(5);
-/// What a directory without its run id may hold when the process that made or removed it was killed.
-const UNMARKED_FILES: [&str; 2] = ["run-id.tmp", LOCK_FILE];
+/// Name of the file in which the link to other hosts writes how it is, once a second.
+pub(crate) const LINK_STATUS_FILE: &str = "link-status.toml";
+/// What a directory without its run id may hold when the process that made or removed it was killed, or when a link wrote
+/// while it was removed.
+const UNMARKED_FILES: [&str; 3] = ["run-id.tmp", LOCK_FILE, LINK_STATUS_FILE];
 /// Content of the mark of a system that was stopped.
 const STOPPED_MARK: &[u8] = b"stopped by scanloop\n";
 

@@ -19,6 +19,8 @@ use crate::error::is_shortage;
 
 /// Readable, writable and searchable by the owner alone.
 const PRIVATE: Mode = Mode::RWXU;
+/// How often a directory is emptied before it is given up: a process that ends may still write.
+const DELETIONS: usize = 3;
 /// Readable and writable by the owner alone.
 const FILE_MODE: Mode = Mode::RUSR.union(Mode::WUSR);
 
@@ -158,6 +160,15 @@ impl Folder {
     /// # Errors
     /// [`RuntimeError::File`] for what could not be removed.
     pub fn delete(&self, last: &str) -> Result<(), RuntimeError> {
+        for _ in 1..DELETIONS {
+            if self.delete_once(last).is_ok() {
+                return Ok(());
+            }
+        }
+        self.delete_once(last)
+    }
+
+    fn delete_once(&self, last: &str) -> Result<(), RuntimeError> {
         let names = self.names().into_iter().filter(|name| name != last);
         for name in names.chain([last.to_owned()]) {
             let path = self.by_descriptor(&name);

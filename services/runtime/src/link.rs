@@ -5,12 +5,12 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::domain::LINK_STATUS_FILE;
 use crate::{Domain, Realtime, RuntimeError};
 
 /// Name of the table.
 const TABLE_FILE: &str = "link.toml";
-/// Name of the status.
-const STATUS_FILE: &str = "link-status.toml";
+
 /// Name of the socket of the link: a message is the name of a host, a line feed, and what the agent there is told.
 pub const LINK_SOCKET: &str = "link.sock";
 /// Name by which the host of the orchestrator is known to the others; no other host has a name of this length.
@@ -199,7 +199,7 @@ impl LinkStatus {
     /// # Errors
     /// [`RuntimeError::File`].
     pub fn write(&self, domain: &Domain) -> Result<(), RuntimeError> {
-        domain.folder().write(STATUS_FILE, text(self).as_bytes())
+        domain.folder().write(LINK_STATUS_FILE, text(self).as_bytes())
     }
 
     /// The status of a system; `None` before the first.
@@ -207,8 +207,8 @@ impl LinkStatus {
     /// # Errors
     /// [`RuntimeError::File`] and [`RuntimeError::Settings`] when it can't be read.
     pub fn read(domain: &Domain) -> Result<Option<Self>, RuntimeError> {
-        match domain.folder().contains(STATUS_FILE) {
-            true => read(domain, STATUS_FILE).map(Some),
+        match domain.folder().contains(LINK_STATUS_FILE) {
+            true => read(domain, LINK_STATUS_FILE).map(Some),
             false => Ok(None),
         }
     }
