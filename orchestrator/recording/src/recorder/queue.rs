@@ -167,14 +167,14 @@ impl Queue {
         self.passed_ns = now_ns;
         let batch = Batch { lost: missed + self.lost, ..std::mem::take(&mut self.batch) };
         let samples = batch.samples.len() as u64;
-        if let Err(batch) = self.send(batch) {
+        if let Some(batch) = self.send(batch) {
             self.lost += samples;
             self.batch = batch.without_samples();
         }
     }
 
     /// Hands a batch to the writing thread; returns it when the queue is full, or the thread has ended.
-    fn send(&self, batch: Batch) -> Result<(), Batch> {
+    fn send(&self, batch: Batch) -> Option<Batch> {
         let bytes = batch.bytes();
         let is_full = || {
             let waiting = self.waiting.load(Ordering::Relaxed);
@@ -184,16 +184,16 @@ impl Queue {
             std::thread::sleep(ROOM_POLL);
         }
         if !self.waits && is_full() {
-            return Err(batch);
+            return Some(batch);
         }
         self.waiting.fetch_add(bytes, Ordering::Relaxed);
-        let sent = match self.waits {
-            true => self.sender.send(batch).map_err(|SendError(batch)| batch),
-            false => self.sender.try_send(batch).map_err(|error| match error {
+        let left = match self.waits {
+            true => self.sender.send(batch).err().map(|SendError(batch)| batch),
+            false => self.sender.try_send(batch).err().map(|error| match error {
                 TrySendError::Full(batch) | TrySendError::Disconnected(batch) => batch,
             }),
         };
-        sent.inspect_err(|_| _ = self.waiting.fetch_sub(bytes, Ordering::Relaxed))
+        left.inspect(|_| _ = self.waiting.fetch_sub(bytes, Ordering::Relaxed))
     }
 
     /// Whether nothing can be written any more.

@@ -177,6 +177,8 @@ fn files_of_users_are_made_in_one_place() {
 fn standard_output_is_written_in_one_place() {
     let others = [
         "orchestrator/console/src/output.rs",
+        // Tells whether a path leads to the output itself.
+        "orchestrator/console/src/new_file.rs",
         // Messages to the orchestrator, through a pipe.
         "orchestrator/recording/src/recorder/companion.rs",
         // Asks for the size of the terminal.
