@@ -235,13 +235,14 @@ impl Evidence {
     }
 
     /// Whether what is around has changed since the keyframe. A body that still moves when the robot has rested since then
-    /// does move: its returns may have contradicted the motion before it was known to.
+    /// does move: in open surroundings its returns may have contradicted the motion before it was known to. Where a hall is
+    /// in view, its walls have.
     fn has_changed(&self, beams: &Beams, scan: &Scan, place: &Place, something_moves: bool) -> bool {
         let counts = Returns::count(&self.keyframe, beams, scan, place);
         let (way, turn) = self.keyframe.moved(place);
         let has_rested = way < REST.0 && turn < REST.1;
         counts.agreed <= CHANGED * counts.predicted
-            || has_rested && (something_moves || self.keyframe.shift(scan) > SHIFTED_M)
+            || has_rested && (something_moves && self.is_open() || self.keyframe.shift(scan) > SHIFTED_M)
     }
 
     /// Compares what does not move with the scan from some way before; `is_fixed` tells of a beam what it shows, and
