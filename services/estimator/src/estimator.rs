@@ -20,7 +20,7 @@
 use std::hint::black_box;
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
-use shared_types::{Actuation, BlockReason, Fault, Header, MAX_LATE, Odometry, Pose, Role};
+use shared_types::{Actuation, Fault, Header, MAX_LATE, Odometry, Pose, Role};
 use vehicle::Invalid;
 use vehicle::correction::SENT_STEERING_MAX_RAD;
 use vehicle::frame::wrap_angle;
@@ -176,7 +176,7 @@ impl Estimator {
         let sent_ns = published_ns.max(actuation.header.acquired_ns);
         if sent_ns <= latest(now_ns) {
             self.state.actuated_ns = self.state.actuated_ns.max(sent_ns);
-            if actuation.answers == 0 && lacked_commands(actuation) {
+            if actuation.answers == 0 && !actuation.drives() {
                 self.state.own_block_ns =
                     self.state.own_block_ns.max(sent_ns.saturating_add(self.settings.motion.delay_ns));
             }
@@ -511,12 +511,6 @@ impl Estimator {
         self.state.estimate.copy_from_slice(filter.state.as_slice());
         self.state.covariance.copy_from_slice(filter.covariance.as_slice());
     }
-}
-
-/// Whether the actuator blocked the wheels because no command came, or only old ones: as when no data came from the robot.
-fn lacked_commands(actuation: &Actuation) -> bool {
-    let reason = BlockReason::try_from(actuation.reason);
-    !actuation.drives() && matches!(reason, Ok(BlockReason::NoCommand | BlockReason::StaleCommand))
 }
 
 /// Latest plausible stamp [ns].

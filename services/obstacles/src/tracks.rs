@@ -177,7 +177,7 @@ impl Tracks {
                     track.silent_s += counted;
                     let towards = beams_towards(place, &rectangle);
                     let is_wide = towards.clone().is_some_and(|towards| towards.count() >= WIDE_BEAMS);
-                    track.rested_s = if rests && is_wide { track.rested_s + counted } else { 0.0 };
+                    track.rested_s += if rests && is_wide { counted } else { 0.0 };
                     if track.stands()
                         && !self.config.is_beside(rectangle.corners())
                         && track.silent_s > DOUBTFUL_S

@@ -100,8 +100,9 @@ impl Domain {
             }
             // Files tell nothing: a run may remove the last ones, or make the first ones, between two reads of them.
             if since.elapsed() > UNMARKED {
-                // A process that was killed while it made or removed the directory leaves it so.
-                let is_removed = folder.delete_remains(&UNMARKED_FILES);
+                // A process that was killed while it made or removed the directory leaves it so. In a folder that the
+                // user has named, it may be one of the user.
+                let is_removed = !place::is_named(place) && folder.delete_remains(&UNMARKED_FILES);
                 return if is_removed { Ok(None) } else { Err(RuntimeError::NotOurs { path }) };
             }
             std::thread::sleep(UNMARKED_POLL);

@@ -141,6 +141,11 @@ pub(crate) fn all() -> Result<Vec<Folder>, RuntimeError> {
     refused.map_or(Ok(found), Err)
 }
 
+/// Whether the environment has named this place.
+pub(crate) fn is_named(place: &Folder) -> bool {
+    variable(RUNTIME_DIR_VARIABLE).is_some_and(|named| named == place.path())
+}
+
 /// The places of [`all`] that can be opened, and the first error of another one.
 pub(crate) fn usable() -> (Vec<Folder>, Option<RuntimeError>) {
     match places() {
