@@ -1,24 +1,29 @@
-//! Files that a command writes: each is made under a name of its own, synced, and only then gets the name it was asked for.
+//! Files that a command writes: each is made without a name, synced, and only then gets the name it was asked for.
 //!
-//! So a file of that name is whole, before and after; and an output never destroys its input, because what is read stays
-//! open. The name is a random one in the same folder, made with `O_EXCL`: no link that another user has put there is
-//! followed. A link of the wanted name is replaced itself, not what it leads to.
+//! So a file of that name is whole, before and after; an output never destroys its input, because what is read stays open;
+//! and nothing is left of a command that is ended. Where a file system keeps no files without a name, it is a random one in
+//! the same folder, made with `O_EXCL`: no link that another user has put there is followed. A link of the wanted name is replaced itself, not what it leads to.
 //!
 //! Three kinds of files are written in another way: logs and live recordings, which are read while they grow, and devices,
 //! pipes and open files such as `/dev/stdout`, which nothing can be renamed to.
 
-use std::ffi::OsString;
+mod device;
+mod place;
+
 use std::fs::{File, Metadata, OpenOptions};
 use std::io::{self, Write};
-use std::os::fd::{AsFd, OwnedFd};
-use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use rustix::fs::{AtFlags, CWD, FlockOperation, Mode, OFlags, RenameFlags, flock};
+use rustix::fs::{FlockOperation, OFlags, flock};
 use rustix::io::Errno;
 
 use crate::exit::{Failure, Unwritable};
+pub(crate) use device::leads_to_device;
+use device::open_device;
+pub(crate) use place::probe;
+use place::{Place, begin, random};
 
 /// What happens to a file that has the name already.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -44,14 +49,6 @@ pub struct NewFile {
     existing: Existing,
     /// `None` for a device.
     place: Option<Place>,
-}
-
-/// Where a file is until it is whole. All names are looked up in the open folder.
-#[derive(Debug)]
-struct Place {
-    folder: OwnedFd,
-    name: OsString,
-    temporary: String,
 }
 
 impl NewFile {
@@ -109,11 +106,13 @@ impl NewFile {
     /// # Errors
     /// As [`NewFile::finish`].
     pub fn publish(mut self) -> anyhow::Result<File> {
-        if let Some(place) = &self.place {
+        if self.place.is_some() {
             // Where the file system knows no locks, it is as before.
             let _ = flock(&self.file, FlockOperation::NonBlockingLockExclusive);
             self.require_name()?;
-            place.rename(self.existing).map_err(|error| match error {
+        }
+        if let Some(place) = &mut self.place {
+            place.name(&self.file, self.existing).map_err(|error| match error {
                 Errno::EXIST => refusal(&self.path, TAKEN),
                 error => refusal(&self.path, io::Error::from(error)),
             })?;
@@ -137,34 +136,6 @@ impl Write for NewFile {
 
     fn flush(&mut self) -> io::Result<()> {
         self.file.flush().map_err(|error| Unwritable::wrap(&self.path, error))
-    }
-}
-
-impl Place {
-    fn remove(&self) -> rustix::io::Result<()> {
-        rustix::fs::unlinkat(&self.folder, &self.temporary, AtFlags::empty())
-    }
-
-    fn rename(&self, existing: Existing) -> rustix::io::Result<()> {
-        let (from, to) = (self.temporary.as_str(), self.name.as_os_str());
-        match existing {
-            Existing::Replace => rustix::fs::renameat(&self.folder, from, &self.folder, to)?,
-            // A file may have come since the first check. Some file systems know no such rename, but links.
-            Existing::Keep => {
-                let flags = RenameFlags::NOREPLACE;
-                match rustix::fs::renameat_with(&self.folder, from, &self.folder, to, flags) {
-                    Err(Errno::INVAL | Errno::NOSYS) => {
-                        rustix::fs::linkat(&self.folder, from, &self.folder, to, AtFlags::empty())?;
-                        rustix::fs::unlinkat(&self.folder, from, AtFlags::empty())?;
-                    }
-                    renamed => renamed?,
-                }
-            }
-        }
-        // The name lasts when the power fails. Not every folder can be read, or synced.
-        let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::CLOEXEC;
-        let _ = rustix::fs::openat(&self.folder, ".", flags, Mode::empty()).and_then(rustix::fs::fsync);
-        Ok(())
     }
 }
 
@@ -227,75 +198,6 @@ pub fn require_apart(output: &Path, inputs: &[&Path]) -> anyhow::Result<()> {
 pub fn open_log(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     let flags = if leads_to_device(path) { OFlags::empty() } else { OFlags::NOFOLLOW };
     options.custom_flags(flags.bits().cast_signed()).open(path)
-}
-
-/// Whether a path is a device of characters or a pipe, or a link to one that this user or root has made, or such a link to a
-/// file that a process has open. All these are written to, never replaced.
-pub(crate) fn leads_to_device(path: &Path) -> bool {
-    let Ok(own) = path.symlink_metadata() else { return false };
-    let is_trusted = !own.is_symlink() || [0, rustix::process::geteuid().as_raw()].contains(&own.uid());
-    let is_device = |kind: std::fs::FileType| kind.is_char_device() || kind.is_fifo();
-    let is_open = || own.is_symlink() && leads_to_open_file(path);
-    is_trusted && (path.metadata().is_ok_and(|found| is_device(found.file_type())) || is_open())
-}
-
-/// Whether a link stands in `/dev`, or leads to a file that a process has open: `/dev/stdout` may be any kind of file, or none.
-fn leads_to_open_file(link: &Path) -> bool {
-    let folder = |path: &Path| path.parent().and_then(|parent| parent.canonicalize().ok());
-    let is_open = |found: &PathBuf| found.starts_with("/proc") && found.ends_with("fd");
-    let target = link.read_link().ok().map(|target| link.parent().unwrap_or(Path::new("")).join(target));
-    folder(link).is_some_and(|found| found == Path::new("/dev") || is_open(&found))
-        || target.and_then(|target| folder(&target)).is_some_and(|found| is_open(&found))
-}
-
-/// Opens what [`leads_to_device`] has found. Standard output and standard error are not opened anew when they are regular
-/// files: a later line would be written over the start of this one.
-fn open_device(path: &Path) -> io::Result<File> {
-    let found = path.metadata()?;
-    if found.file_type().is_block_device() {
-        return Err(io::Error::other("it is no regular file"));
-    }
-    let inode = |found: &Metadata| (found.dev(), found.ino());
-    let is_it = |file: &File| file.metadata().is_ok_and(|own| inode(&own) == inode(&found));
-    for stream in [io::stdout().as_fd(), io::stderr().as_fd()] {
-        let file = File::from(stream.try_clone_to_owned()?);
-        if found.is_file() && is_it(&file) {
-            return Ok(file);
-        }
-    }
-    OpenOptions::new().append(true).open(path)
-}
-
-/// Makes the file with a random name beside `path`, with the mode of the one that it replaces.
-fn begin(path: &Path, replaced: Option<&Metadata>) -> io::Result<(File, Option<Place>)> {
-    let name = path.file_name().ok_or(io::ErrorKind::IsADirectory)?.to_owned();
-    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    if replaced.is_some_and(|found| !found.is_file() && !found.is_symlink()) {
-        return Err(io::Error::other("it is no regular file"));
-    }
-    let flags = OFlags::PATH | OFlags::DIRECTORY | OFlags::CLOEXEC;
-    let folder = rustix::fs::openat(CWD, parent, flags, Mode::empty())?;
-    let temporary = format!(".scanloop-{}", random()?);
-    let flags = OFlags::WRONLY | OFlags::CREATE | OFlags::EXCL | OFlags::NOFOLLOW | OFlags::CLOEXEC;
-    let file = rustix::fs::openat(&folder, &temporary, flags, Mode::from_raw_mode(0o666))?;
-    if let Some(replaced) = replaced.filter(|found| found.is_file()) {
-        // On a file system without modes all files have the same.
-        let _ = rustix::fs::fchmod(&file, Mode::from_raw_mode(replaced.mode() & 0o777));
-    }
-    Ok((File::from(file), Some(Place { folder, name, temporary })))
-}
-
-/// Passes when a file can be made in a folder.
-pub(crate) fn probe(folder: &Path) -> io::Result<()> {
-    let (_, place) = begin(&folder.join("file"), None)?;
-    place.map_or(Ok(()), |place| place.remove()).map_err(io::Error::from)
-}
-
-/// A name that no other user can foresee.
-fn random() -> io::Result<String> {
-    let mut bytes = [0; 16];
-    rustix::rand::getrandom(&mut bytes, rustix::rand::GetRandomFlags::empty())?;
-    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
 fn refusal(path: &Path, reason: impl std::fmt::Display) -> anyhow::Error {
