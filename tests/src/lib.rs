@@ -15,6 +15,7 @@ pub mod soak;
 pub mod stranger;
 pub mod swaps;
 pub mod terminal;
+mod turns;
 mod watch;
 
 use std::cell::RefCell;
@@ -30,6 +31,7 @@ use runtime::Domain;
 use rustix::fs::{Mode, OFlags, open};
 use session::control::{Reply, Request, Status, ask};
 use shared_types::Role;
+use turns::Turn;
 
 pub use delays::{DELAYS_NS, PLACES, Place, STAGES, plan, planted};
 /// The Cargo profile of the tests and of the executables under test.
@@ -65,15 +67,25 @@ pub struct System {
     folder: PathBuf,
     executable: PathBuf,
     running: Option<Child>,
+    // Dropped last.
+    _turn: Turn,
 }
 
 impl System {
     /// A system that has not been started; `executable` is `env!("CARGO_BIN_EXE_scanloop-under-test")`.
     pub fn new(executable: &str) -> Self {
+        let turn = Turn::begin();
         let id = format!("t{}-{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
         let folder = std::env::temp_dir().join(format!("scanloop-test-{id}"));
         std::fs::create_dir_all(&folder).expect("a folder for the test");
-        Self { id, runs: RefCell::default(), folder, executable: executable.into(), running: None }
+        Self {
+            id,
+            runs: RefCell::default(),
+            folder,
+            executable: executable.into(),
+            running: None,
+            _turn: turn,
+        }
     }
 
     /// The executable in a folder of its own, under this name.

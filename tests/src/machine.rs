@@ -2,12 +2,15 @@
 //!
 //! Tests in real time share the processors with other tests and with whatever else runs. A thread that only sleeps
 //! shows how late the machine wakes its threads. A scan that was lost while that was long says nothing of the program.
+//! What can't be judged beside the other tests is judged alone.
 
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+
+use crate::turns::{Alone, Turn};
 
 /// Pause between two samples of the lateness.
 const PAUSE: Duration = Duration::from_millis(2);
@@ -16,21 +19,29 @@ const PAUSE: Duration = Duration::from_millis(2);
 const LATE: Duration = Duration::from_millis(4);
 /// A test is tried this often at most, so that a program that fails on a late machine only fails here too.
 const TRIES: u32 = 6;
-/// No new try begins after this time.
+/// So many of the tries run beside other tests, the later ones alone.
+const TRIES_BESIDE_OTHERS: u32 = 2;
+/// No new try begins when those before took this long.
 const LIMIT: Duration = Duration::from_secs(240);
 
-/// Runs a test, and once more when it failed while the machine was late. The last try counts whatever the machine does.
+/// Runs a test, and once more when it failed while the machine was late: beside the other tests, then alone. The last try
+/// counts whatever the machine does.
 ///
 /// # Panics
 /// As the test, when the machine was in time or in the last try.
 pub fn repeat_when_late(test: impl Fn()) {
-    let started = Instant::now();
+    let mut spent = Duration::ZERO;
     for number in 1.. {
+        let is_alone = number > TRIES_BESIDE_OTHERS;
+        let _turn = (!is_alone).then(Turn::begin);
+        let _alone = is_alone.then(Alone::begin);
+        let started = Instant::now();
         let sampler = Sampler::start();
         let result = catch_unwind(AssertUnwindSafe(&test));
         let late = sampler.end();
         let Err(panic) = result else { return };
-        if late < LATE || number == TRIES || started.elapsed() > LIMIT {
+        spent += started.elapsed();
+        if late < LATE || number == TRIES || spent > LIMIT {
             eprintln!("the machine woke a thread up to {late:?} late in try {number}");
             resume_unwind(panic);
         }

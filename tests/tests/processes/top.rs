@@ -161,9 +161,11 @@ fn a_run_shows_itself_and_prints_its_summary_afterwards() {
     wait_for_text(&system, &terminal, "^C end run");
     terminal.press("\x03");
     assert_eq!(end(&system, &terminal, run).code(), Some(1));
-    let output = terminal.output();
-    let left = output.rfind("\x1b[?1049l").unwrap();
-    assert!(output[left..].contains("interrupted"), "{output}");
+    // What an ended process has written is read a little later.
+    system.wait_until("the summary is printed on the restored terminal", |_| {
+        let output = terminal.output();
+        output.rsplit("\x1b[?1049l").next().is_some_and(|rest| rest.contains("interrupted"))
+    });
     system.assert_nothing_left();
 }
 
