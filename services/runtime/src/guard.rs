@@ -98,6 +98,7 @@ mod tests {
     fn what_would_drive_is_made_a_block_that_keeps_its_angle() {
         let word = StopWord::create("guardtesta", 1).unwrap();
         let guard = Guard::new(Role::Actuator, Some(word.clone()));
+        assert!(guard.word().is_some());
         let mut actuation = drive();
         guard.hold_back(&mut actuation);
         assert_eq!(actuation.kind, ActuationKind::Drive.wire());

@@ -6,6 +6,7 @@ use std::process::{Command, Output};
 use clap::Parser;
 use clap::error::ErrorKind;
 use commands::cli::Cli;
+use scanloop_tests::machine::repeat_when_late;
 use scanloop_tests::pages::{
     How, commands, commands_in_prose, compare_or_write, figures, how, pages, read, words,
 };
@@ -122,27 +123,29 @@ fn commands_of_the_pages_that_end_by_themselves_run_as_they_stand() {
 
 #[test]
 fn commands_of_the_pages_for_a_running_system_do_what_they_say() {
-    let mut system = reader();
-    system.start(&["endless", "--allow-inject"]);
-    let mut wrong = Vec::new();
-    for (page, line, how) in all() {
-        let line = match how {
-            How::Beside(more) => with(&line, more),
-            How::As(instead) => instead.to_owned(),
-            _ => continue,
-        };
-        if line.contains("run --lockstep") || line.contains(" imu") {
-            continue;
+    repeat_when_late(|| {
+        let mut system = reader();
+        system.start(&["endless", "--allow-inject"]);
+        let mut wrong = Vec::new();
+        for (page, line, how) in all() {
+            let line = match how {
+                How::Beside(more) => with(&line, more),
+                How::As(instead) => instead.to_owned(),
+                _ => continue,
+            };
+            if line.contains("run --lockstep") || line.contains(" imu") {
+                continue;
+            }
+            let output = shell(&system, &line);
+            if output.status.code() != Some(0) {
+                wrong.push(format!("{page}: {line}: {}\n{}", output.status, printed(&output)));
+            }
         }
-        let output = shell(&system, &line);
-        if output.status.code() != Some(0) {
-            wrong.push(format!("{page}: {line}: {}\n{}", output.status, printed(&output)));
-        }
-    }
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
-    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
-    system.wait();
-    system.assert_nothing_left();
+        assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+        assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+        system.wait();
+        system.assert_nothing_left();
+    });
 }
 
 #[test]

@@ -463,7 +463,14 @@ mod tests {
         assert_eq!(of(|new| new.truth = Some([1.0, 1.0, 2.0])), [0.5, 0.06]);
         assert_eq!(of(|new| new.reported = [0.5, 4.0, 6.0]), [5.0, 0.12]);
         assert_eq!(of(|new| new.reported[0] = 1.0), [0.5, 0.07]);
-        assert_eq!(of(|new| new.ranges_mm[..341].fill(1000)), [0.5, 0.16]);
+        // A beam counts when its range differs by more than twice a tenth of a metre.
+        assert_eq!(
+            of(|new| {
+                new.ranges_mm[..341].fill(1799);
+                new.ranges_mm[341..].fill(2200);
+            }),
+            [0.5, 0.16]
+        );
         assert_eq!(bound(&command(1.0, -0.1), &command(1.0, 0.1)), [0.2, 0.031]);
         let moved = |x_m, y_m| OutputSummary::from(&Pose { x_m, y_m, ..Pose::default() });
         assert_eq!(bound(&moved(1.0, 2.0), &moved(4.0, 6.0)), [5.0, 0.12]);
@@ -474,7 +481,7 @@ mod tests {
         let sensed = |truth| OutputSummary::Sensed(Box::new(Sensed { truth, ..robot() }));
         let of = |old, new| differences(&sensed(Some(old)), &sensed(Some(new))).unwrap()[3];
         assert_eq!(of([0.0, 1.0, 2.0], [0.0, 4.0, 6.0]), 5.0);
-        let body = |x_m| Body { centre_m: [x_m, 0.0], seen: true };
+        let body = |x_m| Body { centre_m: [x_m, 3.0], seen: true };
         assert!(!is_lacking(&body(1.0), &[body(1.25)], 0.25) && is_lacking(&body(1.0), &[body(1.25)], 0.24));
     }
 

@@ -235,3 +235,28 @@ fn compare(plan: &SwapPlan, scan: u64, old: &Output, new: &Output, in_charge: bo
         Some(found) => Verdict::Apart(format!("disagreement at scan {scan}: {found}")),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_answer_is_based_on_the_output_that_has_its_stamp() {
+        let output = |stamps_ns| Output {
+            scan: 7,
+            sequence: 1,
+            scan_published_ns: 1,
+            published_ns: 5,
+            compute_ns: 1,
+            stamps_ns,
+            content: Err(String::new()),
+        };
+        let pair = Pair { old: Some(output([3, 0])), new: Some(output([4, 0])), ..Pair::default() };
+        let comparison = Comparison { pairs: [(7, pair)].into(), ..Comparison::default() };
+        let source = |scan, stamp_ns| {
+            comparison.source_of(&Recorded { scan, answers: 1, desired: [0.0; 2], stamp_ns })
+        };
+        assert_eq!([source(7, 3), source(7, 4)], [Some(Party::Old), Some(Party::New)]);
+        assert_eq!([source(7, 5), source(8, 3), source(7, 0)], [None; 3], "no stamp is none of either");
+    }
+}

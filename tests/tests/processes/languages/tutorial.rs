@@ -7,6 +7,7 @@ use std::time::Instant;
 
 use emulator::Outcome;
 use handover::swap::SwapOutcome;
+use scanloop_tests::machine::repeat_when_late;
 use scanloop_tests::pages::{compare_or_write, without_numbers};
 use scanloop_tests::{DEADLINE, System};
 
@@ -172,62 +173,69 @@ fn clone(system: &System) {
 
 #[test]
 fn the_commands_of_the_tutorial_run_as_they_stand_and_print_what_it_shows() {
-    let python = python("the part of the tutorial about Python");
-    let folder = python.as_ref().map(|python| python.parent().unwrap().parent().unwrap().to_str().unwrap());
-    let mut page = std::fs::read_to_string(root().join("docs/tutorial.md")).unwrap();
-    for (command, instead) in set_up(folder) {
-        assert_eq!(page.matches(&format!("\n{command}\n")).count(), 1, "{command}");
-        page = page.replace(&format!("\n{command}\n"), &format!("\n{instead}\n"));
-    }
-    let system = System::new(EXECUTABLE);
-    clone(&system);
-    let mut shell = Shell::new(&system);
-    let steps = parse(&page).0;
-    for step in steps.iter().filter(|step| python.is_some() || !step.section.contains("Python")) {
-        play(&mut shell, &system, step);
-        if step.commands.ends_with(" &") {
-            system.wait_until_driving();
+    repeat_when_late(|| {
+        let python = python("the part of the tutorial about Python");
+        let folder =
+            python.as_ref().map(|python| python.parent().unwrap().parent().unwrap().to_str().unwrap());
+        let mut page = std::fs::read_to_string(root().join("docs/tutorial.md")).unwrap();
+        for (command, instead) in set_up(folder) {
+            assert_eq!(page.matches(&format!("\n{command}\n")).count(), 1, "{command}");
+            page = page.replace(&format!("\n{command}\n"), &format!("\n{instead}\n"));
         }
-    }
-    let text = std::fs::read(system.folder().join("out/road/report.json")).unwrap();
-    let report: report::Report = serde_json::from_slice(&text).unwrap();
-    assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Interrupted, 0));
-    let swapped = report.swaps.iter().filter(|swap| swap.outcome == SwapOutcome::Swapped);
-    assert_eq!(swapped.count(), if python.is_some() { 3 } else { 1 });
-    drop(shell);
-    system.assert_nothing_left();
+        let system = System::new(EXECUTABLE);
+        clone(&system);
+        let mut shell = Shell::new(&system);
+        let steps = parse(&page).0;
+        for step in steps.iter().filter(|step| python.is_some() || !step.section.contains("Python")) {
+            play(&mut shell, &system, step);
+            if step.commands.ends_with(" &") {
+                system.wait_until_driving();
+            }
+        }
+        let text = std::fs::read(system.folder().join("out/road/report.json")).unwrap();
+        let report: report::Report = serde_json::from_slice(&text).unwrap();
+        assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Interrupted, 0));
+        let swapped = report.swaps.iter().filter(|swap| swap.outcome == SwapOutcome::Swapped);
+        assert_eq!(swapped.count(), if python.is_some() { 3 } else { 1 });
+        drop(shell);
+        system.assert_nothing_left();
+    });
 }
 
 #[test]
 fn the_programs_that_the_tutorial_shows_are_those_of_the_examples() {
-    let page = std::fs::read_to_string(root().join("docs/tutorial.md")).unwrap();
-    let excerpts = parse(&page).1;
-    assert_eq!(excerpts.len(), 3);
-    for (language, excerpt) in excerpts {
-        let files = match language.as_str() {
-            "rust" => ["template-controller/src/main.rs", "template-controller/src/controller.rs"],
-            _ => ["python/pure_pursuit.py"; 2],
-        };
-        let mut texts =
-            files.map(|file| std::fs::read_to_string(root().join("examples").join(file)).unwrap());
-        assert!(texts.iter_mut().any(|text| text.contains(&excerpt)), "{language}: {excerpt}");
-    }
+    repeat_when_late(|| {
+        let page = std::fs::read_to_string(root().join("docs/tutorial.md")).unwrap();
+        let excerpts = parse(&page).1;
+        assert_eq!(excerpts.len(), 3);
+        for (language, excerpt) in excerpts {
+            let files = match language.as_str() {
+                "rust" => ["template-controller/src/main.rs", "template-controller/src/controller.rs"],
+                _ => ["python/pure_pursuit.py"; 2],
+            };
+            let mut texts =
+                files.map(|file| std::fs::read_to_string(root().join("examples").join(file)).unwrap());
+            assert!(texts.iter_mut().any(|text| text.contains(&excerpt)), "{language}: {excerpt}");
+        }
+    });
 }
 
 /// Their sources are compiled here as programs of another crate, which has more dependencies.
 #[test]
 fn the_manifests_of_the_templates_name_each_crate_that_their_sources_use() {
-    for folder in ["template-controller", "template-robot/rust"] {
-        let folder = root().join("examples").join(folder);
-        let manifest = std::fs::read_to_string(folder.join("Cargo.toml")).unwrap();
-        for entry in std::fs::read_dir(folder.join("src")).unwrap().flatten() {
-            let source = std::fs::read_to_string(entry.path()).unwrap();
-            for line in source.lines().filter_map(|line| line.strip_prefix("use ")) {
-                let name = line.split("::").next().unwrap().replace('_', "-");
-                let is_named = manifest.lines().any(|line| line.starts_with(&format!("{name} = ")));
-                let is_known = ["std", "crate"].contains(&name.as_str()) || is_named;
-                assert!(is_known, "{}: {line}", entry.path().display());
+    repeat_when_late(|| {
+        for folder in ["template-controller", "template-robot/rust"] {
+            let folder = root().join("examples").join(folder);
+            let manifest = std::fs::read_to_string(folder.join("Cargo.toml")).unwrap();
+            for entry in std::fs::read_dir(folder.join("src")).unwrap().flatten() {
+                let source = std::fs::read_to_string(entry.path()).unwrap();
+                for line in source.lines().filter_map(|line| line.strip_prefix("use ")) {
+                    let name = line.split("::").next().unwrap().replace('_', "-");
+                    let is_named = manifest.lines().any(|line| line.starts_with(&format!("{name} = ")));
+                    let is_known = ["std", "crate"].contains(&name.as_str()) || is_named;
+                    assert!(is_known, "{}: {line}", entry.path().display());
+                }
             }
         }
-    }
+    });
 }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use recording::Recording;
 use rustix::process::Signal;
+use scanloop_tests::machine::repeat_when_late;
 use scanloop_tests::{SHORT_CORRIDOR, System};
 use serde_json::Value;
 use shared_types::{
@@ -146,84 +147,102 @@ fn left_out(report: &Value) -> &Value {
 
 #[test]
 fn each_output_of_a_controller_in_python_has_a_journal_of_what_it_took() {
-    let Some(python) = python("each_output_of_a_controller_in_python_has_a_journal") else { return };
-    let mut system = System::new(EXECUTABLE);
-    let file = system_file(&system, Role::Controller, &pure_pursuit(&python));
-    let arguments = [&["free", "--set", "goal.x_m=6", "--system", &file], &SLOW[..]].concat();
-    let file = recorded_with_a_kill(&mut system, Role::Controller, &arguments);
-    let told = Told::of::<Pose, Obstacles, Command>(&file, Role::Controller);
-    assert_eq!(told.assert_whole([Topic::Pose, Topic::Obstacles]), 2);
-    assert!(told.outputs.len() > 20, "{}", told.outputs.len());
-    // The inputs are those of the journals, so it does not matter that it was in real time.
-    let with = format!("controller={}", pure_pursuit(&python).join(" "));
-    let (same, code) = replayed(&system, &file, &["--with", &with]);
-    assert_eq!((code, &same["identical"], &same["skipped"]), (0, &same["compared"], &0.into()), "{same}");
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let Some(python) = python("each_output_of_a_controller_in_python_has_a_journal") else { return };
+        let mut system = System::new(EXECUTABLE);
+        let file = system_file(&system, Role::Controller, &pure_pursuit(&python));
+        let arguments = [&["free", "--set", "goal.x_m=6", "--system", &file], &SLOW[..]].concat();
+        let file = recorded_with_a_kill(&mut system, Role::Controller, &arguments);
+        let told = Told::of::<Pose, Obstacles, Command>(&file, Role::Controller);
+        assert_eq!(told.assert_whole([Topic::Pose, Topic::Obstacles]), 2);
+        assert!(told.outputs.len() > 20, "{}", told.outputs.len());
+        // The inputs are those of the journals, so it does not matter that it was in real time.
+        let with = format!("controller={}", pure_pursuit(&python).join(" "));
+        let (same, code) = replayed(&system, &file, &["--with", &with]);
+        assert_eq!((code, &same["identical"], &same["skipped"]), (0, &same["compared"], &0.into()), "{same}");
+        system.assert_nothing_left();
+    });
 }
 
 #[test]
 fn each_output_of_obstacles_in_c_has_a_journal_of_what_it_took() {
-    let mut system = System::new(EXECUTABLE);
-    let command = c_obstacles(&system);
-    let file = system_file(&system, Role::Obstacles, &command);
-    let arguments = [&SHORT_CORRIDOR[..], &["--system", &file]].concat();
-    let file = recorded_with_a_kill(&mut system, Role::Obstacles, &arguments);
-    let told = Told::of::<Scan, Pose, Obstacles>(&file, Role::Obstacles);
-    assert_eq!(told.assert_whole([Topic::Scan, Topic::Pose]), 2);
-    assert!(told.outputs.len() > 60, "{}", told.outputs.len());
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let mut system = System::new(EXECUTABLE);
+        let command = c_obstacles(&system);
+        let file = system_file(&system, Role::Obstacles, &command);
+        let arguments = [&SHORT_CORRIDOR[..], &["--system", &file]].concat();
+        let file = recorded_with_a_kill(&mut system, Role::Obstacles, &arguments);
+        let told = Told::of::<Scan, Pose, Obstacles>(&file, Role::Obstacles);
+        assert_eq!(told.assert_whole([Topic::Scan, Topic::Pose]), 2);
+        assert!(told.outputs.len() > 60, "{}", told.outputs.len());
+        system.assert_nothing_left();
+    });
 }
 
 #[test]
 fn programs_in_c_and_python_are_replayed_to_the_bit_by_the_option_that_the_replay_names() {
-    let system = System::new(EXECUTABLE);
-    let mut programs = vec![(Role::Obstacles, c_obstacles(&system), &[][..])];
-    if let Some(python) = python("programs_in_c_and_python_are_replayed_to_the_bit, the controller") {
-        programs.push((Role::Controller, pure_pursuit(&python), &SLOW[..]));
-    }
-    for (role, command, slow) in programs {
-        let file = system_file(&system, role, &command);
-        let file = recorded_in(&system, &[&SHORT_CORRIDOR[..], &["--system", &file], slow].concat());
-        let (whole, code) = replayed(&system, &file, &[]);
-        assert_eq!((code, &whole["identical"]), (0, &whole["compared"]), "{whole}");
-        let program = left_out(&whole);
-        let with = format!("{role}={}", command.join(" "));
-        assert_eq!((&program["role"], &program["has_journals"]), (&role.name().into(), &true.into()));
-        assert_eq!(program["with"], format!("--with '{with}'"), "{program}");
-        let (same, code) = replayed(&system, &file, &["--with", &with]);
-        assert_eq!((code, &same["identical"], &same["skipped"]), (0, &same["compared"], &0.into()), "{same}");
-        assert_eq!(same["compared"], whole["skipped"], "{same}");
-        let (part, code) = replayed(&system, &file, &["--with", &with, "--from", "20", "--to", "30"]);
-        assert_eq!((code, &part["identical"], &part["compared"]), (0, &11.into(), &11.into()), "{part}");
-        // Alone, nothing of it can be compared.
-        let alone = system.run(&["replay", text(&file), "--stage", role.name()]);
-        let message = String::from_utf8_lossy(&alone.stderr).into_owned();
-        assert!(alone.status.code() == Some(2) && message.contains("nothing was compared"), "{message}");
-        std::fs::remove_file(&file).unwrap();
-    }
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let system = System::new(EXECUTABLE);
+        let mut programs = vec![(Role::Obstacles, c_obstacles(&system), &[][..])];
+        if let Some(python) = python("programs_in_c_and_python_are_replayed_to_the_bit, the controller") {
+            programs.push((Role::Controller, pure_pursuit(&python), &SLOW[..]));
+        }
+        for (role, command, slow) in programs {
+            let file = system_file(&system, role, &command);
+            let file = recorded_in(&system, &[&SHORT_CORRIDOR[..], &["--system", &file], slow].concat());
+            let (whole, code) = replayed(&system, &file, &[]);
+            assert_eq!((code, &whole["identical"]), (0, &whole["compared"]), "{whole}");
+            let program = left_out(&whole);
+            let with = format!("{role}={}", command.join(" "));
+            assert_eq!((&program["role"], &program["has_journals"]), (&role.name().into(), &true.into()));
+            assert_eq!(program["with"], format!("--with '{with}'"), "{program}");
+            let (same, code) = replayed(&system, &file, &["--with", &with]);
+            assert_eq!(
+                (code, &same["identical"], &same["skipped"]),
+                (0, &same["compared"], &0.into()),
+                "{same}"
+            );
+            assert_eq!(same["compared"], whole["skipped"], "{same}");
+            let (part, code) = replayed(&system, &file, &["--with", &with, "--from", "20", "--to", "30"]);
+            assert_eq!((code, &part["identical"], &part["compared"]), (0, &11.into(), &11.into()), "{part}");
+            // Alone, nothing of it can be compared.
+            let alone = system.run(&["replay", text(&file), "--stage", role.name()]);
+            let message = String::from_utf8_lossy(&alone.stderr).into_owned();
+            assert!(alone.status.code() == Some(2) && message.contains("nothing was compared"), "{message}");
+            std::fs::remove_file(&file).unwrap();
+        }
+        system.assert_nothing_left();
+    });
 }
 
 #[test]
 fn a_program_in_place_of_a_stage_with_two_processes_gets_the_inputs_of_both() {
-    let mut system = System::new(EXECUTABLE);
-    let command = c_obstacles(&system);
-    system.start(&[&SHORT_CORRIDOR[..], &["--record"]].concat());
-    system.wait_until("a second is driven", |system| system.status().is_some_and(|status| status.scan > 10));
-    let restarted = system.run(&["restart", "estimator"]);
-    assert_eq!(restarted.status.code(), Some(0), "{}", String::from_utf8_lossy(&restarted.stderr));
-    // In shadow of the detector in charge, with states of another kind.
-    let words: Vec<&str> = command.iter().map(String::as_str).collect();
-    let shadow = [&["shadow", "obstacles", "--for", "2s", "--"], &words[..]].concat();
-    let shadowed = system.run(&shadow);
-    assert!(matches!(shadowed.status.code(), Some(0 | 1)), "{}", String::from_utf8_lossy(&shadowed.stderr));
-    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
-    let file = system.report().recording.expect("a recording").file;
-    let scans = replayed(&system, &file, &["--stage", "obstacles"]).0["scans"].as_u64().expect("a count");
-    for (with, from) in [("obstacles=ellipses", 1), ("obstacles=ellipses", 60), ("estimator=ekf", 1)] {
-        let (same, code) = replayed(&system, &file, &["--with", with, "--from", &from.to_string()]);
-        assert_eq!((code, &same["beyond"], &same["skipped"]), (0, &0.into(), &0.into()), "{same}");
-        assert_eq!(same["compared"].as_u64(), Some(scans + 1 - from), "{with} {from}: {same}");
-    }
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let mut system = System::new(EXECUTABLE);
+        let command = c_obstacles(&system);
+        system.start(&[&SHORT_CORRIDOR[..], &["--record"]].concat());
+        system.wait_until("a second is driven", |system| {
+            system.status().is_some_and(|status| status.scan > 10)
+        });
+        let restarted = system.run(&["restart", "estimator"]);
+        assert_eq!(restarted.status.code(), Some(0), "{}", String::from_utf8_lossy(&restarted.stderr));
+        // In shadow of the detector in charge, with states of another kind.
+        let words: Vec<&str> = command.iter().map(String::as_str).collect();
+        let shadow = [&["shadow", "obstacles", "--for", "2s", "--"], &words[..]].concat();
+        let shadowed = system.run(&shadow);
+        assert!(
+            matches!(shadowed.status.code(), Some(0 | 1)),
+            "{}",
+            String::from_utf8_lossy(&shadowed.stderr)
+        );
+        assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+        let file = system.report().recording.expect("a recording").file;
+        let scans = replayed(&system, &file, &["--stage", "obstacles"]).0["scans"].as_u64().expect("a count");
+        for (with, from) in [("obstacles=ellipses", 1), ("obstacles=ellipses", 60), ("estimator=ekf", 1)] {
+            let (same, code) = replayed(&system, &file, &["--with", with, "--from", &from.to_string()]);
+            assert_eq!((code, &same["beyond"], &same["skipped"]), (0, &0.into(), &0.into()), "{same}");
+            assert_eq!(same["compared"].as_u64(), Some(scans + 1 - from), "{with} {from}: {same}");
+        }
+        system.assert_nothing_left();
+    });
 }
