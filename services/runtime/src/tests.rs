@@ -183,6 +183,28 @@ fn bad_foreign_repeated_and_old_samples_never_come_out() {
 }
 
 #[test]
+fn what_a_restored_state_contains_is_skipped_and_the_newest_replaces_what_is_older() {
+    let lab = Lab::new();
+    let input = Input::<Pose>::new(lab.bus(), lab.shared(Role::Controller, 9)).unwrap();
+    let output = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
+    let publish = |scans: std::ops::RangeInclusive<u64>| {
+        scans.for_each(|scan| output.publish(&mut pose(scan, scan as f64)).unwrap());
+        input.reader().drain().unwrap();
+    };
+    let replaced = || input.reader().account().replaced;
+    assert!(input.next_scan().is_none() && input.reader().is_empty());
+    publish(3..=9);
+    assert!(input.next_scan() == Some(3) && !input.reader().is_empty());
+    input.skip_to(5);
+    assert_eq!((input.next_scan(), replaced()), (Some(6), 3));
+    input.skip(|pose| pose.x_m < 7.5);
+    assert_eq!((input.next_scan(), replaced()), (Some(8), 5));
+    assert_eq!(input.take_newest().map(|pose| pose.header.scan_id), Some(9));
+    assert_eq!((input.next_scan(), replaced(), input.reader().account().used), (None, 6, 1));
+    assert!(input.take_newest().is_none());
+}
+
+#[test]
 fn an_actuation_is_too_old_for_the_robot_only() {
     let lab = Lab::new();
     let read_by = |role: Role| {
