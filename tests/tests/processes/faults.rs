@@ -1,6 +1,7 @@
 //! `scanloop faults`: a sample of the matrix, with real processes among it.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use scanloop_tests::machine::repeat_when_late;
 use std::collections::BTreeSet;
 
 use scanloop_tests::System;
@@ -28,58 +29,66 @@ fn assert_passed((code, matrix): (Option<i32>, Value)) -> usize {
 
 #[test]
 fn a_sample_of_simulated_faults_is_detected_and_nothing_is_touched() {
-    let system = System::new(EXECUTABLE);
-    let output = system.run(&["faults", "--list"]);
-    let names = String::from_utf8(output.stdout).unwrap();
-    let of_processes = ["process-", "machine-", "orchestrator-", "shared-memory-"];
-    let is_simulated = |name: &&str| !of_processes.iter().any(|start| name.starts_with(start));
-    assert!(names.lines().count() >= 500, "{names}");
-    assert_eq!(names.lines().collect::<BTreeSet<_>>().len(), names.lines().count());
-    let simulated: Vec<&str> = names.lines().filter(is_simulated).collect();
-    let (mut cells, step) = (0, simulated.len() / 10);
-    for name in simulated.iter().step_by(step) {
-        let fault = name.split('/').next().unwrap();
-        cells += assert_passed(faults(&system, &["--only", &format!("{fault}/*")]));
-    }
-    assert!(cells >= 48, "{cells}");
-    let page = std::fs::read_to_string(system.folder().join("out/faults.html")).unwrap();
-    assert!(page.contains("</table>") && page.contains("<td>pass</td>"), "{page}");
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let system = System::new(EXECUTABLE);
+        let output = system.run(&["faults", "--list"]);
+        let names = String::from_utf8(output.stdout).unwrap();
+        let of_processes = ["process-", "machine-", "orchestrator-", "shared-memory-"];
+        let is_simulated = |name: &&str| !of_processes.iter().any(|start| name.starts_with(start));
+        assert!(names.lines().count() >= 500, "{names}");
+        assert_eq!(names.lines().collect::<BTreeSet<_>>().len(), names.lines().count());
+        let simulated: Vec<&str> = names.lines().filter(is_simulated).collect();
+        let (mut cells, step) = (0, simulated.len() / 10);
+        for name in simulated.iter().step_by(step) {
+            let fault = name.split('/').next().unwrap();
+            cells += assert_passed(faults(&system, &["--only", &format!("{fault}/*")]));
+        }
+        assert!(cells >= 48, "{cells}");
+        let page = std::fs::read_to_string(system.folder().join("out/faults.html")).unwrap();
+        assert!(page.contains("</table>") && page.contains("<td>pass</td>"), "{page}");
+        system.assert_nothing_left();
+    });
 }
 
 #[test]
 fn processes_that_die_hang_and_flood_are_detected_and_nothing_is_touched() {
-    let system = System::new(EXECUTABLE);
-    for name in [
-        "process-controller-dies/beside",
-        "process-estimator-hangs/straight",
-        "process-actuator-dies/landing",
-        "process-obstacles-floods/start",
-        "process-controller-hangs/swap",
-        "orchestrator-dies/straight",
-        "machine-stalls-500ms/beside",
-    ] {
-        assert_eq!(assert_passed(faults(&system, &["--only", &format!("{name}*")])), 1, "{name}");
-    }
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let system = System::new(EXECUTABLE);
+        for name in [
+            "process-controller-dies/beside",
+            "process-estimator-hangs/straight",
+            "process-actuator-dies/landing",
+            "process-obstacles-floods/start",
+            "process-controller-hangs/swap",
+            "orchestrator-dies/straight",
+            "machine-stalls-500ms/beside",
+        ] {
+            assert_eq!(assert_passed(faults(&system, &["--only", &format!("{name}*")])), 1, "{name}");
+        }
+        system.assert_nothing_left();
+    });
 }
 
 #[test]
 fn a_full_shared_memory_does_not_disturb_the_drive_where_it_may_be_filled() {
-    let system = System::new(EXECUTABLE);
-    let (code, matrix) = faults(&system, &["--only", "shared-memory-full/beside"]);
-    let skipped = matrix["skipped"].as_array().unwrap();
-    if skipped.is_empty() {
-        assert_eq!(assert_passed((code, matrix)), 1);
-    } else {
-        eprintln!("skipped {skipped:?}");
-    }
+    repeat_when_late(|| {
+        let system = System::new(EXECUTABLE);
+        let (code, matrix) = faults(&system, &["--only", "shared-memory-full/beside"]);
+        let skipped = matrix["skipped"].as_array().unwrap();
+        if skipped.is_empty() {
+            assert_eq!(assert_passed((code, matrix)), 1);
+        } else {
+            eprintln!("skipped {skipped:?}");
+        }
+    });
 }
 
 #[test]
 fn a_pattern_that_no_cell_has_is_refused() {
-    let output = System::new(EXECUTABLE).run(&["faults", "--only", "nothing"]);
-    assert_eq!(output.status.code(), Some(2));
-    let message = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(message.contains("--only nothing: no cell has such a name"), "{message}");
+    repeat_when_late(|| {
+        let output = System::new(EXECUTABLE).run(&["faults", "--only", "nothing"]);
+        assert_eq!(output.status.code(), Some(2));
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(message.contains("--only nothing: no cell has such a name"), "{message}");
+    });
 }

@@ -1,6 +1,7 @@
 //! The ledger of a run: it names each planted fault, raises no false alarm, and attributes time to the right stage.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use scanloop_tests::machine::repeat_when_late;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 
@@ -112,52 +113,57 @@ fn memory_kib(system: &System) -> u64 {
 /// and 2^40 to 2^64 - 1 as sequence, as scan, and as either stamp. The run continues, and names them.
 #[test]
 fn no_number_in_a_header_ends_a_run_or_takes_its_memory() {
-    for (topic, role) in TOPICS {
-        let mut system = System::new(EXECUTABLE);
-        let file = system.folder().join("system.toml");
-        std::fs::write(&file, system_file(100, &[role], FAULTY, &["forge", topic.name(), "40"])).unwrap();
-        system.start(&["--system", file.to_str().unwrap(), "--duration", "4"]);
-        let largest = std::cell::Cell::new(0);
-        system.wait_until("the run ends", |system| {
-            largest.set(memory_kib(system).max(largest.get()));
-            system.status().is_none_or(|status| status.state != "driving")
-        });
-        let code = system.wait().code();
-        let report = system.report();
-        assert!(matches!(code, Some(0 | 1)), "{topic}: {code:?}: {} {}", report.reason, system.stderr());
-        assert!(largest.get() < MAX_MEMORY_KIB, "{topic}: {} KiB", largest.get());
-        assert_eq!(log(&system, role, "wrong").len(), 32, "{topic}");
-        let named =
-            |fault: &audit::ledger::Fault| fault.kind == Kind::Impossible && fault.topic == topic.name();
-        assert!(report.ledger.faults.iter().any(named), "{topic}: {:?}", report.ledger.faults);
-        assert!(report.ledger.impossible >= 8, "{topic}: {}", report.ledger.impossible);
-        // Each blocks the wheels for some scans at most: most scans have a command of their own.
-        let scans = &report.scans;
-        assert!(scans.commanded > scans.published / 2, "{topic}: {scans:?}");
-        assert!(scans.published < 2_000, "{topic}: {scans:?}");
-        system.assert_nothing_left();
-    }
+    repeat_when_late(|| {
+        for (topic, role) in TOPICS {
+            let mut system = System::new(EXECUTABLE);
+            let file = system.folder().join("system.toml");
+            std::fs::write(&file, system_file(100, &[role], FAULTY, &["forge", topic.name(), "40"])).unwrap();
+            system.start(&["--system", file.to_str().unwrap(), "--duration", "4"]);
+            let largest = std::cell::Cell::new(0);
+            system.wait_until("the run ends", |system| {
+                largest.set(memory_kib(system).max(largest.get()));
+                system.status().is_none_or(|status| status.state != "driving")
+            });
+            let code = system.wait().code();
+            let report = system.report();
+            assert!(matches!(code, Some(0 | 1)), "{topic}: {code:?}: {} {}", report.reason, system.stderr());
+            assert!(largest.get() < MAX_MEMORY_KIB, "{topic}: {} KiB", largest.get());
+            assert_eq!(log(&system, role, "wrong").len(), 32, "{topic}");
+            let named =
+                |fault: &audit::ledger::Fault| fault.kind == Kind::Impossible && fault.topic == topic.name();
+            assert!(report.ledger.faults.iter().any(named), "{topic}: {:?}", report.ledger.faults);
+            assert!(report.ledger.impossible >= 8, "{topic}: {}", report.ledger.impossible);
+            // Each blocks the wheels for some scans at most: most scans have a command of their own.
+            let scans = &report.scans;
+            assert!(scans.commanded > scans.published / 2, "{topic}: {scans:?}");
+            assert!(scans.published < 2_000, "{topic}: {scans:?}");
+            system.assert_nothing_left();
+        }
+    });
 }
 
 #[test]
 fn a_number_that_can_not_be_ends_a_lock_step_with_its_name() {
-    // 2^63 and 2^64 - 1 as sequence, 1,000 too much and 2^63 as scan.
-    for (topic, role) in TOPICS {
-        for (fault, field) in
-            [("forge-6", "sequence"), ("forge-7", "sequence"), ("forge-11", "scan"), ("forge-14", "scan")]
-        {
-            let (befallen, report) = hide(fault, topic, role, 8, true);
-            let what =
-                format!("{fault} {topic} at {befallen:?}: {} {:?}", report.reason, report.ledger.faults);
-            let named =
-                |found: &audit::ledger::Fault| found.topic == topic.name() && found.kind == Kind::Impossible;
-            assert!(report.ledger.faults.iter().any(named), "{field}: {what}");
-            if topic != Topic::Truth {
-                assert_eq!(report.outcome, Outcome::Failed, "{field}: {what}");
-                assert!(report.reason.contains(topic.name()), "{field}: {what}");
+    repeat_when_late(|| {
+        // 2^63 and 2^64 - 1 as sequence, 1,000 too much and 2^63 as scan.
+        for (topic, role) in TOPICS {
+            for (fault, field) in
+                [("forge-6", "sequence"), ("forge-7", "sequence"), ("forge-11", "scan"), ("forge-14", "scan")]
+            {
+                let (befallen, report) = hide(fault, topic, role, 8, true);
+                let what =
+                    format!("{fault} {topic} at {befallen:?}: {} {:?}", report.reason, report.ledger.faults);
+                let named = |found: &audit::ledger::Fault| {
+                    found.topic == topic.name() && found.kind == Kind::Impossible
+                };
+                assert!(report.ledger.faults.iter().any(named), "{field}: {what}");
+                if topic != Topic::Truth {
+                    assert_eq!(report.outcome, Outcome::Failed, "{field}: {what}");
+                    assert!(report.reason.contains(topic.name()), "{field}: {what}");
+                }
             }
         }
-    }
+    });
 }
 
 /// Trials of a kind: few in every run of the tests, all with `SCANLOOP_TRIALS=200`.
@@ -167,33 +173,39 @@ fn trials(few: u64) -> u64 {
 
 #[test]
 fn a_hidden_fault_in_lock_step_is_named_with_topic_and_scan() {
-    let mut dice = Dice(1);
-    (0..trials(12)).for_each(|_| finds_one(&mut dice, true));
+    repeat_when_late(|| {
+        let mut dice = Dice(1);
+        (0..trials(12)).for_each(|_| finds_one(&mut dice, true));
+    });
 }
 
 #[test]
 fn a_hidden_fault_in_real_time_is_named_with_topic_and_scan() {
-    let mut dice = Dice(2);
-    (0..trials(5)).for_each(|_| finds_one(&mut dice, false));
+    repeat_when_late(|| {
+        let mut dice = Dice(2);
+        (0..trials(5)).for_each(|_| finds_one(&mut dice, false));
+    });
 }
 
 #[test]
 fn a_clean_run_raises_no_alarm() {
-    let mut dice = Dice(3);
-    for trial in 0..trials(6) {
-        let mut system = System::new(EXECUTABLE);
-        let seed = dice.roll(1_000_000).to_string();
-        let report = if trial % 2 == 0 {
-            system.lockstep(&["long", "--seed", &seed])
-        } else {
-            let rate = ["rate_hz=10", "rate_hz=100", "rate_hz=500"][dice.roll(3) as usize];
-            system.start(&["--seed", &seed, "--duration", "1", "--set", rate]);
-            system.wait();
-            system.report()
-        };
-        assert_clean(&report);
-        system.assert_nothing_left();
-    }
+    repeat_when_late(|| {
+        let mut dice = Dice(3);
+        for trial in 0..trials(6) {
+            let mut system = System::new(EXECUTABLE);
+            let seed = dice.roll(1_000_000).to_string();
+            let report = if trial % 2 == 0 {
+                system.lockstep(&["long", "--seed", &seed])
+            } else {
+                let rate = ["rate_hz=10", "rate_hz=100", "rate_hz=500"][dice.roll(3) as usize];
+                system.start(&["--seed", &seed, "--duration", "1", "--set", rate]);
+                system.wait();
+                system.report()
+            };
+            assert_clean(&report);
+            system.assert_nothing_left();
+        }
+    });
 }
 
 /// That every sample of every topic is accounted for.
@@ -243,55 +255,59 @@ fn median(mut values: Vec<u64>) -> u64 {
 /// limit of time is needed for that; what else was in those parts is printed.
 #[test]
 fn planted_delays_lie_in_the_stage_and_place_that_they_are_attributed_to() {
-    let mut system = System::new(EXECUTABLE);
-    let file = system.folder().join("system.toml");
-    std::fs::write(&file, system_file(10, &STAGES, FAULTY, &["delay"])).unwrap();
-    system.start(&["endless", "--system", file.to_str().unwrap(), "--duration", "11"]);
-    let headers = answers(&system);
-    system.wait();
-    let planted = STAGES.map(|role| planted(&system, role));
-    let mut others: BTreeMap<String, Vec<u64>> = BTreeMap::new();
-    for (scan, header) in &headers {
-        let attribution = attribute(header).unwrap();
-        let path: u64 = attribution.stages.iter().map(|s| s.hop_ns + s.compute_ns + s.publish_ns).sum();
-        assert_eq!(path, attribution.reaction_ns, "every nanosecond is attributed");
-        let (role, place, delay_ns) = plan(*scan);
-        let index = STAGES.iter().position(|stage| *stage == role).unwrap();
-        let Some(&(from_ns, to_ns)) = planted[index].get(scan) else { continue };
-        let stamps = header.stage(role);
-        let before_ns = match index.checked_sub(1) {
-            None => header.scan_published_ns(),
-            Some(before) => header.stage(STAGES[before]).published_ns,
-        };
-        let next = STAGES.get(index + 1).map(|next| header.stage(*next));
-        let (part, attributed_ns) = match place {
-            Place::Take => ((before_ns, stamps.taken_ns), attribution.stages[index].hop_ns),
-            Place::Compute => ((stamps.taken_ns, stamps.computed_ns), attribution.stages[index].compute_ns),
-            Place::Publish => {
-                ((stamps.computed_ns, stamps.published_ns), attribution.stages[index].publish_ns)
-            }
-            Place::Deliver => match next {
-                // A subscriber that polled before it was woken did not wait.
-                Some(next) if next.woken_ns >= to_ns => {
-                    ((stamps.published_ns, next.taken_ns), attribution.stages[index + 1].hop_ns)
+    repeat_when_late(|| {
+        let mut system = System::new(EXECUTABLE);
+        let file = system.folder().join("system.toml");
+        std::fs::write(&file, system_file(10, &STAGES, FAULTY, &["delay"])).unwrap();
+        system.start(&["endless", "--system", file.to_str().unwrap(), "--duration", "11"]);
+        let headers = answers(&system);
+        system.wait();
+        let planted = STAGES.map(|role| planted(&system, role));
+        let mut others: BTreeMap<String, Vec<u64>> = BTreeMap::new();
+        for (scan, header) in &headers {
+            let attribution = attribute(header).unwrap();
+            let path: u64 = attribution.stages.iter().map(|s| s.hop_ns + s.compute_ns + s.publish_ns).sum();
+            assert_eq!(path, attribution.reaction_ns, "every nanosecond is attributed");
+            let (role, place, delay_ns) = plan(*scan);
+            let index = STAGES.iter().position(|stage| *stage == role).unwrap();
+            let Some(&(from_ns, to_ns)) = planted[index].get(scan) else { continue };
+            let stamps = header.stage(role);
+            let before_ns = match index.checked_sub(1) {
+                None => header.scan_published_ns(),
+                Some(before) => header.stage(STAGES[before]).published_ns,
+            };
+            let next = STAGES.get(index + 1).map(|next| header.stage(*next));
+            let (part, attributed_ns) = match place {
+                Place::Take => ((before_ns, stamps.taken_ns), attribution.stages[index].hop_ns),
+                Place::Compute => {
+                    ((stamps.taken_ns, stamps.computed_ns), attribution.stages[index].compute_ns)
                 }
-                _ => continue,
-            },
-        };
-        let what = format!("{place:?} of {role}, {} ms", delay_ns / 1_000_000);
-        assert!(to_ns - from_ns >= delay_ns);
-        assert!(
-            part.0 <= from_ns && to_ns <= part.1,
-            "{what}, scan {scan}: {from_ns} to {to_ns} in {part:?}"
-        );
-        assert_eq!(part.1 - part.0, attributed_ns, "{what}, scan {scan}");
-        others.entry(what).or_default().push(attributed_ns - (to_ns - from_ns));
-    }
-    // All but deliveries: a subscriber that polls meanwhile does not wait for them.
-    let places = others.keys().filter(|what| !what.starts_with("Deliver")).count();
-    assert_eq!(places, 36, "{others:?}");
-    assert!(others.len() > places, "{others:?}");
-    for (what, others) in others {
-        eprintln!("{what}: and {} us of its own", median(others) / 1000);
-    }
+                Place::Publish => {
+                    ((stamps.computed_ns, stamps.published_ns), attribution.stages[index].publish_ns)
+                }
+                Place::Deliver => match next {
+                    // A subscriber that polled before it was woken did not wait.
+                    Some(next) if next.woken_ns >= to_ns => {
+                        ((stamps.published_ns, next.taken_ns), attribution.stages[index + 1].hop_ns)
+                    }
+                    _ => continue,
+                },
+            };
+            let what = format!("{place:?} of {role}, {} ms", delay_ns / 1_000_000);
+            assert!(to_ns - from_ns >= delay_ns);
+            assert!(
+                part.0 <= from_ns && to_ns <= part.1,
+                "{what}, scan {scan}: {from_ns} to {to_ns} in {part:?}"
+            );
+            assert_eq!(part.1 - part.0, attributed_ns, "{what}, scan {scan}");
+            others.entry(what).or_default().push(attributed_ns - (to_ns - from_ns));
+        }
+        // All but deliveries: a subscriber that polls meanwhile does not wait for them.
+        let places = others.keys().filter(|what| !what.starts_with("Deliver")).count();
+        assert_eq!(places, 36, "{others:?}");
+        assert!(others.len() > places, "{others:?}");
+        for (what, others) in others {
+            eprintln!("{what}: and {} us of its own", median(others) / 1000);
+        }
+    });
 }

@@ -75,50 +75,54 @@ fn is_place(word: &str) -> bool {
 
 #[test]
 fn the_options_of_every_command_of_the_pages_exist() {
-    let mut wrong = Vec::new();
-    let mut prose = Vec::new();
-    for page in pages() {
-        prose.extend(commands_in_prose(&read(&page)).into_iter().map(|line| (page.clone(), line)));
-    }
-    let blocks = all().into_iter().filter(|(_, _, how)| !matches!(how, How::Not(_)));
-    let blocks = blocks.map(|(page, line, _)| (page, line, false));
-    for (page, line, is_prose) in blocks.chain(prose.into_iter().map(|(page, line)| (page, line, true))) {
-        let words = words(&line);
-        let is_whole =
-            words.first().is_some_and(|word| word == "scanloop") && !FRAGMENTS.contains(&line.as_str());
-        if is_whole && let Err(error) = Cli::try_parse_from(&words) {
-            let is_help = !error.use_stderr();
-            let text = error.to_string();
-            // A sentence may name a command without its arguments, or an option without its value.
-            let is_part = is_prose
-                && (text.contains("were not provided")
-                    || text.contains("none was supplied")
-                    || text.contains("invalid value") && words.iter().any(|word| is_place(word))
-                    || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand);
-            if !is_help && !is_part {
-                wrong.push(format!(
-                    "{page}: {line}: {}",
-                    error.to_string().lines().next().unwrap_or_default()
-                ));
+    repeat_when_late(|| {
+        let mut wrong = Vec::new();
+        let mut prose = Vec::new();
+        for page in pages() {
+            prose.extend(commands_in_prose(&read(&page)).into_iter().map(|line| (page.clone(), line)));
+        }
+        let blocks = all().into_iter().filter(|(_, _, how)| !matches!(how, How::Not(_)));
+        let blocks = blocks.map(|(page, line, _)| (page, line, false));
+        for (page, line, is_prose) in blocks.chain(prose.into_iter().map(|(page, line)| (page, line, true))) {
+            let words = words(&line);
+            let is_whole =
+                words.first().is_some_and(|word| word == "scanloop") && !FRAGMENTS.contains(&line.as_str());
+            if is_whole && let Err(error) = Cli::try_parse_from(&words) {
+                let is_help = !error.use_stderr();
+                let text = error.to_string();
+                // A sentence may name a command without its arguments, or an option without its value.
+                let is_part = is_prose
+                    && (text.contains("were not provided")
+                        || text.contains("none was supplied")
+                        || text.contains("invalid value") && words.iter().any(|word| is_place(word))
+                        || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand);
+                if !is_help && !is_part {
+                    wrong.push(format!(
+                        "{page}: {line}: {}",
+                        error.to_string().lines().next().unwrap_or_default()
+                    ));
+                }
             }
         }
-    }
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+        assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    });
 }
 
 #[test]
 fn commands_of_the_pages_that_end_by_themselves_run_as_they_stand() {
-    let system = reader();
-    let mut wrong = Vec::new();
-    for (page, line, how) in all() {
-        let How::Alone(more, codes) = how else { continue };
-        let output = shell(&system, &with(&line, more));
-        if !output.status.code().is_some_and(|code| codes.contains(&code)) {
-            wrong.push(format!("{page}: {line}: {}\n{}", output.status, printed(&output)));
+    repeat_when_late(|| {
+        let system = reader();
+        let mut wrong = Vec::new();
+        for (page, line, how) in all() {
+            let How::Alone(more, codes) = how else { continue };
+            let output = shell(&system, &with(&line, more));
+            if !output.status.code().is_some_and(|code| codes.contains(&code)) {
+                wrong.push(format!("{page}: {line}: {}\n{}", output.status, printed(&output)));
+            }
         }
-    }
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
-    system.assert_nothing_left();
+        assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+        system.assert_nothing_left();
+    });
 }
 
 #[test]
@@ -150,15 +154,17 @@ fn commands_of_the_pages_for_a_running_system_do_what_they_say() {
 
 #[test]
 fn figures_of_the_pages_are_those_that_are_printed() {
-    let system = reader();
-    let mut count = 0;
-    for page in pages() {
-        for (command, shown) in figures(&read(&page)) {
-            let output = shell(&system, &command);
-            compare_or_write(&page, &shown, &printed(&output));
-            count += 1;
+    repeat_when_late(|| {
+        let system = reader();
+        let mut count = 0;
+        for page in pages() {
+            for (command, shown) in figures(&read(&page)) {
+                let output = shell(&system, &command);
+                compare_or_write(&page, &shown, &printed(&output));
+                count += 1;
+            }
         }
-    }
-    assert!(count > 0);
-    system.assert_nothing_left();
+        assert!(count > 0);
+        system.assert_nothing_left();
+    });
 }

@@ -1,6 +1,7 @@
 //! All processes of a run stand still for a while: afterwards it drives on, and nothing is blamed for the pause.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use scanloop_tests::machine::repeat_when_late;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -68,29 +69,33 @@ fn assert_drives_on(mut system: System, watch: Watch, processes: &[i32], paused:
 
 #[test]
 fn a_run_whose_processes_were_all_suspended_drives_on() {
-    let (system, watch) = driving();
-    let processes = all(&system);
-    let paused = watch.newest().unwrap().header.scan_id;
-    processes.iter().for_each(|pid| system.signal(*pid, Signal::STOP));
-    assert_eq!(status(&system), "suspended");
-    let_pass(PAUSE);
-    // The orchestrator last: the others run again while nothing of it can be there yet.
-    processes.iter().for_each(|pid| system.signal(*pid, Signal::CONT));
-    assert_drives_on(system, watch, &processes, paused);
+    repeat_when_late(|| {
+        let (system, watch) = driving();
+        let processes = all(&system);
+        let paused = watch.newest().unwrap().header.scan_id;
+        processes.iter().for_each(|pid| system.signal(*pid, Signal::STOP));
+        assert_eq!(status(&system), "suspended");
+        let_pass(PAUSE);
+        // The orchestrator last: the others run again while nothing of it can be there yet.
+        processes.iter().for_each(|pid| system.signal(*pid, Signal::CONT));
+        assert_drives_on(system, watch, &processes, paused);
+    });
 }
 
 #[test]
 fn a_request_to_a_suspended_orchestrator_says_so() {
-    let (mut system, watch) = driving();
-    system.signal(system.orchestrator(), Signal::STOP);
-    let refused = system.run(&["restart", "controller"]);
-    let text = String::from_utf8_lossy(&refused.stderr).into_owned();
-    assert_eq!(refused.status.code(), Some(4), "{text}");
-    assert!(text.contains(&format!("process {} was suspended", system.orchestrator())), "{text}");
-    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
-    system.wait();
-    drop(watch);
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let (mut system, watch) = driving();
+        system.signal(system.orchestrator(), Signal::STOP);
+        let refused = system.run(&["restart", "controller"]);
+        let text = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert_eq!(refused.status.code(), Some(4), "{text}");
+        assert!(text.contains(&format!("process {} was suspended", system.orchestrator())), "{text}");
+        assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+        system.wait();
+        drop(watch);
+        system.assert_nothing_left();
+    });
 }
 
 /// A control group that can be frozen, removed at the end of the test.
@@ -143,38 +148,42 @@ impl Drop for Freezer {
 
 #[test]
 fn a_run_whose_control_group_was_frozen_drives_on() {
-    let (system, watch) = driving();
-    let Some(freezer) = Freezer::new(system.id()) else {
-        eprintln!("skipped a_run_whose_control_group_was_frozen_drives_on: no control group can be made");
-        return;
-    };
-    let processes = all(&system);
-    processes.iter().for_each(|pid| freezer.add(*pid));
-    let paused = watch.newest().unwrap().header.scan_id;
-    freezer.freeze();
-    assert_eq!(status(&system), "suspended");
-    let_pass(PAUSE);
-    freezer.thaw();
-    assert_drives_on(system, watch, &processes, paused);
+    repeat_when_late(|| {
+        let (system, watch) = driving();
+        let Some(freezer) = Freezer::new(system.id()) else {
+            eprintln!("skipped a_run_whose_control_group_was_frozen_drives_on: no control group can be made");
+            return;
+        };
+        let processes = all(&system);
+        processes.iter().for_each(|pid| freezer.add(*pid));
+        let paused = watch.newest().unwrap().header.scan_id;
+        freezer.freeze();
+        assert_eq!(status(&system), "suspended");
+        let_pass(PAUSE);
+        freezer.thaw();
+        assert_drives_on(system, watch, &processes, paused);
+    });
 }
 
 #[test]
 fn a_stop_of_a_frozen_run_is_not_confirmed_and_holds_once_it_runs_again() {
-    let (mut system, watch) = driving();
-    let Some(freezer) = Freezer::new(system.id()) else {
-        eprintln!("skipped a_stop_of_a_frozen_run: no control group can be made");
-        return;
-    };
-    all(&system).iter().for_each(|pid| freezer.add(*pid));
-    freezer.freeze();
-    let stopped = system.run(&["stop"]);
-    let text = String::from_utf8_lossy(&stopped.stderr).into_owned();
-    assert_eq!(stopped.status.code(), Some(4), "{text}");
-    assert!(text.contains("is not confirmed"), "{text}");
-    freezer.thaw();
-    watch.wait_for(&system, "it rests", |truth| truth.blocked == 1 && truth.speed_mps <= 0.0);
-    system.wait();
-    assert_eq!(system.report().reason, "stopped by command");
-    drop(watch);
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let (mut system, watch) = driving();
+        let Some(freezer) = Freezer::new(system.id()) else {
+            eprintln!("skipped a_stop_of_a_frozen_run: no control group can be made");
+            return;
+        };
+        all(&system).iter().for_each(|pid| freezer.add(*pid));
+        freezer.freeze();
+        let stopped = system.run(&["stop"]);
+        let text = String::from_utf8_lossy(&stopped.stderr).into_owned();
+        assert_eq!(stopped.status.code(), Some(4), "{text}");
+        assert!(text.contains("is not confirmed"), "{text}");
+        freezer.thaw();
+        watch.wait_for(&system, "it rests", |truth| truth.blocked == 1 && truth.speed_mps <= 0.0);
+        system.wait();
+        assert_eq!(system.report().reason, "stopped by command");
+        drop(watch);
+        system.assert_nothing_left();
+    });
 }

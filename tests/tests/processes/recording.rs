@@ -10,6 +10,7 @@ mod programs;
 mod refused;
 mod replay;
 
+use scanloop_tests::machine::repeat_when_late;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::Output;
@@ -58,55 +59,62 @@ pub(crate) fn replayed(system: &System, file: &Path, arguments: &[&str]) -> (Val
 
 #[test]
 fn a_recorded_drive_is_the_same_drive_and_its_replay_agrees_to_the_bit() {
-    let unrecorded = System::new(EXECUTABLE).lockstep(&SHORT_CORRIDOR);
-    let system = System::new(EXECUTABLE);
-    let report = system.lockstep(&[&SHORT_CORRIDOR[..], &["--record"]].concat());
-    assert_eq!(report.digests, unrecorded.digests);
-    let file = report.recording.expect("of a test").file;
-    let info = json(&system.run(&["recording", "info", text(&file), "--json"]));
-    assert_eq!(
-        (&info["complete"], &info["lost"], &info["lockstep"]),
-        (&true.into(), &0.into(), &true.into())
-    );
-    for topic in ["scan", "odometry", "truth", "pose", "obstacles", "command", "actuation"] {
-        assert!(
-            info["channels"][format!("/scanloop/{topic}")].as_u64() >= Some(report.scans.published),
-            "{info}"
+    repeat_when_late(|| {
+        let unrecorded = System::new(EXECUTABLE).lockstep(&SHORT_CORRIDOR);
+        let system = System::new(EXECUTABLE);
+        let report = system.lockstep(&[&SHORT_CORRIDOR[..], &["--record"]].concat());
+        assert_eq!(report.digests, unrecorded.digests);
+        let file = report.recording.expect("of a test").file;
+        let info = json(&system.run(&["recording", "info", text(&file), "--json"]));
+        assert_eq!(
+            (&info["complete"], &info["lost"], &info["lockstep"]),
+            (&true.into(), &0.into(), &true.into())
         );
-    }
-    let (whole, code) = replayed(&system, &file, &[]);
-    // A scan that was granted ahead is in the file too, whole or in part.
-    let counted = 7 * report.scans.published..=7 * report.scans.published + 7;
-    assert!(code == 0 && whole["compared"].as_u64().is_some_and(|count| counted.contains(&count)), "{whole}");
-    assert_eq!((&whole["identical"], &whole["skipped"]), (&whole["compared"], &0.into()), "{whole}");
-    let (later, code) = replayed(&system, &file, &["--from", "50", "--stage", "controller"]);
-    assert_eq!((code, &later["identical"]), (0, &later["compared"]), "{later}");
-    assert_eq!(
-        (later["compared"].as_u64(), &later["skipped"]),
-        (Some(report.scans.published - 49), &0.into())
-    );
+        for topic in ["scan", "odometry", "truth", "pose", "obstacles", "command", "actuation"] {
+            assert!(
+                info["channels"][format!("/scanloop/{topic}")].as_u64() >= Some(report.scans.published),
+                "{info}"
+            );
+        }
+        let (whole, code) = replayed(&system, &file, &[]);
+        // A scan that was granted ahead is in the file too, whole or in part.
+        let counted = 7 * report.scans.published..=7 * report.scans.published + 7;
+        assert!(
+            code == 0 && whole["compared"].as_u64().is_some_and(|count| counted.contains(&count)),
+            "{whole}"
+        );
+        assert_eq!((&whole["identical"], &whole["skipped"]), (&whole["compared"], &0.into()), "{whole}");
+        let (later, code) = replayed(&system, &file, &["--from", "50", "--stage", "controller"]);
+        assert_eq!((code, &later["identical"]), (0, &later["compared"]), "{later}");
+        assert_eq!(
+            (later["compared"].as_u64(), &later["skipped"]),
+            (Some(report.scans.published - 49), &0.into())
+        );
+    });
 }
 
 #[test]
 fn a_flipped_bit_is_found_with_its_field() {
-    let (system, file) = recorded(&SHORT_FREE);
-    let flipped = system.folder().join("flipped.mcap");
-    // The yaw of the tenth pose stands behind the encapsulation and the header.
-    rewrite(&file, &flipped, "/scanloop/pose", |number, data| data[4 + 192] ^= u8::from(number == 9));
-    let (report, code) = replayed(&system, &flipped, &["--stage", "estimator"]);
-    assert_eq!(
-        (
-            code,
-            report["compared"].as_u64().expect("of a test")
-                - report["identical"].as_u64().expect("of a test")
-        ),
-        (1, 1)
-    );
-    let difference = &report["differences"][0];
-    assert_eq!(
-        (&difference["topic"], &difference["scan"], &difference["field"]),
-        (&"pose".into(), &10.into(), &"yaw_rad".into())
-    );
+    repeat_when_late(|| {
+        let (system, file) = recorded(&SHORT_FREE);
+        let flipped = system.folder().join("flipped.mcap");
+        // The yaw of the tenth pose stands behind the encapsulation and the header.
+        rewrite(&file, &flipped, "/scanloop/pose", |number, data| data[4 + 192] ^= u8::from(number == 9));
+        let (report, code) = replayed(&system, &flipped, &["--stage", "estimator"]);
+        assert_eq!(
+            (
+                code,
+                report["compared"].as_u64().expect("of a test")
+                    - report["identical"].as_u64().expect("of a test")
+            ),
+            (1, 1)
+        );
+        let difference = &report["differences"][0];
+        assert_eq!(
+            (&difference["topic"], &difference["scan"], &difference["field"]),
+            (&"pose".into(), &10.into(), &"yaw_rad".into())
+        );
+    });
 }
 
 /// Copies a recording; `change` gets the number and the bytes of each message of a channel.
@@ -160,84 +168,96 @@ fn rewrite_with(
 
 #[test]
 fn a_recording_that_is_cut_off_is_read_and_repaired_up_to_its_last_second() {
-    let (system, file) = recorded(&SHORT_FREE);
-    let whole = std::fs::read(&file).unwrap();
-    let cut = system.folder().join("cut.mcap");
-    std::fs::write(&cut, &whole[..whole.len() * 2 / 3]).unwrap();
-    let info = json(&system.run(&["recording", "info", text(&cut), "--json"]));
-    assert_eq!(info["complete"], false);
-    assert!(info["duration_s"].as_f64() > Some(2.0), "{info}");
-    let repaired = system.run(&["recording", "repair", text(&cut)]);
-    let message = scanloop_tests::printed(&repaired);
-    assert!(repaired.status.code() == Some(1) && message.contains("the file was cut off"), "{message}");
-    let repaired = system.folder().join("cut-repaired.mcap");
-    let mended = json(&system.run(&["recording", "info", text(&repaired), "--json"]));
-    assert_eq!((&mended["complete"], &mended["channels"]), (&true.into(), &info["channels"]));
-    assert_eq!(replayed(&system, &repaired, &[]).1, 0);
-    let output = system.run(&["replay", text(&cut)]);
-    let message = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(
-        output.status.code() == Some(0) && message.contains("warning") && message.contains("cut off"),
-        "{message}"
-    );
+    repeat_when_late(|| {
+        let (system, file) = recorded(&SHORT_FREE);
+        let whole = std::fs::read(&file).unwrap();
+        let cut = system.folder().join("cut.mcap");
+        std::fs::write(&cut, &whole[..whole.len() * 2 / 3]).unwrap();
+        let info = json(&system.run(&["recording", "info", text(&cut), "--json"]));
+        assert_eq!(info["complete"], false);
+        assert!(info["duration_s"].as_f64() > Some(2.0), "{info}");
+        let repaired = system.run(&["recording", "repair", text(&cut)]);
+        let message = scanloop_tests::printed(&repaired);
+        assert!(repaired.status.code() == Some(1) && message.contains("the file was cut off"), "{message}");
+        let repaired = system.folder().join("cut-repaired.mcap");
+        let mended = json(&system.run(&["recording", "info", text(&repaired), "--json"]));
+        assert_eq!((&mended["complete"], &mended["channels"]), (&true.into(), &info["channels"]));
+        assert_eq!(replayed(&system, &repaired, &[]).1, 0);
+        let output = system.run(&["replay", text(&cut)]);
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(
+            output.status.code() == Some(0) && message.contains("warning") && message.contains("cut off"),
+            "{message}"
+        );
+    });
 }
 
 #[test]
 fn a_recorder_that_is_killed_costs_no_scan_and_leaves_a_readable_file() {
-    let mut system = System::new(EXECUTABLE);
-    system.start(&[&SHORT_CORRIDOR[..], &["--record"]].concat());
-    system.wait_until("three seconds are driven", |system| {
-        system.status().is_some_and(|status| status.scan > 30)
+    repeat_when_late(|| {
+        let mut system = System::new(EXECUTABLE);
+        system.start(&[&SHORT_CORRIDOR[..], &["--record"]].concat());
+        system.wait_until("three seconds are driven", |system| {
+            system.status().is_some_and(|status| status.scan > 30)
+        });
+        let recorder = recorder_of(&system).expect("a recorder");
+        system.signal(recorder, Signal::KILL);
+        assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+        assert!(system.stderr().contains("the rest of the drive is not recorded"), "{}", system.stderr());
+        let report = system.report();
+        assert_eq!(
+            (report.scans.lost, report.scans.unaccounted, report.ledger.residual),
+            (0, 0, 0),
+            "{report:?}"
+        );
+        let file = report.recording.unwrap().file;
+        let info = json(&system.run(&["recording", "info", text(&file), "--json"]));
+        assert_eq!(info["complete"], false);
+        assert!(info["duration_s"].as_f64() > Some(1.0), "{info}");
+        system.assert_nothing_left();
     });
-    let recorder = recorder_of(&system).expect("a recorder");
-    system.signal(recorder, Signal::KILL);
-    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
-    assert!(system.stderr().contains("the rest of the drive is not recorded"), "{}", system.stderr());
-    let report = system.report();
-    assert_eq!(
-        (report.scans.lost, report.scans.unaccounted, report.ledger.residual),
-        (0, 0, 0),
-        "{report:?}"
-    );
-    let file = report.recording.unwrap().file;
-    let info = json(&system.run(&["recording", "info", text(&file), "--json"]));
-    assert_eq!(info["complete"], false);
-    assert!(info["duration_s"].as_f64() > Some(1.0), "{info}");
-    system.assert_nothing_left();
 }
 
 #[test]
 fn a_disk_that_fills_up_costs_no_scan_and_the_loss_is_told() {
-    let name = concat!(module_path!(), "::a_disk_that_fills_up_costs_no_scan_and_the_loss_is_told");
-    if !is_inside(name, "mount -t tmpfs -o size=200k tmpfs /mnt &&", |_| {}) {
-        return;
-    }
-    let mut system = System::new(EXECUTABLE);
-    system.start(&[&SHORT_FREE[..], &["--record=/mnt/drive.mcap"]].concat());
-    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
-    let report = system.report();
-    assert_eq!((report.scans.lost, report.scans.unaccounted, report.ledger.residual), (0, 0, 0));
-    let recording = report.recording.expect("of a test");
-    assert!(recording.error.contains("No space left"), "{recording:?}");
-    assert!(recording.samples > 0 && recording.lost > 0, "{recording:?}");
-    assert!(system.stderr().contains("the rest of the drive is not recorded: No space left"));
-    let info = json(&system.run(&["recording", "info", text(&recording.file), "--json"]));
-    assert!(info["complete"] == false && info["duration_s"].as_f64() > Some(0.5), "{info}");
-    assert_eq!(replayed(&system, &recording.file, &[]).1, 0);
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let name = concat!(module_path!(), "::a_disk_that_fills_up_costs_no_scan_and_the_loss_is_told");
+        if !is_inside(name, "mount -t tmpfs -o size=200k tmpfs /mnt &&", |_| {}) {
+            return;
+        }
+        let mut system = System::new(EXECUTABLE);
+        system.start(&[&SHORT_FREE[..], &["--record=/mnt/drive.mcap"]].concat());
+        assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+        let report = system.report();
+        assert_eq!((report.scans.lost, report.scans.unaccounted, report.ledger.residual), (0, 0, 0));
+        let recording = report.recording.expect("of a test");
+        assert!(recording.error.contains("No space left"), "{recording:?}");
+        assert!(recording.samples > 0 && recording.lost > 0, "{recording:?}");
+        assert!(system.stderr().contains("the rest of the drive is not recorded: No space left"));
+        let info = json(&system.run(&["recording", "info", text(&recording.file), "--json"]));
+        assert!(info["complete"] == false && info["duration_s"].as_f64() > Some(0.5), "{info}");
+        assert_eq!(replayed(&system, &recording.file, &[]).1, 0);
+        system.assert_nothing_left();
+    });
 }
 
 #[test]
 fn a_disk_that_is_full_at_the_start_is_an_error_before_the_drive() {
-    let system = System::new(EXECUTABLE);
-    std::fs::create_dir_all(system.folder().join("out")).expect("of a test");
-    // Every write to this device fails as on a full disk.
-    std::os::unix::fs::symlink("/dev/full", system.folder().join("out/recording.mcap")).expect("of a test");
-    let output = system.run(&["run", "free", "--out", "out", "--record"]);
-    let message = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(4), "{message}");
-    assert!(message.contains("the recorder did not start") && message.contains("No space left"), "{message}");
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let system = System::new(EXECUTABLE);
+        std::fs::create_dir_all(system.folder().join("out")).expect("of a test");
+        // Every write to this device fails as on a full disk.
+        std::os::unix::fs::symlink("/dev/full", system.folder().join("out/recording.mcap"))
+            .expect("of a test");
+        let output = system.run(&["run", "free", "--out", "out", "--record"]);
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(4), "{message}");
+        assert!(
+            message.contains("the recorder did not start") && message.contains("No space left"),
+            "{message}"
+        );
+        system.assert_nothing_left();
+    });
 }
 
 /// The process that records a system.
@@ -253,34 +273,40 @@ fn recorder_of(system: &System) -> Option<i32> {
 
 #[test]
 fn a_live_drive_with_a_restart_and_a_swap_is_replayed_to_the_bit() {
-    let mut system = System::new(EXECUTABLE);
-    system.start(&[&SHORT_CORRIDOR[..], &["--record"]].concat());
-    for arguments in [["restart", "estimator"].as_slice(), &["swap", "controller", "--to", "nmpc"]] {
-        let output = system.run(arguments);
-        assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
-    }
-    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
-    let file = system.report().recording.unwrap().file;
-    let (report, code) = replayed(&system, &file, &[]);
-    assert_eq!((code, &report["identical"]), (0, &report["compared"]), "{report}");
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let mut system = System::new(EXECUTABLE);
+        system.start(&[&SHORT_CORRIDOR[..], &["--record"]].concat());
+        for arguments in [["restart", "estimator"].as_slice(), &["swap", "controller", "--to", "nmpc"]] {
+            let output = system.run(arguments);
+            assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+        }
+        assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+        let file = system.report().recording.unwrap().file;
+        let (report, code) = replayed(&system, &file, &[]);
+        assert_eq!((code, &report["identical"]), (0, &report["compared"]), "{report}");
+        system.assert_nothing_left();
+    });
 }
 
 #[test]
 fn programs_of_others_read_every_message_unchanged() {
-    let Some(python) = tools::python("programs_of_others_read_every_message_unchanged") else { return };
-    let (system, file) = recorded(&SHORT_FREE);
-    let bag = system.folder().join("bag");
-    let exported = system.run(&["recording", "export", text(&file), "--rosbag2", text(&bag)]);
-    assert_eq!(exported.status.code(), Some(0), "{}", String::from_utf8_lossy(&exported.stderr));
-    let script = tools::examples("python").join("read_recording.py");
-    let output = std::process::Command::new(python).arg(script).args([&file, &bag]).output().unwrap();
-    let (lines, errors) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-    assert!(output.status.success(), "{lines}{errors}");
-    let info = json(&system.run(&["recording", "info", text(&file), "--json"]));
-    for (topic, count) in info["channels"].as_object().unwrap() {
-        let found = lines.lines().any(|line| line.starts_with(topic) && line.ends_with(&format!(" {count}")));
-        assert!(found || count == 0, "{topic} {count}: {lines}");
-    }
-    assert!(lines.ends_with("all messages are the same when they are encoded again\n"), "{lines}");
+    repeat_when_late(|| {
+        let Some(python) = tools::python("programs_of_others_read_every_message_unchanged") else { return };
+        let (system, file) = recorded(&SHORT_FREE);
+        let bag = system.folder().join("bag");
+        let exported = system.run(&["recording", "export", text(&file), "--rosbag2", text(&bag)]);
+        assert_eq!(exported.status.code(), Some(0), "{}", String::from_utf8_lossy(&exported.stderr));
+        let script = tools::examples("python").join("read_recording.py");
+        let output = std::process::Command::new(python).arg(script).args([&file, &bag]).output().unwrap();
+        let (lines, errors) =
+            (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+        assert!(output.status.success(), "{lines}{errors}");
+        let info = json(&system.run(&["recording", "info", text(&file), "--json"]));
+        for (topic, count) in info["channels"].as_object().unwrap() {
+            let found =
+                lines.lines().any(|line| line.starts_with(topic) && line.ends_with(&format!(" {count}")));
+            assert!(found || count == 0, "{topic} {count}: {lines}");
+        }
+        assert!(lines.ends_with("all messages are the same when they are encoded again\n"), "{lines}");
+    });
 }

@@ -3,6 +3,7 @@
 //!
 //! Each test has file systems of its own in a mount namespace of its own, for which it starts itself again.
 
+use scanloop_tests::machine::repeat_when_late;
 use std::fs::{File, OpenOptions};
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
@@ -110,146 +111,159 @@ fn wait_for_reserve(system: &System, free: u64) {
 
 #[test]
 fn a_system_that_does_not_fit_is_refused_with_what_is_missing() {
-    for size in ["64k", "1m", "8m"] {
-        if !is_inside(
-            "a_system_that_does_not_fit_is_refused_with_what_is_missing",
-            &[(size, SHARED_MEMORY.as_ref())],
-        ) {
-            continue;
+    repeat_when_late(|| {
+        for size in ["64k", "1m", "8m"] {
+            if !is_inside(
+                "a_system_that_does_not_fit_is_refused_with_what_is_missing",
+                &[(size, SHARED_MEMORY.as_ref())],
+            ) {
+                continue;
+            }
+            let system = System::new(EXECUTABLE);
+            let free_kib = free_bytes(SHARED_MEMORY.as_ref()) / 1024;
+            for arguments in [["run", "--quiet", "corridor"], ["run", "--lockstep", "corridor"]] {
+                let output = system.run(&arguments);
+                let text = String::from_utf8_lossy(&output.stderr);
+                assert_eq!((output.status.code(), output.status.signal()), (Some(4), None), "{text}");
+                // Less the file that names the system.
+                let told = [free_kib, free_kib - 4].map(|kib| format!("/dev/shm has {kib} KiB free"));
+                assert!(told.iter().any(|told| text.contains(told)), "{text}");
+                assert!((20_000..40_000).contains(&(missing_kib(&text) + free_kib)), "{text}");
+                system.assert_nothing_left();
+                assert_eq!(free_bytes(SHARED_MEMORY.as_ref()) / 1024, free_kib);
+            }
+            return;
         }
-        let system = System::new(EXECUTABLE);
-        let free_kib = free_bytes(SHARED_MEMORY.as_ref()) / 1024;
-        for arguments in [["run", "--quiet", "corridor"], ["run", "--lockstep", "corridor"]] {
-            let output = system.run(&arguments);
-            let text = String::from_utf8_lossy(&output.stderr);
-            assert_eq!((output.status.code(), output.status.signal()), (Some(4), None), "{text}");
-            // Less the file that names the system.
-            let told = [free_kib, free_kib - 4].map(|kib| format!("/dev/shm has {kib} KiB free"));
-            assert!(told.iter().any(|told| text.contains(told)), "{text}");
-            assert!((20_000..40_000).contains(&(missing_kib(&text) + free_kib)), "{text}");
-            system.assert_nothing_left();
-            assert_eq!(free_bytes(SHARED_MEMORY.as_ref()) / 1024, free_kib);
-        }
-        return;
-    }
+    });
 }
 
 #[test]
 fn a_swap_finds_the_reserve_however_full_shared_memory_is() {
-    let place = Path::new(SHARED_MEMORY);
-    if !is_inside("a_swap_finds_the_reserve_however_full_shared_memory_is", &[(ROOMY, place)]) {
-        return;
-    }
-    let mut system = System::new(EXECUTABLE);
-    system.start(&["long"]);
-    let held = free_bytes(place);
-    let mut certificates = Vec::new();
-    for free in [0, 4 << 10, 100 << 10, 1 << 20] {
-        wait_for_reserve(&system, held);
-        let ballast = Ballast::leave(free, place);
-        certificates.push(swapped(&system));
-        // The memory of the old process is free now: enough for the reserve.
-        wait_for_reserve(&system, free + (1 << 20));
-        drop(ballast);
-    }
-    assert!(!system.stderr().contains("no reserve"), "{}", system.stderr());
-    reached(system, &certificates);
+    repeat_when_late(|| {
+        let place = Path::new(SHARED_MEMORY);
+        if !is_inside("a_swap_finds_the_reserve_however_full_shared_memory_is", &[(ROOMY, place)]) {
+            return;
+        }
+        let mut system = System::new(EXECUTABLE);
+        system.start(&["long"]);
+        let held = free_bytes(place);
+        let mut certificates = Vec::new();
+        for free in [0, 4 << 10, 100 << 10, 1 << 20] {
+            wait_for_reserve(&system, held);
+            let ballast = Ballast::leave(free, place);
+            certificates.push(swapped(&system));
+            // The memory of the old process is free now: enough for the reserve.
+            wait_for_reserve(&system, free + (1 << 20));
+            drop(ballast);
+        }
+        assert!(!system.stderr().contains("no reserve"), "{}", system.stderr());
+        reached(system, &certificates);
+    });
 }
 
 #[test]
 fn a_swap_without_room_is_refused_with_what_is_missing_and_the_robot_drives_on() {
-    let place = Path::new(SHARED_MEMORY);
-    if !is_inside(
-        "a_swap_without_room_is_refused_with_what_is_missing_and_the_robot_drives_on",
-        &[(ROOMY, place)],
-    ) {
-        return;
-    }
-    let mut system = System::new(EXECUTABLE);
-    system.start(&SHORTENED_LONG);
-    let mut certificates = Vec::new();
-    // While a process starts, the reserve is free; this process takes nothing of it.
-    let sleeper = begin(&system, &["controller", "--", "sleep", "60"]);
-    system.wait_until("it starts", |system| rows(system, Role::Controller).len() == 2);
-    let ballast = Ballast::leave(0, place);
-    certificates.push(certificate(&sleeper.wait_with_output().unwrap()));
-    system.wait_until("it warns", |system| system.stderr().contains("no reserve for a swap or a restart"));
-    let refusal = refused(&system, "KiB are missing");
-    assert!((2_000..10_000).contains(&missing_kib(&refusal.reason)), "{}", refusal.reason);
-    certificates.push(refusal);
-    // An observer would make the processes take memory that is not there.
-    let observer = system.run(&["topic", "hz", "pose", "--duration", "1"]);
-    let text = String::from_utf8_lossy(&observer.stderr);
-    assert_eq!(observer.status.code(), Some(4), "{text}");
-    assert!(missing_kib(&text) > 100, "{text}");
-    drop(ballast);
-    certificates.push(swapped(&system));
-    reached(system, &certificates);
+    repeat_when_late(|| {
+        let place = Path::new(SHARED_MEMORY);
+        if !is_inside(
+            "a_swap_without_room_is_refused_with_what_is_missing_and_the_robot_drives_on",
+            &[(ROOMY, place)],
+        ) {
+            return;
+        }
+        let mut system = System::new(EXECUTABLE);
+        system.start(&SHORTENED_LONG);
+        let mut certificates = Vec::new();
+        // While a process starts, the reserve is free; this process takes nothing of it.
+        let sleeper = begin(&system, &["controller", "--", "sleep", "60"]);
+        system.wait_until("it starts", |system| rows(system, Role::Controller).len() == 2);
+        let ballast = Ballast::leave(0, place);
+        certificates.push(certificate(&sleeper.wait_with_output().unwrap()));
+        system
+            .wait_until("it warns", |system| system.stderr().contains("no reserve for a swap or a restart"));
+        let refusal = refused(&system, "KiB are missing");
+        assert!((2_000..10_000).contains(&missing_kib(&refusal.reason)), "{}", refusal.reason);
+        certificates.push(refusal);
+        // An observer would make the processes take memory that is not there.
+        let observer = system.run(&["topic", "hz", "pose", "--duration", "1"]);
+        let text = String::from_utf8_lossy(&observer.stderr);
+        assert_eq!(observer.status.code(), Some(4), "{text}");
+        assert!(missing_kib(&text) > 100, "{text}");
+        drop(ballast);
+        certificates.push(swapped(&system));
+        reached(system, &certificates);
+    });
 }
 
 #[test]
 fn a_restart_after_a_death_finds_room_in_full_shared_memory() {
-    let place = Path::new(SHARED_MEMORY);
-    if !is_inside("a_restart_after_a_death_finds_room_in_full_shared_memory", &[(ROOMY, place)]) {
-        return;
-    }
-    let mut system = System::new(EXECUTABLE);
-    system.start(&SHORT_CORRIDOR);
-    let _ballast = Ballast::leave(0, place);
-    for role in [Role::Obstacles, Role::Controller] {
-        let old = system.pid(role);
-        system.signal(old, Signal::KILL);
-        system.wait_until("it is there again", |system| {
-            rows(system, role).first().is_some_and(|(pid, state)| *pid != old && state == "ready")
-        });
-    }
-    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
-    assert_no_signal(&system);
-    assert!(system.report().processes.iter().all(|process| process.restarts <= 1), "{}", system.stderr());
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let place = Path::new(SHARED_MEMORY);
+        if !is_inside("a_restart_after_a_death_finds_room_in_full_shared_memory", &[(ROOMY, place)]) {
+            return;
+        }
+        let mut system = System::new(EXECUTABLE);
+        system.start(&SHORT_CORRIDOR);
+        let _ballast = Ballast::leave(0, place);
+        for role in [Role::Obstacles, Role::Controller] {
+            let old = system.pid(role);
+            system.signal(old, Signal::KILL);
+            system.wait_until("it is there again", |system| {
+                rows(system, role).first().is_some_and(|(pid, state)| *pid != old && state == "ready")
+            });
+        }
+        assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+        assert_no_signal(&system);
+        assert!(system.report().processes.iter().all(|process| process.restarts <= 1), "{}", system.stderr());
+        system.assert_nothing_left();
+    });
 }
 
 #[test]
 fn a_process_whose_memory_is_cut_off_reports_it_before_it_ends() {
-    let place = Path::new(SHARED_MEMORY);
-    if !is_inside("a_process_whose_memory_is_cut_off_reports_it_before_it_ends", &[(ROOMY, place)]) {
-        return;
-    }
-    let mut system = System::new(EXECUTABLE);
-    system.start(&["long"]);
-    let doorbells = system.domain().bus_directory().join("doorbells.v2");
-    File::options().write(true).open(doorbells).unwrap().set_len(0).unwrap();
-    system.wait_until("a process says so", |system| {
-        let log = |role: &Role| system.folder().join(format!("out/logs/{role}.log"));
-        Role::ALL.iter().any(|role| {
-            let text = std::fs::read_to_string(log(role)).unwrap_or_default();
-            text.contains("shared memory ran out or was cut off (SIGBUS)")
-        })
+    repeat_when_late(|| {
+        let place = Path::new(SHARED_MEMORY);
+        if !is_inside("a_process_whose_memory_is_cut_off_reports_it_before_it_ends", &[(ROOMY, place)]) {
+            return;
+        }
+        let mut system = System::new(EXECUTABLE);
+        system.start(&["long"]);
+        let doorbells = system.domain().bus_directory().join("doorbells.v2");
+        File::options().write(true).open(doorbells).unwrap().set_len(0).unwrap();
+        system.wait_until("a process says so", |system| {
+            let log = |role: &Role| system.folder().join(format!("out/logs/{role}.log"));
+            Role::ALL.iter().any(|role| {
+                let text = std::fs::read_to_string(log(role)).unwrap_or_default();
+                text.contains("shared memory ran out or was cut off (SIGBUS)")
+            })
+        });
     });
 }
 
 #[test]
 fn a_swap_with_the_directory_of_the_system_full_is_refused_with_the_file() {
-    let test = "a_swap_with_the_directory_of_the_system_full_is_refused_with_the_file";
-    // Any directory that is there on all machines; another one is mounted over it for this test alone.
-    let place = Path::new("/mnt");
-    if !is_inside(test, &[("1m", place)]) {
-        return;
-    }
-    let mut system = System::new(EXECUTABLE);
-    system.start(&SHORT_CORRIDOR);
-    let mut certificates = vec![];
-    // Room for nothing, for a part of the state of the old one, and for that but not for the list of processes.
-    for (free, name) in
-        [(0, "controller.checkpoint"), (4 << 10, "controller.checkpoint"), (16 << 10, "processes")]
-    {
-        let ballast = Ballast::leave(free, place);
-        let refusal = refused(&system, "No space left on device");
-        let file = system.domain().directory().join(name);
-        assert!(refusal.reason.contains(file.to_str().unwrap()), "{}", refusal.reason);
-        certificates.push(refusal);
-        drop(ballast);
-    }
-    certificates.push(swapped(&system));
-    reached(system, &certificates);
+    repeat_when_late(|| {
+        let test = "a_swap_with_the_directory_of_the_system_full_is_refused_with_the_file";
+        // Any directory that is there on all machines; another one is mounted over it for this test alone.
+        let place = Path::new("/mnt");
+        if !is_inside(test, &[("1m", place)]) {
+            return;
+        }
+        let mut system = System::new(EXECUTABLE);
+        system.start(&SHORT_CORRIDOR);
+        let mut certificates = vec![];
+        // Room for nothing, for a part of the state of the old one, and for that but not for the list of processes.
+        for (free, name) in
+            [(0, "controller.checkpoint"), (4 << 10, "controller.checkpoint"), (16 << 10, "processes")]
+        {
+            let ballast = Ballast::leave(free, place);
+            let refusal = refused(&system, "No space left on device");
+            let file = system.domain().directory().join(name);
+            assert!(refusal.reason.contains(file.to_str().unwrap()), "{}", refusal.reason);
+            certificates.push(refusal);
+            drop(ballast);
+        }
+        certificates.push(swapped(&system));
+        reached(system, &certificates);
+    });
 }

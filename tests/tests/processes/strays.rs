@@ -1,6 +1,7 @@
 //! A daemon that a process of a run has started is no system: all commands agree on what lives, and name it.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use scanloop_tests::machine::repeat_when_late;
 use std::process::Output;
 
 use rustix::process::Signal;
@@ -99,103 +100,119 @@ fn assert_no_system_lives(system: &System, daemons: &[i32]) {
 
 #[test]
 fn a_stop_ends_what_processes_of_the_run_have_started_in_sessions_of_their_own() {
-    let mut system = system();
-    system.start(&["endless", "--system", "lab.toml"]);
-    let daemons = daemons(&system);
-    assert_eq!(named(&system, &daemons, &["stop"]), Some(0));
-    system.wait();
-    system.wait_until("the daemons have ended", |system| system.processes().is_empty());
-    assert_eq!(system.run(&["status"]).status.code(), Some(2));
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let mut system = system();
+        system.start(&["endless", "--system", "lab.toml"]);
+        let daemons = daemons(&system);
+        assert_eq!(named(&system, &daemons, &["stop"]), Some(0));
+        system.wait();
+        system.wait_until("the daemons have ended", |system| system.processes().is_empty());
+        assert_eq!(system.run(&["status"]).status.code(), Some(2));
+        system.assert_nothing_left();
+    });
 }
 
 #[test]
 fn a_daemon_that_outlives_its_run_is_named_and_keeps_no_run_from_starting() {
-    let mut system = system();
-    system.start(&[&SHORT_FREE[..], &["--system", "lab.toml"]].concat());
-    let daemons = daemons(&system);
-    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
-    for pid in &daemons {
-        assert!(system.stderr().contains(&format!("has left process {pid} (sleep)")), "{}", system.stderr());
-    }
-    assert_no_system_lives(&system, &daemons);
+    repeat_when_late(|| {
+        let mut system = system();
+        system.start(&[&SHORT_FREE[..], &["--system", "lab.toml"]].concat());
+        let daemons = daemons(&system);
+        assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+        for pid in &daemons {
+            assert!(
+                system.stderr().contains(&format!("has left process {pid} (sleep)")),
+                "{}",
+                system.stderr()
+            );
+        }
+        assert_no_system_lives(&system, &daemons);
+    });
 }
 
 #[test]
 fn a_run_of_which_only_daemons_are_left_is_over() {
-    let mut system = system();
-    system.start(&["endless", "--system", "lab.toml"]);
-    let daemons = daemons(&system);
-    system.kill_orchestrator();
-    for pid in system.processes().into_iter().filter(|pid| !daemons.contains(pid)) {
-        system.signal(pid, Signal::KILL);
-    }
-    system.wait_until("only the daemons live", |system| system.processes().len() == daemons.len());
-    assert_no_system_lives(&system, &daemons);
+    repeat_when_late(|| {
+        let mut system = system();
+        system.start(&["endless", "--system", "lab.toml"]);
+        let daemons = daemons(&system);
+        system.kill_orchestrator();
+        for pid in system.processes().into_iter().filter(|pid| !daemons.contains(pid)) {
+            system.signal(pid, Signal::KILL);
+        }
+        system.wait_until("only the daemons live", |system| system.processes().len() == daemons.len());
+        assert_no_system_lives(&system, &daemons);
+    });
 }
 
 #[test]
 fn a_stop_returns_when_daemons_that_ignore_the_request_have_ended() {
-    for (script, seconds) in [(STUBBORN, "90114"), (PROLIFIC, "90115")] {
-        let mut system = system_with(script);
-        system.start(&["endless", "--system", "lab.toml"]);
-        wait_for_sleeper(&system, seconds);
-        let output = system.run(&["stop"]);
-        assert_eq!(output.status.code(), Some(0), "{}", text(&output));
-        assert!(
-            text(&output).contains("which companion lidar has started, is ended too"),
-            "{}",
-            text(&output)
-        );
-        // What was said holds at once.
-        assert_eq!(system.processes(), [0; 0], "{}", text(&output));
-        system.wait();
-        system.assert_nothing_left();
-    }
+    repeat_when_late(|| {
+        for (script, seconds) in [(STUBBORN, "90114"), (PROLIFIC, "90115")] {
+            let mut system = system_with(script);
+            system.start(&["endless", "--system", "lab.toml"]);
+            wait_for_sleeper(&system, seconds);
+            let output = system.run(&["stop"]);
+            assert_eq!(output.status.code(), Some(0), "{}", text(&output));
+            assert!(
+                text(&output).contains("which companion lidar has started, is ended too"),
+                "{}",
+                text(&output)
+            );
+            // What was said holds at once.
+            assert_eq!(system.processes(), [0; 0], "{}", text(&output));
+            system.wait();
+            system.assert_nothing_left();
+        }
+    });
 }
 
 #[test]
 fn a_stop_ends_daemons_of_a_run_that_is_over_and_what_they_start_meanwhile() {
-    for (script, seconds) in [(STUBBORN, "90114"), (PROLIFIC, "90115")] {
-        let mut system = system_with(script);
-        system.start(&[&SHORT_FREE[..], &["--system", "lab.toml"]].concat());
-        wait_for_sleeper(&system, seconds);
-        assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
-        let output = system.run(&["stop"]);
-        assert_eq!(output.status.code(), Some(0), "{}", text(&output));
-        assert!(text(&output).contains("a run that is over had left process"), "{}", text(&output));
-        assert_eq!(system.processes(), [0; 0], "{}", text(&output));
-        system.assert_nothing_left();
-    }
+    repeat_when_late(|| {
+        for (script, seconds) in [(STUBBORN, "90114"), (PROLIFIC, "90115")] {
+            let mut system = system_with(script);
+            system.start(&[&SHORT_FREE[..], &["--system", "lab.toml"]].concat());
+            wait_for_sleeper(&system, seconds);
+            assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+            let output = system.run(&["stop"]);
+            assert_eq!(output.status.code(), Some(0), "{}", text(&output));
+            assert!(text(&output).contains("a run that is over had left process"), "{}", text(&output));
+            assert_eq!(system.processes(), [0; 0], "{}", text(&output));
+            system.assert_nothing_left();
+        }
+    });
 }
 
 #[test]
 fn a_daemon_that_has_changed_its_user_is_named_and_ended_by_root() {
-    let changes = std::process::Command::new("setpriv").args(["--reuid", "1234", "true"]).output();
-    if !changes.is_ok_and(|output| output.status.success()) {
-        println!("skipped: this test needs root and `setpriv`");
-        return;
-    }
-    let script = "setsid setpriv --reuid 1234 sleep 90105 & exec sleep 90205";
-    let mut system = system_with(script);
-    system.start(&["endless", "--system", "lab.toml"]);
-    wait_for_sleeper(&system, "90105");
-    let output = system.run(&["stop"]);
-    assert!(
-        text(&output).contains("(sleep), which companion lidar has started, is ended too"),
-        "{}",
-        text(&output)
-    );
-    assert_eq!((output.status.code(), system.processes()), (Some(0), Vec::new()));
-    system.wait();
-    let mut system = system_with(script);
-    system.start(&[&SHORT_FREE[..], &["--system", "lab.toml"]].concat());
-    wait_for_sleeper(&system, "90105");
-    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
-    assert!(system.stderr().contains("has left process"), "{}", system.stderr());
-    let daemons = system.processes();
-    assert_eq!(named(&system, &daemons, &["status"]), Some(2));
-    assert_eq!(named(&system, &daemons, &["stop"]), Some(0));
-    assert_eq!(system.processes(), [0; 0]);
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let changes = std::process::Command::new("setpriv").args(["--reuid", "1234", "true"]).output();
+        if !changes.is_ok_and(|output| output.status.success()) {
+            println!("skipped: this test needs root and `setpriv`");
+            return;
+        }
+        let script = "setsid setpriv --reuid 1234 sleep 90105 & exec sleep 90205";
+        let mut system = system_with(script);
+        system.start(&["endless", "--system", "lab.toml"]);
+        wait_for_sleeper(&system, "90105");
+        let output = system.run(&["stop"]);
+        assert!(
+            text(&output).contains("(sleep), which companion lidar has started, is ended too"),
+            "{}",
+            text(&output)
+        );
+        assert_eq!((output.status.code(), system.processes()), (Some(0), Vec::new()));
+        system.wait();
+        let mut system = system_with(script);
+        system.start(&[&SHORT_FREE[..], &["--system", "lab.toml"]].concat());
+        wait_for_sleeper(&system, "90105");
+        assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+        assert!(system.stderr().contains("has left process"), "{}", system.stderr());
+        let daemons = system.processes();
+        assert_eq!(named(&system, &daemons, &["status"]), Some(2));
+        assert_eq!(named(&system, &daemons, &["stop"]), Some(0));
+        assert_eq!(system.processes(), [0; 0]);
+        system.assert_nothing_left();
+    });
 }

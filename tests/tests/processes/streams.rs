@@ -1,6 +1,7 @@
 //! What a command was asked for goes to standard output, the rest to standard error; a reader may go at any time.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use scanloop_tests::machine::repeat_when_late;
 use std::process::{Command, Output, Stdio};
 
 use scanloop_tests::System;
@@ -80,50 +81,61 @@ fn assert_quiet_without_reader(system: &System, line: &str, code: Option<i32>) {
 
 #[test]
 fn what_a_command_was_asked_for_is_on_standard_output() {
-    let system = System::new(EXECUTABLE);
-    std::fs::write(system.folder().join("cases.csv"), CASES).unwrap();
-    for (line, part) in ALONE {
-        assert_answers(line, part, &system.run(&words(line)));
-    }
-    for line in
-        ["run free --lockstep", "check corridor", "types", "recording info drive.mcap", "replay drive.mcap"]
-    {
-        assert_quiet_without_reader(&system, line, Some(0));
-    }
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let system = System::new(EXECUTABLE);
+        std::fs::write(system.folder().join("cases.csv"), CASES).unwrap();
+        for (line, part) in ALONE {
+            assert_answers(line, part, &system.run(&words(line)));
+        }
+        for line in [
+            "run free --lockstep",
+            "check corridor",
+            "types",
+            "recording info drive.mcap",
+            "replay drive.mcap",
+        ] {
+            assert_quiet_without_reader(&system, line, Some(0));
+        }
+        system.assert_nothing_left();
+    });
 }
 
 #[test]
 fn what_is_asked_of_a_running_system_is_on_standard_output() {
-    let mut system = System::new(EXECUTABLE);
-    system.start(&["endless", "--allow-inject"]);
-    for (line, part) in BESIDE {
-        assert_answers(line, part, &system.run(&words(line)));
-    }
-    for line in ["status", "latency --duration 2.5", "topic hz pose", "topic echo pose", "restart estimator"]
-    {
-        assert_quiet_without_reader(&system, line, Some(0));
-    }
-    assert_answers("stop", "is stopped: wheels blocked after", &system.run(&["stop"]));
-    system.wait();
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let mut system = System::new(EXECUTABLE);
+        system.start(&["endless", "--allow-inject"]);
+        for (line, part) in BESIDE {
+            assert_answers(line, part, &system.run(&words(line)));
+        }
+        for line in
+            ["status", "latency --duration 2.5", "topic hz pose", "topic echo pose", "restart estimator"]
+        {
+            assert_quiet_without_reader(&system, line, Some(0));
+        }
+        assert_answers("stop", "is stopped: wheels blocked after", &system.run(&["stop"]));
+        system.wait();
+        system.assert_nothing_left();
+    });
 }
 
 #[test]
 fn with_json_standard_output_has_nothing_else() {
-    let system = System::new(EXECUTABLE);
-    std::fs::write(system.folder().join("cases.csv"), CASES).unwrap();
-    for line in [
-        "analyse observability --json",
-        "bench solver --cases cases.csv --intervals 6 --json",
-        "campaign --runs 1 --out out --json",
-        "conformance estimator --to ekf --only every-scan --json",
-        "demo --fast --only lockstep --json",
-    ] {
-        let output = system.run(&words(line));
-        let found = serde_json::from_slice::<serde_json::Value>(&output.stdout);
-        assert!(found.is_ok_and(|value| value.is_object()), "{line}: {}", text(&output.stdout));
-        assert!(!output.stderr.is_empty(), "{line}: the text for people");
-    }
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let system = System::new(EXECUTABLE);
+        std::fs::write(system.folder().join("cases.csv"), CASES).unwrap();
+        for line in [
+            "analyse observability --json",
+            "bench solver --cases cases.csv --intervals 6 --json",
+            "campaign --runs 1 --out out --json",
+            "conformance estimator --to ekf --only every-scan --json",
+            "demo --fast --only lockstep --json",
+        ] {
+            let output = system.run(&words(line));
+            let found = serde_json::from_slice::<serde_json::Value>(&output.stdout);
+            assert!(found.is_ok_and(|value| value.is_object()), "{line}: {}", text(&output.stdout));
+            assert!(!output.stderr.is_empty(), "{line}: the text for people");
+        }
+        system.assert_nothing_left();
+    });
 }

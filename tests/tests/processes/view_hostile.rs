@@ -1,6 +1,7 @@
 //! Clients of the live page that misbehave: the page is served, the drive continues, and the log stays short.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use scanloop_tests::machine::repeat_when_late;
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
 
@@ -42,57 +43,61 @@ fn garbage(number: usize) -> Vec<u8> {
 
 #[test]
 fn clients_that_misbehave_change_neither_page_nor_drive() {
-    let mut system = System::new(EXECUTABLE);
-    system.start(&["endless"]);
-    let view = View::start(&system, &["--control"]);
-    let before = view.wait_for(&system, "the page shows the drive", is_driving);
-    let address = &view.address;
+    repeat_when_late(|| {
+        let mut system = System::new(EXECUTABLE);
+        system.start(&["endless"]);
+        let view = View::start(&system, &["--control"]);
+        let before = view.wait_for(&system, "the page shows the drive", is_driving);
+        let address = &view.address;
 
-    // One connection reads nothing, and some never finish their request.
-    let mut stuck = TcpStream::connect(address).unwrap();
-    write!(stuck, "GET /stream HTTP/1.1\r\nHost: {address}\r\n\r\n").unwrap();
-    let half_open: Vec<TcpStream> = (0..20)
-        .map(|_| {
-            let mut stream = TcpStream::connect(address).unwrap();
-            stream.write_all(b"GET / HTTP/1.1\r\nHo").unwrap();
-            stream
-        })
-        .collect();
-    std::thread::scope(|scope| {
-        for client in 0..CLIENTS {
-            scope.spawn(move || {
-                for number in (client..GARBAGE).step_by(CLIENTS) {
-                    let text = answer(address, &garbage(number));
-                    assert!(!text.starts_with("HTTP/1.1 200"), "{number}: {text}");
-                }
-            });
+        // One connection reads nothing, and some never finish their request.
+        let mut stuck = TcpStream::connect(address).unwrap();
+        write!(stuck, "GET /stream HTTP/1.1\r\nHost: {address}\r\n\r\n").unwrap();
+        let half_open: Vec<TcpStream> = (0..20)
+            .map(|_| {
+                let mut stream = TcpStream::connect(address).unwrap();
+                stream.write_all(b"GET / HTTP/1.1\r\nHo").unwrap();
+                stream
+            })
+            .collect();
+        std::thread::scope(|scope| {
+            for client in 0..CLIENTS {
+                scope.spawn(move || {
+                    for number in (client..GARBAGE).step_by(CLIENTS) {
+                        let text = answer(address, &garbage(number));
+                        assert!(!text.starts_with("HTTP/1.1 200"), "{number}: {text}");
+                    }
+                });
+            }
+        });
+        for mut stream in half_open {
+            stream.set_read_timeout(Some(DEADLINE)).unwrap();
+            let mut text = String::new();
+            let _ = stream.read_to_string(&mut text);
+            assert!(text.is_empty() || text.starts_with("HTTP/1.1 408"), "{text}");
         }
-    });
-    for mut stream in half_open {
-        stream.set_read_timeout(Some(DEADLINE)).unwrap();
-        let mut text = String::new();
-        let _ = stream.read_to_string(&mut text);
-        assert!(text.is_empty() || text.starts_with("HTTP/1.1 408"), "{text}");
-    }
-    for path in ["/../../etc/passwd", "/..%2f..%2fetc%2fpasswd", "//etc/passwd", "/page.css/../../Cargo.toml"]
-    {
-        assert_eq!(view.ask(&format!("GET {path}"), "", "").0, 404, "{path}");
-    }
-    let wrong = format!("Authorization: Bearer {}\r\n", "0".repeat(32));
-    assert_eq!(view.ask("POST /control", &wrong, r#"{"action":"stop"}"#).0, 403);
+        for path in
+            ["/../../etc/passwd", "/..%2f..%2fetc%2fpasswd", "//etc/passwd", "/page.css/../../Cargo.toml"]
+        {
+            assert_eq!(view.ask(&format!("GET {path}"), "", "").0, 404, "{path}");
+        }
+        let wrong = format!("Authorization: Bearer {}\r\n", "0".repeat(32));
+        assert_eq!(view.ask("POST /control", &wrong, r#"{"action":"stop"}"#).0, 403);
 
-    let after = view.wait_for(&system, "the drive continues", |shown| {
-        is_driving(shown)
-            && shown["status"]["scan"].as_u64() > before["status"]["scan"].as_u64().map(|scan| scan + 5)
+        let after = view.wait_for(&system, "the drive continues", |shown| {
+            is_driving(shown)
+                && shown["status"]["scan"].as_u64() > before["status"]["scan"].as_u64().map(|scan| scan + 5)
+        });
+        let mut restarts =
+            after["status"]["processes"].as_array().unwrap().iter().map(|row| &row["restarts"]);
+        assert!(restarts.all(|count| *count == 0), "{after}");
+        drop(stuck);
+        let (ended, log) = view.end();
+        assert_eq!(ended.code(), Some(0));
+        assert!(log.lines().count() <= 6, "each kind is logged once: {log}");
+        system.signal(system.orchestrator(), Signal::INT);
+        system.wait();
+        assert_eq!(system.report().scans.unaccounted, 0);
+        system.assert_nothing_left();
     });
-    let mut restarts = after["status"]["processes"].as_array().unwrap().iter().map(|row| &row["restarts"]);
-    assert!(restarts.all(|count| *count == 0), "{after}");
-    drop(stuck);
-    let (ended, log) = view.end();
-    assert_eq!(ended.code(), Some(0));
-    assert!(log.lines().count() <= 6, "each kind is logged once: {log}");
-    system.signal(system.orchestrator(), Signal::INT);
-    system.wait();
-    assert_eq!(system.report().scans.unaccounted, 0);
-    system.assert_nothing_left();
 }

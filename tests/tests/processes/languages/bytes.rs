@@ -1,5 +1,6 @@
 //! Byte for byte: each field of each sample has the same place and value in Rust, C and Python, both ways.
 
+use scanloop_tests::machine::repeat_when_late;
 use std::fmt::Write as _;
 use std::path::Path;
 use std::process::Command;
@@ -133,45 +134,47 @@ fn struct_of(topic: Topic) -> String {
 
 #[test]
 fn every_sample_is_the_same_bytes_in_c() {
-    let system = System::new(EXECUTABLE);
-    let mut program = String::from(
-        "#include <inttypes.h>\n#include <stdio.h>\n#include <string.h>\n#include \"scanloop_types.h\"\n\
+    repeat_when_late(|| {
+        let system = System::new(EXECUTABLE);
+        let mut program = String::from(
+            "#include <inttypes.h>\n#include <stdio.h>\n#include <string.h>\n#include \"scanloop_types.h\"\n\
          #define FIELD(topic, path, place, format, value) do { \\\n\
          printf(topic \" \" path \" %zu %zu \" format \"\\n\", (size_t)((char *)&(place) - (char *)&s), \\\n\
          sizeof(place), place); place = value; } while (0)\n",
-    );
-    for topic in TOPICS {
-        let (name, of) = (topic.name(), struct_of(topic));
-        let _ = writeln!(
-            program,
-            "static int of_{name}(void) {{\nstatic {of} s;\nFILE *file = fopen(\"{name}.in\", \"rb\");\n\
-             if (!file || fread(&s, sizeof s, 1, file) != 1 || fgetc(file) != EOF) return 1;\nfclose(file);"
         );
-        for (number, leaf) in leaves(topic).iter().enumerate() {
-            let (format, cast) = match leaf.kind {
-                "f64" => ("\"%.17g\"".to_owned(), "double".to_owned()),
-                "i32" => ("\"%\" PRId32".to_owned(), "int32_t".to_owned()),
-                kind => (format!("\"%\" PRIu{}", &kind[1..]), format!("uint{}_t", &kind[1..])),
-            };
-            let (path, value) = (&leaf.path, leaf.value(number as u64, THEIRS).1);
-            let suffix = if leaf.kind == "u64" { "u" } else { "" };
+        for topic in TOPICS {
+            let (name, of) = (topic.name(), struct_of(topic));
             let _ = writeln!(
                 program,
-                "FIELD(\"{name}\", \"{path}\", s.{path}, {format}, ({cast}){value}{suffix});"
+                "static int of_{name}(void) {{\nstatic {of} s;\nFILE *file = fopen(\"{name}.in\", \"rb\");\n\
+             if (!file || fread(&s, sizeof s, 1, file) != 1 || fgetc(file) != EOF) return 1;\nfclose(file);"
+            );
+            for (number, leaf) in leaves(topic).iter().enumerate() {
+                let (format, cast) = match leaf.kind {
+                    "f64" => ("\"%.17g\"".to_owned(), "double".to_owned()),
+                    "i32" => ("\"%\" PRId32".to_owned(), "int32_t".to_owned()),
+                    kind => (format!("\"%\" PRIu{}", &kind[1..]), format!("uint{}_t", &kind[1..])),
+                };
+                let (path, value) = (&leaf.path, leaf.value(number as u64, THEIRS).1);
+                let suffix = if leaf.kind == "u64" { "u" } else { "" };
+                let _ = writeln!(
+                    program,
+                    "FIELD(\"{name}\", \"{path}\", s.{path}, {format}, ({cast}){value}{suffix});"
+                );
+            }
+            let _ = writeln!(
+                program,
+                "file = fopen(\"{name}.out\", \"wb\");\nif (!file || fwrite(&s, sizeof s, 1, file) != 1) return 1;\n\
+             return fclose(file);\n}}"
             );
         }
-        let _ = writeln!(
-            program,
-            "file = fopen(\"{name}.out\", \"wb\");\nif (!file || fwrite(&s, sizeof s, 1, file) != 1) return 1;\n\
-             return fclose(file);\n}}"
-        );
-    }
-    let calls: Vec<String> = TOPICS.iter().map(|topic| format!("of_{topic}()")).collect();
-    let _ = writeln!(program, "int main(void) {{ return {}; }}", calls.join(" || "));
-    let (source, binary) = (system.folder().join("samples.c"), system.folder().join("samples"));
-    std::fs::write(&source, program).unwrap();
-    compile(&source, &examples("c"), &binary);
-    compare(system.folder(), &mut Command::new(binary));
+        let calls: Vec<String> = TOPICS.iter().map(|topic| format!("of_{topic}()")).collect();
+        let _ = writeln!(program, "int main(void) {{ return {}; }}", calls.join(" || "));
+        let (source, binary) = (system.folder().join("samples.c"), system.folder().join("samples"));
+        std::fs::write(&source, program).unwrap();
+        compile(&source, &examples("c"), &binary);
+        compare(system.folder(), &mut Command::new(binary));
+    });
 }
 
 const SCRIPT: &str = r#"
@@ -207,17 +210,19 @@ for topic, sample in samples.items():
 
 #[test]
 fn every_sample_is_the_same_bytes_in_python() {
-    let Some(python) = python("every_sample_is_the_same_bytes_in_python") else { return };
-    let system = System::new(EXECUTABLE);
-    let mut values = String::new();
-    for topic in TOPICS {
-        for (number, leaf) in leaves(topic).iter().enumerate() {
-            let _ = writeln!(values, "{topic} {} {}", leaf.path, leaf.value(number as u64, THEIRS).1);
+    repeat_when_late(|| {
+        let Some(python) = python("every_sample_is_the_same_bytes_in_python") else { return };
+        let system = System::new(EXECUTABLE);
+        let mut values = String::new();
+        for topic in TOPICS {
+            for (number, leaf) in leaves(topic).iter().enumerate() {
+                let _ = writeln!(values, "{topic} {} {}", leaf.path, leaf.value(number as u64, THEIRS).1);
+            }
         }
-    }
-    std::fs::write(system.folder().join("values.txt"), values).unwrap();
-    compare(
-        system.folder(),
-        Command::new(python).args(["-B", "-c", SCRIPT]).env("PYTHONPATH", examples("python")),
-    );
+        std::fs::write(system.folder().join("values.txt"), values).unwrap();
+        compare(
+            system.folder(),
+            Command::new(python).args(["-B", "-c", SCRIPT]).env("PYTHONPATH", examples("python")),
+        );
+    });
 }

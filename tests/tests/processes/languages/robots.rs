@@ -1,5 +1,6 @@
 //! The drivers that users copy for a robot of their own, with the simulated devices that they come with.
 
+use scanloop_tests::machine::repeat_when_late;
 use std::path::PathBuf;
 use std::process::Output;
 
@@ -35,15 +36,17 @@ fn drivers(system: &System, test: &str) -> Vec<(&'static str, Vec<String>, &'sta
 
 #[test]
 fn drivers_to_be_copied_honour_all_that_is_asked_of_a_real_robot() {
-    let system = System::new(EXECUTABLE);
-    let drivers = drivers(&system, "drivers_to_be_copied_honour_all, the driver");
-    std::thread::scope(|scope| {
-        for (language, command, rate_hz) in &drivers {
-            let mut suite = system.command(&["conformance", "robot", "--json", "--rate", rate_hz, "--"]);
-            scope.spawn(move || honours_all(language, &suite.args(command).output().unwrap()));
-        }
+    repeat_when_late(|| {
+        let system = System::new(EXECUTABLE);
+        let drivers = drivers(&system, "drivers_to_be_copied_honour_all, the driver");
+        std::thread::scope(|scope| {
+            for (language, command, rate_hz) in &drivers {
+                let mut suite = system.command(&["conformance", "robot", "--json", "--rate", rate_hz, "--"]);
+                scope.spawn(move || honours_all(language, &suite.args(command).output().unwrap()));
+            }
+        });
+        system.assert_nothing_left();
     });
-    system.assert_nothing_left();
 }
 
 fn honours_all(language: &str, output: &Output) {
@@ -60,29 +63,35 @@ fn honours_all(language: &str, output: &Output) {
 
 #[test]
 fn drivers_to_be_copied_drive_to_the_goal_by_the_estimate() {
-    let test = "drivers_to_be_copied_drive_to_the_goal, the driver";
-    for (language, command, _) in drivers(&System::new(EXECUTABLE), test) {
-        let mut system = System::new(EXECUTABLE);
-        let program = system.folder().join("robot");
-        if language == "c" {
-            compile(&template("c").join("robot.c"), &examples("c"), &program);
+    repeat_when_late(|| {
+        let test = "drivers_to_be_copied_drive_to_the_goal, the driver";
+        for (language, command, _) in drivers(&System::new(EXECUTABLE), test) {
+            let mut system = System::new(EXECUTABLE);
+            let program = system.folder().join("robot");
+            if language == "c" {
+                compile(&template("c").join("robot.c"), &examples("c"), &program);
+            }
+            let own = vec![program.to_str().unwrap().to_owned()];
+            let command = if language == "c" { own } else { command };
+            let words: Vec<&str> = command.iter().map(String::as_str).collect();
+            let file = system_with(system.folder(), "robot", &words);
+            system.start(&["free", "--system", &file]);
+            system.wait_until("its devices run", |system| {
+                let processes = system.status().map_or(Vec::new(), |status| status.processes);
+                processes.iter().any(|process| process.device.as_deref() == Some("running"))
+            });
+            assert_eq!(system.wait().code(), Some(0), "{language}: {}", system.stderr());
+            let report = system.report();
+            assert_eq!(
+                (report.outcome, report.judged_by),
+                (Outcome::Reached, JudgedBy::Estimate),
+                "{language}"
+            );
+            assert_eq!((report.scans.unaccounted, report.ledger.residual), (0, 0), "{language}");
+            assert!(report.drive.final_distance_m <= 0.1, "{language}: {}", report.drive.final_distance_m);
+            system.assert_nothing_left();
         }
-        let own = vec![program.to_str().unwrap().to_owned()];
-        let command = if language == "c" { own } else { command };
-        let words: Vec<&str> = command.iter().map(String::as_str).collect();
-        let file = system_with(system.folder(), "robot", &words);
-        system.start(&["free", "--system", &file]);
-        system.wait_until("its devices run", |system| {
-            let processes = system.status().map_or(Vec::new(), |status| status.processes);
-            processes.iter().any(|process| process.device.as_deref() == Some("running"))
-        });
-        assert_eq!(system.wait().code(), Some(0), "{language}: {}", system.stderr());
-        let report = system.report();
-        assert_eq!((report.outcome, report.judged_by), (Outcome::Reached, JudgedBy::Estimate), "{language}");
-        assert_eq!((report.scans.unaccounted, report.ledger.residual), (0, 0), "{language}");
-        assert!(report.drive.final_distance_m <= 0.1, "{language}: {}", report.drive.final_distance_m);
-        system.assert_nothing_left();
-    }
+    });
 }
 
 /// The devices of the driver in C: each state of the base takes 20 to 60 ms, whatever the others take. The true place is
@@ -175,28 +184,32 @@ fn overtaken(language: &str, folder: &std::path::Path, truth: &str) -> Option<Ve
 
 #[test]
 fn messages_that_overtake_each_other_do_not_move_a_driver_to_be_copied() {
-    for language in ["c", "python"] {
-        let mut system = System::new(EXECUTABLE);
-        let truth = system.folder().join("truth");
-        let Some(command) = overtaken(language, system.folder(), truth.to_str().unwrap()) else { continue };
-        let words: Vec<&str> = command.iter().map(String::as_str).collect();
-        let file = system_with(system.folder(), "robot", &words);
-        system.start(&["free", "--system", &file, "--set", "goal.x_m=5"]);
-        system.wait_until("messages are counted", |system| {
-            let processes = system.status().map_or(Vec::new(), |status| status.processes);
-            let reasons = processes.iter().filter_map(|process| process.device_reason.as_deref());
-            reasons.into_iter().any(|reason| reason.contains("messages were overtaken by others"))
-        });
-        assert_eq!(system.wait().code(), Some(0), "{language}: {}", system.stderr());
-        let report = system.report();
-        let text = std::fs::read_to_string(truth).unwrap();
-        let place: Vec<f64> = text.split(' ').map(|number| number.parse().unwrap()).collect();
-        let beside_m = (place[0] - 5.0).hypot(place[1]);
-        assert!(
-            beside_m < 0.15,
-            "{language}: {beside_m:.3} m by the truth, {} by the estimate",
-            report.drive.final_distance_m
-        );
-        system.assert_nothing_left();
-    }
+    repeat_when_late(|| {
+        for language in ["c", "python"] {
+            let mut system = System::new(EXECUTABLE);
+            let truth = system.folder().join("truth");
+            let Some(command) = overtaken(language, system.folder(), truth.to_str().unwrap()) else {
+                continue;
+            };
+            let words: Vec<&str> = command.iter().map(String::as_str).collect();
+            let file = system_with(system.folder(), "robot", &words);
+            system.start(&["free", "--system", &file, "--set", "goal.x_m=5"]);
+            system.wait_until("messages are counted", |system| {
+                let processes = system.status().map_or(Vec::new(), |status| status.processes);
+                let reasons = processes.iter().filter_map(|process| process.device_reason.as_deref());
+                reasons.into_iter().any(|reason| reason.contains("messages were overtaken by others"))
+            });
+            assert_eq!(system.wait().code(), Some(0), "{language}: {}", system.stderr());
+            let report = system.report();
+            let text = std::fs::read_to_string(truth).unwrap();
+            let place: Vec<f64> = text.split(' ').map(|number| number.parse().unwrap()).collect();
+            let beside_m = (place[0] - 5.0).hypot(place[1]);
+            assert!(
+                beside_m < 0.15,
+                "{language}: {beside_m:.3} m by the truth, {} by the estimate",
+                report.drive.final_distance_m
+            );
+            system.assert_nothing_left();
+        }
+    });
 }

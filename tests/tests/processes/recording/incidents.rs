@@ -47,19 +47,21 @@ fn a_kill_leaves_one_file_with_the_seconds_before_it_and_the_restart_and_it_is_r
 
 #[test]
 fn a_recording_that_is_being_written_is_not_replaced() {
-    let mut system = System::new(EXECUTABLE);
-    system.start(&[&SHORT_FREE[..], &["--record=drive.mcap"]].concat());
-    system.wait_until("the recording is there", |system| system.folder().join("drive.mcap").exists());
-    system.wait_until_driving();
-    let output = system.run(&["record", "drive.mcap", "--force", "--duration", "0.5"]);
-    let message = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(2), "{message}");
-    assert!(message.contains("drive.mcap: another process is writing this file"), "{message}");
-    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
-    let recording = system.report().recording.expect("a recording");
-    let info = json(&system.run(&["recording", "info", "drive.mcap", "--json"]));
-    assert_eq!((&info["complete"], &info["bytes"]), (&true.into(), &recording.bytes.into()), "{info}");
-    system.assert_nothing_left();
+    repeat_when_late(|| {
+        let mut system = System::new(EXECUTABLE);
+        system.start(&[&SHORT_FREE[..], &["--record=drive.mcap"]].concat());
+        system.wait_until("the recording is there", |system| system.folder().join("drive.mcap").exists());
+        system.wait_until_driving();
+        let output = system.run(&["record", "drive.mcap", "--force", "--duration", "0.5"]);
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(message.contains("drive.mcap: another process is writing this file"), "{message}");
+        assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+        let recording = system.report().recording.expect("a recording");
+        let info = json(&system.run(&["recording", "info", "drive.mcap", "--json"]));
+        assert_eq!((&info["complete"], &info["bytes"]), (&true.into(), &recording.bytes.into()), "{info}");
+        system.assert_nothing_left();
+    });
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! Files that unpack to more than there is memory.
 
+use scanloop_tests::machine::repeat_when_late;
 use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -42,86 +43,92 @@ fn bomb(folder: &Path, chunks: u32) -> PathBuf {
 
 #[test]
 fn large_chunks_are_read_one_after_the_other_in_bounded_memory() {
-    let system = System::new(EXECUTABLE);
-    let file = bomb(system.folder(), 16);
-    assert!(file.metadata().expect("of a test").len() < 6 << 20);
-    let [bag, csv] = ["bag", "csv"].map(|name| system.folder().join(name));
-    let commands = [
-        vec!["recording", "info", text(&file)],
-        vec!["recording", "repair", text(&file)],
-        vec!["recording", "export", text(&file), "--csv", text(&csv)],
-        vec!["recording", "export", text(&file), "--rosbag2", text(&bag)],
-    ];
-    for arguments in commands {
-        let output = limited(&system, &arguments);
-        let message = scanloop_tests::printed(&output);
-        assert_eq!(output.status.code(), Some(0), "{arguments:?}: {message}");
-    }
-    for arguments in [["replay", text(&file)], ["view", text(&file)]] {
-        let output = limited(&system, &arguments);
-        let message = scanloop_tests::printed(&output);
-        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {message}");
-    }
+    repeat_when_late(|| {
+        let system = System::new(EXECUTABLE);
+        let file = bomb(system.folder(), 16);
+        assert!(file.metadata().expect("of a test").len() < 6 << 20);
+        let [bag, csv] = ["bag", "csv"].map(|name| system.folder().join(name));
+        let commands = [
+            vec!["recording", "info", text(&file)],
+            vec!["recording", "repair", text(&file)],
+            vec!["recording", "export", text(&file), "--csv", text(&csv)],
+            vec!["recording", "export", text(&file), "--rosbag2", text(&bag)],
+        ];
+        for arguments in commands {
+            let output = limited(&system, &arguments);
+            let message = scanloop_tests::printed(&output);
+            assert_eq!(output.status.code(), Some(0), "{arguments:?}: {message}");
+        }
+        for arguments in [["replay", text(&file)], ["view", text(&file)]] {
+            let output = limited(&system, &arguments);
+            let message = scanloop_tests::printed(&output);
+            assert_eq!(output.status.code(), Some(2), "{arguments:?}: {message}");
+        }
+    });
 }
 
 #[test]
 fn sizes_in_a_file_beyond_the_limits_are_refused_with_the_number() {
-    let (system, file) = recorded(&SHORT_FREE);
-    let whole = std::fs::read(&file).expect("of a test");
-    let second = records(&whole, CHUNK)[1].clone();
-    // Length of the record; of its content, behind two times; of its index.
-    let gibibyte = (1_u64 << 30).to_le_bytes();
-    let mut unpacked = whole.clone();
-    unpacked[second.start + 25..second.start + 33].copy_from_slice(&gibibyte);
-    let mut attached = MAGIC.to_vec();
-    attached.extend_from_slice(&whole[8..second.start]);
-    attached.push(9);
-    attached.extend_from_slice(&gibibyte);
-    let sparse = system.folder().join("sparse.mcap");
-    std::fs::write(&sparse, attached).expect("of a test");
-    File::options().write(true).open(&sparse).and_then(|file| file.set_len(2 << 30)).expect("of a test");
-    let chunk = system.folder().join("chunk.mcap");
-    std::fs::write(&chunk, unpacked).expect("of a test");
-    let told = [
-        (&chunk, "a chunk of 1073741824 bytes, 67108864 are allowed"),
-        (&sparse, "an attached file or a text of 1073741824 bytes, 134217728 are allowed"),
-    ];
-    for (file, reason) in told {
-        for command in [&["recording", "info"][..], &["replay"], &["view"]] {
-            let output = limited(&system, &[command, &[text(file)]].concat());
-            let message = scanloop_tests::printed(&output);
-            assert_eq!(output.status.code(), Some(2), "{message}");
-            assert!(message.contains(reason), "{message}");
+    repeat_when_late(|| {
+        let (system, file) = recorded(&SHORT_FREE);
+        let whole = std::fs::read(&file).expect("of a test");
+        let second = records(&whole, CHUNK)[1].clone();
+        // Length of the record; of its content, behind two times; of its index.
+        let gibibyte = (1_u64 << 30).to_le_bytes();
+        let mut unpacked = whole.clone();
+        unpacked[second.start + 25..second.start + 33].copy_from_slice(&gibibyte);
+        let mut attached = MAGIC.to_vec();
+        attached.extend_from_slice(&whole[8..second.start]);
+        attached.push(9);
+        attached.extend_from_slice(&gibibyte);
+        let sparse = system.folder().join("sparse.mcap");
+        std::fs::write(&sparse, attached).expect("of a test");
+        File::options().write(true).open(&sparse).and_then(|file| file.set_len(2 << 30)).expect("of a test");
+        let chunk = system.folder().join("chunk.mcap");
+        std::fs::write(&chunk, unpacked).expect("of a test");
+        let told = [
+            (&chunk, "a chunk of 1073741824 bytes, 67108864 are allowed"),
+            (&sparse, "an attached file or a text of 1073741824 bytes, 134217728 are allowed"),
+        ];
+        for (file, reason) in told {
+            for command in [&["recording", "info"][..], &["replay"], &["view"]] {
+                let output = limited(&system, &[command, &[text(file)]].concat());
+                let message = scanloop_tests::printed(&output);
+                assert_eq!(output.status.code(), Some(2), "{message}");
+                assert!(message.contains(reason), "{message}");
+            }
         }
-    }
-    // It may be the number that is damaged.
-    let output = limited(&system, &["recording", "repair", text(&chunk)]);
-    let message = scanloop_tests::printed(&output);
-    assert!(output.status.code() == Some(1) && message.contains(": up to "), "{message}");
+        // It may be the number that is damaged.
+        let output = limited(&system, &["recording", "repair", text(&chunk)]);
+        let message = scanloop_tests::printed(&output);
+        assert!(output.status.code() == Some(1) && message.contains(": up to "), "{message}");
+    });
 }
 
 #[test]
 fn a_small_file_with_many_samples_is_refused_before_they_fill_the_memory() {
-    let system = System::new(EXECUTABLE);
-    let path = system.folder().join("many.mcap");
-    let mut writer = recording::writer(File::create(&path).expect("of a test")).expect("of a test");
-    let (mut open, size) = (OpenChunk::default(), Topic::Checkpoint.size());
-    let zeros = vec![0; size];
-    for number in 0..(30 << 20) / size as u32 {
-        open.message(Topic::Checkpoint as u16, number, [u64::from(number); 2], &[&[0, 1, 0, 0], &zeros]);
-    }
-    let chunk = open.seal().expect("of a test");
-    for _ in 0..10 {
-        writer.chunk(&chunk).expect("of a test");
-    }
-    writer.finish().expect("of a test");
-    assert!(path.metadata().expect("of a test").len() < 3 << 20);
-    for command in ["replay", "view"] {
-        let output = limited(&system, &[command, text(&path)]);
-        let message = scanloop_tests::printed(&output);
-        assert_eq!(output.status.code(), Some(2), "{command}: {message}");
-        assert!(message.contains("its samples have more than 268435456 bytes"), "{command}: {message}");
-    }
+    repeat_when_late(|| {
+        let system = System::new(EXECUTABLE);
+        let path = system.folder().join("many.mcap");
+        let mut writer = recording::writer(File::create(&path).expect("of a test")).expect("of a test");
+        let (mut open, size) = (OpenChunk::default(), Topic::Checkpoint.size());
+        let zeros = vec![0; size];
+        for number in 0..(30 << 20) / size as u32 {
+            open.message(Topic::Checkpoint as u16, number, [u64::from(number); 2], &[&[0, 1, 0, 0], &zeros]);
+        }
+        let chunk = open.seal().expect("of a test");
+        for _ in 0..10 {
+            writer.chunk(&chunk).expect("of a test");
+        }
+        writer.finish().expect("of a test");
+        assert!(path.metadata().expect("of a test").len() < 3 << 20);
+        for command in ["replay", "view"] {
+            let output = limited(&system, &[command, text(&path)]);
+            let message = scanloop_tests::printed(&output);
+            assert_eq!(output.status.code(), Some(2), "{command}: {message}");
+            assert!(message.contains("its samples have more than 268435456 bytes"), "{command}: {message}");
+        }
+    });
 }
 
 /// A file of another program: a chunk with this content behind these records, without a summary.
@@ -155,39 +162,43 @@ fn message(channel: u16) -> Vec<u8> {
 
 #[test]
 fn a_large_schema_of_many_channels_is_held_once() {
-    let system = System::new(EXECUTABLE);
-    let (file, out) = (system.folder().join("channels.mcap"), system.folder().join("out.mcap"));
-    let fields = sized(&vec![b'\n'; (4 << 20) - 100]);
-    let schema =
-        record(3, &[&1_u16.to_le_bytes()[..], &sized(b"a/msg/A"), &sized(b"ros2msg"), &fields].concat());
-    let channels: Vec<u8> = (1..400).flat_map(|number| channel(number, 1)).collect();
-    foreign(&file, &[schema, channels].concat(), &message(1));
-    let bag = system.folder().join("bag");
-    for arguments in [
-        ["recording", "repair", text(&file), "--out", text(&out), "--force"].as_slice(),
-        &["recording", "cut", text(&file), "--out", text(&out), "--force"],
-        &["recording", "export", text(&file), "--rosbag2", text(&bag)],
-    ] {
-        let output = limited(&system, arguments);
-        assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", scanloop_tests::printed(&output));
-    }
+    repeat_when_late(|| {
+        let system = System::new(EXECUTABLE);
+        let (file, out) = (system.folder().join("channels.mcap"), system.folder().join("out.mcap"));
+        let fields = sized(&vec![b'\n'; (4 << 20) - 100]);
+        let schema =
+            record(3, &[&1_u16.to_le_bytes()[..], &sized(b"a/msg/A"), &sized(b"ros2msg"), &fields].concat());
+        let channels: Vec<u8> = (1..400).flat_map(|number| channel(number, 1)).collect();
+        foreign(&file, &[schema, channels].concat(), &message(1));
+        let bag = system.folder().join("bag");
+        for arguments in [
+            ["recording", "repair", text(&file), "--out", text(&out), "--force"].as_slice(),
+            &["recording", "cut", text(&file), "--out", text(&out), "--force"],
+            &["recording", "export", text(&file), "--rosbag2", text(&bag)],
+        ] {
+            let output = limited(&system, arguments);
+            assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", scanloop_tests::printed(&output));
+        }
+    });
 }
 
 #[test]
 fn large_names_of_attached_files_are_refused_before_they_fill_the_memory() {
-    let system = System::new(EXECUTABLE);
-    let (file, out) = (system.folder().join("names.mcap"), system.folder().join("out.mcap"));
-    let name = vec![0; 120 << 20];
-    let attached = record(9, &[&[0; 16][..], &sized(&name), &[0; 4 + 8 + 4]].concat());
-    foreign(&file, &attached.repeat(5), &[channel(1, 0), message(1)].concat());
-    for command in
-        [&["recording", "info", text(&file)][..], &["recording", "cut", text(&file), "--out", text(&out)]]
-    {
-        let output = limited(&system, command);
+    repeat_when_late(|| {
+        let system = System::new(EXECUTABLE);
+        let (file, out) = (system.folder().join("names.mcap"), system.folder().join("out.mcap"));
+        let name = vec![0; 120 << 20];
+        let attached = record(9, &[&[0; 16][..], &sized(&name), &[0; 4 + 8 + 4]].concat());
+        foreign(&file, &attached.repeat(5), &[channel(1, 0), message(1)].concat());
+        for command in
+            [&["recording", "info", text(&file)][..], &["recording", "cut", text(&file), "--out", text(&out)]]
+        {
+            let output = limited(&system, command);
+            let message = scanloop_tests::printed(&output);
+            assert!(output.status.code() == Some(2) && message.contains("4194304 are allowed"), "{message}");
+        }
+        let output = limited(&system, &["recording", "repair", text(&file), "--out", text(&out)]);
         let message = scanloop_tests::printed(&output);
-        assert!(output.status.code() == Some(2) && message.contains("4194304 are allowed"), "{message}");
-    }
-    let output = limited(&system, &["recording", "repair", text(&file), "--out", text(&out)]);
-    let message = scanloop_tests::printed(&output);
-    assert_eq!(output.status.code(), Some(1), "{message}");
+        assert_eq!(output.status.code(), Some(1), "{message}");
+    });
 }
