@@ -19,7 +19,7 @@ const PAUSE: Duration = Duration::from_millis(2);
 const LATE: Duration = Duration::from_millis(4);
 /// A test is tried this often at most, so that a program that fails on a late machine only fails here too.
 const TRIES: u32 = 6;
-/// So many of the tries run beside other tests, the later ones alone.
+/// So many of the tries share the machine with other tests; the later ones are alone.
 const TRIES_BESIDE_OTHERS: u32 = 2;
 /// No new try begins when those before took this long.
 const LIMIT: Duration = Duration::from_secs(240);

@@ -30,7 +30,7 @@ impl Turns {
     }
 }
 
-/// A test that runs beside others, until it is dropped.
+/// A test among others, until it is dropped.
 #[derive(Debug)]
 pub(crate) struct Turn(ThreadId);
 

@@ -130,11 +130,12 @@ fn the_orchestrator_prints_without_panic_and_wait() {
     }
 }
 
-/// `console::new_file` syncs files under a random name and renames them, and follows no link; other ways do not.
+/// `console::new_file` syncs files before they have a name, and follows no link; other ways do not.
 #[test]
 fn files_of_users_are_made_in_one_place() {
-    const OTHERS: [(&str, &str); 14] = [
+    const OTHERS: [(&str, &str); 15] = [
         ("orchestrator/console/src/new_file.rs", "the place itself, and the opening of logs"),
+        ("orchestrator/console/src/new_file", "how a file gets its name, and devices"),
         ("orchestrator/console/src/out_folder.rs", "its list grows, opened as a log is"),
         ("orchestrator/console/src/user_file.rs", "reads"),
         ("orchestrator/supervision/src/child_log.rs", "a log, opened by `new_file`"),
@@ -178,7 +179,7 @@ fn standard_output_is_written_in_one_place() {
     let others = [
         "orchestrator/console/src/output.rs",
         // Tells whether a path leads to the output itself.
-        "orchestrator/console/src/new_file.rs",
+        "orchestrator/console/src/new_file/device.rs",
         // Messages to the orchestrator, through a pipe.
         "orchestrator/recording/src/recorder/companion.rs",
         // Asks for the size of the terminal.

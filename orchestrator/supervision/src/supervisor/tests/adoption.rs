@@ -79,6 +79,11 @@ fn what_is_adopted_twice_or_after_the_end_changes_nothing() {
     supervisor.handle(0, adopted(11));
     supervisor.handle(0, adopted(12));
     assert_eq!(pid(&supervisor), Some(11));
+    // A role that was left out starts anew; what is found of it later is another process.
+    let mut supervisor = Supervisor::new(policies());
+    supervisor.handle(0, Event::Resume { phase: Phase::Starting, last_incarnation: 9 });
+    supervisor.handle(0, adopted(11));
+    assert_ne!(pid(&supervisor), Some(11));
     let mut supervisor = Supervisor::new(policies());
     supervisor.handle(0, Event::StopRequested);
     supervisor.handle(0, adopted(11));
