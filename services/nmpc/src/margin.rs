@@ -61,7 +61,7 @@ impl MarginModel {
     pub(crate) fn bare(self) -> Self {
         let settings =
             MarginSettings { pose_sigmas: 0.0, pose_growth_m: 0.0, model_m: 0.0, perception_m: 0.0 };
-        Self { settings, variance_m2: 0.0, age_s: 0.0, ..self }
+        Self { settings, age_s: 0.0, ..self }
     }
 
     /// No margin at all: for a robot that would be struck if it stopped.
