@@ -293,5 +293,45 @@ mod tests {
         assert_eq!(blocked(&[closed(3.0)], 2.5), Some(0));
         assert_eq!(blocked(&[closed(3.8)], 2.5), None);
         assert_eq!(blocked(&[closed(-0.5)], 15.0), None);
+        // As what is beside it or out of sight, or begins at the goal.
+        assert_eq!([0.0, SIGHT_M, 6.0].map(|x| blocked(&[closed(x)], 15.0)), [None; 3]);
+        assert_eq!(blocked(&[PredictedObstacle { a: 1.25, ..closed(3.75) }], 2.5), None);
+    }
+
+    /// What blocks a robot at a place, which rests within 0.1 m.
+    fn blocking(bodies: &[PredictedObstacle], [x, y]: [f64; 2], slack: f64) -> Option<usize> {
+        let goal = Goal { x_m: 15.0, ..Goal::default() };
+        let track = Track { x_m: [-10.0, 22.0], ..Track::default() };
+        let config = Config { goal, track, ..Config::default() };
+        blocked_by(&Scene::new(&config, bodies, State { x, y, ..State::default() }), &[], 0.1, slack)
+    }
+
+    #[test]
+    fn the_body_is_named_that_ends_the_longest_way_also_if_another_one_is_nearer() {
+        for side in [1.0, -1.0] {
+            let bodies = [body(2.4, -0.9 * side, 0.9, 0.0), body(3.6, 0.9 * side, 0.9, 0.0)];
+            assert_eq!(blocking(&bodies, [0.0; 2], 1.0), Some(1), "{side}");
+        }
+    }
+
+    #[test]
+    fn the_distance_is_that_from_the_robot() {
+        // For b = 1.7 m it is too late within 3.59 m.
+        let closed = |x: f64, y: f64| PredictedObstacle { a: 1.2, ..body(x, y, 1.7, 0.0) };
+        assert_eq!(blocking(&[closed(4.55, 0.4)], [1.0, 0.4], 0.0), Some(0));
+        assert_eq!(blocking(&[closed(4.65, 0.4)], [1.0, 0.4], 0.0), None);
+    }
+
+    #[test]
+    fn a_turn_has_passed_a_body_half_an_axis_behind_its_centre() {
+        let blocked = |bodies: &[PredictedObstacle]| blocking(bodies, [0.0; 2], 1.0);
+        let ellipse = |x: f64, y: f64, b: f64| PredictedObstacle { a: 1.2, ..body(x, y, b, 0.0) };
+        // One that closes the track out of sight stands 1.3 m behind the first, whose passing ends after 0.6 m.
+        let closed = PredictedObstacle { a: 0.6, ..body(4.6, 0.0, 1.9, 0.0) };
+        assert_eq!(blocked(&[ellipse(2.7, 0.0, 0.6), closed]), None);
+        // At the centre 1.4 m and the margin are more than the 1.55 m that are free; half an axis before they are not.
+        assert_eq!(blocked(&[ellipse(4.3, 0.0, 1.4)]), Some(0));
+        // To the side where there is room: right of what stands to the left, and left of what stands to the right.
+        assert_eq!([0.5, -0.5].map(|y| blocked(&[ellipse(3.4, y, 1.0)])), [None; 2]);
     }
 }
