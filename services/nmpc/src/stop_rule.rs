@@ -228,13 +228,42 @@ mod tests {
         assert!(!blocked_at(1.5, 1.2, 0.9, 0.1));
     }
 
-    /// What a drive from the origin meets, in a scene with these bodies.
+    /// What a drive from the origin at 1 m/s meets, in a scene with these bodies.
     fn driven(predicted: &[PredictedObstacle], state: State, side: f64, length: f64, end_x: f64) -> Reach {
         let config = Config { goal: Goal { x_m: 15.0, ..Goal::default() }, ..Config::default() };
-        let scene = Scene::new(&config, predicted, State::default());
+        drive_in(&config, predicted, 1.0, state, (side, length), end_x)
+    }
+
+    fn drive_in(
+        config: &Config,
+        predicted: &[PredictedObstacle],
+        speed: f64,
+        state: State,
+        (side, length): (f64, f64),
+        end_x: f64,
+    ) -> Reach {
+        let scene = Scene::new(config, predicted, State::default());
         let curvature = scene.full_lock_curvature(1.0);
-        let turns = Turns { scene: &scene, baseline: scene.baseline(), end_x, curvature, speed: 1.0 };
-        turns.drive(Sampled { t: 0.0, speed: 1.0, state }, side, length)
+        let turns = Turns { scene: &scene, baseline: scene.baseline(), end_x, curvature, speed };
+        turns.drive(Sampled { t: 0.0, speed, state }, side, length)
+    }
+
+    #[test]
+    fn a_faster_turn_is_there_earlier_and_its_body_turns_with_it() {
+        let config = Config { goal: Goal { x_m: 15.0, ..Goal::default() }, ..Config::default() };
+        // At 2 m/s the robot is there after 1.5 s, when the body is in the way, and not after 3 s or later.
+        let crossing = [body(3.0, -1.2, 0.5, 0.8)];
+        let reach = |speed| drive_in(&config, &crossing, speed, State::default(), (0.0, 0.0), 5.0);
+        assert!(matches!((reach(2.0), reach(1.0)), (Reach::Hit { obstacle: Some(0), .. }, Reach::Past)));
+        // Its front corner comes to the wall first.
+        let track = Track { walls: true, ..config.track };
+        let walled = Config { track, ..config.clone() };
+        let reach = |config| drive_in(config, &[], 1.0, State::default(), (1.0, 9.0), 9.0);
+        let [Reach::Hit { x, .. }, Reach::Hit { x: without_walls, .. }] = [reach(&walled), reach(&config)]
+        else {
+            panic!("it leaves the track")
+        };
+        assert!((x - 2.45).abs() < 0.02 && (without_walls - 2.76).abs() < 0.02, "{x} {without_walls}");
     }
 
     fn body(x: f64, y: f64, b: f64, velocity_y: f64) -> PredictedObstacle {
@@ -248,20 +277,23 @@ mod tests {
         for side in [1.0, -1.0] {
             // 2 R (1 - cos(l / R)) with a radius of 3.09 m: 0.9 m across for 1.7 m, and 1.7 m for 2.4 m, where 1.55 m are free.
             assert!(matches!(driven(&[], straight, side, 1.7, 8.0), Reach::Past));
-            assert!(matches!(driven(&[], straight, side, 2.4, 12.0), Reach::Hit { obstacle: None, .. }));
+            assert!(matches!(driven(&[], straight, side, 2.4, 8.0), Reach::Hit { obstacle: None, .. }));
             let Reach::Hit { x, obstacle: None } = driven(&[], straight, side, 9.0, 12.0) else {
                 panic!("it leaves the track")
             };
             assert!((x - 2.76).abs() < 0.02, "{x}");
         }
         // Without a turn it keeps its course, of yaw and sideslip: 1.55 m to the left after 1.55 / tan 0.4.
-        for (yaw, sideslip) in [(0.3, 0.1), (0.5, -0.1)] {
+        for (yaw, sideslip) in [(0.3, 0.1), (0.5, -0.1), (-0.3, -0.1)] {
             let state = State { yaw, sideslip, ..State::default() };
             let Reach::Hit { x, obstacle: None } = driven(&[], state, 0.0, 0.0, 12.0) else {
                 panic!("it leaves the track")
             };
             assert!((x - 3.67).abs() < 0.09, "{x}");
         }
+        // A turn against its course first has to end that: 1.4 m to the right, 0.15 m are left.
+        let outwards = State { y: -1.4, yaw: -0.5, ..straight };
+        assert!(matches!(driven(&[], outwards, 1.0, 1.7, 8.0), Reach::Hit { x, .. } if x < 0.5));
         let Reach::Hit { x, .. } = driven(&[], straight, 0.0, 0.0, 21.0) else { panic!("it is too far") };
         assert!((x - 2.0 * SIGHT_M).abs() < 0.1, "{x}");
     }
@@ -327,7 +359,7 @@ mod tests {
         let blocked = |bodies: &[PredictedObstacle]| blocking(bodies, [0.0; 2], 1.0);
         let ellipse = |x: f64, y: f64, b: f64| PredictedObstacle { a: 1.2, ..body(x, y, b, 0.0) };
         // One that closes the track out of sight stands 1.3 m behind the first, whose passing ends after 0.6 m.
-        let closed = PredictedObstacle { a: 0.6, ..body(4.6, 0.0, 1.9, 0.0) };
+        let closed = PredictedObstacle { a: 1.0, ..body(4.6, 0.0, 1.9, 0.0) };
         assert_eq!(blocked(&[ellipse(2.7, 0.0, 0.6), closed]), None);
         // At the centre 1.4 m and the margin are more than the 1.55 m that are free; half an axis before they are not.
         assert_eq!(blocked(&[ellipse(4.3, 0.0, 1.4)]), Some(0));
