@@ -128,6 +128,12 @@ fn behind_the_goal_the_plan_is_cut_and_not_refused() {
     assert!(verdict.holds());
     // The ellipse begins at 1.6 m, in the fourth interval of 0.4533 m.
     assert_eq!(verdict.intervals, 3);
+    // The sample that enters it, at 1.612 m, is behind the goal when that is more than 0.03 m before.
+    for (goal_x_m, is_cut) in [(1.6, false), (1.57, true)] {
+        fixture.config.goal.x_m = goal_x_m;
+        let verdict = verify(&fixture.scene(), &straight(1.0), &mut Rollout::default());
+        assert_eq!(verdict.violation.is_none(), is_cut, "{goal_x_m}");
+    }
 }
 
 #[test]
@@ -237,6 +243,33 @@ fn the_wheels_may_be_blocked_after_one_period_or_by_the_actuator_or_by_the_dead_
         Some((t * 20.0).round() / 20.0)
     };
     assert_eq!([0.82, 0.86, 0.91, 0.96].map(slid), [Some(0.1), Some(0.15), Some(0.2), None]);
+}
+
+#[test]
+fn a_slide_is_judged_up_to_the_goal_and_not_behind_it() {
+    let slid = |goal_x_m: f64| {
+        let mut fixture = weakly_braking(vec![obstacle(0.28 + 0.82 + 0.05, 0.0, 0.05, 0.05)]);
+        fixture.config.goal.x_m = goal_x_m;
+        !verdict(&fixture.scene(), &creeping(0.0)).holds()
+    };
+    // The first slide begins at 0.1 m, and 0.03 m behind the goal still count.
+    assert_eq!([5.0, 0.08, 0.06, -1.0].map(slid), [true, true, false, false]);
+}
+
+#[test]
+fn along_a_slide_a_body_is_met_where_both_are_at_the_time() {
+    // From 1.05 m/s with 0.4 m/s^2 the robot is 0.47 m ahead after 0.5 s and 1.3 m after 2 s, 0.28 m long to each side. The
+    // body crosses 0.6 m ahead, at 1.6 m/s.
+    let meets = |crosses_s: f64| {
+        let mut crossing = obstacle(0.6, -1.6 * crosses_s, 0.05, 0.05);
+        crossing.velocity = [0.0, 1.6];
+        let mut fixture = weakly_braking(vec![crossing]);
+        fixture.config.vehicle.blocked_deceleration_mps2 = 0.5;
+        let (scene, control) = (fixture.scene(), Control { velocity: 1.0, steering: 0.0 });
+        let start = Sampled { t: 0.0, speed: 1.0, state: State::default() };
+        slide_from(&scene, &scene.baseline(), &control, &start).is_some()
+    };
+    assert_eq!([0.6, 2.0].map(meets), [true, false]);
 }
 
 #[test]
