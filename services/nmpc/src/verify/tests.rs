@@ -303,6 +303,20 @@ fn a_slide_into_a_body_refuses_a_plan_that_comes_too_near_to_it_only_later() {
     assert!(later.holds() && later.violation.is_some_and(|(_, t)| t > VERIFIED_S), "{later:?}");
 }
 
+#[test]
+fn a_robot_that_holds_a_control_brakes_to_its_speed_and_drives_on_for_a_ninth_of_an_interval() {
+    let fixture = Fixture::new(Vec::new());
+    let piece_s = fixture.config.interval_s() / 9.0;
+    let deceleration = fixture.config.vehicle.deceleration_max_mps2;
+    let last = Sampled { t: 3.0, speed: 1.0, state: State { x: 2.0, ..State::default() } };
+    let at = |velocity: f64| hold(&fixture.scene(), &Control { velocity, steering: 0.0 }, &last);
+    for (velocity, speed) in [(0.1, 1.0 - deceleration * piece_s), (0.99, 0.99)] {
+        let held = at(velocity);
+        assert!((held.t - 3.0 - piece_s).abs() < 1e-12 && (held.speed - speed).abs() < 1e-12, "{held:?}");
+        assert!((held.state.x - 2.0 - velocity * piece_s).abs() < 1e-9, "{held:?}");
+    }
+}
+
 /// At 1 Hz a command is held for longer than an interval of its plan.
 #[test]
 fn a_command_that_is_held_for_longer_than_its_interval_is_verified_for_as_long() {
@@ -316,6 +330,22 @@ fn a_command_that_is_held_for_longer_than_its_interval_is_verified_for_as_long()
     fixture.predicted[0].body.centre.x = 0.28 + 3.5 + 0.05;
     fixture.predicted[0].centre[0] = fixture.predicted[0].body.centre.x;
     assert!(!verdict(&fixture.scene(), &creeping(0.0)).holds());
+}
+
+/// At 1 Hz the robot drives on at 1 m/s for a second at least, with its front at 0.98 m after 0.7 s.
+#[test]
+fn what_crosses_while_a_command_is_held_is_met_before_any_slide() {
+    let meets = |crosses_s: f64, period_s: f64| {
+        let mut crossing = obstacle(1.05, -4.0 * crosses_s, 0.05, 0.05);
+        crossing.velocity = [0.0, 4.0];
+        let mut fixture = Fixture::new(vec![crossing]);
+        fixture.config.period_s = period_s;
+        !verdict(&fixture.scene(), &creeping(0.0)).holds()
+    };
+    assert_eq!(
+        [(0.7, 1.0), (-1.0, 1.0), (0.7, 0.1)].map(|(s, period_s)| meets(s, period_s)),
+        [true, false, false]
+    );
 }
 
 #[test]
