@@ -2,7 +2,8 @@
 //!
 //! So a file of that name is whole, before and after; an output never destroys its input, because what is read stays open;
 //! and nothing is left of a command that is ended. Where a file system keeps no files without a name, it is a random one in
-//! the same folder, made with `O_EXCL`: no link that another user has put there is followed. A link of the wanted name is replaced itself, not what it leads to.
+//! the same folder, made with `O_EXCL`: no link that another user has put there is followed. A link of the wanted name is
+//! replaced itself, not what it leads to.
 //!
 //! Three kinds of files are written in another way: logs and live recordings, which are read while they grow, and devices,
 //! pipes and open files such as `/dev/stdout`, which nothing can be renamed to.

@@ -325,7 +325,7 @@ mod tests {
         assert_eq!(blocked(&[closed(3.0)], 2.5), Some(0));
         assert_eq!(blocked(&[closed(3.8)], 2.5), None);
         assert_eq!(blocked(&[closed(-0.5)], 15.0), None);
-        // As what is beside it or out of sight, or begins at the goal.
+        // Nor does what is level with the robot, what is out of sight, and what begins at the goal.
         assert_eq!([0.0, SIGHT_M, 6.0].map(|x| blocked(&[closed(x)], 15.0)), [None; 3]);
         assert_eq!(blocked(&[PredictedObstacle { a: 1.25, ..closed(3.75) }], 2.5), None);
     }
