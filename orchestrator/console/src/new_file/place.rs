@@ -146,6 +146,11 @@ mod tests {
             for has_name in [false, true] {
                 let (mut file, place) = begin(&path, None).unwrap();
                 let mut place = place.unwrap();
+                assert_eq!(
+                    place.temporary.is_none(),
+                    unnamed(&place.folder).is_some(),
+                    "none where it can be"
+                );
                 if has_name && place.temporary.is_none() {
                     let (other, name) = named(&place.folder).unwrap();
                     (file, place.temporary) = (other, Some(name));
