@@ -6,7 +6,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use criterion::Criterion;
-use scanloop_bench::{Echo, Peer, echo_until_told};
+use laboratory::{Echo, Peer, echo_until_told};
 
 /// Makes this program the answering end of the system it names.
 const ECHO_VARIABLE: &str = "SCANLOOP_BENCH_ECHO";

@@ -7,10 +7,10 @@ use criterion::measurement::WallTime;
 use criterion::{BenchmarkGroup, Criterion, SamplingMode};
 use emulator::Emulator;
 use estimator::Estimator;
+use laboratory::Lap;
 use nmpc::{Budget, Controller};
 use obstacles::ObstacleDetector;
 use pipeline::{Pipeline, Step};
-use scanloop_bench::Lap;
 use shared_types::{CommandKind, Odometry, Scan, Truth};
 
 type Group<'a> = BenchmarkGroup<'a, WallTime>;

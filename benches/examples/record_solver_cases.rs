@@ -1,7 +1,7 @@
 //! Records the initial states of `scanloop bench solver`: three laps of a closed loop with the problem of the benchmark.
 //!
 //! ```sh
-//! cargo run -p scanloop-bench --example record_solver_cases > benches/cases/solver.csv
+//! cargo run -p scanloop-lab --example record_solver_cases > benches/cases/solver.csv
 //! ```
 //!
 //! The plant is the model itself; the first control of the converged solution acts for a period. The first lap is clean;
@@ -9,7 +9,7 @@
 //! this fails as a set of cases: all three laps pass the ellipse on the right, and nothing is ever seen late; use a file
 //! of your own for those.
 
-use commands::bench::solver::problem::{Case, PERIOD_S, guess, problem};
+use laboratory::solver::problem::{Case, PERIOD_S, guess, problem};
 use ocp::{Budget, Collocation, Solver, SolverSettings, Trajectory};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;

@@ -1,7 +1,7 @@
 //! Time from the last byte of a sweep to its scan in the driver, over TCP on the loopback interface.
 //!
 //! ```text
-//! cargo run --profile dist -p scanloop-bench --example urg_latency [SCANS]
+//! cargo run --profile dist -p scanloop-lab --example urg_latency [SCANS]
 //! ```
 //!
 //! A thread plays the scanner. It sends each scan but for its last byte, waits until the driver has taken it and sleeps
@@ -16,8 +16,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use anyhow::Context;
+use laboratory::{CountingAllocator, allocations};
 use runtime::monotonic_ns;
-use scanloop_bench::{CountingAllocator, allocations};
 use shared_types::Scan;
 use urg::{Config, Emulator, Place, Source};
 

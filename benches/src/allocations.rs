@@ -17,11 +17,11 @@ thread_local! {
 ///
 /// ```
 /// #[global_allocator]
-/// static ALLOCATOR: scanloop_bench::CountingAllocator = scanloop_bench::CountingAllocator;
+/// static ALLOCATOR: laboratory::CountingAllocator = laboratory::CountingAllocator;
 ///
-/// let before = scanloop_bench::allocations();
+/// let before = laboratory::allocations();
 /// let boxed = Box::new(std::hint::black_box(7));
-/// assert_eq!(scanloop_bench::allocations() - before, 1);
+/// assert_eq!(laboratory::allocations() - before, 1);
 /// drop(boxed);
 /// ```
 #[derive(Debug, Clone, Copy, Default)]

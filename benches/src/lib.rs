@@ -1,78 +1,124 @@
-//! The benches that are no part of the product, with the executable `scanloop-bench`.
+//! The laboratory, with the executable `scanloop-lab`: what studies the product and is no part of it.
 //!
-//! `scanloop bench ...` finds it and hands its own arguments over, so it need not be called by hand. It has the
-//! benches that need more than the product is made of: other transports, an allocator that counts, stages that
-//! compute nothing, load. The benches of Criterion share recorded laps and a bus with two ends.
+//! `scanloop campaign ...` and the other commands of the laboratory find it and hand their arguments over, so it need
+//! not be called by hand. The benches of Criterion share recorded laps and a bus with two ends.
 
 mod allocations;
+mod analyse;
+mod campaign;
+mod compare;
+mod cores;
 mod empty_stages;
+mod faults;
 mod lap;
 mod load;
+mod optimum;
 mod payload;
+mod price;
+mod ride;
+mod robot;
 mod round_trips;
-mod scale;
+pub mod solver;
 mod transport;
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
-use commands::bench::{SolverArguments, solver};
+use clap::{CommandFactory, Parser, Subcommand};
+use commands::reference;
 use console::exit::{Exit, Failure};
 use console::limits;
+use console::output::data;
 
 pub use allocations::{CountingAllocator, allocations};
 pub use lap::Lap;
 pub use round_trips::{Echo, Peer, echo_until_told};
 
-use scale::ScaleArguments;
+use analyse::AnalyseCommand;
+use campaign::arguments::CampaignArguments;
+use compare::CompareArguments;
+use faults::FaultsArguments;
+use price::PriceArguments;
+use ride::RideArguments;
+use solver::SolverArguments;
 use transport::TransportArguments;
 
-/// The commands of `scanloop` that this executable runs.
+/// What studies Scanloop: campaigns of random courses, the matrix of faults, prices, benches, design analyses.
 #[derive(Debug, Parser)]
-#[command(name = "scanloop", bin_name = "scanloop", version, max_term_width = 100)]
+#[command(name = "scanloop-lab", version, max_term_width = 100)]
 struct Cli {
-    /// Which system on this machine is meant; these benches have systems of their own.
+    /// Which system on this machine is meant; studies have systems of their own.
     #[arg(long, global = true, value_name = "NAME", env = runtime::SYSTEM_ID_VARIABLE, hide = true)]
     system_id: Option<String>,
     #[command(subcommand)]
     command: Command,
 }
 
-#[derive(Debug, Subcommand)]
-enum Command {
-    /// Measure parts of the loop.
-    #[command(subcommand)]
-    Bench(BenchCommand),
-    /// Run a process of a bench; the benches start these.
-    Service {
-        /// hop, load, scale-companion or echo-ROLE.
-        name: String,
-    },
-}
+/// First words of the half of `docs/commands.md`.
+const WORDS: &str = include_str!("reference/commands.md");
+/// What the commands print with `--json`, for the page of the commands.
+const JSON_KEYS: &str = include_str!("reference/json.txt");
 
 #[derive(Debug, Subcommand)]
-enum BenchCommand {
-    /// What one solve of the optimal control problem costs, with its heap allocations.
-    Solver(SolverArguments),
-    /// What companions and topics of your own cost: 5 to 50 processes, 10 to 100 topics, 1 to 24 readers, samples of 64 B
-    /// to 4 MB.
+enum Command {
+    /// Drive random courses through the in-process pipeline on all cores and judge how they end.
     ///
-    /// Each system drives `endless` in real time. JSON keys: `profile`, `duration_s`, `series` with `series` (`processes`,
-    /// `topics`, `readers` or `bytes`), `points` with `value`, `scan_to_actuation_us`, `lost`, `samples`, `missed`,
-    /// `shared_memory_kib`, `memory_kib`, `start_ms`, and `fits` of lines with `intercept`, `slope` and `r_squared`.
-    Scale(ScaleArguments),
+    /// Without `--family` it drives the mixed campaign: six of ten courses have obstacles at rest, the others are
+    /// symmetric, blocked, have an obstacle that appears close ahead, or one that moves. `--family hostile` chooses all
+    /// hostile families. A judge that knows the truth and nothing of the stages decides whether a course is passable, a
+    /// stop was right, and a contact with a moving body is excused (docs/campaign.md). A course is bad as well if in
+    /// any scan the robot could not come to rest without contact. Each bad course is a file that `run` replays, in the
+    /// folder of its cause; `gaps.svg` shows the share passed over the width of the gap. Exit code 3 after a contact
+    /// that is not excused, 1 if another course was bad.
+    Campaign(CampaignArguments),
+    /// Inject each fault in each phase of a drive, and judge what the loop makes of it.
+    ///
+    /// Faults of samples and of the robot are driven in simulated time on all cores; processes that die, hang or flood
+    /// are real, in systems of their own. A cell passes if nothing is touched, the drive ends as its fault allows, and
+    /// the fault is detected in time, or has no effect on the wheels. `docs/faults.md` lists the faults. Exit code 1 if
+    /// a cell fails.
+    Faults(FaultsArguments),
+    /// Measure by driving what latency, scan rate and pose uncertainty cost in centimetres.
+    ///
+    /// Under each condition the robot drives through gaps between two boxes, which are bisected to 1 cm, and towards a
+    /// box that closes the track suddenly. The drives run in one process, in simulated time, on all cores. The picture
+    /// `price.svg` shows the figures. Exit code 3 if the robot touched a box.
+    Price(PriceArguments),
+    /// Measure how well courses are driven, compared with the optimum that sees what the robot saw.
+    ///
+    /// The drives run in one process, in simulated time, on all cores. The regret is the objective J of the drive over
+    /// that of the optimum; J has fixed weights (docs/ride.md). Exit code 1 if a regret is below 0.99: then the bench
+    /// is wrong.
+    Ride(RideArguments),
+    /// Measure the cost of one solve of the optimal control problem, on recorded initial states.
+    ///
+    /// For each Hessian, each QP solver and each number of intervals it reports median, 99th percentile and maximum of
+    /// the time per SQP step, feedback phase and converged solve [us]. It also reports iterations, failures and heap
+    /// allocations per solve. The weights are those of an earlier comparison of solvers (docs/solver.md), not those of
+    /// a run. The feedback phase is the work that remains when the measured state arrives: move the linearised model to
+    /// it, condense, solve one quadratic program.
+    Solver(SolverArguments),
+    /// Compare two builds: whether one is slower, with a confidence interval and the smallest visible difference.
+    ///
+    /// The input is two files of `bench latency --json`, or two commands that run in turns. Commands print JSON with
+    /// the figure that `--metric` names; with `--metric wall` their run time is compared.
+    Compare(CompareArguments),
     /// What four hops between five processes cost over other transports, as ratios to ours.
     ///
     /// Every contender runs the same chain of processes, in turns: each round starts each chain once. Intervals hold
     /// with 99 %; where one contains 1 no difference was seen. Peers that are not built are skipped with the command
     /// that builds them.
-    ///
-    /// JSON: one object for one `--rate`, a list of them for several. Keys: `profile`, `rate_hz`, `hops`,
-    /// `payload_bytes` (a number, or one per hop for `pipeline`), `scheduling`, `cpus`, `load`, `policy`, `rounds`,
-    /// `confidence`, `transports` with `name`, `policy`, `latency_us`, `sent`, `lost`, `ratio_p50`,
-    /// `ratio_p50_interval`, `verdict_p50`, the same for p99; `polling`, the same for processes that poll when both
-    /// policies are measured; `skipped` with `name`, `reason`.
     Transport(TransportArguments),
+    /// Answer a design question: observability, correlation of the controls, number of intervals, odometry drift.
+    #[command(subcommand)]
+    Analyse(AnalyseCommand),
+    /// Print the half of `docs/commands.md` that is about this executable.
+    Reference,
+    /// Run a process of a bench; the benches start these.
+    #[command(hide = true)]
+    Service {
+        /// hop, load or echo-ROLE.
+        name: String,
+    },
 }
 
 /// Runs the command line and returns its exit code.
@@ -83,18 +129,29 @@ pub fn main() -> ExitCode {
 fn run() -> anyhow::Result<Exit> {
     let cli: Cli = console::output::arguments();
     runtime::check_log_filter()?;
-    runtime::start_logging();
-    match cli.command {
-        Command::Service { name } => service(&name).map(|()| Exit::Done),
-        Command::Bench(command) => {
-            limits::require_room_for_a_system()?;
-            runtime::start_terminal();
-            match command {
-                BenchCommand::Solver(arguments) => solver::solver(&arguments, Some(allocations)),
-                BenchCommand::Scale(arguments) => scale::scale(&arguments),
-                BenchCommand::Transport(arguments) => transport::transport(&arguments),
-            }
+    if let Command::Service { name } = &cli.command {
+        runtime::start_logging();
+        return service(name).map(|()| Exit::Done);
+    }
+    if matches!(cli.command, Command::Transport(_) | Command::Solver(_)) {
+        limits::require_room_for_a_system()?;
+        runtime::start_logging();
+        runtime::start_terminal();
+    }
+    limits::require_files(limits::SPARE_FILES)?;
+    match &cli.command {
+        Command::Campaign(arguments) => campaign::campaign(arguments),
+        Command::Faults(arguments) => faults::faults(arguments),
+        Command::Price(arguments) => price::price(arguments),
+        Command::Ride(arguments) => ride::ride(arguments),
+        Command::Solver(arguments) => solver::solver(arguments),
+        Command::Compare(arguments) => compare::compare(arguments),
+        Command::Transport(arguments) => transport::transport(arguments),
+        Command::Analyse(command) => analyse::analyse(command),
+        Command::Reference => {
+            data(&reference::of_laboratory(Cli::command(), WORDS, JSON_KEYS)).map(|_| Exit::Done)
         }
+        Command::Service { name } => service(name).map(|()| Exit::Done),
     }
 }
 
@@ -104,13 +161,10 @@ fn service(name: &str) -> anyhow::Result<()> {
     }
     match name {
         load::SERVICE => load::run(),
-        scale::companion::SERVICE => scale::companion::run(),
         "hop" => hops::hop().map_err(|error| match error {
             hops::HopError::NotInAChain => Failure::bad_input(error),
             other => other.into(),
         }),
-        _ => Err(Failure::bad_input(format!(
-            "unknown service `{name}`: expected hop, load, scale-companion or echo-ROLE"
-        ))),
+        _ => Err(Failure::bad_input(format!("unknown service `{name}`: expected hop, load or echo-ROLE"))),
     }
 }

@@ -1,9 +1,9 @@
-//! The executable of the benches that are no part of `scanloop`.
+//! The executable of what studies `scanloop` and is no part of it.
 
-/// Counts what it hands out, for `scanloop bench solver`.
+/// Counts what it hands out, for `scanloop-lab solver`.
 #[global_allocator]
-static ALLOCATOR: scanloop_bench::CountingAllocator = scanloop_bench::CountingAllocator;
+static ALLOCATOR: laboratory::CountingAllocator = laboratory::CountingAllocator;
 
 fn main() -> std::process::ExitCode {
-    scanloop_bench::main()
+    laboratory::main()
 }

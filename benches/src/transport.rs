@@ -1,4 +1,4 @@
-//! `scanloop bench transport`: the same chain of processes over this bus, over a floor, and over other transports.
+//! `scanloop-lab transport`: the same chain of processes over this bus, over a floor, and over other transports.
 //!
 //! Contenders take turns in rounds, each round beginning with another one, and every block starts its processes anew.
 //! So the state of the machine and the memory layout of a start affect all alike. A contender that can't be measured

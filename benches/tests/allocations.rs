@@ -5,9 +5,9 @@
 #[path = "../../services/ocp/tests/problems/mod.rs"]
 mod problems;
 
+use laboratory::{CountingAllocator, allocations};
 use ocp::{Budget, Hessian, Problem, Solution, Solver, SolverSettings, Trajectory};
 use problems::random;
-use scanloop_bench::{CountingAllocator, allocations};
 use shared_types::Scan;
 use urg::{Config, DeviceFault, Emulator, Place, Session};
 

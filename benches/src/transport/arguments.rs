@@ -8,7 +8,7 @@ use commands::bench::scheduling::SchedulingArguments;
 use console::output::folder;
 use hops::{BLOCK_BYTES, Contender, Payload, Policy};
 
-/// Arguments of `bench transport`.
+/// Arguments of `transport`.
 #[derive(Debug, Args)]
 pub(crate) struct TransportArguments {
     /// Transports to measure besides `iceoryx2`: iceoryx2-listener, floor, floor-futex, unix-socket, zenoh, zenoh-shm,

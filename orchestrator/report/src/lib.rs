@@ -4,6 +4,7 @@ pub mod latency;
 pub mod picture;
 pub mod recorder;
 mod report;
+pub mod ride;
 pub mod summary;
 
 pub use report::*;

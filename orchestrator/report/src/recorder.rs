@@ -17,9 +17,9 @@ mod tally;
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::RangeInclusive;
 
+use crate::ride::Recording;
 use audit::ledger::Ledger;
 use emulator::JudgedBy;
-use ride::Recording;
 use shared_types::{
     Actuation, BlockReason, Blocking, Command, Header, Obstacles, Pose, Role, Rule, ScannerHealth,
     StopReason, Truth,

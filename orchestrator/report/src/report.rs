@@ -12,11 +12,11 @@ use std::collections::BTreeMap;
 use std::io;
 use std::path::Path;
 
+use crate::ride::Figures as RideReport;
 pub use audit::ledger::{DelayRow, LedgerReport, LedgerRow, ScanReport};
 pub use emulator::{JudgedBy, Outcome};
 use figures::Figures;
 use handover::swap::Certificate;
-use ride::Figures as RideReport;
 use serde::{Deserialize, Deserializer, Serialize};
 use vehicle::Surroundings;
 

@@ -2,18 +2,16 @@
 
 use std::path::PathBuf;
 
-use clap::builder::TypedValueParser;
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, Parser, Subcommand};
 use conformance::ConformanceArguments;
 use plan::Choice;
 use session::arguments::{AdoptArguments, RunArguments};
 
-use crate::analyse::AnalyseCommand;
 use crate::bench::BenchCommand;
 use crate::calibrate::CalibrateArguments;
-use crate::campaign::arguments::CampaignArguments;
 use crate::demo::DemoArguments;
 use crate::inject::InjectArguments;
+use crate::laboratory::StudyArguments;
 use crate::live_check::LiveArguments;
 use crate::record::{RecordArguments, RecordingCommand};
 use crate::reference::ReferenceArguments;
@@ -38,9 +36,37 @@ Exit codes:
   4  a process could not be started or kept running, or shared memory does not suffice
   5  internal error";
 
+/// The help of the program: its commands by what one wants to do.
+const HELP: &str = "\
+Autonomous driving that closes the loop within one laser scan.
+
+Usage: scanloop [OPTIONS] COMMAND [ARGUMENTS]...
+
+Drive   run        drive a scenario         check       files; --live: a robot
+        demo       watch promises be kept   adopt       take over orphans
+        stop       block wheels, end all
+Change  restart    start a process anew     set         settings, while it drives
+        swap       put in another program   shadow      compare without driving
+        inject     cause a fault
+Look    status     processes and state      latency     where the time goes
+        top        on one terminal screen   topic       the samples on the bus
+        view       in a browser
+Record  record     every sample to a file   replay      compute a drive again
+        recording  show, cut, export, repair
+Build   conformance  test your program      types       fields for other languages
+        reference  keys of the files        agent       processes of this host
+        calibrate  fit a robot              urg         try a Hokuyo scanner
+Study   bench      measure, compare builds  faults      every fault in every phase
+        campaign   random courses           analyse     design questions
+        price      latency in centimetres
+
+scanloop COMMAND --help tells the rest; --system-id NAME names one of several.
+Exit codes: 0 done, 1 not reached, 2 usage, 3 collision, 4 process, 5 internal.
+";
+
 /// Autonomous driving that closes the loop within one laser scan.
 #[derive(Debug, Parser)]
-#[command(name = "scanloop", version, max_term_width = 100, after_help = EXIT_CODES)]
+#[command(name = "scanloop", version, max_term_width = 100, override_help = HELP, after_help = EXIT_CODES)]
 pub struct Cli {
     /// Name of the system on this machine: 1 to 16 letters, digits or `-`.
     #[arg(long, global = true, value_name = "NAME", env = runtime::SYSTEM_ID_VARIABLE, default_value = DEFAULT_SYSTEM_ID)]
@@ -58,13 +84,13 @@ pub enum Command {
     /// If processes of an earlier run of this system are orphaned and still drive, `run` blocks their wheels and ends
     /// them first. With `--adopt` it takes them over instead.
     Run(RunArguments),
-    /// Drive, kill, swap, delay, blind and repeat in about a minute, then compare what is promised with what was measured.
+    /// Drive, kill, swap, delay, blind and repeat in about a minute, then compare what is promised with what was
+    /// measured.
     ///
     /// Starts a long course with the live page, in a system of its own, and tells what happens. It kills estimator,
-    /// obstacles, controller, actuator and orchestrator in turn, swaps controller and robot, plants 5 ms in one stage and
-    /// finds it, blinds the scanner, and drives one scenario twice in lock-step. Every figure is measured in this run. Exit
-    /// code 0 if all promises held, else 1. JSON keys: `claims` with `name`, `text`, `bound` (`at_most`, `at_least`),
-    /// `promised`, `measured` (null: could not be measured), `unit`, `held`; `held`.
+    /// obstacles, controller, actuator and orchestrator in turn, swaps controller and robot, plants 5 ms in one stage
+    /// and finds it, blinds the scanner, and drives one scenario twice in lock-step. Every figure is measured in this
+    /// run. Exit code 0 if all promises held, else 1.
     Demo(DemoArguments),
     /// Take over orphaned processes while they drive: those of a run whose orchestrator died. Same as `run --adopt`.
     ///
@@ -75,19 +101,13 @@ pub enum Command {
     ///
     /// `--live` checks what robot and scanner really do: rate, jitter, stamps and returns of the scans, state of the
     /// scanner, odometry, its direction when the robot is moved, and the stop. A system that runs is only observed.
-    /// Exit code 1 if a check failed, 4 if a process could not be started or ended. JSON keys: `system_id`, `system`
-    /// (`running`, `started`), `checks` with `name`, `outcome` (`ok`, `failed`, `skipped`), `measured`, `allowed`; `ok`,
-    /// `failed`, `skipped`, `blocked_deceleration_mps2` (to be entered; null unless it was measured),
-    /// `deceleration_estimate_mps2` (the most probable value).
+    /// Exit code 1 if a check failed, 4 if a process could not be started or ended.
     Check(CheckArguments),
     /// Show the processes of a running system: pid, state, restarts, rate, age of the newest sample, last log lines.
     ///
-    /// If the wheels are blocked for an obstacle, it is named with its place, the gap past it and the gap that the robot
-    /// needs. A scanner that is not healthy is shown with its state and the figures that explain it. A driver shows what
-    /// its devices do, since when, and why. JSON keys: `system_id`, `state`, `scenario`, `scan`, `judged_by` (`truth`,
-    /// `estimate`, or null), `lockstep`, `blocking`, `scanner`, `processes`, `companions`, `refused`,
-    /// `events` (the last 32: `number`, `time_s`, `warning`, `text`); per process also `device` (`connecting`, `running`,
-    /// `fault`; null without devices), `device_for_s`, `device_reason`.
+    /// If the wheels are blocked for an obstacle, it is named with its place, the gap past it and the gap that the
+    /// robot needs. A scanner that is not healthy is shown with its state and the figures that explain it. A driver
+    /// shows what its devices do, since when, and why.
     Status {
         /// Print JSON to standard output.
         #[arg(long)]
@@ -126,16 +146,14 @@ pub enum Command {
     /// Replace one process of a running system by another one without losing a scan.
     ///
     /// The new process, the candidate, runs in shadow until its outputs have agreed with those of the old one for some
-    /// scans. It takes over at the handover scan, which both know beforehand. The old process stays ready as standby, and
-    /// takes over again if the new one fails. Exit code 1 if the swap was refused or rolled back. JSON keys: `role`,
-    /// `from`, `to`, `shadow_scans`, `last_scan_old`, `first_scan_new`, `missed_scans`, `duplicate_scans`,
-    /// `command_jump_rad`, `command_jump_mps`, `outcome` (`swapped`, `refused`, `rolled_back`), `reason`.
+    /// scans. It takes over at the handover scan, which both know beforehand. The old process stays ready as standby,
+    /// and takes over again if the new one fails. Exit code 1 if the swap was refused or rolled back.
     #[command(override_usage = "scanloop swap [OPTIONS] <ROLE> <--to IMPLEMENTATION | -- COMMAND...>")]
     Swap(SwapArguments),
     /// Change settings of one role of a running system.
     ///
     /// The process of the role is swapped for the same program with the new settings, without losing a scan. Processes
-    /// that are started for the role later have them too. Exit codes and JSON keys are those of `swap`; exit code 2 also
+    /// that are started for the role later have them too. Exit codes and output are those of `swap`; exit code 2 also
     /// for keys that do not belong to one role, and for values that are not allowed.
     Set(SetArguments),
     /// Cause a fault in a running system with the emulated robot, which was started by `run --allow-inject`.
@@ -147,19 +165,14 @@ pub enum Command {
     Inject(InjectArguments),
     /// Test whether a program, in any language, can fill a role.
     ///
-    /// The program is started alone; a test bench plays all other roles with a recorded drive and tries each requirement.
-    /// Exit code 1 if a required case failed, 4 if the program could not be started. JSON keys: `role`, `command`,
-    /// `passed`, `failed` (required), `not_recommended`, `skipped`, `cases` with `name`, `level` (`required`,
-    /// `recommended`), `outcome` (`passed`, `failed`, `skipped`), `reason`, `requirement`.
+    /// The program is started alone; a test bench plays all other roles with a recorded drive and tries each
+    /// requirement. Exit code 1 if a required case failed, 4 if the program could not be started.
     Conformance(ConformanceArguments),
     /// Run a process in shadow of the live one, which keeps driving, and compare both.
     ///
     /// Both receive the same samples. The report contains the fraction of answered scans, differences with confidence
     /// intervals, and times of both with intervals of their ratio. Ctrl-C ends the comparison early, with the report so
-    /// far. Exit code 1 if the process ended by itself or stopped publishing. JSON keys: `role`, `live`, `shadow`,
-    /// `outcome` (`completed`, `interrupted`, `run_ended`, `died`, `silent`), `reason`, `scans`, `answered`,
-    /// `answered_share`, `late`, `invalid`, `repeated`, `compared`, `kind_differs`, `differences`, `reaction_ms`,
-    /// `compute_ms`.
+    /// far. Exit code 1 if the process ended by itself or stopped publishing.
     #[command(override_usage = "scanloop shadow [OPTIONS] <ROLE> <--to IMPLEMENTATION | -- COMMAND...>")]
     Shadow(ShadowArguments),
     /// Run one built-in implementation; `scanloop run` starts these.
@@ -193,38 +206,14 @@ pub enum Command {
         implementation: String,
     },
     /// Drive random courses through the in-process pipeline on all cores and judge how they end.
-    ///
-    /// Without `--family` it drives the mixed campaign: six of ten courses have obstacles at rest, the others are symmetric,
-    /// blocked, have an obstacle that appears close ahead, or one that moves. `--family hostile` chooses all hostile
-    /// families. A judge that knows the truth and nothing of the stages decides whether a course is passable, a stop was
-    /// right, and a contact with a moving body is excused (docs/campaign.md). A course is bad as well if in any scan the
-    /// robot could not come to rest without contact. Each bad course is a file that `run` replays, in the folder of its
-    /// cause; `gaps.svg` shows the share passed over the width of the gap. Exit code 3 after a contact that is not excused,
-    /// 1 if another course was bad. JSON keys: `runs`, `reached`, `missed`, `stopped`, `timeout`, `collision`,
-    /// `collision_excused`, `passable`, `passable_reached`, `blocked`, `blocked_stopped`, `min_clearance_m`,
-    /// `min_rest_clearance_m`, `without_rest` (scans), `time_to_goal_s`, `families` with `name`, `runs`, `reached`,
-    /// `stopped_rightly`, `stopped_wrongly`, `missed`, `missed_by_estimate`, `impassable`, `collision`,
-    /// `collision_excused`, `struck` (contained in `stopped_wrongly`), `collision_bound_95`,
-    /// `min_clearance_m`, `gaps`; `causes`, `bad`.
-    Campaign(CampaignArguments),
+    #[command(disable_help_flag = true)]
+    Campaign(StudyArguments),
     /// Inject each fault in each phase of a drive, and judge what the loop makes of it.
-    ///
-    /// Faults of samples and of the robot are driven in simulated time on all cores; processes that die, hang or flood are
-    /// real, in systems of their own. A cell passes if nothing is touched, the drive ends as its fault allows, and the
-    /// fault is detected in time, or has no effect on the wheels. `docs/faults.md` lists the faults. Exit code 1 if a cell
-    /// fails. JSON keys: `cells` with `fault`, `phase`, `live`, `detected_by` (empty: by none), `detection`,
-    /// `detected_after_ms`, `blind_m` (way driven until the detection), `blind_limit_m`, `deviation_m`,
-    /// `min_clearance_m`, `outcome`, `verdict` (`pass`, `fail`), `reason`; `passed`, `failed`, `skipped`.
-    Faults(FaultsArguments),
+    #[command(disable_help_flag = true)]
+    Faults(StudyArguments),
     /// Measure by driving what latency, scan rate and pose uncertainty cost in centimetres.
-    ///
-    /// Under each condition the robot drives through gaps between two boxes, which are bisected to 1 cm, and towards a box
-    /// that closes the track suddenly. The drives run in one process, in simulated time, on all cores. The picture
-    /// `price.svg` shows the figures. Exit code 3 if the robot touched a box. JSON keys: `rows` with `varied` (`latency`,
-    /// `rate`, `pose_sigma`), `latency_ms` (added), `rate_hz`, `pose_sigma_m`, `smallest_gap_m` and `stopping_distance_m`
-    /// (null if there is none), `speed_mps`, `notes`; `costs` with `latency_10_ms`, `half_rate` and `pose_sigma_1_cm`, each
-    /// with `gap_m` and `stopping_distance_m`; `body_width_m`, `contacts`.
-    Price(PriceArguments),
+    #[command(disable_help_flag = true)]
+    Price(StudyArguments),
     /// Measure parts of the loop.
     #[command(subcommand)]
     Bench(BenchCommand),
@@ -238,8 +227,8 @@ pub enum Command {
         json: bool,
     },
     /// Answer a design question: observability, correlation of the controls, number of intervals, odometry drift.
-    #[command(subcommand)]
-    Analyse(AnalyseCommand),
+    #[command(disable_help_flag = true)]
+    Analyse(StudyArguments),
     /// Calibrate a robot from recorded or driven runs; `run --calibration` uses the result.
     ///
     /// The result is merged into a calibration file with standard errors and 95 % intervals. A picture shows the
@@ -247,16 +236,13 @@ pub enum Command {
     Calibrate(CalibrateArguments),
     /// Record every sample of a running system into a file that Foxglove, Lichtblick and ROS 2 read too.
     ///
-    /// The recorder only observes: killed, stopped or on a full disk it does not delay a scan. A file that is cut off is
-    /// readable up to its last whole second. JSON keys: `file`, `bytes`, `samples`, `lost`, `error`.
+    /// The recorder only observes: killed, stopped or on a full disk it does not delay a scan. A file that is cut off
+    /// is readable up to its last whole second.
     Record(RecordArguments),
     /// Recompute a recorded drive stage by stage and compare every output with the recorded one.
     ///
-    /// Exit code 0 if all compared outputs are identical, or with `--set` and `--with` within the bounds; else 1, and 2 when
-    /// nothing could be compared. JSON keys: `scans`, `samples`, `compared`, `skipped`, `identical`, `injected` (changed by a
-    /// fault of `scanloop inject`), `beyond`, `differences` with `topic`, `scan`, `field`, `recorded`, `replayed`; `reasons` with `topic`, `incarnation`, `reason`, `samples`;
-    /// `not_compared` (programs of your own, drivers, processes without journals) with `role`, `incarnation`, `program`,
-    /// `has_journals`, `with`; `after_end` (outputs after the last scan of a run in lock-step).
+    /// Exit code 0 if all compared outputs are identical, or with `--set` and `--with` within the bounds; else 1, and 2
+    /// when nothing could be compared.
     Replay(ReplayArguments),
     /// Show, repair, cut or export a recording.
     #[command(subcommand)]
@@ -305,72 +291,6 @@ pub struct CheckArguments {
     /// Options of `--live`.
     #[command(flatten)]
     pub live: LiveArguments,
-}
-
-/// Arguments of `faults`.
-#[derive(Debug, Args, Default)]
-pub struct FaultsArguments {
-    /// Only the cells with this in their name, as in `pose-late` or `*/swap`; `*` stands for any text.
-    #[arg(long, value_name = "PATTERN")]
-    pub only: Option<String>,
-    /// So many cells, spread evenly over the chosen ones.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000).map(|count| count as usize))]
-    pub sample: Option<usize>,
-    /// Print the names of the cells to standard output, and drive none.
-    #[arg(long)]
-    pub list: bool,
-    /// Print JSON to standard output.
-    #[arg(long)]
-    pub json: bool,
-    /// Folder for `faults.html` and `faults.json`.
-    #[arg(long, value_name = "DIR", default_value = "out/faults", value_parser = console::output::folder())]
-    pub out: PathBuf,
-    /// Replace files in the folder that this program did not write.
-    #[arg(long)]
-    pub force: bool,
-}
-
-/// Arguments of `price`.
-#[derive(Debug, Args, Default)]
-pub struct PriceArguments {
-    /// Number of seeds under each condition; a gap counts as passed if the robot passes it with every seed.
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
-    pub seeds: u64,
-    /// Preset of the true robot.
-    #[arg(long, value_enum, value_name = "PRESET", default_value_t)]
-    pub robot: RobotPreset,
-    /// Print JSON to standard output.
-    #[arg(long)]
-    pub json: bool,
-    /// Folder for the picture.
-    #[arg(long, value_name = "DIR", default_value = "out/price", value_parser = console::output::folder())]
-    pub out: PathBuf,
-    /// Replace files in the folder that this program did not write.
-    #[arg(long)]
-    pub force: bool,
-    /// The choice of robot and system.
-    #[command(flatten)]
-    pub choice: Choice,
-}
-
-/// A set of values for the true robot.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
-pub enum RobotPreset {
-    /// Follows every command at once.
-    Ideal,
-    /// A believable robot, with delays, lags and slipping tyres.
-    #[default]
-    Summit,
-}
-
-impl RobotPreset {
-    /// Its name as value of `robot.preset`.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Ideal => "ideal",
-            Self::Summit => "summit",
-        }
-    }
 }
 
 /// What an agent needs before it is started.
@@ -432,4 +352,25 @@ pub enum TopicCommand {
         /// Values by the names of the fields, as `{"speed_mps": 0.5}`.
         json: String,
     },
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn the_help_names_every_command_on_a_screen_of_a_terminal() {
+        assert!(HELP.lines().count() <= 25 && HELP.lines().all(|line| line.len() <= 80), "{HELP}");
+        // Processes start these.
+        let is_started = |name: &str| ["service", "remote"].contains(&name);
+        for command in Cli::command().get_subcommands().filter(|command| !is_started(command.get_name())) {
+            let name = command.get_name();
+            let found = HELP.split_whitespace().filter(|word| *word == name).count();
+            assert!(found >= 1, "{name} is missing");
+        }
+        let help = Cli::command().render_long_help().to_string();
+        assert_eq!(help, HELP);
+    }
 }

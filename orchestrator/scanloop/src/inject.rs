@@ -3,6 +3,8 @@
 //! Faults of samples and of the robot are carried out by the process whose samples change. Faults of processes act from
 //! outside, so this command carries them out; the orchestrator has allowed and noted them before.
 
+pub mod act;
+
 use std::time::Duration;
 
 use clap::Args;
@@ -13,8 +15,8 @@ use runtime::{Domain, Shutdown, wait_for};
 use rustix::process::Pid;
 use session::control::{Reply, Request, Status, ask};
 
-use crate::faults::act::act;
 use crate::shadow::duration_within;
+use act::act;
 
 /// Shortest and longest time of a fault.
 const RANGE: [Duration; 2] = [Duration::from_millis(1), Duration::from_secs(600)];

@@ -1,20 +1,16 @@
 //! The commands of the executable `scanloop`: each reads its arguments, calls the crates below, and prints the result.
 
-pub mod analyse;
 pub mod bench;
 pub mod calibrate;
-pub mod campaign;
 mod check;
 pub mod cli;
-mod cores;
 pub mod demo;
-mod faults;
 pub mod inject;
+pub mod laboratory;
 pub mod live_check;
 mod live_latency;
-mod price;
 mod record;
-mod reference;
+pub mod reference;
 mod replay;
 mod service;
 pub mod shadow;
@@ -95,7 +91,10 @@ fn parse_and_run() -> anyhow::Result<Exit> {
 }
 
 /// Prints a value as JSON to standard output, if `--json` asks for it.
-fn print_json(asked: bool, value: &impl Serialize) -> anyhow::Result<()> {
+///
+/// # Errors
+/// Values without JSON, and an output that can't be written.
+pub fn print_json(asked: bool, value: &impl Serialize) -> anyhow::Result<()> {
     if asked {
         data(&serde_json::to_string_pretty(value)?)?;
     }
@@ -118,9 +117,10 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
             adopt::adopt(&cli.system_id, arguments)
         }
         Command::Calibrate(arguments) => calibrate::calibrate(arguments),
-        Command::Campaign(arguments) => campaign::campaign(arguments),
-        Command::Faults(arguments) => faults::faults(arguments),
-        Command::Price(arguments) => price::price(arguments),
+        Command::Campaign(study) => Err(laboratory::hand_over(&cli.system_id, "campaign", study)),
+        Command::Faults(study) => Err(laboratory::hand_over(&cli.system_id, "faults", study)),
+        Command::Price(study) => Err(laboratory::hand_over(&cli.system_id, "price", study)),
+        Command::Analyse(study) => Err(laboratory::hand_over(&cli.system_id, "analyse", study)),
         Command::Bench(command) => {
             runtime::start_logging();
             bench::bench(&cli.system_id, command)
@@ -129,7 +129,6 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
             live_check::check(&cli.system_id, &arguments.live, &arguments.choice)
         }
         Command::Check(arguments) => check::check(arguments),
-        Command::Analyse(command) => analyse::analyse(command),
         Command::Status { json } => status::status(&cli.system_id, *json),
         Command::Top(arguments) => top::top(&cli.system_id, arguments),
         Command::View(arguments) => view::serve(&cli.system_id, arguments, &verbs()),

@@ -1,5 +1,7 @@
 //! `scanloop reference`: the keys of files in the terminal, and the pages of the documentation that have a source in code.
 
+mod faults;
+
 use std::fmt::Write as _;
 
 use clap::builder::PossibleValue;
@@ -41,7 +43,7 @@ pub(crate) fn text(arguments: &ReferenceArguments, root: Command) -> anyhow::Res
         Some(Page::Scenario) => Ok(scenario_page()),
         Some(Page::System) => Ok(system_page()),
         Some(Page::Commands) => Ok(commands_page(root)),
-        Some(Page::Faults) => Ok(crate::faults::faults_page(&faults::all()?)),
+        Some(Page::Faults) => Ok(faults::faults_page(&::faults::all()?)),
         None => match find(&arguments.text) {
             found if found.is_empty() => {
                 let text = &arguments.text;
@@ -55,7 +57,7 @@ pub(crate) fn text(arguments: &ReferenceArguments, root: Command) -> anyhow::Res
     }
 }
 
-/// The page `docs/commands.md`; the exit codes stand below the help of the program.
+/// The first half of the page `docs/commands.md`; the exit codes stand below the help of the program.
 fn commands_page(mut root: Command) -> String {
     root.build();
     let exit_codes = root.get_after_help().map(ToString::to_string).unwrap_or_default();
@@ -63,16 +65,26 @@ fn commands_page(mut root: Command) -> String {
     let mut text = include_str!("reference/commands.md").to_owned();
     text.push_str("| exit code | meaning |\n|---:|---|\n");
     exit_codes.for_each(|(code, meaning)| _ = writeln!(text, "| {code} | {meaning} |"));
-    sections(&mut text, &root);
+    sections(&mut text, &root, include_str!("reference/json.txt"));
+    text
+}
+
+/// The second half of the page `docs/commands.md`, of the command line `root` of the laboratory, below its first words;
+/// `keys` has a line `COMMAND: KEYS` for each command that prints JSON.
+pub fn of_laboratory(mut root: Command, words: &str, keys: &str) -> String {
+    root.build();
+    let mut text = words.to_owned();
+    sections(&mut text, &root, keys);
     text
 }
 
 /// A section for each command below `parent` that does something.
-fn sections(text: &mut String, parent: &Command) {
-    for command in parent.get_subcommands().filter(|command| command.get_name() != "help") {
+fn sections(text: &mut String, parent: &Command, keys: &str) {
+    let is_shown = |command: &&Command| command.get_name() != "help" && !command.is_hide_set();
+    for command in parent.get_subcommands().filter(is_shown) {
         // One that needs a subcommand does nothing by itself.
         if command.is_subcommand_required_set() {
-            sections(text, command);
+            sections(text, command, keys);
             continue;
         }
         let about = command.get_long_about().or(command.get_about()).map(|about| sentence(about.to_string()));
@@ -92,7 +104,14 @@ fn sections(text: &mut String, parent: &Command) {
             let default = if arg.is_hide_default_value_set() { String::new() } else { default(arg) };
             let _ = writeln!(text, "| `{}` | {default} | {} |", name(arg), meaning(arg));
         }
-        sections(text, command);
+        let name = command.get_bin_name().unwrap_or_default();
+        let of_this = |line: &'_ str| {
+            line.strip_prefix(name).and_then(|rest| rest.strip_prefix(": ")).map(str::to_owned)
+        };
+        if let Some(keys) = keys.lines().find_map(of_this) {
+            let _ = writeln!(text, "\nJSON keys: {keys}");
+        }
+        sections(text, command, keys);
     }
 }
 

@@ -7,7 +7,6 @@ use shared_types::did_you_mean;
 use supervision::entry::IMPLEMENTATIONS;
 
 use crate::bench::latency::noise;
-use crate::bench::measuring_service;
 
 /// Runs one built-in implementation until it is told to end.
 ///
@@ -17,9 +16,6 @@ pub(crate) fn run(name: &str) -> anyhow::Result<Exit> {
     runtime::start_logging();
     if let Some(ended) = noise::run(name) {
         return ended.map(|()| Exit::Done);
-    }
-    if let Some(failed) = measuring_service(name) {
-        return Err(failed);
     }
     let implementation = IMPLEMENTATIONS.iter().find(|(of, _)| *of == name);
     let faults = implementation.map(|(_, role)| injection::arm(*role)).transpose()?;

@@ -56,36 +56,26 @@ fn every_hessian_and_qp_solver_is_reported_for_every_number_of_intervals() {
 }
 
 #[test]
-fn an_executable_without_its_instrument_measures_the_solver_and_names_what_counts_allocations() {
+fn an_executable_without_its_laboratory_names_the_command_that_builds_it() {
     let system = System::new(EXECUTABLE);
-    std::fs::write(system.folder().join("cases.csv"), FIVE).unwrap();
     let alone = system.executable_alone("scanloop");
-    let run = |arguments: &[&str]| {
-        std::process::Command::new(&alone).args(arguments).current_dir(system.folder()).output().unwrap()
-    };
-    let output = run(&["bench", "solver", "--json", "--cases", "cases.csv", "--intervals", "6"]);
-    let message = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(0), "{message}");
-    let results: Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!(results["profile"], scanloop_tests::PROFILE);
-    for row in results["solvers"].as_array().unwrap() {
-        assert!(row["allocations"].is_null() && row["converged"].as_u64().unwrap() > 0, "{row}");
-    }
-    assert!(message.contains("-p scanloop-bench"), "{message}");
     for arguments in [
-        &["bench", "transport"][..],
+        &["campaign", "--runs", "3"][..],
+        &["faults", "--list"],
+        &["price", "--help"],
+        &["analyse", "correlation"],
+        &["bench", "solver"],
+        &["bench", "compare"],
+        &["bench", "ride"],
         &["bench", "transport", "--help"],
         &["bench", "latency", "--compute", "none", "--duration", "1"],
         &["bench", "latency", "--load", "--duration", "1"],
-        &["service", "hop"],
     ] {
-        let output = run(arguments);
+        let output =
+            std::process::Command::new(&alone).args(arguments).current_dir(system.folder()).output().unwrap();
         let message = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(4), "{arguments:?}: {message}");
-        assert!(
-            message.contains("cargo build --profile") && message.contains("-p scanloop-bench"),
-            "{message}"
-        );
+        assert!(message.contains("`cargo build") && message.contains("-p scanloop-lab`"), "{message}");
     }
 }
 

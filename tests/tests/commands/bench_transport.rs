@@ -139,8 +139,9 @@ fn wrong_options_are_refused_with_what_is_allowed() {
     }
     let output = system.run(&["bench", "transport", "--help"]);
     assert_eq!(output.status.code(), Some(0));
-    assert!(String::from_utf8_lossy(&output.stdout).contains("Usage: scanloop bench transport"));
-    let output = system.run(&["service", "hop"]);
+    assert!(String::from_utf8_lossy(&output.stdout).contains("Usage: scanloop-lab transport"));
+    let laboratory = env!("CARGO_BIN_EXE_scanloop-under-test-lab");
+    let output = std::process::Command::new(laboratory).args(["service", "hop"]).output().unwrap();
     assert_eq!(output.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&output.stderr).contains("bench transport"));
 }

@@ -1,10 +1,12 @@
 //! Pages of the documentation that the executable prints, and keys found in the terminal.
 
 use std::path::Path;
+use std::process::Command;
 
 use scanloop_tests::System;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+const LABORATORY: &str = env!("CARGO_BIN_EXE_scanloop-under-test-lab");
 
 #[test]
 fn the_pages_are_what_the_executable_prints() {
@@ -18,12 +20,16 @@ fn the_pages_are_what_the_executable_prints() {
     for (page, file) in pages {
         let output = system.run(&["reference", "--page", page]);
         assert_eq!(output.status.code(), Some(0), "{page}");
-        let printed = String::from_utf8(output.stdout).unwrap();
+        let mut printed = String::from_utf8(output.stdout).unwrap();
+        if page == "commands" {
+            let output = Command::new(LABORATORY).arg("reference").output().unwrap();
+            printed += &String::from_utf8(output.stdout).unwrap();
+        }
         let kept = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs").join(file);
         let kept = std::fs::read_to_string(kept).unwrap();
         let place =
             printed.lines().zip(kept.lines()).position(|(new, old)| new != old).map_or(0, |line| line + 1);
-        assert!(printed == kept, "line {place}: run `scanloop reference --page {page} > docs/{file}`");
+        assert!(printed == kept, "line {place}: run `scanloop reference --page {page}` as docs/{file} says");
     }
 }
 

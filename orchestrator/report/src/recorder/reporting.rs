@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use crate::ride::measure;
 use audit::ledger::ScanReport;
 use console::progress::View;
-use ride::measure;
 use vehicle::Goal;
 
 use super::{Recorder, RunResult};

@@ -8,7 +8,7 @@ pub mod arguments;
 mod collector;
 pub mod echo;
 mod files;
-pub(crate) mod intervals;
+pub mod intervals;
 mod machine;
 pub(crate) mod noise;
 mod pictures;
@@ -40,9 +40,9 @@ use supervision::realtime;
 use self::collector::Collector;
 use self::machine::{Machine, Ticks};
 use self::results::{LatencyResults, SCHEMA, Smallest};
-use super::instrument::{self, Load};
 use super::scheduling::Scheduling;
 use super::warn_of_profile;
+use crate::laboratory::{self, Load};
 use crate::print_json;
 
 /// The scenario: 10 km, nearly three hours.
@@ -144,7 +144,7 @@ fn plan(arguments: &LatencyArguments, scheduling: &Scheduling) -> anyhow::Result
     if arguments.compute == Compute::Real {
         return Ok(plan);
     }
-    let program = instrument::find_current()?.to_string_lossy().into_owned();
+    let program = laboratory::find_current()?.to_string_lossy().into_owned();
     for entry in plan.system.processes.iter_mut().filter(|entry| !entry.is_companion()) {
         entry.implementation = None;
         entry.command =

@@ -9,9 +9,7 @@ use clap::{Args, Subcommand};
 pub enum UrgCommand {
     /// Print identification, state and parameters of a scanner; its laser stays off.
     ///
-    /// Exit code 1 if it does not answer, 2 if it can't be reached. JSON keys: `place`, `version` and `state` (keys and
-    /// values of the scanner), `model`, `min_mm`, `max_mm`, `steps`, `first`, `last`, `front`, `right_deg`, `left_deg`,
-    /// `rate_hz`, `fits` (its field of view covers what the stages analyse).
+    /// Exit code 1 if it does not answer, 2 if it can't be reached.
     Info(InfoArguments),
     /// Draw the scans of a scanner in the terminal, seen from above, until Ctrl-C.
     ///

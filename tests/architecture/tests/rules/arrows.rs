@@ -14,14 +14,14 @@ const LAYERS: &[&[&str]] = &[
     &["key-table"],
     &["runtime", "vehicle", "urg", "faults"],
     &["emulator", "estimator", "obstacles", "ocp", "player", "console", "scanloop-link"],
-    &["nmpc", "actuation", "supervision", "handover", "audit", "ride", "recording"],
+    &["nmpc", "actuation", "supervision", "handover", "audit", "recording"],
     &["pipeline", "calibration", "c-library"],
     &["plan", "report", "replay", "fault-matrix"],
     &["agent"],
     &["session", "conformance"],
     &["view"],
     &["scanloop", "hops"],
-    &["scanloop-bench"],
+    &["scanloop-lab"],
     &["scanloop-tests", "dead-reckoning", "imu", "architecture"],
 ];
 

@@ -102,12 +102,12 @@ fn process_tests_wait_on_conditions_and_never_sleep() {
 }
 
 #[test]
-fn the_product_knows_nothing_of_what_only_measures() {
+fn the_product_knows_nothing_of_the_laboratory() {
     let manifests =
         ["shared-types", "services", "orchestrator"].map(|folder| files(&root().join(folder), "Cargo.toml"));
     for path in manifests.into_iter().flatten() {
         let text = std::fs::read_to_string(&path).unwrap();
-        for name in ["hops", "scanloop-bench", "criterion"] {
+        for name in ["hops", "fault-matrix", "scanloop-lab", "criterion"] {
             assert!(!text.lines().any(|line| line.starts_with(name)), "{}: {name}", path.display());
         }
     }
@@ -142,8 +142,8 @@ fn files_of_users_are_made_in_one_place() {
         ("orchestrator/session/src/companion.rs", "a log, opened by `new_file`"),
         ("orchestrator/supervision/src/realtime.rs", "a device of the kernel"),
         ("orchestrator/scanloop/src/demo/system.rs", "outputs of processes in a private folder"),
-        ("orchestrator/scanloop/src/faults/system.rs", "outputs of processes in a private folder"),
-        ("orchestrator/scanloop/src/faults/act.rs", "fills shared memory, made with O_EXCL"),
+        ("benches/src/faults/system.rs", "outputs of processes in a private folder"),
+        ("orchestrator/scanloop/src/inject/act.rs", "fills shared memory, made with O_EXCL"),
         ("services/runtime/src", "private folders of running systems, used by descriptor"),
         ("services/faults/build.rs", "built, not run"),
         ("benches/hops/src/driver.rs", "outputs of processes in a private folder"),

@@ -1,4 +1,4 @@
-//! Names and arguments of the stages that compute nothing: services of the executable `scanloop-bench`, one per role.
+//! Names and arguments of the stages that compute nothing: services of the executable `scanloop-lab`, one per role.
 
 use shared_types::Role;
 

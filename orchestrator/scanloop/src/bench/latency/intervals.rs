@@ -35,7 +35,7 @@ pub(crate) enum Series {
 }
 
 /// Names of the series: tags of the log.
-pub(crate) const NAMES: [&str; 7] = [
+pub const NAMES: [&str; 7] = [
     "scan_to_actuation",
     "scan_to_actuation_corrected",
     "transport",
@@ -137,7 +137,7 @@ impl Intervals {
 }
 
 /// The histograms of one series, in the order of the stretches; `None` when a line is not of such a log.
-pub(crate) fn read(lines: &[String], series: &str) -> Option<Vec<Histogram<u64>>> {
+pub fn read(lines: &[String], series: &str) -> Option<Vec<Histogram<u64>>> {
     let mut found = Vec::new();
     let mut deserializer = Deserializer::new();
     for line in lines {

@@ -1,0 +1,214 @@
+//! `scanloop-lab faults`: injects each fault in each phase of a drive, and judges what the loop made of it.
+//!
+//! Faults of samples and of the robot are driven in simulated time on all cores. Then those with processes that die,
+//! hang or flood run one after the other with real processes, in systems of their own.
+
+mod live;
+mod page;
+mod system;
+mod watch;
+
+use std::path::PathBuf;
+
+use clap::Args;
+use clap::builder::TypedValueParser;
+use console::answer;
+use console::exit::{Exit, Failure};
+use console::out_folder::OutFolder;
+use console::progress::Steps;
+use fault_matrix::{Cell, Simulation, Verdict};
+use faults::{Fault, Phase};
+use serde::{Deserialize, Serialize};
+use shared_types::did_you_mean;
+
+use crate::cores::on_all_cores;
+use commands::print_json;
+use live::Live;
+
+/// Arguments of `faults`.
+#[derive(Debug, Args, Default)]
+pub(crate) struct FaultsArguments {
+    /// Only the cells with this in their name, as in `pose-late` or `*/swap`; `*` stands for any text.
+    #[arg(long, value_name = "PATTERN")]
+    pub(crate) only: Option<String>,
+    /// So many cells, spread evenly over the chosen ones.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000).map(|count| count as usize))]
+    pub(crate) sample: Option<usize>,
+    /// Print the names of the cells to standard output, and drive none.
+    #[arg(long)]
+    pub(crate) list: bool,
+    /// Print JSON to standard output.
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// Folder for `faults.html` and `faults.json`.
+    #[arg(long, value_name = "DIR", default_value = "out/faults", value_parser = console::output::folder())]
+    pub(crate) out: PathBuf,
+    /// Replace files in the folder that this program did not write.
+    #[arg(long)]
+    pub(crate) force: bool,
+}
+
+/// The result of the command.
+#[derive(Debug, Default, Serialize, Deserialize)]
+struct Matrix {
+    cells: Vec<Cell>,
+    passed: usize,
+    failed: usize,
+    /// Names of cells that can't run here, with the reason.
+    skipped: Vec<String>,
+}
+
+/// The files of the results.
+const DATA: &str = "faults.json";
+const PAGE: &str = "faults.html";
+
+/// What one cell gave: its result, or why it can't run here.
+type Driven = Result<Cell, String>;
+
+/// Runs the cells; exit code 1 when one fails.
+///
+/// # Errors
+/// A pattern that no cell has, exit code 2; a system that can't be started; errors of the file system.
+pub(crate) fn faults(arguments: &FaultsArguments) -> anyhow::Result<Exit> {
+    let all = faults::all()?;
+    let chosen = chosen(&all, arguments)?;
+    if arguments.list {
+        let names: String =
+            chosen.iter().map(|(fault, phase)| format!("{}\n", name(&fault.name, *phase))).collect();
+        console::output::data(&names)?;
+        return Ok(Exit::Done);
+    }
+    let results = OutFolder::claim(&arguments.out, &[DATA, PAGE], arguments.force)?;
+    let matrix = drive(&chosen)?;
+    answer!(arguments.json, "{}", text(&matrix))?;
+    results.write(DATA, serde_json::to_string_pretty(&matrix)?.as_bytes())?;
+    let page = results.write(PAGE, page::html(&matrix.cells).as_bytes())?;
+    answer!(arguments.json, "page            {}", page.display())?;
+    print_json(arguments.json, &matrix)?;
+    Ok(if matrix.failed == 0 { Exit::Done } else { Exit::NotReached })
+}
+
+/// The name of a cell.
+fn name(fault: &str, phase: Phase) -> String {
+    format!("{fault}/{phase}")
+}
+
+/// The cells that were asked for, in the order of their names.
+fn chosen<'a>(all: &'a [Fault], arguments: &FaultsArguments) -> anyhow::Result<Vec<(&'a Fault, Phase)>> {
+    let pattern = arguments.only.as_deref().unwrap_or("*");
+    let cells = all.iter().flat_map(|fault| fault.phases().map(move |phase| (fault, phase)));
+    let mut chosen: Vec<(&Fault, Phase)> =
+        cells.filter(|(fault, phase)| matches(pattern, &name(&fault.name, *phase))).collect();
+    if chosen.is_empty() {
+        let meant = did_you_mean(pattern, all.iter().map(|fault| fault.name.as_str()));
+        return Err(Failure::bad_input(format!(
+            "--only {pattern}: no cell has such a name.{meant} `scanloop faults --list` prints them"
+        )));
+    }
+    if let Some(count) = arguments.sample.filter(|count| *count < chosen.len()) {
+        let total = chosen.len();
+        chosen = (0..count).map(|index| chosen[index * total / count]).collect();
+    }
+    Ok(chosen)
+}
+
+/// Whether a name has a pattern, in which `*` stands for any text. Without a `*`, a part of the name is enough.
+fn matches(pattern: &str, name: &str) -> bool {
+    if !pattern.contains('*') {
+        return name.contains(pattern);
+    }
+    let mut parts = pattern.split('*');
+    let Some(mut rest) = parts.next().and_then(|first| name.strip_prefix(first)) else { return false };
+    let mut parts: Vec<&str> = parts.collect();
+    let last = parts.pop().unwrap_or_default();
+    for part in parts {
+        let Some(place) = rest.find(part) else { return false };
+        rest = &rest[place + part.len()..];
+    }
+    rest.ends_with(last)
+}
+
+fn drive(chosen: &[(&Fault, Phase)]) -> anyhow::Result<Matrix> {
+    let (live, simulated): (Vec<_>, Vec<_>) = chosen.iter().copied().partition(|(fault, _)| fault.is_live());
+    let mut steps = Steps::new(chosen.len() as u64, "cells");
+    let mut driven = Vec::new();
+    if !simulated.is_empty() {
+        let simulation = Simulation::new()?;
+        let cell = |index: usize| {
+            let (fault, phase): (&Fault, Phase) = simulated[index];
+            simulation.cell(fault, phase).ok_or_else(|| {
+                format!("{}: the scenario of the fault is not allowed", name(&fault.name, phase))
+            })
+        };
+        driven = on_all_cores(simulated.len(), cell, || steps.step(""))?;
+    }
+    let mut systems = Live::default();
+    for (fault, phase) in live {
+        driven.push(systems.cell(fault, phase)?);
+        steps.step(&name(&fault.name, phase));
+    }
+    Ok(summary(driven))
+}
+
+fn summary(driven: Vec<Driven>) -> Matrix {
+    let mut matrix = Matrix::default();
+    for cell in driven {
+        match cell {
+            Ok(cell) => matrix.cells.push(cell),
+            Err(reason) => matrix.skipped.push(reason),
+        }
+    }
+    matrix.cells.sort_by(|one, two| (&one.fault, one.phase).cmp(&(&two.fault, two.phase)));
+    matrix.failed = matrix.cells.iter().filter(|cell| cell.verdict == Verdict::Fail).count();
+    matrix.passed = matrix.cells.len() - matrix.failed;
+    matrix
+}
+
+fn text(matrix: &Matrix) -> String {
+    let Matrix { cells, passed, failed, skipped } = matrix;
+    let live = cells.iter().filter(|cell| cell.live).count();
+    let nearest = cells.iter().map(|cell| cell.min_clearance_m).fold(f64::INFINITY, f64::min);
+    let mut text = format!(
+        "cells           {}: {passed} passed, {failed} failed; {live} with real processes\n\
+         clearance       smallest {nearest:.3} m\n",
+        cells.len()
+    );
+    for cell in cells.iter().filter(|cell| cell.verdict == Verdict::Fail) {
+        text += &format!("failed          {}: {}\n", name(&cell.fault, cell.phase), cell.reason);
+    }
+    skipped.iter().for_each(|reason| text += &format!("skipped         {reason}\n"));
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn patterns_match_whole_names_with_stars_and_parts_without() {
+        for (pattern, name, expected) in [
+            ("*", "pose-late-50ms/start", true),
+            ("pose-*/start", "pose-late-50ms/start", true),
+            ("pose-*/start", "pose-late-50ms/swap", false),
+            ("*-late-*", "pose-late-50ms/swap", true),
+            ("late", "pose-late-50ms/swap", true),
+            ("*late", "pose-late-50ms/swap", false),
+            ("a*a", "a", false),
+        ] {
+            assert_eq!(matches(pattern, name), expected, "{pattern} {name}");
+        }
+    }
+
+    #[test]
+    fn there_are_at_least_five_hundred_cells_and_a_sample_is_spread_over_them() {
+        let all = faults::all().unwrap();
+        let arguments = FaultsArguments { sample: None, ..FaultsArguments::default() };
+        assert!(chosen(&all, &arguments).unwrap().len() >= 500);
+        let sample = chosen(&all, &FaultsArguments { sample: Some(60), ..arguments }).unwrap();
+        assert_eq!(sample.len(), 60);
+        assert!(Phase::ALL.iter().all(|phase| sample.iter().any(|(_, of)| of == phase)));
+        assert!(sample.iter().any(|(fault, _)| fault.is_live()));
+        let none = FaultsArguments { only: Some("nothing".to_owned()), ..FaultsArguments::default() };
+        assert!(chosen(&all, &none).unwrap_err().to_string().contains("--only nothing"));
+    }
+}
