@@ -39,7 +39,7 @@ use course::From;
 use ellipse::Ellipse;
 use plan::{best_plan, solver};
 use report::ride::measure;
-use report::ride::{Drive, Issued, Moment};
+use report::ride::{Issued, RideMoment, RideTrace};
 use sides::Sides;
 
 pub(crate) use course::Course;
@@ -55,7 +55,7 @@ const MAX_PLANS: usize = 100;
 #[derive(Debug, Clone)]
 pub(crate) struct Optimum {
     /// What is driven; clearances are not known here.
-    pub drive: Drive,
+    pub drive: RideTrace,
     /// The plans, in the order in which they were followed.
     pub plans: Vec<Plan>,
 }
@@ -80,7 +80,7 @@ pub(crate) fn optimum(course: &Course) -> Result<Optimum, NoOptimum> {
 fn with(course: &Course, tried: Sides) -> Result<Optimum, NoOptimum> {
     let mut solver = solver();
     let mut from = From { time_s: course.start_s, state: course.start, previous: None };
-    let mut optimum = Optimum { drive: Drive::default(), plans: Vec::new() };
+    let mut optimum = Optimum { drive: RideTrace::default(), plans: Vec::new() };
     optimum.drive.moments.push(moment(from.time_s, from.state, 0.0));
     while optimum.plans.len() < MAX_PLANS {
         let known = known(course, &from);
@@ -104,7 +104,13 @@ fn known<'a>(course: &'a Course, from: &From) -> Vec<&'a Ellipse> {
 }
 
 /// Follows a plan until an ellipse is seen that it does not know, or to its end; the start of the next plan.
-fn follow(course: &Course, from: &From, known: &[&Ellipse], plan: &Plan, drive: &mut Drive) -> Option<From> {
+fn follow(
+    course: &Course,
+    from: &From,
+    known: &[&Ellipse],
+    plan: &Plan,
+    drive: &mut RideTrace,
+) -> Option<From> {
     let Trajectory { states, controls } = &plan.trajectory;
     let intervals = &plan.problem.intervals;
     // A plan that ends before the course is renewed.
@@ -127,8 +133,8 @@ fn follow(course: &Course, from: &From, known: &[&Ellipse], plan: &Plan, drive: 
     None
 }
 
-fn moment(time_s: f64, state: State, speed_mps: f64) -> Moment {
-    Moment { time_s, state, speed_mps, clearance_m: f64::INFINITY }
+fn moment(time_s: f64, state: State, speed_mps: f64) -> RideMoment {
+    RideMoment { time_s, state, speed_mps, clearance_m: f64::INFINITY }
 }
 
 #[cfg(test)]
@@ -137,7 +143,7 @@ mod tests {
 
     use super::*;
     use ellipse::{Ellipse, Path};
-    use report::ride::Figures;
+    use report::ride::RideFigures;
 
     fn course(goal_x_m: f64, ellipses: Vec<Ellipse>) -> Course {
         Course {
@@ -158,7 +164,7 @@ mod tests {
         Ellipse { body: x as u32, a: 1.36, b: 0.66, passed_left: false, path, known_s, known_x_m }
     }
 
-    fn solved(course: &Course) -> (Optimum, Figures) {
+    fn solved(course: &Course) -> (Optimum, RideFigures) {
         let optimum = optimum(course).unwrap();
         let figures = measure(&optimum.drive, &course.goal).unwrap();
         (optimum, figures)
@@ -166,7 +172,7 @@ mod tests {
 
     /// Largest value by which a node is inside of the ellipses of a course.
     fn entered(course: &Course, optimum: &Optimum) -> f64 {
-        let inside = |moment: &Moment, ellipse: &Ellipse| {
+        let inside = |moment: &RideMoment, ellipse: &Ellipse| {
             let [x, y] = ellipse.centre_at(moment.time_s);
             1.0 - ((moment.state.x - x) / ellipse.a).powi(2) - ((moment.state.y - y) / ellipse.b).powi(2)
         };
@@ -216,8 +222,10 @@ mod tests {
         for (index, steering) in [(0, 1e-3), (5, 1e-3), (5, -1e-3), (12, 1e-3), (20, -1e-3)] {
             let mut controls = optimum.plans[0].trajectory.controls.clone();
             controls[index].steering += steering;
-            let mut drive =
-                Drive { moments: vec![optimum.drive.moments[0]], commands: optimum.drive.commands.clone() };
+            let mut drive = RideTrace {
+                moments: vec![optimum.drive.moments[0]],
+                commands: optimum.drive.commands.clone(),
+            };
             for (issued, (control, moment)) in
                 drive.commands.iter_mut().zip(controls.iter().zip(&optimum.drive.moments[1..]))
             {
@@ -225,7 +233,7 @@ mod tests {
                 let last = drive.moments[drive.moments.len() - 1];
                 let duration = moment.time_s - last.time_s;
                 let state = vehicle::integrate::integrate(&parameters, &last.state, control, duration + 1e-5);
-                drive.moments.push(Moment { state, ..*moment });
+                drive.moments.push(RideMoment { state, ..*moment });
             }
             let other = measure(&drive, &beside.goal).unwrap();
             assert!(other.objective > figures.objective, "{index} {steering} {other:?} {figures:?}");

@@ -5,7 +5,7 @@ use emulator::scene::Scene;
 use emulator::{Outcome, Scenario, feasible};
 use pipeline::Settings;
 use plan::{Choice, Plan};
-use report::ride::{Drive, Figures, Recording, measure};
+use report::ride::{RideFigures, RideRecording, RideTrace, measure};
 use shared_types::Level;
 
 use crate::optimum::{Course as Task, Optimum, Sightings, optimum};
@@ -27,7 +27,7 @@ pub(super) struct Course {
 struct Driven {
     outcome: Outcome,
     reason: String,
-    drive: Drive,
+    drive: RideTrace,
     sightings: Sightings,
     plans: usize,
     active_ellipse_plans: usize,
@@ -101,7 +101,7 @@ impl Course {
         let Plan { scenario, system, .. } = &self.plan;
         let settings =
             Settings { scenario: scenario.clone(), tuning: system.tuning(), period_ns: system.period_ns() };
-        let (mut recording, mut sightings) = (Recording::default(), Sightings::default());
+        let (mut recording, mut sightings) = (RideRecording::default(), Sightings::default());
         let (mut plans, mut active_ellipse_plans) = (0, 0);
         let end = pipeline::drive(&settings, |step| {
             recording.truth(&step.truth);
@@ -127,7 +127,7 @@ impl Course {
     }
 
     /// What the optimum drives.
-    fn task(&self, drive: &Drive, sightings: &Sightings) -> Option<Task> {
+    fn task(&self, drive: &RideTrace, sightings: &Sightings) -> Option<Task> {
         let Plan { scenario, system, .. } = &self.plan;
         let config = system.tuning().for_scenario(scenario).controller;
         let start_s = drive.start_s()?;
@@ -145,7 +145,7 @@ impl Course {
     }
 
     /// The figures of an optimum, with its clearance in the true scene.
-    fn figures(&self, drive: &Drive) -> Option<Figures> {
+    fn figures(&self, drive: &RideTrace) -> Option<RideFigures> {
         let scenario = &self.plan.scenario;
         let mut scene = Scene::new(scenario);
         let mut drive = drive.clone();

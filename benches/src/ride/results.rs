@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use console::exit::Exit;
 use emulator::Outcome;
-use report::ride::Figures;
+use report::ride::RideFigures;
 use serde::Serialize;
 
 /// A drive can't be better than its optimum: a smaller regret is a fault of the bench. The hundredth is for what a
@@ -29,8 +29,8 @@ pub(super) struct Row {
     pub(super) active_ellipse_plans: usize,
     /// J driven over J of the optimum.
     pub(super) regret: Option<f64>,
-    pub(super) driven: Option<Figures>,
-    pub(super) optimum: Option<Figures>,
+    pub(super) driven: Option<RideFigures>,
+    pub(super) optimum: Option<RideFigures>,
     /// The figures of `driven` and `optimum` that the goals are about, side by side.
     #[serde(flatten)]
     pub(super) goals: Goals,
@@ -106,7 +106,7 @@ impl Results {
 
 impl Row {
     /// Compares a drive with the optimum, where there is something to steer past.
-    pub(super) fn compare(&mut self, driven: Figures, optimum: Option<Figures>) {
+    pub(super) fn compare(&mut self, driven: RideFigures, optimum: Option<RideFigures>) {
         (self.optimum, self.goals) = (optimum, Goals::of(&driven, optimum));
         match optimum {
             Some(optimum) if optimum.objective >= CLEAR_OBJECTIVE => {
@@ -129,7 +129,7 @@ impl Row {
 }
 
 impl Goals {
-    pub(super) fn of(driven: &Figures, optimum: Option<Figures>) -> Self {
+    pub(super) fn of(driven: &RideFigures, optimum: Option<RideFigures>) -> Self {
         Self {
             steering_total_variation_rad: Some(driven.steering_total_variation_rad),
             optimum_total_variation_rad: optimum.map(|best| best.steering_total_variation_rad),
@@ -198,7 +198,11 @@ mod tests {
 
     fn row(name: &str, driven: f64, optimum: f64) -> Row {
         let figures = |objective| {
-            Some(Figures { objective, steering_second_difference_rad: objective, ..Figures::default() })
+            Some(RideFigures {
+                objective,
+                steering_second_difference_rad: objective,
+                ..RideFigures::default()
+            })
         };
         Row {
             name: name.to_owned(),
@@ -223,7 +227,7 @@ mod tests {
     #[test]
     fn a_clear_line_has_no_regret() {
         let compare = |objective| {
-            let figures = |objective| Figures { objective, ..Figures::default() };
+            let figures = |objective| RideFigures { objective, ..RideFigures::default() };
             let mut row = Row { driven: Some(figures(0.2)), ..Row::default() };
             row.compare(figures(0.2), Some(figures(objective)));
             row

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use figures::{Align, Table};
-use report::ride::Figures;
+use report::ride::RideFigures;
 
 use super::results::{Results, Row, Spread, Summary};
 
@@ -51,7 +51,7 @@ fn table(rows: &[Row]) -> Table {
         let (Some(driven), Some(optimum), Some(regret)) = (&row.driven, &row.optimum, row.regret) else {
             continue;
         };
-        let pair = |figure: fn(&Figures) -> f64, decimals: usize| {
+        let pair = |figure: fn(&RideFigures) -> f64, decimals: usize| {
             format!("{:.decimals$} / {:.decimals$}", figure(driven), figure(optimum))
         };
         table.row([

@@ -17,7 +17,7 @@ mod tally;
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::RangeInclusive;
 
-use crate::ride::Recording;
+use crate::ride::RideRecording;
 use audit::ledger::Ledger;
 use emulator::JudgedBy;
 use shared_types::{
@@ -51,7 +51,7 @@ pub struct Recorder {
     missing: u64,
     latencies: Latencies,
     rows: Rows,
-    ride: Recording,
+    ride: RideRecording,
     tally: Tally,
     margins: Margins,
     scanner: Scanner,
@@ -78,7 +78,7 @@ impl Recorder {
             tally: Tally::new(info.lockstep),
             info,
             rows: Rows::default(),
-            ride: Recording::default(),
+            ride: RideRecording::default(),
             margins: Margins::default(),
             scanner: Scanner::default(),
             blocking: None,

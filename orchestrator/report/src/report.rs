@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 use std::io;
 use std::path::Path;
 
-use crate::ride::Figures as RideReport;
+use crate::ride::RideFigures;
 pub use audit::ledger::{DelayRow, LedgerReport, LedgerRow, ScanReport};
 pub use emulator::{JudgedBy, Outcome};
 use figures::Figures;
@@ -72,7 +72,7 @@ pub struct Report {
     /// How it was driven, from the first drive command to 1.75 m before the goal; `Some(None)` when it did not get there,
     /// `None` without a truth.
     #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "present")]
-    pub ride: Option<Option<RideReport>>,
+    pub ride: Option<Option<RideFigures>>,
     /// How the scanner was.
     pub scanner: ScannerReport,
     /// The obstacle of the last stop that had one.
@@ -307,7 +307,7 @@ mod tests {
                 believed: 0.4.into(),
             }],
             drive: DriveReport { truth: Some(TrueDrive::default()), ..DriveReport::default() },
-            ride: Some(Some(RideReport::default())),
+            ride: Some(Some(RideFigures::default())),
             trajectory: vec![[0.0, 0.1, -0.2, 1.0 / 3.0], [0.1, 0.2, -0.2, 1e-17]],
             processes: vec![ProcessReport {
                 role: "controller".to_owned(),

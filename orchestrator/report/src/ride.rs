@@ -1,13 +1,13 @@
 //! The ride: how well a drive was driven.
 //!
-//! [`measure`] turns the true trajectory of a drive into [`Figures`]; the most important one is the objective J, whose
-//! weights are fixed in [`objective`]. [`Recording`] collects the trajectory from samples.
+//! [`measure`] turns the true trajectory of a drive into [`RideFigures`]; the most important one is the objective J, whose
+//! weights are fixed in [`objective`]. [`RideRecording`] collects the trajectory from samples.
 
 mod drive;
 mod measure;
 pub mod objective;
 mod recording;
 
-pub use drive::{Drive, Issued, Moment};
-pub use measure::{Figures, measure};
-pub use recording::Recording;
+pub use drive::{Issued, RideMoment, RideTrace};
+pub use measure::{RideFigures, measure};
+pub use recording::RideRecording;

@@ -4,7 +4,7 @@ use vehicle::{Control, State};
 
 /// The true robot at one time.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Moment {
+pub struct RideMoment {
     /// Time since the start of the run [s].
     pub time_s: f64,
     /// Sideslip, yaw, yaw rate and position.
@@ -26,21 +26,21 @@ pub struct Issued {
 
 /// A drive: true moments and commands, each in the order of time.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Drive {
+pub struct RideTrace {
     /// The true robot, at least at each scan.
-    pub moments: Vec<Moment>,
+    pub moments: Vec<RideMoment>,
     /// The commands.
     pub commands: Vec<Issued>,
 }
 
-impl Drive {
+impl RideTrace {
     /// When the first command that drives acts [s].
     pub fn start_s(&self) -> Option<f64> {
         self.commands.iter().find(|issued| issued.control.velocity > 0.0).map(|issued| issued.time_s)
     }
 
     /// The robot at `time_s`, from the last moment before: a robot at rest stays there, another one moves straight on.
-    pub fn advanced_to(&self, time_s: f64) -> Option<Moment> {
+    pub fn advanced_to(&self, time_s: f64) -> Option<RideMoment> {
         let before = self.moments.iter().take_while(|moment| moment.time_s <= time_s).last()?;
         let (duration, mut moment) = (time_s - before.time_s, *before);
         let (sin, cos) = (before.state.yaw + before.state.sideslip).sin_cos();

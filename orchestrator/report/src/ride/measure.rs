@@ -5,7 +5,7 @@
 use serde::{Deserialize, Serialize};
 use vehicle::{Control, Goal, State};
 
-use super::drive::{Drive, Issued, Moment};
+use super::drive::{Issued, RideMoment, RideTrace};
 use super::objective::{
     BEFORE_GOAL_M, CHANGE, CONTROL, CRUISE, INTERVAL_S, SPEED_MPS, STATE, TERMINAL, of_control, of_state,
 };
@@ -18,7 +18,7 @@ const BLOCKED_MPS: f64 = 0.0;
 /// How a drive was driven, from the first drive command to 1.75 m before the goal.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
-pub struct Figures {
+pub struct RideFigures {
     /// The objective J, see `docs/ride.md`.
     pub objective: f64,
     /// Sum of the changes of the steering angle between consecutive commands [rad].
@@ -38,17 +38,17 @@ pub struct Figures {
 }
 
 /// The figures of a drive, `None` when it did not come as near to the goal as [`BEFORE_GOAL_M`].
-pub fn measure(drive: &Drive, goal: &Goal) -> Option<Figures> {
+pub fn measure(drive: &RideTrace, goal: &Goal) -> Option<RideFigures> {
     let start = drive.advanced_to(drive.start_s()?)?;
     let end = end(&drive.moments, goal.x_m - BEFORE_GOAL_M, start.time_s)?;
-    let inside = |moment: &&Moment| moment.time_s > start.time_s && moment.time_s < end.time_s;
-    let inner: Vec<Moment> = drive.moments.iter().filter(inside).copied().collect();
-    let nodes: Vec<Moment> = std::iter::once(start).chain(inner).chain([end]).collect();
+    let inside = |moment: &&RideMoment| moment.time_s > start.time_s && moment.time_s < end.time_s;
+    let inner: Vec<RideMoment> = drive.moments.iter().filter(inside).copied().collect();
+    let nodes: Vec<RideMoment> = std::iter::once(start).chain(inner).chain([end]).collect();
     let acts = |issued: &&Issued| issued.time_s >= start.time_s && issued.time_s < end.time_s;
     let commands: Vec<Issued> = drive.commands.iter().filter(acts).copied().collect();
     let steps: Vec<f64> = steering_steps(&commands);
     let (acceleration, jerk) = lateral(&nodes);
-    Some(Figures {
+    Some(RideFigures {
         objective: of_states(&nodes, goal) + of_commands(&commands, end.time_s),
         steering_total_variation_rad: steps.iter().map(|step| step.abs()).sum(),
         steering_second_difference_rad: steps.windows(2).map(|pair| (pair[1] - pair[0]).abs()).sum(),
@@ -61,7 +61,7 @@ pub fn measure(drive: &Drive, goal: &Goal) -> Option<Figures> {
 }
 
 /// The moment at which the drive passes `x_m`, between the moments around it.
-fn end(moments: &[Moment], x_m: f64, from_s: f64) -> Option<Moment> {
+fn end(moments: &[RideMoment], x_m: f64, from_s: f64) -> Option<RideMoment> {
     let reached =
         moments.iter().position(|moment| moment.time_s > from_s && moment.state.x >= x_m - ARRIVED_M)?;
     let (after, before) = (moments[reached], moments[reached.checked_sub(1)?]);
@@ -69,7 +69,7 @@ fn end(moments: &[Moment], x_m: f64, from_s: f64) -> Option<Moment> {
     let share = if way > 0.0 { ((x_m - before.state.x) / way).clamp(0.0, 1.0) } else { 1.0 };
     let between = |one: f64, other: f64| one + share * (other - one);
     let state = before.state.to_vector().lerp(&after.state.to_vector(), share);
-    Some(Moment {
+    Some(RideMoment {
         time_s: between(before.time_s, after.time_s),
         state: State::from_vector(&state),
         speed_mps: between(before.speed_mps, after.speed_mps),
@@ -78,15 +78,15 @@ fn end(moments: &[Moment], x_m: f64, from_s: f64) -> Option<Moment> {
 }
 
 /// The part of J that belongs to the states.
-fn of_states(nodes: &[Moment], goal: &Goal) -> f64 {
+fn of_states(nodes: &[RideMoment], goal: &Goal) -> f64 {
     let (Some(start), Some(end)) = (nodes.first(), nodes.last()) else { return 0.0 };
-    let reference = |moment: &Moment| State {
+    let reference = |moment: &RideMoment| State {
         x: start.state.x + SPEED_MPS * (moment.time_s - start.time_s),
         y: goal.y_m,
         ..State::default()
     };
-    let cost = |weights: &[f64; 5], moment: &Moment| of_state(weights, &moment.state, &reference(moment));
-    let interval = |pair: &[Moment]| {
+    let cost = |weights: &[f64; 5], moment: &RideMoment| of_state(weights, &moment.state, &reference(moment));
+    let interval = |pair: &[RideMoment]| {
         (pair[1].time_s - pair[0].time_s) * (cost(&STATE, &pair[0]) + cost(&STATE, &pair[1])) / 2.0
     };
     nodes.windows(2).map(interval).sum::<f64>() + cost(&TERMINAL, end)
@@ -114,10 +114,10 @@ fn steering_steps(commands: &[Issued]) -> Vec<f64> {
 }
 
 /// Largest lateral acceleration and jerk, from the change of the course between the moments.
-fn lateral(nodes: &[Moment]) -> (f64, f64) {
+fn lateral(nodes: &[RideMoment]) -> (f64, f64) {
     // The first and the last interval are parts of one: differences over a short time would be noise.
     let whole = nodes.get(1..nodes.len().saturating_sub(1)).unwrap_or_default();
-    let course = |moment: &Moment| moment.state.yaw + moment.state.sideslip;
+    let course = |moment: &RideMoment| moment.state.yaw + moment.state.sideslip;
     let accelerations: Vec<(f64, f64)> = whole
         .windows(2)
         .map(|pair| {
@@ -142,8 +142,8 @@ mod tests {
     const GOAL: Goal = Goal { x_m: 11.75, y_m: 0.0, tolerance_m: 0.1 };
 
     /// A drive along y = `y` at 1 m/s, with these steering angles in turn.
-    fn straight(y: f64, steering: &[f64]) -> Drive {
-        let moment = |index: usize| Moment {
+    fn straight(y: f64, steering: &[f64]) -> RideTrace {
+        let moment = |index: usize| RideMoment {
             time_s: 0.1 * index as f64,
             state: State { x: 0.1 * index as f64, y, ..State::default() },
             speed_mps: 1.0,
@@ -153,7 +153,7 @@ mod tests {
             time_s: 0.1 * index as f64,
             control: Control { velocity: 1.0, steering: steering[index % steering.len()] },
         };
-        Drive { moments: (0..=101).map(moment).collect(), commands: (0..=101).map(issued).collect() }
+        RideTrace { moments: (0..=101).map(moment).collect(), commands: (0..=101).map(issued).collect() }
     }
 
     #[test]
@@ -181,13 +181,13 @@ mod tests {
         let mut drive = straight(0.0, &[0.0]);
         // Commands act from 0.5 s on, and the robot stands until then: it keeps 1 m/s from there.
         drive.commands.iter_mut().for_each(|issued| issued.time_s += 0.5);
-        let rest = Moment { speed_mps: 0.0, ..drive.moments[0] };
+        let rest = RideMoment { speed_mps: 0.0, ..drive.moments[0] };
         drive.moments.iter_mut().for_each(|moment| moment.time_s += 0.5);
         drive.moments.insert(0, rest);
         assert!(measure(&drive, &GOAL).unwrap().objective.abs() < 1e-12);
         // At rest for 1 s after the first command: 1 s behind over 10 s and at the end, and t^2 before.
         drive.moments.iter_mut().skip(1).for_each(|moment| moment.time_s += 1.0);
-        drive.moments.insert(1, Moment { time_s: 0.5, ..rest });
+        drive.moments.insert(1, RideMoment { time_s: 0.5, ..rest });
         drive.moments[2].speed_mps = 0.0;
         let objective = measure(&drive, &GOAL).unwrap().objective;
         assert!((objective - (0.5 + 10.0 + 5.0)).abs() < 1e-6, "{objective}");
@@ -201,7 +201,7 @@ mod tests {
         assert!((expected.objective - 22.0).abs() < 1e-9, "{expected:?}");
         let blocked = Control { velocity: 0.0, steering: 0.0 };
         drive.commands.insert(0, Issued { time_s: -1.0, control: blocked });
-        drive.moments.insert(0, Moment { time_s: -1.0, speed_mps: 0.0, ..drive.moments[0] });
+        drive.moments.insert(0, RideMoment { time_s: -1.0, speed_mps: 0.0, ..drive.moments[0] });
         assert_eq!(measure(&drive, &Goal { x_m: 14.75, ..GOAL }), Some(expected));
     }
 
@@ -221,6 +221,6 @@ mod tests {
     fn a_drive_that_does_not_come_near_the_goal_has_no_figures() {
         let goal = Goal { x_m: 12.0, ..GOAL };
         assert_eq!(measure(&straight(0.0, &[0.0]), &goal), None);
-        assert_eq!(measure(&Drive::default(), &GOAL), None);
+        assert_eq!(measure(&RideTrace::default(), &GOAL), None);
     }
 }

@@ -5,14 +5,14 @@ use std::collections::BTreeMap;
 use shared_types::{Actuation, ActuationKind, Role, Truth};
 use vehicle::{Control, State};
 
-use super::drive::{Drive, Issued, Moment};
+use super::drive::{Issued, RideMoment, RideTrace};
 
 /// Maximum number of scans: an hour at 10 Hz, about 5 MB. A longer drive has no figures.
 const MAX_SCANS: usize = 36_000;
 
 /// What is recorded of the ride.
 #[derive(Debug, Clone, Default)]
-pub struct Recording {
+pub struct RideRecording {
     truths: BTreeMap<u64, Seen>,
     /// What was desired in answer to a scan, `None` for blocked wheels.
     answers: BTreeMap<u64, Option<Control>>,
@@ -22,12 +22,12 @@ pub struct Recording {
 /// What one sample of the truth shows.
 #[derive(Debug, Clone, Copy)]
 struct Seen {
-    moment: Moment,
+    moment: RideMoment,
     /// The scan whose answer acts, and since when [s].
     acting: (u64, f64),
 }
 
-impl Recording {
+impl RideRecording {
     /// The true state at a scan.
     pub fn truth(&mut self, truth: &Truth) {
         let header = &truth.header;
@@ -43,7 +43,7 @@ impl Recording {
             y: truth.y_m,
         };
         let (time_s, speed_mps, clearance_m) = (truth.time_s, truth.speed_mps, truth.clearance_m);
-        let moment = Moment { time_s, state, speed_mps, clearance_m };
+        let moment = RideMoment { time_s, state, speed_mps, clearance_m };
         self.overflow |= self.truths.len() >= MAX_SCANS;
         if !self.overflow {
             self.truths.insert(header.scan_id, Seen { moment, acting: (truth.actuation_scan, acting_s) });
@@ -61,9 +61,9 @@ impl Recording {
     }
 
     /// The drive; empty when it was too long to be kept.
-    pub fn drive(&self) -> Drive {
+    pub fn drive(&self) -> RideTrace {
         if self.overflow {
-            return Drive::default();
+            return RideTrace::default();
         }
         let moments = self.truths.values().map(|seen| seen.moment).collect();
         let mut commands: Vec<Issued> = Vec::new();
@@ -75,7 +75,7 @@ impl Recording {
             let control = answer.unwrap_or(Control { velocity: 0.0, steering });
             commands.push(Issued { time_s: *time_s, control });
         }
-        Drive { moments, commands }
+        RideTrace { moments, commands }
     }
 }
 
@@ -111,7 +111,7 @@ mod tests {
 
     #[test]
     fn a_command_counts_from_the_time_at_which_it_acts_whatever_the_order_of_the_samples() {
-        let mut recording = Recording::default();
+        let mut recording = RideRecording::default();
         for scan_id in [4, 1, 3, 2] {
             recording.truth(&truth(scan_id));
             recording.actuation(&answer(scan_id, ActuationKind::Drive));
@@ -132,7 +132,7 @@ mod tests {
 
     #[test]
     fn blocked_wheels_are_a_command_of_no_velocity_and_the_last_angle() {
-        let mut recording = Recording::default();
+        let mut recording = RideRecording::default();
         (1..=4).for_each(|scan_id| recording.truth(&truth(scan_id)));
         recording.actuation(&answer(1, ActuationKind::Drive));
         recording.actuation(&answer(2, ActuationKind::Block));
@@ -146,7 +146,7 @@ mod tests {
 
     #[test]
     fn a_command_that_acts_longer_counts_once() {
-        let mut recording = Recording::default();
+        let mut recording = RideRecording::default();
         (1..=4).for_each(|scan_id| recording.truth(&truth(scan_id)));
         (1..=4).for_each(|scan_id| recording.actuation(&answer(scan_id, ActuationKind::Drive)));
         let lost = Truth { actuation_scan: 3, actuation_age_s: 0.17, ..truth(5) };
@@ -156,8 +156,8 @@ mod tests {
 
     #[test]
     fn a_drive_that_is_too_long_is_empty() {
-        let mut recording = Recording::default();
+        let mut recording = RideRecording::default();
         (1..=MAX_SCANS as u64 + 1).for_each(|scan_id| recording.truth(&truth(scan_id)));
-        assert_eq!(recording.drive(), Drive::default());
+        assert_eq!(recording.drive(), RideTrace::default());
     }
 }
