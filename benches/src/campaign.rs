@@ -1,6 +1,6 @@
 //! `scanloop-lab campaign`: drives many courses through the pipeline, judges each drive, and lists those that went wrong.
 //!
-//! The judge is [`emulator::judge`]; it knows the truth and nothing of the stages.
+//! The judge is [`courses::judge`]; it knows the truth and nothing of the stages.
 
 pub(crate) mod arguments;
 mod course;

@@ -5,6 +5,7 @@
 
 mod allocations;
 mod analyse;
+mod analysis;
 mod campaign;
 mod compare;
 mod cores;

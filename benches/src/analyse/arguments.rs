@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
+use crate::analysis::intervals::{ErrorMeasure, Family, Grid};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Subcommand};
 use estimator::Measured;
 use ocp::Scheme;
-use ocp::analysis::intervals::{ErrorMeasure, Family, Grid};
 
 /// The design analyses.
 #[derive(Debug, Subcommand)]

@@ -2,8 +2,8 @@
 
 use std::fmt::Write as _;
 
+use crate::analysis::correlation::{Angles, CORRELATED_BELOW_DEG, Correlation, Settings};
 use console::exit::Exit;
-use ocp::analysis::correlation::{Angles, CORRELATED_BELOW_DEG, Correlation, Settings};
 use report::picture::chart::{Chart, Curve};
 use serde::Serialize;
 use vehicle::{Bounds, Control, Parameters};

@@ -1,8 +1,8 @@
 //! `scanloop analyse drift`: the position error that each form of the correction of measured data leaves.
 
+use crate::analysis::forms::{Form, LATERAL_RATE, LONGITUDINAL, OFFSET_RAD, Robot, errors, largest};
 use console::exit::Exit;
 use estimator::correction::Mode;
-use estimator::forms::{Form, LATERAL_RATE, LONGITUDINAL, OFFSET_RAD, Robot, errors, largest};
 use figures::Table;
 use report::picture::chart::{Chart, Curve};
 use serde::Serialize;

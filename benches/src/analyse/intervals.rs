@@ -2,8 +2,8 @@
 
 use std::fmt::Write as _;
 
+use crate::analysis::intervals::{Definition, ErrorMeasure, Family, Grid, Horizons, Worst};
 use console::exit::Exit;
-use ocp::analysis::intervals::{Definition, ErrorMeasure, Family, Grid, Horizons, Worst};
 use report::picture::chart::{Chart, Curve};
 use serde::Serialize;
 use vehicle::require;

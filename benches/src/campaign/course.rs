@@ -1,8 +1,8 @@
 //! The courses of a campaign: which families, which seeds, and what is driven on each.
 
+use courses::course::hostile::hostile;
+use courses::course::of_campaign;
 use emulator::Scenario;
-use emulator::course::hostile::hostile;
-use emulator::course::of_campaign;
 use plan::{Choice, Plan};
 
 use super::arguments::CampaignArguments;
@@ -72,8 +72,8 @@ impl Course {
 
 #[cfg(test)]
 mod tests {
-    use emulator::course::Family;
-    use emulator::course::hostile::Hostile;
+    use courses::course::Family;
+    use courses::course::hostile::Hostile;
 
     use super::super::arguments::CampaignRobot;
     use super::super::kind::family_names;

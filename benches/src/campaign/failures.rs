@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use console::out_folder::OutFolder;
+use courses::judge::Verdict;
 use emulator::Outcome;
-use emulator::judge::Verdict;
 use serde::Serialize;
 
 use super::arguments::CampaignArguments;

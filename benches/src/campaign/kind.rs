@@ -1,7 +1,7 @@
 //! The families of a campaign by their names.
 
-use emulator::course::Family;
-use emulator::course::hostile::Hostile;
+use courses::course::Family;
+use courses::course::hostile::Hostile;
 
 /// The name that chooses all hostile families.
 const ALL_HOSTILE: &str = "hostile";

@@ -1,7 +1,7 @@
 //! One course, driven and judged.
 
+use courses::judge::{Judge, Judgement};
 use emulator::Outcome;
-use emulator::judge::{Judge, Judgement};
 use pipeline::{Settings, WayToRest};
 use report::NO_OBSTACLE_M;
 

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use courses::course::Family;
+use courses::judge::Verdict;
 use emulator::Outcome;
-use emulator::course::Family;
-use emulator::judge::Verdict;
 use figures::upper_bound_95;
 use report::NO_OBSTACLE_M;
 use serde::Serialize;
@@ -177,8 +177,8 @@ fn gaps(runs: &[&CourseRun]) -> Vec<GapClass> {
 
 #[cfg(test)]
 mod tests {
-    use emulator::course::hostile::Hostile;
-    use emulator::judge::Judgement;
+    use courses::course::hostile::Hostile;
+    use courses::judge::Judgement;
 
     use super::super::course::Course;
     use super::*;

@@ -59,7 +59,7 @@ fn wall(x_m: f64, [low, high]: [f64; 2]) -> Obstacle {
 
 #[cfg(test)]
 mod tests {
-    use emulator::feasible;
+    use courses::feasible;
 
     use super::*;
 

@@ -1,8 +1,9 @@
 //! One course: its drive, and its optimum.
 
-use emulator::course::{Family, of_campaign};
+use courses::course::{Family, of_campaign};
+use courses::feasible;
 use emulator::scene::Scene;
-use emulator::{Outcome, Scenario, feasible};
+use emulator::{Outcome, Scenario};
 use pipeline::Settings;
 use plan::{Choice, Plan};
 use report::ride::{RideFigures, RideRecording, RideTrace, measure};

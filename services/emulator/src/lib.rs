@@ -6,11 +6,8 @@
 //!
 //! Read [`emulator`] first; it puts [`plant`], [`odometer`], [`laser`] and [`scene`] together.
 
-pub mod course;
 pub mod emulator;
-pub mod feasible;
 pub mod history;
-pub mod judge;
 pub mod laser;
 pub mod noise;
 pub mod odometer;

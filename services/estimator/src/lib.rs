@@ -9,7 +9,6 @@ pub mod correction;
 pub mod dead_reckoning;
 pub mod ekf;
 mod estimator;
-pub mod forms;
 pub mod motion;
 pub mod observability;
 pub mod self_check;

@@ -10,7 +10,7 @@
 use serde::{Deserialize, Serialize};
 
 /// The largest number of stages of any scheme.
-pub(crate) const MAX_STAGES: usize = 4;
+pub const MAX_STAGES: usize = 4;
 
 /// Points at which the model holds inside an interval.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -70,16 +70,16 @@ impl Scheme {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Collocation {
     /// Number of stages s.
-    pub(crate) stages: usize,
+    pub stages: usize,
     /// Stage points in (0, 1].
-    pub(crate) points: [f64; MAX_STAGES],
+    pub points: [f64; MAX_STAGES],
     /// Integrals of the Lagrange polynomials from 0 to each point: `integrals[i][j]` of polynomial j to point i.
-    pub(crate) integrals: [[f64; MAX_STAGES]; MAX_STAGES],
+    pub integrals: [[f64; MAX_STAGES]; MAX_STAGES],
     /// Integrals of the Lagrange polynomials over the whole interval: the quadrature weights.
-    pub(crate) weights: [f64; MAX_STAGES],
+    pub weights: [f64; MAX_STAGES],
     /// The end value is `(1 - sum) * start + sum_j end[j] * stage[j]` where the stages satisfy the collocation
     /// equations; for Radau that is the last stage.
-    pub(crate) end: [f64; MAX_STAGES],
+    pub end: [f64; MAX_STAGES],
 }
 
 impl Default for Collocation {

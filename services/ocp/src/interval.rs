@@ -16,11 +16,11 @@ use crate::model::{LateralModel, LateralSlope};
 use crate::trig::sin_cos;
 
 /// (sideslip, yaw rate) at the stages; entries beyond the stages of the scheme are not used.
-pub(crate) type Stages = [[f64; 2]; MAX_STAGES];
+pub type Stages = [[f64; 2]; MAX_STAGES];
 
 /// The end of an interval, linearised at the present values.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Linearisation {
+pub struct Linearisation {
     /// End state from the present stage values.
     pub end: [f64; 5],
     /// Change of the end state by the Newton step of the stages alone.
@@ -37,8 +37,10 @@ pub(crate) struct Linearisation {
 
 /// Model, scheme and length of an interval.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Interval<'a> {
+pub struct Interval<'a> {
+    /// The lateral model.
     pub model: &'a dyn LateralModel,
+    /// Its discretisation.
     pub collocation: &'a Collocation,
     /// Length [s].
     pub length: f64,

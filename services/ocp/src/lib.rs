@@ -58,8 +58,7 @@
 //! Direct multiple shooting with collocation inside the intervals, sequential quadratic programming with a Newton
 //! step on the active set. `problem` says what is solved; `lateral`, `interval` and `shooting` are the model and its
 //! sensitivities; `objective` and `kkt` value an iterate; `chain` solves the programs by Riccati recursions, and
-//! `condense` with `qp` those of short horizons where that fails; `sqp` is the iteration. [`analysis`] answers how many
-//! intervals a horizon needs.
+//! `condense` with `qp` those of short horizons where that fails; `sqp` is the iteration.
 //!
 //! # Limits
 //! * Another robot is another [`LateralModel`] with its `vehicle::Bounds`: any vehicle whose (sideslip, yaw rate) is
@@ -74,7 +73,6 @@
 //! Within this project it depends on `vehicle` only: states, controls, bounds, and the single-track model of the
 //! robot.
 
-pub mod analysis;
 mod chain;
 mod collocation;
 mod condense;
@@ -99,11 +97,12 @@ mod trig;
 mod usable;
 mod walk;
 
-pub use collocation::{Collocation, Scheme};
+pub use collocation::{Collocation, MAX_STAGES, Scheme};
 pub use hessian::Hessian;
+pub use interval::{Interval, Linearisation, Stages};
 pub use model::{LateralModel, LateralSlope};
 pub use problem::{Budget, EllipsePath, Problem, Solution, Status, Trajectory, Weights};
-pub use propagate::roll_out;
+pub use propagate::{Propagation, converge, propagate, roll_out};
 pub use qp::QpChoice;
 pub use settings::SolverSettings;
 pub use sqp::Solver;

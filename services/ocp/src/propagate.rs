@@ -27,7 +27,7 @@ pub fn roll_out(
 
 /// End state of an interval with its exact sensitivities.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Propagation {
+pub struct Propagation {
     /// State at the end.
     pub end: State,
     /// Derivatives by the start state, row by row, in the order (sideslip, yaw, yaw rate, x, y).
@@ -37,7 +37,7 @@ pub(crate) struct Propagation {
 }
 
 /// Solves the collocation equations of one interval of `length` [s]; `None` when they do not converge.
-pub(crate) fn propagate(
+pub fn propagate(
     model: &dyn LateralModel,
     collocation: &Collocation,
     length: f64,
@@ -57,11 +57,7 @@ pub(crate) fn propagate(
 ///
 /// Newton starts from the start's values at all stages. The equations are nearly linear in (sideslip, yaw rate):
 /// three to five steps are usual.
-pub(crate) fn converge(
-    interval: &Interval,
-    start: &State,
-    control: &Control,
-) -> Option<(Linearisation, Stages)> {
+pub fn converge(interval: &Interval, start: &State, control: &Control) -> Option<(Linearisation, Stages)> {
     /// Many times the usual count.
     const NEWTON_STEPS: usize = 30;
     /// Rounding level of values of order one, with room for h times the stiff Jacobian.

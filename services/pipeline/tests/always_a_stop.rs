@@ -3,8 +3,8 @@
 
 use std::collections::BTreeMap;
 
+use courses::course::{Family, of_campaign};
 use emulator::Scenario;
-use emulator::course::{Family, of_campaign};
 use emulator::scenario::Obstacle;
 use pipeline::{Settings, WayToRest, drive};
 use shared_types::{CommandKind, Level};

@@ -1,6 +1,6 @@
 //! Hostile courses that were driven badly once.
 
-use emulator::course::hostile::{Hostile, hostile};
+use courses::course::hostile::{Hostile, hostile};
 use emulator::scenario::Preset;
 use emulator::{Outcome, Scenario};
 use pipeline::Settings;

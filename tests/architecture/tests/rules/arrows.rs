@@ -14,7 +14,7 @@ const LAYERS: &[&[&str]] = &[
     &["key-table"],
     &["runtime", "vehicle", "urg", "faults"],
     &["emulator", "estimator", "obstacles", "ocp", "player", "console", "scanloop-link"],
-    &["nmpc", "actuation", "supervision", "handover", "audit", "recording"],
+    &["courses", "nmpc", "actuation", "supervision", "handover", "audit", "recording"],
     &["pipeline", "calibration", "c-library"],
     &["plan", "report", "replay", "fault-matrix"],
     &["agent"],

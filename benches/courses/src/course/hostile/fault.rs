@@ -1,7 +1,7 @@
 //! A fault of the scanner for a course: either mild and lasting, or severe and short.
 
-use crate::noise::Stream;
-use crate::scenario::{Scanner, Scenario};
+use emulator::noise::Stream;
+use emulator::scenario::{Scanner, Scenario};
 
 /// Kinds of faults that [`add`] draws.
 const KINDS: usize = 12;

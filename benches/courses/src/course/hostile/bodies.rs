@@ -1,7 +1,7 @@
 //! Bodies that move, and obstacles that appear.
 
-use crate::noise::Stream;
-use crate::scenario::{Obstacle, Scenario, Shape};
+use emulator::noise::Stream;
+use emulator::scenario::{Obstacle, Scenario, Shape};
 
 /// Bodies that move along the track are at most this far from its middle [m].
 const ASIDE_M: f64 = 1.2;

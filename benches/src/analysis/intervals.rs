@@ -15,13 +15,13 @@ use vehicle::{Bounds, Control, Invalid, Parameters, require};
 
 use super::run::Runner;
 use super::search::{self, Found};
-use crate::collocation::Scheme;
+use ocp::Scheme;
 
-pub use super::run::ErrorMeasure;
+pub(crate) use super::run::ErrorMeasure;
 
 /// Which controls are admissible.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Family {
+pub(crate) enum Family {
     /// One control of the box, held over the horizon.
     Constant,
     /// One control of the box per interval.
@@ -30,12 +30,12 @@ pub enum Family {
 
 impl Family {
     /// Both families.
-    pub const ALL: [Self; 2] = [Self::Constant, Self::Piecewise];
+    pub(crate) const ALL: [Self; 2] = [Self::Constant, Self::Piecewise];
 }
 
 /// How a horizon is divided.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Grid {
+pub(crate) enum Grid {
     /// Into equal intervals.
     Uniform,
     /// Into intervals whose lengths keep the largest error small.
@@ -44,7 +44,7 @@ pub enum Grid {
 
 /// The admissible controls, the measure of the error, and its tolerance.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Definition {
+pub(crate) struct Definition {
     /// The robot.
     pub parameters: Parameters,
     /// The box of controls.
@@ -77,7 +77,7 @@ impl Default for Definition {
 
 /// The largest error that was found, where, and on which intervals.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Worst {
+pub(crate) struct Worst {
     /// Largest error; infinite where collocation has no solution.
     pub error: f64,
     /// The controls, one per interval.
@@ -88,7 +88,7 @@ pub struct Worst {
 
 /// Bilevel-I.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Counts {
+pub(crate) struct Counts {
     /// The smallest number of intervals within the tolerance; `None` when the limit is too small.
     pub smallest: Option<usize>,
     /// The largest errors for 1, 2, ... intervals.
@@ -97,7 +97,7 @@ pub struct Counts {
 
 /// Bilevel-II.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Horizons {
+pub(crate) struct Horizons {
     /// The longest horizon up to which the tolerance is kept [s]; `None` when none was found.
     pub longest_s: Option<f64>,
     /// The largest error there.
@@ -110,7 +110,7 @@ pub struct Horizons {
 
 /// The error of the same controls and intervals by another definition.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Other {
+pub(crate) struct Other {
     /// The measure of the error.
     pub error: ErrorMeasure,
     /// The admissible controls.
@@ -131,20 +131,20 @@ impl Definition {
     ///
     /// # Errors
     /// [`Invalid`] with the key, the value and the range.
-    pub fn validate(&self, horizon_s: f64, count: usize) -> Result<(), Invalid> {
+    pub(crate) fn validate(&self, horizon_s: f64, count: usize) -> Result<(), Invalid> {
         require("tol", self.tolerance, 1e-9..=1.0)?;
         require("tf", horizon_s, 0.05..=MAX_HORIZON_S)?;
         require("n", count as f64, 1.0..=self.max_intervals() as f64)
     }
 
     /// Largest number of intervals that are analysed by this definition.
-    pub fn max_intervals(&self) -> usize {
+    pub(crate) fn max_intervals(&self) -> usize {
         let searched = self.controls == Family::Piecewise || self.grid == Grid::Free;
         if searched { MAX_SEARCHED } else { MAX_HELD }
     }
 
     /// The largest error of `count` intervals over a horizon [s].
-    pub fn worst(&self, horizon_s: f64, count: usize) -> Worst {
+    pub(crate) fn worst(&self, horizon_s: f64, count: usize) -> Worst {
         let lengths_s = vec![horizon_s / count as f64; count];
         match self.grid {
             Grid::Uniform => self.worst_on(lengths_s),
@@ -153,7 +153,7 @@ impl Definition {
     }
 
     /// Bilevel-I: the smallest number of intervals within the tolerance, up to `limit`, and the error for one more.
-    pub fn smallest_count(&self, horizon_s: f64, limit: usize) -> Counts {
+    pub(crate) fn smallest_count(&self, horizon_s: f64, limit: usize) -> Counts {
         let mut counts = Counts { smallest: None, worst: Vec::new() };
         for count in 1..=limit {
             let worst = self.worst(horizon_s, count);
@@ -169,7 +169,7 @@ impl Definition {
 
     /// Bilevel-II: the longest horizon such that it and all shorter ones tried keep the tolerance with `count`
     /// intervals.
-    pub fn longest_horizon(&self, count: usize) -> Horizons {
+    pub(crate) fn longest_horizon(&self, count: usize) -> Horizons {
         /// Ratio of horizons tried one after the other.
         const RATIO: f64 = 1.25;
         /// Relative precision of the result; coarser on a free grid, which needs a search for each horizon.
@@ -231,7 +231,7 @@ impl Definition {
     }
 
     /// The largest errors on these intervals by all measures and, up to ten of them, all families.
-    pub fn others(&self, lengths_s: &[f64]) -> Vec<Other> {
+    pub(crate) fn others(&self, lengths_s: &[f64]) -> Vec<Other> {
         let mut others = Vec::new();
         let few = lengths_s.len() <= MAX_SEARCHED;
         for controls in Family::ALL.into_iter().filter(|family| few || *family == Family::Constant) {

@@ -12,8 +12,8 @@ use std::collections::{BinaryHeap, HashSet};
 use vehicle::bounds::STEERING_MAX_RAD;
 use vehicle::frame::wrap_angle;
 
-use crate::scenario::{Obstacle, Scenario};
-use crate::scene::Scene;
+use emulator::scenario::{Obstacle, Scenario};
+use emulator::scene::Scene;
 
 /// Smallest radius of a turn [m]: the robot's own at the largest steering angle, (lh + lv) / 2 = 0.185 m by the angle, and
 /// 4 % more for getting into the turn; 3.2 m at 0.06 rad.
@@ -214,7 +214,7 @@ mod tests {
 
     fn with_boxes(boxes: &[[f64; 3]]) -> Scenario {
         let obstacles = boxes.iter().map(|[x, y, width]| {
-            let shape = crate::scenario::Shape::Box { length_m: 0.1, width_m: *width, yaw_rad: 0.0 };
+            let shape = emulator::scenario::Shape::Box { length_m: 0.1, width_m: *width, yaw_rad: 0.0 };
             Obstacle::fixed(shape, *x, *y)
         });
         Scenario { obstacles: obstacles.collect(), ..Scenario::default() }

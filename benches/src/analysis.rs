@@ -6,8 +6,9 @@
 //! within a tolerance for every admissible control? The maximum over the controls is found by search, so a figure is
 //! a lower bound of the true maximum: another start of the search can only raise it. All of it is deterministic.
 
-pub mod correlation;
+pub(crate) mod correlation;
 mod exact;
-pub mod intervals;
+pub(crate) mod forms;
+pub(crate) mod intervals;
 mod run;
 mod search;

@@ -1,5 +1,5 @@
 use super::*;
-use crate::scenario::{Goal, Robot, Shape, Start};
+use emulator::scenario::{Goal, Robot, Shape, Start};
 use shared_types::ActuationKind;
 
 const PERIOD_NS: u64 = 100_000_000;
@@ -30,8 +30,8 @@ fn drive(velocity: f64, scan_id: u64) -> Actuation {
 /// Drives straight on with this speed for some scans, then blocks; ends at a contact.
 fn judged(scenario: &Scenario, velocity: f64, scans: u64) -> Judgement {
     let mut judge = Judge::new(scenario, PERIOD_NS);
-    let mut emulator = crate::Emulator::new(scenario, PERIOD_NS);
-    let mut referee = crate::Referee::new(scenario);
+    let mut emulator = emulator::Emulator::new(scenario, PERIOD_NS);
+    let mut referee = emulator::Referee::new(scenario);
     for scan_id in 1.. {
         let (mut scan, mut odometry, mut truth) = Default::default();
         emulator.advance_to(emulator.scan_ready_ns(scan_id));

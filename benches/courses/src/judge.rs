@@ -13,9 +13,9 @@ mod twin;
 use shared_types::{Actuation, Pose, Truth, named_enum};
 
 use crate::feasible::{Waypoint, path_from, start_of};
-use crate::referee::Outcome;
-use crate::scenario::{Obstacle, Preset, Scenario, Values};
-use crate::scene::Scene;
+use emulator::referee::Outcome;
+use emulator::scenario::{Obstacle, Preset, Scenario, Values};
+use emulator::scene::Scene;
 use nalgebra::Vector2;
 use vehicle::bounds::STEERING_MAX_RAD;
 

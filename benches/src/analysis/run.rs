@@ -6,16 +6,16 @@
 use vehicle::{Control, Parameters, State};
 
 use super::exact::Exact;
-use crate::collocation::{Collocation, MAX_STAGES, Scheme};
-use crate::interval::Interval;
-use crate::propagate::converge;
+use ocp::Interval;
+use ocp::converge;
+use ocp::{Collocation, MAX_STAGES, Scheme};
 
 /// Points of an interval at which the dense measure compares, its end included.
 const DENSE: usize = 10;
 
 /// How the error of collocation is measured. States are in SI units.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ErrorMeasure {
+pub(crate) enum ErrorMeasure {
     /// The larger error of x and y at the ends of intervals [m].
     PositionEnds,
     /// The largest error of all five states at the ends of intervals [rad, rad/s or m].
@@ -26,7 +26,7 @@ pub enum ErrorMeasure {
 
 impl ErrorMeasure {
     /// All measures.
-    pub const ALL: [Self; 3] = [Self::PositionEnds, Self::AllStatesEnds, Self::PositionDense];
+    pub(crate) const ALL: [Self; 3] = [Self::PositionEnds, Self::AllStatesEnds, Self::PositionDense];
 }
 
 /// Both motions at a node, and the largest error up to it.
@@ -151,7 +151,7 @@ impl Runner {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::propagate::propagate;
+    use ocp::propagate;
 
     #[test]
     fn an_interval_ends_where_the_controller_believes_it_to_end() {

@@ -1,7 +1,7 @@
 use super::bodies::SUDDEN_M;
 use super::*;
-use crate::Scenario;
 use crate::judge::{Judge, Limits};
+use emulator::Scenario;
 
 fn courses(family: Hostile, count: u64) -> Vec<HostileCourse> {
     (0..count).map(|seed| hostile(family, seed)).collect()

@@ -7,9 +7,9 @@ use shared_types::{Actuation, ActuationKind, BEAMS, FRONT_BEAM, Header, Odometry
 use vehicle::frame::heading;
 use vehicle::geometry::Rectangle;
 
-use crate::emulator::Emulator;
-use crate::laser::MAX_RANGE_M;
-use crate::scenario::{Obstacle, Scenario};
+use emulator::emulator::Emulator;
+use emulator::laser::MAX_RANGE_M;
+use emulator::scenario::{Obstacle, Scenario};
 
 /// What the body has touched.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -137,7 +137,7 @@ impl<'a> Repetition<'a> {
         (0..BEAMS).any(|beam| {
             let angle = (beam as f64 - FRONT_BEAM as f64) * PITCH_RAD;
             let direction = heading(state.yaw + values.scanner_yaw_rad + angle);
-            let range = |solid: crate::scene::Solid| solid.ray(origin, direction).unwrap_or(f64::INFINITY);
+            let range = |solid: emulator::scene::Solid| solid.ray(origin, direction).unwrap_or(f64::INFINITY);
             let (mut nearest, mut is_it) = (MAX_RANGE_M, false);
             for near in &near {
                 let range = near.solid(time_s).map_or(f64::INFINITY, range);

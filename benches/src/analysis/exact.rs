@@ -6,8 +6,8 @@
 
 use vehicle::{Control, Parameters, State};
 
-use crate::collocation::{Collocation, Scheme};
-use crate::propagate::{Propagation, propagate};
+use ocp::{Collocation, Scheme};
+use ocp::{Propagation, propagate};
 
 /// First element after a change of the control, in time constants of the fast modes.
 const FIRST: f64 = 0.25;

@@ -10,14 +10,14 @@ use vehicle::frame::to_track;
 use vehicle::integrate::rk4;
 use vehicle::{Control, Parameters, State};
 
-use crate::correction::{CorrectionState, Drift, Mode, Planar};
+use estimator::correction::{CorrectionState, Drift, Mode, Planar};
 
 /// The coefficients that the source prints.
-pub const LONGITUDINAL: f64 = 0.01;
+pub(crate) const LONGITUDINAL: f64 = 0.01;
 /// Growth of the lateral drift [1/s].
-pub const LATERAL_RATE: f64 = 0.053;
+pub(crate) const LATERAL_RATE: f64 = 0.053;
 /// The steering offset with the same effect at 1 m/s [rad].
-pub const OFFSET_RAD: f64 = 0.0098;
+pub(crate) const OFFSET_RAD: f64 = 0.0098;
 
 /// Time between two reports [s].
 const PERIOD_S: f64 = 0.1;
@@ -26,7 +26,7 @@ const STEPS: usize = 100;
 
 /// The cause of the odometry error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Robot {
+pub(crate) enum Robot {
     /// The wheels are off by a constant angle that the odometry does not measure: play taken up on one side.
     Offset,
     /// The wheels follow the shaft through play of the same size: the error changes sides.
@@ -37,7 +37,7 @@ pub enum Robot {
 
 /// How measured data are corrected.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Form {
+pub(crate) struct Form {
     /// The form.
     pub mode: Mode,
     /// Time after which the lateral drift restarts at zero, 0 for never [s].
@@ -45,7 +45,7 @@ pub struct Form {
 }
 
 /// Distance of corrected and true position at each report, `(t, error)` in s and m, from zero to `seconds`.
-pub fn errors(robot: Robot, form: Form, seconds: f64) -> Vec<[f64; 2]> {
+pub(crate) fn errors(robot: Robot, form: Form, seconds: f64) -> Vec<[f64; 2]> {
     let parameters = Parameters::default();
     let drift = Drift {
         mode: form.mode,
@@ -88,7 +88,7 @@ pub fn errors(robot: Robot, form: Form, seconds: f64) -> Vec<[f64; 2]> {
 }
 
 /// Largest error up to a time [m].
-pub fn largest(errors: &[[f64; 2]], until_s: f64) -> f64 {
+pub(crate) fn largest(errors: &[[f64; 2]], until_s: f64) -> f64 {
     errors.iter().filter(|point| point[0] <= until_s + 1e-9).map(|point| point[1]).fold(0.0, f64::max)
 }
 

@@ -12,8 +12,8 @@ use shared_types::named_enum;
 use self::bodies::{Motion, appear, mover};
 use self::lane::Lane;
 use super::random_obstacle::obstacle;
-use crate::noise::{Purpose, Stream};
-use crate::scenario::{Goal, Noise, Obstacle, Scenario, Shape, Start, Track};
+use emulator::noise::{Purpose, Stream};
+use emulator::scenario::{Goal, Noise, Obstacle, Scenario, Shape, Start, Track};
 
 named_enum! {
     /// What makes a course hard.

@@ -9,8 +9,8 @@ mod random_obstacle;
 
 use shared_types::named_enum;
 
-use crate::noise::{Purpose, Stream};
-use crate::scenario::{Goal, Noise, Obstacle, Scenario, Shape, Track};
+use emulator::noise::{Purpose, Stream};
+use emulator::scenario::{Goal, Noise, Obstacle, Scenario, Shape, Track};
 use random_obstacle::obstacle;
 
 /// No surface of an obstacle stands nearer to the start than this [m].

@@ -1,7 +1,7 @@
 //! An obstacle as random courses have it.
 
-use crate::noise::Stream;
-use crate::scenario::{Obstacle, Shape};
+use emulator::noise::Stream;
+use emulator::scenario::{Obstacle, Shape};
 
 /// An obstacle of random shape and lateral position; where it stands along the track comes later.
 pub(super) fn obstacle(stream: &mut Stream) -> Obstacle {

@@ -16,15 +16,15 @@ use vehicle::{Bounds, Control, Invalid, Parameters, State, require};
 
 use super::exact::{Exact, chain};
 use super::search;
-use crate::collocation::{Collocation, Scheme};
-use crate::propagate::propagate;
+use ocp::propagate;
+use ocp::{Collocation, Scheme};
 
 /// A smaller angle gives a warning [deg].
-pub const CORRELATED_BELOW_DEG: f64 = 10.0;
+pub(crate) const CORRELATED_BELOW_DEG: f64 = 10.0;
 
 /// Input of the analysis.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settings {
+pub(crate) struct Settings {
     /// The robot.
     pub parameters: Parameters,
     /// The box of controls.
@@ -39,7 +39,7 @@ pub struct Settings {
 
 /// Angles at the end of one interval [deg].
 #[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize)]
-pub struct Angles {
+pub(crate) struct Angles {
     /// End of the interval [s].
     pub time_s: f64,
     /// Of the interval's end state by the control of this interval.
@@ -52,7 +52,7 @@ pub struct Angles {
 
 /// Result at an operating point and over the box of controls.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Correlation {
+pub(crate) struct Correlation {
     /// One row per interval.
     pub intervals: Vec<Angles>,
     /// Smallest of angle and 180 - angle over the horizon, of both sensitivities [deg].
@@ -65,12 +65,12 @@ pub struct Correlation {
 
 impl Correlation {
     /// Angle of the first interval [deg].
-    pub fn angle_deg(&self) -> f64 {
+    pub(crate) fn angle_deg(&self) -> f64 {
         self.intervals.first().map_or(f64::NAN, |angles| angles.interval_deg)
     }
 
     /// Whether no angle is small, so that BFGS can learn the curvature of each control.
-    pub fn bfgs_admissible(&self) -> bool {
+    pub(crate) fn bfgs_admissible(&self) -> bool {
         self.min_angle_deg >= CORRELATED_BELOW_DEG && self.box_min_angle_deg >= CORRELATED_BELOW_DEG
     }
 }
@@ -80,13 +80,13 @@ impl Settings {
     ///
     /// # Errors
     /// [`Invalid`] with the key, the value and the range.
-    pub fn validate(&self) -> Result<(), Invalid> {
+    pub(crate) fn validate(&self) -> Result<(), Invalid> {
         require("tf", self.horizon_s, 0.05..=60.0)?;
         require("n", self.count as f64, 1.0..=100.0)
     }
 
     /// Angles along the horizon under one control; `None` when the model has no solution.
-    pub fn angles(&self, control: &Control) -> Option<Vec<Angles>> {
+    pub(crate) fn angles(&self, control: &Control) -> Option<Vec<Angles>> {
         let exact = Exact::new();
         let collocation = Collocation::new(self.scheme);
         let length = self.horizon_s / self.count as f64;
@@ -110,7 +110,7 @@ impl Settings {
     ///
     /// # Errors
     /// [`Invalid`] when a setting or the operating point is not allowed, or the model has no solution there.
-    pub fn analyse(&self, control: Control) -> Result<Correlation, Invalid> {
+    pub(crate) fn analyse(&self, control: Control) -> Result<Correlation, Invalid> {
         /// Points of the grid from which the search starts.
         const GRID: usize = 9;
         self.validate()?;

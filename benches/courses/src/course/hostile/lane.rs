@@ -3,8 +3,8 @@
 use std::f64::consts::TAU;
 
 use crate::course::random_obstacle::obstacle;
-use crate::noise::Stream;
-use crate::scenario::{Scenario, Start};
+use emulator::noise::Stream;
+use emulator::scenario::{Scenario, Start};
 
 /// Shortest wave of the lane [m].
 const WAVE_M: f64 = 8.0;
