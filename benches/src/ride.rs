@@ -1,6 +1,6 @@
 //! `scanloop-lab ride`: how well scenarios and random courses are driven, compared with the optimum.
 //!
-//! Each course is driven through the pipeline in one process, in simulated time. The crate `ride` measures the drive
+//! Each course is driven through the pipeline in one process, in simulated time. [`report::ride`] measures the drive
 //! and computes the optimum over the same course, with what the robot saw. Courses are driven on all cores.
 
 mod course;
