@@ -2,13 +2,13 @@
 //!
 //! It only observes. One thread copies samples from the bus, another compresses and writes them, or keeps the last
 //! seconds in memory. In real time a disk that stands still costs samples of the recording, never one of the drive; what
-//! is lost is counted. As the companion of a run it also reports the newest scan that it has copied, and lock-step waits
+//! is lost is counted. For the orchestrator of a run it also reports the newest scan that it has copied, and lock-step waits
 //! for that.
 
-mod companion;
 mod logs;
 mod losses;
 mod opening;
+mod orchestrator;
 mod queue;
 mod ring;
 
@@ -24,10 +24,10 @@ use runtime::{
 use serde::{Deserialize, Serialize};
 use shared_types::{Header, Heartbeat, Role, TOPICS, Topic};
 
-use self::companion::{Companion, Order};
 use self::logs::Logs;
 use self::losses::Losses;
 use self::opening::Opening;
+use self::orchestrator::{Orchestrator, Order};
 use self::queue::{Queue, Sink};
 use self::ring::Ring;
 
@@ -56,7 +56,7 @@ pub struct Options {
     /// End after this time.
     pub duration: Option<Duration>,
     /// Take orders from standard input and report to standard output.
-    pub companion: bool,
+    pub of_run: bool,
 }
 
 /// What was recorded.
@@ -97,15 +97,15 @@ pub fn record(domain: &Domain, options: &Options, shutdown: &Shutdown) -> anyhow
     own.iter().for_each(OwnObserver::connect);
     // It is read while it grows, so it has its name from the start; without a bus there is none.
     let file = file.map(NewFile::publish).transpose()?;
-    let mut logs = Logs::new(&opening.out.join("logs"), options.companion);
+    let mut logs = Logs::new(&opening.out.join("logs"), options.of_run);
     let (lockstep, period_ns) = (opening.lockstep, opening.period_ns);
     let known_settings = opening.settings_at_start();
     let sink = match file {
         Some(file) => Sink::File(opening.begin(BufWriter::new(file))?),
         None => Sink::Ring(Ring::new(opening, &options.file, options.ring_s.unwrap_or_default())),
     };
-    let mut queue = Queue::start(sink, lockstep, lockstep && options.companion)?;
-    let mut companion = options.companion.then(Companion::new).transpose()?;
+    let mut queue = Queue::start(sink, lockstep, lockstep && options.of_run)?;
+    let mut orchestrator = options.of_run.then(Orchestrator::new).transpose()?;
     let mut losses = Losses::default();
     let started_ns = monotonic_ns();
     let mut end_ns = options.duration.map_or(u64::MAX, |duration| started_ns + duration.as_nanos() as u64);
@@ -161,24 +161,24 @@ pub fn record(domain: &Domain, options: &Options, shutdown: &Shutdown) -> anyhow
         if ends {
             break;
         }
-        if let Some(companion) = &mut companion {
-            companion.report_scan(newest);
+        if let Some(orchestrator) = &mut orchestrator {
+            orchestrator.report_scan(newest);
             while let Some(saved) = queue.saved() {
-                companion.report_saved(&saved);
+                orchestrator.report_saved(&saved);
             }
-            while let Some(order) = companion.next_order() {
+            while let Some(order) = orchestrator.next_order() {
                 match order {
                     Order::Connect => {
                         observers.iter().for_each(TopicObserver::connect);
                         own.iter().for_each(OwnObserver::connect);
-                        companion.say("connected");
+                        orchestrator.say("connected");
                     }
                     Order::End(scan_id) => (last_scan, ends) = (scan_id, true),
                     Order::Incident => queue.incident(newest),
                     Order::Note(text) => queue.log("orchestrator", &text),
                 }
             }
-            if options.ring_s.is_some() && !ends && !companion.is_open() && !is_orphaned {
+            if options.ring_s.is_some() && !ends && !orchestrator.is_open() && !is_orphaned {
                 is_orphaned = true;
                 end_ns = now_ns + ORPHAN_NS;
                 queue.log("orchestrator", "the orchestrator has died");
@@ -195,9 +195,9 @@ pub fn record(domain: &Domain, options: &Options, shutdown: &Shutdown) -> anyhow
     }
     let (mut summary, saved) = queue.finish(losses.lost(), last_scan);
     summary.file.clone_from(&options.file);
-    if let Some(companion) = &mut companion {
-        saved.iter().for_each(|saved| companion.report_saved(saved));
-        companion.say(&format!("done {}", serde_json::to_string(&summary)?));
+    if let Some(orchestrator) = &mut orchestrator {
+        saved.iter().for_each(|saved| orchestrator.report_saved(saved));
+        orchestrator.say(&format!("done {}", serde_json::to_string(&summary)?));
     }
     Ok(summary)
 }

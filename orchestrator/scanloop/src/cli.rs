@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand};
 use conformance::ConformanceArguments;
 use plan::Choice;
-use session::arguments::{AdoptArguments, RunArguments};
+use session::arguments::{CommonArguments, RunArguments};
 
 use crate::bench::BenchCommand;
 use crate::calibrate::CalibrateArguments;
@@ -96,7 +96,7 @@ pub enum Command {
     ///
     /// A process is identified by process id, start time, system and incarnation; no other process is touched. Exit
     /// code 2 if there is nothing to adopt.
-    Adopt(AdoptArguments),
+    Adopt(CommonArguments),
     /// Validate scenario and system files and print the graph of processes and topics; with `--live`, check a robot.
     ///
     /// `--live` checks what robot and scanner really do: rate, jitter, stamps and returns of the scans, state of the

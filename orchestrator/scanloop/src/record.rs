@@ -32,9 +32,9 @@ pub struct RecordArguments {
     pub json: bool,
     /// Take orders from standard input; `run --record` starts the recorder with this option.
     #[arg(long, hide = true)]
-    pub companion: bool,
+    pub of_run: bool,
     /// Keep so many seconds in memory instead; FILE is then the folder for the files of incidents.
-    #[arg(long, value_name = "S", hide = true, requires = "companion")]
+    #[arg(long, value_name = "S", hide = true, requires = "of_run")]
     pub ring: Option<f64>,
 }
 
@@ -103,13 +103,13 @@ pub(crate) fn record(system_id: &str, arguments: &RecordArguments) -> anyhow::Re
     check_duration(arguments.duration)?;
     let domain = supervision::runs::existing(system_id)?;
     let shutdown = Shutdown::on_signals()?;
-    let RecordArguments { file, duration, force, companion, .. } = arguments;
+    let RecordArguments { file, duration, force, of_run, .. } = arguments;
     let options = Options {
         file: file.clone(),
         ring_s: arguments.ring,
         force: *force,
         duration: duration.map(Duration::from_secs_f64),
-        companion: *companion,
+        of_run: *of_run,
     };
     let summary = record_system(&domain, &options, &shutdown)?;
     let megabytes = summary.bytes as f64 * 1e-6;

@@ -18,7 +18,7 @@ use supervision::lock::SystemLock;
 use supervision::runs::{LivingRun, RunProcess, strays_of};
 use supervision::supervisor::{Event, MIN_HANG_AFTER_MS};
 
-use crate::arguments::{AdoptArguments, check_duration, out_folder};
+use crate::arguments::{CommonArguments, check_duration, out_folder};
 use crate::own_processes::OwnProcesses;
 use crate::process_registry::{ProcessRegistry, RoleRow, RunFile};
 use crate::results::{claim, conclude};
@@ -31,7 +31,7 @@ use crate::survivors::Survivors;
 ///
 /// # Errors
 /// Nothing to adopt, or an orchestrator that lives (exit code 2), and errors of the bus or the file system.
-pub fn adopt(system_id: &str, arguments: &AdoptArguments) -> anyhow::Result<Exit> {
+pub fn adopt(system_id: &str, arguments: &CommonArguments) -> anyhow::Result<Exit> {
     check_duration(arguments.duration)?;
     let shutdown = Shutdown::of_orchestrator()?;
     let nothing = |left: &[String]| {
@@ -59,7 +59,7 @@ pub(crate) fn take_over(
     mut lock: SystemLock,
     shutdown: Shutdown,
     survivors: Survivors,
-    arguments: &AdoptArguments,
+    arguments: &CommonArguments,
 ) -> anyhow::Result<Exit> {
     let refused = |why: String| {
         let system_id = domain.system_id();

@@ -16,24 +16,15 @@ pub struct RunArguments {
     /// Scenario and system.
     #[command(flatten)]
     pub choice: Choice,
-    /// Folder for `report.json`, the picture and the logs; default `out/SCENARIO`.
-    #[arg(long, value_name = "DIR", value_parser = console::output::folder())]
-    pub out: Option<PathBuf>,
-    /// Replace files in the folder that this program did not write: `report.json`, `drive.svg`.
-    #[arg(long)]
-    pub force: bool,
-    /// End the run after this many driven seconds, as `timeout`.
-    #[arg(long, value_name = "S", allow_negative_numbers = true)]
-    pub duration: Option<f64>,
+    /// Results, end and progress.
+    #[command(flatten)]
+    pub common: CommonArguments,
     /// Simulate time: as fast as the machine allows, no sample lost, repeatable to the last bit.
     #[arg(long)]
     pub lockstep: bool,
     /// Record the drive, by default into `recording.mcap` in the folder of the report, where it replaces an earlier one.
     #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true)]
     pub record: Option<Option<PathBuf>>,
-    /// Print no progress.
-    #[arg(long)]
-    pub quiet: bool,
     /// Show the run as `scanloop top` does; what is printed meanwhile follows when the view ends. Ctrl-C ends the run, `q`
     /// the view only.
     #[arg(long, conflicts_with_all = ["quiet", "adopt", "adopt_or_start"])]
@@ -52,10 +43,10 @@ pub struct RunArguments {
     pub adopt_or_start: bool,
 }
 
-/// Arguments of `adopt`.
-#[derive(Debug, Args, Clone)]
-pub struct AdoptArguments {
-    /// Folder for the results; default: that of the run.
+/// Arguments that `run` and `adopt` share.
+#[derive(Debug, Args, Clone, Default)]
+pub struct CommonArguments {
+    /// Folder for `report.json`, the picture and the logs; default `out/SCENARIO`, of an adopted run its own.
     #[arg(long, value_name = "DIR", value_parser = console::output::folder())]
     pub out: Option<PathBuf>,
     /// Replace files in the folder that this program did not write: `report.json`, `drive.svg`.

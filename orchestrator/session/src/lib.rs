@@ -2,7 +2,6 @@
 
 pub mod adopt;
 pub mod arguments;
-mod companion;
 mod companion_swaps;
 pub mod control;
 mod directives;
@@ -11,6 +10,7 @@ mod own_processes;
 mod process_registry;
 mod results;
 pub mod run;
+mod run_recorder;
 mod service_manager;
 mod session;
 pub mod start;

@@ -14,7 +14,7 @@ use supervision::replaceable;
 use supervision::runs::strays_of;
 
 use crate::adopt;
-use crate::arguments::{AdoptArguments, RunArguments, check_duration, out_folder};
+use crate::arguments::{CommonArguments, RunArguments, check_duration, out_folder};
 use crate::results::{claim, conclude};
 use crate::start::start;
 use crate::startup::RunOptions;
@@ -29,13 +29,12 @@ const RECORDING: &str = "recording.mcap";
 /// # Errors
 /// Bad input, a process that could not be kept running, and errors of the bus or the file system.
 pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
-    let RunArguments { out, force, duration, quiet, .. } = arguments;
+    let CommonArguments { out, force, duration, quiet } = &arguments.common;
     if arguments.top {
         TopView::require_terminal()?;
     }
-    let to_adopt = AdoptArguments { out: out.clone(), force: *force, duration: *duration, quiet: *quiet };
     if arguments.adopt {
-        return adopt::adopt(system_id, &to_adopt);
+        return adopt::adopt(system_id, &arguments.common);
     }
     // Before anything is made: a run that a signal ends removes it again.
     let shutdown = Shutdown::of_orchestrator()?;
@@ -51,7 +50,7 @@ pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
     if let Claim::Left(domain, lock) = Claim::take(system_id)? {
         let survivors = Survivors::find(&domain);
         if arguments.adopt_or_start && !survivors.is_empty() {
-            return adopt::take_over(&domain, lock, shutdown, survivors, &to_adopt);
+            return adopt::take_over(&domain, lock, shutdown, survivors, &arguments.common);
         }
         if !survivors.is_empty() {
             let processes = survivors.labels();

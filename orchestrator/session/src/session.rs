@@ -39,10 +39,10 @@ use shared_types::{Authority, Phase, ProcessState, Role, StopReason};
 use supervision::fleet::{Fleet, Reaped};
 use supervision::supervisor::{Action, Event, Exit, Severity, Supervisor, VisibleState};
 
-use crate::companion::Companion;
 use crate::control::ControlSocket;
 use crate::directives::Directives;
 use crate::own_processes::OwnProcesses;
+use crate::run_recorder::RunRecorder;
 use crate::service_manager::ServiceManager;
 use crate::startup::{RunOptions, Startup};
 use crate::vitals::Vitals;
@@ -96,7 +96,7 @@ pub struct Session {
     events: Events,
     manager: ServiceManager,
     /// Records the run, if that was asked for.
-    companion: Option<Companion>,
+    recorder: Option<RunRecorder>,
     noticed: Noticed,
     /// The bridge to the other hosts, if there are any.
     link: Option<HubLink>,
@@ -176,7 +176,7 @@ impl Session {
             progress: Progress::new(options.quiet),
             events: Events::default(),
             manager: ServiceManager::new(),
-            companion: None,
+            recorder: None,
             noticed: Noticed::default(),
             link,
             run: Run {
@@ -208,15 +208,15 @@ impl Session {
     /// # Errors
     /// A recorder that does not start; exit code 4.
     pub fn record_to(&mut self, file: &Path, logs: &Path) -> anyhow::Result<()> {
-        self.companion = Some(Companion::start(&self.run.domain, file, &logs.join("recorder.log"))?);
+        self.recorder = Some(RunRecorder::start(&self.run.domain, file, &logs.join("recorder.log"))?);
         Ok(())
     }
 
     /// Keeps the last seconds in memory for files in `out`, when something happens; a drive without that is told so.
     pub(crate) fn keep_ring(&mut self, out: &Path, ring_s: f64) {
         let log = out.join("logs/recorder.log");
-        match Companion::start_ring(&self.run.domain, out, &log, ring_s) {
-            Ok(companion) => self.companion = Some(companion),
+        match RunRecorder::start_ring(&self.run.domain, out, &log, ring_s) {
+            Ok(recorder) => self.recorder = Some(recorder),
             Err(error) => self.warn(&format!("the last seconds of this drive are not kept: {error:#}")),
         }
     }
@@ -252,7 +252,7 @@ impl Session {
             self.update_registry();
             self.keep_room();
             self.publish_directive()?;
-            self.check_companion();
+            self.check_recorder();
             self.keep_link();
             self.show();
         }
@@ -264,9 +264,9 @@ impl Session {
         self.reconcile(true);
         self.progress.finish();
         let mut result = self.result();
-        if let Some(mut companion) = self.companion.take() {
-            result.swaps.iter().for_each(|certificate| companion.note(&certificate.to_string()));
-            (result.recording, result.incidents) = companion.finish();
+        if let Some(mut recorder) = self.recorder.take() {
+            result.swaps.iter().for_each(|certificate| recorder.note(&certificate.to_string()));
+            (result.recording, result.incidents) = recorder.finish();
         }
         Ok(result)
     }
@@ -397,8 +397,8 @@ impl Session {
             self.recording.add(&scan);
             self.notice_stop(&scan);
             self.require_obedience(&scan);
-            if let Some(companion) = &mut self.companion {
-                companion.belongs(scan.header.scan_id);
+            if let Some(recorder) = &mut self.recorder {
+                recorder.belongs(scan.header.scan_id);
             }
             if self.conclusion.is_open() {
                 let decided = self.recording.judge(&scan);
@@ -472,8 +472,8 @@ impl Session {
 
     /// Keeps an event for the status and for the recording.
     fn keep(&mut self, is_warning: bool, text: &str) {
-        if let Some(companion) = &mut self.companion {
-            companion.event(is_warning, text);
+        if let Some(recorder) = &mut self.recorder {
+            recorder.event(is_warning, text);
         }
         self.events.push(self.recording.recorder.view().time_s, is_warning, text.to_owned());
     }
@@ -569,7 +569,7 @@ impl Session {
                 }
                 if phase == Phase::Driving {
                     self.await_companions(ProcessState::Connected)?;
-                    if self.companion.as_mut().is_some_and(|companion| !companion.connect()) {
+                    if self.recorder.as_mut().is_some_and(|recorder| !recorder.connect()) {
                         self.progress
                             .warn("the recorder did not connect in time: the first samples may be missing");
                     }
@@ -599,7 +599,7 @@ impl Session {
                 }
                 Severity::Warn if self.conclusion.is_open() => self.warn(&text),
                 Severity::Error => self.warn(&text),
-                Severity::Warn => self.companion.iter_mut().for_each(|companion| companion.note(&text)),
+                Severity::Warn => self.recorder.iter_mut().for_each(|recorder| recorder.note(&text)),
             },
         }
         Ok(None)

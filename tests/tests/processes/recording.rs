@@ -267,7 +267,7 @@ fn recorder_of(system: &System) -> Option<i32> {
     pids.find(|pid| {
         let line = std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
         let words: Vec<&[u8]> = line.split(|byte| *byte == 0).collect();
-        words.contains(&system.id().as_bytes()) && words.contains(&&b"--companion"[..])
+        words.contains(&system.id().as_bytes()) && words.contains(&&b"--of-run"[..])
     })
 }
 

@@ -15,7 +15,7 @@ use supervision::fleet::Fleet;
 use supervision::supervisor::{Event, Exit, Supervisor, VisibleState};
 
 use super::{GRANT_AHEAD, Session};
-use crate::companion::Companion;
+use crate::run_recorder::RunRecorder;
 
 /// An output of a candidate may be for a scan that the orchestrator has not polled yet, but no further ahead [scans].
 const MAX_AHEAD: u64 = 256;
@@ -183,7 +183,7 @@ impl Session {
             && let Some(scan) = self.swaps.granted_scan(monotonic_ns())
         {
             let held = self.companions.granted_scan(super::GRANT_AHEAD);
-            let copied = self.companion.as_mut().and_then(Companion::copied_scan);
+            let copied = self.recorder.as_mut().and_then(RunRecorder::copied_scan);
             let recorded =
                 copied.map_or(scan, |copied| scan.min(copied + self.companions.ahead(GRANT_AHEAD)));
             self.directives.grant(recorded.min(held));

@@ -4,7 +4,7 @@ use audit::samples::ScanRecord;
 use shared_types::{ActuationKind, BlockReason};
 
 use super::Session;
-use crate::companion::Companion;
+use crate::run_recorder::RunRecorder;
 
 /// What was noticed until now.
 #[derive(Debug, Clone, Copy, Default)]
@@ -20,8 +20,8 @@ pub(super) struct Noticed {
 impl Session {
     /// Has the recorder write what it keeps in memory, if it does.
     pub(super) fn incident(&mut self) {
-        if let Some(companion) = &mut self.companion {
-            companion.incident();
+        if let Some(recorder) = &mut self.recorder {
+            recorder.incident();
         }
     }
 
@@ -36,15 +36,15 @@ impl Session {
     }
 
     /// Tells once when the recorder has failed, and which files it has written; the drive continues without it.
-    pub(super) fn check_companion(&mut self) {
-        if let Some(reason) = self.companion.as_mut().and_then(Companion::has_failed) {
+    pub(super) fn check_recorder(&mut self) {
+        if let Some(reason) = self.recorder.as_mut().and_then(RunRecorder::has_failed) {
             self.progress.warn(&reason);
         }
         let rolled_back = self.swaps.rolled_back();
         if std::mem::replace(&mut self.noticed.rolled_back, rolled_back) < rolled_back {
             self.incident();
         }
-        let files = self.companion.as_ref().map_or(&[][..], Companion::incidents);
+        let files = self.recorder.as_ref().map_or(&[][..], RunRecorder::incidents);
         for file in &files[self.noticed.told.min(files.len())..] {
             self.progress.note(&format!("{} holds the last seconds", file.display()));
         }

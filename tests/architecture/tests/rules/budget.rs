@@ -7,8 +7,7 @@ use std::process::Command;
 use crate::{files, root};
 
 /// Pages of `docs/` that are made from the code.
-const GENERATED: [&str; 5] =
-    ["commands.md", "faults.md", "scenario-file.md", "system-file.md", "topics.md"];
+const GENERATED: [&str; 5] = ["commands.md", "faults.md", "scenario-file.md", "system-file.md", "topics.md"];
 
 /// What is wrong with sizes by name: above its row, without a row, or a row of nothing.
 fn beyond(sizes: &BTreeMap<String, i64>, rows: &toml::Table, unit: &str) -> Vec<String> {
@@ -20,7 +19,9 @@ fn beyond(sizes: &BTreeMap<String, i64>, rows: &toml::Table, unit: &str) -> Vec<
             None => found.push(format!("{name}: {size} {unit}, without a row")),
         }
     }
-    found.extend(rows.keys().filter(|name| !sizes.contains_key(*name)).map(|name| format!("{name} is not there")));
+    found.extend(
+        rows.keys().filter(|name| !sizes.contains_key(*name)).map(|name| format!("{name} is not there")),
+    );
     for (name, row) in rows {
         let why = row.get("holds").and_then(toml::Value::as_str).unwrap_or_default();
         if why.split_whitespace().count() < 4 {
@@ -70,7 +71,8 @@ fn pages_have_no_more_words_than_their_rows() {
     let mut sizes: BTreeMap<String, i64> = pages.iter().map(|path| (name(path), words(path))).collect();
     sizes.insert("docs/decisions".to_owned(), decisions.iter().map(words).sum());
     let generated = |name: &str| GENERATED.iter().any(|page| name.strip_prefix("docs/") == Some(*page));
-    let of_docs = |(name, _): &(&String, &i64)| name.starts_with("docs/") && name.ends_with(".md") && !generated(name);
+    let of_docs =
+        |(name, _): &(&String, &i64)| name.starts_with("docs/") && name.ends_with(".md") && !generated(name);
     let all: i64 = sizes.iter().filter(of_docs).map(|(_, words)| words).sum();
     sizes.insert("docs/*.md that are not generated".to_owned(), all);
     assert_eq!(beyond(&sizes, rows(&budget(), "pages"), "words"), [""; 0]);
@@ -78,7 +80,9 @@ fn pages_have_no_more_words_than_their_rows() {
 
 #[test]
 fn a_size_above_its_row_a_missing_row_and_one_of_nothing_are_found() {
-    let rows = "[a]\nlines = 10\nholds = \"what a crate holds\"\n[b]\nlines = 3\nholds = \"short\"\n".parse().unwrap();
+    let rows = "[a]\nlines = 10\nholds = \"what a crate holds\"\n[b]\nlines = 3\nholds = \"short\"\n"
+        .parse()
+        .unwrap();
     let sizes = [("a", 11), ("c", 1)].map(|(name, size)| (name.to_owned(), size)).into_iter().collect();
     let found = beyond(&sizes, &rows, "lines");
     assert_eq!(found.len(), 4, "{found:?}");

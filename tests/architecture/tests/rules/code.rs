@@ -139,7 +139,7 @@ fn files_of_users_are_made_in_one_place() {
         ("orchestrator/console/src/out_folder.rs", "its list grows, opened as a log is"),
         ("orchestrator/console/src/user_file.rs", "reads"),
         ("orchestrator/supervision/src/child_log.rs", "a log, opened by `new_file`"),
-        ("orchestrator/session/src/companion.rs", "a log, opened by `new_file`"),
+        ("orchestrator/session/src/run_recorder.rs", "a log, opened by `new_file`"),
         ("orchestrator/supervision/src/realtime.rs", "a device of the kernel"),
         ("orchestrator/scanloop/src/demo/system.rs", "outputs of processes in a private folder"),
         ("benches/src/faults/system.rs", "outputs of processes in a private folder"),
@@ -181,7 +181,7 @@ fn standard_output_is_written_in_one_place() {
         // Tells whether a path leads to the output itself.
         "orchestrator/console/src/new_file/device.rs",
         // Messages to the orchestrator, through a pipe.
-        "orchestrator/recording/src/recorder/companion.rs",
+        "orchestrator/recording/src/recorder/orchestrator.rs",
         // Asks for the size of the terminal.
         "orchestrator/scanloop/src/urg/plot.rs",
     ];

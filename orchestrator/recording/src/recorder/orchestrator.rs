@@ -1,4 +1,4 @@
-//! The recorder as the companion of a run: orders come from the orchestrator by standard input, reports go to standard
+//! The line to the orchestrator of a run: orders come from the orchestrator by standard input, reports go to standard
 //! output.
 //!
 //! An orchestrator that dies closes both. The recorder then continues until the system ends, because processes drive on
@@ -25,20 +25,20 @@ pub(super) enum Order {
 }
 
 /// The line to the orchestrator.
-pub(super) struct Companion {
+pub(super) struct Orchestrator {
     input: Stdin,
     text: Vec<u8>,
     scan: u64,
     is_open: bool,
 }
 
-impl Companion {
+impl Orchestrator {
     pub(super) fn new() -> anyhow::Result<Self> {
         let input = stdin();
         fcntl_setfl(&input, fcntl_getfl(&input)? | OFlags::NONBLOCK)?;
-        let mut companion = Self { input, text: Vec::new(), scan: 0, is_open: true };
-        companion.say("attached");
-        Ok(companion)
+        let mut orchestrator = Self { input, text: Vec::new(), scan: 0, is_open: true };
+        orchestrator.say("attached");
+        Ok(orchestrator)
     }
 
     /// Writes a line, unless the orchestrator is gone.

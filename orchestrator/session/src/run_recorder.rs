@@ -28,7 +28,7 @@ const CONNECT_NS: u64 = 2_000_000_000;
 const SILENT_NS: u64 = 5_000_000_000;
 
 /// The recorder of a run.
-pub(crate) struct Companion {
+pub(crate) struct RunRecorder {
     process: Child,
     /// What it prints; bounded as long as it is held here.
     _log: Arc<ChildLog>,
@@ -50,15 +50,15 @@ pub(crate) struct Companion {
     unsaved: Option<String>,
 }
 
-impl Companion {
+impl RunRecorder {
     /// Starts the recorder of a system whose topics exist, and waits until it has opened them.
     ///
     /// # Errors
     /// A recorder that does not start, with its message; exit code 4.
     pub(crate) fn start(domain: &Domain, file: &Path, log: &Path) -> anyhow::Result<Self> {
-        let mut companion = Self::spawn(domain, file, log, None)?;
+        let mut recorder = Self::spawn(domain, file, log, None)?;
         let mut is_attached = false;
-        companion.wait(LIMIT_NS, |line| {
+        recorder.wait(LIMIT_NS, |line| {
             is_attached |= line == "attached";
             is_attached
         });
@@ -66,7 +66,7 @@ impl Companion {
             let said = std::fs::read_to_string(log).unwrap_or_default();
             return Err(Failure::process(format!("the recorder did not start: {}", said.trim())));
         }
-        Ok(companion)
+        Ok(recorder)
     }
 
     /// Starts one that keeps the last `ring_s` seconds in memory, and does not wait for it; `folder` is for the files of
@@ -89,7 +89,7 @@ impl Companion {
         let log = ChildLog::open(log).with_context(|| format!("{}", log.display()))?;
         let errors = log.output().with_context(|| format!("{}", log.path().display()))?;
         let mut process = Command::new(this_program())
-            .args(["--system-id", domain.system_id(), "record", "--companion", "--force"])
+            .args(["--system-id", domain.system_id(), "record", "--of-run", "--force"])
             .args(ring_s.map(|seconds| format!("--ring={seconds}")))
             .arg(file)
             .stdin(Stdio::piped())
@@ -265,7 +265,7 @@ impl Companion {
     }
 }
 
-impl Drop for Companion {
+impl Drop for RunRecorder {
     /// A recorder that was not asked to end is killed: its file is readable up to the last whole second.
     fn drop(&mut self) {
         let _ = self.process.kill();
