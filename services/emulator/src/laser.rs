@@ -22,15 +22,14 @@ use shared_types::{BEAMS, FRONT_BEAM, MIN_RANGE_MM, PITCH_RAD, Scan};
 use vehicle::State;
 use vehicle::frame::{heading, to_track, wrap_angle};
 
+pub use crate::scenario::MAX_RANGE_M;
+
 use crate::history::History;
 use crate::noise::{Purpose, Stream};
 use crate::scenario::{Noise, Scenario, Values};
 use crate::scene::{PlacedObstacle, Scene};
 use faults::{Faults, Scale};
 use hall::Hall;
-
-/// Largest range that the scanner reports [m].
-pub const MAX_RANGE_M: f64 = 5.6;
 
 /// A beam without a usable return, until it gets its error code.
 const NO_RETURN: u16 = 0;

@@ -17,6 +17,7 @@ pub mod scenario;
 pub mod scene;
 pub mod schedule;
 pub mod service;
+pub mod solid;
 pub mod steering_map;
 
 pub use emulator::{Emulator, EmulatorState, Received};

@@ -22,7 +22,7 @@ pub use obstacle::{Obstacle, Shape};
 pub use places::Start;
 pub use preset::Values;
 pub use robot::{Drift, Noise, OdometryModel, Preset, Robot};
-pub use scanner::Scanner;
+pub use scanner::{MAX_RANGE_M, Scanner};
 pub use vehicle::{Goal, Surroundings, Track};
 
 /// What the name of a scenario may be.

@@ -5,15 +5,13 @@
 //!
 //! Walls are infinite straight lines at the lateral bounds.
 
-mod solid;
-
 use nalgebra::Vector2;
 use vehicle::frame::heading;
 use vehicle::geometry::Rectangle;
 
 use crate::scenario::{Obstacle, Scenario};
 
-pub use solid::Solid;
+pub use crate::solid::Solid;
 
 /// The clearance where nothing stands anywhere [m].
 pub const NOTHING_M: f64 = 1e9;

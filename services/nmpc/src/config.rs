@@ -5,8 +5,6 @@ use serde::{Deserialize, Serialize};
 use vehicle::correction::SENT_VELOCITY_MAX_MPS;
 use vehicle::{Description, Goal, Invalid, Setting, Track, require, settings};
 
-use crate::explicit_side::SideRule;
-use crate::margin::MarginSettings;
 use crate::reference_path::LatticeSettings;
 use crate::weights::WeightSettings;
 
@@ -27,6 +25,38 @@ pub enum Profile {
 }
 
 impl Setting for Profile {}
+
+settings! {
+    /// The parts of the margin that the plan's samples do not contain.
+    #[derive(Copy)]
+    pub struct MarginSettings {
+        /// How many standard deviations of the pose are kept, k.
+        pub pose_sigmas: f64 = 2.0, 0.0..=10.0;
+        /// Growth of the pose's standard deviation along the plan, after one second [m].
+        pub pose_growth_m: f64 = 0.006, 0.0..=1.0;
+        /// Difference between the path of the robot and that of the model [m].
+        pub model_m: f64 = 0.015, 0.0..=1.0;
+        /// Uncertainty of the outline of a described obstacle [m].
+        pub perception_m: f64 = 0.015, 0.0..=1.0;
+    }
+}
+
+/// What chooses the passing sides.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SideRule {
+    /// The lattice search for the cheapest path.
+    #[default]
+    Search,
+    /// Obstacles on the line are passed on their left.
+    Left,
+    /// Obstacles on the line are passed on their right.
+    Right,
+    /// Each obstacle is passed on the side with the shorter detour inside the track; with equal ones on its left.
+    Nearest,
+}
+
+impl Setting for SideRule {}
 
 settings! {
     /// Settings of the rule that stops in front of a blocked path.

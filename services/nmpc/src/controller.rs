@@ -21,10 +21,10 @@ use vehicle::{Control, Invalid, State};
 
 use crate::blocking::blocking;
 use crate::braking::STOP_MARGIN_M;
-use crate::config::Config;
+use crate::config::{Config, SideRule};
 use crate::contest::Contest;
 use crate::escape::struck_at_rest;
-use crate::explicit_side::{self, SideRule};
+use crate::explicit_side;
 use crate::landing::{Approach, approach};
 use crate::lattice::Search;
 use crate::margin::MarginModel;

@@ -10,9 +10,7 @@
 //!
 //! Source note: the source does not print how a side is chosen.
 
-use serde::{Deserialize, Serialize};
-use vehicle::Setting;
-
+use crate::config::SideRule;
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::reference_path::{ReferencePath, SINE_MAX};
 use crate::scene::Scene;
@@ -22,23 +20,6 @@ use crate::side::{Passing, Sides, held};
 const SWITCH_M: f64 = 0.3;
 /// How far before and behind an ellipse the path leaves the line [m].
 const APPROACH_M: f64 = 1.5;
-
-/// What chooses the passing sides.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum SideRule {
-    /// The lattice search for the cheapest path.
-    #[default]
-    Search,
-    /// Obstacles on the line are passed on their left.
-    Left,
-    /// Obstacles on the line are passed on their right.
-    Right,
-    /// Each obstacle is passed on the side with the shorter detour inside the track; with equal ones on its left.
-    Nearest,
-}
-
-impl Setting for SideRule {}
 
 /// Puts the path of the rule into `path`, for a robot that drives at `speed`.
 pub(crate) fn find(scene: &Scene, sides: &Sides, speed: f64, path: &mut ReferencePath) {

@@ -42,10 +42,8 @@ mod warm;
 mod weights;
 
 pub use braking::speed_limit;
-pub use config::{Config, Profile, StopSettings};
+pub use config::{Config, MarginSettings, Profile, SideRule, StopSettings};
 pub use controller::Controller;
-pub use explicit_side::SideRule;
-pub use margin::MarginSettings;
 pub use ocp::Budget;
 pub use reference_path::LatticeSettings;
 pub use rehearsal::Rehearsal;

@@ -4,24 +4,8 @@
 //! the command, so a report can tell which of them closes a gap.
 
 use shared_types::{Margin, Pose};
-use vehicle::settings;
 
-use crate::config::Config;
-
-settings! {
-    /// The parts of the margin that the plan's samples do not contain.
-    #[derive(Copy)]
-    pub struct MarginSettings {
-        /// How many standard deviations of the pose are kept, k.
-        pub pose_sigmas: f64 = 2.0, 0.0..=10.0;
-        /// Growth of the pose's standard deviation along the plan, after one second [m].
-        pub pose_growth_m: f64 = 0.006, 0.0..=1.0;
-        /// Difference between the path of the robot and that of the model [m].
-        pub model_m: f64 = 0.015, 0.0..=1.0;
-        /// Uncertainty of the outline of a described obstacle [m].
-        pub perception_m: f64 = 0.015, 0.0..=1.0;
-    }
-}
+use crate::config::{Config, MarginSettings};
 
 /// The uncertainty grows for this time of a plan at most [s]: about the horizon. Later places are planned again before.
 const MAX_GROWTH_S: f64 = 2.7;

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use vehicle::geometry::Rectangle;
 use vehicle::{Invalid, Key, Setting, require, settings};
 
-use crate::scene::Solid;
+use crate::solid::Solid;
 
 /// Shape and size of an obstacle.
 #[derive(Debug, Clone, Copy, PartialEq)]

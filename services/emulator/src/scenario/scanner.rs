@@ -4,10 +4,11 @@ use std::f64::consts::PI;
 
 use vehicle::{Invalid, Rule, settings};
 
-use crate::laser::MAX_RANGE_M;
-
 /// Longest time by which a scan can be late [s]: the emulator keeps the poses of this time.
 const MAX_LATE_S: f64 = 10.0;
+
+/// Largest range that the scanner reports [m].
+pub const MAX_RANGE_M: f64 = 5.6;
 
 settings! {
     /// Faults of the scanner; without a key there is none, and obstacles that are marked as black are hard to see.
