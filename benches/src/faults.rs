@@ -4,9 +4,9 @@
 //! hang or flood run one after the other with real processes, in systems of their own.
 
 mod live;
+mod observed;
 mod page;
 mod system;
-mod watch;
 
 use std::path::PathBuf;
 

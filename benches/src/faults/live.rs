@@ -13,8 +13,8 @@ use faults::{Fault, Injection, Phase, ProcessAction, ProcessFault};
 use pipeline::Settings;
 use runtime::monotonic_ns;
 
+use super::observed::Watch;
 use super::system::CellSystem;
-use super::watch::Watch;
 use super::{Driven, Matrix, name};
 
 /// How long a cell lasts after its fault has begun.

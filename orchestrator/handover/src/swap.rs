@@ -35,10 +35,10 @@ pub mod agreement;
 mod certificate;
 mod comparison;
 mod meant;
+pub mod outputs;
 mod scan_record;
 #[cfg(test)]
 mod tests;
-pub mod watch;
 
 use shared_types::{Authority, Role};
 

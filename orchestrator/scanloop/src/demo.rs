@@ -5,12 +5,12 @@
 
 mod acts;
 mod claims;
+mod drive_view;
 mod load;
 mod page;
 mod show;
 mod story;
 mod system;
-mod watch;
 
 use std::path::PathBuf;
 use std::time::Duration;

@@ -32,6 +32,7 @@
 //! A process that could run but gets no processor is not hung, for ten limits at most.
 
 mod death;
+mod due;
 mod event;
 mod exit;
 mod policy;
@@ -41,7 +42,6 @@ mod slot;
 #[cfg(test)]
 mod tests;
 mod turn;
-mod watch;
 #[cfg(test)]
 mod world;
 

@@ -11,8 +11,8 @@ use runtime::monotonic_ns;
 use rustix::process::{Pid, Signal, kill_process};
 use shared_types::Role;
 
+use super::drive_view::{Watch, median};
 use super::show::Show;
-use super::watch::{Watch, median};
 
 /// Time of the undisturbed drive, and after the death of the orchestrator.
 const DRIVE: Duration = Duration::from_secs(4);

@@ -7,9 +7,9 @@ use report::{Outcome, Report};
 use runtime::{Shutdown, monotonic_ns, wait_for};
 
 use super::claims::Claims;
+use super::drive_view::Watch;
 use super::story::Story;
 use super::system::{Interrupted, System, wait_until};
-use super::watch::Watch;
 
 /// What all acts share.
 pub(super) struct Show<'a> {

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use console::limits::text_of;
 use emulator::JudgedBy;
-use handover::swap::watch::Watch;
+use handover::swap::outputs::Watch;
 use handover::swap::{Party, SwapEvent};
 use plan::change;
 use runtime::{HandoverData, monotonic_ns, own_settings_file, started_settings_file};

@@ -2,9 +2,9 @@
 
 use shared_types::{Phase, ProcessState, Role};
 
+use super::due::feeders;
 use super::policy::nanoseconds;
 use super::slot::{Life, Slot};
-use super::watch::feeders;
 use super::{Action, Event, Exit, ProcessPolicy, Severity, Supervisor, VisibleState};
 
 /// The state of one role in the world.
