@@ -6,7 +6,7 @@
 
 use std::cell::Cell;
 
-use shared_types::{Actuation, Role};
+use shared_types::{Actuation, Role, SampleType, Topic};
 
 use crate::stop::{StopWord, Wheels};
 
@@ -62,8 +62,24 @@ impl Guard {
         }
     }
 
+    /// Whether samples of this type tell wheels what to do.
+    pub(crate) fn concerns(&self, of: &SampleType) -> bool {
+        of.topic == Topic::Actuation
+    }
+
+    /// Whether a process reads a sample of this type as a record of what the wheels did, which stays true; to the robot it
+    /// is a request.
+    pub(crate) fn is_record(&self, of: &SampleType) -> bool {
+        self.concerns(of) && self.role != Role::Robot
+    }
+
     /// Turns an actuation that would drive into a block while wheels must not turn; whether it did.
-    pub(crate) fn hold_back(&self, actuation: &mut Actuation) -> bool {
+    pub(crate) fn hold_back(&self, of: &SampleType, sample: &mut [u8]) -> bool {
+        let actuation = if self.concerns(of) { bytemuck::try_from_bytes_mut(sample).ok() } else { None };
+        actuation.is_some_and(|actuation| self.hold_back_actuation(actuation))
+    }
+
+    fn hold_back_actuation(&self, actuation: &mut Actuation) -> bool {
         let is_held_back = actuation.drives() && self.must_stop();
         if is_held_back {
             actuation.hold_back();
@@ -72,15 +88,16 @@ impl Guard {
         is_held_back
     }
 
-    /// Whether a robot must not receive an actuation: it would drive, and wheels must not turn.
-    pub(crate) fn refuses(&self, actuation: &Actuation) -> bool {
-        self.role == Role::Robot && actuation.drives() && self.must_stop()
+    /// Whether a robot must not receive a sample: it would drive, and wheels must not turn.
+    pub(crate) fn refuses(&self, of: &SampleType, sample: &[u8]) -> bool {
+        let drives = |sample| bytemuck::try_from_bytes::<Actuation>(sample).is_ok_and(Actuation::drives);
+        self.concerns(of) && self.role == Role::Robot && drives(sample) && self.must_stop()
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use shared_types::{ActuationKind, BlockReason};
+    use shared_types::{ActuationKind, BlockReason, Sample};
 
     use super::*;
 
@@ -100,10 +117,10 @@ mod tests {
         let guard = Guard::new(Role::Actuator, Some(word.clone()));
         assert!(guard.word().is_some());
         let mut actuation = drive();
-        guard.hold_back(&mut actuation);
+        guard.hold_back_actuation(&mut actuation);
         assert_eq!(actuation.kind, ActuationKind::Drive.wire());
         word.latch();
-        guard.hold_back(&mut actuation);
+        guard.hold_back_actuation(&mut actuation);
         assert_eq!(actuation.kind, ActuationKind::Block.wire());
         assert_eq!(actuation.reason, BlockReason::StopRequested.wire());
         assert_eq!((actuation.sent_velocity_mps, actuation.desired_velocity_mps), (0.0, 0.0));
@@ -115,11 +132,17 @@ mod tests {
     #[test]
     fn a_robot_sees_no_actuation_that_drives_while_wheels_must_not_turn() {
         let guard = Guard::new(Role::Robot, None);
-        assert!(!guard.refuses(&drive()));
+        assert!(!guard.refuses(Actuation::TYPE, bytemuck::bytes_of(&drive())));
         guard.set_silent(true);
-        assert!(guard.refuses(&drive()) && !guard.refuses(&Actuation::default()));
+        assert!(
+            guard.refuses(Actuation::TYPE, bytemuck::bytes_of(&drive()))
+                && !guard.refuses(Actuation::TYPE, bytemuck::bytes_of(&Actuation::default()))
+        );
         guard.set_silent(false);
-        assert!(!guard.refuses(&drive()), "a silence ends, other than a stop");
-        assert!(!Guard::new(Role::Estimator, None).refuses(&drive()));
+        assert!(
+            !guard.refuses(Actuation::TYPE, bytemuck::bytes_of(&drive())),
+            "a silence ends, other than a stop"
+        );
+        assert!(!Guard::new(Role::Estimator, None).refuses(Actuation::TYPE, bytemuck::bytes_of(&drive())));
     }
 }

@@ -1,5 +1,6 @@
 //! The writing end of a topic.
 
+mod filter;
 mod writer;
 
 use std::marker::PhantomData;

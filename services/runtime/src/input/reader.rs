@@ -6,8 +6,8 @@ use std::rc::Rc;
 use std::sync::Arc;
 
 use shared_types::{
-    Actuation, Admission, AuthorityFilter, Fate, Fault, Header, InputAccount, Refusal, Role, SampleType,
-    Topic, require_sequence,
+    Admission, AuthorityFilter, Fate, Fault, Header, InputAccount, Refusal, SampleType, Topic,
+    require_sequence,
 };
 
 use crate::bell::Bells;
@@ -71,7 +71,7 @@ impl Reader {
     pub(super) fn take(&self) -> Option<Enclosed<Received>> {
         loop {
             let sample = self.kept.borrow_mut().pop_front()?;
-            if !self.is_held_back(&sample) {
+            if !self.shared.guard.refuses(self.of, &sample) {
                 self.note_taken(&sample);
                 return Some(Enclosed::new(sample));
             }
@@ -83,7 +83,7 @@ impl Reader {
         let mut kept = self.kept.borrow_mut();
         let sample = kept.pop_back()?;
         kept.drain(..).for_each(|older| self.settle(Fate::Replaced, &older));
-        if self.is_held_back(&sample) {
+        if self.shared.guard.refuses(self.of, &sample) {
             self.settle(Fate::Foreign, &sample);
             return None;
         }
@@ -195,13 +195,6 @@ impl Reader {
         (self.of.header)(sample)
     }
 
-    /// An actuation that would drive, for a robot whose wheels must not turn.
-    fn is_held_back(&self, sample: &[u8]) -> bool {
-        self.of.topic == Topic::Actuation
-            && bytemuck::try_from_bytes::<Actuation>(sample)
-                .is_ok_and(|actuation| self.shared.guard.refuses(actuation))
-    }
-
     /// The sample of one scan, if it is there; older ones are dropped and counted as replaced.
     fn take_scan(&self, scan_id: u64) -> Option<Received> {
         let mut kept = self.kept.borrow_mut();
@@ -307,8 +300,7 @@ impl Reader {
         if ahead_ns > limit_ns {
             return Some(Fault::FromTheFuture { ahead_ms: ahead_ns as f64 * 1e-6 });
         }
-        // An actuation is a request to the robot only. Others read from it what the wheels did, which stays true.
-        let is_record = topic == Topic::Actuation && shared.role != Role::Robot;
+        let is_record = shared.guard.is_record(self.of);
         let age_ns = now_ns.saturating_sub(header.acquired_ns);
         (!is_record && age_ns > limit_ns).then_some(Fault::TooOld { age_ms: age_ns as f64 * 1e-6 })
     }

@@ -5,8 +5,9 @@ use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 
 use bytemuck::bytes_of_mut;
-use shared_types::{Actuation, Journal, JournalKind, Role, SampleType, Topic};
+use shared_types::{Journal, Role, SampleType, Topic};
 
+use super::filter::Filter;
 use crate::bell::LINE;
 use crate::counters::count;
 use crate::journal::Publish;
@@ -29,8 +30,7 @@ pub(crate) struct Writer {
     sequence: Cell<u64>,
     /// How many readers there were when last counted.
     readers: Cell<usize>,
-    /// A sample as it was before an injected fault could change it.
-    unchanged: RefCell<Vec<u8>>,
+    filter: Filter,
 }
 
 impl Writer {
@@ -40,10 +40,10 @@ impl Writer {
             next: RefCell::new(None),
             publisher: bus.publisher(of)?,
             ringer: Ringer::new(bus, of.topic)?,
+            filter: Filter::new(of, Rc::clone(&shared)),
             shared,
             sequence: Cell::new(0),
             readers: Cell::new(usize::MAX),
-            unchanged: RefCell::default(),
         })
     }
 
@@ -65,7 +65,7 @@ impl Writer {
         self.complete(sample);
         self.publish_journal(sample);
         self.stamp(sample);
-        if self.is_sent(sample) {
+        if self.filter.leave(sample) {
             self.send_place(place)?;
         }
         self.wake();
@@ -74,15 +74,7 @@ impl Writer {
 
     pub(super) fn complete(&self, sample: &mut [u8]) {
         let (of, shared) = (self.of, &*self.shared);
-        if let Some(tamper) = shared.tamper.borrow_mut().as_mut() {
-            tamper.delay(of.topic);
-        }
-        if of.topic == Topic::Actuation
-            && let Ok(actuation) = bytemuck::try_from_bytes_mut::<Actuation>(sample)
-            && shared.guard.hold_back(actuation)
-        {
-            shared.notes.note(JournalKind::HeldBack, 0);
-        }
+        self.filter.enter(sample);
         let is_answer = (of.is_answer)(sample);
         let header = (of.header_mut)(sample);
         self.sequence.set(self.sequence.get() + 1);
@@ -104,7 +96,7 @@ impl Writer {
         self.publish_journal(sample);
         let mut place = self.loan()?;
         self.stamp(sample);
-        if !self.is_sent(sample) {
+        if !self.filter.leave(sample) {
             return Ok(());
         }
         place.bytes().copy_from_slice(sample);
@@ -140,29 +132,6 @@ impl Writer {
         }
     }
 
-    /// Lets an injected fault change a complete sample; whether it is sent. The guard of the wheels checks it last. The next
-    /// journal tells what was changed.
-    fn is_sent(&self, sample: &mut [u8]) -> bool {
-        let (is_sent, is_changed) = {
-            let mut tamper = self.shared.tamper.borrow_mut();
-            let Some(tamper) = tamper.as_mut() else { return true };
-            let mut unchanged = self.unchanged.borrow_mut();
-            unchanged.clear();
-            unchanged.extend_from_slice(sample);
-            (tamper.change(self.of, sample), **unchanged != *sample)
-        };
-        if is_sent && is_changed && self.of.topic.writer().is_some() {
-            let header = (self.of.header)(sample);
-            self.shared.notes.note_sample(JournalKind::Injected, self.of.topic, header);
-        }
-        if self.of.topic == Topic::Actuation
-            && let Ok(actuation) = bytemuck::try_from_bytes_mut::<Actuation>(sample)
-        {
-            self.shared.guard.hold_back(actuation);
-        }
-        is_sent
-    }
-
     fn loan(&self) -> Result<Loan, RuntimeError> {
         match self.next.borrow_mut().take() {
             Some(place) => Ok(place),
@@ -172,9 +141,7 @@ impl Writer {
 
     fn send_place(&self, place: Loan) -> Result<(), RuntimeError> {
         let delivered = place.send().map_err(|reason| self.error("send", reason))?;
-        if self.of.topic == Topic::Actuation && self.shared.is_in_charge() {
-            self.shared.guard.publish_wheels();
-        }
+        self.filter.sent();
         if delivered != self.readers.get() {
             // Counted only now: the list of readers lies in memory that nothing else needs.
             self.readers.set(self.publisher.subscribers());
