@@ -2,6 +2,7 @@
 
 pub mod companions;
 mod process;
+mod starvation;
 
 use std::collections::BTreeMap;
 use std::os::fd::{AsFd, BorrowedFd};
@@ -18,7 +19,7 @@ use runtime::{
 use shared_types::Role;
 
 use crate::background::Background;
-use crate::child::{Child, Launch, is_runnable};
+use crate::child::{Child, Launch};
 use crate::child_log::ChildLog;
 use crate::entry::{ProcessEntry, ProcessRow};
 use crate::environment::{environment_of, variable};
@@ -30,6 +31,7 @@ use crate::supervisor::{Event, Exit};
 
 pub use process::Load;
 use process::{Process, command_of};
+use starvation::Starvation;
 
 /// How many of its last lines are shown when a process dies.
 const LAST_LOG_LINES: usize = 10;
@@ -37,10 +39,6 @@ const LAST_LOG_LINES: usize = 10;
 const REASON_LINES: usize = 3;
 /// A log on a disk that does not answer is not waited for longer than this.
 const LOG_LIMIT: Duration = Duration::from_millis(50);
-
-/// A process that has used this much time on a processor without progress is not starved [s]: a quarter of the
-/// shortest hang limit, and three times what a scan takes at most.
-const STARVED_CPU_S: f64 = 0.075;
 
 /// All processes of one run.
 pub struct Fleet {
@@ -70,8 +68,7 @@ struct Member {
     starts: u32,
     last_log_lines: Vec<String>,
     last_pid: u32,
-    /// An incarnation that makes no progress, and its processor time when that was noticed [s].
-    suspect: Option<(u32, f64)>,
+    starvation: Starvation,
 }
 
 /// Processes that have ended.
@@ -355,29 +352,17 @@ impl Fleet {
         self.members.get(&role).map_or(&[], |member| &member.last_log_lines)
     }
 
-    /// Whether a process that makes no progress is only short of a processor. Ask as soon as it is suspected: its
-    /// processor time counts from then on.
-    ///
-    /// One that sleeps or was stopped is not starved, nor is one that has used a good part of a hang limit since.
+    /// Whether a process that makes no progress is only short of a processor. Ask as soon as it is suspected.
     pub fn is_starved(&mut self, role: Role, incarnation: u32) -> bool {
         let Some(member) = self.members.get_mut(&role) else { return false };
-        let now = member.process.as_ref().and_then(|process| is_runnable(process.child.pid()));
-        let Some((runnable, cpu_s)) = now else { return false };
-        match member.suspect {
-            Some((suspect, before_s)) if suspect == incarnation => {
-                runnable && cpu_s - before_s < STARVED_CPU_S
-            }
-            _ => {
-                member.suspect = Some((incarnation, cpu_s));
-                runnable
-            }
-        }
+        let pid = member.process.as_ref().map(|process| process.child.pid());
+        pid.is_some_and(|pid| member.starvation.is_starved(incarnation, pid))
     }
 
     /// All processes but those of these roles make progress again.
     pub fn forget_suspects(&mut self, but: impl Fn(Role) -> bool) {
         let others = self.members.iter_mut().filter(|(role, _)| !but(**role));
-        others.for_each(|(_, member)| member.suspect = None);
+        others.for_each(|(_, member)| member.starvation.clear());
     }
 
     /// Implementation or command of a role.
@@ -424,7 +409,7 @@ impl Member {
             starts: 0,
             last_log_lines: Vec::new(),
             last_pid: 0,
-            suspect: None,
+            starvation: Starvation::default(),
         }
     }
 

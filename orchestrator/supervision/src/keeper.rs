@@ -109,6 +109,22 @@ impl Keeper {
         }
     }
 
+    /// Whether a process that makes no pass is over its limit; `None` before half of it, and for one that makes progress.
+    pub fn suspicion(&self, now_ns: u64, passes: Option<u64>) -> Option<bool> {
+        let Life::Running { passes: before, progress_ns, .. } = self.life else { return None };
+        let limit_ns = if before.is_some() { self.policy.hang_ns } else { self.policy.start_ns };
+        let silent_ns = now_ns.saturating_sub(progress_ns);
+        let has_moved = passes.is_some() && passes != before;
+        (!has_moved && 2 * silent_ns > limit_ns).then_some(silent_ns > limit_ns)
+    }
+
+    /// Its process is short of a processor: its time begins anew.
+    pub fn excuse(&mut self, now_ns: u64) {
+        if let Life::Running { progress_ns, .. } = &mut self.life {
+            *progress_ns = now_ns;
+        }
+    }
+
     /// The caller did not run for `away_ns`: its process may have stood still as well.
     pub fn forgive(&mut self, away_ns: u64) {
         if let Life::Running { progress_ns, .. } = &mut self.life {
@@ -192,6 +208,23 @@ mod tests {
         assert_eq!(keeper.advance(46 * SECOND, Some(1)), None, "nothing was seen for 45 s");
         assert_eq!(keeper.advance(47 * SECOND, Some(1)), None);
         assert_eq!(keeper.advance(47 * SECOND + 1, Some(1)), Some(Order::Kill), "a second of silence");
+    }
+
+    #[test]
+    fn one_that_is_short_of_a_processor_is_suspected_and_may_be_excused() {
+        let mut keeper = Keeper::new(POLICY);
+        assert_eq!(keeper.suspicion(0, None), None, "it does not run");
+        keeper.advance(0, None);
+        assert_eq!(keeper.suspicion(5 * SECOND, None), None, "it may take long to start");
+        assert_eq!(keeper.suspicion(5 * SECOND + 1, None), Some(false));
+        keeper.advance(6 * SECOND, Some(1));
+        assert_eq!(keeper.suspicion(6 * SECOND + SECOND / 2, Some(1)), None);
+        assert_eq!(keeper.suspicion(7 * SECOND, Some(1)), Some(false), "more than half of its time is over");
+        assert_eq!(keeper.suspicion(7 * SECOND + 1, Some(1)), Some(true));
+        assert_eq!(keeper.suspicion(7 * SECOND + 1, Some(2)), None, "a pass");
+        keeper.excuse(7 * SECOND + 1);
+        assert_eq!(keeper.advance(8 * SECOND, Some(1)), None, "its time began anew");
+        assert_eq!(keeper.advance(8 * SECOND + 2, Some(1)), Some(Order::Kill));
     }
 
     #[test]

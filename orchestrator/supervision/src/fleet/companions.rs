@@ -16,6 +16,7 @@ use rustix::process::{Pid, setpriority_process};
 use shared_types::{Authority, Header, ProcessState, Role, did_you_mean};
 
 use super::process::{Load, Process, command_of};
+use super::starvation::Starvation;
 use crate::child::{Child, Launch};
 use crate::child_log::ChildLog;
 use crate::entry::ProcessEntry;
@@ -52,6 +53,7 @@ struct Member {
     entry: ProcessEntry,
     log: Arc<ChildLog>,
     keeper: Keeper,
+    starvation: Starvation,
     process: Option<Running>,
     /// The one that takes over when it is connected.
     successor: Option<Running>,
@@ -144,6 +146,7 @@ impl Companions {
             let log = ChildLog::of_run(&path, generation > 1)?;
             members.push(Member {
                 keeper: Keeper::new(policy_of(entry, period_ns, lockstep)),
+                starvation: Starvation::default(),
                 log,
                 process: None,
                 successor: None,
@@ -251,6 +254,7 @@ impl Companions {
         let member = &mut self.members[index];
         let incarnation = member.process.as_ref().map_or(0, |running| running.process.incarnation);
         let passes = (report.incarnation == incarnation && incarnation != 0).then_some(report.activations);
+        member.excuse_starved(now_ns, passes);
         match member.keeper.advance(now_ns, passes) {
             Some(Order::Start) => {
                 let started = self.start(index);
@@ -511,6 +515,20 @@ fn policy_of(entry: &ProcessEntry, period_ns: u64, lockstep: bool) -> KeeperPoli
 }
 
 impl Member {
+    /// On a busy machine a companion, which has a lower priority than the loop, may wait for a processor longer than the
+    /// time after which it counts as hung.
+    fn excuse_starved(&mut self, now_ns: u64, passes: Option<u64>) {
+        let suspicion = self.keeper.suspicion(now_ns, passes);
+        let Some((is_over, running)) = suspicion.zip(self.process.as_ref()) else {
+            self.starvation.clear();
+            return;
+        };
+        let Process { incarnation, child, .. } = &running.process;
+        if self.starvation.is_starved(*incarnation, child.pid()) && is_over {
+            self.keeper.excuse(now_ns);
+        }
+    }
+
     /// Measures the rate of its outputs once a second.
     fn measure(&mut self, page: &CompanionPage) {
         let (now_ns, published) = (monotonic_ns(), page.report(self.report).published);
