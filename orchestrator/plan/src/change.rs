@@ -157,7 +157,7 @@ fn checked(role: Role, file: &Table, rate_hz: f64) -> anyhow::Result<Value> {
     match role {
         Role::Robot => {
             if let Some(Value::Table(table)) = file.get(PLAYER) {
-                reread(PLAYER, table.clone(), player::Config::validate)?;
+                reread(PLAYER, table.clone(), player::PlayerConfig::validate)?;
             }
             let scenario = Scenario::from_table(own, "settings of the robot").map_err(Failure::bad_input)?;
             Ok(Value::try_from(scenario)?)

@@ -18,7 +18,7 @@ pub fn write(
     realtime: &Realtime,
     scenario: &Scenario,
     tuning: &Tuning,
-    player: Option<&player::Config>,
+    player: Option<&player::PlayerConfig>,
 ) -> anyhow::Result<()> {
     for role in Role::ALL.iter().copied() {
         let mut table = of(role, run, realtime, scenario, tuning)?;

@@ -34,7 +34,7 @@ settings! {
         /// The robot as all stages know it. An explicit `robot.KEY` of the scenario also holds here, unless the key is set.
         pub vehicle: Description = Description::default();
         /// Driver of a robot behind a Player server, for the implementation `player` of role `robot`.
-        pub player: player::Config = player::Config::default();
+        pub player: player::PlayerConfig = player::PlayerConfig::default();
         /// Processors, scheduling, idle states and memory; the defaults need no privilege.
         pub realtime: runtime::Realtime = runtime::Realtime::default();
         /// What is kept of a drive in real time without `--record`.
@@ -151,7 +151,7 @@ impl System {
     }
 
     /// The settings of the driver, when a robot behind a Player server fills the role `robot`.
-    pub fn player(&self) -> Option<&player::Config> {
+    pub fn player(&self) -> Option<&player::PlayerConfig> {
         let implementation = self.entry(Role::Robot)?.implementation.as_deref();
         (implementation == Some("player")).then_some(&self.player)
     }

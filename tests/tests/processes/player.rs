@@ -10,10 +10,10 @@ use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use emulator::{JudgedBy, Outcome, Scenario};
-use player::Config;
-use player::client::{Client, Event, Orders};
+use player::PlayerConfig;
+use player::client::{Client, ClientEvent, Orders};
 use player::config::Delivery;
-use player::order::Order;
+use player::order::GuardOrder;
 use runtime::{Bus, Observer};
 use rustix::process::{Pid, Signal, kill_process};
 use scanloop_tests::player_server::{Fault, PlayerServer, Received};
@@ -36,7 +36,7 @@ fn server(scenario: &str) -> PlayerServer {
     PlayerServer::start(&scenario, PERIOD_NS, 0).unwrap()
 }
 
-fn start(config: &Config) -> Client {
+fn start(config: &PlayerConfig) -> Client {
     Client::start(config, TIMEOUT_NS, Path::new(EXECUTABLE), || {}).unwrap()
 }
 
@@ -52,9 +52,9 @@ struct Link {
 }
 
 impl Link {
-    fn new(config: Config) -> Self {
+    fn new(config: PlayerConfig) -> Self {
         let server = server("free");
-        let config = Config { port: server.port().into(), ..config };
+        let config = PlayerConfig { port: server.port().into(), ..config };
         let client = start(&config);
         let (orders, _) = client.connected(DEADLINE.as_secs_f64()).unwrap();
         Self { client, orders: Some(orders), lost: Vec::new(), sweeps: 0, server }
@@ -62,11 +62,11 @@ impl Link {
 
     /// Drives, with an order each period, until something holds.
     fn drive_until(&mut self, what: &str, done: impl Fn(&Self) -> bool) {
-        self.wait(what, Some(Order::Drive(DRIVE)), done);
+        self.wait(what, Some(GuardOrder::Drive(DRIVE)), done);
     }
 
     /// Waits until something holds, and gives an order each period.
-    fn wait(&mut self, what: &str, order: Option<Order>, done: impl Fn(&Self) -> bool) {
+    fn wait(&mut self, what: &str, order: Option<GuardOrder>, done: impl Fn(&Self) -> bool) {
         let (started, mut ordered) = (Instant::now(), None::<Instant>);
         while !done(self) {
             assert!(started.elapsed() < DEADLINE, "{what}: not within {DEADLINE:?}: {:?}", self.lost);
@@ -83,13 +83,13 @@ impl Link {
     fn take(&mut self) {
         while let Some(event) = self.client.next() {
             match event {
-                Event::Connected(orders, _) => (self.orders, self.sweeps) = (Some(orders), 0),
-                Event::Sweep { .. } => self.sweeps += 1,
-                Event::Lost(lost) => {
+                ClientEvent::Connected(orders, _) => (self.orders, self.sweeps) = (Some(orders), 0),
+                ClientEvent::Sweep { .. } => self.sweeps += 1,
+                ClientEvent::Lost(lost) => {
                     self.orders = None;
                     self.lost.push(lost.to_string());
                 }
-                Event::State { .. } | Event::Scan { .. } | Event::Scanner(_) => {}
+                ClientEvent::State { .. } | ClientEvent::Scan { .. } | ClientEvent::Scanner(_) => {}
             }
         }
     }
@@ -141,12 +141,12 @@ fn last_drive_ns(server: &PlayerServer) -> u64 {
 #[test]
 fn a_server_that_is_not_there_or_none_is_named() {
     repeat_when_late(|| {
-        let message = |config: &Config| {
+        let message = |config: &PlayerConfig| {
             let (client, started) = (start(config), Instant::now());
             loop {
                 assert!(started.elapsed() < DEADLINE, "no event");
                 match client.next() {
-                    Some(Event::Lost(lost)) => break lost.to_string(),
+                    Some(ClientEvent::Lost(lost)) => break lost.to_string(),
                     Some(event) => panic!("{event:?}"),
                     None => pause(),
                 }
@@ -160,7 +160,7 @@ fn a_server_that_is_not_there_or_none_is_named() {
                 std::thread::park_timeout(Duration::from_millis(300));
             }
         });
-        let local = Config { port, ..Config::default() };
+        let local = PlayerConfig { port, ..PlayerConfig::default() };
         let no_player = message(&local);
         assert_eq!(
             no_player,
@@ -172,7 +172,7 @@ fn a_server_that_is_not_there_or_none_is_named() {
             refused.starts_with(&format!("no Player server at 127.0.0.1:{port}: Connection refused")),
             "{refused}"
         );
-        let unknown = message(&Config { host: "not a host".to_owned(), ..local });
+        let unknown = message(&PlayerConfig { host: "not a host".to_owned(), ..local });
         assert!(unknown.starts_with("host `not a host` is unknown: "), "{unknown}");
     });
 }
@@ -180,7 +180,7 @@ fn a_server_that_is_not_there_or_none_is_named() {
 #[test]
 fn the_guard_stops_the_wheels_after_a_silence_of_two_periods() {
     repeat_when_late(|| {
-        let mut link = Link::new(Config::default());
+        let mut link = Link::new(PlayerConfig::default());
         link.drive_until("it drives", |link| link.server.speed_mps() > 0.3);
         link.wait("it stands", None, |link| link.server.speed_mps() == 0.0);
         let silent_ns = stopped_after_ns(&link.server, last_drive_ns(&link.server)).unwrap();
@@ -193,7 +193,7 @@ fn the_guard_stops_the_wheels_after_a_silence_of_two_periods() {
 
 /// Disturbs the guard while it drives; returns how long the server followed the last command before a stop [ns].
 fn disturb_guard(signal: Signal) -> (Link, u64) {
-    let mut link = Link::new(Config::default());
+    let mut link = Link::new(PlayerConfig::default());
     link.drive_until("it drives", |link| link.server.speed_mps() > 0.3);
     let (guard, since_ns) = (link.guard(), runtime::monotonic_ns());
     kill_process(guard, signal).unwrap();
@@ -234,7 +234,7 @@ fn the_driver_stops_the_wheels_when_the_guard_hangs_and_starts_another() {
 }
 
 /// Switches a fault of the server on while the robot drives; returns the first text of the loss.
-fn disturb_server(fault: Fault, config: Config) -> String {
+fn disturb_server(fault: Fault, config: PlayerConfig) -> String {
     let mut link = Link::new(config);
     link.drive_until("it drives", |link| link.server.speed_mps() > 0.3 && link.sweeps > 3);
     link.server.set_fault(fault);
@@ -253,7 +253,8 @@ fn a_server_that_falls_silent_is_left_and_the_wheels_are_stopped() {
             (Fault::Stalls, Delivery::Pull),
             (Fault::HalfSweep, Delivery::Push),
         ] {
-            let lost = disturb_server(fault, Config { delivery, silence_s: 0.3, ..Config::default() });
+            let lost =
+                disturb_server(fault, PlayerConfig { delivery, silence_s: 0.3, ..PlayerConfig::default() });
             assert!(lost.starts_with("no data of the ") && lost.ends_with(" ms"), "{lost}");
         }
     });
@@ -262,7 +263,7 @@ fn a_server_that_falls_silent_is_left_and_the_wheels_are_stopped() {
 #[test]
 fn a_server_that_sends_garbage_is_left_and_the_wheels_are_stopped() {
     repeat_when_late(|| {
-        let lost = disturb_server(Fault::Garbage, Config::default());
+        let lost = disturb_server(Fault::Garbage, PlayerConfig::default());
         assert!(lost.contains("garbage in the stream: `\\xa5\\xa5"), "{lost}");
     });
 }
@@ -270,7 +271,7 @@ fn a_server_that_sends_garbage_is_left_and_the_wheels_are_stopped() {
 #[test]
 fn a_server_that_floods_is_left_and_the_wheels_are_stopped() {
     repeat_when_late(|| {
-        let lost = disturb_server(Fault::Floods, Config::default());
+        let lost = disturb_server(Fault::Floods, PlayerConfig::default());
         assert!(lost.starts_with("the server floods: "), "{lost}");
     });
 }
