@@ -1,6 +1,6 @@
 //! One cell of the matrix and its verdict.
 
-use faults::{Expectation, Fault, Phase};
+use faults::{DrivePhase, Expectation, InjectedFault};
 use serde::{Deserialize, Serialize};
 
 use crate::finding::Finding;
@@ -26,7 +26,7 @@ pub struct Cell {
     /// Name of the fault.
     pub fault: String,
     /// Phase in which it begins.
-    pub phase: Phase,
+    pub phase: DrivePhase,
     /// Whether it was driven with real processes.
     pub live: bool,
     /// The role that detected it, or `orchestrator`; empty when none did.
@@ -167,7 +167,7 @@ impl Limits {
 }
 
 /// The verdict on one drive.
-pub fn judge(fault: &Fault, phase: Phase, observed: &Observed, limits: &Limits) -> Cell {
+pub fn judge(fault: &InjectedFault, phase: DrivePhase, observed: &Observed, limits: &Limits) -> Cell {
     let expected = fault.expected(phase);
     let Observed { from_ns, findings, course, unaffected, .. } = observed;
     let is_expected = |finding: &&Finding| expected.detected_by.iter().any(|name| name == finding.by);
@@ -241,10 +241,10 @@ mod tests {
 
     const LIMITS: Limits = Limits { period_s: 0.1, deceleration_mps2: 5.0 };
 
-    fn fault(expect: &str) -> Fault {
+    fn fault(expect: &str) -> InjectedFault {
         let text =
             format!("title = \"\"\nmagnitude = \"\"\n[inject.scenario]\nset = {{}}\n[expect]\n{expect}");
-        Fault::parse("test", &text).unwrap_or_else(|error| panic!("{error}"))
+        InjectedFault::parse("test", &text).unwrap_or_else(|error| panic!("{error}"))
     }
 
     /// A robot that drives along x with 1 m/s for a second, `y_m` beside its line.
@@ -277,7 +277,7 @@ mod tests {
     }
 
     fn reason(expect: &str, observed: &Observed) -> String {
-        judge(&fault(expect), Phase::Straight, observed, &LIMITS).reason
+        judge(&fault(expect), DrivePhase::Straight, observed, &LIMITS).reason
     }
 
     const EXPECT: &str = "outcomes = [\"reached\"]\ndetected_by = [\"robot\", \"actuator\"]\nwithin_ms = 350";

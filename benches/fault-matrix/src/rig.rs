@@ -15,7 +15,7 @@ use emulator::{Emulator, Outcome, Referee, Scenario};
 use estimator::Estimator;
 use nmpc::Budget;
 use obstacles::ObstacleDetector;
-use pipeline::Settings;
+use pipeline::PipelineSettings;
 use shared_types::{
     Actuation, Authority, Command, Header, Obstacles, Odometry, Pose, Role, Sample, Scan, StopReason, Truth,
 };
@@ -105,8 +105,8 @@ impl Rig {
     ///
     /// # Errors
     /// The first setting that is not allowed.
-    pub fn new(settings: &Settings) -> Result<Self, Invalid> {
-        let Settings { scenario, tuning, period_ns } = settings;
+    pub fn new(settings: &PipelineSettings) -> Result<Self, Invalid> {
+        let PipelineSettings { scenario, tuning, period_ns } = settings;
         let (tuning, period_ns) = (tuning.clone().for_scenario(scenario), *period_ns);
         let writer = |role: Role| Writer::new(role, incarnation(role));
         Ok(Self {

@@ -3,7 +3,7 @@
 use emulator::course::{Family, of_campaign};
 use emulator::scene::Scene;
 use emulator::{Outcome, Scenario, feasible};
-use pipeline::Settings;
+use pipeline::PipelineSettings;
 use plan::{Choice, Plan};
 use report::ride::{RideFigures, RideRecording, RideTrace, measure};
 use shared_types::Level;
@@ -99,8 +99,11 @@ impl Course {
 
     fn drive(&self) -> anyhow::Result<Driven> {
         let Plan { scenario, system, .. } = &self.plan;
-        let settings =
-            Settings { scenario: scenario.clone(), tuning: system.tuning(), period_ns: system.period_ns() };
+        let settings = PipelineSettings {
+            scenario: scenario.clone(),
+            tuning: system.tuning(),
+            period_ns: system.period_ns(),
+        };
         let (mut recording, mut sightings) = (RideRecording::default(), Sightings::default());
         let (mut plans, mut active_ellipse_plans) = (0, 0);
         let end = pipeline::drive(&settings, |step| {

@@ -76,7 +76,7 @@ pub(super) fn write_settings(
     setup: Setup,
     player: Option<&player::PlayerConfig>,
 ) -> anyhow::Result<()> {
-    let pipeline::Settings { scenario, tuning, period_ns } = &drive.settings;
+    let pipeline::PipelineSettings { scenario, tuning, period_ns } = &drive.settings;
     let run = RunSettings {
         period_ns: *period_ns,
         clock: if setup.lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },

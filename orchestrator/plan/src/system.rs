@@ -51,13 +51,13 @@ settings! {
         #[serde(rename = "topic")]
         pub topics: Vec<TopicEntry> = Vec::new();
         /// Settings of the estimator: measured states, noise, odometry correction and prediction.
-        pub estimator: estimator::Config = estimator::Config::default();
+        pub estimator: estimator::EstimatorConfig = estimator::EstimatorConfig::default();
         /// Settings of the obstacle detector: walls, ellipses, noise and memory.
-        pub obstacles: obstacles::Config = obstacles::Config::default();
+        pub obstacles: obstacles::ObstaclesConfig = obstacles::ObstaclesConfig::default();
         /// Settings of the controller: body, horizon, velocities and time limits.
-        pub controller: nmpc::Config = nmpc::Config::default();
+        pub controller: nmpc::ControllerConfig = nmpc::ControllerConfig::default();
         /// Settings of the actuator: calibration, limits and timeouts.
-        pub actuator: actuation::Config = actuation::Config::default();
+        pub actuator: actuation::ActuatorConfig = actuation::ActuatorConfig::default();
     }
 }
 
@@ -145,7 +145,7 @@ impl System {
             estimator: self.estimator.clone(),
             obstacles: self.obstacles,
             // The true period, so that no key can contradict the rate.
-            controller: nmpc::Config { period_s: 1.0 / self.rate_hz, ..self.controller.clone() },
+            controller: nmpc::ControllerConfig { period_s: 1.0 / self.rate_hz, ..self.controller.clone() },
             actuator: self.actuator.clone(),
         }
     }

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use calibration::file::{DriftPart, Origin, SteeringPart, VelocityPart};
 use calibration::record::{self, CircleRun, Record, SineRow, StraightRun};
-use calibration::{CalibrationFile, Chart, Estimate, drift, drive, steering, velocity};
+use calibration::{CalibrationFile, Estimate, FitChart, drift, drive, steering, velocity};
 use emulator::Scenario;
 
 pub use arguments::{CalibrateArguments, Kind};
@@ -28,7 +28,7 @@ use crate::print_json;
 struct Found {
     /// The file with the new part only.
     file: CalibrationFile,
-    charts: Vec<Chart>,
+    charts: Vec<FitChart>,
     /// The summary.
     text: String,
     /// The table of driven runs.

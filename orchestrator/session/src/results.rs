@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use console::exit::Exit;
 use console::out_folder::OutFolder;
-use emulator::scenario::{Obstacle, Shape};
+use emulator::scenario::{ScenarioObstacle, Shape};
 use emulator::scene::{PlacedObstacle, Scene};
 use emulator::{JudgedBy, Scenario};
 use plan::Plan;
@@ -134,7 +134,7 @@ fn shapes(scenario: &Scenario, report: &Report) -> Vec<picture::Shape> {
     let end_s = report.trajectory.last().map_or(0.0, |[time_s, ..]| *time_s);
     let mut temporary =
         scene.near(scenario.body(0.0, 0.0, 0.0).centre, 0.0).filter(|placed| !placed.is_permanent());
-    let shape = |obstacle: &Obstacle| {
+    let shape = |obstacle: &ScenarioObstacle| {
         let placed = if obstacle.is_permanent() { None } else { temporary.next() };
         let places = placed.filter(|placed| placed.speed() > 0.0).map(|placed| places(placed, end_s));
         picture::Shape { points: outline(obstacle), places: places.unwrap_or_default() }
@@ -155,7 +155,7 @@ fn places(placed: &PlacedObstacle, end_s: f64) -> Vec<picture::Place> {
 }
 
 /// The outline of an obstacle where the scenario puts it; a circle as a polygon of 48 corners.
-fn outline(obstacle: &Obstacle) -> Vec<[f64; 2]> {
+fn outline(obstacle: &ScenarioObstacle) -> Vec<[f64; 2]> {
     let (x, y) = (obstacle.x_m, obstacle.y_m);
     match obstacle.shape {
         Shape::Circle { radius_m } => (0..48)

@@ -23,5 +23,5 @@ pub mod service;
 pub mod steering_map;
 
 pub use emulator::{Emulator, EmulatorState, Received};
-pub use referee::{Evidence, JudgedBy, Outcome, Referee};
+pub use referee::{EstimatedScan, JudgedBy, Outcome, Referee};
 pub use scenario::{Scenario, ScenarioError};

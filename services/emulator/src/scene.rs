@@ -11,7 +11,7 @@ use nalgebra::Vector2;
 use vehicle::frame::heading;
 use vehicle::geometry::Rectangle;
 
-use crate::scenario::{Obstacle, Scenario};
+use crate::scenario::{Scenario, ScenarioObstacle};
 
 pub use solid::Solid;
 
@@ -24,7 +24,7 @@ const NEARBY_M: f64 = 10.0;
 /// An obstacle at its place on the track.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlacedObstacle {
-    obstacle: Obstacle,
+    obstacle: ScenarioObstacle,
     reach: f64,
     /// Body at the place where it appears.
     solid: Solid,
@@ -126,7 +126,7 @@ impl Scene {
 }
 
 impl PlacedObstacle {
-    fn new(obstacle: Obstacle) -> Self {
+    fn new(obstacle: ScenarioObstacle) -> Self {
         Self {
             obstacle,
             reach: obstacle.reach(),
@@ -141,7 +141,7 @@ impl PlacedObstacle {
     }
 
     /// Its description in the scenario.
-    pub fn obstacle(&self) -> &Obstacle {
+    pub fn obstacle(&self) -> &ScenarioObstacle {
         &self.obstacle
     }
 

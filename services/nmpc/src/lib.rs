@@ -42,7 +42,7 @@ mod warm;
 mod weights;
 
 pub use braking::speed_limit;
-pub use config::{Config, Profile, StopSettings};
+pub use config::{ControllerConfig, ControllerProfile, StopSettings};
 pub use controller::Controller;
 pub use explicit_side::SideRule;
 pub use margin::MarginSettings;

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use audit::digest::Digests;
 use emulator::{Outcome, Scenario};
-use pipeline::{Drive, Settings, Tuning, profile};
+use pipeline::{DriveResult, PipelineSettings, Tuning, profile};
 use report::Report;
 use scanloop_tests::System;
 use vehicle::Surroundings;
@@ -269,18 +269,18 @@ fn the_controller_of_the_source_gives_the_same_bits_in_processes_and_in_the_pipe
         profile::add(&mut table);
         let tuning: Tuning = table.try_into().unwrap();
         let scenario = Scenario::parse(Scenario::shipped(name).unwrap(), name).unwrap();
-        let (drive, digests) = with_settings(&Settings { tuning, ..Settings::of(scenario) });
+        let (drive, digests) = with_settings(&PipelineSettings { tuning, ..PipelineSettings::of(scenario) });
         assert_eq!((drive.outcome, digests), (outcome, report.digests), "{name}");
     }
 }
 
 /// The drive of a scenario in the pipeline, with its digests.
-fn in_one_process(scenario: Scenario) -> (Drive, BTreeMap<String, String>) {
-    with_settings(&Settings::of(scenario))
+fn in_one_process(scenario: Scenario) -> (DriveResult, BTreeMap<String, String>) {
+    with_settings(&PipelineSettings::of(scenario))
 }
 
 /// The same with other settings of the stages.
-fn with_settings(settings: &Settings) -> (Drive, BTreeMap<String, String>) {
+fn with_settings(settings: &PipelineSettings) -> (DriveResult, BTreeMap<String, String>) {
     let mut digests = Digests::default();
     let drive = pipeline::drive(settings, |step| {
         digests.add(&step.truth);

@@ -142,8 +142,9 @@ impl Samples {
 
 /// A judge of a command whose plan was made for this scan period.
 fn judge(period_s: f64) -> Judge {
-    let config = nmpc::Config::default();
-    let (y_range, nmpc::Config { vehicle, track, goal, clearance_m, .. }) = (config.y_range(), config);
+    let config = nmpc::ControllerConfig::default();
+    let (y_range, nmpc::ControllerConfig { vehicle, track, goal, clearance_m, .. }) =
+        (config.y_range(), config);
     Judge { vehicle, track, goal, y_range, clearance_m, period_s, ellipses: false }
 }
 

@@ -1,7 +1,7 @@
 //! The controller in charge, and in a swap the one that is to take its place.
 
 use handover::swap::{Meant, Output, OutputSummary, Party, Recorded, Swap, SwapAction, SwapEvent, SwapPlan};
-use nmpc::{Config, Controller};
+use nmpc::{Controller, ControllerConfig};
 use shared_types::{Actuation, Authority, Command, Obstacles, Pose, Role, StopReason};
 use vehicle::Invalid;
 
@@ -19,7 +19,7 @@ const SHADOW_SCANS: u64 = 10;
 /// The processes of the role.
 #[derive(Debug, Clone)]
 pub(super) struct Controllers {
-    config: Config,
+    config: ControllerConfig,
     period_ns: u64,
     in_charge: Process,
     new: Option<Process>,
@@ -46,7 +46,7 @@ pub(super) struct Turn {
 }
 
 impl Process {
-    fn new(config: Config, incarnation: u32, period_ns: u64) -> Result<Self, Invalid> {
+    fn new(config: ControllerConfig, incarnation: u32, period_ns: u64) -> Result<Self, Invalid> {
         Ok(Self {
             controller: Controller::new(config)?,
             poses: Reader::new(Role::Controller, period_ns),
@@ -57,7 +57,7 @@ impl Process {
 }
 
 impl Controllers {
-    pub(super) fn new(config: Config, period_ns: u64) -> Result<Self, Invalid> {
+    pub(super) fn new(config: ControllerConfig, period_ns: u64) -> Result<Self, Invalid> {
         let in_charge = Process::new(config.clone(), incarnation(Role::Controller), period_ns)?;
         Ok(Self { config, period_ns, in_charge, new: None, swap: None, recorded: Vec::new() })
     }

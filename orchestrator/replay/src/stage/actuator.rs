@@ -1,6 +1,6 @@
 //! Recomputes actuations.
 
-use actuation::{ActuatorState, Config};
+use actuation::{ActuatorConfig, ActuatorState};
 use shared_types::{Actuation, Command, JournalEntry, JournalKind, Role};
 
 use super::journal::{Missing, Stage, Taking};
@@ -21,7 +21,7 @@ impl Stage for Actuator {
     const ROLE: Role = Role::Actuator;
 
     fn begin(drive: &Drive, incarnation: u32) -> anyhow::Result<Self> {
-        let config: Config = drive.table_of(incarnation, Role::Actuator, "actuator")?;
+        let config: ActuatorConfig = drive.table_of(incarnation, Role::Actuator, "actuator")?;
         let actuator = actuation::Actuator::new(config, drive.period_ns)?;
         Ok(Self { actuator, command: Err(Missing::Input), output: None, is_held_back: false })
     }

@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 
-use nmpc::{Budget, Config, ControllerState};
+use nmpc::{Budget, ControllerConfig, ControllerState};
 use shared_types::{Command, JournalEntry, JournalKind, Obstacles, Pose, Role, Topic};
 
 use super::journal::{Missing, Stage, Taking};
@@ -27,7 +27,7 @@ impl Stage for Controller {
     const ROLE: Role = Role::Controller;
 
     fn begin(drive: &Drive, incarnation: u32) -> anyhow::Result<Self> {
-        let config: Config = drive.table_of(incarnation, Role::Controller, "controller")?;
+        let config: ControllerConfig = drive.table_of(incarnation, Role::Controller, "controller")?;
         let iterations = drive.simulated.then_some(config.budget_iterations);
         let controller = nmpc::Controller::new(config)?;
         let is_changed = drive.is_changed;

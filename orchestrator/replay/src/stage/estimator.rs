@@ -1,6 +1,6 @@
 //! Recomputes poses.
 
-use estimator::{Config, EstimatorState};
+use estimator::{EstimatorConfig, EstimatorState};
 use shared_types::{Actuation, JournalEntry, JournalKind, Odometry, Pose, Role, Topic};
 
 use super::journal::{Missing, Stage, Taking};
@@ -25,7 +25,7 @@ impl Stage for Estimator {
     const ROLE: Role = Role::Estimator;
 
     fn begin(drive: &Drive, incarnation: u32) -> anyhow::Result<Self> {
-        let config: Config = drive.table_of(incarnation, Role::Estimator, "estimator")?;
+        let config: EstimatorConfig = drive.table_of(incarnation, Role::Estimator, "estimator")?;
         Ok(Self { estimator: estimator::Estimator::new(&config)?, taken: None, pose: None })
     }
 

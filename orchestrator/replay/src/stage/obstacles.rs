@@ -1,6 +1,6 @@
 //! Recomputes described obstacles.
 
-use obstacles::{Config, ObstacleDetector, ObstaclesState};
+use obstacles::{ObstacleDetector, ObstaclesConfig, ObstaclesState};
 use shared_types::{JournalEntry, JournalKind, Obstacles, Pose, Role, Scan, Topic};
 
 use super::journal::{Missing, Stage, Taking};
@@ -19,7 +19,7 @@ impl Stage for Detector {
     const ROLE: Role = Role::Obstacles;
 
     fn begin(drive: &Drive, incarnation: u32) -> anyhow::Result<Self> {
-        let config: Config = drive.table_of(incarnation, Role::Obstacles, "obstacles")?;
+        let config: ObstaclesConfig = drive.table_of(incarnation, Role::Obstacles, "obstacles")?;
         let (scan, pose) = (Err(Missing::Input), Err(Missing::Input));
         Ok(Self { detector: ObstacleDetector::new(config)?, scan, pose })
     }

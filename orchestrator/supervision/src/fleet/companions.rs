@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use console::limits::text_of;
 use runtime::{
-    COMPANION_VARIABLE, CompanionPage, CompanionReport, Domain, MAX_COMPANIONS, REPORT_VARIABLE,
+    COMPANION_VARIABLE, CompanionPage, CompanionSelfReport, Domain, MAX_COMPANIONS, REPORT_VARIABLE,
     STOOD_STILL_NS, StopWord, monotonic_ns,
 };
 use rustix::process::{Pid, setpriority_process};
@@ -116,7 +116,7 @@ pub struct CompanionView {
     /// Samples published per second.
     pub rate_hz: f64,
     /// What it reports.
-    pub report: CompanionReport,
+    pub report: CompanionSelfReport,
     /// The scan from which on lock-step did not wait for it any more.
     pub left_at_scan: Option<u64>,
     /// Last log lines of the process before the one that runs.
@@ -365,7 +365,7 @@ impl Companions {
             return;
         }
         let now_ns = monotonic_ns();
-        let CompanionReport { answered_scan, taken, answered, .. } = self.page.report(member.report);
+        let CompanionSelfReport { answered_scan, taken, answered, .. } = self.page.report(member.report);
         let is_late = now_ns.saturating_sub(member.answered.1) > LOCKSTEP_LIMIT_NS;
         if answered_scan != member.answered.0 || answered_scan >= newest_scan {
             member.answered = (answered_scan, now_ns);
