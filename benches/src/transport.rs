@@ -158,8 +158,8 @@ fn plan(arguments: &TransportArguments, scheduling: &Scheduling) -> anyhow::Resu
 /// The policy of processes that belong to no system.
 fn class(scheduling: &Scheduling) -> hops::Scheduling {
     match scheduling.policy {
-        Some(scheduling::Policy::Fifo) => hops::Scheduling::Fifo,
-        Some(scheduling::Policy::Other) | None => hops::Scheduling::Other,
+        Some(scheduling::SchedulingPolicy::Fifo) => hops::Scheduling::Fifo,
+        Some(scheduling::SchedulingPolicy::Other) | None => hops::Scheduling::Other,
     }
 }
 

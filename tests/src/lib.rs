@@ -29,7 +29,7 @@ use std::time::{Duration, Instant};
 use report::Report;
 use runtime::Domain;
 use rustix::fs::{Mode, OFlags, open};
-use session::control::{Reply, Request, Status, ask};
+use session::control::{Reply, Request, SystemStatus, ask};
 use shared_types::Role;
 use turns::Turn;
 
@@ -172,7 +172,7 @@ impl System {
     }
 
     /// The state of the running system, if it answers.
-    pub fn status(&self) -> Option<Status> {
+    pub fn status(&self) -> Option<SystemStatus> {
         match ask(&self.find()?, &Request::Status) {
             Ok(Reply::Status(status)) => Some(*status),
             _ => None,

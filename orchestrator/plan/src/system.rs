@@ -15,7 +15,7 @@ use vehicle::{Description, Invalid, read, require, settings};
 use crate::hosts::{self, HostEntry};
 use crate::possible;
 use crate::rate::require_rate;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::topics::{self, TopicEntry};
 
 /// The built-in process table.
@@ -114,14 +114,14 @@ impl System {
     ///
     /// # Errors
     /// A message with the file, and the line where the text is no TOML; exit code 2.
-    pub fn read_table(file: Option<&Path>) -> anyhow::Result<Source> {
+    pub fn read_table(file: Option<&Path>) -> anyhow::Result<SourceFile> {
         let Some(path) = file else {
-            return Source::shipped(BUILT_IN, "built-in system".to_owned());
+            return SourceFile::shipped(BUILT_IN, "built-in system".to_owned());
         };
         let name = path.display().to_string();
         let text = user_file::read(path, TEXT_BYTES);
         let text = text.map_err(|error| Failure::bad_input(format!("{name}: {error}")))?;
-        let mut source = Source::parse(text, name)?;
+        let mut source = SourceFile::parse(text, name)?;
         add_built_in(&mut source.table);
         Ok(source)
     }

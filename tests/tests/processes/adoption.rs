@@ -8,7 +8,7 @@ use emulator::Outcome;
 use report::Report;
 use rustix::process::Signal;
 use scanloop_tests::{SHORT_CORRIDOR, SHORT_FREE, System, Watch};
-use session::control::Status;
+use session::control::SystemStatus;
 use shared_types::{Role, Truth};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -27,18 +27,18 @@ fn orphaned(arguments: &[&str]) -> (System, Watch) {
 }
 
 /// Process ids of all roles.
-fn pids(status: &Status) -> Vec<i32> {
+fn pids(status: &SystemStatus) -> Vec<i32> {
     status.processes.iter().map(|process| process.pid).collect()
 }
 
 /// The rows of `status` of a system without an orchestrator.
-fn orphaned_status(system: &System) -> Status {
+fn orphaned_status(system: &System) -> SystemStatus {
     let output = system.run(&["status", "--json"]);
     serde_json::from_slice(&output.stdout)
         .unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(&output.stderr)))
 }
 
-fn pid_of(status: &Status, role: Role) -> i32 {
+fn pid_of(status: &SystemStatus, role: Role) -> i32 {
     status.processes.iter().find(|process| process.role == role).unwrap().pid
 }
 

@@ -1,7 +1,7 @@
 //! Faults that a command injects into a running system.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use recording::mcap::Reader;
+use recording::mcap::McapReader;
 use runtime::{Bus, Observer};
 use scanloop_tests::machine::repeat_when_late;
 use scanloop_tests::{DEADLINE, System, pause, printed};
@@ -61,7 +61,7 @@ fn faults_of_samples_robot_and_processes_act_for_their_time_and_are_recorded() {
         let report = system.report();
         assert_eq!((report.scans.unaccounted, report.drive.truth.unwrap().collided), (0, false));
         let file = std::fs::File::open(system.folder().join("out/recording.mcap")).unwrap();
-        let (mut reader, mut is_recorded) = (Reader::new(file).unwrap(), false);
+        let (mut reader, mut is_recorded) = (McapReader::new(file).unwrap(), false);
         let text = b"fault injected for 1 s: scanner-dead";
         while let Some(message) = reader.next_message().unwrap() {
             is_recorded |= message.data.windows(text.len()).any(|part| part == text);

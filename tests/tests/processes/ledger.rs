@@ -5,7 +5,7 @@ use scanloop_tests::machine::repeat_when_late;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 
-use audit::ledger::Kind;
+use audit::ledger::DeliveryFaultKind;
 use emulator::Outcome;
 use report::Report;
 use report::latency::attribute;
@@ -18,13 +18,13 @@ const FAULTY: &str = env!("CARGO_BIN_EXE_faulty-role");
 
 /// What can be wrong with a sample, and how it is named: in real time, and in lock-step, where a sample that is held
 /// back stops the loop.
-const FAULTS: [(&str, Kind, Kind); 6] = [
-    ("drop", Kind::Missing, Kind::Missing),
-    ("omit", Kind::Missing, Kind::Missing),
-    ("repeat", Kind::Duplicate, Kind::Duplicate),
-    ("double", Kind::Duplicate, Kind::Duplicate),
-    ("swap", Kind::Reordered, Kind::Missing),
-    ("mix", Kind::Reordered, Kind::Missing),
+const FAULTS: [(&str, DeliveryFaultKind, DeliveryFaultKind); 6] = [
+    ("drop", DeliveryFaultKind::Missing, DeliveryFaultKind::Missing),
+    ("omit", DeliveryFaultKind::Missing, DeliveryFaultKind::Missing),
+    ("repeat", DeliveryFaultKind::Duplicate, DeliveryFaultKind::Duplicate),
+    ("double", DeliveryFaultKind::Duplicate, DeliveryFaultKind::Duplicate),
+    ("swap", DeliveryFaultKind::Reordered, DeliveryFaultKind::Missing),
+    ("mix", DeliveryFaultKind::Reordered, DeliveryFaultKind::Missing),
 ];
 
 /// Topics with the role that writes them.
@@ -129,8 +129,9 @@ fn no_number_in_a_header_ends_a_run_or_takes_its_memory() {
             assert!(matches!(code, Some(0 | 1)), "{topic}: {code:?}: {} {}", report.reason, system.stderr());
             assert!(largest.get() < MAX_MEMORY_KIB, "{topic}: {} KiB", largest.get());
             assert_eq!(log(&system, role, "wrong").len(), 32, "{topic}");
-            let named =
-                |fault: &audit::ledger::Fault| fault.kind == Kind::Impossible && fault.topic == topic.name();
+            let named = |fault: &audit::ledger::DeliveryFault| {
+                fault.kind == DeliveryFaultKind::Impossible && fault.topic == topic.name()
+            };
             assert!(report.ledger.faults.iter().any(named), "{topic}: {:?}", report.ledger.faults);
             assert!(report.ledger.impossible >= 8, "{topic}: {}", report.ledger.impossible);
             // Each blocks the wheels for some scans at most: most scans have a command of their own.
@@ -153,8 +154,8 @@ fn a_number_that_can_not_be_ends_a_lock_step_with_its_name() {
                 let (befallen, report) = hide(fault, topic, role, 8, true);
                 let what =
                     format!("{fault} {topic} at {befallen:?}: {} {:?}", report.reason, report.ledger.faults);
-                let named = |found: &audit::ledger::Fault| {
-                    found.topic == topic.name() && found.kind == Kind::Impossible
+                let named = |found: &audit::ledger::DeliveryFault| {
+                    found.topic == topic.name() && found.kind == DeliveryFaultKind::Impossible
                 };
                 assert!(report.ledger.faults.iter().any(named), "{field}: {what}");
                 if topic != Topic::Truth {

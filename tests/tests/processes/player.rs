@@ -624,11 +624,12 @@ fn the_driver_meets_what_is_required_of_a_robot() {
                 ["conformance", "robot", "--to", "player", "--system", &file, "--jobs", "1", "--json"];
             let output = system.run(&[&arguments[..], more].concat());
             let text = String::from_utf8_lossy(&output.stderr).into_owned();
-            (serde_json::from_slice::<conformance::Report>(&output.stdout).unwrap(), text)
+            (serde_json::from_slice::<conformance::SuiteReport>(&output.stdout).unwrap(), text)
         };
         let (mut report, text) = test(&[]);
         // The robot drives on from case to case, until nothing is in reach of its scanner: the last ones get a new robot.
-        let is_unseen = |case: &conformance::CaseReport| case.outcome == conformance::Outcome::NotObserved;
+        let is_unseen =
+            |case: &conformance::CaseReport| case.outcome == conformance::CaseOutcome::NotObserved;
         let unseen = report.cases.iter().filter(|case| is_unseen(case));
         let again: Vec<&str> = unseen.flat_map(|case| ["--only", case.name.as_str()]).collect();
         if !again.is_empty() {
@@ -637,7 +638,7 @@ fn the_driver_meets_what_is_required_of_a_robot() {
             report.cases.extend(once_more.cases);
         }
         assert_eq!(report.failed, 0, "{text}");
-        let missed = report.cases.iter().filter(|case| case.outcome != conformance::Outcome::Passed);
+        let missed = report.cases.iter().filter(|case| case.outcome != conformance::CaseOutcome::Passed);
         let missed: Vec<&str> = missed.map(|case| case.name.as_str()).collect();
         assert_eq!(
             missed,

@@ -15,7 +15,7 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
-use recording::mcap::{Channel, Reader, Schema, Writer};
+use recording::mcap::{Channel, McapReader, Schema, Writer};
 use rustix::process::Signal;
 use scanloop_tests::namespace::is_inside;
 use scanloop_tests::{SHORT_CORRIDOR, SHORT_FREE, System};
@@ -140,7 +140,7 @@ fn rewrite_with(
     file: impl Fn(&str, &[u8]) -> Vec<u8>,
     mut change: impl FnMut(&str, u32, &mut Vec<u8>),
 ) {
-    let mut reader = Reader::new(File::open(from).expect("of a test")).expect("of a test");
+    let mut reader = McapReader::new(File::open(from).expect("of a test")).expect("of a test");
     let mut writer = None;
     while let Some(message) = reader.next_message().expect("of a test") {
         let (channel, sequence, log_ns, mut data) =

@@ -1,6 +1,8 @@
 //! The controller in charge, and in a swap the one that is to take its place.
 
-use handover::swap::{Meant, Output, OutputSummary, Party, Recorded, Swap, SwapAction, SwapEvent, SwapPlan};
+use handover::swap::{
+    Meant, OutputSummary, Party, RecordedScan, Swap, SwapAction, SwapEvent, SwapOutput, SwapPlan,
+};
 use nmpc::{Controller, ControllerConfig};
 use shared_types::{Actuation, Authority, Command, Obstacles, Pose, Role, StopReason};
 use vehicle::Invalid;
@@ -24,7 +26,7 @@ pub(super) struct Controllers {
     in_charge: Process,
     new: Option<Process>,
     swap: Option<Swap>,
-    recorded: Vec<Recorded>,
+    recorded: Vec<RecordedScan>,
 }
 
 /// One process: the stage and its ends.
@@ -139,7 +141,7 @@ impl Controllers {
         let header = &command.header;
         let party = if header.incarnation == NEW { Party::New } else { Party::Old };
         let published_ns = header.stage(Role::Controller).published_ns;
-        let output = Output {
+        let output = SwapOutput {
             scan: header.scan_id,
             sequence: header.sequence,
             scan_published_ns: header.scan_published_ns(),
@@ -154,7 +156,7 @@ impl Controllers {
     /// Shows an answer of the actuator to the swap.
     pub(super) fn record(&mut self, command: &Command, actuation: &Actuation) {
         if self.swap.is_some() && actuation.answers == 1 {
-            self.recorded.push(Recorded {
+            self.recorded.push(RecordedScan {
                 scan: command.header.scan_id,
                 answers: 1,
                 desired: [actuation.desired_steering_rad, actuation.desired_velocity_mps],

@@ -4,7 +4,7 @@ use estimator::{EstimatorConfig, EstimatorState};
 use shared_types::{Actuation, JournalEntry, JournalKind, Odometry, Pose, Role, Topic};
 
 use super::journal::{Missing, Stage, Taking};
-use crate::Drive;
+use crate::ReplayDrive;
 
 /// The process of an estimator.
 pub(super) struct Estimator {
@@ -24,7 +24,7 @@ impl Stage for Estimator {
     type State = EstimatorState;
     const ROLE: Role = Role::Estimator;
 
-    fn begin(drive: &Drive, incarnation: u32) -> anyhow::Result<Self> {
+    fn begin(drive: &ReplayDrive, incarnation: u32) -> anyhow::Result<Self> {
         let config: EstimatorConfig = drive.table_of(incarnation, Role::Estimator, "estimator")?;
         Ok(Self { estimator: estimator::Estimator::new(&config)?, taken: None, pose: None })
     }

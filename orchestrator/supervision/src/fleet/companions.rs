@@ -20,7 +20,7 @@ use crate::child::{Child, Launch};
 use crate::child_log::ChildLog;
 use crate::entry::ProcessEntry;
 use crate::environment::{joining, variable};
-use crate::keeper::{Keeper, KeeperPolicy, Life, Order};
+use crate::keeper::{Keeper, KeeperOrder, KeeperPolicy, Life};
 use crate::supervisor::VisibleState;
 
 /// Companions have incarnations from this number on, so that they differ from those of roles.
@@ -252,7 +252,7 @@ impl Companions {
         let incarnation = member.process.as_ref().map_or(0, |running| running.process.incarnation);
         let passes = (report.incarnation == incarnation && incarnation != 0).then_some(report.activations);
         match member.keeper.advance(now_ns, passes) {
-            Some(Order::Start) => {
+            Some(KeeperOrder::Start) => {
                 let started = self.start(index);
                 let member = &mut self.members[index];
                 match started {
@@ -270,7 +270,7 @@ impl Companions {
                 }
                 self.publish(index);
             }
-            Some(Order::Kill) => {
+            Some(KeeperOrder::Kill) => {
                 events.push(CompanionEvent::Hung(member.entry.name().to_owned()));
                 if let Some(running) = &member.process {
                     let _ = running.process.child.kill();

@@ -4,7 +4,7 @@ use scanloop_tests::machine::repeat_when_late;
 use std::path::PathBuf;
 use std::process::Output;
 
-use conformance::{Outcome as CaseOutcome, Report as Suite};
+use conformance::{CaseOutcome, SuiteReport};
 use emulator::{JudgedBy, Outcome};
 use scanloop_tests::System;
 
@@ -52,7 +52,7 @@ fn drivers_to_be_copied_honour_all_that_is_asked_of_a_real_robot() {
 fn honours_all(language: &str, output: &Output) {
     let text = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(0), "{language}: {text}");
-    let suite: Suite = serde_json::from_slice(&output.stdout).unwrap();
+    let suite: SuiteReport = serde_json::from_slice(&output.stdout).unwrap();
     let failed = suite.cases.iter().filter(|case| case.outcome != CaseOutcome::Passed);
     let failed: Vec<&str> = failed.map(|case| case.name.as_str()).collect();
     assert_eq!(failed, NOT_FOR_REAL_ROBOTS, "{language}: {text}");

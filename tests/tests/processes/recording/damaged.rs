@@ -5,7 +5,7 @@ use std::fs::File;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use recording::mcap::Reader;
+use recording::mcap::McapReader;
 use scanloop_tests::{SHORT_FREE, System};
 use serde_json::Value;
 
@@ -31,7 +31,7 @@ const DATA_END: u8 = 15;
 
 /// How many poses each chunk of a recording holds.
 fn poses_of_chunks(file: &Path, chunks: &[Range<usize>]) -> Vec<u64> {
-    let mut reader = Reader::new(File::open(file).expect("of a test")).expect("a recording");
+    let mut reader = McapReader::new(File::open(file).expect("of a test")).expect("a recording");
     let mut counts = vec![0; chunks.len()];
     while let Some(channel) = reader.next_message().expect("a whole recording").map(|message| message.channel)
     {
