@@ -16,7 +16,7 @@ use console::answer;
 use console::exit::{Exit, Failure};
 use console::out_folder::OutFolder;
 use console::progress::Steps;
-use fault_matrix::{Cell, Simulation, Verdict};
+use fault_matrix::{Cell, CellVerdict, Simulation};
 use faults::{DrivePhase, InjectedFault};
 use serde::{Deserialize, Serialize};
 use shared_types::did_you_mean;
@@ -162,7 +162,7 @@ fn summary(driven: Vec<Driven>) -> Matrix {
         }
     }
     matrix.cells.sort_by(|one, two| (&one.fault, one.phase).cmp(&(&two.fault, two.phase)));
-    matrix.failed = matrix.cells.iter().filter(|cell| cell.verdict == Verdict::Fail).count();
+    matrix.failed = matrix.cells.iter().filter(|cell| cell.verdict == CellVerdict::Fail).count();
     matrix.passed = matrix.cells.len() - matrix.failed;
     matrix
 }
@@ -176,7 +176,7 @@ fn text(matrix: &Matrix) -> String {
          clearance       smallest {nearest:.3} m\n",
         cells.len()
     );
-    for cell in cells.iter().filter(|cell| cell.verdict == Verdict::Fail) {
+    for cell in cells.iter().filter(|cell| cell.verdict == CellVerdict::Fail) {
         text += &format!("failed          {}: {}\n", name(&cell.fault, cell.phase), cell.reason);
     }
     skipped.iter().for_each(|reason| text += &format!("skipped         {reason}\n"));

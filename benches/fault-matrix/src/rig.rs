@@ -22,7 +22,7 @@ use shared_types::{
 use vehicle::Invalid;
 
 use self::controllers::Controllers;
-use crate::finding::{Findings, Place};
+use crate::finding::{FindingPlace, Findings};
 use crate::reader::Reader;
 use crate::wire::{Wire, Writer};
 
@@ -179,8 +179,8 @@ impl Rig {
     }
 
     /// Now, and the way driven until now.
-    pub fn place(&self) -> Place {
-        Place { at_ns: self.now_ns, way_m: self.way_m }
+    pub fn place(&self) -> FindingPlace {
+        FindingPlace { at_ns: self.now_ns, way_m: self.way_m }
     }
 
     /// How the drive ended, as text.

@@ -5,7 +5,7 @@ use faults::{DrivePhase, InjectedFault};
 use pipeline::PipelineSettings;
 use vehicle::Invalid;
 
-use crate::cell::{Cell, Course, Limits, Observed, Passed, judge};
+use crate::cell::{Cell, Course, DetectionLimits, Observed, Passed, judge};
 use crate::course::{SHADOWED, begins, settings};
 use crate::finding::{Finding, Findings};
 use crate::rig::Rig;
@@ -13,7 +13,7 @@ use crate::rig::Rig;
 /// The drives at the beginning of all phases.
 #[derive(Debug)]
 pub struct Simulation {
-    limits: Limits,
+    limits: DetectionLimits,
     phases: Vec<(DrivePhase, Rig, Twin)>,
 }
 
@@ -32,7 +32,7 @@ impl Simulation {
     pub fn new() -> Result<Self, Invalid> {
         let settings = settings();
         let deceleration_mps2 = settings.tuning.vehicle.blocked_deceleration_mps2;
-        let limits = Limits { period_s: settings.period_ns as f64 * 1e-9, deceleration_mps2 };
+        let limits = DetectionLimits { period_s: settings.period_ns as f64 * 1e-9, deceleration_mps2 };
         let mut phases = Vec::new();
         for phase in DrivePhase::ALL {
             let mut rig = Rig::new(&settings)?;

@@ -8,7 +8,7 @@ use anyhow::Context;
 use commands::inject::act::{act, faulty_role};
 use console::new_file::Scratch;
 use fault_matrix::course::{begins, live_scenario, settings};
-use fault_matrix::{Course, Finding, Limits, Observed, Place, Simulation, judge};
+use fault_matrix::{Course, DetectionLimits, Finding, FindingPlace, Observed, Simulation, judge};
 use faults::{DrivePhase, InjectedFault, Injection, ProcessAction, ProcessFault};
 use pipeline::PipelineSettings;
 use runtime::monotonic_ns;
@@ -52,7 +52,7 @@ impl Live {
         let observed = drive(process, phase, &settings)?;
         let unaffected = self.unaffected(phase, &settings)?;
         let deceleration_mps2 = settings.tuning.vehicle.blocked_deceleration_mps2;
-        let limits = Limits { period_s: settings.period_ns as f64 * 1e-9, deceleration_mps2 };
+        let limits = DetectionLimits { period_s: settings.period_ns as f64 * 1e-9, deceleration_mps2 };
         Ok(Ok(judge(fault, phase, &Observed { unaffected, ..observed }, &limits)))
     }
 
@@ -129,7 +129,7 @@ fn with_ways(findings: Vec<Finding>, course: &Course, ends_as_planned: bool) -> 
     let is_end = |finding: &Finding| finding.by == "orchestrator" && finding.what == "ended";
     let of = |finding: Finding| {
         let at_ns = finding.place.at_ns;
-        Finding { place: Place { at_ns, way_m: course.way_m(at_ns) }, ..finding }
+        Finding { place: FindingPlace { at_ns, way_m: course.way_m(at_ns) }, ..finding }
     };
     findings.into_iter().filter(|finding| !(ends_as_planned && is_end(finding))).map(of).collect()
 }
