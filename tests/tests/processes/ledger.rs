@@ -10,7 +10,7 @@ use emulator::Outcome;
 use report::Report;
 use report::latency::attribute;
 use runtime::{Bus, Observer};
-use scanloop_tests::{Place, STAGES, System, plan, system_file};
+use scanloop_tests::{DelayPlace, STAGES, TestSystem, plan, system_file};
 use shared_types::{Actuation, Header, Role, Topic};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -51,7 +51,7 @@ impl Dice {
 
 /// Plants one fault in a run; returns scan and number of the sample that it affected, if any, and the report.
 fn hide(fault: &str, topic: Topic, role: Role, scan: u64, lockstep: bool) -> (Option<[u64; 2]>, Report) {
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     let file = system.folder().join("system.toml");
     let rate_hz = if lockstep { 10 } else { 100 };
     let arguments = [fault, topic.name(), &scan.to_string()];
@@ -69,7 +69,7 @@ fn hide(fault: &str, topic: Topic, role: Role, scan: u64, lockstep: bool) -> (Op
 }
 
 /// Numbers in the lines of a role's log with a prefix: `prefix scan 17 ns 25` has 17 and 25.
-fn log(system: &System, role: Role, prefix: &str) -> Vec<Vec<u64>> {
+fn log(system: &TestSystem, role: Role, prefix: &str) -> Vec<Vec<u64>> {
     let text = std::fs::read_to_string(system.folder().join(format!("out/logs/{role}.log"))).unwrap();
     let lines = text.lines().filter(|line| line.starts_with(prefix));
     lines.map(|line| line.split(' ').filter_map(|number| number.parse().ok()).collect()).collect()
@@ -103,7 +103,7 @@ fn finds_one(dice: &mut Dice, lockstep: bool) {
 const MAX_MEMORY_KIB: u64 = 400_000;
 
 /// The most memory that the orchestrator has needed so far [KiB].
-fn memory_kib(system: &System) -> u64 {
+fn memory_kib(system: &TestSystem) -> u64 {
     let text = std::fs::read_to_string(format!("/proc/{}/status", system.orchestrator())).unwrap_or_default();
     let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
     line.and_then(|line| line.trim().trim_end_matches(" kB").parse().ok()).unwrap_or(0)
@@ -115,7 +115,7 @@ fn memory_kib(system: &System) -> u64 {
 fn no_number_in_a_header_ends_a_run_or_takes_its_memory() {
     repeat_when_late(|| {
         for (topic, role) in TOPICS {
-            let mut system = System::new(EXECUTABLE);
+            let mut system = TestSystem::new(EXECUTABLE);
             let file = system.folder().join("system.toml");
             std::fs::write(&file, system_file(100, &[role], FAULTY, &["forge", topic.name(), "40"])).unwrap();
             system.start(&["--system", file.to_str().unwrap(), "--duration", "4"]);
@@ -193,7 +193,7 @@ fn a_clean_run_raises_no_alarm() {
     repeat_when_late(|| {
         let mut dice = Dice(3);
         for trial in 0..trials(6) {
-            let mut system = System::new(EXECUTABLE);
+            let mut system = TestSystem::new(EXECUTABLE);
             let seed = dice.roll(1_000_000).to_string();
             let report = if trial % 2 == 0 {
                 system.lockstep(&["long", "--seed", &seed])
@@ -223,7 +223,7 @@ fn assert_clean(report: &Report) {
 }
 
 /// The headers of all actuations that answered a scan, read from the bus while the system drives.
-fn answers(system: &System) -> BTreeMap<u64, Header> {
+fn answers(system: &TestSystem) -> BTreeMap<u64, Header> {
     let bus = Bus::open(&system.domain(), "observer").unwrap();
     let observer = Observer::<Actuation>::new(&bus).unwrap();
     let headers = RefCell::new(BTreeMap::new());
@@ -241,7 +241,7 @@ fn answers(system: &System) -> BTreeMap<u64, Header> {
 }
 
 /// When one stage waited per scan, from its own log: from, to [ns].
-fn planted(system: &System, role: Role) -> BTreeMap<u64, (u64, u64)> {
+fn planted(system: &TestSystem, role: Role) -> BTreeMap<u64, (u64, u64)> {
     log(system, role, "planted").into_iter().map(|line| (line[0], (line[1], line[2]))).collect()
 }
 
@@ -257,7 +257,7 @@ fn median(mut values: Vec<u64>) -> u64 {
 #[test]
 fn planted_delays_lie_in_the_stage_and_place_that_they_are_attributed_to() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let file = system.folder().join("system.toml");
         std::fs::write(&file, system_file(10, &STAGES, FAULTY, &["delay"])).unwrap();
         system.start(&["endless", "--system", file.to_str().unwrap(), "--duration", "11"]);
@@ -279,14 +279,14 @@ fn planted_delays_lie_in_the_stage_and_place_that_they_are_attributed_to() {
             };
             let next = STAGES.get(index + 1).map(|next| header.stage(*next));
             let (part, attributed_ns) = match place {
-                Place::Take => ((before_ns, stamps.taken_ns), attribution.stages[index].hop_ns),
-                Place::Compute => {
+                DelayPlace::Take => ((before_ns, stamps.taken_ns), attribution.stages[index].hop_ns),
+                DelayPlace::Compute => {
                     ((stamps.taken_ns, stamps.computed_ns), attribution.stages[index].compute_ns)
                 }
-                Place::Publish => {
+                DelayPlace::Publish => {
                     ((stamps.computed_ns, stamps.published_ns), attribution.stages[index].publish_ns)
                 }
-                Place::Deliver => match next {
+                DelayPlace::Deliver => match next {
                     // A subscriber that polled before it was woken did not wait.
                     Some(next) if next.woken_ns >= to_ns => {
                         ((stamps.published_ns, next.taken_ns), attribution.stages[index + 1].hop_ns)

@@ -16,8 +16,8 @@ use player::config::Delivery;
 use player::order::GuardOrder;
 use runtime::{Bus, Observer};
 use rustix::process::{Pid, Signal, kill_process};
-use scanloop_tests::player_server::{Fault, PlayerServer, Received};
-use scanloop_tests::{DEADLINE, System, pause};
+use scanloop_tests::player_server::{PlayerServer, ReceivedCommand, ServerFault};
+use scanloop_tests::{DEADLINE, TestSystem, pause};
 use shared_types::{BEAMS, Role, Scan};
 use urg::DeviceFault;
 
@@ -127,14 +127,15 @@ fn guards(port: u16) -> Vec<Pid> {
 /// Time from a moment to the first stop that the server received after it [ns].
 fn stopped_after_ns(server: &PlayerServer, since_ns: u64) -> Option<u64> {
     let received = server.received();
-    let stop =
-        received.iter().find(|(at_ns, what)| *at_ns >= since_ns && !matches!(what, Received::Drive(..)));
+    let stop = received
+        .iter()
+        .find(|(at_ns, what)| *at_ns >= since_ns && !matches!(what, ReceivedCommand::Drive(..)));
     stop.map(|(at_ns, _)| at_ns - since_ns)
 }
 
 fn last_drive_ns(server: &PlayerServer) -> u64 {
     let received = server.received();
-    let drive = received.iter().rev().find(|(_, what)| matches!(what, Received::Drive(..)));
+    let drive = received.iter().rev().find(|(_, what)| matches!(what, ReceivedCommand::Drive(..)));
     drive.expect("a command to drive").0
 }
 
@@ -202,9 +203,13 @@ fn disturb_guard(signal: Signal) -> (Link, u64) {
     let blind_ns = stopped_after_ns(&link.server, since_ns).unwrap();
     let received: Vec<_> =
         link.server.received().into_iter().filter(|(at_ns, _)| *at_ns >= since_ns).collect();
-    let stops = received.iter().filter(|(_, what)| !matches!(what, Received::Drive(..))).take(2);
-    let stops: Vec<Received> = stops.map(|(_, what)| *what).collect();
-    assert_eq!(stops, [Received::Stop; 2], "both forms, before the connection is closed: {received:?}");
+    let stops = received.iter().filter(|(_, what)| !matches!(what, ReceivedCommand::Drive(..))).take(2);
+    let stops: Vec<ReceivedCommand> = stops.map(|(_, what)| *what).collect();
+    assert_eq!(
+        stops,
+        [ReceivedCommand::Stop; 2],
+        "both forms, before the connection is closed: {received:?}"
+    );
     // With another guard it drives again.
     link.drive_until("it drives again", |link| link.orders.is_some() && link.server.speed_mps() > 0.3);
     assert_ne!(link.guard(), guard);
@@ -234,13 +239,13 @@ fn the_driver_stops_the_wheels_when_the_guard_hangs_and_starts_another() {
 }
 
 /// Switches a fault of the server on while the robot drives; returns the first text of the loss.
-fn disturb_server(fault: Fault, config: PlayerConfig) -> String {
+fn disturb_server(fault: ServerFault, config: PlayerConfig) -> String {
     let mut link = Link::new(config);
     link.drive_until("it drives", |link| link.server.speed_mps() > 0.3 && link.sweeps > 3);
     link.server.set_fault(fault);
     link.drive_until("the driver notices", |link| !link.lost.is_empty());
     link.wait("it stands", None, |link| link.server.speed_mps() == 0.0);
-    link.server.set_fault(Fault::None);
+    link.server.set_fault(ServerFault::None);
     link.drive_until("it drives again", |link| link.server.speed_mps() > 0.3 && link.sweeps > 3);
     link.lost.swap_remove(0)
 }
@@ -249,9 +254,9 @@ fn disturb_server(fault: Fault, config: PlayerConfig) -> String {
 fn a_server_that_falls_silent_is_left_and_the_wheels_are_stopped() {
     repeat_when_late(|| {
         for (fault, delivery) in [
-            (Fault::Stalls, Delivery::Push),
-            (Fault::Stalls, Delivery::Pull),
-            (Fault::HalfSweep, Delivery::Push),
+            (ServerFault::Stalls, Delivery::Push),
+            (ServerFault::Stalls, Delivery::Pull),
+            (ServerFault::HalfSweep, Delivery::Push),
         ] {
             let lost =
                 disturb_server(fault, PlayerConfig { delivery, silence_s: 0.3, ..PlayerConfig::default() });
@@ -263,7 +268,7 @@ fn a_server_that_falls_silent_is_left_and_the_wheels_are_stopped() {
 #[test]
 fn a_server_that_sends_garbage_is_left_and_the_wheels_are_stopped() {
     repeat_when_late(|| {
-        let lost = disturb_server(Fault::Garbage, PlayerConfig::default());
+        let lost = disturb_server(ServerFault::Garbage, PlayerConfig::default());
         assert!(lost.contains("garbage in the stream: `\\xa5\\xa5"), "{lost}");
     });
 }
@@ -271,13 +276,13 @@ fn a_server_that_sends_garbage_is_left_and_the_wheels_are_stopped() {
 #[test]
 fn a_server_that_floods_is_left_and_the_wheels_are_stopped() {
     repeat_when_late(|| {
-        let lost = disturb_server(Fault::Floods, PlayerConfig::default());
+        let lost = disturb_server(ServerFault::Floods, PlayerConfig::default());
         assert!(lost.starts_with("the server floods: "), "{lost}");
     });
 }
 
 /// A system file for a server, with more keys of `[player]`.
-fn system_file(system: &System, port: u16, more: &str) -> String {
+fn system_file(system: &TestSystem, port: u16, more: &str) -> String {
     let text = include_str!("../../../examples/player/system.toml");
     let text = text.replace("port = 6665", &format!("port = {port}\ndelay_s = 0.0333\n{more}"));
     let path = system.folder().join("system.toml");
@@ -291,20 +296,20 @@ fn hokuyo(server: &PlayerServer) -> String {
 }
 
 /// What `status` shows of the robot's devices: state and reason.
-fn device(system: &System) -> Option<(String, String)> {
+fn device(system: &TestSystem) -> Option<(String, String)> {
     let robot = system.status()?.processes.into_iter().find(|process| process.role == Role::Robot)?;
     assert_eq!(robot.device.is_some(), robot.device_for_s.is_some());
     Some((robot.device?, robot.device_reason?))
 }
 
-fn shows(system: &System, state: &str, reason: &str) -> bool {
+fn shows(system: &TestSystem, state: &str, reason: &str) -> bool {
     device(system).is_some_and(|(its_state, its_reason)| its_state == state && its_reason.contains(reason))
 }
 
 /// Drives a scenario through the shipped orchestrator to its end.
 fn drives(scenario: &str, more: impl Fn(&PlayerServer) -> String) {
     let server = server(scenario);
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     let file = system_file(&system, server.port(), &more(&server));
     system.start(&["--system", &file, scenario, "--record"]);
     system.wait_until("base and scanner run", |system| shows(system, "running", ""));
@@ -352,7 +357,7 @@ fn a_base_at_the_server_and_a_hokuyo_scanner_drive_past_two_obstacles() {
 /// Drives with a Hokuyo scanner, damages one scan, then all for a while; the run reaches its goal.
 fn survives_damage(damage: DeviceFault, reason: &str) {
     let server = server("corridor");
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     let file = system_file(&system, server.port(), &hokuyo(&server));
     system.start(&["--system", &file, "corridor"]);
     let bus = Bus::open(&system.domain(), "test").unwrap();
@@ -427,7 +432,7 @@ fn half_scans_are_named_and_stop_the_wheels_if_they_last() {
 fn a_scanner_that_is_not_there_is_named_in_the_status() {
     repeat_when_late(|| {
         let server = server("free");
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let closed = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap().local_addr().unwrap();
         let file = system_file(&system, server.port(), &format!("scan = \"urg\"\nurg = \"{closed}\""));
         system.launch(&["run", "--quiet", "--out", "out", "--system", &file, "free"], &[]);
@@ -447,19 +452,19 @@ fn a_scanner_that_is_not_there_is_named_in_the_status() {
 fn the_run_goes_on_after_the_server_was_silent() {
     repeat_when_late(|| {
         let server = server("corridor");
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let file = system_file(&system, server.port(), "silence_s = 0.3");
         system.start(&["--system", &file, "corridor", "--set", "stop_final_s=60"]);
         system.wait_until("it drives", |_| server.truth().x_m > 1.0 && server.speed_mps() > 0.5);
         let silent_since_ns = runtime::monotonic_ns();
-        server.set_fault(Fault::Stalls);
+        server.set_fault(ServerFault::Stalls);
         system.wait_until("it stands", |_| server.speed_mps() == 0.0);
         let stopped_ns = stopped_after_ns(&server, silent_since_ns).unwrap();
         // The actuator blocks the wheels 1.5 periods after the last command.
         assert!(stopped_ns < 2 * PERIOD_NS + BUSY_NS, "{stopped_ns} ns");
         system.wait_until("the driver has left the server", |_| guards(server.port()).is_empty());
         system.wait_until("the fault is shown", |system| shows(system, "fault", "base: no data of the "));
-        server.set_fault(Fault::None);
+        server.set_fault(ServerFault::None);
         system.wait_until("the base runs again", |system| shows(system, "running", ""));
         let status = system.wait();
         assert_eq!(
@@ -477,10 +482,10 @@ fn the_run_goes_on_after_the_server_was_silent() {
 }
 
 /// Drives 10 m with outages, each from a place on for a time [m, s]; the goal is reached by the truth.
-fn survives_outages(watchdog_ns: Option<u64>, outages: &[(Fault, f64, u64)]) {
+fn survives_outages(watchdog_ns: Option<u64>, outages: &[(ServerFault, f64, u64)]) {
     let server = server("free");
     watchdog_ns.into_iter().for_each(|after_ns| server.set_watchdog(after_ns));
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     let file = system_file(&system, server.port(), "");
     system.start(&["--system", &file, "free", "--set", "stop_final_s=30"]);
     for (fault, from_m, for_ms) in outages {
@@ -488,7 +493,7 @@ fn survives_outages(watchdog_ns: Option<u64>, outages: &[(Fault, f64, u64)]) {
         let until_ns = runtime::monotonic_ns() + for_ms * 1_000_000;
         server.set_fault(*fault);
         system.wait_until("the outage is over", |_| runtime::monotonic_ns() >= until_ns);
-        server.set_fault(Fault::None);
+        server.set_fault(ServerFault::None);
     }
     let status = system.wait();
     assert_eq!((status.code(), system.report().outcome), (Some(0), Outcome::Reached), "{}", system.stderr());
@@ -501,7 +506,8 @@ fn survives_outages(watchdog_ns: Option<u64>, outages: &[(Fault, f64, u64)]) {
 fn after_outages_the_pose_is_where_the_robot_is_and_it_drives_on() {
     repeat_when_late(|| {
         // The robot has a watchdog of 0.3 s, and the driver forwards what comes late.
-        let outages = [(Fault::Held, 1.0, 500), (Fault::Held, 3.0, 1_000), (Fault::Held, 5.5, 1_500)];
+        let outages =
+            [(ServerFault::Held, 1.0, 500), (ServerFault::Held, 3.0, 1_000), (ServerFault::Held, 5.5, 1_500)];
         survives_outages(Some(300_000_000), &outages);
     });
 }
@@ -510,10 +516,10 @@ fn after_outages_the_pose_is_where_the_robot_is_and_it_drives_on() {
 fn after_outages_without_their_data_it_drives_on() {
     repeat_when_late(|| {
         let outages = [
-            (Fault::Cut, 1.0, 300),
-            (Fault::Cut, 2.5, 700),
-            (Fault::Cut, 4.5, 1_300),
-            (Fault::Cut, 6.5, 2_500),
+            (ServerFault::Cut, 1.0, 300),
+            (ServerFault::Cut, 2.5, 700),
+            (ServerFault::Cut, 4.5, 1_300),
+            (ServerFault::Cut, 6.5, 2_500),
         ];
         survives_outages(Some(300_000_000), &outages);
     });
@@ -523,7 +529,7 @@ fn after_outages_without_their_data_it_drives_on() {
 fn a_base_that_drives_on_for_more_than_a_metre_in_an_outage_has_not_jumped() {
     repeat_when_late(|| {
         // The wheels follow the last command, as those of Stage; the driver leaves the server after a second.
-        survives_outages(None, &[(Fault::Cut, 2.0, 1_200), (Fault::Held, 5.0, 1_500)]);
+        survives_outages(None, &[(ServerFault::Cut, 2.0, 1_200), (ServerFault::Held, 5.0, 1_500)]);
     });
 }
 
@@ -531,7 +537,7 @@ fn a_base_that_drives_on_for_more_than_a_metre_in_an_outage_has_not_jumped() {
 fn a_second_driver_of_the_same_wheels_is_refused_and_the_first_drives_on() {
     repeat_when_late(|| {
         let server = server("free");
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let file = system_file(&system, server.port(), "");
         system.start(&["--system", &file, "free"]);
         system.wait_until("it drives", |_| server.speed_mps() > 0.5);
@@ -539,7 +545,7 @@ fn a_second_driver_of_the_same_wheels_is_refused_and_the_first_drives_on() {
         let message = scanloop_tests::printed(&output);
         assert_ne!(output.status.code(), Some(0), "{message}");
         assert!(message.contains("the wheels have one driver"), "{message}");
-        assert!(server.received().iter().all(|(_, what)| *what != Received::Closed));
+        assert!(server.received().iter().all(|(_, what)| *what != ReceivedCommand::Closed));
         let x_m = server.truth().x_m;
         system.wait_until("it drives on", |_| server.truth().x_m > x_m + 0.5);
     });
@@ -549,7 +555,7 @@ fn a_second_driver_of_the_same_wheels_is_refused_and_the_first_drives_on() {
 fn a_hokuyo_scanner_at_this_computer_and_a_base_at_the_server_are_one_robot() {
     repeat_when_late(|| {
         let server = server("free");
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let mut scanner = system.command(&["urg", "emulate", "--duration", "60", "--tcp", "127.0.0.1:0"]);
         let mut scanner = scanner.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
         let mut place = String::new();
@@ -568,7 +574,7 @@ fn a_hokuyo_scanner_at_this_computer_and_a_base_at_the_server_are_one_robot() {
 /// Kills the driver while it drives, after the guard if that is asked for; returns the server and the time of the kill.
 fn kill_driver(with_guard: bool) -> (PlayerServer, u64) {
     let server = server("free");
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     let file = system_file(&system, server.port(), "");
     system.start(&["--system", &file, "free"]);
     system.wait_until("it drives", |_| server.speed_mps() > 0.5);
@@ -596,7 +602,11 @@ fn the_guard_stops_the_wheels_when_the_driver_is_killed() {
         let received = server.received();
         let after: Vec<_> =
             received.iter().filter(|(at_ns, _)| *at_ns >= since_ns).map(|(_, what)| *what).collect();
-        assert_eq!(after[..2], [Received::Stop; 2], "both forms, before the connection is closed: {after:?}");
+        assert_eq!(
+            after[..2],
+            [ReceivedCommand::Stop; 2],
+            "both forms, before the connection is closed: {after:?}"
+        );
     });
 }
 
@@ -607,7 +617,11 @@ fn the_closed_connection_stops_the_wheels_when_driver_and_guard_are_killed() {
         let received = server.received();
         let after: Vec<_> =
             received.iter().filter(|(at_ns, _)| *at_ns >= since_ns).map(|(_, what)| *what).collect();
-        assert_eq!(after, [Received::Stop, Received::Closed], "the server stops its robot by itself");
+        assert_eq!(
+            after,
+            [ReceivedCommand::Stop, ReceivedCommand::Closed],
+            "the server stops its robot by itself"
+        );
         assert!(stopped_after_ns(&server, since_ns).unwrap() < BUSY_NS);
     });
 }
@@ -615,7 +629,7 @@ fn the_closed_connection_stops_the_wheels_when_driver_and_guard_are_killed() {
 #[test]
 fn the_driver_meets_what_is_required_of_a_robot() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         // One robot: one case at a time.
         let test = |more: &[&str]| {
             let server = server("free");
