@@ -6,7 +6,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use criterion::Criterion;
-use laboratory::{Echo, Peer, echo_until_told};
+use laboratory::{EchoClient, Peer, echo_until_told};
 
 /// Makes this program the answering end of the system it names.
 const ECHO_VARIABLE: &str = "SCANLOOP_BENCH_ECHO";
@@ -29,7 +29,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 't' => Peer::Thread,
                 _ => Peer::Process(this_program(&system_id)),
             };
-            let mut echo = Echo::start(&system_id, peer).expect("a bus of two ends");
+            let mut echo = EchoClient::start(&system_id, peer).expect("a bus of two ends");
             bencher.iter_custom(|iterations| {
                 let started = Instant::now();
                 for _ in 0..iterations {

@@ -19,7 +19,7 @@ use anyhow::Context;
 use laboratory::{CountingAllocator, allocations};
 use runtime::monotonic_ns;
 use shared_types::Scan;
-use urg::{Config, Emulator, Place, Source};
+use urg::{ScannerConfig, ScannerConnection, ScannerEmulator, ScannerPlace};
 
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
@@ -32,12 +32,12 @@ const PAUSE: Duration = Duration::from_millis(5);
 fn main() -> anyhow::Result<()> {
     let scans: usize = std::env::args().nth(1).map_or(Ok(1000), |count| count.parse()).context("SCANS")?;
     let listener = TcpListener::bind("127.0.0.1:0")?;
-    let place = Place::parse(&listener.local_addr()?.to_string())?;
+    let place = ScannerPlace::parse(&listener.local_addr()?.to_string())?;
     let sent_ns = Arc::new(AtomicU64::new(0));
     let noted_ns = Arc::clone(&sent_ns);
     // It ends when the driver closes the connection.
     std::thread::spawn(move || listener.accept().map(|(stream, _)| play(stream, &noted_ns)));
-    let mut source = Source::open(Config::new(place), monotonic_ns);
+    let mut source = ScannerConnection::open(ScannerConfig::new(place), monotonic_ns);
     let mut scan = Scan::default();
     let mut delays_ns = Vec::with_capacity(scans);
     let (mut count, mut before) = (0, 0);
@@ -65,7 +65,7 @@ fn main() -> anyhow::Result<()> {
 /// Plays a scanner whose scans come one byte late.
 fn play(mut stream: TcpStream, sent_ns: &AtomicU64) -> std::io::Result<()> {
     stream.set_nodelay(true)?;
-    let mut emulator = Emulator::in_a_room(monotonic_ns());
+    let mut emulator = ScannerEmulator::in_a_room(monotonic_ns());
     let mut bytes = [0; 256];
     // The answer to the last command is followed by scans.
     loop {

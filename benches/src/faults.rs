@@ -16,8 +16,8 @@ use console::answer;
 use console::exit::{Exit, Failure};
 use console::out_folder::OutFolder;
 use console::progress::Steps;
-use fault_matrix::{Cell, Simulation, Verdict};
-use faults::{Fault, Phase};
+use fault_matrix::{Cell, CellVerdict, Simulation};
+use faults::{DrivePhase, InjectedFault};
 use serde::{Deserialize, Serialize};
 use shared_types::did_you_mean;
 
@@ -89,15 +89,18 @@ pub(crate) fn faults(arguments: &FaultsArguments) -> anyhow::Result<Exit> {
 }
 
 /// The name of a cell.
-fn name(fault: &str, phase: Phase) -> String {
+fn name(fault: &str, phase: DrivePhase) -> String {
     format!("{fault}/{phase}")
 }
 
 /// The cells that were asked for, in the order of their names.
-fn chosen<'a>(all: &'a [Fault], arguments: &FaultsArguments) -> anyhow::Result<Vec<(&'a Fault, Phase)>> {
+fn chosen<'a>(
+    all: &'a [InjectedFault],
+    arguments: &FaultsArguments,
+) -> anyhow::Result<Vec<(&'a InjectedFault, DrivePhase)>> {
     let pattern = arguments.only.as_deref().unwrap_or("*");
     let cells = all.iter().flat_map(|fault| fault.phases().map(move |phase| (fault, phase)));
-    let mut chosen: Vec<(&Fault, Phase)> =
+    let mut chosen: Vec<(&InjectedFault, DrivePhase)> =
         cells.filter(|(fault, phase)| matches(pattern, &name(&fault.name, *phase))).collect();
     if chosen.is_empty() {
         let meant = did_you_mean(pattern, all.iter().map(|fault| fault.name.as_str()));
@@ -128,14 +131,14 @@ fn matches(pattern: &str, name: &str) -> bool {
     rest.ends_with(last)
 }
 
-fn drive(chosen: &[(&Fault, Phase)]) -> anyhow::Result<Matrix> {
+fn drive(chosen: &[(&InjectedFault, DrivePhase)]) -> anyhow::Result<Matrix> {
     let (live, simulated): (Vec<_>, Vec<_>) = chosen.iter().copied().partition(|(fault, _)| fault.is_live());
     let mut steps = Steps::new(chosen.len() as u64, "cells");
     let mut driven = Vec::new();
     if !simulated.is_empty() {
         let simulation = Simulation::new()?;
         let cell = |index: usize| {
-            let (fault, phase): (&Fault, Phase) = simulated[index];
+            let (fault, phase): (&InjectedFault, DrivePhase) = simulated[index];
             simulation.cell(fault, phase).ok_or_else(|| {
                 format!("{}: the scenario of the fault is not allowed", name(&fault.name, phase))
             })
@@ -159,7 +162,7 @@ fn summary(driven: Vec<Driven>) -> Matrix {
         }
     }
     matrix.cells.sort_by(|one, two| (&one.fault, one.phase).cmp(&(&two.fault, two.phase)));
-    matrix.failed = matrix.cells.iter().filter(|cell| cell.verdict == Verdict::Fail).count();
+    matrix.failed = matrix.cells.iter().filter(|cell| cell.verdict == CellVerdict::Fail).count();
     matrix.passed = matrix.cells.len() - matrix.failed;
     matrix
 }
@@ -173,7 +176,7 @@ fn text(matrix: &Matrix) -> String {
          clearance       smallest {nearest:.3} m\n",
         cells.len()
     );
-    for cell in cells.iter().filter(|cell| cell.verdict == Verdict::Fail) {
+    for cell in cells.iter().filter(|cell| cell.verdict == CellVerdict::Fail) {
         text += &format!("failed          {}: {}\n", name(&cell.fault, cell.phase), cell.reason);
     }
     skipped.iter().for_each(|reason| text += &format!("skipped         {reason}\n"));
@@ -206,7 +209,7 @@ mod tests {
         assert!(chosen(&all, &arguments).unwrap().len() >= 500);
         let sample = chosen(&all, &FaultsArguments { sample: Some(60), ..arguments }).unwrap();
         assert_eq!(sample.len(), 60);
-        assert!(Phase::ALL.iter().all(|phase| sample.iter().any(|(_, of)| of == phase)));
+        assert!(DrivePhase::ALL.iter().all(|phase| sample.iter().any(|(_, of)| of == phase)));
         assert!(sample.iter().any(|(fault, _)| fault.is_live()));
         let none = FaultsArguments { only: Some("nothing".to_owned()), ..FaultsArguments::default() };
         assert!(chosen(&all, &none).unwrap_err().to_string().contains("--only nothing"));

@@ -7,12 +7,12 @@
 use std::time::{Duration, Instant};
 
 use emulator::Scenario;
-use pipeline::{Settings, Step, Tuning, drive};
+use pipeline::{PipelineSettings, Step, Tuning, drive};
 
 /// All samples of one run in simulated time.
 pub struct Lap {
     /// The scenario, with the default settings.
-    pub settings: Settings,
+    pub settings: PipelineSettings,
     /// One element per scan.
     pub steps: Vec<Step>,
 }
@@ -24,7 +24,8 @@ impl Lap {
     /// When the scenario is not shipped or not allowed: both are errors of the bench.
     pub fn record(scenario: &str) -> Self {
         let text = Scenario::shipped(scenario).expect("benches drive shipped scenarios");
-        let settings = Settings::of(Scenario::parse(text, scenario).expect("shipped scenarios are valid"));
+        let settings =
+            PipelineSettings::of(Scenario::parse(text, scenario).expect("shipped scenarios are valid"));
         let mut steps = Vec::new();
         drive(&settings, |step| steps.push(*step)).expect("default settings are valid");
         Self { settings, steps }
@@ -71,7 +72,8 @@ mod tests {
 
     #[test]
     fn whole_laps_are_driven_until_enough_scans_are_timed() {
-        let lap = Lap { settings: Settings::of(Scenario::default()), steps: vec![Step::default(); 4] };
+        let lap =
+            Lap { settings: PipelineSettings::of(Scenario::default()), steps: vec![Step::default(); 4] };
         let mut worked = 0;
         lap.time(6, || (), |_| true, |(), _| worked += 1);
         assert_eq!(worked, 8, "six scans need two laps of four");

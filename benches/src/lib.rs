@@ -32,7 +32,7 @@ use console::output::data;
 
 pub use allocations::{CountingAllocator, allocations};
 pub use lap::Lap;
-pub use round_trips::{Echo, Peer, echo_until_told};
+pub use round_trips::{EchoClient, Peer, echo_until_told};
 
 use analyse::AnalyseCommand;
 use campaign::arguments::CampaignArguments;

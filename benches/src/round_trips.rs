@@ -26,7 +26,7 @@ pub enum Peer {
 }
 
 /// The asking end; ends the other one and removes the bus when dropped.
-pub struct Echo {
+pub struct EchoClient {
     // Fields are dropped in this order: ports before the bus, the bus before its files.
     poses: Publisher<Pose>,
     commands: Observer<Command>,
@@ -44,7 +44,7 @@ enum Other {
 /// Files of a bus in shared memory and in the directory of its system; removed when dropped.
 struct Files(Domain);
 
-impl Echo {
+impl EchoClient {
     /// A new bus with its two ends connected.
     ///
     /// # Errors
@@ -100,7 +100,7 @@ impl Echo {
     }
 }
 
-impl Drop for Echo {
+impl Drop for EchoClient {
     fn drop(&mut self) {
         let mut end = Pose::default();
         end.header.scan_id = END;
@@ -154,7 +154,7 @@ mod tests {
 
     #[test]
     fn round_trips_work_between_threads_and_leave_nothing_behind() {
-        let mut echo = Echo::start(&format!("e{}", std::process::id()), Peer::Thread).unwrap();
+        let mut echo = EchoClient::start(&format!("e{}", std::process::id()), Peer::Thread).unwrap();
         for _ in 0..100 {
             echo.round_trip().unwrap();
         }

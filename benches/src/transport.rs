@@ -18,7 +18,7 @@ use console::exit::{Exit, Failure};
 use console::out_folder::OutFolder;
 use console::output::data;
 use console::progress::Steps;
-use hops::{Contender, HopError, Plan, Policy};
+use hops::{ChainPlan, Contender, HopError, WaitPolicy};
 use runtime::Shutdown;
 
 pub(crate) use self::arguments::TransportArguments;
@@ -89,7 +89,7 @@ fn contenders(arguments: &TransportArguments) -> (Vec<Contender>, Vec<Skipped>) 
 /// All rounds at one rate. A contender that fails is moved to the skipped ones.
 fn rounds(
     arguments: &TransportArguments,
-    base: &Plan,
+    base: &ChainPlan,
     rate_hz: f64,
     contenders: &mut Vec<Contender>,
     skipped: &mut Vec<Skipped>,
@@ -106,7 +106,7 @@ fn rounds(
             }
         }
     }
-    let plan = Plan {
+    let plan = ChainPlan {
         rate_hz,
         // A fifth of a second warms caches and connections at any rate; slow rates get some messages at least.
         warm_up: (rate_hz / 5.0).ceil().max(3.0) as u64,
@@ -122,7 +122,7 @@ fn rounds(
             if !contenders.contains(&contender) {
                 continue;
             }
-            match hops::measure(&Plan { contender, policy, ..plan.clone() }, stop) {
+            match hops::measure(&ChainPlan { contender, policy, ..plan.clone() }, stop) {
                 Ok(block) => measured[place].blocks.push(block),
                 Err(HopError::Interrupted) => return Err(HopError::Interrupted.into()),
                 Err(error) if contender == Contender::Iceoryx2 => {
@@ -140,14 +140,14 @@ fn rounds(
 }
 
 /// What all chains have in common.
-fn plan(arguments: &TransportArguments, scheduling: &Scheduling) -> anyhow::Result<Plan> {
-    Ok(Plan {
+fn plan(arguments: &TransportArguments, scheduling: &Scheduling) -> anyhow::Result<ChainPlan> {
+    Ok(ChainPlan {
         contender: Contender::Iceoryx2,
         payload: arguments.payload,
         rate_hz: 1.0,
         warm_up: 0,
         samples: 0,
-        policy: Policy::Block,
+        policy: WaitPolicy::Block,
         scheduling: class(scheduling),
         cpus: scheduling.cpus.clone(),
         program: std::env::current_exe().context("the path of this program")?,
@@ -156,10 +156,10 @@ fn plan(arguments: &TransportArguments, scheduling: &Scheduling) -> anyhow::Resu
 }
 
 /// The policy of processes that belong to no system.
-fn class(scheduling: &Scheduling) -> hops::Scheduling {
+fn class(scheduling: &Scheduling) -> hops::SchedulingClass {
     match scheduling.policy {
-        Some(scheduling::Policy::Fifo) => hops::Scheduling::Fifo,
-        Some(scheduling::Policy::Other) | None => hops::Scheduling::Other,
+        Some(scheduling::SchedulingPolicy::Fifo) => hops::SchedulingClass::Fifo,
+        Some(scheduling::SchedulingPolicy::Other) | None => hops::SchedulingClass::Other,
     }
 }
 

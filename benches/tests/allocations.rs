@@ -9,7 +9,7 @@ use laboratory::{CountingAllocator, allocations};
 use ocp::{Budget, Hessian, Problem, Solution, Solver, SolverSettings, Trajectory};
 use problems::random;
 use shared_types::Scan;
-use urg::{Config, DeviceFault, Emulator, Place, Session};
+use urg::{DeviceFault, ScannerConfig, ScannerEmulator, ScannerPlace, ScannerSession};
 
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
@@ -53,7 +53,12 @@ fn a_solve_allocates_nothing_after_warm_up() {
 }
 
 /// The bytes of an emulated scanner in pieces of at most 500, each with its time, until `end_ms`.
-fn deliver(session: &mut Session, emulator: &mut Emulator, begin_ms: u64, end_ms: u64) -> (u64, u64) {
+fn deliver(
+    session: &mut ScannerSession,
+    emulator: &mut ScannerEmulator,
+    begin_ms: u64,
+    end_ms: u64,
+) -> (u64, u64) {
     let (mut scans, mut allocated) = (0, 0);
     let mut scan = Scan::default();
     for now_ns in (begin_ms..end_ms).map(|ms| ms * 1_000_000) {
@@ -78,8 +83,8 @@ fn deliver(session: &mut Session, emulator: &mut Emulator, begin_ms: u64, end_ms
 
 #[test]
 fn a_scan_of_a_scanner_allocates_nothing_after_the_start() {
-    let mut session = Session::new(Config::new(Place::parse("/dev/none").unwrap()));
-    let mut emulator = Emulator::in_a_room(0);
+    let mut session = ScannerSession::new(ScannerConfig::new(ScannerPlace::parse("/dev/none").unwrap()));
+    let mut emulator = ScannerEmulator::in_a_room(0);
     session.connected(0);
     let (scans, allocated) = deliver(&mut session, &mut emulator, 0, 3_000);
     assert!(

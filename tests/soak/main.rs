@@ -15,7 +15,7 @@ use clap::{Args, Parser, Subcommand};
 use scanloop_tests::long_drive::{LongDrive, LongTally, MAX_DRIVE_S, drive};
 use scanloop_tests::operator::{place, quantile, trial};
 use scanloop_tests::page_hours::watch;
-use scanloop_tests::recordings::{self, KINDS, Kind, ReplayTally};
+use scanloop_tests::recordings::{self, KINDS, RecordingKind, ReplayTally};
 use scanloop_tests::soak::{Tally, faults, swap_in_lockstep, swap_live};
 
 /// Exchanges, kills and stops processes at random moments, and checks what must hold after each.
@@ -171,7 +171,7 @@ fn operator(arguments: &OperatorArguments, executable: &str) -> std::process::Ex
 fn replays(arguments: &RecordingsArguments, executable: &str) -> std::process::ExitCode {
     let RecordingsArguments { count, jobs, seed } = *arguments;
     let next = AtomicU64::new(0);
-    let tallies = Mutex::new(BTreeMap::<Kind, ReplayTally>::new());
+    let tallies = Mutex::new(BTreeMap::<RecordingKind, ReplayTally>::new());
     std::thread::scope(|scope| {
         for _ in 0..jobs {
             scope.spawn(|| {

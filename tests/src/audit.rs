@@ -24,12 +24,12 @@ const AROUND: u64 = 3;
 #[derive(Debug)]
 pub struct Audit {
     stop: Arc<AtomicBool>,
-    thread: JoinHandle<Result<Recording, RuntimeError>>,
+    thread: JoinHandle<Result<AuditRecord, RuntimeError>>,
 }
 
 /// What was published while an [`Audit`] ran.
 #[derive(Debug, Clone, Default)]
-pub struct Recording {
+pub struct AuditRecord {
     /// Answers of all actuators, by scan.
     answers: BTreeMap<u64, Vec<Answer>>,
     /// Incarnation and stamp of all outputs, by role and scan.
@@ -66,7 +66,7 @@ impl Audit {
     ///
     /// # Panics
     /// When the bus could not be read.
-    pub fn stop(self) -> Recording {
+    pub fn stop(self) -> AuditRecord {
         self.stop.store(true, Ordering::Release);
         self.thread.join().expect("the thread ends").expect("the bus can be read")
     }
@@ -76,7 +76,7 @@ impl Audit {
 ///
 /// # Errors
 /// A text with all contradictions.
-pub fn audit(certificate: &Certificate, recording: &Recording) -> Result<(), String> {
+pub fn audit(certificate: &Certificate, recording: &AuditRecord) -> Result<(), String> {
     let mut faults = Vec::new();
     let role: Role = certificate.role.parse().map_err(|unknown| format!("{unknown}"))?;
     let (Some(last), Some(first)) = (certificate.last_scan_old, certificate.first_scan_new) else {
@@ -122,7 +122,7 @@ pub fn audit(certificate: &Certificate, recording: &Recording) -> Result<(), Str
     if faults.is_empty() { Ok(()) } else { Err(format!("{certificate:?}: {}", faults.join("; "))) }
 }
 
-impl Recording {
+impl AuditRecord {
     /// The incarnation of `role` that the answer to a scan rests on, as far as it can be told.
     pub fn party(&self, role: Role, scan: u64) -> Option<u32> {
         let answer = self.obeyed(scan)?;
@@ -206,7 +206,7 @@ impl Recording {
     }
 }
 
-fn watch(domain: &Domain, stop: &AtomicBool, ready: &AtomicBool) -> Result<Recording, RuntimeError> {
+fn watch(domain: &Domain, stop: &AtomicBool, ready: &AtomicBool) -> Result<AuditRecord, RuntimeError> {
     let bus = Bus::open(domain, "audit")?;
     let scans = Observer::<Scan>::new(&bus)?;
     let odometries = Observer::<Odometry>::new(&bus)?;
@@ -215,7 +215,7 @@ fn watch(domain: &Domain, stop: &AtomicBool, ready: &AtomicBool) -> Result<Recor
     let commands = Observer::<Command>::new(&bus)?;
     let actuations = Observer::<Actuation>::new(&bus)?;
     let states = Observer::<Checkpoint>::new(&bus)?;
-    let mut recording = Recording::default();
+    let mut recording = AuditRecord::default();
     while !stop.load(Ordering::Acquire) {
         outputs(&scans, Role::Robot, &mut recording)?;
         outputs(&odometries, Role::Robot, &mut recording)?;
@@ -240,7 +240,7 @@ fn watch(domain: &Domain, stop: &AtomicBool, ready: &AtomicBool) -> Result<Recor
 fn outputs<S: Sample>(
     observer: &Observer<S>,
     role: Role,
-    recording: &mut Recording,
+    recording: &mut AuditRecord,
 ) -> Result<(), RuntimeError> {
     observer.poll(|sample| recording.output(role, sample.header())).map(|_| ())
 }
@@ -250,8 +250,8 @@ mod tests {
     use super::*;
 
     /// Scans 1 to 20 with two controllers; 4 is used before scan 10, 9 from there on.
-    fn recording() -> Recording {
-        let mut recording = Recording::default();
+    fn recording() -> AuditRecord {
+        let mut recording = AuditRecord::default();
         for scan in 1..=20 {
             for incarnation in [4, 9] {
                 let mut header = Header { scan_id: scan, incarnation, ..Header::default() };

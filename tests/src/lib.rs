@@ -29,14 +29,14 @@ use std::time::{Duration, Instant};
 use report::Report;
 use runtime::Domain;
 use rustix::fs::{Mode, OFlags, open};
-use session::control::{Reply, Request, Status, ask};
+use session::control::{Reply, Request, SystemStatus, ask};
 use shared_types::Role;
 use turns::Turn;
 
-pub use delays::{DELAYS_NS, PLACES, Place, STAGES, plan, planted};
+pub use delays::{DELAYS_NS, DelayPlace, PLACES, STAGES, plan, planted};
 /// The Cargo profile of the tests and of the executables under test.
 pub use figures::PROFILE;
-pub use watch::Watch;
+pub use watch::TruthWatch;
 
 /// How long a condition may take before a test fails: far beyond what a loaded machine needs.
 pub const DEADLINE: Duration = Duration::from_secs(60);
@@ -60,7 +60,7 @@ static NEXT: AtomicU32 = AtomicU32::new(0);
 
 /// A system under test with an id and a folder of its own; dropping it ends what is left of it.
 #[derive(Debug)]
-pub struct System {
+pub struct TestSystem {
     id: String,
     /// Run ids that were seen.
     runs: RefCell<BTreeSet<String>>,
@@ -71,7 +71,7 @@ pub struct System {
     _turn: Turn,
 }
 
-impl System {
+impl TestSystem {
     /// A system that has not been started; `executable` is `env!("CARGO_BIN_EXE_scanloop-under-test")`.
     pub fn new(executable: &str) -> Self {
         let turn = Turn::begin();
@@ -146,7 +146,7 @@ impl System {
         self.launch_into(&log.expect("a log file").into(), arguments, environment);
     }
 
-    /// [`System::launch`] with an output of one's own. Without a key for it, no last seconds are kept.
+    /// [`TestSystem::launch`] with an output of one's own. Without a key for it, no last seconds are kept.
     pub fn launch_into(&mut self, output: &OwnedFd, arguments: &[&str], environment: &[(&str, &str)]) {
         let mut command = self.command(arguments);
         if arguments.first() == Some(&"run") && !arguments.iter().any(|key| key.contains("recording.ring_s"))
@@ -172,7 +172,7 @@ impl System {
     }
 
     /// The state of the running system, if it answers.
-    pub fn status(&self) -> Option<Status> {
+    pub fn status(&self) -> Option<SystemStatus> {
         match ask(&self.find()?, &Request::Status) {
             Ok(Reply::Status(status)) => Some(*status),
             _ => None,
@@ -292,7 +292,7 @@ impl System {
     }
 }
 
-impl Drop for System {
+impl Drop for TestSystem {
     fn drop(&mut self) {
         if let Some(mut child) = self.running.take() {
             let _ = child.kill();

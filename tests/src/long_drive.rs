@@ -16,7 +16,7 @@ use rustix::process::Signal;
 use shared_types::Role;
 
 use crate::swaps::BUILT_IN;
-use crate::{System, Watch};
+use crate::{TestSystem, TruthWatch};
 
 /// Longest duration of one drive: it has to end before the track of 10 km does [s].
 pub const MAX_DRIVE_S: f64 = 9500.0;
@@ -119,7 +119,7 @@ impl fmt::Display for LongTally {
 /// When the system can't be started or asked.
 pub fn drive(executable: &str, plan: &LongDrive, tally: &mut LongTally) {
     let (keys, faults) = plan.faults();
-    let mut system = System::new(executable);
+    let mut system = TestSystem::new(executable);
     let (duration, rate) = (format!("{:.0}", plan.duration_s), format!("rate_hz={}", plan.rate_hz));
     let mut arguments = vec!["endless", "--duration", &duration, "--set", &rate];
     for key in &keys {
@@ -134,7 +134,7 @@ pub fn drive(executable: &str, plan: &LongDrive, tally: &mut LongTally) {
     let mut use_of_machine = Vec::new();
     let (mut swaps, mut kills) = (0, BTreeMap::new());
     let mut dice = Pcg64::seed_from_u64(plan.seed ^ 0x5a5a);
-    let watch = plan.live.then(|| Watch::new(&system));
+    let watch = plan.live.then(|| TruthWatch::new(&system));
     let mut sampled = Instant::now();
     let mut strike_at = Instant::now() + Duration::from_secs(5);
     let mut problems = Vec::new();
@@ -231,7 +231,7 @@ fn judge(report: &Report, code: Option<i32>, swaps: usize, kills: &BTreeMap<Role
 }
 
 /// Kills or stops a process and waits until another one answers; false when the run ended before.
-fn strike(system: &System, watch: &Watch, role: Role, signal: Signal) -> bool {
+fn strike(system: &TestSystem, watch: &TruthWatch, role: Role, signal: Signal) -> bool {
     let Some(status) = system.status() else { return false };
     let Some(row) = status.processes.iter().find(|row| row.role == role && row.pid != 0) else {
         return false;
@@ -251,14 +251,14 @@ fn strike(system: &System, watch: &Watch, role: Role, signal: Signal) -> bool {
 }
 
 /// The certificate of a swap; `None` from a run that ended.
-fn try_swap(system: &System, arguments: &[&str]) -> Option<Certificate> {
+fn try_swap(system: &TestSystem, arguments: &[&str]) -> Option<Certificate> {
     let output = system.run(&[&["swap", "--json"], arguments].concat());
     serde_json::from_slice(&output.stdout).ok()
 }
 
 /// Resident memory of the processes of the system [KiB], descriptors that they and the orchestrator have open, the files of
 /// the run in shared memory, and the memory of the orchestrator [KiB].
-fn usage(system: &System) -> Option<[f64; 4]> {
+fn usage(system: &TestSystem) -> Option<[f64; 4]> {
     let domain = system.find()?;
     let orchestrator = system.orchestrator();
     let memory_kib = |pid: i32| -> Option<u64> {

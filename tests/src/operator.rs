@@ -1,9 +1,9 @@
 //! Random actions of an operator during live drives: whatever happens, the wheels come to rest and nothing is left.
 //!
 //! A *trial* is one live drive through the executable with one to three actions at random times and a `scanloop stop` at its
-//! end. All that is done is drawn from the seed of the trial ([`Plan::of`]); the moments are those of the machine. The
-//! [`verdict`] is given from outside: by what `stop` returned and when, by the log of the emulator, by the truth that an
-//! observer wrote down, by exit codes, messages and reports, and by what is left on the machine.
+//! end. All that is done is drawn from the seed of the trial ([`TrialPlan::of`]); the moments are those of the machine.
+//! The [`verdict`] is given from outside: by what `stop` returned and when, by the log of the emulator, by the truth
+//! that an observer wrote down, by exit codes, messages and reports, and by what is left on the machine.
 //!
 //! Where this fails: a robot process that is killed has no wheels any more, so only its successor's dead man could be
 //! judged; after damage to the files of the bus, crashes are allowed and only the end is judged.
@@ -21,14 +21,14 @@ use std::fmt;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-pub use evidence::Evidence;
-pub use plan::Plan;
+pub use evidence::TrialEvidence;
+pub use plan::TrialPlan;
 
 /// What became of one trial.
 #[derive(Debug)]
 pub struct Judged {
     /// What was done.
-    pub plan: Plan,
+    pub plan: TrialPlan,
     /// How long each `scanloop stop` took, from its start to its end [s].
     pub stops_s: Vec<f64>,
     /// How long after the request wheels were blocked, as `stop` prints [ms].
@@ -66,7 +66,7 @@ impl fmt::Display for Judged {
 /// Does the trial of a seed and judges it; the files of a failed one stay, those of a good one when they are to be kept.
 pub fn trial(executable: &str, seed: u64, keeps: bool) -> Judged {
     let started = Instant::now();
-    let plan = Plan::of(seed);
+    let plan = TrialPlan::of(seed);
     let (system, evidence) = trial::drive(executable, &plan);
     let problems = verdict::problems(&plan, &evidence);
     let kept = (keeps || !problems.is_empty()).then(|| keep(seed, system.folder())).flatten();

@@ -9,7 +9,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde::Deserialize;
 use supervision::child::usage_of;
 
-use crate::System;
+use crate::TestSystem;
 use crate::long_drive::{MAX_DRIVE_S, growth_of};
 
 /// Growth of memory that is allowed from the second to the last quarter.
@@ -81,7 +81,7 @@ impl Drop for Ended {
 /// # Panics
 /// When there is no browser, or the system can't be started.
 pub fn watch(executable: &str, duration_s: f64) -> PageHours {
-    let mut system = System::new(executable);
+    let mut system = TestSystem::new(executable);
     let drive_s = (duration_s + SPARE_S).min(MAX_DRIVE_S);
     system.start(&["endless", "--duration", &format!("{drive_s:.0}")]);
     let mut view = system.command(&["view", "--port", "0"]);

@@ -22,7 +22,7 @@ use client::Client;
 use hokuyo::Hokuyo;
 use world::World;
 
-pub use world::Received;
+pub use world::ReceivedCommand;
 
 /// Time between two turns of the server [ns].
 const TURN_NS: u64 = 2_000_000;
@@ -34,7 +34,7 @@ const FLOOD: usize = 400;
 /// What is wrong with the server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
-pub enum Fault {
+pub enum ServerFault {
     /// Nothing.
     None = 0,
     /// It sends nothing more.
@@ -122,7 +122,7 @@ impl PlayerServer {
     }
 
     /// What was received since the start, with the time on CLOCK_MONOTONIC [ns].
-    pub fn received(&self) -> Vec<(u64, Received)> {
+    pub fn received(&self) -> Vec<(u64, ReceivedCommand)> {
         locked(&self.world).received.clone()
     }
 
@@ -132,7 +132,7 @@ impl PlayerServer {
     }
 
     /// Switches a fault on, or all off.
-    pub fn set_fault(&self, fault: Fault) {
+    pub fn set_fault(&self, fault: ServerFault) {
         self.fault.store(fault as u8, Ordering::SeqCst);
     }
 }
@@ -174,7 +174,7 @@ impl Server {
             self.clients.extend(Client::new(stream, self.port, world.time_s()));
         }
         let fault = self.fault.load(Ordering::SeqCst);
-        let is_away = fault == Fault::Held as u8 || fault == Fault::Cut as u8;
+        let is_away = fault == ServerFault::Held as u8 || fault == ServerFault::Cut as u8;
         if !is_away {
             self.clients.retain_mut(|client| client.serve(&mut world).is_ok());
             world.is_open = self.clients.iter().any(Client::has_base);
@@ -188,7 +188,7 @@ impl Server {
         hokuyo.serve();
         drop(hokuyo);
         if is_away {
-            self.held.extend(data.filter(|_| fault == Fault::Held as u8));
+            self.held.extend(data.filter(|_| fault == ServerFault::Held as u8));
             return;
         }
         let held = std::mem::take(&mut self.held);
@@ -198,7 +198,7 @@ impl Server {
                 (Some(data), 0) => client.deliver(data),
                 (Some(data), 4) => {
                     client.deliver_half(data);
-                    self.fault.store(Fault::Stalls as u8, Ordering::SeqCst);
+                    self.fault.store(ServerFault::Stalls as u8, Ordering::SeqCst);
                 }
                 (_, 2) => client.send(&GARBAGE),
                 (_, 3) => (0..FLOOD).for_each(|_| client.send(&GARBAGE_FREE)),

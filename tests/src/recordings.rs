@@ -11,11 +11,11 @@ use serde_json::Value;
 use shared_types::Role;
 
 use crate::swaps::BUILT_IN;
-use crate::{SHORT_CORRIDOR, System};
+use crate::{SHORT_CORRIDOR, TestSystem};
 
 /// What happens in a recorded drive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Kind {
+pub enum RecordingKind {
     /// Nothing, in lock-step.
     Lockstep,
     /// A course with walls, in lock-step.
@@ -43,19 +43,19 @@ pub enum Kind {
 }
 
 /// All kinds.
-pub const KINDS: [Kind; 12] = [
-    Kind::Lockstep,
-    Kind::Kill,
-    Kind::Swap,
-    Kind::Hang,
-    Kind::Set,
-    Kind::Restart,
-    Kind::Late,
-    Kind::ScannerAndKill,
-    Kind::Worn,
-    Kind::Walls,
-    Kind::ScannerInLockstep,
-    Kind::Fast,
+pub const KINDS: [RecordingKind; 12] = [
+    RecordingKind::Lockstep,
+    RecordingKind::Kill,
+    RecordingKind::Swap,
+    RecordingKind::Hang,
+    RecordingKind::Set,
+    RecordingKind::Restart,
+    RecordingKind::Late,
+    RecordingKind::ScannerAndKill,
+    RecordingKind::Worn,
+    RecordingKind::Walls,
+    RecordingKind::ScannerInLockstep,
+    RecordingKind::Fast,
 ];
 
 /// Roles whose death does not end the run.
@@ -120,19 +120,26 @@ impl fmt::Display for ReplayTally {
 ///
 /// # Panics
 /// When the drive can't be recorded or the recording can't be read.
-pub fn check(executable: &str, kind: Kind, seed: u64) -> (ReplayTally, String) {
-    let mut system = System::new(executable);
+pub fn check(executable: &str, kind: RecordingKind, seed: u64) -> (ReplayTally, String) {
+    let mut system = TestSystem::new(executable);
     let seed_text = seed.to_string();
     let own: &[&str] = match kind {
-        Kind::Walls => &["walls", "--duration", "15"],
-        Kind::Worn => &["noisy", "--set", "robot.preset=worn", "--set", "goal.x_m=7", "--duration", "12"],
-        Kind::Fast => &["endless", "--set", "rate_hz=200", "--duration", "9"],
+        RecordingKind::Walls => &["walls", "--duration", "15"],
+        RecordingKind::Worn => {
+            &["noisy", "--set", "robot.preset=worn", "--set", "goal.x_m=7", "--duration", "12"]
+        }
+        RecordingKind::Fast => &["endless", "--set", "rate_hz=200", "--duration", "9"],
         _ => &SHORT_CORRIDOR,
     };
-    let faults: &[&str] =
-        if matches!(kind, Kind::ScannerInLockstep | Kind::ScannerAndKill) { &SCANNER } else { &[] };
+    let faults: &[&str] = if matches!(kind, RecordingKind::ScannerInLockstep | RecordingKind::ScannerAndKill)
+    {
+        &SCANNER
+    } else {
+        &[]
+    };
     let arguments = [own, faults, &["--seed", &seed_text, "--record"]].concat();
-    let in_lockstep = matches!(kind, Kind::Lockstep | Kind::Walls | Kind::ScannerInLockstep);
+    let in_lockstep =
+        matches!(kind, RecordingKind::Lockstep | RecordingKind::Walls | RecordingKind::ScannerInLockstep);
     let report = if in_lockstep {
         system.lockstep(&arguments)
     } else {
@@ -160,14 +167,14 @@ pub fn check(executable: &str, kind: Kind, seed: u64) -> (ReplayTally, String) {
 }
 
 /// Lets something happen at a random moment of a drive.
-fn disturb(system: &System, kind: Kind, seed: u64) {
+fn disturb(system: &TestSystem, kind: RecordingKind, seed: u64) {
     let mut dice = Pcg64::seed_from_u64(seed);
     wait_for(&[], dice.random_range(0..MAX_DELAY_NS));
     let role = RESTARTED[dice.random_range(0..RESTARTED.len())];
     match kind {
-        Kind::Kill | Kind::ScannerAndKill => system.signal(system.pid(role), Signal::KILL),
-        Kind::Hang => system.signal(system.pid(role), Signal::STOP),
-        Kind::Late => {
+        RecordingKind::Kill | RecordingKind::ScannerAndKill => system.signal(system.pid(role), Signal::KILL),
+        RecordingKind::Hang => system.signal(system.pid(role), Signal::STOP),
+        RecordingKind::Late => {
             let pid = system.pid(role);
             system.signal(pid, Signal::STOP);
             wait_for(&[], LATE_NS);
@@ -175,15 +182,15 @@ fn disturb(system: &System, kind: Kind, seed: u64) {
             let pid = rustix::process::Pid::from_raw(pid).expect("a process id");
             let _ = rustix::process::kill_process(pid, Signal::CONT);
         }
-        Kind::Swap => {
+        RecordingKind::Swap => {
             let (role, implementation) = BUILT_IN[dice.random_range(0..BUILT_IN.len())];
             system.run(&["swap", role.name(), "--to", implementation, "--shadow-scans", "5"]);
         }
-        Kind::Set => {
+        RecordingKind::Set => {
             let change = CHANGES[dice.random_range(0..CHANGES.len())];
             system.run(&[&["set"], change].concat());
         }
-        Kind::Restart => _ = system.run(&["restart", role.name()]),
+        RecordingKind::Restart => _ = system.run(&["restart", role.name()]),
         _ => {}
     }
 }

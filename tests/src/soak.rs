@@ -16,7 +16,7 @@ use shared_types::{Role, Truth};
 
 use crate::audit::{Audit, audit};
 use crate::swaps::{BUILT_IN, assert_every_scan_answered_once, assert_seamless, swap};
-use crate::{System, Watch};
+use crate::{TestSystem, TruthWatch};
 
 /// A scan period in real time [ns].
 const PERIOD_NS: u64 = 100_000_000;
@@ -96,8 +96,8 @@ pub fn swap_in_lockstep(executable: &str, count: usize, seed: u64) -> Tally {
     let mut dice = Pcg64::seed_from_u64(seed);
     let mut tally = Tally::default();
     let arguments = ["endless", "--duration", "300"];
-    let undisturbed = System::new(executable).lockstep(&arguments);
-    let mut system = System::new(executable);
+    let undisturbed = TestSystem::new(executable).lockstep(&arguments);
+    let mut system = TestSystem::new(executable);
     while tally.lockstep_swaps < count {
         system.start(&[&["--lockstep"], &arguments[..]].concat());
         tally.runs += 1;
@@ -128,7 +128,7 @@ pub fn swap_in_lockstep(executable: &str, count: usize, seed: u64) -> Tally {
 /// When anything is otherwise.
 pub fn swap_live(executable: &str, count: usize, seed: u64) -> Tally {
     let mut dice = Pcg64::seed_from_u64(seed);
-    let mut system = System::new(executable);
+    let mut system = TestSystem::new(executable);
     system.start(&["endless", "--set", "timeout_s=36000"]);
     let mut tally = Tally { runs: 1, ..Tally::default() };
     while tally.live_swaps < count {
@@ -170,12 +170,12 @@ pub fn swap_live(executable: &str, count: usize, seed: u64) -> Tally {
 /// When the robot touches something, drives blind, neither drives on nor rests, or something is left.
 pub fn faults(executable: &str, kills: usize, stops: usize, seed: u64) -> Tally {
     let mut dice = Pcg64::seed_from_u64(seed);
-    let mut system = System::new(executable);
+    let mut system = TestSystem::new(executable);
     let mut tally = Tally::default();
     while tally.kills + tally.stops < kills + stops {
         system.start(&["endless", "--set", "timeout_s=36000"]);
         tally.runs += 1;
-        let watch = Watch::new(&system);
+        let watch = TruthWatch::new(&system);
         let mut drives = true;
         for _ in 0..FAULTS_PER_RUN.min(kills + stops - tally.kills - tally.stops) {
             let left = [kills - tally.kills, stops - tally.stops];
@@ -203,7 +203,13 @@ fn larger(one: [f64; 2], other: [f64; 2]) -> [f64; 2] {
 }
 
 /// One fault, and what comes after it; false when it ended the run.
-fn strike(system: &mut System, watch: &Watch, is_kill: bool, dice: &mut Pcg64, tally: &mut Tally) -> bool {
+fn strike(
+    system: &mut TestSystem,
+    watch: &TruthWatch,
+    is_kill: bool,
+    dice: &mut Pcg64,
+    tally: &mut Tally,
+) -> bool {
     let signal = if is_kill { Signal::KILL } else { Signal::STOP };
     *(if is_kill { &mut tally.kills } else { &mut tally.stops }) += 1;
     match dice.random_range(0..8) {
@@ -248,17 +254,17 @@ fn strike(system: &mut System, watch: &Watch, is_kill: bool, dice: &mut Pcg64, t
     }
 }
 
-fn newest(system: &System, watch: &Watch) -> Truth {
+fn newest(system: &TestSystem, watch: &TruthWatch) -> Truth {
     system.wait_until("a robot", |_| watch.newest().is_some());
     watch.newest().expect("a robot")
 }
 
-fn has_ended(system: &System) -> bool {
+fn has_ended(system: &TestSystem) -> bool {
     system.find().is_none()
 }
 
 /// Whether the role is filled by another process and the robot drives by answers that are newer than the fault.
-fn drives_by_another(system: &System, watch: &Watch, role: Role, pid: i32, before: &Truth) -> bool {
+fn drives_by_another(system: &TestSystem, watch: &TruthWatch, role: Role, pid: i32, before: &Truth) -> bool {
     let is_new = system.status().is_some_and(|status| {
         let mut rows = status.processes.iter().filter(|process| process.role == role);
         rows.any(|process| process.pid != pid && process.pid != 0 && process.state.name() == "ready")

@@ -9,7 +9,7 @@ use std::process::{Command, Output};
 use rustix::process::{Gid, Pid, Signal, Uid, kill_process};
 use rustix::thread::{set_thread_groups, set_thread_res_gid, set_thread_res_uid};
 
-use crate::System;
+use crate::TestSystem;
 use crate::namespace::executable_for_all;
 
 /// Number of the other user and of its group.
@@ -36,8 +36,8 @@ pub fn as_stranger<T: Send>(act: impl FnOnce() -> T + Send) -> T {
 }
 
 /// A system of root.
-pub fn system() -> System {
-    System::new(&executable_for_all())
+pub fn system() -> TestSystem {
+    TestSystem::new(&executable_for_all())
 }
 
 /// A command of the other user for a system of that id.
@@ -69,7 +69,7 @@ pub fn make_folder(path: impl AsRef<Path>, mode: u32) {
 }
 
 /// Whether the system drives.
-pub fn is_driving(system: &System) -> bool {
+pub fn is_driving(system: &TestSystem) -> bool {
     system.status().is_some_and(|status| status.state == "driving")
 }
 

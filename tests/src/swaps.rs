@@ -8,7 +8,7 @@ use handover::swap::{Certificate, SwapOutcome};
 use rustix::process::Signal;
 use shared_types::Role;
 
-use crate::{SHORT_CORRIDOR, STAGES, System};
+use crate::{SHORT_CORRIDOR, STAGES, TestSystem};
 
 /// Built-in implementations of the roles.
 pub const BUILT_IN: [(Role, &str); 5] = [
@@ -20,19 +20,24 @@ pub const BUILT_IN: [(Role, &str); 5] = [
 ];
 
 /// Swaps one process; the exit code must be that of the outcome.
-pub fn swap(system: &System, arguments: &[&str]) -> Certificate {
+pub fn swap(system: &TestSystem, arguments: &[&str]) -> Certificate {
     certificate(&system.run(&with_json("swap", arguments)))
 }
 
 /// Swaps one process, which must succeed without a missed scan.
-pub fn swap_seamlessly(system: &System, arguments: &[&str]) -> Certificate {
+pub fn swap_seamlessly(system: &TestSystem, arguments: &[&str]) -> Certificate {
     let certificate = swap(system, arguments);
     assert_seamless_swap(&certificate);
     certificate
 }
 
 /// Swaps one process, which must be refused or rolled back without a missed scan, for a reason that has this text.
-pub fn swap_in_vain(system: &System, arguments: &[&str], outcome: SwapOutcome, reason: &str) -> Certificate {
+pub fn swap_in_vain(
+    system: &TestSystem,
+    arguments: &[&str],
+    outcome: SwapOutcome,
+    reason: &str,
+) -> Certificate {
     let certificate = swap(system, arguments);
     assert_eq!(certificate.outcome, outcome, "{certificate:?}");
     assert!(certificate.reason.contains(reason), "{certificate:?}");
@@ -41,7 +46,7 @@ pub fn swap_in_vain(system: &System, arguments: &[&str], outcome: SwapOutcome, r
 }
 
 /// Begins a swap and does not wait for its end.
-pub fn begin(system: &System, arguments: &[&str]) -> Child {
+pub fn begin(system: &TestSystem, arguments: &[&str]) -> Child {
     spawn(system, "swap", arguments)
 }
 
@@ -54,12 +59,12 @@ pub fn certificate(output: &Output) -> Certificate {
 }
 
 /// Lets a process run in the shadow to its end; the exit code must be that of the outcome.
-pub fn shadow(system: &System, arguments: &[&str]) -> ShadowReport {
+pub fn shadow(system: &TestSystem, arguments: &[&str]) -> ShadowReport {
     shadow_report(&system.run(&with_json("shadow", arguments)))
 }
 
 /// Begins a shadow and does not wait for its end.
-pub fn begin_shadow(system: &System, arguments: &[&str]) -> Child {
+pub fn begin_shadow(system: &TestSystem, arguments: &[&str]) -> Child {
     spawn(system, "shadow", arguments)
 }
 
@@ -85,7 +90,7 @@ pub fn assert_seamless_swap(certificate: &Certificate) {
 }
 
 /// Asserts that the run reached its goal, answered every scan once and reports its swaps.
-pub fn assert_reached(mut system: System, certificates: &[Certificate]) {
+pub fn assert_reached(mut system: TestSystem, certificates: &[Certificate]) {
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
     let report = system.report();
     assert_eq!(report.outcome, Outcome::Reached);
@@ -96,7 +101,7 @@ pub fn assert_reached(mut system: System, certificates: &[Certificate]) {
 }
 
 /// Asserts that the run, which has ended, answered every scan once.
-pub fn assert_every_scan_answered_once(system: &System) {
+pub fn assert_every_scan_answered_once(system: &TestSystem) {
     let report = system.report();
     let scans = &report.scans;
     assert_eq!((scans.lost, scans.unaccounted, scans.duplicates), (0, 0, 0), "{scans:?}");
@@ -104,7 +109,7 @@ pub fn assert_every_scan_answered_once(system: &System) {
 }
 
 /// Ends the run and checks that every scan was answered once.
-pub fn stop(system: &mut System) {
+pub fn stop(system: &mut TestSystem) {
     assert_eq!(system.run(&["stop"]).status.code(), Some(0));
     system.wait();
     assert_every_scan_answered_once(system);
@@ -112,7 +117,7 @@ pub fn stop(system: &mut System) {
 }
 
 /// Rows of `status` of one role: process id and state, the process in charge first.
-pub fn rows(system: &System, role: Role) -> Vec<(i32, String)> {
+pub fn rows(system: &TestSystem, role: Role) -> Vec<(i32, String)> {
     let processes = system.status().map(|status| status.processes).unwrap_or_default();
     processes
         .into_iter()
@@ -122,14 +127,14 @@ pub fn rows(system: &System, role: Role) -> Vec<(i32, String)> {
 }
 
 /// Waits until so many more scans were published.
-pub fn more_scans(system: &System, count: u64) {
+pub fn more_scans(system: &TestSystem, count: u64) {
     let scan = system.status().expect("a running system").scan;
     system
         .wait_until("more scans", |system| system.status().is_some_and(|status| status.scan >= scan + count));
 }
 
 /// Begins a swap with a long standby and waits until the new process is in charge; returns both ids.
-pub fn standby(system: &System, role: Role, arguments: &[&str]) -> (Child, i32, i32) {
+pub fn standby(system: &TestSystem, role: Role, arguments: &[&str]) -> (Child, i32, i32) {
     let all = [&[role.name(), "--standby-scans", "40"], arguments].concat();
     let child = begin(system, &all);
     system.wait_until("the old one is standby", |system| {
@@ -142,7 +147,7 @@ pub fn standby(system: &System, role: Role, arguments: &[&str]) -> (Child, i32, 
 }
 
 /// A process that hangs while it is in charge is rolled back before the wheels are blocked.
-pub fn rolls_back_a_hang_in_charge(mut system: System, role: Role, faulty: &str) {
+pub fn rolls_back_a_hang_in_charge(mut system: TestSystem, role: Role, faulty: &str) {
     system.start(&SHORT_CORRIDOR);
     let arguments = [role.name(), "--standby-scans", "40", "--", faulty, "hang-after", "30"];
     let certificate = swap_in_vain(&system, &arguments, SwapOutcome::RolledBack, "");
@@ -152,7 +157,7 @@ pub fn rolls_back_a_hang_in_charge(mut system: System, role: Role, faulty: &str)
 }
 
 /// The new process stays when the old one is killed during its standby.
-pub fn survives_the_death_of_the_standby(mut system: System, role: Role, implementation: &str) {
+pub fn survives_the_death_of_the_standby(mut system: TestSystem, role: Role, implementation: &str) {
     system.start(&SHORT_CORRIDOR);
     let (child, new, old) = standby(&system, role, &["--to", implementation]);
     system.signal(old, Signal::KILL);
@@ -164,13 +169,13 @@ pub fn survives_the_death_of_the_standby(mut system: System, role: Role, impleme
 }
 
 /// Restarts a role; returns exit code and what it printed.
-pub fn restart(system: &System, role: Role) -> (Option<i32>, String) {
+pub fn restart(system: &TestSystem, role: Role) -> (Option<i32>, String) {
     let output = system.run(&["restart", role.name()]);
     (output.status.code(), crate::printed(&output))
 }
 
 /// Restarts each stage while the robot drives; none may miss a scan.
-pub fn restart_all(system: &System) {
+pub fn restart_all(system: &TestSystem) {
     for role in STAGES {
         let before = system.pid(role);
         let (code, printed) = restart(system, role);
@@ -186,7 +191,7 @@ pub fn restart_all(system: &System) {
     assert_eq!(restarts, [0, 1, 1, 1, 1]);
 }
 
-fn spawn(system: &System, verb: &str, arguments: &[&str]) -> Child {
+fn spawn(system: &TestSystem, verb: &str, arguments: &[&str]) -> Child {
     let mut command = system.command(&with_json(verb, arguments));
     command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the executable runs")
 }

@@ -5,19 +5,19 @@ use std::cell::RefCell;
 use runtime::{Bus, Observer};
 use shared_types::Truth;
 
-use crate::System;
+use crate::TestSystem;
 
 /// The truth of a robot, observed from outside of its system.
-pub struct Watch {
+pub struct TruthWatch {
     observer: Observer<Truth>,
     seen: RefCell<Vec<Truth>>,
     // Dropped last.
     _bus: Bus,
 }
 
-impl Watch {
+impl TruthWatch {
     /// Observes from now on.
-    pub fn new(system: &System) -> Self {
+    pub fn new(system: &TestSystem) -> Self {
         let bus = Bus::open(&system.domain(), "test").expect("a running system");
         let observer = Observer::new(&bus).expect("the topic of the truth");
         Self { observer, seen: RefCell::default(), _bus: bus }
@@ -31,7 +31,7 @@ impl Watch {
     }
 
     /// Waits until the newest truth meets a condition; returns it.
-    pub fn wait_for(&self, system: &System, what: &str, condition: impl Fn(&Truth) -> bool) -> Truth {
+    pub fn wait_for(&self, system: &TestSystem, what: &str, condition: impl Fn(&Truth) -> bool) -> Truth {
         system.wait_until(what, |_| self.newest().is_some_and(|truth| condition(&truth)));
         self.newest().expect("a truth")
     }

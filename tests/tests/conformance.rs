@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::sync::Mutex;
 
-use conformance::{Level, Outcome, Report};
+use conformance::{CaseOutcome, RequirementLevel, SuiteReport};
 use runtime::Domain;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -151,7 +151,8 @@ fn every_case_finds_a_fault() {
                     // On a machine that is too busy to publish actuations a robot stops, whatever its fault.
                     let found = (0..3).any(|_| {
                         let (report, output) = suite(&arguments);
-                        let required = report.cases.iter().any(|case| case.level == Level::Required);
+                        let required =
+                            report.cases.iter().any(|case| case.level == RequirementLevel::Required);
                         bad(&report) == names(&report) && output.status.code() == Some(i32::from(required))
                     });
                     if !found {
@@ -166,7 +167,12 @@ fn every_case_finds_a_fault() {
 }
 
 /// Cases of one program, with their outcome each.
-fn outcomes(role: &str, program: &str, fault: &str, cases: &[&str]) -> (Vec<Outcome>, Option<i32>, String) {
+fn outcomes(
+    role: &str,
+    program: &str,
+    fault: &str,
+    cases: &[&str],
+) -> (Vec<CaseOutcome>, Option<i32>, String) {
     let mut arguments = vec!["--rate", "20", "--tries", "1", "--jobs", "8", role];
     cases.iter().for_each(|case| arguments.extend(["--only", case]));
     arguments.extend(["--", FAULTY, program, fault]);
@@ -185,7 +191,7 @@ fn a_case_that_could_not_see_what_it_is_about_is_no_pass() {
         ("obstacles", "always-blind", &["range-factor", "mounting-angle"]),
     ] {
         let (outcomes, code, text) = outcomes(role, role, fault, cases);
-        assert_eq!(outcomes, vec![Outcome::NotObserved; cases.len()], "{text}");
+        assert_eq!(outcomes, vec![CaseOutcome::NotObserved; cases.len()], "{text}");
         assert_eq!(code, Some(1), "{text}");
         assert!(text.contains("not observed  ") && text.contains("was not seen to meet all"), "{text}");
     }
@@ -255,13 +261,13 @@ fn the_page_lists_what_the_executable_prints() {
 }
 
 /// Plays a suite and checks that it leaves nothing.
-fn suite(arguments: &[&str]) -> (Report, Output) {
+fn suite(arguments: &[&str]) -> (SuiteReport, Output) {
     let output = run(&[&["--json"], arguments].concat());
-    let report: Report =
+    let report: SuiteReport =
         serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {}", stderr(&output)));
     let count = |outcome| report.cases.iter().filter(|case| case.outcome == outcome).count();
-    assert_eq!(count(Outcome::Passed), report.passed);
-    assert_eq!(count(Outcome::Failed), report.failed + report.not_recommended);
+    assert_eq!(count(CaseOutcome::Passed), report.passed);
+    assert_eq!(count(CaseOutcome::Failed), report.failed + report.not_recommended);
     (report, output)
 }
 
@@ -289,17 +295,17 @@ fn run(arguments: &[&str]) -> Output {
 }
 
 /// Names of the cases that failed.
-fn bad(report: &Report) -> Vec<&str> {
+fn bad(report: &SuiteReport) -> Vec<&str> {
     report
         .cases
         .iter()
-        .filter(|case| case.outcome == Outcome::Failed)
+        .filter(|case| case.outcome == CaseOutcome::Failed)
         .map(|case| case.name.as_str())
         .collect()
 }
 
 /// Names of all cases.
-fn names(report: &Report) -> Vec<&str> {
+fn names(report: &SuiteReport) -> Vec<&str> {
     report.cases.iter().map(|case| case.name.as_str()).collect()
 }
 

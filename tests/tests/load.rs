@@ -2,14 +2,14 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 use scanloop_tests::swaps::{assert_every_scan_answered_once, restart_all};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 #[test]
 fn a_restart_under_load_loses_no_scan() {
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     system.start(&["endless", "--set", "timeout_s=600"]);
     let is_over = AtomicBool::new(false);
     std::thread::scope(|scope| {

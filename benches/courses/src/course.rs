@@ -9,8 +9,8 @@ mod random_obstacle;
 
 use shared_types::named_enum;
 
-use emulator::noise::{Purpose, Stream};
-use emulator::scenario::{Goal, Noise, Obstacle, Scenario, Shape, Track};
+use emulator::noise::{NoiseStream, Purpose};
+use emulator::scenario::{Goal, Noise, Scenario, ScenarioObstacle, Shape, Track};
 use random_obstacle::obstacle;
 
 /// No surface of an obstacle stands nearer to the start than this [m].
@@ -28,19 +28,19 @@ const GOAL_MAX_M: f64 = 21.5;
 /// The course of a seed.
 pub fn random(seed: u64) -> Scenario {
     let seed = seed & i64::MAX as u64;
-    let mut stream = Stream::new(seed, Purpose::Course, 0);
+    let mut stream = NoiseStream::new(seed, Purpose::Course, 0);
     let count = 1 + (3.0 * stream.uniform()) as usize;
-    let mut obstacles: Vec<Obstacle> = (0..count).map(|_| obstacle(&mut stream)).collect();
+    let mut obstacles: Vec<ScenarioObstacle> = (0..count).map(|_| obstacle(&mut stream)).collect();
 
     // What is left of the track after the needed distances is divided at random.
-    let reach = |obstacles: &[Obstacle], index: usize| obstacles[index].reach();
+    let reach = |obstacles: &[ScenarioObstacle], index: usize| obstacles[index].reach();
     let needed = AFTER_START_M
         + reach(&obstacles, 0)
         + (count - 1) as f64 * SPACING_M
         + reach(&obstacles, count - 1)
         + BEFORE_GOAL_M;
     let mut spare = GOAL_MAX_M - needed;
-    let mut take = |stream: &mut Stream| {
+    let mut take = |stream: &mut NoiseStream| {
         let share = spare * stream.uniform() / 2.0;
         spare -= share;
         share
@@ -92,7 +92,7 @@ named_enum! {
 /// The course of a seed in a campaign, and its family: six in ten are plain, the others share the rest.
 pub fn of_campaign(seed: u64) -> (Family, Scenario) {
     let mut course = random(seed);
-    let mut stream = Stream::new(course.seed, Purpose::Course, 1);
+    let mut stream = NoiseStream::new(course.seed, Purpose::Course, 1);
     let draw = stream.uniform();
     let family = match draw {
         _ if draw < 0.6 => Family::Plain,
@@ -112,7 +112,7 @@ pub fn of_campaign(seed: u64) -> (Family, Scenario) {
                 width_m: 2.0 * half_width + stream.between(-0.3, 0.6),
                 yaw_rad: 0.0,
             };
-            course.obstacles[which] = Obstacle::fixed(shape, course.obstacles[which].x_m, 0.0);
+            course.obstacles[which] = ScenarioObstacle::fixed(shape, course.obstacles[which].x_m, 0.0);
         }
         Family::Sudden => {
             let which = (stream.uniform() * course.obstacles.len() as f64) as usize;
@@ -170,9 +170,9 @@ mod tests {
     fn the_courses_of_a_seed_never_change() {
         let numbers = (0..200).flat_map(|seed| {
             let Scenario { goal, track, noise, obstacles, .. } = of_campaign(seed).1;
-            let ahead_m = |obstacle: &Obstacle| obstacle.appears_ahead_m.unwrap_or(-1.0);
+            let ahead_m = |obstacle: &ScenarioObstacle| obstacle.appears_ahead_m.unwrap_or(-1.0);
             let places = obstacles.into_iter().flat_map(move |obstacle| {
-                let Obstacle { x_m, y_m, velocity_x_mps, velocity_y_mps, .. } = obstacle;
+                let ScenarioObstacle { x_m, y_m, velocity_x_mps, velocity_y_mps, .. } = obstacle;
                 [x_m, y_m, obstacle.reach(), velocity_x_mps, velocity_y_mps, ahead_m(&obstacle)]
             });
             let rest =

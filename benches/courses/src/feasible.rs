@@ -12,7 +12,7 @@ use std::collections::{BinaryHeap, HashSet};
 use vehicle::bounds::STEERING_MAX_RAD;
 use vehicle::frame::wrap_angle;
 
-use emulator::scenario::{Obstacle, Scenario};
+use emulator::scenario::{Scenario, ScenarioObstacle};
 use emulator::scene::Scene;
 
 /// Smallest radius of a turn [m]: the robot's own at the largest steering angle, (lh + lv) / 2 = 0.185 m by the angle, and
@@ -86,10 +86,11 @@ pub fn path(scenario: &Scenario) -> Option<Vec<Waypoint>> {
 pub fn path_from(
     scenario: &Scenario,
     from: &Waypoint,
-    obstacles: Vec<Obstacle>,
+    obstacles: Vec<ScenarioObstacle>,
     limits: &Limits,
 ) -> Option<Vec<Waypoint>> {
-    let standing = |Obstacle { shape, x_m, y_m, .. }: Obstacle| Obstacle::fixed(shape, x_m, y_m);
+    let standing =
+        |ScenarioObstacle { shape, x_m, y_m, .. }: ScenarioObstacle| ScenarioObstacle::fixed(shape, x_m, y_m);
     let obstacles = obstacles.into_iter().map(standing).collect();
     let scene = Scene::new(&Scenario { obstacles, endless: None, ..scenario.clone() });
     Search { scenario, scene, from: *from, limits: *limits }.run()
@@ -215,7 +216,7 @@ mod tests {
     fn with_boxes(boxes: &[[f64; 3]]) -> Scenario {
         let obstacles = boxes.iter().map(|[x, y, width]| {
             let shape = emulator::scenario::Shape::Box { length_m: 0.1, width_m: *width, yaw_rad: 0.0 };
-            Obstacle::fixed(shape, *x, *y)
+            ScenarioObstacle::fixed(shape, *x, *y)
         });
         Scenario { obstacles: obstacles.collect(), ..Scenario::default() }
     }

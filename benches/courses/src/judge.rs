@@ -14,7 +14,7 @@ use shared_types::{Actuation, Pose, Truth, named_enum};
 
 use crate::feasible::{Waypoint, path_from, start_of};
 use emulator::referee::Outcome;
-use emulator::scenario::{Obstacle, Preset, Scenario, Values};
+use emulator::scenario::{Preset, Scenario, ScenarioObstacle, Values};
 use emulator::scene::Scene;
 use nalgebra::Vector2;
 use vehicle::bounds::STEERING_MAX_RAD;
@@ -99,7 +99,7 @@ impl Judgement {
 struct Event {
     due_s: f64,
     place: Option<Waypoint>,
-    obstacles: Vec<Obstacle>,
+    obstacles: Vec<ScenarioObstacle>,
 }
 
 /// Watches a drive and judges it.
@@ -111,7 +111,7 @@ pub struct Judge {
     passable: bool,
     scene: Scene,
     /// Obstacles that are there, do not move, and could be seen by now.
-    standing: Vec<Obstacle>,
+    standing: Vec<ScenarioObstacle>,
     fault_ends_s: Option<f64>,
     events: Vec<Event>,
     met_mover: bool,
@@ -217,15 +217,16 @@ impl Judge {
         let there = there.filter(|near| near.solid(self.last.time_s).is_some());
         let moved = there.map(|near| {
             let centre = near.centre(self.last.time_s);
-            Obstacle { x_m: centre.x, y_m: centre.y, ..*near.obstacle() }
+            ScenarioObstacle { x_m: centre.x, y_m: centre.y, ..*near.obstacle() }
         });
         !self.leads_on(&place, &moved.collect::<Vec<_>>())
     }
 
     /// Whether a path leads to the goal from a place that the robot has reached, nearer to bodies than the margin if it is.
-    fn leads_on(&self, place: &Waypoint, obstacles: &[Obstacle]) -> bool {
-        let at_rest = |obstacle: &Obstacle| Obstacle::fixed(obstacle.shape, obstacle.x_m, obstacle.y_m);
-        let obstacles: Vec<Obstacle> = obstacles.iter().map(at_rest).collect();
+    fn leads_on(&self, place: &Waypoint, obstacles: &[ScenarioObstacle]) -> bool {
+        let at_rest =
+            |obstacle: &ScenarioObstacle| ScenarioObstacle::fixed(obstacle.shape, obstacle.x_m, obstacle.y_m);
+        let obstacles: Vec<ScenarioObstacle> = obstacles.iter().map(at_rest).collect();
         let scene = Scene::new(&Scenario { obstacles: obstacles.clone(), ..self.scenario.clone() });
         let body = self.scenario.body(place.x, place.y, place.yaw);
         let clearance_m = scene.clearance_below(&body, 0.0, self.limits.margin_m);
@@ -234,7 +235,7 @@ impl Judge {
     }
 
     /// Obstacles that are there at a time, do not move, and are or were near enough to be seen if they are black.
-    fn standing(&self, place: &Waypoint, time_s: f64) -> Vec<Obstacle> {
+    fn standing(&self, place: &Waypoint, time_s: f64) -> Vec<ScenarioObstacle> {
         let body = self.scenario.body(place.x, place.y, place.yaw);
         let black_range_m = self.scenario.scanner.black_range_m;
         let all = self.scene.near(Vector2::zeros(), f64::MAX).filter(|near| !near.obstacle().moves());

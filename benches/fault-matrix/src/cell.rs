@@ -1,6 +1,6 @@
 //! One cell of the matrix and its verdict.
 
-use faults::{Expectation, Fault, Phase};
+use faults::{DrivePhase, Expectation, InjectedFault};
 use serde::{Deserialize, Serialize};
 
 use crate::finding::Finding;
@@ -13,7 +13,7 @@ const BLIND_PERIODS: f64 = 3.0;
 /// Whether a cell passes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Verdict {
+pub enum CellVerdict {
     /// All expectations are met.
     Pass,
     /// One is not.
@@ -26,7 +26,7 @@ pub struct Cell {
     /// Name of the fault.
     pub fault: String,
     /// Phase in which it begins.
-    pub phase: Phase,
+    pub phase: DrivePhase,
     /// Whether it was driven with real processes.
     pub live: bool,
     /// The role that detected it, or `orchestrator`; empty when none did.
@@ -46,7 +46,7 @@ pub struct Cell {
     /// How the drive ended.
     pub outcome: String,
     /// Whether all is as expected.
-    pub verdict: Verdict,
+    pub verdict: CellVerdict,
     /// Why it fails; empty when it passes.
     pub reason: String,
 }
@@ -152,14 +152,14 @@ fn distance_to_part(place: [f64; 2], from: [f64; 2], to: [f64; 2]) -> f64 {
 
 /// What limits the way until a detection.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Limits {
+pub struct DetectionLimits {
     /// Scan period [s].
     pub period_s: f64,
     /// Deceleration of blocked wheels [m/s^2].
     pub deceleration_mps2: f64,
 }
 
-impl Limits {
+impl DetectionLimits {
     /// Three scan periods at a speed, and the braking way from it [m].
     pub fn blind_m(&self, speed_mps: f64) -> f64 {
         BLIND_PERIODS * self.period_s * speed_mps + speed_mps * speed_mps / (2.0 * self.deceleration_mps2)
@@ -167,7 +167,12 @@ impl Limits {
 }
 
 /// The verdict on one drive.
-pub fn judge(fault: &Fault, phase: Phase, observed: &Observed, limits: &Limits) -> Cell {
+pub fn judge(
+    fault: &InjectedFault,
+    phase: DrivePhase,
+    observed: &Observed,
+    limits: &DetectionLimits,
+) -> Cell {
     let expected = fault.expected(phase);
     let Observed { from_ns, findings, course, unaffected, .. } = observed;
     let is_expected = |finding: &&Finding| expected.detected_by.iter().any(|name| name == finding.by);
@@ -201,7 +206,7 @@ pub fn judge(fault: &Fault, phase: Phase, observed: &Observed, limits: &Limits) 
         deviation_m,
         min_clearance_m: observed.min_clearance_m,
         outcome: observed.outcome.clone(),
-        verdict: if reason.is_empty() { Verdict::Pass } else { Verdict::Fail },
+        verdict: if reason.is_empty() { CellVerdict::Pass } else { CellVerdict::Fail },
         reason,
     }
 }
@@ -237,14 +242,14 @@ fn wrong(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::finding::Place;
+    use crate::finding::FindingPlace;
 
-    const LIMITS: Limits = Limits { period_s: 0.1, deceleration_mps2: 5.0 };
+    const LIMITS: DetectionLimits = DetectionLimits { period_s: 0.1, deceleration_mps2: 5.0 };
 
-    fn fault(expect: &str) -> Fault {
+    fn fault(expect: &str) -> InjectedFault {
         let text =
             format!("title = \"\"\nmagnitude = \"\"\n[inject.scenario]\nset = {{}}\n[expect]\n{expect}");
-        Fault::parse("test", &text).unwrap_or_else(|error| panic!("{error}"))
+        InjectedFault::parse("test", &text).unwrap_or_else(|error| panic!("{error}"))
     }
 
     /// A robot that drives along x with 1 m/s for a second, `y_m` beside its line.
@@ -262,7 +267,7 @@ mod tests {
         let finding = |(by, at_ms): &(&'static str, u64)| Finding {
             by,
             what: "late",
-            place: Place { at_ns: at_ms * 1_000_000, way_m: *at_ms as f64 * 1e-3 },
+            place: FindingPlace { at_ns: at_ms * 1_000_000, way_m: *at_ms as f64 * 1e-3 },
         };
         Observed {
             from_ns: 0,
@@ -277,7 +282,7 @@ mod tests {
     }
 
     fn reason(expect: &str, observed: &Observed) -> String {
-        judge(&fault(expect), Phase::Straight, observed, &LIMITS).reason
+        judge(&fault(expect), DrivePhase::Straight, observed, &LIMITS).reason
     }
 
     const EXPECT: &str = "outcomes = [\"reached\"]\ndetected_by = [\"robot\", \"actuator\"]\nwithin_ms = 350";

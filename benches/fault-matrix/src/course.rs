@@ -1,8 +1,8 @@
 //! The drive in which faults are injected, and where its phases begin.
 
 use emulator::Scenario;
-use faults::Phase;
-use pipeline::Settings;
+use faults::DrivePhase;
+use pipeline::PipelineSettings;
 use shared_types::Truth;
 
 /// The course: the shipped corridor, shortened.
@@ -27,29 +27,29 @@ pub fn scenario() -> Scenario {
 }
 
 /// Scenario and default settings of all stages.
-pub fn settings() -> Settings {
-    Settings::of(scenario())
+pub fn settings() -> PipelineSettings {
+    PipelineSettings::of(scenario())
 }
 
 /// The scenario of a cell with real processes: the same course from a place just before the phase.
-pub fn live_scenario(phase: Phase) -> Scenario {
+pub fn live_scenario(phase: DrivePhase) -> Scenario {
     let mut scenario = scenario();
     match phase {
-        Phase::Start | Phase::Straight | Phase::Swap => {}
-        Phase::Beside => (scenario.start.x_m, scenario.start.y_m) = (2.7, 0.75),
-        Phase::Landing => scenario.start.x_m = scenario.goal.x_m - 2.0,
+        DrivePhase::Start | DrivePhase::Straight | DrivePhase::Swap => {}
+        DrivePhase::Beside => (scenario.start.x_m, scenario.start.y_m) = (2.7, 0.75),
+        DrivePhase::Landing => scenario.start.x_m = scenario.goal.x_m - 2.0,
     }
     scenario
 }
 
-/// Whether a phase begins with the scan after this one; for [`Phase::Swap`] its request.
-pub fn begins(phase: Phase, scenario: &Scenario, truth: &Truth) -> bool {
+/// Whether a phase begins with the scan after this one; for [`DrivePhase::Swap`] its request.
+pub fn begins(phase: DrivePhase, scenario: &Scenario, truth: &Truth) -> bool {
     match phase {
-        Phase::Start => true,
-        Phase::Straight => truth.x_m >= STRAIGHT_M,
-        Phase::Beside => scenario.obstacles.first().is_some_and(|body| truth.x_m >= body.x_m - BESIDE_M),
-        Phase::Landing => truth.goal_distance_m <= LANDING_M,
-        Phase::Swap => truth.x_m >= SWAP_M,
+        DrivePhase::Start => true,
+        DrivePhase::Straight => truth.x_m >= STRAIGHT_M,
+        DrivePhase::Beside => scenario.obstacles.first().is_some_and(|body| truth.x_m >= body.x_m - BESIDE_M),
+        DrivePhase::Landing => truth.goal_distance_m <= LANDING_M,
+        DrivePhase::Swap => truth.x_m >= SWAP_M,
     }
 }
 
@@ -61,7 +61,7 @@ mod tests {
     fn the_course_is_allowed_and_has_an_obstacle() {
         let scenario = Scenario::parse(COURSE, "course.toml").unwrap_or_else(|error| panic!("{error}"));
         assert_eq!((scenario.obstacles.len(), scenario.name.as_str()), (1, "faults"));
-        for phase in Phase::ALL {
+        for phase in DrivePhase::ALL {
             assert_eq!(live_scenario(phase).validate(), Ok(()), "{phase}");
         }
     }

@@ -5,14 +5,14 @@ use std::collections::BTreeMap;
 /// The first time of each finding, by the part that made it and what it is.
 #[derive(Debug, Clone, Default)]
 pub struct Findings {
-    first: BTreeMap<(&'static str, &'static str), Place>,
+    first: BTreeMap<(&'static str, &'static str), FindingPlace>,
     /// Findings before this time are not kept [ns].
     from_ns: u64,
 }
 
 /// When something was found, and how far the wheels had driven by then.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Place {
+pub struct FindingPlace {
     /// Time since the start of the drive [ns].
     pub at_ns: u64,
     /// Way driven since the start of the drive [m].
@@ -27,7 +27,7 @@ pub struct Finding {
     /// What was found, like `not_finite`.
     pub what: &'static str,
     /// When.
-    pub place: Place,
+    pub place: FindingPlace,
 }
 
 impl Findings {
@@ -38,7 +38,7 @@ impl Findings {
     }
 
     /// Notes that something was found.
-    pub fn note(&mut self, by: &'static str, what: &'static str, place: Place) {
+    pub fn note(&mut self, by: &'static str, what: &'static str, place: FindingPlace) {
         if place.at_ns >= self.from_ns {
             self.first.entry((by, what)).or_insert(place);
         }
@@ -51,7 +51,7 @@ impl Findings {
 
     /// All findings in the order of time.
     pub fn list(&self) -> Vec<Finding> {
-        let of = |((by, what), place): (&(&'static str, &'static str), &Place)| Finding {
+        let of = |((by, what), place): (&(&'static str, &'static str), &FindingPlace)| Finding {
             by,
             what,
             place: *place,

@@ -15,14 +15,14 @@ use emulator::{Emulator, Outcome, Referee, Scenario};
 use estimator::Estimator;
 use nmpc::Budget;
 use obstacles::ObstacleDetector;
-use pipeline::Settings;
+use pipeline::PipelineSettings;
 use shared_types::{
     Actuation, Authority, Command, Header, Obstacles, Odometry, Pose, Role, Sample, Scan, StopReason, Truth,
 };
 use vehicle::Invalid;
 
 use self::controllers::Controllers;
-use crate::finding::{Findings, Place};
+use crate::finding::{FindingPlace, Findings};
 use crate::reader::Reader;
 use crate::wire::{Wire, Writer};
 
@@ -105,8 +105,8 @@ impl Rig {
     ///
     /// # Errors
     /// The first setting that is not allowed.
-    pub fn new(settings: &Settings) -> Result<Self, Invalid> {
-        let Settings { scenario, tuning, period_ns } = settings;
+    pub fn new(settings: &PipelineSettings) -> Result<Self, Invalid> {
+        let PipelineSettings { scenario, tuning, period_ns } = settings;
         let (tuning, period_ns) = (tuning.clone().for_scenario(scenario), *period_ns);
         let writer = |role: Role| Writer::new(role, incarnation(role));
         Ok(Self {
@@ -179,8 +179,8 @@ impl Rig {
     }
 
     /// Now, and the way driven until now.
-    pub fn place(&self) -> Place {
-        Place { at_ns: self.now_ns, way_m: self.way_m }
+    pub fn place(&self) -> FindingPlace {
+        FindingPlace { at_ns: self.now_ns, way_m: self.way_m }
     }
 
     /// How the drive ended, as text.

@@ -1,11 +1,11 @@
 //! Drives cells in simulated time: from the place where a phase begins, once without a fault and once with each.
 
 use emulator::{Outcome, Scenario};
-use faults::{Fault, Phase};
-use pipeline::Settings;
+use faults::{DrivePhase, InjectedFault};
+use pipeline::PipelineSettings;
 use vehicle::Invalid;
 
-use crate::cell::{Cell, Course, Limits, Observed, Passed, judge};
+use crate::cell::{Cell, Course, DetectionLimits, Observed, Passed, judge};
 use crate::course::{SHADOWED, begins, settings};
 use crate::finding::{Finding, Findings};
 use crate::rig::Rig;
@@ -13,8 +13,8 @@ use crate::rig::Rig;
 /// The drives at the beginning of all phases.
 #[derive(Debug)]
 pub struct Simulation {
-    limits: Limits,
-    phases: Vec<(Phase, Rig, Twin)>,
+    limits: DetectionLimits,
+    phases: Vec<(DrivePhase, Rig, Twin)>,
 }
 
 /// A drive that continues without a fault.
@@ -32,9 +32,9 @@ impl Simulation {
     pub fn new() -> Result<Self, Invalid> {
         let settings = settings();
         let deceleration_mps2 = settings.tuning.vehicle.blocked_deceleration_mps2;
-        let limits = Limits { period_s: settings.period_ns as f64 * 1e-9, deceleration_mps2 };
+        let limits = DetectionLimits { period_s: settings.period_ns as f64 * 1e-9, deceleration_mps2 };
         let mut phases = Vec::new();
-        for phase in Phase::ALL {
+        for phase in DrivePhase::ALL {
             let mut rig = Rig::new(&settings)?;
             lead_to(phase, &mut rig, &settings.scenario);
             let mut without = rig.clone();
@@ -48,12 +48,12 @@ impl Simulation {
     ///
     /// # Errors
     /// The first setting that is not allowed.
-    pub fn unaffected(settings: &Settings) -> Result<Course, Invalid> {
+    pub fn unaffected(settings: &PipelineSettings) -> Result<Course, Invalid> {
         Ok(finish(&mut Rig::new(settings)?).0)
     }
 
     /// Drives one cell; `None` for a fault that needs real processes, or that the course does not allow.
-    pub fn cell(&self, fault: &Fault, phase: Phase) -> Option<Cell> {
+    pub fn cell(&self, fault: &InjectedFault, phase: DrivePhase) -> Option<Cell> {
         let (_, start, twin) = self.phases.iter().find(|(of, ..)| *of == phase)?;
         let mut rig = start.clone();
         let from_ns = rig.inject(&fault.inject)?;
@@ -78,12 +78,12 @@ impl Simulation {
 }
 
 /// Drives to the beginning of a phase.
-fn lead_to(phase: Phase, rig: &mut Rig, scenario: &Scenario) {
-    if phase == Phase::Start {
+fn lead_to(phase: DrivePhase, rig: &mut Rig, scenario: &Scenario) {
+    if phase == DrivePhase::Start {
         return;
     }
     while rig.scan().is_none() && !begins(phase, scenario, rig.truth()) {}
-    if phase == Phase::Swap {
+    if phase == DrivePhase::Swap {
         rig.begin_swap();
         (0..SHADOWED).for_each(|_| _ = rig.scan());
     }

@@ -1,6 +1,6 @@
 //! The drive without a fault is that of the pipeline, and the shipped faults of samples and robot pass.
 
-use fault_matrix::{Rig, Simulation, Verdict, course};
+use fault_matrix::{CellVerdict, Rig, Simulation, course};
 
 #[test]
 fn without_a_fault_each_scan_gives_the_bits_of_the_pipeline() {
@@ -45,7 +45,7 @@ fn every_cell_of_the_simulation_passes() {
         for phase in fault.phases() {
             let cell = simulation.cell(fault, phase).unwrap();
             cells += 1;
-            if cell.verdict == Verdict::Fail {
+            if cell.verdict == CellVerdict::Fail {
                 failed += &format!("{}/{}: {} {cell:?}\n", cell.fault, cell.phase, cell.reason);
             }
         }

@@ -20,8 +20,8 @@ use shared_types::{
 use crate::message::{Arrival, Stamp};
 use crate::policy::POLL_US;
 use crate::setup::{BLOCK_BYTES, HOPS, PROCESSES};
-use crate::stage::Stage;
-use crate::{HopError, Payload, Policy, Setup};
+use crate::stage::ChainStage;
+use crate::{HopError, Payload, Setup, WaitPolicy};
 
 /// Samples above this are written in place, as no service of the loop has to [bytes].
 const IN_PLACE: usize = 8192;
@@ -99,7 +99,7 @@ struct BusStage<I: Sample, O: Sample> {
 }
 
 impl<I: Sample, O: Sample> BusStage<I, O> {
-    fn open(setup: &Setup) -> Result<Box<dyn Stage>, RuntimeError> {
+    fn open(setup: &Setup) -> Result<Box<dyn ChainStage>, RuntimeError> {
         let mut process = Process::attach(Role::ALL[setup.index])?;
         // As the orchestrator does for every process of a run; other schedulers stay as they are.
         runtime::Realtime::default().apply_to(std::process::id());
@@ -110,7 +110,7 @@ impl<I: Sample, O: Sample> BusStage<I, O> {
     }
 }
 
-impl<I: Sample, O: Sample> Stage for BusStage<I, O> {
+impl<I: Sample, O: Sample> ChainStage for BusStage<I, O> {
     fn send(&mut self, stamp: Stamp) -> Result<(), HopError> {
         let Some((output, sample)) = &mut self.output else { return Ok(()) };
         let header = if self.input.is_some() {
@@ -205,7 +205,7 @@ macro_rules! with_size {
 }
 
 /// Opens the ports of this process and passes the start barrier.
-pub(crate) fn open(setup: &Setup) -> Result<Box<dyn Stage>, HopError> {
+pub(crate) fn open(setup: &Setup) -> Result<Box<dyn ChainStage>, HopError> {
     let opened = if setup.payload_bytes == Payload::Pipeline.bytes() {
         match setup.index {
             0 => BusStage::<Odometry, Odometry>::open(setup),
@@ -247,7 +247,7 @@ impl System {
         domain: Domain,
         payload: Payload,
         period_ns: u64,
-        policy: Policy,
+        policy: WaitPolicy,
     ) -> Result<Self, HopError> {
         let error = |error: RuntimeError| HopError::transport("create the bus of the chain", error);
         let run = RunSettings {
@@ -256,7 +256,7 @@ impl System {
             orphan_stop_ns: ORPHAN_TIMEOUT_NS,
             orphan_timeout_ns: ORPHAN_TIMEOUT_NS,
         };
-        let realtime = Realtime { poll_us: if policy == Policy::Poll { POLL_US } else { 0 } };
+        let realtime = Realtime { poll_us: if policy == WaitPolicy::Poll { POLL_US } else { 0 } };
         let text = toml::to_string(&Settings { run, realtime })
             .map_err(|error| HopError::transport("write the settings", error))?;
         for role in Role::ALL {

@@ -1,7 +1,7 @@
 //! The transports that a chain can use.
 
-use crate::stage::Stage;
-use crate::{HopError, Policy, Setup, bus, floor, listener, unix_socket};
+use crate::stage::ChainStage;
+use crate::{HopError, Setup, WaitPolicy, bus, floor, listener, unix_socket};
 
 /// A transport under comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -56,8 +56,8 @@ impl Contender {
     }
 
     /// Whether its processes can wait in this way. Libraries that wait in threads of their own have no choice.
-    pub const fn can(self, policy: Policy) -> bool {
-        matches!(policy, Policy::Block)
+    pub const fn can(self, policy: WaitPolicy) -> bool {
+        matches!(policy, WaitPolicy::Block)
             || matches!(self, Self::Iceoryx2 | Self::Floor | Self::FloorFutex | Self::UnixSocket)
     }
 }
@@ -74,12 +74,12 @@ impl std::str::FromStr for Contender {
 }
 
 /// Opens the ports of one process of an in-tree contender, and sets how the process waits.
-pub(crate) fn stage(setup: &mut Setup) -> Result<Box<dyn Stage>, HopError> {
+pub(crate) fn stage(setup: &mut Setup) -> Result<Box<dyn ChainStage>, HopError> {
     Ok(match setup.contender.as_str() {
         "iceoryx2" => {
             let stage = bus::open(setup)?;
             // The runtime does the polling itself, as its settings say.
-            setup.policy = Policy::Block;
+            setup.policy = WaitPolicy::Block;
             stage
         }
         "iceoryx2-listener" => Box::new(listener::StockListener::open(setup)?),

@@ -12,7 +12,7 @@ use crate::{HopError, Setup};
 
 /// An order of the driver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Order {
+pub enum DriverOrder {
     /// The chain is connected: measure.
     Go,
     /// Report what has come so far.
@@ -23,10 +23,10 @@ pub enum Order {
 
 /// A process's end of the connection.
 #[derive(Debug)]
-pub struct Control(UnixStream);
+pub struct DriverConnection(UnixStream);
 
-impl Control {
-    /// Connects to the driver; call [`Control::hello`] when all ports are open.
+impl DriverConnection {
+    /// Connects to the driver; call [`DriverConnection::hello`] when all ports are open.
     ///
     /// # Errors
     /// [`HopError::System`].
@@ -62,7 +62,7 @@ impl Control {
     }
 
     /// The next order of the driver; waits up to `timeout` for it.
-    pub fn order(&mut self, timeout: Duration) -> Option<Order> {
+    pub fn order(&mut self, timeout: Duration) -> Option<DriverOrder> {
         let mut letter = [0];
         let read = if timeout.is_zero() {
             recv(&self.0, &mut letter, RecvFlags::DONTWAIT).map(|(count, _)| count).map_err(Into::into)
@@ -70,18 +70,18 @@ impl Control {
             self.0.set_read_timeout(Some(timeout)).and_then(|()| self.0.read(&mut letter))
         };
         match read {
-            Ok(1) if letter[0] == b'g' => Some(Order::Go),
-            Ok(1) if letter[0] == b'f' => Some(Order::Finish),
-            Ok(_) => Some(Order::Close),
+            Ok(1) if letter[0] == b'g' => Some(DriverOrder::Go),
+            Ok(1) if letter[0] == b'f' => Some(DriverOrder::Finish),
+            Ok(_) => Some(DriverOrder::Close),
             Err(error) => {
                 let nothing = [ErrorKind::WouldBlock, ErrorKind::TimedOut, ErrorKind::Interrupted];
-                if nothing.contains(&error.kind()) { None } else { Some(Order::Close) }
+                if nothing.contains(&error.kind()) { None } else { Some(DriverOrder::Close) }
             }
         }
     }
 
     /// Sleeps until the driver closes the chain: for a process whose library forwards the messages.
     pub fn wait_for_close(&mut self) {
-        while self.order(Duration::from_secs(1)) != Some(Order::Close) {}
+        while self.order(Duration::from_secs(1)) != Some(DriverOrder::Close) {}
     }
 }

@@ -14,7 +14,7 @@ use crate::peers;
 use crate::setup::PROCESSES;
 use crate::spawn::prepare;
 use crate::wiring::{Files, Wiring};
-use crate::{Contender, HopError, Plan, Setup};
+use crate::{ChainPlan, Contender, HopError, Setup};
 
 /// How long a chain may take until its first message has come through.
 const START: Duration = Duration::from_secs(30);
@@ -49,7 +49,7 @@ impl Block {
 /// # Errors
 /// [`HopError::Chain`] when it does not come up or a process of it ends, [`HopError::Interrupted`] when `stop`
 /// returns true, and errors of the operating system.
-pub fn measure(plan: &Plan, stop: &dyn Fn() -> bool) -> Result<Block, HopError> {
+pub fn measure(plan: &ChainPlan, stop: &dyn Fn() -> bool) -> Result<Block, HopError> {
     let mut chain = Chain::start(plan, stop)?;
     chain.connect()?;
     chain.measure()
@@ -57,7 +57,7 @@ pub fn measure(plan: &Plan, stop: &dyn Fn() -> bool) -> Result<Block, HopError> 
 
 /// A chain whose processes have been started; taken down when dropped.
 struct Chain<'a> {
-    plan: &'a Plan,
+    plan: &'a ChainPlan,
     stop: &'a dyn Fn() -> bool,
     listener: UnixListener,
     ends: Vec<End>,
@@ -75,7 +75,7 @@ struct End {
 }
 
 impl<'a> Chain<'a> {
-    fn start(plan: &'a Plan, stop: &'a dyn Fn() -> bool) -> Result<Self, HopError> {
+    fn start(plan: &'a ChainPlan, stop: &'a dyn Fn() -> bool) -> Result<Self, HopError> {
         let files = Files::create()?;
         let control = files.directory().join("control");
         let listener = UnixListener::bind(&control).map_err(HopError::system("listen to the processes"))?;

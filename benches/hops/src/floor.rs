@@ -12,7 +12,7 @@ use rustix::thread::futex;
 use crate::message::{Arrival, Stamp};
 use crate::policy::MAX_WAIT_NS;
 use crate::ring::Ring;
-use crate::stage::Stage;
+use crate::stage::ChainStage;
 use crate::{HopError, Setup};
 
 /// A ring and how its reader is woken.
@@ -80,7 +80,7 @@ impl End {
     }
 }
 
-impl Stage for Floor {
+impl ChainStage for Floor {
     fn send(&mut self, stamp: Stamp) -> Result<(), HopError> {
         if let Some(outlet) = &self.outlet
             && outlet.ring.write(outlet.payload, |message| stamp.write(message))

@@ -11,7 +11,8 @@
 //! the rest would cost the same everywhere; leaving it out favours transports that copy, because their data stay in
 //! the cache.
 //!
-//! Without the feature `chains` this is only what the program of a peer needs: [`Setup`], [`Control`], [`Stage`].
+//! Without the feature `chains` this is only what the program of a peer needs: [`Setup`], [`DriverConnection`],
+//! [`ChainStage`].
 
 mod control;
 mod message;
@@ -42,20 +43,20 @@ mod unix_socket;
 #[cfg(feature = "chains")]
 mod wiring;
 
-pub use control::{Control, Order};
+pub use control::{DriverConnection, DriverOrder};
 pub use message::{Arrival, SMALLEST, Stamp, monotonic_ns};
-pub use policy::Policy;
+pub use policy::WaitPolicy;
 pub use setup::{HOPS, PROCESSES, SETUP_VARIABLE, Setup, TIDY};
-pub use stage::{Stage, run};
+pub use stage::{ChainStage, run};
 
 #[cfg(feature = "chains")]
 pub use {
     contender::Contender,
     driver::{Block, measure},
     peers::missing,
-    plan::Plan,
+    plan::ChainPlan,
     setup::{BLOCK_BYTES, Payload},
-    spawn::{PRIORITY, Scheduling, processors},
+    spawn::{PRIORITY, SchedulingClass, processors},
 };
 
 /// What can go wrong in a chain.

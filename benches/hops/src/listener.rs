@@ -20,7 +20,7 @@ use runtime::Domain;
 use crate::message::{Arrival, Stamp};
 use crate::policy::MAX_WAIT_NS;
 use crate::setup::HOPS;
-use crate::stage::Stage;
+use crate::stage::ChainStage;
 use crate::{HopError, Setup};
 
 /// Messages that wait at a reader: as many as on the topics of the loop.
@@ -106,7 +106,7 @@ impl StockListener {
     }
 }
 
-impl Stage for StockListener {
+impl ChainStage for StockListener {
     fn send(&mut self, stamp: Stamp) -> Result<(), HopError> {
         let Some((publisher, notifier)) = &self.outlet else { return Ok(()) };
         let error = |reason: &dyn std::fmt::Debug| HopError::transport("publish", reason);

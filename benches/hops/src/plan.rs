@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
-use crate::{Contender, Payload, Policy, Scheduling};
+use crate::{Contender, Payload, SchedulingClass, WaitPolicy};
 
 /// One measurement.
 #[derive(Debug, Clone)]
-pub struct Plan {
+pub struct ChainPlan {
     /// The transport.
     pub contender: Contender,
     /// How large messages are.
@@ -18,9 +18,9 @@ pub struct Plan {
     /// Messages that count.
     pub samples: u64,
     /// How processes wait.
-    pub policy: Policy,
+    pub policy: WaitPolicy,
     /// Scheduler of all processes and threads of the chain.
-    pub scheduling: Scheduling,
+    pub scheduling: SchedulingClass,
     /// Processors they may run on; empty: all.
     pub cpus: Vec<usize>,
     /// The program that calls [`crate::hop`].
@@ -29,7 +29,7 @@ pub struct Plan {
     pub arguments: Vec<String>,
 }
 
-impl Plan {
+impl ChainPlan {
     /// Time between two messages [ns].
     pub fn period_ns(&self) -> u64 {
         (1e9 / self.rate_hz) as u64

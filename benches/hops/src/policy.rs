@@ -12,7 +12,7 @@ pub(crate) const POLL_US: u64 = 200;
 /// How a process waits for its next message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Policy {
+pub enum WaitPolicy {
     /// It sleeps until the message wakes it.
     Block,
     /// It sleeps until shortly before the message is due, a period after the last one. Then it polls, and yields the
@@ -20,7 +20,7 @@ pub enum Policy {
     Poll,
 }
 
-impl Policy {
+impl WaitPolicy {
     /// Name on the command line and in JSON.
     pub const fn name(self) -> &'static str {
         match self {

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{HopError, Policy};
+use crate::{HopError, WaitPolicy};
 
 /// Processes of a chain: as many as the loop has.
 pub const PROCESSES: usize = 5;
@@ -35,7 +35,7 @@ pub struct Setup {
     /// Messages that count.
     pub samples: u64,
     /// How processes wait.
-    pub policy: Policy,
+    pub policy: WaitPolicy,
     /// Address of each hop, in the contender's own terms: descriptors, sockets, ports.
     pub addresses: Vec<String>,
 }
@@ -135,7 +135,7 @@ mod tests {
             period_ns: 1,
             warm_up: 0,
             samples: 1,
-            policy: Policy::Block,
+            policy: WaitPolicy::Block,
             addresses: ["a", "b", "c", "d"].map(str::to_owned).to_vec(),
         };
         for index in 1..PROCESSES {

@@ -16,14 +16,14 @@ pub const PRIORITY: i32 = 40;
 
 /// How the kernel chooses among processes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Scheduling {
+pub enum SchedulingClass {
     /// SCHED_OTHER, the default.
     Other,
     /// SCHED_FIFO: a process that wakes takes the processor from all others.
     Fifo,
 }
 
-impl Scheduling {
+impl SchedulingClass {
     /// Name on the command line and in JSON.
     pub const fn name(self) -> &'static str {
         match self {
@@ -59,7 +59,12 @@ pub fn processors() -> Vec<usize> {
 
 /// Has the command run under `scheduling` on `cpus` (empty: all), with `descriptors` open, in a group of its own, and
 /// killed when this thread ends.
-pub(crate) fn prepare(command: &mut Command, scheduling: Scheduling, cpus: &[usize], descriptors: &[RawFd]) {
+pub(crate) fn prepare(
+    command: &mut Command,
+    scheduling: SchedulingClass,
+    cpus: &[usize],
+    descriptors: &[RawFd],
+) {
     let mut set = empty();
     for cpu in cpus.iter().filter(|cpu| **cpu < libc::CPU_SETSIZE as usize) {
         // SAFETY: the index is below the number of bits of the set.
@@ -77,7 +82,7 @@ pub(crate) fn prepare(command: &mut Command, scheduling: Scheduling, cpus: &[usi
             if pinned {
                 checked(libc::sched_setaffinity(0, size_of_val(&set), &raw const set))?;
             }
-            if scheduling == Scheduling::Fifo {
+            if scheduling == SchedulingClass::Fifo {
                 let parameters = libc::sched_param { sched_priority: PRIORITY };
                 checked(libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const parameters))?;
             }
@@ -104,7 +109,7 @@ mod tests {
         let first = processors()[0];
         let mut command = Command::new("grep");
         command.args(["Cpus_allowed_list", "/proc/self/status"]);
-        prepare(&mut command, Scheduling::Other, &[first], &[]);
+        prepare(&mut command, SchedulingClass::Other, &[first], &[]);
         let output = String::from_utf8(command.output().unwrap().stdout).unwrap();
         assert_eq!(output.split_whitespace().last(), Some(first.to_string().as_str()), "{output}");
     }

@@ -4,16 +4,16 @@ use std::time::Duration;
 
 use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
 
-use crate::control::{Control, Order};
+use crate::control::{DriverConnection, DriverOrder};
 use crate::message::{Arrival, Stamp, monotonic_ns};
 use crate::policy::{MAX_WAIT_NS, POLL_US};
-use crate::{HopError, Policy, Setup};
+use crate::{HopError, Setup, WaitPolicy};
 
 /// Time between two messages while the chain connects.
 const CONNECTING: Duration = Duration::from_millis(20);
 
 /// The ports of one process on one transport.
-pub trait Stage {
+pub trait ChainStage {
     /// Sends a message of the size that belongs to this process; one that finds no room is lost.
     ///
     /// # Errors
@@ -23,7 +23,7 @@ pub trait Stage {
     /// The oldest message that this process has noticed, without a system call.
     fn take(&mut self) -> Option<Arrival>;
 
-    /// Whether a message has come, without sleeping; [`Stage::take`] then has it.
+    /// Whether a message has come, without sleeping; [`ChainStage::take`] then has it.
     fn poll(&mut self) -> bool;
 
     /// Sleeps until a time of CLOCK_MONOTONIC: the first process, until its next message is due.
@@ -41,8 +41,8 @@ pub trait Stage {
 ///
 /// # Errors
 /// When the driver can't be reached, and what the transport refuses.
-pub fn run(stage: &mut dyn Stage, setup: &Setup) -> Result<(), HopError> {
-    let mut control = Control::connect(setup)?;
+pub fn run(stage: &mut dyn ChainStage, setup: &Setup) -> Result<(), HopError> {
+    let mut control = DriverConnection::connect(setup)?;
     control.hello(setup)?;
     if setup.is_first() {
         send(stage, setup, &mut control)
@@ -54,13 +54,13 @@ pub fn run(stage: &mut dyn Stage, setup: &Setup) -> Result<(), HopError> {
 }
 
 /// Sends at the rate of the setup, whether messages arrive or not.
-fn send(stage: &mut dyn Stage, setup: &Setup, control: &mut Control) -> Result<(), HopError> {
+fn send(stage: &mut dyn ChainStage, setup: &Setup, control: &mut DriverConnection) -> Result<(), HopError> {
     loop {
         stage.send(Stamp::now(0))?;
         match control.order(CONNECTING) {
-            Some(Order::Go) => break,
-            Some(Order::Close) => return Ok(()),
-            Some(Order::Finish) | None => {}
+            Some(DriverOrder::Go) => break,
+            Some(DriverOrder::Close) => return Ok(()),
+            Some(DriverOrder::Finish) | None => {}
         }
     }
     let start = monotonic_ns() + setup.period_ns;
@@ -73,7 +73,11 @@ fn send(stage: &mut dyn Stage, setup: &Setup, control: &mut Control) -> Result<(
     Ok(())
 }
 
-fn pass_on(stage: &mut dyn Stage, setup: &Setup, control: &mut Control) -> Result<(), HopError> {
+fn pass_on(
+    stage: &mut dyn ChainStage,
+    setup: &Setup,
+    control: &mut DriverConnection,
+) -> Result<(), HopError> {
     let (mut due_ns, mut quiet) = (0, false);
     loop {
         if let Some(arrival) = stage.take() {
@@ -81,7 +85,7 @@ fn pass_on(stage: &mut dyn Stage, setup: &Setup, control: &mut Control) -> Resul
             due_ns = arrival.received_ns + setup.period_ns;
             quiet = false;
         } else if std::mem::take(&mut quiet) {
-            if control.order(Duration::ZERO) == Some(Order::Close) {
+            if control.order(Duration::ZERO) == Some(DriverOrder::Close) {
                 return Ok(());
             }
         } else {
@@ -90,7 +94,11 @@ fn pass_on(stage: &mut dyn Stage, setup: &Setup, control: &mut Control) -> Resul
     }
 }
 
-fn receive(stage: &mut dyn Stage, setup: &Setup, control: &mut Control) -> Result<(), HopError> {
+fn receive(
+    stage: &mut dyn ChainStage,
+    setup: &Setup,
+    control: &mut DriverConnection,
+) -> Result<(), HopError> {
     let mut latencies_ns = vec![0; setup.samples as usize];
     let (mut due_ns, mut quiet, mut seen, mut reported) = (0, false, false, false);
     loop {
@@ -108,9 +116,9 @@ fn receive(stage: &mut dyn Stage, setup: &Setup, control: &mut Control) -> Resul
             finished = stamp.sequence == setup.samples;
         } else if std::mem::take(&mut quiet) {
             match control.order(Duration::ZERO) {
-                Some(Order::Close) => return Ok(()),
-                Some(Order::Finish) => finished = true,
-                Some(Order::Go) | None => {}
+                Some(DriverOrder::Close) => return Ok(()),
+                Some(DriverOrder::Finish) => finished = true,
+                Some(DriverOrder::Go) | None => {}
             }
         } else {
             quiet = idle(stage, setup, due_ns);
@@ -122,16 +130,16 @@ fn receive(stage: &mut dyn Stage, setup: &Setup, control: &mut Control) -> Resul
 }
 
 /// Waits by the policy of the setup; true when there is time to check for orders of the driver.
-fn idle(stage: &mut dyn Stage, setup: &Setup, due_ns: u64) -> bool {
+fn idle(stage: &mut dyn ChainStage, setup: &Setup, due_ns: u64) -> bool {
     let before = monotonic_ns();
     wait(stage, setup.policy, due_ns);
     monotonic_ns() - before > MAX_WAIT_NS / 3
 }
 
 /// Waits once, for a message that is due at `due_ns`; the caller checks whether there is one.
-fn wait(stage: &mut dyn Stage, policy: Policy, due_ns: u64) {
+fn wait(stage: &mut dyn ChainStage, policy: WaitPolicy, due_ns: u64) {
     let now = monotonic_ns();
-    if policy == Policy::Block || due_ns == 0 || now > due_ns + 1000 * POLL_US {
+    if policy == WaitPolicy::Block || due_ns == 0 || now > due_ns + 1000 * POLL_US {
         return stage.block(None);
     }
     let early = due_ns.saturating_sub(1000 * POLL_US);

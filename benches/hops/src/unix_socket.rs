@@ -14,7 +14,7 @@ use rustix::net::{RecvFlags, SendFlags, recv, send};
 use crate::floor::inherited;
 use crate::message::{Arrival, Stamp};
 use crate::policy::MAX_WAIT_NS;
-use crate::stage::Stage;
+use crate::stage::ChainStage;
 use crate::{HopError, Setup};
 
 /// Largest packet: fits the buffers of a socket as the kernel gives them [bytes].
@@ -64,7 +64,7 @@ impl UnixSocket {
     }
 }
 
-impl Stage for UnixSocket {
+impl ChainStage for UnixSocket {
     fn send(&mut self, stamp: Stamp) -> Result<(), HopError> {
         let Some(outlet) = &self.outlet else { return Ok(()) };
         stamp.write(&mut self.outgoing);

@@ -14,7 +14,7 @@ use rustix::net::{AddressFamily, SocketFlags, SocketType, socketpair};
 
 use crate::ring::Ring;
 use crate::setup::{HOPS, PROCESSES, SETUP_VARIABLE, Setup};
-use crate::{Contender, HopError, Plan, bus, listener, peers};
+use crate::{ChainPlan, Contender, HopError, bus, listener, peers};
 
 /// First letter of the ids of the systems that chains make.
 const ID: char = 'h';
@@ -57,7 +57,7 @@ impl Drop for Files {
 
 impl Wiring {
     /// Makes what the contender of the plan needs.
-    pub(crate) fn new(plan: &Plan, files: &Files) -> Result<Self, HopError> {
+    pub(crate) fn new(plan: &ChainPlan, files: &Files) -> Result<Self, HopError> {
         let mut wiring =
             Self { system: None, _services: None, descriptors: Vec::new(), addresses: Vec::new() };
         match plan.contender {
@@ -102,7 +102,7 @@ impl Wiring {
     /// The commands that start all processes; `setup` makes the setup of one.
     pub(crate) fn commands(
         &self,
-        plan: &Plan,
+        plan: &ChainPlan,
         files: &Files,
         setup: impl Fn(usize) -> Setup,
     ) -> Result<Vec<Command>, HopError> {

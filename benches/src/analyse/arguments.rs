@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::analysis::intervals::{ErrorMeasure, Family, Grid};
+use crate::analysis::intervals::{ControlFamily, ErrorMeasure, Grid};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Subcommand};
 use estimator::Measured;
@@ -112,7 +112,7 @@ pub(crate) struct IntervalsArguments {
     pub error: ErrorMeasure,
     /// Admissible controls: constant over the horizon, or one value per interval.
     #[arg(long, value_name = "FAMILY", default_value = "constant", value_parser = one_of(&FAMILIES))]
-    pub controls: Family,
+    pub controls: ControlFamily,
     /// Find the longest horizon for this number of intervals instead, 1 to 40 (10 if piecewise or free).
     #[arg(long, value_name = "N")]
     pub n: Option<usize>,
@@ -147,8 +147,8 @@ pub(super) const ERRORS: [(&str, ErrorMeasure); 3] = [
 ];
 
 /// Names of families of controls.
-pub(super) const FAMILIES: [(&str, Family); 2] =
-    [("constant", Family::Constant), ("piecewise", Family::Piecewise)];
+pub(super) const FAMILIES: [(&str, ControlFamily); 2] =
+    [("constant", ControlFamily::Constant), ("piecewise", ControlFamily::Piecewise)];
 
 /// Names of grids.
 pub(super) const GRIDS: [(&str, Grid); 2] = [("uniform", Grid::Uniform), ("free", Grid::Free)];

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use crate::analysis::correlation::{Angles, CORRELATED_BELOW_DEG, Correlation, Settings};
+use crate::analysis::correlation::{Angles, CORRELATED_BELOW_DEG, Correlation, CorrelationSettings};
 use console::exit::Exit;
 use report::picture::chart::{Chart, Curve};
 use serde::Serialize;
@@ -33,7 +33,7 @@ struct CorrelationResult {
 }
 
 pub(super) fn analyse(arguments: &CorrelationArguments) -> anyhow::Result<Exit> {
-    let settings = Settings {
+    let settings = CorrelationSettings {
         parameters: Parameters::default(),
         bounds: Bounds::default(),
         scheme: arguments.scheme,
@@ -99,7 +99,7 @@ fn table(result: &CorrelationResult) -> String {
     text
 }
 
-fn chart(settings: &Settings, result: &CorrelationResult) -> Chart {
+fn chart(settings: &CorrelationSettings, result: &CorrelationResult) -> Chart {
     /// Points of a curve.
     const POINTS: i32 = 48;
     let bounds = &settings.bounds;

@@ -1,8 +1,8 @@
 //! `scanloop analyse drift`: the position error that each form of the correction of measured data leaves.
 
-use crate::analysis::forms::{Form, LATERAL_RATE, LONGITUDINAL, OFFSET_RAD, Robot, errors, largest};
+use crate::analysis::forms::{ErrorCause, Form, LATERAL_RATE, LONGITUDINAL, OFFSET_RAD, errors, largest};
 use console::exit::Exit;
-use estimator::correction::Mode;
+use estimator::correction::CorrectionMode;
 use figures::Table;
 use report::picture::chart::{Chart, Curve};
 use serde::Serialize;
@@ -19,17 +19,17 @@ const TIMES_S: [f64; 3] = [5.0, 10.0, 20.0];
 const SECONDS: f64 = 20.0;
 
 const FORMS: [(&str, Form); 5] = [
-    ("off", Form { mode: Mode::Off, reset_s: 0.0 }),
-    ("time (printed)", Form { mode: Mode::Time, reset_s: 0.0 }),
-    ("time, reset 6 s", Form { mode: Mode::Time, reset_s: 6.0 }),
-    ("moving", Form { mode: Mode::Moving, reset_s: 0.0 }),
-    ("yaw", Form { mode: Mode::Yaw, reset_s: 0.0 }),
+    ("off", Form { mode: CorrectionMode::Off, reset_s: 0.0 }),
+    ("time (printed)", Form { mode: CorrectionMode::Time, reset_s: 0.0 }),
+    ("time, reset 6 s", Form { mode: CorrectionMode::Time, reset_s: 6.0 }),
+    ("moving", Form { mode: CorrectionMode::Moving, reset_s: 0.0 }),
+    ("yaw", Form { mode: CorrectionMode::Yaw, reset_s: 0.0 }),
 ];
 
-const ROBOTS: [(&str, Robot); 3] = [
-    ("constant steering offset", Robot::Offset),
-    ("play, zero mean", Robot::Play),
-    ("odometry errs as modelled", Robot::Modelled),
+const ROBOTS: [(&str, ErrorCause); 3] = [
+    ("constant steering offset", ErrorCause::Offset),
+    ("play, zero mean", ErrorCause::Play),
+    ("odometry errs as modelled", ErrorCause::Modelled),
 ];
 
 #[derive(Debug, Serialize)]
@@ -67,7 +67,7 @@ pub(super) fn analyse(arguments: &DriftArguments) -> anyhow::Result<Exit> {
     publish(&arguments.output, "drift", &table(&result), &chart(), &result, true)
 }
 
-fn of_robot(name: &'static str, robot: Robot) -> RobotErrors {
+fn of_robot(name: &'static str, robot: ErrorCause) -> RobotErrors {
     let forms = FORMS.iter().map(|(form_name, form)| {
         let found = errors(robot, *form, SECONDS);
         FormErrors { form: form_name, largest_error_m: TIMES_S.map(|time_s| largest(&found, time_s)) }
@@ -92,7 +92,7 @@ fn chart() -> Chart {
     let curve = |(name, form): &(&str, Form)| Curve {
         name: (*name).to_owned(),
         // The logarithmic axis has no zero; errors below a millimetre do not matter.
-        points: errors(Robot::Offset, *form, SECONDS)
+        points: errors(ErrorCause::Offset, *form, SECONDS)
             .into_iter()
             .map(|[t, error]| [t, error.max(1e-3)])
             .collect(),

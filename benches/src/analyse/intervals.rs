@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use crate::analysis::intervals::{Definition, ErrorMeasure, Family, Grid, Horizons, Worst};
+use crate::analysis::intervals::{ControlFamily, Definition, ErrorMeasure, Grid, Horizons, Worst};
 use console::exit::Exit;
 use report::picture::chart::{Chart, Curve};
 use serde::Serialize;
@@ -117,7 +117,7 @@ fn other_schemes(
     let of = move |(name, scheme): &(&'static str, ocp::Scheme)| {
         let equal = Definition { scheme: *scheme, grid: Grid::Uniform, ..*definition };
         // For piecewise controls the search takes too long for all schemes and numbers.
-        let held = equal.controls == Family::Constant;
+        let held = equal.controls == ControlFamily::Constant;
         let n = held.then(|| equal.smallest_count(horizon_s, limit).smallest).flatten();
         OtherScheme { scheme: name, max_error: equal.worst(horizon_s, count).error, n }
     };
@@ -186,8 +186,8 @@ fn sentence(definition: &Definition) -> String {
         }
     };
     let controls = match definition.controls {
-        Family::Constant => "one control of the box held over the horizon",
-        Family::Piecewise => "one control of the box per interval (a family that grows with N)",
+        ControlFamily::Constant => "one control of the box held over the horizon",
+        ControlFamily::Piecewise => "one control of the box per interval (a family that grows with N)",
     };
     let grid = match definition.grid {
         Grid::Uniform => "equal intervals",
@@ -296,8 +296,12 @@ fn count_chart(result: &IntervalsResult, definition: &Definition) -> Chart {
     for name in ["gauss-2", "gauss-3", "radau-2", "radau-3"].into_iter().filter(|name| *name != result.scheme)
     {
         let Some((_, scheme)) = SCHEMES.iter().find(|(other, _)| *other == name) else { continue };
-        let other =
-            Definition { scheme: *scheme, controls: Family::Constant, grid: Grid::Uniform, ..*definition };
+        let other = Definition {
+            scheme: *scheme,
+            controls: ControlFamily::Constant,
+            grid: Grid::Uniform,
+            ..*definition
+        };
         let count = result.errors.len();
         let errors: Vec<f64> = (1..=count).map(|count| other.worst(result.tf_s, count).error).collect();
         curves.push(Curve {

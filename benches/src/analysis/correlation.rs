@@ -24,7 +24,7 @@ pub(crate) const CORRELATED_BELOW_DEG: f64 = 10.0;
 
 /// Input of the analysis.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Settings {
+pub(crate) struct CorrelationSettings {
     /// The robot.
     pub parameters: Parameters,
     /// The box of controls.
@@ -75,7 +75,7 @@ impl Correlation {
     }
 }
 
-impl Settings {
+impl CorrelationSettings {
     /// Passes when all numbers are allowed.
     ///
     /// # Errors
@@ -153,8 +153,8 @@ fn angle_deg(columns: &[[f64; 2]; 5]) -> f64 {
 mod tests {
     use super::*;
 
-    fn settings() -> Settings {
-        Settings {
+    fn settings() -> CorrelationSettings {
+        CorrelationSettings {
             parameters: Parameters::default(),
             bounds: Bounds::default(),
             scheme: Scheme::Radau3,
@@ -230,7 +230,7 @@ mod tests {
         ] {
             assert!(settings().analyse(control).unwrap_err().to_string().contains(" to "));
         }
-        let error = Settings { count: 0, ..settings() }.validate().unwrap_err().to_string();
+        let error = CorrelationSettings { count: 0, ..settings() }.validate().unwrap_err().to_string();
         assert!(error.contains("n = 0"), "{error}");
     }
 }

@@ -10,7 +10,7 @@ use vehicle::frame::to_track;
 use vehicle::integrate::rk4;
 use vehicle::{Control, Parameters, State};
 
-use estimator::correction::{CorrectionState, Drift, Mode, Planar};
+use estimator::correction::{CorrectionMode, CorrectionState, Drift, Planar};
 
 /// The coefficients that the source prints.
 pub(crate) const LONGITUDINAL: f64 = 0.01;
@@ -26,7 +26,7 @@ const STEPS: usize = 100;
 
 /// The cause of the odometry error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Robot {
+pub(crate) enum ErrorCause {
     /// The wheels are off by a constant angle that the odometry does not measure: play taken up on one side.
     Offset,
     /// The wheels follow the shaft through play of the same size: the error changes sides.
@@ -39,13 +39,13 @@ pub(crate) enum Robot {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Form {
     /// The form.
-    pub mode: Mode,
+    pub mode: CorrectionMode,
     /// Time after which the lateral drift restarts at zero, 0 for never [s].
     pub reset_s: f64,
 }
 
 /// Distance of corrected and true position at each report, `(t, error)` in s and m, from zero to `seconds`.
-pub(crate) fn errors(robot: Robot, form: Form, seconds: f64) -> Vec<[f64; 2]> {
+pub(crate) fn errors(robot: ErrorCause, form: Form, seconds: f64) -> Vec<[f64; 2]> {
     let parameters = Parameters::default();
     let drift = Drift {
         mode: form.mode,
@@ -64,9 +64,9 @@ pub(crate) fn errors(robot: Robot, form: Form, seconds: f64) -> Vec<[f64; 2]> {
             let time_s = ((report - 1) * STEPS + step) as f64 * step_s;
             let steering = 0.06 * (std::f64::consts::TAU * time_s / 5.0).sin();
             wheels = match robot {
-                Robot::Offset => steering + OFFSET_RAD,
-                Robot::Play => wheels.clamp(steering - OFFSET_RAD, steering + OFFSET_RAD),
-                Robot::Modelled => steering,
+                ErrorCause::Offset => steering + OFFSET_RAD,
+                ErrorCause::Play => wheels.clamp(steering - OFFSET_RAD, steering + OFFSET_RAD),
+                ErrorCause::Modelled => steering,
             };
             let drive = |state: &State, angle: f64| {
                 rk4(&parameters, state, &Control { velocity: 1.0, steering: angle }, step_s)
@@ -75,7 +75,7 @@ pub(crate) fn errors(robot: Robot, form: Form, seconds: f64) -> Vec<[f64; 2]> {
             let moved = nalgebra::Vector2::new(next_believed.x - believed.x, next_believed.y - believed.y);
             let missed = to_track(believed.yaw, LONGITUDINAL, lateral) * step_s;
             reported += moved - missed;
-            if robot == Robot::Modelled {
+            if robot == ErrorCause::Modelled {
                 lateral += LATERAL_RATE * step_s;
             }
             (truth, believed) = (next, next_believed);
@@ -96,23 +96,30 @@ pub(crate) fn largest(errors: &[[f64; 2]], until_s: f64) -> f64 {
 mod tests {
     use super::*;
 
-    const fn form(mode: Mode) -> Form {
+    const fn form(mode: CorrectionMode) -> Form {
         Form { mode, reset_s: 0.0 }
     }
 
     #[test]
     fn the_printed_form_brings_an_offset_from_64_cm_below_8_cm_for_5_s_and_the_turning_one_for_20_s() {
-        let at = |mode, seconds| largest(&errors(Robot::Offset, form(mode), 20.0), seconds);
-        assert!((at(Mode::Off, 5.0) - 0.64).abs() < 0.03, "{}", at(Mode::Off, 5.0));
-        assert!(at(Mode::Time, 5.0) < 0.08, "{}", at(Mode::Time, 5.0));
-        assert!(at(Mode::Time, 20.0) > 1.0 && at(Mode::Yaw, 20.0) < 0.15, "{}", at(Mode::Yaw, 20.0));
+        let at = |mode, seconds| largest(&errors(ErrorCause::Offset, form(mode), 20.0), seconds);
+        assert!((at(CorrectionMode::Off, 5.0) - 0.64).abs() < 0.03, "{}", at(CorrectionMode::Off, 5.0));
+        assert!(at(CorrectionMode::Time, 5.0) < 0.08, "{}", at(CorrectionMode::Time, 5.0));
+        assert!(
+            at(CorrectionMode::Time, 20.0) > 1.0 && at(CorrectionMode::Yaw, 20.0) < 0.15,
+            "{}",
+            at(CorrectionMode::Yaw, 20.0)
+        );
     }
 
     #[test]
     fn an_error_as_modelled_is_undone_and_one_without_a_mean_is_made_worse() {
         let at = |robot, mode| largest(&errors(robot, form(mode), 20.0), 20.0);
         // The correction takes means over 100 ms, the robot steps of 1 ms.
-        assert!(at(Robot::Modelled, Mode::Time) < 0.01 && at(Robot::Modelled, Mode::Moving) < 0.01);
-        assert!(at(Robot::Play, Mode::Time) > 2.0 * at(Robot::Play, Mode::Off));
+        assert!(
+            at(ErrorCause::Modelled, CorrectionMode::Time) < 0.01
+                && at(ErrorCause::Modelled, CorrectionMode::Moving) < 0.01
+        );
+        assert!(at(ErrorCause::Play, CorrectionMode::Time) > 2.0 * at(ErrorCause::Play, CorrectionMode::Off));
     }
 }

@@ -21,14 +21,14 @@ pub(crate) use super::run::ErrorMeasure;
 
 /// Which controls are admissible.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Family {
+pub(crate) enum ControlFamily {
     /// One control of the box, held over the horizon.
     Constant,
     /// One control of the box per interval.
     Piecewise,
 }
 
-impl Family {
+impl ControlFamily {
     /// Both families.
     pub(crate) const ALL: [Self; 2] = [Self::Constant, Self::Piecewise];
 }
@@ -54,7 +54,7 @@ pub(crate) struct Definition {
     /// The measure of the error.
     pub error: ErrorMeasure,
     /// The admissible controls.
-    pub controls: Family,
+    pub controls: ControlFamily,
     /// How a horizon is divided.
     pub grid: Grid,
     /// Largest error allowed.
@@ -68,7 +68,7 @@ impl Default for Definition {
             bounds: Bounds::default(),
             scheme: Scheme::Gauss2,
             error: ErrorMeasure::PositionEnds,
-            controls: Family::Constant,
+            controls: ControlFamily::Constant,
             grid: Grid::Uniform,
             tolerance: 2.5e-4,
         }
@@ -114,7 +114,7 @@ pub(crate) struct Other {
     /// The measure of the error.
     pub error: ErrorMeasure,
     /// The admissible controls.
-    pub controls: Family,
+    pub controls: ControlFamily,
     /// Largest error.
     pub largest: f64,
 }
@@ -139,7 +139,7 @@ impl Definition {
 
     /// Largest number of intervals that are analysed by this definition.
     pub(crate) fn max_intervals(&self) -> usize {
-        let searched = self.controls == Family::Piecewise || self.grid == Grid::Free;
+        let searched = self.controls == ControlFamily::Piecewise || self.grid == Grid::Free;
         if searched { MAX_SEARCHED } else { MAX_HELD }
     }
 
@@ -234,7 +234,9 @@ impl Definition {
     pub(crate) fn others(&self, lengths_s: &[f64]) -> Vec<Other> {
         let mut others = Vec::new();
         let few = lengths_s.len() <= MAX_SEARCHED;
-        for controls in Family::ALL.into_iter().filter(|family| few || *family == Family::Constant) {
+        for controls in
+            ControlFamily::ALL.into_iter().filter(|family| few || *family == ControlFamily::Constant)
+        {
             for error in ErrorMeasure::ALL {
                 let largest = Self { error, controls, ..*self }.worst_on(lengths_s.to_vec()).error;
                 others.push(Other { error, controls, largest });
@@ -247,7 +249,7 @@ impl Definition {
     fn worst_on(&self, lengths_s: Vec<f64>) -> Worst {
         let runner = Runner::new(self.parameters, self.scheme, self.error);
         let mut found = search::constant(&runner, &self.bounds, &lengths_s);
-        if self.controls == Family::Piecewise {
+        if self.controls == ControlFamily::Piecewise {
             found = search::piecewise(&runner, &self.bounds, &lengths_s, &found);
         }
         let Found { error, controls } = found;
@@ -346,7 +348,8 @@ mod tests {
         for scheme in [Scheme::Gauss2, Scheme::Gauss3, Scheme::Radau2, Scheme::Radau3] {
             let definition = Definition { scheme, ..Definition::default() };
             for other in definition.others(&[SOURCE_HORIZON_S / 6.0; 6]) {
-                let source = other.error != ErrorMeasure::AllStatesEnds && other.controls == Family::Constant;
+                let source =
+                    other.error != ErrorMeasure::AllStatesEnds && other.controls == ControlFamily::Constant;
                 assert!(source || other.largest > 4.0 * 2.5e-4, "{scheme:?} {other:?}");
             }
         }
@@ -356,7 +359,7 @@ mod tests {
     fn the_search_is_not_beaten_by_a_thousand_random_controls() {
         use rand::{RngExt, SeedableRng};
         let mut random = rand_pcg::Pcg64::seed_from_u64(7);
-        let definition = Definition { controls: Family::Piecewise, ..Definition::default() };
+        let definition = Definition { controls: ControlFamily::Piecewise, ..Definition::default() };
         let lengths = [SOURCE_HORIZON_S / 6.0; 6];
         let found = definition.worst(SOURCE_HORIZON_S, 6);
         let runner = Runner::new(definition.parameters, definition.scheme, definition.error);

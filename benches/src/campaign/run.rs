@@ -2,7 +2,7 @@
 
 use courses::judge::{Judge, Judgement};
 use emulator::Outcome;
-use pipeline::{Settings, WayToRest};
+use pipeline::{PipelineSettings, WayToRest};
 use report::NO_OBSTACLE_M;
 
 use super::arguments::CampaignArguments;
@@ -32,7 +32,7 @@ impl CourseRun {
     pub(super) fn of(course: Course, arguments: &CampaignArguments) -> anyhow::Result<Self> {
         let Drive { plan, gap_m } = course.drive(arguments)?;
         let (tuning, period_ns) = (plan.system.tuning(), plan.system.period_ns());
-        let settings = Settings { scenario: plan.scenario, tuning, period_ns };
+        let settings = PipelineSettings { scenario: plan.scenario, tuning, period_ns };
         let mut judge = Judge::new(&settings.scenario, period_ns);
         let (mut time_s, mut min_clearance_m) = (0.0, NO_OBSTACLE_M);
         let (mut rest, mut min_rest_clearance_m, mut without_rest) =

@@ -5,7 +5,7 @@ use std::path::Path;
 use console::exit::Failure;
 use console::note;
 use console::user_file::{self, DATA_BYTES};
-use figures::difference::{Difference, stretches};
+use figures::difference::{DifferenceEstimate, stretches};
 use report::latency::STAGES;
 use serde::Deserialize;
 use serde_json::Value;
@@ -92,7 +92,7 @@ fn difference(
     files: [&Path; 2],
     series: &str,
     quantile: f64,
-) -> anyhow::Result<Option<Difference>> {
+) -> anyhow::Result<Option<DifferenceEstimate>> {
     let histograms = |run: &LatencyRun, file: &Path| {
         intervals::read(&run.intervals, series).ok_or_else(|| {
             Failure::bad_input(format!("{}: intervals: not the lines of a HdrHistogram log", file.display()))
@@ -109,17 +109,17 @@ fn steadier_part(
     b: &LatencyRun,
     files: [&Path; 2],
     metric: &str,
-    whole: &Difference,
-) -> anyhow::Result<Option<(String, Difference)>> {
+    whole: &DifferenceEstimate,
+) -> anyhow::Result<Option<(String, DifferenceEstimate)>> {
     let Some((_, figure)) = metric.rsplit_once('.').filter(|(key, _)| key.starts_with("scan_to_")) else {
         return Ok(None);
     };
     let stages = STAGES.map(|stage| format!("stages_us.{stage}.{figure}"));
-    let mut best: Option<(String, Difference)> = None;
+    let mut best: Option<(String, DifferenceEstimate)> = None;
     for part in stages.into_iter().chain([format!("transport_us.{figure}")]) {
         let Some((series, quantile)) = series_of(&part) else { continue };
         let Some(found) = difference(a, b, files, series, quantile)? else { continue };
-        let rank = |one: &Difference| (!one.is_seen(), one.smallest_visible);
+        let rank = |one: &DifferenceEstimate| (!one.is_seen(), one.smallest_visible);
         let varies_less = found.smallest_visible < whole.smallest_visible;
         if varies_less && best.as_ref().is_none_or(|(_, best)| rank(&found) < rank(best)) {
             best = Some((part, found));

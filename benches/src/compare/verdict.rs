@@ -1,6 +1,6 @@
 //! The result of a comparison, as text and as JSON.
 
-use figures::difference::{CONFIDENCE, Difference, MAX_ROUNDS};
+use figures::difference::{CONFIDENCE, DifferenceEstimate, MAX_ROUNDS};
 use serde::Serialize;
 
 /// The comparison of one figure; numbers have the unit that the name of the metric ends with.
@@ -33,7 +33,12 @@ pub(crate) struct Verdict {
 
 impl Verdict {
     /// The verdict on a figure after so many rounds; two files count as one.
-    pub(crate) fn new(metric: &str, [a, b]: [f64; 2], difference: &Difference, rounds: usize) -> Self {
+    pub(crate) fn new(
+        metric: &str,
+        [a, b]: [f64; 2],
+        difference: &DifferenceEstimate,
+        rounds: usize,
+    ) -> Self {
         let (directions, unit) = match unit(metric) {
             "" => (["higher", "lower"], String::new()),
             unit => (["slower", "faster"], format!(" {unit}")),
@@ -68,7 +73,7 @@ impl Verdict {
     }
 
     /// Names a part of this figure that varies less: what was changed may show there.
-    pub(crate) fn settle_with(&mut self, metric: &str, difference: &Difference) {
+    pub(crate) fn settle_with(&mut self, metric: &str, difference: &DifferenceEstimate) {
         let what = if difference.is_seen() { "shows one" } else { "would show a smaller one" };
         let (smallest, unit) = (number(difference.smallest_visible), unit(metric));
         self.text += &format!("; --metric {metric} {what}, from {smallest} {unit} on");
@@ -77,7 +82,7 @@ impl Verdict {
 }
 
 /// The number of rounds that would show whether the estimated difference is real.
-fn settlement(difference: &Difference, rounds: usize, unit: &str) -> String {
+fn settlement(difference: &DifferenceEstimate, rounds: usize, unit: &str) -> String {
     if difference.value == 0.0 {
         return "the two figures are equal".to_owned();
     }
@@ -113,16 +118,16 @@ mod tests {
 
     #[test]
     fn a_difference_has_its_interval_and_none_has_the_smallest_visible_one() {
-        let seen = Difference { value: 12.34, interval: [8.1, 16.44], smallest_visible: 6.2 };
+        let seen = DifferenceEstimate { value: 12.34, interval: [8.1, 16.44], smallest_visible: 6.2 };
         let verdict = Verdict::new("scan_to_actuation_us.p50", [100.0, 112.34], &seen, 12);
         assert_eq!(verdict.text, "B is 12.3 us slower (99 % interval 8.10 to 16.4)");
-        let faster = Difference { value: -0.5, interval: [-0.75, -0.25], smallest_visible: 0.4 };
+        let faster = DifferenceEstimate { value: -0.5, interval: [-0.75, -0.25], smallest_visible: 0.4 };
         let verdict = Verdict::new("wall_s", [1.5, 1.0], &faster, 12);
         assert_eq!(
             (verdict.verdict, verdict.text.as_str()),
             ("faster", "B is 0.500 s faster (99 % interval -0.750 to -0.250)")
         );
-        let none = Difference { value: 1.0, interval: [-3.0, 5.0], smallest_visible: 5.99 };
+        let none = DifferenceEstimate { value: 1.0, interval: [-3.0, 5.0], smallest_visible: 5.99 };
         let verdict = Verdict::new("late", [0.0, 1.0], &none, 12);
         assert_eq!((verdict.verdict, verdict.rounds_to_settle), ("no difference", Some(431)));
         let end = "a difference below 5.99 may be missed; 431 rounds (--rounds 431) would settle one of 1.00";
@@ -131,7 +136,7 @@ mod tests {
 
     #[test]
     fn a_part_that_varies_less_is_named_where_rounds_would_not_do() {
-        let none = Difference { value: 0.01, interval: [-3.0, 5.0], smallest_visible: 5.99 };
+        let none = DifferenceEstimate { value: 0.01, interval: [-3.0, 5.0], smallest_visible: 5.99 };
         let mut verdict = Verdict::new("scan_to_actuation_us.p50", [100.0, 100.0], &none, 1);
         assert_eq!(verdict.rounds_to_settle, None);
         assert!(
@@ -139,7 +144,7 @@ mod tests {
             "{}",
             verdict.text
         );
-        let part = Difference { value: 1.0, interval: [0.5, 1.5], smallest_visible: 0.75 };
+        let part = DifferenceEstimate { value: 1.0, interval: [0.5, 1.5], smallest_visible: 0.75 };
         verdict.settle_with("transport_us.p50", &part);
         assert!(
             verdict.text.ends_with("--metric transport_us.p50 shows one, from 0.750 us on"),

@@ -8,9 +8,9 @@ use anyhow::Context;
 use commands::inject::act::{act, faulty_role};
 use console::new_file::Scratch;
 use fault_matrix::course::{begins, live_scenario, settings};
-use fault_matrix::{Course, Finding, Limits, Observed, Place, Simulation, judge};
-use faults::{Fault, Injection, Phase, ProcessAction, ProcessFault};
-use pipeline::Settings;
+use fault_matrix::{Course, DetectionLimits, Finding, FindingPlace, Observed, Simulation, judge};
+use faults::{DrivePhase, InjectedFault, Injection, ProcessAction, ProcessFault};
+use pipeline::PipelineSettings;
 use runtime::monotonic_ns;
 
 use super::observed::Watch;
@@ -33,7 +33,7 @@ const MOUNT: &str = "mount -t tmpfs -o mode=1777,size=64m tmpfs /dev/shm && exec
 /// Drives cells, one after the other.
 #[derive(Debug, Default)]
 pub(super) struct Live {
-    unaffected: BTreeMap<Phase, Course>,
+    unaffected: BTreeMap<DrivePhase, Course>,
 }
 
 impl Live {
@@ -41,23 +41,23 @@ impl Live {
     ///
     /// # Errors
     /// A system that can't be started, and errors of the bus or the file system.
-    pub(super) fn cell(&mut self, fault: &Fault, phase: Phase) -> anyhow::Result<Driven> {
+    pub(super) fn cell(&mut self, fault: &InjectedFault, phase: DrivePhase) -> anyhow::Result<Driven> {
         let Injection::Process(process) = &fault.inject else {
             return Ok(Err(format!("{}: it is no fault of a process", name(&fault.name, phase))));
         };
         if process.action == ProcessAction::Fill && std::env::var_os(INSIDE).is_none() {
             return in_a_namespace(fault, phase);
         }
-        let settings = Settings { scenario: live_scenario(phase), ..settings() };
+        let settings = PipelineSettings { scenario: live_scenario(phase), ..settings() };
         let observed = drive(process, phase, &settings)?;
         let unaffected = self.unaffected(phase, &settings)?;
         let deceleration_mps2 = settings.tuning.vehicle.blocked_deceleration_mps2;
-        let limits = Limits { period_s: settings.period_ns as f64 * 1e-9, deceleration_mps2 };
+        let limits = DetectionLimits { period_s: settings.period_ns as f64 * 1e-9, deceleration_mps2 };
         Ok(Ok(judge(fault, phase, &Observed { unaffected, ..observed }, &limits)))
     }
 
     /// The same drive in simulated time, without a fault.
-    fn unaffected(&mut self, phase: Phase, settings: &Settings) -> anyhow::Result<Course> {
+    fn unaffected(&mut self, phase: DrivePhase, settings: &PipelineSettings) -> anyhow::Result<Course> {
         if let Some(course) = self.unaffected.get(&phase) {
             return Ok(course.clone());
         }
@@ -68,13 +68,13 @@ impl Live {
 }
 
 /// Drives with a fault from the beginning of its phase on.
-fn drive(fault: &ProcessFault, phase: Phase, settings: &Settings) -> anyhow::Result<Observed> {
+fn drive(fault: &ProcessFault, phase: DrivePhase, settings: &PipelineSettings) -> anyhow::Result<Observed> {
     let mut system = CellSystem::start(&settings.scenario)?;
     let domain = system.wait_until_driving()?;
     let mut watch = Watch::new(&domain)?;
     wait_for(&mut watch, phase, settings)?;
     let mut swap = None;
-    if phase == Phase::Swap {
+    if phase == DrivePhase::Swap {
         swap = Some(system.begin(&["swap", "controller", "--to", "nmpc"])?);
         let requested = watch.passed.len();
         wait_until(&mut watch, |watch| watch.passed.len() >= requested + SHADOWED)?;
@@ -129,13 +129,13 @@ fn with_ways(findings: Vec<Finding>, course: &Course, ends_as_planned: bool) -> 
     let is_end = |finding: &Finding| finding.by == "orchestrator" && finding.what == "ended";
     let of = |finding: Finding| {
         let at_ns = finding.place.at_ns;
-        Finding { place: Place { at_ns, way_m: course.way_m(at_ns) }, ..finding }
+        Finding { place: FindingPlace { at_ns, way_m: course.way_m(at_ns) }, ..finding }
     };
     findings.into_iter().filter(|finding| !(ends_as_planned && is_end(finding))).map(of).collect()
 }
 
 /// Waits until a phase begins.
-fn wait_for(watch: &mut Watch, phase: Phase, settings: &Settings) -> anyhow::Result<()> {
+fn wait_for(watch: &mut Watch, phase: DrivePhase, settings: &PipelineSettings) -> anyhow::Result<()> {
     wait_until(watch, |watch| !watch.passed.is_empty() && begins(phase, &settings.scenario, &watch.newest))
 }
 
@@ -152,7 +152,7 @@ fn wait_until(watch: &mut Watch, condition: impl Fn(&Watch) -> bool) -> anyhow::
 }
 
 /// Runs this command for one cell in a mount namespace with a shared memory of its own.
-fn in_a_namespace(fault: &Fault, phase: Phase) -> anyhow::Result<Driven> {
+fn in_a_namespace(fault: &InjectedFault, phase: DrivePhase) -> anyhow::Result<Driven> {
     let cell = name(&fault.name, phase);
     let may_mount = Command::new("unshare").args(["-m", "true"]).stderr(Stdio::null()).status();
     if !may_mount.is_ok_and(|status| status.success()) {

@@ -1,6 +1,6 @@
 //! What a cell observes of a running system: the true wheels, and what the processes report.
 
-use fault_matrix::{Finding, Findings, Passed, Place};
+use fault_matrix::{Finding, FindingPlace, Findings, Passed};
 use runtime::{Bus, Domain, Observer, RuntimeError, monotonic_ns};
 use shared_types::{Actuation, ActuationKind, BlockReason, Directive, Heartbeat, ROLES, Role, Truth};
 
@@ -65,7 +65,7 @@ impl Watch {
     /// [`RuntimeError::Bus`] when receiving fails.
     pub(super) fn poll(&mut self) -> Result<(), RuntimeError> {
         let Self { truths, actuations, directives, heartbeats, passed, newest, findings, .. } = self;
-        let now = Place { at_ns: monotonic_ns(), way_m: 0.0 };
+        let now = FindingPlace { at_ns: monotonic_ns(), way_m: 0.0 };
         let injected = self.injected;
         truths.poll(|truth| {
             *newest = *truth;
@@ -94,7 +94,7 @@ impl Watch {
                 && !is_normal(reason)
             {
                 let at_ns = actuation.header.stage(Role::Actuator).published_ns;
-                findings.note(Role::Actuator.name(), reason.name(), Place { at_ns, ..now });
+                findings.note(Role::Actuator.name(), reason.name(), FindingPlace { at_ns, ..now });
             }
         })?;
         let (incarnations, faulty) = (&mut self.incarnations, self.faulty);
@@ -125,7 +125,7 @@ impl Watch {
 
     /// Notes that the run has ended by itself.
     pub(super) fn note_end(&mut self) {
-        self.findings.note("orchestrator", "ended", Place { at_ns: monotonic_ns(), way_m: 0.0 });
+        self.findings.note("orchestrator", "ended", FindingPlace { at_ns: monotonic_ns(), way_m: 0.0 });
     }
 
     /// All findings, without the way.

@@ -2,16 +2,16 @@
 
 use std::fmt::Write as _;
 
-use fault_matrix::{Cell, Verdict};
+use fault_matrix::{Cell, CellVerdict};
 
 /// The page of a result: one row per cell, failed ones first.
 pub(super) fn html(cells: &[Cell]) -> String {
-    let failed = cells.iter().filter(|cell| cell.verdict == Verdict::Fail);
-    let passed = cells.iter().filter(|cell| cell.verdict == Verdict::Pass);
+    let failed = cells.iter().filter(|cell| cell.verdict == CellVerdict::Fail);
+    let passed = cells.iter().filter(|cell| cell.verdict == CellVerdict::Pass);
     let mut text = include_str!("faults.html").to_owned();
     for cell in failed.chain(passed) {
         let Cell { fault, phase, detected_by, detection, outcome, reason, .. } = cell;
-        let class = if cell.verdict == Verdict::Pass { "pass" } else { "fail" };
+        let class = if cell.verdict == CellVerdict::Pass { "pass" } else { "fail" };
         let after = cell.detected_after_ms.map_or_else(String::new, |ms| format!("{ms:.0}"));
         let kind = if cell.live { "real processes" } else { "simulated" };
         let _ = writeln!(

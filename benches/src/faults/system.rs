@@ -13,7 +13,7 @@ use emulator::Scenario;
 use faults::ProcessName;
 use runtime::Domain;
 use rustix::process::{Pid, Signal, kill_process};
-use session::control::{Reply, Request, Status, ask};
+use session::control::{Reply, Request, SystemStatus, ask};
 use shared_types::Role;
 
 /// A system must drive within this time.
@@ -168,7 +168,7 @@ fn product() -> anyhow::Result<PathBuf> {
     Ok(product)
 }
 
-fn status_of(domain: &Domain) -> Option<Status> {
+fn status_of(domain: &Domain) -> Option<SystemStatus> {
     match ask(domain, &Request::Status) {
         Ok(Reply::Status(status)) => Some(*status),
         _ => None,

@@ -1,8 +1,8 @@
 //! The two courses: a gap that is the only way, and a box that closes the track suddenly.
 
 use emulator::Scenario;
-use emulator::noise::{Purpose, Stream};
-use emulator::scenario::{Obstacle, Shape};
+use emulator::noise::{NoiseStream, Purpose};
+use emulator::scenario::{ScenarioObstacle, Shape};
 use vehicle::Goal;
 
 /// Where the two boxes stand along the track [m].
@@ -24,7 +24,7 @@ const STREAM: u64 = 0x0070_7269_6365;
 
 /// Two boxes that leave a gap of this width; the seed draws its place and all noise.
 pub(super) fn gap(base: &Scenario, gap_m: f64, seed: u64) -> Scenario {
-    let middle_m = Stream::new(seed, Purpose::Course, STREAM).between(-GAP_OFFSET_M, GAP_OFFSET_M);
+    let middle_m = NoiseStream::new(seed, Purpose::Course, STREAM).between(-GAP_OFFSET_M, GAP_OFFSET_M);
     let [low, high] = outer(base);
     let obstacles =
         vec![wall(GAP_X_M, [low, middle_m - gap_m / 2.0]), wall(GAP_X_M, [middle_m + gap_m / 2.0, high])];
@@ -37,11 +37,11 @@ pub(super) fn gap(base: &Scenario, gap_m: f64, seed: u64) -> Scenario {
 pub(super) fn sudden(base: &Scenario, ahead_m: f64, shift_m: f64, seed: u64) -> (Scenario, f64) {
     let surface_m = SUDDEN_X_M + shift_m;
     let closed = wall(surface_m + LENGTH_M / 2.0, outer(base));
-    let obstacles = vec![Obstacle { appears_ahead_m: Some(ahead_m), ..closed }];
+    let obstacles = vec![ScenarioObstacle { appears_ahead_m: Some(ahead_m), ..closed }];
     (course(base, obstacles, seed), surface_m)
 }
 
-fn course(base: &Scenario, obstacles: Vec<Obstacle>, seed: u64) -> Scenario {
+fn course(base: &Scenario, obstacles: Vec<ScenarioObstacle>, seed: u64) -> Scenario {
     let goal = Goal { x_m: GOAL_X_M, ..base.goal };
     Scenario { name: "price".to_owned(), seed, obstacles, goal, timeout_s: TIMEOUT_S, ..base.clone() }
 }
@@ -52,9 +52,9 @@ fn outer(base: &Scenario) -> [f64; 2] {
 }
 
 /// A box across the track from one lateral position to the other.
-fn wall(x_m: f64, [low, high]: [f64; 2]) -> Obstacle {
+fn wall(x_m: f64, [low, high]: [f64; 2]) -> ScenarioObstacle {
     let shape = Shape::Box { length_m: LENGTH_M, width_m: high - low, yaw_rad: 0.0 };
-    Obstacle::fixed(shape, x_m, (low + high) / 2.0)
+    ScenarioObstacle::fixed(shape, x_m, (low + high) / 2.0)
 }
 
 #[cfg(test)]
@@ -64,7 +64,7 @@ mod tests {
     use super::*;
 
     /// Lateral ends of an obstacle [m].
-    fn ends(obstacle: &Obstacle) -> [f64; 2] {
+    fn ends(obstacle: &ScenarioObstacle) -> [f64; 2] {
         let Shape::Box { width_m, .. } = obstacle.shape else { panic!("a box") };
         [obstacle.y_m - width_m / 2.0, obstacle.y_m + width_m / 2.0]
     }

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use emulator::{Outcome, Scenario};
-use pipeline::{Pipeline, Settings, Step};
+use pipeline::{Pipeline, PipelineSettings, Step};
 use plan::Plan;
 use shared_types::{ActuationKind, BlockReason, StopReason};
 use vehicle::Invalid;
@@ -157,8 +157,12 @@ struct Drives<'a> {
 }
 
 impl Drives<'_> {
-    fn settings(&self, scenario: Scenario) -> Settings {
-        Settings { scenario, tuning: self.plan.system.tuning(), period_ns: self.plan.system.period_ns() }
+    fn settings(&self, scenario: Scenario) -> PipelineSettings {
+        PipelineSettings {
+            scenario,
+            tuning: self.plan.system.tuning(),
+            period_ns: self.plan.system.period_ns(),
+        }
     }
 
     /// Bisects the gap that all seeds pass.
@@ -211,7 +215,7 @@ impl Drives<'_> {
 }
 
 /// Whether the robot landed by its own estimate and touched nothing, and the reason of a contact.
-fn passes(settings: &Settings) -> Result<(bool, Option<String>), Invalid> {
+fn passes(settings: &PipelineSettings) -> Result<(bool, Option<String>), Invalid> {
     let (mut landed, mut clearance_m) = (false, f64::INFINITY);
     let drive = pipeline::drive(settings, |step| {
         (landed, clearance_m) = (lands(step), step.truth.min_clearance_m);
@@ -235,7 +239,7 @@ fn lands(step: &Step) -> bool {
 }
 
 /// Drives until the robot stands after its front has passed `appears_m`, where the box appears.
-fn stop(settings: &Settings, appears_m: f64) -> Result<Stop, Invalid> {
+fn stop(settings: &PipelineSettings, appears_m: f64) -> Result<Stop, Invalid> {
     let mut pipeline = Pipeline::new(settings)?;
     let half_length_m = settings.scenario.robot.length_m / 2.0;
     let mut speed_mps = None;

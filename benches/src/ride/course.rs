@@ -4,7 +4,7 @@ use courses::course::{Family, of_campaign};
 use courses::feasible;
 use emulator::scene::Scene;
 use emulator::{Outcome, Scenario};
-use pipeline::Settings;
+use pipeline::PipelineSettings;
 use plan::{Choice, Plan};
 use report::ride::{RideFigures, RideRecording, RideTrace, measure};
 use shared_types::Level;
@@ -100,8 +100,11 @@ impl Course {
 
     fn drive(&self) -> anyhow::Result<Driven> {
         let Plan { scenario, system, .. } = &self.plan;
-        let settings =
-            Settings { scenario: scenario.clone(), tuning: system.tuning(), period_ns: system.period_ns() };
+        let settings = PipelineSettings {
+            scenario: scenario.clone(),
+            tuning: system.tuning(),
+            period_ns: system.period_ns(),
+        };
         let (mut recording, mut sightings) = (RideRecording::default(), Sightings::default());
         let (mut plans, mut active_ellipse_plans) = (0, 0);
         let end = pipeline::drive(&settings, |step| {

@@ -7,7 +7,7 @@
 
 use vehicle::State;
 
-use super::problem::{Case, Ellipse};
+use super::problem::{Case, StaticEllipse};
 
 /// The default set: three laps, recorded by `cargo run -p scanloop-lab --example record_solver_cases`.
 pub(super) const SHIPPED: &str = include_str!("../../cases/solver.csv");
@@ -67,7 +67,7 @@ pub(super) fn parse(text: &str) -> Result<Vec<Case>, String> {
         }
         let [goal_x, goal_y, x, y, a, b] = values;
         let lap = lap.map(|column| row.whole(column)).transpose()?;
-        cases.push(Case { line, state, goal: [goal_x, goal_y], obstacle: Ellipse { x, y, a, b }, lap });
+        cases.push(Case { line, state, goal: [goal_x, goal_y], obstacle: StaticEllipse { x, y, a, b }, lap });
     }
     if cases.is_empty() { Err("no case below the header".to_owned()) } else { Ok(cases) }
 }
@@ -131,7 +131,7 @@ mod tests {
         assert_eq!(cases[0].state, State { sideslip: 0.1, yaw: 0.2, yaw_rate: 0.3, x: 4.0, y: 0.5 });
         assert_eq!((cases[0].line, cases[1].line), (2, 4));
         assert_eq!(cases[0].goal, [10.0, 0.0]);
-        assert_eq!(cases[0].obstacle, Ellipse { x: 5.0, y: 0.1, a: 1.2, b: 0.8 });
+        assert_eq!(cases[0].obstacle, StaticEllipse { x: 5.0, y: 0.1, a: 1.2, b: 0.8 });
         assert_eq!(cases[0].lap, None);
     }
 

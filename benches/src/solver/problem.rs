@@ -25,7 +25,7 @@ const CRUISE: Control = Control { velocity: 0.9, steering: 0.0 };
 
 /// A static ellipse.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Ellipse {
+pub struct StaticEllipse {
     /// Centre along the track [m].
     pub x: f64,
     /// Centre across the track [m].
@@ -46,14 +46,14 @@ pub struct Case {
     /// The goal [m].
     pub goal: [f64; 2],
     /// The obstacle.
-    pub obstacle: Ellipse,
+    pub obstacle: StaticEllipse,
     /// Consecutive cases of the same lap are a period apart; `None` belongs to no lap.
     pub lap: Option<u64>,
 }
 
 impl Default for Case {
     fn default() -> Self {
-        let obstacle = Ellipse { x: 5.0, y: 0.1, a: 1.2, b: 0.8 };
+        let obstacle = StaticEllipse { x: 5.0, y: 0.1, a: 1.2, b: 0.8 };
         Self { line: 0, state: State::default(), goal: [10.0, 0.0], obstacle, lap: None }
     }
 }
@@ -64,7 +64,7 @@ pub fn problem(case: &Case, count: usize) -> Problem {
     let interval = HORIZON_S / count as f64;
     let share = PUBLISHED_INTERVALS / count as f64;
     let ahead = |node: usize| case.state.x + node as f64 * interval * bounds.velocity_max_mps;
-    let Ellipse { x, y, a, b } = case.obstacle;
+    let StaticEllipse { x, y, a, b } = case.obstacle;
     Problem {
         model: Arc::new(Parameters::default()),
         bounds,

@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use commands::bench::latency::arguments::bytes;
 use commands::bench::scheduling::SchedulingArguments;
 use console::output::folder;
-use hops::{BLOCK_BYTES, Contender, Payload, Policy};
+use hops::{BLOCK_BYTES, Contender, Payload, WaitPolicy};
 
 /// Arguments of `transport`.
 #[derive(Debug, Args)]
@@ -61,11 +61,11 @@ pub(crate) enum Waiting {
 
 impl TransportArguments {
     /// The policies, that of the main table first.
-    pub(super) fn policies(&self) -> Vec<Policy> {
+    pub(super) fn policies(&self) -> Vec<WaitPolicy> {
         match self.policy {
-            None => vec![Policy::Block, Policy::Poll],
-            Some(Waiting::Block) => vec![Policy::Block],
-            Some(Waiting::Poll) => vec![Policy::Poll],
+            None => vec![WaitPolicy::Block, WaitPolicy::Poll],
+            Some(Waiting::Block) => vec![WaitPolicy::Block],
+            Some(Waiting::Poll) => vec![WaitPolicy::Poll],
         }
     }
 

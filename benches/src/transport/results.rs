@@ -1,7 +1,7 @@
 //! Results of a comparison, as JSON.
 
 use figures::{Distribution, Figures};
-use hops::{Block, Contender, HOPS, Payload, Plan, Policy};
+use hops::{Block, ChainPlan, Contender, HOPS, Payload, WaitPolicy};
 use serde::Serialize;
 
 use super::TransportArguments;
@@ -63,7 +63,7 @@ pub(super) struct Skipped {
 #[derive(Debug)]
 pub(super) struct Measured {
     pub(super) contender: Contender,
-    pub(super) policy: Policy,
+    pub(super) policy: WaitPolicy,
     pub(super) blocks: Vec<Block>,
 }
 
@@ -99,13 +99,13 @@ impl Results {
     /// The comparison of what was measured at one rate.
     pub(super) fn of(
         arguments: &TransportArguments,
-        base: &Plan,
+        base: &ChainPlan,
         rate_hz: f64,
         measured: &[Measured],
         skipped: Vec<Skipped>,
     ) -> Self {
         let policies = arguments.policies();
-        let rows = |policy: Policy| -> Vec<Row> {
+        let rows = |policy: WaitPolicy| -> Vec<Row> {
             let of_policy: Vec<&Measured> =
                 measured.iter().filter(|measured| measured.policy == policy).collect();
             let ours = of_policy.iter().find(|measured| measured.contender == Contender::Iceoryx2);

@@ -18,7 +18,7 @@ use runtime::{STOOD_STILL_NS, Shutdown, link_version, monotonic_ns};
 
 use crate::file::AgentFile;
 use crate::link::{program, require_private};
-use crate::message::{Down, Order, State, Up};
+use crate::message::{Down, RemoteOrder, RemoteState, Up};
 use crate::served::{Served, refusal};
 
 /// Longest sleep.
@@ -134,7 +134,7 @@ impl Agent {
 
     fn obey(&mut self, down: &Down) -> anyhow::Result<()> {
         if let Some(reason) = self.refuses(down) {
-            if down.order == Order::Start {
+            if down.order == RemoteOrder::Start {
                 note!("refused {} of system {}: {reason}", down.role, down.system_id);
             }
             return self.answer(&refusal(down, reason));
@@ -143,12 +143,12 @@ impl Agent {
             self.end_served();
         }
         if self.served.is_none() {
-            let (Order::Start, Some(start)) = (down.order, &down.start) else {
+            let (RemoteOrder::Start, Some(start)) = (down.order, &down.start) else {
                 let (run_id, incarnation) = (down.run_id.clone(), down.incarnation);
                 return self.answer(&Up {
                     run_id,
                     incarnation,
-                    state: State::Unknown,
+                    state: RemoteState::Unknown,
                     stopped: false,
                     wheels: None,
                     last_lines: Vec::new(),

@@ -12,7 +12,7 @@ use anyhow::Context;
 use console::answer;
 use console::exit::{Exit, Failure};
 use plan::System;
-use plan::hosts::{Crossing, HostEntry, Place, crossings_between, endpoint};
+use plan::hosts::{Crossing, HostEntry, RolePlace, crossings_between, endpoint};
 use runtime::{
     Domain, HUB, INCARNATION_VARIABLE, LinkLoss, LinkPeer, LinkStatus, LinkTable, LinkedHost,
     RUN_ID_VARIABLE, monotonic_ns,
@@ -50,7 +50,7 @@ impl HubLink {
     pub fn start(
         domain: &Domain,
         system: &System,
-        places: &[Place<'_>],
+        places: &[RolePlace<'_>],
         logs: &Path,
     ) -> anyhow::Result<Option<Self>> {
         if system.hosts.is_empty() {
@@ -83,7 +83,7 @@ impl HubLink {
     ///
     /// # Errors
     /// Those of the file system.
-    pub fn reach(&mut self, places: &[Place<'_>]) -> anyhow::Result<()> {
+    pub fn reach(&mut self, places: &[RolePlace<'_>]) -> anyhow::Result<()> {
         let before = self.table.clone();
         extend(&mut self.table, places);
         if self.table != before {
@@ -207,7 +207,7 @@ fn peer_of(host: &HostEntry) -> LinkPeer {
 }
 
 /// Adds the topics to the table of the orchestrator's link that roles at `places` need.
-fn extend(table: &mut LinkTable, places: &[Place<'_>]) {
+fn extend(table: &mut LinkTable, places: &[RolePlace<'_>]) {
     let add = |list: &mut Vec<String>, topic: Topic| {
         if !list.iter().any(|name| name == topic.name()) {
             list.push(topic.name().to_owned());

@@ -9,7 +9,7 @@ use supervision::realtime;
 /// What is to become of a process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Order {
+pub enum RemoteOrder {
     /// It is to run, and is started if it does not.
     Start,
     /// It is to run; one that is not known is not started again.
@@ -33,18 +33,18 @@ pub struct Down {
     #[serde(with = "role_name")]
     pub role: Role,
     /// What is to become of it.
-    pub order: Order,
+    pub order: RemoteOrder,
     /// Whether the run was stopped: the wheels are to be blocked for good.
     #[serde(default)]
     pub stopped: bool,
-    /// How it is started; only with [`Order::Start`].
+    /// How it is started; only with [`RemoteOrder::Start`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub start: Option<Start>,
+    pub start: Option<RemoteStart>,
 }
 
 /// How a process is started.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Start {
+pub struct RemoteStart {
     /// Name of the implementation; the agent knows what it means there.
     pub implementation: String,
     /// Whether it replaces another process.
@@ -95,7 +95,11 @@ impl Down {
         }
         let Some(start) = &self.start else {
             let needed = "what is to be started";
-            return if self.order == Order::Start { refuse("start", &"(missing)", needed) } else { Ok(()) };
+            return if self.order == RemoteOrder::Start {
+                refuse("start", &"(missing)", needed)
+            } else {
+                Ok(())
+            };
         };
         if !PERIODS_NS.contains(&start.period_ns) {
             return refuse("period_ns", &start.period_ns, "1000000 to 2000000000");
@@ -132,7 +136,7 @@ pub struct Up {
     /// Number of the process.
     pub incarnation: u32,
     /// Its state.
-    pub state: State,
+    pub state: RemoteState,
     /// Whether its host knows that the run was stopped.
     #[serde(default)]
     pub stopped: bool,
@@ -147,7 +151,7 @@ pub struct Up {
 /// The state of a process on another host.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum State {
+pub enum RemoteState {
     /// It runs.
     Running {
         /// Its process id there.
@@ -215,7 +219,7 @@ mod tests {
         let up = Up {
             run_id: "abcdefghij".to_owned(),
             incarnation: 7,
-            state: State::Killed { signal: 9 },
+            state: RemoteState::Killed { signal: 9 },
             stopped: true,
             wheels: Some(2),
             last_lines: vec!["a\nb".to_owned()],

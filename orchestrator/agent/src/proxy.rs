@@ -13,7 +13,7 @@ use runtime::{
 use rustix::process::{Signal, getpid, kill_process};
 use shared_types::Role;
 
-use crate::message::{Down, Order, Start, State, Up, handover_of};
+use crate::message::{Down, RemoteOrder, RemoteStart, RemoteState, Up, handover_of};
 
 /// Time between two messages, and before the first answer [ns].
 const REPEAT_NS: u64 = 100_000_000;
@@ -50,7 +50,7 @@ pub fn run(host: &str, implementation: &str) -> anyhow::Result<Exit> {
         run_id: domain.run_id().to_owned(),
         incarnation,
         role,
-        order: Order::Start,
+        order: RemoteOrder::Start,
         stopped: false,
         start: Some(start_of(&domain, &table, host, role, incarnation, implementation)?),
     };
@@ -66,8 +66,8 @@ pub fn run(host: &str, implementation: &str) -> anyhow::Result<Exit> {
         if !down.stopped && stop_word.as_ref().is_some_and(|word| !word.is_armed()) {
             (down.stopped, sent_ns) = (true, 0);
         }
-        if shutdown.requested() && down.order != Order::Terminate {
-            (down.order, down.start, sent_ns) = (Order::Terminate, None, 0);
+        if shutdown.requested() && down.order != RemoteOrder::Terminate {
+            (down.order, down.start, sent_ns) = (RemoteOrder::Terminate, None, 0);
             if !is_known {
                 // Nothing was started, as far as is known here; an agent that did ends what it no longer is told about.
                 return Ok(Exit::Done);
@@ -121,16 +121,18 @@ pub fn run(host: &str, implementation: &str) -> anyhow::Result<Exit> {
             word.report(role, Wheels::from(wheels));
         }
         match up.state {
-            State::Running { .. } if down.order == Order::Start => {
-                (down.order, down.start) = (Order::Run, None)
+            RemoteState::Running { .. } if down.order == RemoteOrder::Start => {
+                (down.order, down.start) = (RemoteOrder::Run, None)
             }
-            State::Running { .. } => {}
-            State::Unknown => {
+            RemoteState::Running { .. } => {}
+            RemoteState::Unknown => {
                 return Err(Failure::process(format!(
                     "host {host}: its agent was started anew, and does not know it"
                 )));
             }
-            State::Refused { reason } => return Err(Failure::process(format!("host {host}: {reason}"))),
+            RemoteState::Refused { reason } => {
+                return Err(Failure::process(format!("host {host}: {reason}")));
+            }
             ended => {
                 up.last_lines.iter().for_each(|line| print(Priority::Error, line));
                 end_as(&ended);
@@ -146,13 +148,13 @@ fn start_of(
     role: Role,
     incarnation: u32,
     implementation: &str,
-) -> anyhow::Result<Start> {
+) -> anyhow::Result<RemoteStart> {
     let folder = domain.folder();
     let own = own_settings_file(incarnation);
     let settings = folder.read_text(&if folder.contains(&own) { own } else { settings_file(role) })?;
     let peer =
         table.peers.iter().find(|peer| peer.name == host).context("the host has no row in the table")?;
-    Ok(Start {
+    Ok(RemoteStart {
         implementation: implementation.to_owned(),
         restart: variable(RESTART_VARIABLE).as_deref() == Some("1"),
         candidate: variable(CANDIDATE_VARIABLE).and_then(|text| text.parse().ok()),
@@ -166,15 +168,15 @@ fn start_of(
 }
 
 /// Ends this process as the other one has ended.
-fn end_as(state: &State) -> ! {
-    if let State::Killed { signal } = state
+fn end_as(state: &RemoteState) -> ! {
+    if let RemoteState::Killed { signal } = state
         && let Some(signal) = Signal::from_named_raw(*signal)
     {
         // Those that this process handles would only set a flag.
         let signal = if [Signal::TERM, Signal::INT].contains(&signal) { Signal::KILL } else { signal };
         let _ = kill_process(getpid(), signal);
     }
-    std::process::exit(if let State::Exited { code } = state { *code } else { Exit::Internal as i32 })
+    std::process::exit(if let RemoteState::Exited { code } = state { *code } else { Exit::Internal as i32 })
 }
 
 fn variable(name: &str) -> Option<String> {

@@ -13,9 +13,9 @@ use supervision::child_log::ChildLog;
 use supervision::environment::{environment_of, variable};
 use supervision::halt;
 use supervision::lock::{Claim, SystemLock};
-use supervision::supervisor::Exit;
+use supervision::supervisor::ProcessExit;
 
-use crate::message::{Down, Order, Start, State, Up, of_hex};
+use crate::message::{Down, RemoteOrder, RemoteStart, RemoteState, Up, of_hex};
 
 /// Lines of its log that are reported when a process has ended.
 const LAST_LINES: usize = 10;
@@ -47,7 +47,7 @@ struct ServedProcess {
     log: Arc<ChildLog>,
     heard_ns: u64,
     is_ending: bool,
-    ended: Option<(State, Vec<String>)>,
+    ended: Option<(RemoteState, Vec<String>)>,
 }
 
 impl Served {
@@ -55,7 +55,7 @@ impl Served {
     ///
     /// # Errors
     /// An id that is too long or in use, and errors of the bus.
-    pub(crate) fn new(host: &str, down: &Down, start: &Start) -> anyhow::Result<Self> {
+    pub(crate) fn new(host: &str, down: &Down, start: &RemoteStart) -> anyhow::Result<Self> {
         let (domain, lock) = Claim::take_new(&format!("{}-{host}", down.system_id))?;
         let table = LinkTable {
             here: host.to_owned(),
@@ -102,26 +102,26 @@ impl Served {
             (Some(index), order, _) => {
                 let process = &mut self.processes[index];
                 process.heard_ns = now_ns;
-                if order == Order::Terminate && !process.is_ending {
+                if order == RemoteOrder::Terminate && !process.is_ending {
                     process.is_ending = true;
                     let _ = process.child.terminate();
                 }
             }
             // A state with times of another clock is of no use: the message comes again.
-            (None, Order::Start, Some(start)) if start.handover.is_some() && offset_ns.is_none() => {
+            (None, RemoteOrder::Start, Some(start)) if start.handover.is_some() && offset_ns.is_none() => {
                 return None;
             }
-            (None, Order::Start, Some(start)) => {
+            (None, RemoteOrder::Start, Some(start)) => {
                 if let Err(error) = self.start(down, start, offset_ns.unwrap_or(0), logs) {
                     return Some(refusal(down, format!("{error:#}")));
                 }
             }
-            (None, ..) => return Some(answer(down, State::Unknown)),
+            (None, ..) => return Some(answer(down, RemoteState::Unknown)),
         }
         self.state_of(down.incarnation)
     }
 
-    fn start(&mut self, down: &Down, start: &Start, offset_ns: i64, logs: &Path) -> anyhow::Result<()> {
+    fn start(&mut self, down: &Down, start: &RemoteStart, offset_ns: i64, logs: &Path) -> anyhow::Result<()> {
         let Down { role, incarnation, .. } = *down;
         self.domain.folder().write(&own_settings_file(incarnation), start.settings.as_bytes())?;
         let handover = start.handover.as_deref().and_then(|text| of_hex(text, -offset_ns));
@@ -212,7 +212,7 @@ impl Served {
 
     fn state_of(&self, incarnation: u32) -> Option<Up> {
         let process = self.processes.iter().find(|process| process.incarnation == incarnation)?;
-        let running = || (State::Running { pid: process.child.pid() }, Vec::new());
+        let running = || (RemoteState::Running { pid: process.child.pid() }, Vec::new());
         let (state, last_lines) = process.ended.clone().unwrap_or_else(running);
         let stopped = !self.stop_word.is_armed();
         let (wheels, seen_ns) = self.stop_word.wheels(process.role);
@@ -235,18 +235,18 @@ impl Drop for Served {
 
 /// The answer that the process of a message is not started, with the reason.
 pub(crate) fn refusal(down: &Down, reason: String) -> Up {
-    answer(down, State::Refused { reason })
+    answer(down, RemoteState::Refused { reason })
 }
 
-fn answer(down: &Down, state: State) -> Up {
+fn answer(down: &Down, state: RemoteState) -> Up {
     let Down { run_id, incarnation, .. } = down.clone();
     Up { run_id, incarnation, state, stopped: false, wheels: None, last_lines: Vec::new() }
 }
 
-fn state_of(exit: Exit) -> State {
+fn state_of(exit: ProcessExit) -> RemoteState {
     match exit {
-        Exit::Code(code) => State::Exited { code },
-        Exit::Signal(signal) => State::Killed { signal },
-        Exit::Unknown => State::Unknown,
+        ProcessExit::Code(code) => RemoteState::Exited { code },
+        ProcessExit::Signal(signal) => RemoteState::Killed { signal },
+        ProcessExit::Unknown => RemoteState::Unknown,
     }
 }

@@ -27,7 +27,7 @@ use std::ops::RangeInclusive;
 use shared_types::Role;
 
 pub use self::companions::CompanionLedger;
-pub use self::fault::{Fault, Kind};
+pub use self::fault::{DeliveryFault, DeliveryFaultKind};
 pub use self::refused::{NewRefusal, RefusedRow};
 pub use self::rows::{DelayRow, LedgerReport, LedgerRow, ScanReport, StrangerRow};
 pub use self::sample_audit::{AUDITED_TOPICS, SampleAudit};

@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use audit::ledger::{AUDITED_TOPICS, Fault, Kind, SampleAudit};
+use audit::ledger::{AUDITED_TOPICS, DeliveryFault, DeliveryFaultKind, SampleAudit};
 use proptest::prelude::*;
 use runtime::{PROCESS_QUEUE, QUEUE_DEPTH};
 use shared_types::{
@@ -351,7 +351,7 @@ impl Model {
     }
 
     /// Ends the run and returns what was found.
-    fn end(mut self) -> Vec<Fault> {
+    fn end(mut self) -> Vec<DeliveryFault> {
         self.sample_audit.run_ended();
         let now_ns = self.now_ns();
         for process in &self.processes {
@@ -455,12 +455,12 @@ proptest! {
         let (topic, scan, what) = hidden;
         let faults = model.end();
         let kind = match what {
-            Hidden::Drop | Hidden::Omit | Hidden::DropAt(_) => Kind::Missing,
+            Hidden::Drop | Hidden::Omit | Hidden::DropAt(_) => DeliveryFaultKind::Missing,
             // Nothing follows that it could come after.
-            Hidden::Swap | Hidden::Mix if scan == SCANS => Kind::Missing,
-            Hidden::Repeat | Hidden::Double | Hidden::RepeatAt(_) => Kind::Duplicate,
-            Hidden::Swap | Hidden::Mix | Hidden::SwapAt(_) => Kind::Reordered,
-            Hidden::ForgetAt(_) => Kind::Vanished,
+            Hidden::Swap | Hidden::Mix if scan == SCANS => DeliveryFaultKind::Missing,
+            Hidden::Repeat | Hidden::Double | Hidden::RepeatAt(_) => DeliveryFaultKind::Duplicate,
+            Hidden::Swap | Hidden::Mix | Hidden::SwapAt(_) => DeliveryFaultKind::Reordered,
+            Hidden::ForgetAt(_) => DeliveryFaultKind::Vanished,
         };
         prop_assert_eq!(faults.len(), 1, "{:?}", faults);
         prop_assert_eq!((faults[0].topic.as_str(), faults[0].kind, faults[0].scan_id), (topic.name(), kind, scan));

@@ -1,6 +1,6 @@
 //! What an actuator must pass on, and when it must block the wheels whatever is commanded.
 
-use shared_types::{Actuation, ActuationKind, Command, CommandKind, Level as CommandLevel, StopReason};
+use shared_types::{Actuation, ActuationKind, Command, CommandKind, Level, StopReason};
 use vehicle::Control;
 use vehicle::bounds::ROUNDING;
 use vehicle::correction::{Correction, Linkage};
@@ -112,7 +112,7 @@ fn obeys_stop(suite: &Suite) -> Verdict {
         let mut bench = driving(suite)?;
         let answer = with_command(&mut bench, |command| {
             command.kind = kind.wire();
-            command.level = CommandLevel::Stop.wire();
+            command.level = Level::Stop.wire();
             command.reason = reason.wire();
             command.verified = 0;
             (command.velocity_mps, command.steering_rad) = (0.0, 0.0);

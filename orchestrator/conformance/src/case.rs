@@ -12,7 +12,7 @@ pub(crate) struct Case {
     /// Name, unique within the suite of a role.
     pub name: &'static str,
     /// Whether an implementation without it may be used.
-    pub level: Level,
+    pub level: RequirementLevel,
     /// What is required, in one sentence.
     pub requirement: &'static str,
     /// What would happen to the robot or its user otherwise.
@@ -28,12 +28,12 @@ impl Case {
     ///
     /// It may be tried three times: a machine too busy to run a process within three periods spoils it.
     pub(crate) const fn required(name: &'static str, play: fn(&Suite) -> Verdict) -> Self {
-        Self { name, level: Level::Required, requirement: "", why: "", tries: 3, play }
+        Self { name, level: RequirementLevel::Required, requirement: "", why: "", tries: 3, play }
     }
 
     /// A case in real time without which an implementation may be used.
     pub(crate) const fn recommended(name: &'static str, play: fn(&Suite) -> Verdict) -> Self {
-        Self { level: Level::Recommended, ..Self::required(name, play) }
+        Self { level: RequirementLevel::Recommended, ..Self::required(name, play) }
     }
 
     /// The case in lock-step: it is tried once, because nothing depends on the machine.
@@ -55,7 +55,7 @@ impl Case {
 /// How much a requirement weighs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Level {
+pub enum RequirementLevel {
     /// The loop is not safe or not complete without it.
     Required,
     /// The loop is better with it.
@@ -65,7 +65,7 @@ pub enum Level {
 /// How a case ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Outcome {
+pub enum CaseOutcome {
     /// The requirement is met.
     Passed,
     /// It is not.
@@ -76,7 +76,7 @@ pub enum Outcome {
     Skipped,
 }
 
-impl Level {
+impl RequirementLevel {
     /// The name in reports.
     pub(crate) const fn name(self) -> &'static str {
         match self {
@@ -86,7 +86,7 @@ impl Level {
     }
 }
 
-impl Outcome {
+impl CaseOutcome {
     /// The name in reports.
     pub(crate) const fn name(self) -> &'static str {
         match self {

@@ -1,8 +1,8 @@
 //! What a controller must command: to drive where it may, and to stop where it must.
 
 use shared_types::{
-    Alarm, Command, CommandKind, Level as CommandLevel, Obstacle, Obstacles, Pose, ScannerHealth,
-    ScannerState, StopReason, Suspect,
+    Alarm, Command, CommandKind, Level, Obstacle, Obstacles, Pose, ScannerHealth, ScannerState, StopReason,
+    Suspect,
 };
 
 use super::case::{Case, Trouble, Verdict, failed, observed, passed_if, require};
@@ -251,7 +251,7 @@ fn names_its_reason(suite: &Suite) -> Verdict {
     for received in &all {
         let Command { header, kind, level, reason, .. } = received.message.sample()?;
         let drives = *kind == CommandKind::Drive.wire();
-        let is_above = *level != CommandLevel::Stop.wire();
+        let is_above = *level != Level::Stop.wire();
         let has_reason = *reason != StopReason::None.wire();
         require(drives == is_above && drives != has_reason, || {
             format!("scan {}: kind {kind}, level {level}, reason {reason}", header.scan_id)

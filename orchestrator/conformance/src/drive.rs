@@ -1,10 +1,10 @@
 //! Drives whose samples a candidate receives: the pipeline makes them in this process, so they are consistent. They take
 //! place in a hall, so that a healthy scanner has returns everywhere.
 
-use emulator::scenario::{Obstacle, Shape};
+use emulator::scenario::{ScenarioObstacle, Shape};
 use emulator::steering_map::SteeringMap;
 use emulator::{Emulator, Referee, Scenario};
-use pipeline::{Pipeline, Settings, Step, Tuning};
+use pipeline::{Pipeline, PipelineSettings, Step, Tuning};
 use shared_types::{BEAMS, Odometry, Role, Scan, Topic, Truth};
 use vehicle::Description;
 use vehicle::correction::Calibration;
@@ -35,10 +35,10 @@ pub(crate) enum Course {
 
 impl Course {
     /// Scenario and settings, at a scan period [ns].
-    pub(crate) fn settings(self, period_ns: u64) -> Settings {
+    pub(crate) fn settings(self, period_ns: u64) -> PipelineSettings {
         let mut scenario = Scenario { name: "conformance".to_owned(), ..Scenario::default() };
         let solid = |x_m, y_m, length_m, width_m| {
-            Obstacle::fixed(Shape::Box { length_m, width_m, yaw_rad: 0.0 }, x_m, y_m)
+            ScenarioObstacle::fixed(Shape::Box { length_m, width_m, yaw_rad: 0.0 }, x_m, y_m)
         };
         scenario.obstacles = match self {
             Self::Corridor | Self::Exact | Self::Drifting => vec![solid(5.0, 0.0, 0.1, 0.4)],
@@ -48,8 +48,8 @@ impl Course {
         };
         // The robot of the courses follows at once, and the stages know.
         let tuning = Tuning::of(Description::default().without_lag());
-        let mut settings = Settings { scenario, tuning, period_ns };
-        let Settings { scenario, tuning, .. } = &mut settings;
+        let mut settings = PipelineSettings { scenario, tuning, period_ns };
+        let PipelineSettings { scenario, tuning, .. } = &mut settings;
         if matches!(self, Self::Exact | Self::Drifting) {
             scenario.noise.range_m = 0.0;
             scenario.robot.velocity_factor = Some(1.0);
@@ -67,7 +67,7 @@ impl Course {
 /// A recorded drive.
 pub(crate) struct Drive {
     /// Scenario and settings that it was made with.
-    pub(crate) settings: Settings,
+    pub(crate) settings: PipelineSettings,
     /// Scan 1 first.
     pub(crate) steps: Vec<Step>,
     /// How many scans belong to the drive; the robot rests after them.

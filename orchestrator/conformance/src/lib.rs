@@ -38,8 +38,8 @@ use clap::Args;
 use plan::System;
 use shared_types::{Role, did_you_mean};
 
-pub use case::{Level, Outcome};
-pub use report::{CaseReport, Report};
+pub use case::{CaseOutcome, RequirementLevel};
+pub use report::{CaseReport, SuiteReport};
 
 use console::answer;
 use console::exit::{Exit, Failure};
@@ -105,11 +105,11 @@ pub fn conformance(arguments: &ConformanceArguments) -> anyhow::Result<Exit> {
     let (command, label) = candidate(role, arguments)?;
     let mut suite = Suite::new(role, command, (1e9 / arguments.rate).round() as u64)?;
     if let Some(file) = &arguments.system {
-        let plan::Source { table, name, .. } = System::read_table(Some(file))?;
+        let plan::SourceFile { table, name, .. } = System::read_table(Some(file))?;
         suite.player = Some(System::from_table(table, &name)?.player);
     }
     let verdicts = play_all(&cases, &suite, arguments)?;
-    let mut report = Report::new(role.name(), &label);
+    let mut report = SuiteReport::new(role.name(), &label);
     for (case, verdict) in cases.iter().zip(verdicts) {
         answer!(arguments.json, "{}", report.add(case, verdict)?)?;
     }

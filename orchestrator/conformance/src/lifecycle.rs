@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, getpgid, kill_process_group};
 use shared_types::{Phase, ProcessState, Role};
-use supervision::supervisor::Exit;
+use supervision::supervisor::ProcessExit;
 
 use super::case::{Case, Trouble, Verdict, failed, observed, require};
 use super::suite::{Setup, Suite};
@@ -191,14 +191,17 @@ pub(crate) fn end(bench: &mut TestBench<'_>) -> Result<Duration, Trouble> {
         child.terminate()?;
     }
     match wait_for_exit(bench, Duration::from_millis(GRACE_MS))? {
-        Some((Exit::Code(_), took)) => Ok(took),
+        Some((ProcessExit::Code(_), took)) => Ok(took),
         Some((other, _)) => failed(format!("it did not end by itself: {other}{}", bench.last_lines())),
         None => failed(format!("it still ran {GRACE_MS} ms after SIGTERM")),
     }
 }
 
 /// Waits until the candidate has ended; returns how and when.
-fn wait_for_exit(bench: &mut TestBench<'_>, limit: Duration) -> Result<Option<(Exit, Duration)>, Trouble> {
+fn wait_for_exit(
+    bench: &mut TestBench<'_>,
+    limit: Duration,
+) -> Result<Option<(ProcessExit, Duration)>, Trouble> {
     let started = Instant::now();
     while started.elapsed() <= limit {
         bench.turn()?;

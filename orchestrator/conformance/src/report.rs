@@ -4,11 +4,11 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::case::{Case, Level, Outcome, Trouble, Verdict};
+use super::case::{Case, CaseOutcome, RequirementLevel, Trouble, Verdict};
 
 /// The result of one suite.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Report {
+pub struct SuiteReport {
     /// Role that the implementation was tested in.
     pub role: String,
     /// The implementation: its command, or the name of a built-in one.
@@ -33,16 +33,16 @@ pub struct CaseReport {
     /// Its name.
     pub name: String,
     /// Whether it is required.
-    pub level: Level,
+    pub level: RequirementLevel,
     /// How it ended.
-    pub outcome: Outcome,
+    pub outcome: CaseOutcome,
     /// What was measured, or why it did not pass.
     pub reason: String,
     /// What is required.
     pub requirement: String,
 }
 
-impl Report {
+impl SuiteReport {
     /// A report without cases.
     pub(crate) fn new(role: &str, command: &str) -> Self {
         let (role, command) = (role.to_owned(), command.to_owned());
@@ -64,18 +64,18 @@ impl Report {
     /// When the suite itself could not continue.
     pub(crate) fn add(&mut self, case: &Case, verdict: Verdict) -> anyhow::Result<&CaseReport> {
         let (outcome, reason) = match verdict {
-            Ok(reason) => (Outcome::Passed, reason),
-            Err(Trouble::Failed(reason)) => (Outcome::Failed, reason),
-            Err(Trouble::NotObserved(reason)) => (Outcome::NotObserved, reason),
-            Err(Trouble::Skipped(reason)) => (Outcome::Skipped, reason),
+            Ok(reason) => (CaseOutcome::Passed, reason),
+            Err(Trouble::Failed(reason)) => (CaseOutcome::Failed, reason),
+            Err(Trouble::NotObserved(reason)) => (CaseOutcome::NotObserved, reason),
+            Err(Trouble::Skipped(reason)) => (CaseOutcome::Skipped, reason),
             Err(Trouble::Broken(error)) => return Err(error),
         };
         match (outcome, case.level) {
-            (Outcome::Passed, _) => self.passed += 1,
-            (Outcome::Skipped, _) => self.skipped += 1,
-            (Outcome::NotObserved, _) => self.not_observed += 1,
-            (Outcome::Failed, Level::Required) => self.failed += 1,
-            (Outcome::Failed, Level::Recommended) => self.not_recommended += 1,
+            (CaseOutcome::Passed, _) => self.passed += 1,
+            (CaseOutcome::Skipped, _) => self.skipped += 1,
+            (CaseOutcome::NotObserved, _) => self.not_observed += 1,
+            (CaseOutcome::Failed, RequirementLevel::Required) => self.failed += 1,
+            (CaseOutcome::Failed, RequirementLevel::Recommended) => self.not_recommended += 1,
         }
         self.cases.push(CaseReport {
             name: case.name.to_owned(),
@@ -104,7 +104,8 @@ impl Report {
     /// Whether all required cases that apply have passed.
     pub(crate) fn is_met(&self) -> bool {
         let is_missed = |case: &CaseReport| {
-            case.level == Level::Required && matches!(case.outcome, Outcome::Failed | Outcome::NotObserved)
+            case.level == RequirementLevel::Required
+                && matches!(case.outcome, CaseOutcome::Failed | CaseOutcome::NotObserved)
         };
         !self.cases.iter().any(is_missed)
     }
@@ -114,7 +115,7 @@ impl fmt::Display for CaseReport {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (outcome, level) = (self.outcome.name(), self.level.name());
         write!(formatter, "{outcome:<14}{:<28}{level:<13}{}", self.name, self.reason)?;
-        if matches!(self.outcome, Outcome::Failed | Outcome::NotObserved) {
+        if matches!(self.outcome, CaseOutcome::Failed | CaseOutcome::NotObserved) {
             write!(formatter, "\n{:<14}{level}: {}", "", self.requirement)?;
         }
         Ok(())

@@ -21,7 +21,7 @@ pub(crate) struct Suite {
     /// Scan period [ns].
     pub(crate) period_ns: u64,
     /// Settings of a robot behind a Player server.
-    pub(crate) player: Option<player::Config>,
+    pub(crate) player: Option<player::PlayerConfig>,
     /// Set when the user wants to end.
     pub(crate) shutdown: Shutdown,
     drives: Mutex<BTreeMap<Course, Arc<Drive>>>,
@@ -74,9 +74,9 @@ pub(super) fn write_settings(
     domain: &Domain,
     drive: &Drive,
     setup: Setup,
-    player: Option<&player::Config>,
+    player: Option<&player::PlayerConfig>,
 ) -> anyhow::Result<()> {
-    let pipeline::Settings { scenario, tuning, period_ns } = &drive.settings;
+    let pipeline::PipelineSettings { scenario, tuning, period_ns } = &drive.settings;
     let run = RunSettings {
         period_ns: *period_ns,
         clock: if setup.lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },

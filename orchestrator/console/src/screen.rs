@@ -22,7 +22,7 @@ const POLL_NS: u64 = 1_000_000_000;
 
 /// A program that fills the terminal of this process.
 #[derive(Debug)]
-pub struct Guard {
+pub struct ScreenGuard {
     child: Child,
     before: Termios,
 }
@@ -32,7 +32,7 @@ pub fn is_available() -> bool {
     isatty(io::stdin()) && isatty(io::stderr())
 }
 
-impl Guard {
+impl ScreenGuard {
     /// Starts the program.
     ///
     /// # Errors

@@ -34,7 +34,7 @@ const NINE_IN_TEN: f64 = 1.498;
 
 /// A difference with its confidence interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Difference {
+pub struct DifferenceEstimate {
     /// Best estimate.
     pub value: f64,
     /// The interval that contains the true difference in 99 of 100 cases.
@@ -43,7 +43,7 @@ pub struct Difference {
     pub smallest_visible: f64,
 }
 
-impl Difference {
+impl DifferenceEstimate {
     fn new(value: f64, interval: [f64; 2]) -> Self {
         Self { value, interval, smallest_visible: NINE_IN_TEN * 0.5 * (interval[1] - interval[0]) }
     }
@@ -73,7 +73,7 @@ impl Difference {
 }
 
 /// The difference of runs in turns, from one difference per round; `None` for too few rounds.
-pub fn rounds(differences: &[f64]) -> Option<Difference> {
+pub fn rounds(differences: &[f64]) -> Option<DifferenceEstimate> {
     let count = differences.len();
     if count < MIN_ROUNDS || differences.iter().any(|value| !value.is_finite()) {
         return None;
@@ -82,7 +82,7 @@ pub fn rounds(differences: &[f64]) -> Option<Difference> {
     sorted.sort_unstable_by(f64::total_cmp);
     let outside = outside(count);
     let interval = [sorted[outside], sorted[count - 1 - outside]];
-    Some(Difference::new(median(&sorted), interval))
+    Some(DifferenceEstimate::new(median(&sorted), interval))
 }
 
 /// How many of `count` sorted differences lie outside of each end of the interval: the most for which the median is
@@ -108,7 +108,7 @@ pub fn median(sorted: &[f64]) -> f64 {
 
 /// The difference of a quantile between two runs, from the histograms of their stretches in order; in the unit of the
 /// histograms. `None` when there are too few scans.
-pub fn stretches(a: &[Histogram<u64>], b: &[Histogram<u64>], quantile: f64) -> Option<Difference> {
+pub fn stretches(a: &[Histogram<u64>], b: &[Histogram<u64>], quantile: f64) -> Option<DifferenceEstimate> {
     let count = a.len().min(b.len());
     let [a, b] = groups(&a[..count], &b[..count], quantile)?;
     let mut differences: Vec<f64> = a
@@ -121,7 +121,7 @@ pub fn stretches(a: &[Histogram<u64>], b: &[Histogram<u64>], quantile: f64) -> O
     // One disturbed group at either end does not count.
     differences.sort_unstable_by(f64::total_cmp);
     let value = mean(differences[1..differences.len() - 1].iter().copied());
-    Some(Difference::new(value, [value - half, value + half]))
+    Some(DifferenceEstimate::new(value, [value - half, value + half]))
 }
 
 /// The smallest difference to a like run that [`stretches`] detects with 90 % probability.

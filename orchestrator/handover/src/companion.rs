@@ -28,7 +28,7 @@ pub struct FieldBound {
 
 /// Which process has published a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Side {
+pub enum CompanionSide {
     /// The one in charge.
     Old,
     /// The one that is to take over.
@@ -37,7 +37,7 @@ pub enum Side {
 
 /// What is to be done.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Step {
+pub enum CompanionStep {
     /// Nothing yet.
     Wait,
     /// The new process takes over.
@@ -94,7 +94,7 @@ impl CompanionSwap {
     }
 
     /// A sample of a topic has come: the numbers of each bounded field, in the order of the bounds of that topic.
-    pub fn see(&mut self, topic: &str, side: Side, scan: u64, numbers: Vec<Vec<f64>>) {
+    pub fn see(&mut self, topic: &str, side: CompanionSide, scan: u64, numbers: Vec<Vec<f64>>) {
         let key = (scan, topic.to_owned());
         let pair = self.waiting.entry(key.clone()).or_default();
         pair[side as usize].get_or_insert(numbers);
@@ -135,11 +135,11 @@ impl CompanionSwap {
     }
 
     /// What is to be done now that the new process is connected.
-    pub fn step(&self) -> Step {
+    pub fn step(&self) -> CompanionStep {
         match &self.refused {
-            Some(reason) => Step::Refuse(reason.clone()),
-            None if self.bounds.is_empty() || self.agreed >= self.shadow_scans => Step::TakeOver,
-            None => Step::Wait,
+            Some(reason) => CompanionStep::Refuse(reason.clone()),
+            None if self.bounds.is_empty() || self.agreed >= self.shadow_scans => CompanionStep::TakeOver,
+            None => CompanionStep::Wait,
         }
     }
 
@@ -197,19 +197,19 @@ mod tests {
 
     /// Both processes publish for a scan; the new one's rate is off by so much.
     fn scan(swap: &mut CompanionSwap, scan: u64, off: f64) {
-        swap.see("imu", Side::Old, scan, vec![vec![0.5], vec![1.0, 2.0]]);
-        swap.see("imu", Side::New, scan, vec![vec![0.5 + off], vec![1.5, 2.5]]);
+        swap.see("imu", CompanionSide::Old, scan, vec![vec![0.5], vec![1.0, 2.0]]);
+        swap.see("imu", CompanionSide::New, scan, vec![vec![0.5 + off], vec![1.5, 2.5]]);
     }
 
     #[test]
     fn without_bounds_it_takes_over_at_once_and_with_bounds_after_enough_scans_that_agree() {
-        assert_eq!(CompanionSwap::new("sensor", "a", "b", Vec::new(), 10).step(), Step::TakeOver);
+        assert_eq!(CompanionSwap::new("sensor", "a", "b", Vec::new(), 10).step(), CompanionStep::TakeOver);
         let mut swap = swap(3);
         (1..=2).for_each(|id| scan(&mut swap, id, 0.09));
-        swap.see("imu", Side::New, 3, vec![vec![0.5], vec![1.0, 2.0]]);
-        assert_eq!(swap.step(), Step::Wait, "the old one has not answered");
+        swap.see("imu", CompanionSide::New, 3, vec![vec![0.5], vec![1.0, 2.0]]);
+        assert_eq!(swap.step(), CompanionStep::Wait, "the old one has not answered");
         scan(&mut swap, 3, 0.0);
-        assert_eq!(swap.step(), Step::TakeOver);
+        assert_eq!(swap.step(), CompanionStep::TakeOver);
         let certificate = swap.taken_over(7);
         assert_eq!((certificate.shadow_scans, certificate.outcome), (3, SwapOutcome::Swapped));
         assert_eq!((certificate.last_scan_old, certificate.first_scan_new), (Some(6), Some(7)));
@@ -220,10 +220,10 @@ mod tests {
         let mut swap = swap(10);
         (1..=3).for_each(|id| scan(&mut swap, id, 0.0));
         scan(&mut swap, 4, 0.2);
-        assert_eq!((swap.agreed(), swap.step()), (0, Step::Wait));
+        assert_eq!((swap.agreed(), swap.step()), (0, CompanionStep::Wait));
         scan(&mut swap, 5, 0.0);
         scan(&mut swap, 6, f64::NAN);
-        let Step::Refuse(reason) = swap.step() else { panic!("{swap:?}") };
+        let CompanionStep::Refuse(reason) = swap.step() else { panic!("{swap:?}") };
         assert!(reason.starts_with("scan 6: field yaw_rate_radps of topic imu differs by NaN"), "{reason}");
         let certificate = swap.refused(&reason);
         assert_eq!(certificate.outcome, SwapOutcome::Refused);

@@ -14,9 +14,9 @@ use figures::bootstrap;
 use shared_types::Role;
 
 use crate::swap::agreement::{OutputSummary, differences, quantities};
-use crate::swap::{LATE_NS, Output, Party};
+use crate::swap::{LATE_NS, Party, SwapOutput};
 
-pub use report::{Difference, ShadowOutcome, ShadowReport, Timing};
+pub use report::{QuantityDifference, ShadowOutcome, ShadowReport, Timing};
 
 /// Scans that wait for the other output: a shadow that is late by as many is still compared.
 const OPEN: u64 = 16;
@@ -29,7 +29,7 @@ pub struct Study {
     role: Role,
     period_ns: u64,
     thin: u64,
-    open: BTreeMap<u64, [Option<Output>; 2]>,
+    open: BTreeMap<u64, [Option<SwapOutput>; 2]>,
     first: Option<u64>,
     newest_live: u64,
     /// First and last number of an output of the shadow, and how many scans it has answered in all.
@@ -69,7 +69,7 @@ impl Study {
     }
 
     /// Adds an output that was received at `now_ns`.
-    pub fn output(&mut self, now_ns: u64, party: Party, output: Output) {
+    pub fn output(&mut self, now_ns: u64, party: Party, output: SwapOutput) {
         let scan = output.scan;
         match party {
             Party::New => {
@@ -131,7 +131,7 @@ impl Study {
         let differences = differences.map(|((quantity, unit), (values, max_abs))| {
             let (mean, mean_interval) = bootstrap::mean(values);
             let (quantity, unit) = ((*quantity).to_owned(), (*unit).to_owned());
-            Difference { quantity, unit, mean, mean_interval, max_abs: *max_abs }
+            QuantityDifference { quantity, unit, mean, mean_interval, max_abs: *max_abs }
         });
         report.differences = differences.collect();
         report.reaction_ms = timing(&self.reactions_ns);
@@ -140,7 +140,7 @@ impl Study {
     }
 
     /// Compares the outputs for a scan that is complete, or too old to become so.
-    fn close(&mut self, scan: u64, [live, shadow]: [Option<Output>; 2]) {
+    fn close(&mut self, scan: u64, [live, shadow]: [Option<SwapOutput>; 2]) {
         let Some(live) = live.filter(|_| self.first.is_some_and(|first| scan >= first)) else { return };
         self.report.scans += 1;
         let Some(shadow) = shadow else { return };
@@ -152,7 +152,7 @@ impl Study {
         self.compare(live, shadow, kept);
     }
 
-    fn time(&mut self, live: &Output, shadow: &Output, kept: bool) {
+    fn time(&mut self, live: &SwapOutput, shadow: &SwapOutput, kept: bool) {
         let reaction_ns =
             [live, shadow].map(|output| output.published_ns.saturating_sub(output.scan_published_ns));
         self.report.late += u64::from(reaction_ns[1] > (self.period_ns / 2).max(LATE_NS));

@@ -45,8 +45,8 @@ use shared_types::{Authority, Role};
 pub use agreement::{Disagreement, OutputSummary};
 pub use certificate::{Certificate, RUN_ENDS, SwapOutcome};
 use comparison::Comparison;
-pub use meant::{Change, Meant};
-pub use scan_record::Recorded;
+pub use meant::{KeyChange, Meant};
+pub use scan_record::RecordedScan;
 use scan_record::ScanRecord;
 
 /// A process without an output within this time is refused [ns].
@@ -116,7 +116,7 @@ pub enum Party {
 
 /// One output of one of the two.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Output {
+pub struct SwapOutput {
     /// The scan it answers.
     pub scan: u64,
     /// Number of the output among those of its process.
@@ -144,13 +144,13 @@ pub enum SwapEvent {
         answered: u64,
     },
     /// An output was seen.
-    Output(Party, Output),
+    Output(Party, SwapOutput),
     /// A process ended, and how.
     Exited(Party, String),
     /// All hosts have the last change of authority; repeated while that holds.
     Acknowledged,
     /// A scan was recorded; they come in order.
-    Recorded(Recorded),
+    Recorded(RecordedScan),
     /// The last event of a turn; time has passed.
     Tick,
     /// The end of the run was decided.
@@ -172,7 +172,7 @@ pub enum SwapAction {
 
 /// Stages of a swap.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Stage {
+pub enum SwapStage {
     /// The new process has no output yet.
     Starting,
     /// It computes in the shadow of the old one.
@@ -189,7 +189,7 @@ pub enum Stage {
 #[derive(Debug, Clone)]
 pub struct Swap {
     plan: SwapPlan,
-    stage: Stage,
+    stage: SwapStage,
     since_ns: u64,
     newest: u64,
     answered: u64,
@@ -214,7 +214,7 @@ impl Swap {
         };
         Self {
             plan,
-            stage: Stage::Starting,
+            stage: SwapStage::Starting,
             since_ns: now_ns,
             newest: 0,
             answered: 0,
@@ -234,16 +234,16 @@ impl Swap {
     }
 
     /// The stage that it has reached.
-    pub fn stage(&self) -> Stage {
+    pub fn stage(&self) -> SwapStage {
         self.stage
     }
 
     /// The incarnation that is not in charge.
     pub fn candidate(&self) -> u32 {
         let new_is_in_charge = match self.stage {
-            Stage::Standby => self.newest >= self.from_scan,
-            Stage::Settling | Stage::Over => self.certificate.outcome == SwapOutcome::Swapped,
-            Stage::Starting | Stage::Shadowing => false,
+            SwapStage::Standby => self.newest >= self.from_scan,
+            SwapStage::Settling | SwapStage::Over => self.certificate.outcome == SwapOutcome::Swapped,
+            SwapStage::Starting | SwapStage::Shadowing => false,
         };
         if new_is_in_charge { self.plan.old } else { self.plan.new }
     }
@@ -256,7 +256,7 @@ impl Swap {
     /// What is to be done, in this order, now that `event` has happened at `now_ns`.
     pub fn handle(&mut self, now_ns: u64, event: SwapEvent) -> Vec<SwapAction> {
         let mut actions = Vec::new();
-        if self.stage == Stage::Over {
+        if self.stage == SwapStage::Over {
             return actions;
         }
         match event {
@@ -269,24 +269,24 @@ impl Swap {
                     self.newest = self.newest.max(output.scan);
                 }
                 self.comparison.keep(now_ns, self.newest, party, output);
-                if self.stage == Stage::Starting && self.comparison.first_new.is_some() {
-                    self.stage = Stage::Shadowing;
+                if self.stage == SwapStage::Starting && self.comparison.first_new.is_some() {
+                    self.stage = SwapStage::Shadowing;
                 }
             }
             SwapEvent::Exited(Party::New, how) => match self.stage {
-                Stage::Settling | Stage::Over => {}
+                SwapStage::Settling | SwapStage::Over => {}
                 _ => self.give_up(now_ns, format!("the new process ended: {how}"), &mut actions),
             },
             SwapEvent::Exited(Party::Old, how) => match self.stage {
-                Stage::Starting | Stage::Shadowing => {
+                SwapStage::Starting | SwapStage::Shadowing => {
                     self.refuse(format!("the old process ended: {how}"), &mut actions);
                 }
                 // The standby is gone, so there is no process to roll back to.
-                Stage::Standby => {
+                SwapStage::Standby => {
                     let from_scan = self.from_scan.min(self.answered + 1);
                     self.commit(now_ns, from_scan, format!("the old process ended: {how}"), &mut actions);
                 }
-                Stage::Settling | Stage::Over => {}
+                SwapStage::Settling | SwapStage::Over => {}
             },
             SwapEvent::Acknowledged => self.plan.is_acknowledged |= self.announced_ns.is_some(),
             SwapEvent::Recorded(recorded) => self.recorded(&recorded),
@@ -297,13 +297,13 @@ impl Swap {
     }
 
     fn tick(&mut self, now_ns: u64, actions: &mut Vec<SwapAction>) {
-        if self.stage != Stage::Settling
+        if self.stage != SwapStage::Settling
             && let Some(reason) = self.comparison.invalid.take()
         {
             return self.give_up(now_ns, reason, actions);
         }
         match self.stage {
-            Stage::Starting => {
+            SwapStage::Starting => {
                 if now_ns.saturating_sub(self.since_ns) >= FIRST_OUTPUT_NS {
                     let limit_s = FIRST_OUTPUT_NS / 1_000_000_000;
                     let cause = match self.comparison.has_old() {
@@ -313,13 +313,13 @@ impl Swap {
                     self.refuse(format!("no output within {limit_s} s{cause}"), actions);
                 }
             }
-            Stage::Shadowing | Stage::Standby => self.judge(now_ns, actions),
-            Stage::Settling => {
+            SwapStage::Shadowing | SwapStage::Standby => self.judge(now_ns, actions),
+            SwapStage::Settling => {
                 if self.settled_at == 0 || now_ns.saturating_sub(self.since_ns) >= SETTLE_NS {
                     self.finish(actions);
                 }
             }
-            Stage::Over => {}
+            SwapStage::Over => {}
         }
     }
 
@@ -328,25 +328,25 @@ impl Swap {
         if let Err(reason) = self.comparison.judge(now_ns, &self.plan, self.from_scan) {
             return self.give_up(now_ns, reason, actions);
         }
-        if self.stage == Stage::Shadowing && self.comparison.good_in_a_row >= self.plan.shadow_scans {
+        if self.stage == SwapStage::Shadowing && self.comparison.good_in_a_row >= self.plan.shadow_scans {
             match self.plan.is_acknowledged {
                 true => self.take_over(actions),
                 false => self.announce(now_ns, actions),
             }
         }
-        if self.stage == Stage::Shadowing
+        if self.stage == SwapStage::Shadowing
             && self.announced_ns.is_some_and(|since_ns| now_ns.saturating_sub(since_ns) >= ACKNOWLEDGE_NS)
         {
             let limit_s = ACKNOWLEDGE_NS / 1_000_000_000;
             return self
                 .refuse(format!("a host has not acknowledged the handover within {limit_s} s"), actions);
         }
-        if self.stage == Stage::Shadowing
+        if self.stage == SwapStage::Shadowing
             && let Some(reason) = self.comparison.timed_out(now_ns, &self.plan)
         {
             return self.refuse(reason, actions);
         }
-        if self.stage == Stage::Standby && self.comparison.good_in_charge >= self.plan.standby_scans {
+        if self.stage == SwapStage::Standby && self.comparison.good_in_charge >= self.plan.standby_scans {
             self.commit(now_ns, 0, String::new(), actions);
         }
     }
@@ -362,7 +362,7 @@ impl Swap {
 
     /// Authority goes to the new one, from a scan on that is not published yet.
     fn take_over(&mut self, actions: &mut Vec<SwapAction>) {
-        self.stage = Stage::Standby;
+        self.stage = SwapStage::Standby;
         self.from_scan = self.newest + NOTICE_SCANS;
         self.certificate.shadow_scans = self.comparison.good_in_a_row;
         let (incarnation, previous) = (self.plan.new, self.plan.old);
@@ -371,7 +371,7 @@ impl Swap {
 
     /// The new one has failed: it is refused, or rolled back when it was in charge of a scan.
     fn give_up(&mut self, now_ns: u64, reason: String, actions: &mut Vec<SwapAction>) {
-        if self.stage != Stage::Standby || self.newest < self.from_scan {
+        if self.stage != SwapStage::Standby || self.newest < self.from_scan {
             return self.refuse(reason, actions);
         }
         let from_scan = (self.answered + 1).max(self.from_scan);
@@ -383,7 +383,7 @@ impl Swap {
     }
 
     fn refuse(&mut self, reason: String, actions: &mut Vec<SwapAction>) {
-        if self.stage == Stage::Standby || self.announced_ns.is_some() {
+        if self.stage == SwapStage::Standby || self.announced_ns.is_some() {
             actions.push(SwapAction::Authorise(alone(self.plan.old)));
         }
         actions.push(SwapAction::KillNew);
@@ -409,7 +409,7 @@ impl Swap {
     }
 
     fn settle(&mut self, now_ns: u64, from_scan: u64, outcome: SwapOutcome, reason: String) {
-        self.stage = Stage::Settling;
+        self.stage = SwapStage::Settling;
         self.since_ns = now_ns;
         self.settled_at = ScanRecord::settled_at(from_scan);
         if self.scan_record.reaches(self.settled_at) {
@@ -426,7 +426,7 @@ impl Swap {
     }
 
     fn over(&mut self, actions: &mut Vec<SwapAction>) {
-        self.stage = Stage::Over;
+        self.stage = SwapStage::Over;
         self.scan_record.fill(&mut self.certificate);
         actions.push(SwapAction::Finish(Box::new(self.certificate.clone())));
     }
@@ -435,26 +435,26 @@ impl Swap {
         let reason = || RUN_ENDS.to_owned();
         match self.stage {
             // The process in charge keeps its authority until the run is over.
-            Stage::Standby if self.newest >= self.from_scan => {
+            SwapStage::Standby if self.newest >= self.from_scan => {
                 self.commit(now_ns, 0, reason(), actions);
                 self.over(actions);
             }
-            Stage::Starting | Stage::Shadowing | Stage::Standby => self.refuse(reason(), actions),
-            Stage::Settling => self.finish(actions),
-            Stage::Over => {}
+            SwapStage::Starting | SwapStage::Shadowing | SwapStage::Standby => self.refuse(reason(), actions),
+            SwapStage::Settling => self.finish(actions),
+            SwapStage::Over => {}
         }
     }
 
-    fn recorded(&mut self, recorded: &Recorded) {
+    fn recorded(&mut self, recorded: &RecordedScan) {
         let party = self.answered_by(recorded);
         self.scan_record.record(recorded, party);
-        if self.stage == Stage::Settling && recorded.scan >= self.settled_at {
+        if self.stage == SwapStage::Settling && recorded.scan >= self.settled_at {
             self.settled_at = 0;
         }
     }
 
     /// The process whose sample a recorded answer is based on.
-    fn answered_by(&self, recorded: &Recorded) -> Party {
+    fn answered_by(&self, recorded: &RecordedScan) -> Party {
         let planned = (self.from_scan..self.until_scan).contains(&recorded.scan);
         let planned = if planned { Party::New } else { Party::Old };
         self.comparison.source_of(recorded).unwrap_or(planned)

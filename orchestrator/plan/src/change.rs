@@ -157,19 +157,19 @@ fn checked(role: Role, file: &Table, rate_hz: f64) -> anyhow::Result<Value> {
     match role {
         Role::Robot => {
             if let Some(Value::Table(table)) = file.get(PLAYER) {
-                reread(PLAYER, table.clone(), player::Config::validate)?;
+                reread(PLAYER, table.clone(), player::PlayerConfig::validate)?;
             }
             let scenario = Scenario::from_table(own, "settings of the robot").map_err(Failure::bad_input)?;
             Ok(Value::try_from(scenario)?)
         }
-        Role::Estimator => reread(role.name(), own, estimator::Config::validate),
-        Role::Obstacles => reread(role.name(), own, obstacles::Config::validate),
+        Role::Estimator => reread(role.name(), own, estimator::EstimatorConfig::validate),
+        Role::Obstacles => reread(role.name(), own, obstacles::ObstaclesConfig::validate),
         Role::Controller => {
-            let value = reread(role.name(), own, nmpc::Config::validate)?;
+            let value = reread(role.name(), own, nmpc::ControllerConfig::validate)?;
             require_rate(&value.clone().try_into()?, rate_hz).map_err(Failure::bad_input)?;
             Ok(value)
         }
-        Role::Actuator => reread(role.name(), own, actuation::Config::validate),
+        Role::Actuator => reread(role.name(), own, actuation::ActuatorConfig::validate),
     }
 }
 

@@ -19,7 +19,7 @@ pub enum Property {
 
 /// A property that scenario and `[vehicle]` do not agree on.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Difference {
+pub struct PropertyDifference {
     /// Its key in both tables.
     pub key: &'static str,
     /// `robot.KEY`, or `track.surroundings`.
@@ -30,7 +30,7 @@ pub struct Difference {
     pub preset: Option<&'static str>,
 }
 
-impl Difference {
+impl PropertyDifference {
     /// Difference as a share of the believed value; infinite if that is zero or no number.
     fn share(&self) -> f64 {
         match (self.truth, self.believed) {
@@ -45,7 +45,7 @@ impl Difference {
     }
 }
 
-impl fmt::Display for Difference {
+impl fmt::Display for PropertyDifference {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { key, truth, believed, .. } = self;
         let table = if matches!(truth, Property::Number(_)) { "robot" } else { "track" };
@@ -75,26 +75,26 @@ fn rounded(value: f64) -> f64 {
 pub(crate) fn sorted(
     found: impl IntoIterator<Item = (&'static str, f64, f64)>,
     [truth, believed]: [Surroundings; 2],
-) -> Vec<Difference> {
-    let of_robot = found.into_iter().map(|(key, truth, believed)| Difference {
+) -> Vec<PropertyDifference> {
+    let of_robot = found.into_iter().map(|(key, truth, believed)| PropertyDifference {
         key,
         truth: Property::Number(truth),
         believed: Property::Number(believed),
         preset: None,
     });
-    let of_track = (truth != believed).then_some(Difference {
+    let of_track = (truth != believed).then_some(PropertyDifference {
         key: "surroundings",
         truth: Property::Surroundings(truth),
         believed: Property::Surroundings(believed),
         preset: None,
     });
     let mut differences: Vec<_> = of_robot.chain(of_track).collect();
-    differences.sort_by(Difference::compare);
+    differences.sort_by(PropertyDifference::compare);
     differences
 }
 
 /// All differences below a heading, one a line; nothing when there are none.
-pub fn list(differences: &[Difference]) -> Vec<String> {
+pub fn list(differences: &[PropertyDifference]) -> Vec<String> {
     let of_preset: Vec<&str> = differences.iter().filter_map(|difference| difference.preset).collect();
     let count = match differences.len() {
         0 => return Vec::new(),
@@ -118,7 +118,7 @@ pub fn list(differences: &[Difference]) -> Vec<String> {
 }
 
 /// [`list`], or one line when it would be long.
-pub fn summary(differences: &[Difference]) -> Vec<String> {
+pub fn summary(differences: &[PropertyDifference]) -> Vec<String> {
     match differences {
         [largest, ..] if differences.len() > MAX_LISTED => {
             let presets = differences.iter().map(|difference| difference.preset);

@@ -73,10 +73,10 @@ pub struct Crossing<'a> {
 }
 
 /// A role, and a host that it has a process on; `None` is the host of the orchestrator. While a role moves it has two.
-pub type Place<'a> = (Role, Option<&'a str>);
+pub type RolePlace<'a> = (Role, Option<&'a str>);
 
 /// Where the roles of a system are when it starts.
-pub fn places(system: &System) -> impl Iterator<Item = Place<'_>> {
+pub fn places(system: &System) -> impl Iterator<Item = RolePlace<'_>> {
     system.roles().map(|entry| (entry.role(), entry.host.as_deref()))
 }
 
@@ -89,7 +89,7 @@ pub fn crossings(system: &System) -> Vec<Crossing<'_>> {
 ///
 /// A topic of the loop crosses to each host where a role reads it. The orchestrator observes them all. Directives cross to
 /// each host, heartbeats, checkpoints and journals from each to the orchestrator.
-pub fn crossings_between<'a>(places: &[Place<'a>]) -> Vec<Crossing<'a>> {
+pub fn crossings_between<'a>(places: &[RolePlace<'a>]) -> Vec<Crossing<'a>> {
     let mut hosts = vec![None];
     for (_, host) in places {
         if !hosts.contains(host) {

@@ -28,8 +28,8 @@ use runtime::{Domain, OwnTopics};
 use toml::{Table, Value};
 use vehicle::{Description, Invalid, Setting, Surroundings, did_you_mean};
 
-pub use difference::Difference;
-pub use source::Source;
+pub use difference::PropertyDifference;
+pub use source::SourceFile;
 pub use system::System;
 use written::Written;
 
@@ -88,10 +88,10 @@ impl Plan {
     /// # Errors
     /// As [`Self::read`].
     pub fn of(scenario: &Scenario, choice: &Choice) -> anyhow::Result<Self> {
-        Self::of_source(Source::parse(scenario.to_toml(), scenario.name.clone())?, choice)
+        Self::of_source(SourceFile::parse(scenario.to_toml(), scenario.name.clone())?, choice)
     }
 
-    fn of_source(scenario: Source, choice: &Choice) -> anyhow::Result<Self> {
+    fn of_source(scenario: SourceFile, choice: &Choice) -> anyhow::Result<Self> {
         let system = System::read_table(choice.system.as_deref())?;
         let written = Written::new(scenario, system, choice)?;
         let check = |tables: [Table; 2]| Self::checked(tables).err();
@@ -131,7 +131,7 @@ impl Plan {
     }
 
     /// Where the scenario differs from the description that the stages read; the largest share first.
-    pub fn differences(&self) -> Vec<Difference> {
+    pub fn differences(&self) -> Vec<PropertyDifference> {
         let Self { scenario, system, .. } = self;
         let surroundings = [scenario.track.surroundings, system.vehicle.surroundings];
         let mut found = difference::sorted(scenario.robot.differences(&system.vehicle), surroundings);
@@ -144,7 +144,7 @@ impl Plan {
 
     /// [`Self::differences`] of a robot that publishes its truth. The scenario tells nothing about any other one, as far as
     /// that is known before it runs.
-    pub fn differences_of_truth(&self) -> Vec<Difference> {
+    pub fn differences_of_truth(&self) -> Vec<PropertyDifference> {
         let has_truth = self.system.emulates_robot() && self.scenario.robot.publish_truth;
         if has_truth { self.differences() } else { Vec::new() }
     }
@@ -190,17 +190,17 @@ fn is_of_scenario(name: &str) -> bool {
 }
 
 /// A scenario file, or a shipped scenario.
-fn read_scenario(name: &str) -> anyhow::Result<Source> {
+fn read_scenario(name: &str) -> anyhow::Result<SourceFile> {
     let path = Path::new(name);
     if let Some(text) = Scenario::shipped(name).filter(|_| !path.is_file()) {
-        return Source::shipped(text, format!("shipped scenario {name}"));
+        return SourceFile::shipped(text, format!("shipped scenario {name}"));
     }
     let text = user_file::read(path, TEXT_BYTES).map_err(|error| {
         let shipped: Vec<&str> = Scenario::names().collect();
         let meant = did_you_mean(name, Scenario::names());
         Failure::bad_input(format!("{name}: {error}.{meant} Shipped scenarios are {}", shipped.join(", ")))
     })?;
-    Source::parse(text, name.to_owned())
+    SourceFile::parse(text, name.to_owned())
 }
 
 #[cfg(test)]

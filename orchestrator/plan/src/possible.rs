@@ -13,7 +13,7 @@ use std::f64::consts::FRAC_PI_2;
 
 use emulator::Scenario;
 use emulator::scenario::{Goal, Start};
-use nmpc::{Config, speed_limit};
+use nmpc::{ControllerConfig, speed_limit};
 use vehicle::correction::SENT_VELOCITY_MAX_MPS;
 use vehicle::{Control, Invalid};
 
@@ -62,7 +62,7 @@ pub(crate) fn require_velocity(system: &System) -> Result<(), Invalid> {
 ///
 /// # Errors
 /// [`Invalid`] with a key of the scenario, its value and what is possible.
-pub(crate) fn require_goal(scenario: &Scenario, controller: &Config) -> Result<(), Invalid> {
+pub(crate) fn require_goal(scenario: &Scenario, controller: &ControllerConfig) -> Result<(), Invalid> {
     let (start, goal) = (&scenario.start, &scenario.goal);
     let radius_m = turning_radius(controller);
     let distance_m = (goal.x_m - start.x_m).hypot(goal.y_m - start.y_m);
@@ -107,7 +107,7 @@ pub(crate) fn require_goal(scenario: &Scenario, controller: &Config) -> Result<(
 }
 
 /// What ends otherwise than the user may think.
-pub(crate) fn warnings(scenario: &Scenario, controller: &Config) -> Vec<String> {
+pub(crate) fn warnings(scenario: &Scenario, controller: &ControllerConfig) -> Vec<String> {
     let (start, goal) = (&scenario.start, &scenario.goal);
     let limit_mps = speed_limit(controller);
     let speed_mps = controller.cruise_mps.min(limit_mps);
@@ -127,7 +127,7 @@ pub(crate) fn warnings(scenario: &Scenario, controller: &Config) -> Vec<String> 
 
 /// Passes when half the way of one scan period at the smallest velocity is well within the tolerance of the goal, and also with
 /// the error of the stop from that velocity.
-fn require_landing(goal: &Goal, controller: &Config) -> Result<(), Invalid> {
+fn require_landing(goal: &Goal, controller: &ControllerConfig) -> Result<(), Invalid> {
     let slowest_mps = controller.vehicle.bounds.velocity_min_mps;
     let stop_m = slowest_mps * slowest_mps / (2.0 * controller.vehicle.blocked_deceleration_mps2);
     let half_way_m = slowest_mps * controller.period_s / 2.0;
@@ -145,7 +145,7 @@ fn require_landing(goal: &Goal, controller: &Config) -> Result<(), Invalid> {
 }
 
 /// Passes when the robot can turn into the direction of the track before it leaves the track.
-fn require_heading(start: &Start, controller: &Config, radius_m: f64) -> Result<(), Invalid> {
+fn require_heading(start: &Start, controller: &ControllerConfig, radius_m: f64) -> Result<(), Invalid> {
     let [low, high] = controller.y_range();
     let to_side_m = if start.yaw_rad > 0.0 { high - start.y_m } else { start.y_m - low } + OUTSIDE_M;
     // A turn from an angle leads radius (1 - cos angle) to the side, and from beyond a right angle also back.
@@ -180,7 +180,7 @@ struct Turns {
 }
 
 impl Turns {
-    fn new(start: &Start, goal: &Goal, controller: &Config, radius_m: f64) -> Self {
+    fn new(start: &Start, goal: &Goal, controller: &ControllerConfig, radius_m: f64) -> Self {
         let late_m = controller.cruise_mps * controller.period_s;
         let (sin, cos) = start.yaw_rad.sin_cos();
         let landing_m = controller.vehicle.bounds.velocity_min_mps * controller.period_s;
@@ -223,7 +223,7 @@ impl Turns {
 }
 
 /// Radius of a steady turn at full lock and cruising velocity [m].
-fn turning_radius(controller: &Config) -> f64 {
+fn turning_radius(controller: &ControllerConfig) -> f64 {
     let velocity = controller.cruise_mps;
     let control = Control { velocity, steering: controller.vehicle.bounds.steering_max_rad };
     let (_, yaw_rate) = vehicle::model::steady_turn(&controller.vehicle.parameters(), &control);
@@ -254,7 +254,9 @@ mod tests {
     }
 
     fn refused(start: [f64; 3], goal: [f64; 2]) -> Option<String> {
-        require_goal(&scenario(start, goal), &Config::default()).err().map(|invalid| invalid.to_string())
+        require_goal(&scenario(start, goal), &ControllerConfig::default())
+            .err()
+            .map(|invalid| invalid.to_string())
     }
 
     #[test]
@@ -269,7 +271,7 @@ mod tests {
     #[test]
     fn a_goal_inside_of_the_planned_turns_is_refused_with_the_nearest_one_that_is_not() {
         // From 0.1 m on, the circle to the left has its centre at y = 3.4 m and 3.4 m radius; 0.09 m of it are allowed.
-        let radius = turning_radius(&Config::default());
+        let radius = turning_radius(&ControllerConfig::default());
         assert!((radius - 3.1).abs() < 0.01, "{radius}");
         let planned = 1.04 / 0.95 * radius;
         let nearest = 0.1 + ((planned - 0.09_f64).powi(2) - (planned - 0.6).powi(2)).sqrt();
@@ -335,7 +337,7 @@ mod tests {
         assert!(refused([0.0, 0.0, 3.0], [10.0, 0.0]).is_some());
         // On a wide track the robot turns round, where there is room behind the start too.
         let wide = |x_m: f64| {
-            let mut controller = Config::default();
+            let mut controller = ControllerConfig::default();
             controller.track.y_m = [-8.0, 8.0];
             require_goal(&scenario([x_m, 0.0, 2.8], [15.0, 0.0]), &controller)
         };
@@ -347,7 +349,10 @@ mod tests {
     fn a_tolerance_that_is_finer_than_the_way_of_a_period_is_refused() {
         let of = |tolerance_m: f64, period_s: f64| {
             let goal = Goal { tolerance_m, ..Goal::default() };
-            require_goal(&Scenario { goal, ..Scenario::default() }, &Config { period_s, ..Config::default() })
+            require_goal(
+                &Scenario { goal, ..Scenario::default() },
+                &ControllerConfig { period_s, ..ControllerConfig::default() },
+            )
         };
         assert_eq!(of(0.01, 0.1), Ok(()));
         assert_eq!(of(0.1, 0.4), Ok(()));
@@ -355,7 +360,7 @@ mod tests {
         assert!(refused.starts_with("goal.tolerance_m = 0.01 is not allowed: at least 0.04, "), "{refused}");
         // The stop from 1 m/s takes 0.1 m.
         let from = |slowest_mps: f64| {
-            let mut controller = Config::default();
+            let mut controller = ControllerConfig::default();
             controller.vehicle.bounds.velocity_min_mps = slowest_mps;
             require_goal(&Scenario::default(), &controller).map_err(|refused| refused.to_string())
         };
@@ -366,7 +371,7 @@ mod tests {
 
     #[test]
     fn walls_leave_less_room_for_the_goal_than_the_track_has() {
-        let mut controller = Config::default();
+        let mut controller = ControllerConfig::default();
         controller.track.walls = true;
         let of = |y_m: f64| require_goal(&scenario([0.0; 3], [10.0, y_m]), &controller);
         assert_eq!(of(1.1), Ok(()));
@@ -376,8 +381,9 @@ mod tests {
 
     #[test]
     fn a_timeout_before_the_goal_is_a_warning() {
-        let warned =
-            |timeout_s: f64| warnings(&Scenario { timeout_s, ..Scenario::default() }, &Config::default());
+        let warned = |timeout_s: f64| {
+            warnings(&Scenario { timeout_s, ..Scenario::default() }, &ControllerConfig::default())
+        };
         assert_eq!(warned(10.0), Vec::<String>::new());
         assert_eq!(warned(9.0), ["timeout_s = 9 is over before the goal: 9.9 m at 1 m/s take 9.9 s"]);
     }

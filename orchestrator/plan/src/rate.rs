@@ -1,6 +1,6 @@
 //! Whether the robot can be driven at a scan rate: it can stop in time, and it is driven as planned.
 
-use nmpc::{Config, speed_limit};
+use nmpc::{ControllerConfig, speed_limit};
 use vehicle::{Description, Invalid, Surroundings};
 
 /// Rates that a system file may have [Hz].
@@ -14,7 +14,7 @@ const ROUNDING: f64 = 1e-6;
 ///
 /// # Errors
 /// [`Invalid`] with the rate, the smallest allowed one, and the other keys that decide it.
-pub(crate) fn require_rate(controller: &Config, rate_hz: f64) -> Result<(), Invalid> {
+pub(crate) fn require_rate(controller: &ControllerConfig, rate_hz: f64) -> Result<(), Invalid> {
     require_safe_speed(controller, rate_hz)?;
     let interval_s = controller.interval_s();
     if rate_hz * interval_s >= 1.0 - ROUNDING {
@@ -33,7 +33,7 @@ pub(crate) fn require_rate(controller: &Config, rate_hz: f64) -> Result<(), Inva
 }
 
 /// Passes when a safe speed is left at this rate.
-fn require_safe_speed(controller: &Config, rate_hz: f64) -> Result<(), Invalid> {
+fn require_safe_speed(controller: &ControllerConfig, rate_hz: f64) -> Result<(), Invalid> {
     if has_safe_speed(controller, rate_hz) {
         return Ok(());
     }
@@ -55,13 +55,13 @@ fn require_safe_speed(controller: &Config, rate_hz: f64) -> Result<(), Invalid> 
     Err(Invalid::new("rate_hz", rate_hz, allowed))
 }
 
-fn has_safe_speed(controller: &Config, rate_hz: f64) -> bool {
-    let controller = Config { period_s: 1.0 / rate_hz, ..controller.clone() };
+fn has_safe_speed(controller: &ControllerConfig, rate_hz: f64) -> bool {
+    let controller = ControllerConfig { period_s: 1.0 / rate_hz, ..controller.clone() };
     speed_limit(&controller) >= controller.vehicle.bounds.velocity_min_mps
 }
 
 /// The smallest rate with a safe speed, rounded up to three decimals; the speed limit grows with the rate [Hz].
-fn smallest_rate(controller: &Config) -> Option<f64> {
+fn smallest_rate(controller: &ControllerConfig) -> Option<f64> {
     let [mut low, mut high] = RATES_HZ;
     if !has_safe_speed(controller, high) {
         return None;
@@ -80,7 +80,7 @@ mod tests {
     #[test]
     fn the_smallest_rate_in_the_message_is_the_limit() {
         let vehicle = Description { sudden_m: 0.3, ..Description::default() };
-        let controller = Config { vehicle, ..Config::default() };
+        let controller = ControllerConfig { vehicle, ..ControllerConfig::default() };
         assert_eq!(require_safe_speed(&controller, 10.0), Ok(()));
         let refused = require_safe_speed(&controller, 0.5).unwrap_err();
         let named: f64 =
@@ -96,12 +96,12 @@ mod tests {
     #[test]
     fn a_rate_at_which_commands_are_held_for_longer_than_an_interval_is_refused_with_the_smallest_one() {
         // 5.44 s by 12 are 0.4533 s.
-        let controller = Config::default();
+        let controller = ControllerConfig::default();
         let refused = require_rate(&controller, 1.0).unwrap_err().to_string();
         assert!(refused.starts_with("rate_hz = 1 is not allowed: at least 2.206, "), "{refused}");
         assert_eq!(require_rate(&controller, 2.206), Ok(()));
         assert!(require_rate(&controller, 2.2).is_err());
-        let long = Config { horizon_s: 10.0, intervals: 10, ..controller };
+        let long = ControllerConfig { horizon_s: 10.0, intervals: 10, ..controller };
         assert_eq!(require_rate(&long, 1.0), Ok(()));
     }
 
@@ -109,7 +109,7 @@ mod tests {
     fn a_careful_speed_below_the_smallest_velocity_is_refused_in_open_surroundings_only() {
         let of = |surroundings, careful_mps| {
             let vehicle = Description { surroundings, careful_mps, ..Description::default() };
-            require_safe_speed(&Config { vehicle, ..Config::default() }, 10.0)
+            require_safe_speed(&ControllerConfig { vehicle, ..ControllerConfig::default() }, 10.0)
         };
         assert_eq!(of(Surroundings::Hall, 0.09), Ok(()));
         assert_eq!(of(Surroundings::Open, 0.1), Ok(()));
@@ -122,7 +122,8 @@ mod tests {
         let mut vehicle =
             Description { sudden_m: 0.1, blocked_deceleration_mps2: 0.1, ..Description::default() };
         vehicle.bounds.velocity_min_mps = 1.0;
-        let refused = require_safe_speed(&Config { vehicle, ..Config::default() }, 10.0).unwrap_err();
+        let refused = require_safe_speed(&ControllerConfig { vehicle, ..ControllerConfig::default() }, 10.0)
+            .unwrap_err();
         assert!(refused.allowed.starts_with("no rate, "), "{refused}");
     }
 }

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use emulator::Scenario;
 use emulator::scenario::{Preset, Robot};
-use estimator::Profile;
+use estimator::NoiseProfile;
 use toml::{Table, Value};
 use vehicle::{Description, Key, Setting, toml_text};
 
@@ -55,10 +55,10 @@ fn scenario_keys() -> Vec<Key> {
 /// Keys of the system file; those of the estimator with the defaults that its profiles give them.
 fn system_keys() -> Vec<Key> {
     let defaults = |profile| {
-        let config = estimator::Config { profile, ..estimator::Config::default() };
+        let config = estimator::EstimatorConfig { profile, ..estimator::EstimatorConfig::default() };
         config.complete().ok().and_then(|config| Table::try_from(config).ok()).unwrap_or_default()
     };
-    let profiles = [defaults(Profile::Scaled), defaults(Profile::Source)];
+    let profiles = [defaults(NoiseProfile::Scaled), defaults(NoiseProfile::Source)];
     let mut keys = System::keys();
     // The copies of `[vehicle]` that the stages have are no keys of the file.
     keys.iter_mut().for_each(|table| table.keys.retain(|key| key.name != "vehicle"));

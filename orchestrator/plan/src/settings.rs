@@ -18,7 +18,7 @@ pub fn write(
     realtime: &Realtime,
     scenario: &Scenario,
     tuning: &Tuning,
-    player: Option<&player::Config>,
+    player: Option<&player::PlayerConfig>,
 ) -> anyhow::Result<()> {
     for role in Role::ALL.iter().copied() {
         let mut table = of(role, run, realtime, scenario, tuning)?;
@@ -111,12 +111,14 @@ mod tests {
     #[test]
     fn what_comes_from_the_profile_stands_in_the_file() {
         let mut tuning = Tuning::default();
-        for (profile, rate) in [(estimator::Profile::Scaled, 0.0), (estimator::Profile::Source, 0.053)] {
+        for (profile, rate) in
+            [(estimator::NoiseProfile::Scaled, 0.0), (estimator::NoiseProfile::Source, 0.053)]
+        {
             tuning.estimator.profile = profile;
             let (_, file) = files(&tuning).into_iter().find(|(role, _)| *role == Role::Estimator).unwrap();
             assert_eq!(file["estimator"]["odometry_longitudinal"].as_float(), Some(0.01));
             assert_eq!(file["estimator"]["odometry_lateral_rate"].as_float(), Some(rate));
-            let read: estimator::Config = file["estimator"].clone().try_into().unwrap();
+            let read: estimator::EstimatorConfig = file["estimator"].clone().try_into().unwrap();
             assert_eq!(read.settings().unwrap(), tuning.estimator.settings().unwrap());
         }
     }

@@ -6,7 +6,7 @@ use toml::de::{DeTable, DeValue};
 
 /// A file that was read, with the name that it has in messages.
 #[derive(Debug, Clone)]
-pub struct Source {
+pub struct SourceFile {
     /// What is in it, possibly with tables that it leaves out.
     pub table: Table,
     /// Its name.
@@ -17,7 +17,7 @@ pub struct Source {
     pub(crate) is_shipped: bool,
 }
 
-impl Source {
+impl SourceFile {
     /// The table in the text of a file.
     ///
     /// # Errors

@@ -15,7 +15,7 @@ use vehicle::{Description, Invalid, read, require, settings};
 use crate::hosts::{self, HostEntry};
 use crate::possible;
 use crate::rate::require_rate;
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::topics::{self, TopicEntry};
 
 /// The built-in process table.
@@ -34,7 +34,7 @@ settings! {
         /// The robot as all stages know it. An explicit `robot.KEY` of the scenario also holds here, unless the key is set.
         pub vehicle: Description = Description::default();
         /// Driver of a robot behind a Player server, for the implementation `player` of role `robot`.
-        pub player: player::Config = player::Config::default();
+        pub player: player::PlayerConfig = player::PlayerConfig::default();
         /// Processors, scheduling, idle states and memory; the defaults need no privilege.
         pub realtime: runtime::Realtime = runtime::Realtime::default();
         /// What is kept of a drive in real time without `--record`.
@@ -51,13 +51,13 @@ settings! {
         #[serde(rename = "topic")]
         pub topics: Vec<TopicEntry> = Vec::new();
         /// Settings of the estimator: measured states, noise, odometry correction and prediction.
-        pub estimator: estimator::Config = estimator::Config::default();
+        pub estimator: estimator::EstimatorConfig = estimator::EstimatorConfig::default();
         /// Settings of the obstacle detector: walls, ellipses, noise and memory.
-        pub obstacles: obstacles::Config = obstacles::Config::default();
+        pub obstacles: obstacles::ObstaclesConfig = obstacles::ObstaclesConfig::default();
         /// Settings of the controller: body, horizon, velocities and time limits.
-        pub controller: nmpc::Config = nmpc::Config::default();
+        pub controller: nmpc::ControllerConfig = nmpc::ControllerConfig::default();
         /// Settings of the actuator: calibration, limits and timeouts.
-        pub actuator: actuation::Config = actuation::Config::default();
+        pub actuator: actuation::ActuatorConfig = actuation::ActuatorConfig::default();
     }
 }
 
@@ -114,14 +114,14 @@ impl System {
     ///
     /// # Errors
     /// A message with the file, and the line where the text is no TOML; exit code 2.
-    pub fn read_table(file: Option<&Path>) -> anyhow::Result<Source> {
+    pub fn read_table(file: Option<&Path>) -> anyhow::Result<SourceFile> {
         let Some(path) = file else {
-            return Source::shipped(BUILT_IN, "built-in system".to_owned());
+            return SourceFile::shipped(BUILT_IN, "built-in system".to_owned());
         };
         let name = path.display().to_string();
         let text = user_file::read(path, TEXT_BYTES);
         let text = text.map_err(|error| Failure::bad_input(format!("{name}: {error}")))?;
-        let mut source = Source::parse(text, name)?;
+        let mut source = SourceFile::parse(text, name)?;
         add_built_in(&mut source.table);
         Ok(source)
     }
@@ -145,13 +145,13 @@ impl System {
             estimator: self.estimator.clone(),
             obstacles: self.obstacles,
             // The true period, so that no key can contradict the rate.
-            controller: nmpc::Config { period_s: 1.0 / self.rate_hz, ..self.controller.clone() },
+            controller: nmpc::ControllerConfig { period_s: 1.0 / self.rate_hz, ..self.controller.clone() },
             actuator: self.actuator.clone(),
         }
     }
 
     /// The settings of the driver, when a robot behind a Player server fills the role `robot`.
-    pub fn player(&self) -> Option<&player::Config> {
+    pub fn player(&self) -> Option<&player::PlayerConfig> {
         let implementation = self.entry(Role::Robot)?.implementation.as_deref();
         (implementation == Some("player")).then_some(&self.player)
     }

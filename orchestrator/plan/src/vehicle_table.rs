@@ -82,7 +82,7 @@ pub(crate) fn old_keys_of(stage: &str, name: &str) -> Vec<String> {
 pub(crate) fn fit_velocities(system: &mut Table) {
     let Some(Value::Table(vehicle)) = system.get(VEHICLE) else { return };
     let Ok(Description { bounds, .. }) = read::<Description>(vehicle.clone()) else { return };
-    let defaults = nmpc::Config::default();
+    let defaults = nmpc::ControllerConfig::default();
     let entry = system.entry("controller".to_owned()).or_insert_with(|| Value::Table(Table::new()));
     let Value::Table(controller) = entry else { return };
     for (key, default) in [("cruise_mps", defaults.cruise_mps), ("careful_mps", defaults.careful_mps)] {

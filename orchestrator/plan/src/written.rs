@@ -13,7 +13,7 @@ use toml::{Table, Value};
 use vehicle::{Invalid, Key, Setting, did_you_mean};
 
 use crate::overrides::{index_of, parse_override, set};
-use crate::source::Source;
+use crate::source::SourceFile;
 use crate::{Choice, System, calibration_file, is_of_scenario};
 
 /// What an option of the command line gives.
@@ -75,8 +75,8 @@ impl Given {
 /// Both files and the options that change them.
 #[derive(Debug, Clone)]
 pub(crate) struct Written {
-    scenario: Source,
-    system: Source,
+    scenario: SourceFile,
+    system: SourceFile,
     given: Vec<Given>,
 }
 
@@ -85,7 +85,7 @@ impl Written {
     ///
     /// # Errors
     /// An option of another form, and a key that no file has; exit code 2.
-    pub(crate) fn new(scenario: Source, system: Source, choice: &Choice) -> anyhow::Result<Self> {
+    pub(crate) fn new(scenario: SourceFile, system: SourceFile, choice: &Choice) -> anyhow::Result<Self> {
         let mut given = Vec::new();
         given.extend(choice.realtime.then_some(Given::Realtime));
         given.extend(choice.calibration.clone().map(Given::Calibration));
@@ -203,7 +203,7 @@ impl Written {
             || self.scenario.table.contains_key(first) && !self.system.table.contains_key(first)
     }
 
-    fn source(&self, key: &str) -> &Source {
+    fn source(&self, key: &str) -> &SourceFile {
         if self.is_in_scenario(key) { &self.scenario } else { &self.system }
     }
 

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use console::exit::Failure;
 use console::new_file::{Existing, NewFile, finish_all};
 
-use crate::mcap::{Contents, Gap, Reader};
+use crate::mcap::{Contents, Gap, McapReader};
 use crate::read::{RECORDING, metadata, refusal};
 use crate::tape::{LIBRARY, definitions};
 use new_recording::NewRecording;
@@ -31,7 +31,7 @@ const JOINT_NS: u64 = 1_000_000;
 /// A file of which nothing can be read, and a new file that can't be written; exit code 2.
 pub fn repair(from: &Path, to: &Path, force: bool) -> anyhow::Result<Copied> {
     let input = File::open(from).map_err(|error| refuse(from, &error))?;
-    let mut reader = Reader::salvage(BufReader::new(input)).map_err(|error| refusal(from, &error))?;
+    let mut reader = McapReader::salvage(BufReader::new(input)).map_err(|error| refusal(from, &error))?;
     if reader.contents().library.is_empty() || reader.contents().library == LIBRARY {
         let (schemas, channels) = definitions();
         reader.assume(&schemas, &channels);
@@ -67,14 +67,14 @@ pub(crate) fn prepare(
 }
 
 /// Passes when all of a file can be read; its memory is free afterwards.
-fn read(mut reader: Reader<BufReader<File>>, path: &Path) -> anyhow::Result<()> {
+fn read(mut reader: McapReader<BufReader<File>>, path: &Path) -> anyhow::Result<()> {
     while reader.next_message().map_err(|error| refusal(path, &error))?.is_some() {}
     Ok(())
 }
 
-fn open(path: &Path) -> anyhow::Result<Reader<BufReader<File>>> {
+fn open(path: &Path) -> anyhow::Result<McapReader<BufReader<File>>> {
     let input = File::open(path).map_err(|error| refuse(path, &error))?;
-    Reader::new(BufReader::new(input)).map_err(|error| refusal(path, &error))
+    McapReader::new(BufReader::new(input)).map_err(|error| refusal(path, &error))
 }
 
 fn refuse(path: &Path, reason: &dyn std::fmt::Display) -> anyhow::Error {
@@ -82,7 +82,7 @@ fn refuse(path: &Path, reason: &dyn std::fmt::Display) -> anyhow::Error {
 }
 
 fn write(
-    mut reader: Reader<BufReader<File>>,
+    mut reader: McapReader<BufReader<File>>,
     from: &Path,
     to: &Path,
     force: bool,

@@ -12,6 +12,6 @@ mod schema;
 mod tape;
 
 pub use foxglove::LogLine;
-pub use read::{Recorded, Recording};
+pub use read::{RecordedSample, Recording};
 pub use schema::{schema, type_name};
-pub use tape::{Tape, Target, writer};
+pub use tape::{Tape, TapeTarget, writer};

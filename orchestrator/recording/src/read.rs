@@ -9,7 +9,7 @@ use console::exit::Failure;
 use shared_types::{Difference, Field, Layouts, NotALayout, Role, TOPICS, Topic};
 
 use crate::foxglove::{CHANNELS, LOG, LogLine, log_line};
-use crate::mcap::{CDR, Contents, ReadError, Reader};
+use crate::mcap::{CDR, Contents, McapReader, ReadError};
 use crate::own::OwnTopic;
 use crate::schema::ENCAPSULATION;
 use crate::tape::PREFIX;
@@ -38,7 +38,7 @@ pub fn settings_of(role: Role, incarnation: u32) -> String {
 /// A recording that is open for reading.
 pub struct Recording {
     path: PathBuf,
-    reader: Reader<BufReader<File>>,
+    reader: McapReader<BufReader<File>>,
     /// The content of the last sample at its start: samples begin at multiples of eight bytes.
     aligned: Vec<u64>,
     /// Of each joined file, topics whose samples have another layout, once they are known.
@@ -52,7 +52,7 @@ pub struct Recording {
 
 /// A sample as it was recorded.
 #[derive(Debug, Clone, Copy)]
-pub struct Recorded<'a> {
+pub struct RecordedSample<'a> {
     /// Its topic.
     pub topic: Topic,
     /// When it was recorded, on the clock of the loop [ns].
@@ -77,7 +77,7 @@ impl Recording {
         if file.metadata().is_ok_and(|metadata| metadata.len() == 0) {
             return Err(refuse(&"the file is empty"));
         }
-        let reader = Reader::new(BufReader::new(file)).map_err(|error| refusal(path, &error))?;
+        let reader = McapReader::new(BufReader::new(file)).map_err(|error| refusal(path, &error))?;
         Ok(Self {
             path: path.to_owned(),
             reader,
@@ -111,7 +111,7 @@ impl Recording {
     /// A damaged file, one whose samples have another size, and one that unpacks to too many; exit code 2. Errors of `each`.
     pub fn samples(
         &mut self,
-        mut each: impl FnMut(&Contents, Recorded<'_>) -> anyhow::Result<()>,
+        mut each: impl FnMut(&Contents, RecordedSample<'_>) -> anyhow::Result<()>,
     ) -> anyhow::Result<()> {
         let limit = MAX_SAMPLES.max(MAX_RATIO * self.path.metadata().map_or(0, |metadata| metadata.len()));
         let mut bytes = 0;
@@ -126,7 +126,7 @@ impl Recording {
             let chunk_at = self.reader.chunk_at();
             let file = self.reader.file();
             let bytes = &bytemuck::cast_slice::<u64, u8>(&self.aligned)[..topic.size()];
-            each(self.reader.contents(), Recorded { topic, log_ns, file, chunk_at, bytes })?;
+            each(self.reader.contents(), RecordedSample { topic, log_ns, file, chunk_at, bytes })?;
         }
         self.require_a_second()?;
         if !self.files().iter().all(|contents| contents.is_complete) {
@@ -138,11 +138,11 @@ impl Recording {
         Ok(())
     }
 
-    /// Hands the samples of one chunk, about a second, to `each`; [`Recorded::chunk_at`] named it before.
+    /// Hands the samples of one chunk, about a second, to `each`; [`RecordedSample::chunk_at`] named it before.
     ///
     /// # Errors
     /// A file that was damaged or replaced meanwhile.
-    pub fn chunk(&mut self, chunk_at: u64, mut each: impl FnMut(Recorded<'_>)) -> anyhow::Result<()> {
+    pub fn chunk(&mut self, chunk_at: u64, mut each: impl FnMut(RecordedSample<'_>)) -> anyhow::Result<()> {
         if !self.reader.seek_to_chunk(chunk_at) {
             let path = self.path.display();
             return Err(Failure::bad_input(format!("{path}: the file was changed while it was open")));
@@ -150,7 +150,7 @@ impl Recording {
         while let Some((topic, log_ns)) = self.advance(Some(chunk_at))? {
             let file = self.reader.file();
             let bytes = &bytemuck::cast_slice::<u64, u8>(&self.aligned)[..topic.size()];
-            each(Recorded { topic, log_ns, file, chunk_at, bytes });
+            each(RecordedSample { topic, log_ns, file, chunk_at, bytes });
         }
         Ok(())
     }
@@ -229,7 +229,8 @@ impl Recording {
             return Ok(());
         }
         let file = File::open(&self.path).map_err(|error| refusal(&self.path, &error.into()))?;
-        let mut reader = Reader::new(BufReader::new(file)).map_err(|error| refusal(&self.path, &error))?;
+        let mut reader =
+            McapReader::new(BufReader::new(file)).map_err(|error| refusal(&self.path, &error))?;
         let mut data = Vec::new();
         loop {
             let message = match reader.next_message() {
@@ -255,7 +256,7 @@ impl Recording {
     }
 
     /// Its reader.
-    pub(crate) fn reader(&mut self) -> &mut Reader<BufReader<File>> {
+    pub(crate) fn reader(&mut self) -> &mut McapReader<BufReader<File>> {
         &mut self.reader
     }
 

@@ -46,7 +46,7 @@ const ORPHAN_NS: u64 = 10_000_000_000;
 
 /// Options of the recorder.
 #[derive(Debug, Clone)]
-pub struct Options {
+pub struct RecorderOptions {
     /// The recording; with a ring, the folder for the files of incidents.
     pub file: PathBuf,
     /// Keep so many seconds in memory, and write them when something happens.
@@ -79,7 +79,7 @@ pub struct Summary {
 ///
 /// # Errors
 /// A file that exists or can't be made (exit code 2), and errors of the bus.
-pub fn record(domain: &Domain, options: &Options, shutdown: &Shutdown) -> anyhow::Result<Summary> {
+pub fn record(domain: &Domain, options: &RecorderOptions, shutdown: &Shutdown) -> anyhow::Result<Summary> {
     let _ = rustix::process::nice(NICE);
     let opening = Opening::of(domain)?;
     let file = if options.ring_s.is_none() { Some(create(&options.file, options.force)?) } else { None };

@@ -29,7 +29,7 @@ pub(crate) const LIBRARY: &str = concat!("scanloop ", env!("CARGO_PKG_VERSION"))
 pub(crate) const PREFIX: &str = "/scanloop/";
 
 /// Where chunks of messages and files beside them are put.
-pub trait Target {
+pub trait TapeTarget {
     /// Adds a message of data in parts to the open chunk.
     fn message(&mut self, channel: u16, sequence: u32, log_ns: u64, data: &[&[u8]]);
     /// Bytes of the open chunk, uncompressed.
@@ -46,7 +46,7 @@ pub trait Target {
     fn attach(&mut self, name: &str, media_type: &str, data: &[u8], log_ns: u64) -> io::Result<()>;
 }
 
-impl<W: Write> Target for Writer<W> {
+impl<W: Write> TapeTarget for Writer<W> {
     fn message(&mut self, channel: u16, sequence: u32, log_ns: u64, data: &[&[u8]]) {
         self.message(channel, sequence, log_ns, data);
     }
@@ -114,7 +114,7 @@ pub(crate) fn media_type(name: &str) -> &'static str {
 }
 
 /// A recording that is being made: what becomes of each sample, and when chunks end.
-pub struct Tape<T: Target> {
+pub struct Tape<T: TapeTarget> {
     target: T,
     chunk_start_ns: Option<u64>,
     /// The newest time of the loop that was recorded [ns].
@@ -134,7 +134,7 @@ pub struct Tape<T: Target> {
     samples: [u64; 2],
 }
 
-impl<T: Target> Tape<T> {
+impl<T: TapeTarget> Tape<T> {
     /// Begins a recording at a time of the loop [ns]; in `simulated` time the stamps of all samples are those of the loop.
     pub fn new(target: T, simulated: bool, now_ns: u64) -> Self {
         let checkpoints = std::array::from_fn(|_| (None, 0));
@@ -367,7 +367,7 @@ mod tests {
     #[derive(Default)]
     struct Times(Vec<u64>);
 
-    impl Target for Times {
+    impl TapeTarget for Times {
         fn message(&mut self, _channel: u16, _sequence: u32, log_ns: u64, _data: &[&[u8]]) {
             self.0.push(log_ns);
         }

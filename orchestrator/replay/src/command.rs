@@ -16,7 +16,7 @@ use self::bench::Bench;
 use self::inputs::Inputs;
 use crate::drive::Lane;
 use crate::stage::{Findings, Window};
-use crate::{Drive, Options};
+use crate::{ReplayDrive, ReplayOptions};
 
 /// A program that leaves so many scans in a row unanswered is given up.
 const MAX_UNANSWERED: u32 = 3;
@@ -25,8 +25,8 @@ const MAX_UNANSWERED: u32 = 3;
 pub(crate) fn replay(
     role: Role,
     command: &[String],
-    drive: &Drive,
-    options: &Options,
+    drive: &ReplayDrive,
+    options: &ReplayOptions,
 ) -> anyhow::Result<Findings> {
     let mut findings = Findings::new(role, drive);
     let found = &mut findings;
@@ -48,8 +48,8 @@ pub(crate) fn replay(
 fn run<S: Sample>(
     role: Role,
     command: &[String],
-    drive: &Drive,
-    options: &Options,
+    drive: &ReplayDrive,
+    options: &ReplayOptions,
     findings: &mut Findings,
     lane: &Lane<S>,
 ) -> anyhow::Result<()> {
@@ -112,7 +112,7 @@ fn run<S: Sample>(
 /// The newest state before the output for a scan, first of its process; none at the start of a drive.
 fn state_before<'a>(
     role: Role,
-    drive: &'a Drive,
+    drive: &'a ReplayDrive,
     (from, process): (u64, u32),
     inputs: &mut Inputs<'_>,
 ) -> Option<&'a Checkpoint> {

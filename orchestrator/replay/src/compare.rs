@@ -18,7 +18,7 @@ pub const NOT_COMPARED: [(Topic, &[&str]); 7] = [
 
 /// The first field in which a replayed sample differs from the recorded one.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Difference {
+pub struct FieldDifference {
     /// The topic.
     pub topic: &'static str,
     /// The scan.
@@ -31,7 +31,7 @@ pub struct Difference {
     pub replayed: String,
 }
 
-impl std::fmt::Display for Difference {
+impl std::fmt::Display for FieldDifference {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { topic, scan, field, recorded, replayed } = self;
         write!(formatter, "scan {scan}, {topic}: {field} was {recorded}, is {replayed}")
@@ -51,13 +51,13 @@ pub(crate) fn take_over<S: Sample>(recorded: &S, replayed: &mut S, role: Role) {
 }
 
 /// The first difference; `None` for equal bytes.
-pub(crate) fn difference<S: Sample>(recorded: &S, replayed: &S) -> Option<Difference> {
+pub(crate) fn difference<S: Sample>(recorded: &S, replayed: &S) -> Option<FieldDifference> {
     let (one, other) = (bytemuck::bytes_of(recorded), bytemuck::bytes_of(replayed));
     if one == other {
         return None;
     }
     let (field, recorded_value, replayed_value) = first(S::FIELDS, "", one, other)?;
-    Some(Difference {
+    Some(FieldDifference {
         topic: S::TOPIC.name(),
         scan: recorded.header().scan_id,
         field,

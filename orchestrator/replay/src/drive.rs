@@ -30,7 +30,7 @@ use crate::NotReplayed;
 
 /// A recorded drive.
 #[derive(Debug, Default)]
-pub struct Drive {
+pub struct ReplayDrive {
     pub(crate) scans: Lane<Scan>,
     pub(crate) odometries: Lane<Odometry>,
     pub(crate) truths: Lane<Truth>,
@@ -69,7 +69,7 @@ struct Processes {
     process: Vec<ProcessRow>,
 }
 
-impl Drive {
+impl ReplayDrive {
     /// Reads a recording: one drive, or as many as recordings were joined to one file.
     ///
     /// # Errors
@@ -172,7 +172,7 @@ impl Drive {
         Ok((stages, others))
     }
 
-    /// From now on, [`Drive::keep_pace`] waits for the time of each scan, counted from the scan `from`.
+    /// From now on, [`ReplayDrive::keep_pace`] waits for the time of each scan, counted from the scan `from`.
     pub(crate) fn set_pace(&mut self, from: Option<u64>) {
         let first = self.scans.samples.iter().find(|scan| scan.header.scan_id >= from.unwrap_or(0));
         self.pace_ns = first.map(|first| [monotonic_ns(), first.header.acquired_ns]);

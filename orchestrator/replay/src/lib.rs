@@ -19,8 +19,8 @@ use console::exit::Failure;
 use serde::Serialize;
 use shared_types::{ROLES, Role};
 
-use crate::compare::Difference;
-pub use crate::drive::Drive;
+use crate::compare::FieldDifference;
+pub use crate::drive::ReplayDrive;
 use crate::stage::Findings;
 
 /// This many differences are kept; all are counted.
@@ -28,7 +28,7 @@ pub const MAX_DIFFERENCES: usize = 20;
 
 /// What is replayed.
 #[derive(Debug, Clone, Default)]
-pub struct Options {
+pub struct ReplayOptions {
     /// The stages; all when empty.
     pub stages: Vec<Role>,
     /// The first scan.
@@ -47,7 +47,7 @@ pub struct Options {
 
 /// The result of a replay.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
-pub struct Report {
+pub struct ReplayReport {
     /// Scans in the recording, within the limits.
     pub scans: u64,
     /// Outputs of the stages.
@@ -63,9 +63,9 @@ pub struct Report {
     /// Outputs that are beyond the bounds of the agreement, with changed keys or other programs.
     pub beyond: u64,
     /// With changed keys or other programs, how their outputs differ from the recorded ones.
-    pub statistics: Vec<Statistics>,
+    pub statistics: Vec<StageStatistics>,
     /// The first differences.
-    pub differences: Vec<Difference>,
+    pub differences: Vec<FieldDifference>,
     /// Why outputs were skipped, and how many.
     pub reasons: Vec<Skipped>,
     /// Outputs of scans after the one that decided the outcome, in lock-step; they do not belong to the run.
@@ -112,7 +112,7 @@ pub struct NotReplayed {
 
 /// How the outputs of one stage differ from the recorded ones, scan by scan.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Statistics {
+pub struct StageStatistics {
     /// Name of the role.
     pub role: &'static str,
     /// Scans on which both gave an output.
@@ -120,10 +120,10 @@ pub struct Statistics {
     /// Of these, scans on which only one of them drove.
     pub kind_differs: u64,
     /// Replayed minus recorded, quantity by quantity.
-    pub differences: Vec<handover::shadow::Difference>,
+    pub differences: Vec<handover::shadow::QuantityDifference>,
 }
 
-impl std::fmt::Display for Statistics {
+impl std::fmt::Display for StageStatistics {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { role, compared, kind_differs, differences } = self;
         write!(formatter, "{role}: {compared} scans compared, {kind_differs} of another kind")?;
@@ -131,7 +131,7 @@ impl std::fmt::Display for Statistics {
             let interval = difference
                 .mean_interval
                 .map_or_else(String::new, |[low, high]| format!(", 95 % interval {low:.6} to {high:.6}"));
-            let handover::shadow::Difference { quantity, unit, mean, max_abs, .. } = difference;
+            let handover::shadow::QuantityDifference { quantity, unit, mean, max_abs, .. } = difference;
             write!(formatter, "\n  {quantity}: mean {mean:.6} {unit}{interval}, largest {max_abs:.6} {unit}")
         })
     }
@@ -150,7 +150,7 @@ pub struct Skipped {
     pub samples: u64,
 }
 
-impl Report {
+impl ReplayReport {
     /// Whether every output that could be recomputed is equal to the recorded one.
     pub fn is_identical(&self) -> bool {
         self.compared > 0 && self.identical == self.compared
@@ -161,11 +161,11 @@ impl Report {
 ///
 /// # Errors
 /// A file that can't be read, samples of another layout, keys that are not allowed; exit code 2.
-pub fn replay(path: &Path, options: &Options) -> anyhow::Result<Report> {
+pub fn replay(path: &Path, options: &ReplayOptions) -> anyhow::Result<ReplayReport> {
     let wanted = wanted(options);
-    let mut report = Report::default();
+    let mut report = ReplayReport::default();
     // Recordings that were joined are replayed one after the other.
-    for mut drive in Drive::read(path)? {
+    for mut drive in ReplayDrive::read(path)? {
         drive.set(&options.set).map_err(|reason| Failure::bad_input(format!("--set {reason}")))?;
         drive.is_changed |= !options.with.is_empty();
         replay_drive(drive, &wanted, path, options, &mut report)?;
@@ -180,7 +180,7 @@ pub fn replay(path: &Path, options: &Options) -> anyhow::Result<Report> {
 }
 
 /// The stages that the options ask for.
-fn wanted(options: &Options) -> Vec<Role> {
+fn wanted(options: &ReplayOptions) -> Vec<Role> {
     let of_programs = options.with.iter().map(|(role, _)| *role);
     match (&options.stages[..], &options.with[..]) {
         ([], []) => Role::ALL.to_vec(),
@@ -191,11 +191,11 @@ fn wanted(options: &Options) -> Vec<Role> {
 
 /// Replays one drive, and adds what was found to the report.
 fn replay_drive(
-    mut drive: Drive,
+    mut drive: ReplayDrive,
     wanted: &[Role],
     path: &Path,
-    options: &Options,
-    report: &mut Report,
+    options: &ReplayOptions,
+    report: &mut ReplayReport,
 ) -> anyhow::Result<()> {
     let (stages, not_replayed) = drive.replayable(wanted, path)?;
     if options.in_real_time {
@@ -225,8 +225,8 @@ const BY_COST: [Role; 5] = [Role::Controller, Role::Obstacles, Role::Robot, Role
 /// A thread that can't be started; then no further stage is begun.
 fn replay_stages(
     stages: &[Role],
-    drive: &Drive,
-    options: &Options,
+    drive: &ReplayDrive,
+    options: &ReplayOptions,
 ) -> std::io::Result<Vec<anyhow::Result<Findings>>> {
     let queue = BY_COST.iter().filter(|role| stages.contains(role));
     let processors = std::thread::available_parallelism().map_or(1, usize::from);

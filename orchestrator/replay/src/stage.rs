@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 
 use handover::shadow::Study;
 use handover::swap::agreement::{OutputSummary, disagreement};
-use handover::swap::{Meant, Output, Party};
+use handover::swap::{Meant, Party, SwapOutput};
 use shared_types::{Actuation, Command, Header, Obstacles, Pose, Role, Sample, Topic};
 
 use self::actuator::Actuator;
@@ -19,14 +19,16 @@ use self::controller::Controller;
 use self::estimator::Estimator;
 use self::obstacles::Detector;
 use self::robot::Robot;
-use crate::compare::{Difference, difference, take_over};
-use crate::{Drive, MAX_DIFFERENCES, NotCompared, Options, Report, Skipped, Statistics};
+use crate::compare::{FieldDifference, difference, take_over};
+use crate::{
+    MAX_DIFFERENCES, NotCompared, ReplayDrive, ReplayOptions, ReplayReport, Skipped, StageStatistics,
+};
 
 /// What was found in the outputs of one role.
 #[derive(Debug)]
 pub(crate) struct Findings {
     role: Role,
-    report: Report,
+    report: ReplayReport,
     reasons: BTreeMap<(&'static str, u32, &'static str), u64>,
     /// Compares what the loop sees of the outputs, where they are expected to differ.
     study: Option<Study>,
@@ -34,10 +36,10 @@ pub(crate) struct Findings {
 
 impl Findings {
     /// Nothing yet.
-    pub(crate) fn new(role: Role, drive: &Drive) -> Self {
+    pub(crate) fn new(role: Role, drive: &ReplayDrive) -> Self {
         let scans = drive.scans(None, None);
         let study = drive.is_changed.then(|| Study::new(role, drive.period_ns, scans));
-        Self { role, report: Report::default(), reasons: BTreeMap::new(), study }
+        Self { role, report: ReplayReport::default(), reasons: BTreeMap::new(), study }
     }
 
     /// Compares an output with the recorded one.
@@ -46,8 +48,8 @@ impl Findings {
         recorded: &S,
         mut replayed: S,
         role: Role,
-        drive: &Drive,
-        options: &Options,
+        drive: &ReplayDrive,
+        options: &ReplayOptions,
     ) {
         self.report.samples += 1;
         if drive.is_injected(S::TOPIC, recorded.header()) {
@@ -74,7 +76,7 @@ impl Findings {
         self.report.samples += 1;
         self.report.compared += 1;
         self.report.beyond += 1;
-        self.note(Difference {
+        self.note(FieldDifference {
             topic: S::TOPIC.name(),
             scan: recorded.header().scan_id,
             field: "sample".to_owned(),
@@ -88,7 +90,7 @@ impl Findings {
         if let Some(pair) = summary(recorded).zip(summary(replayed)) {
             let header = recorded.header();
             for (party, content) in [(Party::Old, pair.0), (Party::New, pair.1)] {
-                let output = Output {
+                let output = SwapOutput {
                     scan: header.scan_id,
                     sequence: header.sequence,
                     scan_published_ns: 0,
@@ -102,7 +104,7 @@ impl Findings {
         }
     }
 
-    fn note(&mut self, difference: Difference) {
+    fn note(&mut self, difference: FieldDifference) {
         if self.report.differences.len() < MAX_DIFFERENCES {
             self.report.differences.push(difference);
         }
@@ -122,7 +124,7 @@ impl Findings {
     }
 
     /// Names a process whose outputs are not compared.
-    pub(crate) fn leave_out(&mut self, incarnation: u32, drive: &Drive) {
+    pub(crate) fn leave_out(&mut self, incarnation: u32, drive: &ReplayDrive) {
         let (role, program) = (self.role, drive.foreign(incarnation));
         self.report.not_compared.push(NotCompared {
             role: role.name(),
@@ -139,8 +141,8 @@ impl Findings {
     }
 
     /// Adds it to the report of all roles.
-    pub(crate) fn add_to(self, report: &mut Report) {
-        let Report {
+    pub(crate) fn add_to(self, report: &mut ReplayReport) {
+        let ReplayReport {
             samples,
             compared,
             skipped,
@@ -161,7 +163,7 @@ impl Findings {
         report.beyond += beyond;
         report.after_end += after_end;
         let compared = self.study.map(Study::report).filter(|study| study.compared > 0);
-        report.statistics.extend(compared.map(|study| Statistics {
+        report.statistics.extend(compared.map(|study| StageStatistics {
             role: self.role.name(),
             compared: study.compared,
             kind_differs: study.kind_differs,
@@ -197,7 +199,7 @@ fn is_beyond<S: Sample>(recorded: &S, replayed: &S, tolerance: f64) -> bool {
 }
 
 /// Replays one role.
-pub(crate) fn replay(role: Role, drive: &Drive, options: &Options) -> anyhow::Result<Findings> {
+pub(crate) fn replay(role: Role, drive: &ReplayDrive, options: &ReplayOptions) -> anyhow::Result<Findings> {
     let mut findings = Findings::new(role, drive);
     match role {
         Role::Robot => journal::replay::<Robot>(&drive.scans, drive, options, &mut findings)?,
@@ -220,7 +222,7 @@ pub(crate) struct Window {
 
 impl Window {
     /// The window of the options.
-    pub(crate) fn of(drive: &Drive, options: &Options) -> Self {
+    pub(crate) fn of(drive: &ReplayDrive, options: &ReplayOptions) -> Self {
         let (from, to) = (options.from.unwrap_or(0), options.to.unwrap_or(u64::MAX));
         Self { from, to, last_scan: drive.last_scan.unwrap_or(u64::MAX) }
     }

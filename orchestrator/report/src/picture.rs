@@ -54,16 +54,16 @@ type Mesh<'a, 'b, 'c> = MeshStyle<'a, 'b, RangedCoordf64, RangedCoordf64, SVGBac
 
 /// The outline of an obstacle.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Shape {
+pub struct ObstacleOutline {
     /// Its corners in order; a circle is given as a polygon [m].
     pub points: Vec<[f64; 2]>,
     /// Where it was how far from `points`, in the order of time; empty for one that stands.
-    pub places: Vec<Place>,
+    pub places: Vec<TimedOffset>,
 }
 
 /// Where a moving obstacle was at a time.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Place {
+pub struct TimedOffset {
     /// Time since the start of the run [s].
     pub time_s: f64,
     /// Its offset from the corners of its shape along the track [m].
@@ -74,7 +74,7 @@ pub struct Place {
 
 /// What stays the same during a run.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Scene {
+pub struct PictureScene {
     /// First line of the picture.
     pub title: String,
     /// Second line of the picture.
@@ -86,7 +86,7 @@ pub struct Scene {
     /// Whether walls stand at the lateral bounds.
     pub walls: bool,
     /// Real obstacles.
-    pub obstacles: Vec<Shape>,
+    pub obstacles: Vec<ObstacleOutline>,
     /// Where the drive starts [m].
     pub start_m: [f64; 2],
     /// The goal [m].
@@ -131,7 +131,7 @@ pub struct Ellipse {
 
 /// What happened in a run.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Drive {
+pub struct PictureDrive {
     /// States, one per scan in order: the true ones if they are known.
     pub moments: Vec<Moment>,
     /// Estimated positions, one per scan in order [m].
@@ -157,7 +157,7 @@ impl From<DrawingAreaErrorKind<std::io::Error>> for PictureError {
 ///
 /// # Errors
 /// [`PictureError`] when the drawing library refuses.
-pub fn draw(scene: &Scene, drive: &Drive) -> Result<String> {
+pub fn draw(scene: &PictureScene, drive: &PictureDrive) -> Result<String> {
     let layout = map::Layout::of(scene, drive);
     svg(legend::HEIGHT + layout.height() + curves::HEIGHT, |root| {
         let (head, rest) = root.split_vertically(fine(legend::HEIGHT));
@@ -213,14 +213,14 @@ fn font(pixels: u32) -> (&'static str, i32) {
 mod tests {
     use super::*;
 
-    fn scene() -> Scene {
-        Scene {
+    fn scene() -> PictureScene {
+        PictureScene {
             title: "corridor: reached".to_owned(),
             subtitle: "12.7 s, smallest clearance 0.35 m".to_owned(),
             track_x_m: [0.0, 22.0],
             track_y_m: [-1.5, 1.5],
             walls: true,
-            obstacles: vec![Shape {
+            obstacles: vec![ObstacleOutline {
                 points: vec![[4.95, -0.2], [5.05, -0.2], [5.05, 0.2], [4.95, 0.2]],
                 places: Vec::new(),
             }],
@@ -233,7 +233,7 @@ mod tests {
     }
 
     /// A drive of `seconds` at 0.8 m/s that swings out by 0.77 m at x = 5.
-    fn drive(seconds: f64) -> Drive {
+    fn drive(seconds: f64) -> PictureDrive {
         let moment = |scan: usize| {
             let time_s = scan as f64 * 0.1;
             let x_m = 0.8 * time_s;
@@ -249,7 +249,7 @@ mod tests {
             }
         };
         let moments: Vec<Moment> = (0..(seconds * 10.0) as usize).map(moment).collect();
-        Drive {
+        PictureDrive {
             estimates: moments.iter().map(|moment| [moment.x_m + 0.01, moment.y_m - 0.02]).collect(),
             ellipses: vec![Ellipse { x_m: 5.0, y_m: 0.0, a_m: 1.2, b_m: 0.6 }],
             moments,
@@ -277,7 +277,7 @@ mod tests {
 
     #[test]
     fn without_a_truth_no_true_path_is_drawn() {
-        let svg = draw(&scene(), &Drive { judged_by: JudgedBy::Estimate, ..drive(12.5) }).unwrap();
+        let svg = draw(&scene(), &PictureDrive { judged_by: JudgedBy::Estimate, ..drive(12.5) }).unwrap();
         assert!(!svg.contains("true path") && svg.contains("estimated path"));
         let paths = |svg: &str| coordinates(svg).len();
         assert!(paths(&svg) < paths(&draw(&scene(), &drive(12.5)).unwrap()));
@@ -287,7 +287,8 @@ mod tests {
     fn a_moving_obstacle_is_drawn_along_its_way_with_times() {
         let standing = draw(&scene(), &drive(12.5)).unwrap();
         let mut scene = scene();
-        let place = |second: u32| Place { time_s: f64::from(second), x_m: 0.0, y_m: 0.2 * f64::from(second) };
+        let place =
+            |second: u32| TimedOffset { time_s: f64::from(second), x_m: 0.0, y_m: 0.2 * f64::from(second) };
         scene.obstacles[0].places = (0..4).map(place).collect();
         let moving = draw(&scene, &drive(12.5)).unwrap();
         let outlines = |svg: &str| svg.matches("<polygon").count();
@@ -313,9 +314,9 @@ mod tests {
     fn nothing_is_drawn_outside_the_picture() {
         let mut scene = scene();
         scene.track_y_m = [-1e7, 1e7];
-        scene.obstacles.push(Shape {
+        scene.obstacles.push(ObstacleOutline {
             points: vec![[-500.0, -1.0], [800.0, -1.0], [800.0, -0.9], [-500.0, -0.9]],
-            ..Shape::default()
+            ..ObstacleOutline::default()
         });
         let mut drive = drive(12.5);
         drive.ellipses.push(Ellipse { x_m: 90.0, y_m: 40.0, a_m: 100.0, b_m: 70.0 });
@@ -338,18 +339,18 @@ mod tests {
 
     #[test]
     fn a_run_without_samples_or_with_nonsense_is_drawn_too() {
-        draw(&scene(), &Drive::default()).unwrap();
+        draw(&scene(), &PictureDrive::default()).unwrap();
         let nonsense = Moment { x_m: f64::NAN, y_m: f64::INFINITY, time_s: f64::NAN, ..Moment::default() };
         let far = Moment { x_m: 1e300, y_m: -1e300, time_s: 1e300, speed_mps: 1e300, ..Moment::default() };
         let ellipse = Ellipse { x_m: f64::NAN, a_m: f64::INFINITY, ..Ellipse::default() };
-        let drive = Drive {
+        let drive = PictureDrive {
             moments: vec![nonsense, far],
             estimates: vec![[f64::NAN; 2]],
             ellipses: vec![ellipse],
-            ..Drive::default()
+            ..PictureDrive::default()
         };
         draw(&scene(), &drive).unwrap();
-        draw(&Scene { goal_m: [f64::NAN; 2], body_length_m: f64::NAN, ..scene() }, &drive).unwrap();
+        draw(&PictureScene { goal_m: [f64::NAN; 2], body_length_m: f64::NAN, ..scene() }, &drive).unwrap();
     }
 
     #[test]

@@ -31,7 +31,7 @@ use self::rows::{Estimate, Rows};
 use self::scanner::Scanner;
 use self::tally::Tally;
 use crate::latency::{self, Latencies};
-use crate::picture::{Drive, Ellipse, Moment};
+use crate::picture::{Ellipse, Moment, PictureDrive};
 
 pub use self::rows::MAX_ROWS;
 pub use self::run::{RunInfo, RunResult};
@@ -247,8 +247,8 @@ impl Recorder {
     }
 
     /// The drive for the picture.
-    pub fn drive(&self) -> Drive {
-        Drive {
+    pub fn drive(&self) -> PictureDrive {
+        PictureDrive {
             moments: self.rows.moments().collect(),
             estimates: self.rows.estimates().collect(),
             ellipses: self.ellipses.values().copied().collect(),

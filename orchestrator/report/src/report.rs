@@ -23,7 +23,8 @@ use vehicle::Surroundings;
 use self::write::join_leaves;
 
 pub use self::parts::{
-    BlockingReport, CompanionReport, Difference, MarginReport, RecordingReport, ScannerReport, ScannerStatus,
+    BlockingReport, CompanionReport, DifferenceReport, MarginReport, RecordingReport, ScannerReport,
+    ScannerStatus,
 };
 
 /// Version of the fields; it grows when a field changes its meaning, not when one is added.
@@ -78,7 +79,7 @@ pub struct Report {
     /// The obstacle of the last stop that had one.
     pub blocking: Option<BlockingReport>,
     /// Where the scenario differs from the description of the robot.
-    pub differences: Vec<Difference>,
+    pub differences: Vec<DifferenceReport>,
     /// How the controller solved its problems.
     pub controller: ControllerReport,
     /// How often each reason blocked the wheels, commands and the actuator's own blocks by name.
@@ -301,7 +302,7 @@ mod tests {
             scenario: "corridor {".to_owned(),
             seed: 7,
             outcome: Outcome::Reached,
-            differences: vec![Difference {
+            differences: vec![DifferenceReport {
                 key: "width_m".to_owned(),
                 truth: 1.4.into(),
                 believed: 0.4.into(),

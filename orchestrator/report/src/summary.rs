@@ -383,9 +383,9 @@ files           out/corridor
     fn unexplained_samples_are_in_capitals_and_named() {
         let mut report = report();
         report.ledger.residual = 1;
-        report.ledger.faults = vec![audit::ledger::Fault {
+        report.ledger.faults = vec![audit::ledger::DeliveryFault {
             topic: "pose".to_owned(),
-            kind: audit::ledger::Kind::Missing,
+            kind: audit::ledger::DeliveryFaultKind::Missing,
             count: 1,
             incarnation: 2,
             sequence: 17,

@@ -9,10 +9,10 @@
 //! a log of the CoreSLAM format and moves the robot by its wheel ticks.
 
 use anyhow::Context;
-use calibration::Chart;
+use calibration::FitChart;
 use console::note;
-use obstacles::{Config, ObstacleDetector};
-use pipeline::{Settings, drive};
+use obstacles::{ObstacleDetector, ObstaclesConfig};
+use pipeline::{PipelineSettings, drive};
 use plan::{Choice, Plan};
 use report::picture::panels;
 use shared_types::{BEAMS, Header, Pose, Scan, ScannerHealth, ScannerState};
@@ -46,7 +46,7 @@ fn main() -> anyhow::Result<()> {
 fn driven(scenario: &str, overrides: &[String]) -> anyhow::Result<Health> {
     let choice = Choice { overrides: overrides.to_vec(), ..Choice::default() };
     let Plan { scenario, system, .. } = Plan::read(Some(scenario), &choice)?;
-    let settings = Settings { scenario, tuning: system.tuning(), period_ns: system.period_ns() };
+    let settings = PipelineSettings { scenario, tuning: system.tuning(), period_ns: system.period_ns() };
     let mut health = Vec::new();
     let end = drive(&settings, |step| {
         health.extend(step.obstacles.map(|obstacles| (step.truth.time_s, obstacles.scanner)));
@@ -58,7 +58,7 @@ fn driven(scenario: &str, overrides: &[String]) -> anyhow::Result<Health> {
 /// The health over a log of the rover.
 fn recorded(text: &str) -> anyhow::Result<Health> {
     let vehicle = Description { scanner_x_m: ROVER_SCANNER_M, ..Description::default() };
-    let mut detector = ObstacleDetector::new(Config { vehicle, ..Config::default() })?;
+    let mut detector = ObstacleDetector::new(ObstaclesConfig { vehicle, ..ObstaclesConfig::default() })?;
     let mut pose = Pose::default();
     let (mut health, mut before, mut begin_ns) = (Health::new(), None, 0);
     for (line, scan_id) in text.lines().filter(|line| !line.trim().is_empty()).zip(1..) {
@@ -108,11 +108,11 @@ fn summarise(health: &Health) {
 }
 
 /// Shares, sight and state, one below the other.
-fn charts(health: &Health) -> Vec<Chart> {
+fn charts(health: &Health) -> Vec<FitChart> {
     let over_time = |value: fn(&ScannerHealth) -> f64| -> Vec<[f64; 2]> {
         health.iter().map(|(time_s, health)| [*time_s, value(health)]).collect()
     };
-    let chart = |title: &str, up, points, line| Chart {
+    let chart = |title: &str, up, points, line| FitChart {
         title: title.to_owned(),
         across: "time [s]",
         up,

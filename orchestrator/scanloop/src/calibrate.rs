@@ -8,10 +8,10 @@ use std::path::{Path, PathBuf};
 
 use calibration::file::{DriftPart, Origin, SteeringPart, VelocityPart};
 use calibration::record::{self, CircleRun, Record, SineRow, StraightRun};
-use calibration::{CalibrationFile, Chart, Estimate, drift, drive, steering, velocity};
+use calibration::{CalibrationFile, Estimate, FitChart, drift, drive, steering, velocity};
 use emulator::Scenario;
 
-pub use arguments::{CalibrateArguments, Kind};
+pub use arguments::{CalibrateArguments, CalibrationKind};
 
 use console::answer;
 use console::exit::{Exit, Failure};
@@ -28,7 +28,7 @@ use crate::print_json;
 struct Found {
     /// The file with the new part only.
     file: CalibrationFile,
-    charts: Vec<Chart>,
+    charts: Vec<FitChart>,
     /// The summary.
     text: String,
     /// The table of driven runs.
@@ -49,9 +49,9 @@ pub(crate) fn calibrate(arguments: &CalibrateArguments) -> anyhow::Result<Exit> 
     out.require_apart(&inputs)?;
     require_apart(&into, &inputs)?;
     let found = match arguments.kind {
-        Kind::Velocity => of_velocity(arguments),
-        Kind::Steering => of_steering(arguments),
-        Kind::Drift => of_drift(arguments),
+        CalibrationKind::Velocity => of_velocity(arguments),
+        CalibrationKind::Steering => of_steering(arguments),
+        CalibrationKind::Drift => of_drift(arguments),
     }?;
     let merged = merge(&into, &found.file)?;
 

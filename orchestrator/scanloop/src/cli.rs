@@ -73,12 +73,12 @@ pub struct Cli {
     pub system_id: String,
     /// What to do.
     #[command(subcommand)]
-    pub command: Command,
+    pub command: CliCommand,
 }
 
 /// What to do.
 #[derive(Debug, Subcommand)]
-pub enum Command {
+pub enum CliCommand {
     /// Start all processes, drive a scenario, stop everything and print a summary.
     ///
     /// If processes of an earlier run of this system are orphaned and still drive, `run` blocks their wheels and ends

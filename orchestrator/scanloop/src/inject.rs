@@ -13,7 +13,7 @@ use console::{answer, output::data};
 use faults::{Injection, ProcessFault, ProcessName};
 use runtime::{Domain, Shutdown, wait_for};
 use rustix::process::Pid;
-use session::control::{Reply, Request, Status, ask};
+use session::control::{Reply, Request, SystemStatus, ask};
 
 use crate::shadow::duration_within;
 use act::act;
@@ -71,7 +71,7 @@ pub(crate) fn inject(system_id: &str, arguments: &InjectArguments) -> anyhow::Re
 }
 
 /// Process ids that a fault acts on.
-fn targets(fault: &ProcessFault, status: &Status, orchestrator: u32) -> Vec<Pid> {
+fn targets(fault: &ProcessFault, status: &SystemStatus, orchestrator: u32) -> Vec<Pid> {
     let own = || Pid::from_raw(orchestrator.cast_signed());
     let running = status.processes.iter().filter(|row| match fault.process {
         ProcessName::Role(role) => row.role == role,

@@ -34,7 +34,7 @@ use serde::Serialize;
 use session::{adopt, run};
 use view::{Verb, ViewOfRun};
 
-use cli::{AgentCommand, Cli, Command, TopicCommand};
+use cli::{AgentCommand, Cli, CliCommand, TopicCommand};
 
 /// Limit for the last output at exit. A terminal usually takes it within microseconds.
 const FLUSH_TIMEOUT: Duration = Duration::from_millis(300);
@@ -70,21 +70,21 @@ fn parse_and_run() -> anyhow::Result<Exit> {
     runtime::check_log_filter()?;
     if matches!(
         cli.command,
-        Command::Run(_)
-            | Command::Adopt(_)
-            | Command::Bench(_)
-            | Command::Conformance(_)
-            | Command::Demo(_)
-            | Command::Agent { command: None, .. }
+        CliCommand::Run(_)
+            | CliCommand::Adopt(_)
+            | CliCommand::Bench(_)
+            | CliCommand::Conformance(_)
+            | CliCommand::Demo(_)
+            | CliCommand::Agent { command: None, .. }
     ) {
         limits::require_room_for_a_system()?;
     }
     match cli.command {
-        Command::Service { .. } => {}
-        Command::Status { .. } | Command::Stop(_) => limits::require_files(FILES_OF_STOP)?,
+        CliCommand::Service { .. } => {}
+        CliCommand::Status { .. } | CliCommand::Stop(_) => limits::require_files(FILES_OF_STOP)?,
         _ => limits::require_files(limits::SPARE_FILES)?,
     }
-    if matches!(cli.command, Command::Run(_) | Command::Adopt(_) | Command::Bench(_)) {
+    if matches!(cli.command, CliCommand::Run(_) | CliCommand::Adopt(_) | CliCommand::Bench(_)) {
         runtime::start_terminal();
     }
     dispatch(&cli)
@@ -103,71 +103,71 @@ pub fn print_json(asked: bool, value: &impl Serialize) -> anyhow::Result<()> {
 
 fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
     match &cli.command {
-        Command::Run(arguments) => {
+        CliCommand::Run(arguments) => {
             runtime::start_logging();
             let _page = arguments.view.map(|port| ViewOfRun::start(&cli.system_id, port)).transpose()?;
             run::run(&cli.system_id, arguments)
         }
-        Command::Demo(arguments) => {
+        CliCommand::Demo(arguments) => {
             let is_named = cli.system_id != cli::DEFAULT_SYSTEM_ID;
             demo::demo(is_named.then_some(cli.system_id.as_str()), arguments)
         }
-        Command::Adopt(arguments) => {
+        CliCommand::Adopt(arguments) => {
             runtime::start_logging();
             adopt::adopt(&cli.system_id, arguments)
         }
-        Command::Calibrate(arguments) => calibrate::calibrate(arguments),
-        Command::Campaign(study) => Err(laboratory::hand_over(&cli.system_id, "campaign", study)),
-        Command::Faults(study) => Err(laboratory::hand_over(&cli.system_id, "faults", study)),
-        Command::Price(study) => Err(laboratory::hand_over(&cli.system_id, "price", study)),
-        Command::Analyse(study) => Err(laboratory::hand_over(&cli.system_id, "analyse", study)),
-        Command::Bench(command) => {
+        CliCommand::Calibrate(arguments) => calibrate::calibrate(arguments),
+        CliCommand::Campaign(study) => Err(laboratory::hand_over(&cli.system_id, "campaign", study)),
+        CliCommand::Faults(study) => Err(laboratory::hand_over(&cli.system_id, "faults", study)),
+        CliCommand::Price(study) => Err(laboratory::hand_over(&cli.system_id, "price", study)),
+        CliCommand::Analyse(study) => Err(laboratory::hand_over(&cli.system_id, "analyse", study)),
+        CliCommand::Bench(command) => {
             runtime::start_logging();
             bench::bench(&cli.system_id, command)
         }
-        Command::Check(arguments) if arguments.live.live => {
+        CliCommand::Check(arguments) if arguments.live.live => {
             live_check::check(&cli.system_id, &arguments.live, &arguments.choice)
         }
-        Command::Check(arguments) => check::check(arguments),
-        Command::Status { json } => status::status(&cli.system_id, *json),
-        Command::Top(arguments) => top::top(&cli.system_id, arguments),
-        Command::View(arguments) => view::serve(&cli.system_id, arguments, &verbs()),
-        Command::Stop(arguments) => stop::stop(&cli.system_id, arguments),
-        Command::Latency { duration, json } => live_latency::watch(&cli.system_id, *duration, *json),
-        Command::Restart { role } => swap::restart(&cli.system_id, role),
-        Command::Swap(arguments) => swap::swap(&cli.system_id, arguments),
-        Command::Set(arguments) => swap::set(&cli.system_id, arguments),
-        Command::Inject(arguments) => inject::inject(&cli.system_id, arguments),
-        Command::Conformance(arguments) => conformance::conformance(arguments),
-        Command::Shadow(arguments) => shadow::shadow(&cli.system_id, arguments),
-        Command::Service { name } => service::run(name),
-        Command::Agent { command: Some(AgentCommand::Pair { host, address, days, out, force }), .. } => {
-            agent::link::pair(host, *address, *days, out, *force)
-        }
-        Command::Agent { command: None, file, out } => {
+        CliCommand::Check(arguments) => check::check(arguments),
+        CliCommand::Status { json } => status::status(&cli.system_id, *json),
+        CliCommand::Top(arguments) => top::top(&cli.system_id, arguments),
+        CliCommand::View(arguments) => view::serve(&cli.system_id, arguments, &verbs()),
+        CliCommand::Stop(arguments) => stop::stop(&cli.system_id, arguments),
+        CliCommand::Latency { duration, json } => live_latency::watch(&cli.system_id, *duration, *json),
+        CliCommand::Restart { role } => swap::restart(&cli.system_id, role),
+        CliCommand::Swap(arguments) => swap::swap(&cli.system_id, arguments),
+        CliCommand::Set(arguments) => swap::set(&cli.system_id, arguments),
+        CliCommand::Inject(arguments) => inject::inject(&cli.system_id, arguments),
+        CliCommand::Conformance(arguments) => conformance::conformance(arguments),
+        CliCommand::Shadow(arguments) => shadow::shadow(&cli.system_id, arguments),
+        CliCommand::Service { name } => service::run(name),
+        CliCommand::Agent {
+            command: Some(AgentCommand::Pair { host, address, days, out, force }), ..
+        } => agent::link::pair(host, *address, *days, out, *force),
+        CliCommand::Agent { command: None, file, out } => {
             runtime::start_logging();
             agent::agent::run(file, out)
         }
-        Command::Remote { host, implementation } => {
+        CliCommand::Remote { host, implementation } => {
             runtime::start_logging();
             agent::proxy::run(host, implementation)
         }
-        Command::Topic(TopicCommand::List) => print(&topic::list(&cli.system_id)?),
-        Command::Topic(TopicCommand::Hz { topic, duration }) => {
+        CliCommand::Topic(TopicCommand::List) => print(&topic::list(&cli.system_id)?),
+        CliCommand::Topic(TopicCommand::Hz { topic, duration }) => {
             topic::hz(&cli.system_id, topic, *duration).map(|()| Exit::Done)
         }
-        Command::Topic(TopicCommand::Echo { topic, count, short }) => {
+        CliCommand::Topic(TopicCommand::Echo { topic, count, short }) => {
             topic::echo(&cli.system_id, topic, *count, *short).map(|()| Exit::Done)
         }
-        Command::Topic(TopicCommand::Pub { topic, json }) => {
+        CliCommand::Topic(TopicCommand::Pub { topic, json }) => {
             topic::publish(&cli.system_id, topic, json).map(|()| Exit::Done)
         }
-        Command::Record(arguments) => record::record(&cli.system_id, arguments),
-        Command::Recording(command) => record::recording(command),
-        Command::Replay(arguments) => replay::replay(arguments),
-        Command::Reference(arguments) => print(&reference::text(arguments, Cli::command())?),
-        Command::Types(arguments) => print(&types::print(arguments)?),
-        Command::Urg(command) => urg::urg(command),
+        CliCommand::Record(arguments) => record::record(&cli.system_id, arguments),
+        CliCommand::Recording(command) => record::recording(command),
+        CliCommand::Replay(arguments) => replay::replay(arguments),
+        CliCommand::Reference(arguments) => print(&reference::text(arguments, Cli::command())?),
+        CliCommand::Types(arguments) => print(&types::print(arguments)?),
+        CliCommand::Urg(command) => urg::urg(command),
     }
 }
 

@@ -8,7 +8,7 @@ use console::exit::{Exit, Failure};
 use console::output::data;
 use console::{answer, note};
 use recording::info::Info;
-use recording::recorder::{Options, record as record_system};
+use recording::recorder::{RecorderOptions, record as record_system};
 use recording::{copy, export};
 use runtime::Shutdown;
 use session::arguments::check_duration;
@@ -104,7 +104,7 @@ pub(crate) fn record(system_id: &str, arguments: &RecordArguments) -> anyhow::Re
     let domain = supervision::runs::existing(system_id)?;
     let shutdown = Shutdown::on_signals()?;
     let RecordArguments { file, duration, force, of_run, .. } = arguments;
-    let options = Options {
+    let options = RecorderOptions {
         file: file.clone(),
         ring_s: arguments.ring,
         force: *force,

@@ -6,7 +6,7 @@ use std::time::Instant;
 use clap::Args;
 use console::answer;
 use console::exit::{Exit, Failure};
-use replay::{Options, replay as replay_recording};
+use replay::{ReplayOptions, replay as replay_recording};
 use shared_types::Role;
 use supervision::child::this_program;
 use supervision::entry::IMPLEMENTATIONS;
@@ -62,7 +62,8 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> anyhow::Result<Exit> {
     let with = with.map_err(|error| Failure::bad_input(format!("--with {error}")))?;
     let is_changed = !(set.is_empty() && with.is_empty());
     let (from, to, in_real_time) = (*from, *to, speed == "1");
-    let options = Options { stages, from, to, set: set.clone(), with, tolerance: *tolerance, in_real_time };
+    let options =
+        ReplayOptions { stages, from, to, set: set.clone(), with, tolerance: *tolerance, in_real_time };
     let started = Instant::now();
     let report = replay_recording(file, &options)?;
     print_json(*json, &report)?;

@@ -6,7 +6,7 @@ use console::answer;
 use console::exit::{Exit, Failure};
 use emulator::JudgedBy;
 use runtime::{LinkedHost, RuntimeError};
-use session::control::{CompanionStatus, ProcessStatus, Status};
+use session::control::{CompanionStatus, ProcessStatus, SystemStatus};
 use session::orphaned::{ORPHANED, SUSPENDED, current_status};
 use shared_types::{Role, ScannerState};
 use supervision::lock::suspended_orchestrator;
@@ -86,8 +86,8 @@ fn host_line(host: &LinkedHost) -> String {
     )
 }
 
-fn table(status: &Status) -> String {
-    let Status { system_id, state, scenario, .. } = status;
+fn table(status: &SystemStatus) -> String {
+    let SystemStatus { system_id, state, scenario, .. } = status;
     // Processes that do not run publish nothing, and without an orchestrator that answers it is all that is known.
     let is_known = status.scan > 0 || ![SUSPENDED, ORPHANED].contains(&state.as_str());
     let known = |figure: String| if is_known { figure } else { "-".to_owned() };
@@ -174,7 +174,8 @@ mod tests {
 
     #[test]
     fn a_scanner_that_is_not_healthy_has_a_line_of_its_own() {
-        let status = |health: ScannerHealth| Status { scanner: Some(health.into()), ..Status::default() };
+        let status =
+            |health: ScannerHealth| SystemStatus { scanner: Some(health.into()), ..SystemStatus::default() };
         let healthy = ScannerHealth::healthy(5.0);
         assert!(!table(&status(healthy)).contains("scanner "));
         let wrong = ScannerHealth {
@@ -207,7 +208,7 @@ mod tests {
         let process: ProcessStatus = serde_json::from_value(row).unwrap();
         let shown = |state: &str, scan| {
             let state = state.to_owned();
-            table(&Status { state, scan, processes: vec![process.clone()], ..Status::default() })
+            table(&SystemStatus { state, scan, processes: vec![process.clone()], ..SystemStatus::default() })
         };
         let suspended = shown(SUSPENDED, 0);
         assert!(!suspended.contains("scan 0"), "{suspended}");
@@ -226,7 +227,7 @@ mod tests {
             });
             row.as_object_mut().unwrap().extend(device.as_object().unwrap().clone());
             let process: ProcessStatus = serde_json::from_value(row).unwrap();
-            table(&Status { processes: vec![process], ..Status::default() })
+            table(&SystemStatus { processes: vec![process], ..SystemStatus::default() })
         };
         let fault = serde_json::json!({
             "device": "fault", "device_for_s": 2.54, "device_reason": "scanner: no scan comes",
@@ -239,25 +240,25 @@ mod tests {
 
     #[test]
     fn a_run_without_truth_is_shown_as_judged_by_the_estimate() {
-        let heading = |judged_by| table(&Status { judged_by, ..Status::default() });
+        let heading = |judged_by| table(&SystemStatus { judged_by, ..SystemStatus::default() });
         assert!(
             heading(Some(JudgedBy::Estimate)).lines().next().unwrap().ends_with(", judged by the estimate")
         );
         assert!(!heading(Some(JudgedBy::Truth)).contains("judged") && !heading(None).contains("judged"));
-        let status = Status { judged_by: Some(JudgedBy::Estimate), ..Status::default() };
+        let status = SystemStatus { judged_by: Some(JudgedBy::Estimate), ..SystemStatus::default() };
         assert_eq!(serde_json::to_value(status).unwrap()["judged_by"], "estimate");
     }
 
     #[test]
     fn a_stop_for_an_obstacle_has_a_line_of_its_own() {
         let blocking = BlockingReport { id: 17, x_m: 6.0, y_m: 0.1, gap_m: 0.12, needed_m: 0.62 };
-        let status = Status { blocking: Some(blocking), ..Status::default() };
+        let status = SystemStatus { blocking: Some(blocking), ..SystemStatus::default() };
         let expected = "stopped: blocked by obstacle 17 at (6.0, 0.1): gap 0.12 m, needs 0.62 m";
         assert_eq!(table(&status).lines().nth(1), Some(expected));
-        assert!(!table(&Status::default()).contains("stopped"));
+        assert!(!table(&SystemStatus::default()).contains("stopped"));
         let json: serde_json::Value = serde_json::to_value(&status).unwrap();
         let keys = serde_json::json!({"id": 17, "x_m": 6.0, "y_m": 0.1, "gap_m": 0.12, "needed_m": 0.62});
         assert_eq!(json["blocking"], keys);
-        assert!(serde_json::to_value(Status::default()).unwrap()["blocking"].is_null());
+        assert!(serde_json::to_value(SystemStatus::default()).unwrap()["blocking"].is_null());
     }
 }

@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use console::exit::{Exit, Failure};
-use console::screen::{self, Guard};
+use console::screen::{self, ScreenGuard};
 use runtime::{Shutdown, wait_for};
 use rustix::process::{Signal, getppid, kill_process, set_parent_process_death_signal};
 use shared_types::Role;
@@ -61,7 +61,7 @@ pub(crate) fn top(system_id: &str, arguments: &TopArguments) -> anyhow::Result<E
     let shutdown = Shutdown::of_orchestrator()?;
     let mut command = Command::new(this_program());
     command.args(["--system-id", system_id, "top", "--draw"]);
-    let status = Guard::start(&mut command)?.wait(&[shutdown.descriptor()])?;
+    let status = ScreenGuard::start(&mut command)?.wait(&[shutdown.descriptor()])?;
     match status.code() {
         Some(0) => Ok(Exit::Done),
         _ => anyhow::bail!("the view has ended: {status}"),

@@ -1,6 +1,6 @@
 //! Swaps of companions: requested, watched on the bus, and certified.
 
-use handover::companion::{CompanionSwap, FieldBound, Side, Step};
+use handover::companion::{CompanionSide, CompanionStep, CompanionSwap, FieldBound};
 use handover::swap::Certificate;
 use runtime::{Bus, Domain, OwnObserver, OwnTopics, RuntimeError, TopicRow, monotonic_ns};
 use shared_types::Header;
@@ -105,12 +105,12 @@ impl CompanionSwaps {
             return Ok(());
         }
         let reason = match current.judge.step() {
-            Step::TakeOver => {
+            CompanionStep::TakeOver => {
                 companions.approve(&current.name);
                 None
             }
-            Step::Refuse(reason) => Some(reason),
-            Step::Wait => None,
+            CompanionStep::Refuse(reason) => Some(reason),
+            CompanionStep::Wait => None,
         };
         let is_late = monotonic_ns() > current.end_ns;
         let late = || format!("it has agreed on {} scans in time", current.judge.agreed());
@@ -177,8 +177,8 @@ impl Current {
             while let Some(sample) = observer.next()? {
                 let header: Header = bytemuck::pod_read_unaligned(&sample[..size_of::<Header>()]);
                 let side = match incarnations {
-                    Some((old, _)) if header.incarnation == old => Some(Side::Old),
-                    Some((_, new)) if header.incarnation == new => Some(Side::New),
+                    Some((old, _)) if header.incarnation == old => Some(CompanionSide::Old),
+                    Some((_, new)) if header.incarnation == new => Some(CompanionSide::New),
                     _ => None,
                 };
                 if let Some(side) = side.filter(|_| is_compared && !fields.is_empty()) {

@@ -50,7 +50,7 @@ pub enum Reply {
     /// The request is carried out.
     Done,
     /// The state of all processes.
-    Status(Box<Status>),
+    Status(Box<SystemStatus>),
     /// A fault is injected; one that acts on processes from outside is up to the command that asked.
     Injected {
         /// How long it lasts [s].
@@ -72,7 +72,7 @@ pub enum Reply {
 
 /// The state of a system, `status --json`.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct Status {
+pub struct SystemStatus {
     /// The system.
     pub system_id: String,
     /// Phase of the system: starting, connecting, driving, stopping.
@@ -126,7 +126,7 @@ pub struct EventRow {
     pub text: String,
 }
 
-/// One process in [`Status`].
+/// One process in [`SystemStatus`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ProcessStatus {
     /// The role.
@@ -167,7 +167,7 @@ pub struct ProcessStatus {
     pub last_words: Vec<String>,
 }
 
-/// One process beside the loop in [`Status`].
+/// One process beside the loop in [`SystemStatus`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CompanionStatus {
     /// Its name.

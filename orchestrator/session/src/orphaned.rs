@@ -10,7 +10,7 @@ use supervision::lock::suspended_orchestrator;
 use supervision::runs::LivingRun;
 use supervision::supervisor::{Event, VisibleState};
 
-use crate::control::{ProcessStatus, Reply, Request, Status, ask};
+use crate::control::{ProcessStatus, Reply, Request, SystemStatus, ask};
 use crate::process_registry::RunFile;
 use crate::survivors::Survivors;
 use crate::vitals::Vitals;
@@ -29,7 +29,7 @@ const RECEIVE_NS: u64 = 500_000_000;
 ///
 /// # Errors
 /// A system that is not running, and an orchestrator that does not answer.
-pub fn current_status(domain: &Domain) -> anyhow::Result<Status> {
+pub fn current_status(domain: &Domain) -> anyhow::Result<SystemStatus> {
     if suspended_orchestrator(domain).is_some()
         && let Some(status) = status(domain, SUSPENDED)
     {
@@ -46,7 +46,7 @@ pub fn current_status(domain: &Domain) -> anyhow::Result<Status> {
 }
 
 /// The `state` of a system by what is seen of its processes; `None` when none of it lives.
-fn status(domain: &Domain, state: &str) -> Option<Status> {
+fn status(domain: &Domain, state: &str) -> Option<SystemStatus> {
     let survivors = Survivors::find(domain);
     if survivors.is_empty() {
         return None;
@@ -92,7 +92,7 @@ fn status(domain: &Domain, state: &str) -> Option<Status> {
     });
     let mut processes: Vec<_> = rows.collect();
     processes.sort_by_key(|process| process.role.index());
-    Some(Status {
+    Some(SystemStatus {
         companions: Vec::new(),
         system_id: domain.system_id().to_owned(),
         state: state.to_owned(),

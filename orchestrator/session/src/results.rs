@@ -4,13 +4,13 @@ use std::path::{Path, PathBuf};
 
 use console::exit::Exit;
 use console::out_folder::OutFolder;
-use emulator::scenario::{Obstacle, Shape};
+use emulator::scenario::{ScenarioObstacle, Shape};
 use emulator::scene::{PlacedObstacle, Scene};
 use emulator::{JudgedBy, Scenario};
 use plan::Plan;
 use plan::difference::Property;
 use report::recorder::Recorder;
-use report::{Difference, Report, picture, summary};
+use report::{DifferenceReport, Report, picture, summary};
 use supervision::runs::{LivingRun, RunProcess};
 use vehicle::frame::to_track;
 
@@ -67,11 +67,11 @@ fn name_strays(run_id: &str) {
 }
 
 /// Where the scenario differs from the description, as the report has it.
-fn differences(plan: &Plan) -> Vec<Difference> {
+fn differences(plan: &Plan) -> Vec<DifferenceReport> {
     let found = plan.differences().into_iter();
-    let row = |difference: plan::Difference| {
-        let plan::Difference { key, truth, believed, .. } = difference;
-        Difference { key: key.to_owned(), truth: value(truth), believed: value(believed) }
+    let row = |difference: plan::PropertyDifference| {
+        let plan::PropertyDifference { key, truth, believed, .. } = difference;
+        DifferenceReport { key: key.to_owned(), truth: value(truth), believed: value(believed) }
     };
     found.map(row).collect()
 }
@@ -107,8 +107,8 @@ fn near(path: &Path) -> PathBuf {
 }
 
 /// The part of a scenario that the picture shows.
-fn scene_of(scenario: &Scenario, report: &Report) -> picture::Scene {
-    picture::Scene {
+fn scene_of(scenario: &Scenario, report: &Report) -> picture::PictureScene {
+    picture::PictureScene {
         title: format!("{}: {}", report.scenario, report.outcome),
         subtitle: report.reason.clone(),
         track_x_m: scenario.track.x_m,
@@ -124,7 +124,7 @@ fn scene_of(scenario: &Scenario, report: &Report) -> picture::Scene {
 }
 
 /// The obstacles, and where the moving ones were during the drive.
-fn shapes(scenario: &Scenario, report: &Report) -> Vec<picture::Shape> {
+fn shapes(scenario: &Scenario, report: &Report) -> Vec<picture::ObstacleOutline> {
     let mut scene = Scene::new(scenario);
     // Some appear when the robot comes near.
     report
@@ -134,28 +134,28 @@ fn shapes(scenario: &Scenario, report: &Report) -> Vec<picture::Shape> {
     let end_s = report.trajectory.last().map_or(0.0, |[time_s, ..]| *time_s);
     let mut temporary =
         scene.near(scenario.body(0.0, 0.0, 0.0).centre, 0.0).filter(|placed| !placed.is_permanent());
-    let shape = |obstacle: &Obstacle| {
+    let shape = |obstacle: &ScenarioObstacle| {
         let placed = if obstacle.is_permanent() { None } else { temporary.next() };
         let places = placed.filter(|placed| placed.speed() > 0.0).map(|placed| places(placed, end_s));
-        picture::Shape { points: outline(obstacle), places: places.unwrap_or_default() }
+        picture::ObstacleOutline { points: outline(obstacle), places: places.unwrap_or_default() }
     };
     scenario.placed_obstacles().iter().map(shape).collect()
 }
 
 /// Where a moving obstacle was at whole seconds, at most [`MAX_PLACES`].
-fn places(placed: &PlacedObstacle, end_s: f64) -> Vec<picture::Place> {
+fn places(placed: &PlacedObstacle, end_s: f64) -> Vec<picture::TimedOffset> {
     let every_s = (end_s / MAX_PLACES).ceil().max(1.0);
     let times = (0..=(end_s / every_s) as u32).map(|step| f64::from(step) * every_s);
     let first = placed.centre(0.0);
     let place = |time_s: f64| {
         let moved = placed.centre(time_s) - first;
-        picture::Place { time_s, x_m: moved.x, y_m: moved.y }
+        picture::TimedOffset { time_s, x_m: moved.x, y_m: moved.y }
     };
     times.filter(|time_s| placed.solid(*time_s).is_some()).map(place).collect()
 }
 
 /// The outline of an obstacle where the scenario puts it; a circle as a polygon of 48 corners.
-fn outline(obstacle: &Obstacle) -> Vec<[f64; 2]> {
+fn outline(obstacle: &ScenarioObstacle) -> Vec<[f64; 2]> {
     let (x, y) = (obstacle.x_m, obstacle.y_m);
     match obstacle.shape {
         Shape::Circle { radius_m } => (0..48)

@@ -37,7 +37,7 @@ use report::{Outcome, ProcessReport};
 use runtime::{Bus, Domain, Shutdown, StopWord, Wheels, monotonic_ns, wait_for};
 use shared_types::{Authority, Phase, ProcessState, Role, StopReason};
 use supervision::fleet::{Fleet, Reaped};
-use supervision::supervisor::{Action, Event, Exit, Severity, Supervisor, VisibleState};
+use supervision::supervisor::{Action, Event, ProcessExit, Severity, Supervisor, VisibleState};
 
 use crate::control::ControlSocket;
 use crate::directives::Directives;
@@ -628,7 +628,7 @@ impl Session {
         let text = format!("robot {pid} does not end, and is not known to rest: it is left");
         self.warn(&text);
         self.conclusion.correct(text);
-        Some(Event::Exited { role, incarnation, exit: Exit::Unknown })
+        Some(Event::Exited { role, incarnation, exit: ProcessExit::Unknown })
     }
 
     /// Publishes the directive when it has changed, and from time to time for processes that missed it.

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 
 use console::exit::Failure;
-use console::screen::{self, Guard};
+use console::screen::{self, ScreenGuard};
 use runtime::hold_terminal;
 use rustix::event::{EventfdFlags, eventfd};
 use supervision::child::this_program;
@@ -40,7 +40,7 @@ impl TopView {
         hold_terminal(true);
         // The kernel ends the view with the thread that started it, so the same thread waits for it.
         let view = move || {
-            let ended = Guard::start(&mut command).and_then(|mut guard| guard.wait(&[until.as_fd()]));
+            let ended = ScreenGuard::start(&mut command).and_then(|mut guard| guard.wait(&[until.as_fd()]));
             hold_terminal(false);
             match ended {
                 Ok(status) if status.success() => {}

@@ -33,7 +33,7 @@ use rustix::process::{
 
 pub use self::script::require_script;
 use crate::child_log::ChildLog;
-use crate::supervisor::Exit;
+use crate::supervisor::ProcessExit;
 
 /// Variables of systemd that only the orchestrator may use.
 const NOT_INHERITED: [&str; 4] = ["NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM"];
@@ -95,7 +95,7 @@ pub struct Child {
     origin: Origin,
     pid: Pid,
     pidfd: OwnedFd,
-    exit: Option<Exit>,
+    exit: Option<ProcessExit>,
 }
 
 #[derive(Debug)]
@@ -166,7 +166,7 @@ impl Child {
 
     /// Leaves the process as it is: from now on it is neither watched nor ended.
     pub fn release(&mut self) {
-        self.exit = Some(Exit::Unknown);
+        self.exit = Some(ProcessExit::Unknown);
     }
 
     /// Asks the group to end (SIGTERM), also one that was suspended (SIGCONT); nothing happens when the process is known to have ended.
@@ -190,7 +190,7 @@ impl Child {
     ///
     /// # Errors
     /// Those of the kernel's wait, which do not happen to a child of ours.
-    pub fn try_wait(&mut self) -> io::Result<Option<Exit>> {
+    pub fn try_wait(&mut self) -> io::Result<Option<ProcessExit>> {
         if self.exit.is_some() {
             return Ok(self.exit);
         }
@@ -200,7 +200,7 @@ impl Child {
             Origin::Adopted(run_id) => {
                 if wait_readable(&self.pidfd, Duration::ZERO)? {
                     signal_group(run_id, pid, Signal::KILL);
-                    self.exit = Some(Exit::Unknown);
+                    self.exit = Some(ProcessExit::Unknown);
                 }
                 return Ok(self.exit);
             }
@@ -215,7 +215,7 @@ impl Child {
         };
         if ended {
             let _ = kill_process_group(self.pid, Signal::KILL);
-            self.exit = process.try_wait()?.map(Exit::from);
+            self.exit = process.try_wait()?.map(ProcessExit::from);
         }
         Ok(self.exit)
     }
@@ -224,7 +224,7 @@ impl Child {
     ///
     /// # Errors
     /// As [`Child::try_wait`].
-    pub fn wait_for(&mut self, limit: Duration) -> io::Result<Option<Exit>> {
+    pub fn wait_for(&mut self, limit: Duration) -> io::Result<Option<ProcessExit>> {
         let started = Instant::now();
         loop {
             let exit = self.try_wait()?;

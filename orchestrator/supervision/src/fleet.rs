@@ -27,7 +27,7 @@ use crate::halt;
 use crate::lock::SystemLock;
 use crate::realtime::Machine;
 use crate::room::Room;
-use crate::supervisor::{Event, Exit};
+use crate::supervisor::{Event, ProcessExit};
 
 pub use process::Load;
 use process::{Process, command_of};
@@ -75,7 +75,7 @@ struct Member {
 #[derive(Debug, Default)]
 pub struct Reaped {
     /// Processes that filled a role or were candidates: role, incarnation, and how each ended.
-    pub ended: Vec<(Role, u32, Exit)>,
+    pub ended: Vec<(Role, u32, ProcessExit)>,
     /// Incarnations that no role needed any more.
     pub departed: Vec<u32>,
     /// Whether the bus has ports of such a process, or of a candidate, that are to be cleaned up.
@@ -335,7 +335,7 @@ impl Fleet {
     }
 
     /// How a candidate ended, with the last lines of its log.
-    pub fn reason_of(&self, role: Role, exit: Exit) -> String {
+    pub fn reason_of(&self, role: Role, exit: ProcessExit) -> String {
         let lines =
             self.members.get(&role).map_or_else(Vec::new, |member| last_lines(&self.disk, &member.log));
         let last = lines[lines.len().saturating_sub(REASON_LINES)..].join(" | ");

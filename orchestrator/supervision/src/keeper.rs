@@ -48,7 +48,7 @@ pub enum Life {
 
 /// What is to be done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Order {
+pub enum KeeperOrder {
     /// Start a process.
     Start,
     /// Kill the process, which hangs.
@@ -88,12 +88,12 @@ impl Keeper {
     }
 
     /// What is to be done now; `passes` are those that its process has reported, if it has.
-    pub fn advance(&mut self, now_ns: u64, passes: Option<u64>) -> Option<Order> {
+    pub fn advance(&mut self, now_ns: u64, passes: Option<u64>) -> Option<KeeperOrder> {
         match &mut self.life {
             Life::Due(at_ns) if now_ns >= *at_ns => {
                 self.starts += 1;
                 self.life = Life::Running { since_ns: now_ns, passes: None, progress_ns: now_ns };
-                Some(Order::Start)
+                Some(KeeperOrder::Start)
             }
             Life::Running { passes: before, progress_ns, .. } => {
                 let limit_ns = if before.is_some() { self.policy.hang_ns } else { self.policy.start_ns };
@@ -101,7 +101,7 @@ impl Keeper {
                     (*before, *progress_ns) = (passes, now_ns);
                 } else if now_ns.saturating_sub(*progress_ns) > limit_ns {
                     self.life = Life::Hung;
-                    return Some(Order::Kill);
+                    return Some(KeeperOrder::Kill);
                 }
                 None
             }
@@ -178,11 +178,11 @@ mod tests {
     #[test]
     fn it_is_started_at_once_and_again_after_a_pause_that_doubles() {
         let mut keeper = Keeper::new(POLICY);
-        assert_eq!(keeper.advance(5, None), Some(Order::Start));
+        assert_eq!(keeper.advance(5, None), Some(KeeperOrder::Start));
         keeper.died(SECOND);
         assert_eq!(keeper.life(), Life::Due(SECOND + PAUSES_NS[0]));
         assert_eq!(keeper.advance(SECOND, None), None);
-        assert_eq!(keeper.advance(2 * SECOND, None), Some(Order::Start));
+        assert_eq!(keeper.advance(2 * SECOND, None), Some(KeeperOrder::Start));
         keeper.died(2 * SECOND);
         assert_eq!(keeper.life(), Life::Due(2 * SECOND + 2 * PAUSES_NS[0]));
         assert_eq!(keeper.restarts(), 1);
@@ -207,7 +207,7 @@ mod tests {
         keeper.forgive(45 * SECOND);
         assert_eq!(keeper.advance(46 * SECOND, Some(1)), None, "nothing was seen for 45 s");
         assert_eq!(keeper.advance(47 * SECOND, Some(1)), None);
-        assert_eq!(keeper.advance(47 * SECOND + 1, Some(1)), Some(Order::Kill), "a second of silence");
+        assert_eq!(keeper.advance(47 * SECOND + 1, Some(1)), Some(KeeperOrder::Kill), "a second of silence");
     }
 
     #[test]
@@ -224,7 +224,7 @@ mod tests {
         assert_eq!(keeper.suspicion(7 * SECOND + 1, Some(2)), None, "a pass");
         keeper.excuse(7 * SECOND + 1);
         assert_eq!(keeper.advance(8 * SECOND, Some(1)), None, "its time began anew");
-        assert_eq!(keeper.advance(8 * SECOND + 2, Some(1)), Some(Order::Kill));
+        assert_eq!(keeper.advance(8 * SECOND + 2, Some(1)), Some(KeeperOrder::Kill));
     }
 
     #[test]
@@ -234,7 +234,7 @@ mod tests {
         assert_eq!(keeper.advance(5 * SECOND, None), None, "it may take long to start");
         assert_eq!(keeper.advance(6 * SECOND, Some(1)), None);
         assert_eq!(keeper.advance(7 * SECOND, Some(1)), None);
-        assert_eq!(keeper.advance(7 * SECOND + 1, Some(1)), Some(Order::Kill));
+        assert_eq!(keeper.advance(7 * SECOND + 1, Some(1)), Some(KeeperOrder::Kill));
         assert_eq!(keeper.advance(9 * SECOND, Some(1)), None);
         assert_eq!(keeper.life(), Life::Hung);
     }

@@ -46,7 +46,7 @@ mod turn;
 mod world;
 
 pub use event::{Action, Event, Severity};
-pub use exit::Exit;
+pub use exit::ProcessExit;
 pub use policy::{MIN_HANG_AFTER_MS, ProcessPolicy, Restart};
 pub use slot::{ProcessView, VisibleState};
 

@@ -1,7 +1,7 @@
 //! What happens in a running system, found in the differences between its samples and states.
 
 use serde::Serialize;
-use session::control::{ProcessStatus, Status};
+use session::control::{ProcessStatus, SystemStatus};
 use shared_types::{
     Actuation, ActuationKind, BlockReason, Command, Directive, Obstacles, Phase, Role, ScannerState,
     StopReason,
@@ -175,7 +175,7 @@ impl Events {
     }
 
     /// Processes that end, restart or run as candidates, and a system that loses its orchestrator.
-    pub(crate) fn status(&mut self, status: &Status) {
+    pub(crate) fn status(&mut self, status: &SystemStatus) {
         if status.state == session::orphaned::ORPHANED && self.state != status.state {
             self.note(Kind::Bad, "the orchestrator is gone: the processes are orphaned".to_owned());
         } else if self.state == session::orphaned::ORPHANED && self.state != status.state {
@@ -255,7 +255,7 @@ mod tests {
             });
             serde_json::from_value::<ProcessStatus>(row).unwrap()
         };
-        let status = |processes: Vec<ProcessStatus>| Status { processes, ..Status::default() };
+        let status = |processes: Vec<ProcessStatus>| SystemStatus { processes, ..SystemStatus::default() };
         let mut events = Events::default();
         events.status(&status(vec![process(5, VisibleState::Ready, 0)]));
         events.status(&status(vec![process(0, VisibleState::Backoff, 0)]));

@@ -4,7 +4,7 @@
 //! death of the orchestrator or of a process changes nothing here.
 
 use runtime::{Bus, Domain, Observer, RuntimeError, monotonic_ns};
-use session::control::Status;
+use session::control::SystemStatus;
 use shared_types::{Actuation, Command, Directive, Obstacles, Pose, Sample, Scan, Truth};
 
 use crate::statuses::{Known, Statuses};
@@ -20,7 +20,7 @@ pub enum News<'a> {
     /// The run has ended.
     Gone,
     /// An answer to the question for the status.
-    Status(&'a Status),
+    Status(&'a SystemStatus),
     /// What the orchestrator tells all processes.
     Directive(&'a Directive),
     /// A scan.
@@ -84,7 +84,7 @@ impl Follower {
     }
 
     /// The last answer of the run to the question for its status.
-    pub fn status(&self) -> Option<&Status> {
+    pub fn status(&self) -> Option<&SystemStatus> {
         self.known.status.as_ref().filter(|_| self.attached.is_some())
     }
 

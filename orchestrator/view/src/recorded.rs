@@ -227,7 +227,7 @@ struct Shifts {
 
 impl Shifts {
     /// Takes in a sample while the file is read.
-    fn note(&mut self, recorded: &recording::Recorded<'_>) {
+    fn note(&mut self, recorded: &recording::RecordedSample<'_>) {
         if self.by_file.len() <= recorded.file {
             let after_ns = if recorded.file == 0 { 0 } else { self.newest_ns + JOINT_NS };
             self.by_file.resize(recorded.file + 1, after_ns.saturating_sub(recorded.log_ns));
@@ -235,9 +235,9 @@ impl Shifts {
         self.newest_ns = self.newest_ns.max(self.moved(*recorded).log_ns);
     }
 
-    fn moved<'a>(&self, recorded: recording::Recorded<'a>) -> recording::Recorded<'a> {
+    fn moved<'a>(&self, recorded: recording::RecordedSample<'a>) -> recording::RecordedSample<'a> {
         let shift_ns = self.by_file.get(recorded.file).copied().unwrap_or_default();
-        recording::Recorded { log_ns: recorded.log_ns.saturating_add(shift_ns), ..recorded }
+        recording::RecordedSample { log_ns: recorded.log_ns.saturating_add(shift_ns), ..recorded }
     }
 }
 
@@ -260,7 +260,7 @@ impl Reading {
         }
     }
 
-    fn add(&mut self, recorded: &recording::Recorded<'_>) {
+    fn add(&mut self, recorded: &recording::RecordedSample<'_>) {
         if self.chunks.last() != Some(&recorded.chunk_at) {
             self.release(self.newest_ns[0]);
             self.newest_ns = [self.newest_ns[1], 0];

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use runtime::{Domain, monotonic_ns};
-use session::control::Status;
+use session::control::SystemStatus;
 use session::orphaned::current_status;
 
 /// Pause between two questions.
@@ -21,7 +21,7 @@ pub(crate) struct Known {
     /// The system, while it runs.
     pub(crate) domain: Option<Domain>,
     /// Its last answer.
-    pub(crate) status: Option<Status>,
+    pub(crate) status: Option<SystemStatus>,
     /// When that came [ns].
     pub(crate) answered_ns: u64,
     /// Why there was no answer the last time.

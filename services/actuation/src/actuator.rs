@@ -5,8 +5,8 @@
 //! when its reason does:
 //!
 //! * commanded or landed: with the next command that passes;
-//! * silence: after [`Config::recovery`] valid commands in a row without another silence, where commands that come within
-//!   half a period count as one, because they were delayed together;
+//! * silence: after [`ActuatorConfig::recovery`] valid commands in a row without another silence, where commands that
+//!   come within half a period count as one, because they were delayed together;
 //! * gap, a silence because the scanner took no scan: with the next command that passes;
 //! * refused: with the next command that passes; when the scan has no other, its refusal is a silence as well;
 //! * explicit stop: with [`Actuator::release`] only.
@@ -22,12 +22,12 @@ use vehicle::correction::{CommandCorrection, Correction, Linkage};
 use vehicle::{Control, Invalid};
 
 use crate::verdict::{DesiredCommand, block_reason, judge};
-use crate::{ActuatorState, Config};
+use crate::{ActuatorConfig, ActuatorState};
 
 /// Decides what is sent to the robot.
 #[derive(Debug, Clone)]
 pub struct Actuator {
-    config: Config,
+    config: ActuatorConfig,
     correction: CommandCorrection,
     period_ns: u64,
     timeout_ns: u64,
@@ -44,7 +44,7 @@ impl Actuator {
     ///
     /// # Errors
     /// [`Invalid`] when a setting is outside its range, or the period is not 1 ms to 10 s.
-    pub fn new(config: Config, period_ns: u64) -> Result<Self, Invalid> {
+    pub fn new(config: ActuatorConfig, period_ns: u64) -> Result<Self, Invalid> {
         config.validate()?;
         if !(1_000_000..=10_000_000_000).contains(&period_ns) {
             return Err(Invalid::new("period_ns", period_ns, "1000000 to 10000000000"));
@@ -128,7 +128,7 @@ impl Actuator {
     }
 
     /// A block that the actuator decides by itself, when there has been no valid command for
-    /// [`Config::timeout_periods`]; once per period while the silence lasts.
+    /// [`ActuatorConfig::timeout_periods`]; once per period while the silence lasts.
     ///
     /// The first call before any command starts the timeout.
     pub fn tick(&mut self, now_ns: u64) -> Option<Actuation> {

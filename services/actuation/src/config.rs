@@ -5,7 +5,7 @@ use vehicle::{Description, Invalid, settings};
 
 settings! {
     /// Settings of the actuator.
-    pub struct Config {
+    pub struct ActuatorConfig {
         /// Correction of velocity and steering angle that makes the robot do what is desired.
         pub calibration: Calibration = Calibration::Default;
         /// The robot as this stage knows it; `run` takes it from the table `[vehicle]`.
@@ -23,7 +23,7 @@ settings! {
     }
 }
 
-impl Config {
+impl ActuatorConfig {
     /// Passes when all settings are within their ranges.
     ///
     /// # Errors
@@ -42,30 +42,33 @@ mod tests {
 
     #[test]
     fn the_default_settings_are_allowed_and_nan_is_not() {
-        assert_eq!(Config::default().validate(), Ok(()));
-        let config = Config { timeout_periods: f64::NAN, ..Config::default() };
+        assert_eq!(ActuatorConfig::default().validate(), Ok(()));
+        let config = ActuatorConfig { timeout_periods: f64::NAN, ..ActuatorConfig::default() };
         assert_eq!(config.validate().unwrap_err().key, "timeout_periods");
         let bounds = Bounds { velocity_min_mps: 1.5, ..Bounds::default() };
         let vehicle = Description { bounds, ..Description::default() };
-        let config = Config { vehicle, ..Config::default() };
+        let config = ActuatorConfig { vehicle, ..ActuatorConfig::default() };
         assert_eq!(
             config.validate().unwrap_err().to_string(),
             "vehicle.bounds.velocity_min_mps = 1.5 is not allowed: 0.02 to 1"
         );
-        assert_eq!(Config { recovery: 0, ..Config::default() }.validate().unwrap_err().key, "recovery");
+        assert_eq!(
+            ActuatorConfig { recovery: 0, ..ActuatorConfig::default() }.validate().unwrap_err().key,
+            "recovery"
+        );
     }
 
     #[test]
     fn settings_are_read_from_their_file() {
-        let read = |text: &str| toml::from_str::<Config>(text);
-        assert_eq!(read(""), Ok(Config::default()));
+        let read = |text: &str| toml::from_str::<ActuatorConfig>(text);
+        assert_eq!(read(""), Ok(ActuatorConfig::default()));
         let config = read("calibration = \"identity\"\n[vehicle.bounds]\nvelocity_max_mps = 0.5").unwrap();
         assert_eq!(
             (config.calibration, config.vehicle.bounds.velocity_max_mps),
             (Calibration::Identity, 0.5)
         );
         let calibration = Calibration::Custom(Calibration::Default.correction());
-        let written = toml::to_string(&Config { calibration, ..Config::default() }).unwrap();
+        let written = toml::to_string(&ActuatorConfig { calibration, ..ActuatorConfig::default() }).unwrap();
         assert_eq!(read(&written).unwrap().calibration, calibration);
         assert!(read("calibration = \"guess\"").unwrap_err().to_string().contains("identity"));
         assert!(read("timeout = 2").is_err());

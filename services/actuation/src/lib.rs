@@ -10,5 +10,5 @@ mod state;
 mod verdict;
 
 pub use actuator::Actuator;
-pub use config::Config;
+pub use config::ActuatorConfig;
 pub use state::ActuatorState;

@@ -3,7 +3,7 @@
 use runtime::{Handover, Process};
 use shared_types::{Actuation, Command, JournalKind, Role};
 
-use crate::{Actuator, Config};
+use crate::{Actuator, ActuatorConfig};
 
 /// Runs until asked to end; its last actuation blocks the wheels.
 ///
@@ -11,7 +11,7 @@ use crate::{Actuator, Config};
 /// Settings that are not allowed, and errors of the bus.
 pub fn run() -> anyhow::Result<()> {
     let mut process = Process::attach(Role::Actuator)?;
-    let mut actuator = Actuator::new(process.settings::<Config>("actuator")?, process.period_ns())?;
+    let mut actuator = Actuator::new(process.settings::<ActuatorConfig>("actuator")?, process.period_ns())?;
     let commands = process.input::<Command>()?;
     let actuations = process.output::<Actuation>()?;
     match process.resume()? {

@@ -17,7 +17,7 @@ use vehicle::{Control, Parameters};
 use crate::least_squares::{Solution, solve};
 use crate::record::SineRow;
 use crate::refusal::refuse_if;
-use crate::{Estimate, Refusal};
+use crate::{Estimate, RunRefusal};
 
 /// Fewest rows behind the first turning points.
 const MIN_ROWS: usize = 50;
@@ -58,8 +58,8 @@ struct Passage {
 /// Half the play with its standard error; `None` when sent angles are not recorded, or turn back too rarely.
 ///
 /// # Errors
-/// [`Refusal::Implausible`] when no play and no map explain the reported yaw.
-pub(crate) fn fit(runs: &[&[SineRow]]) -> Result<Option<Estimate>, Refusal> {
+/// [`RunRefusal::Implausible`] when no play and no map explain the reported yaw.
+pub(crate) fn fit(runs: &[&[SineRow]]) -> Result<Option<Estimate>, RunRefusal> {
     let Some(courses) = runs.iter().map(|run| Course::of(run)).collect::<Option<Vec<Course>>>() else {
         return Ok(None);
     };
@@ -91,7 +91,7 @@ pub(crate) fn fit(runs: &[&[SineRow]]) -> Result<Option<Estimate>, Refusal> {
     last.map(|last| judge(parameters[PLAY], &last)).transpose()
 }
 
-fn judge(play: f64, solution: &Solution) -> Result<Estimate, Refusal> {
+fn judge(play: f64, solution: &Solution) -> Result<Estimate, RunRefusal> {
     let deviation = solution.deviation;
     // A tenth of a radian of yaw is ten times the noise of a good odometer.
     refuse_if(deviation > 0.1 || play > 0.05, || {

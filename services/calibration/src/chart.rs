@@ -2,7 +2,7 @@
 
 /// Points and a line over two axes.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Chart {
+pub struct FitChart {
     /// Title.
     pub title: String,
     /// Name and unit of the horizontal axis.
@@ -15,7 +15,7 @@ pub struct Chart {
     pub line: Vec<[f64; 2]>,
 }
 
-impl Chart {
+impl FitChart {
     /// A chart of points alone.
     pub(crate) fn of_points(
         title: &str,

@@ -21,7 +21,7 @@ use crate::backlash;
 use crate::least_squares::{contradicting_row, root_mean_square, solve};
 use crate::record::SineRow;
 use crate::refusal::{enough, refuse_if, within};
-use crate::{Chart, Estimate, Refusal};
+use crate::{Estimate, FitChart, RunRefusal};
 
 /// Fewest measured positions of one run; three coefficients of its own are fitted to them.
 const MIN_MARKS: usize = 5;
@@ -54,7 +54,7 @@ pub struct DriftFit {
     /// How many measured positions.
     pub marks: usize,
     /// Errors before and after the correction.
-    pub charts: Vec<Chart>,
+    pub charts: Vec<FitChart>,
 }
 
 /// One measured position of a run, with the sums up to it.
@@ -74,8 +74,9 @@ struct Mark<'a> {
 /// df, dds and, where sent angles are recorded, the play.
 ///
 /// # Errors
-/// [`Refusal`] when runs are too short, marks too few, values out of range, or the errors are not those of the model.
-pub fn fit(rows: &[SineRow]) -> Result<DriftFit, Refusal> {
+/// [`RunRefusal`] when runs are too short, marks too few, values out of range, or the errors are not those of the
+/// model.
+pub fn fit(rows: &[SineRow]) -> Result<DriftFit, RunRefusal> {
     let runs = split(rows)?;
     let mut marks = Vec::new();
     for (index, run) in runs.iter().enumerate() {
@@ -87,9 +88,9 @@ pub fn fit(rows: &[SineRow]) -> Result<DriftFit, Refusal> {
 
     let (equations, targets) = equations(&marks, runs.len());
     let solution = solve(&equations, &targets)
-        .ok_or_else(|| Refusal::implausible("the measured positions do not determine df and dds"))?;
+        .ok_or_else(|| RunRefusal::implausible("the measured positions do not determine df and dds"))?;
     if let Some((index, missed)) = contradicting_row(&equations, &targets, 0.05) {
-        return Err(Refusal::implausible(format!(
+        return Err(RunRefusal::implausible(format!(
             "{}: the measured position is {missed:.3} m off the fit to all others",
             marks[index / 2].row.place
         )));
@@ -118,12 +119,12 @@ pub fn fit(rows: &[SineRow]) -> Result<DriftFit, Refusal> {
 }
 
 /// The rows of each run.
-fn split(rows: &[SineRow]) -> Result<Vec<&[SineRow]>, Refusal> {
+fn split(rows: &[SineRow]) -> Result<Vec<&[SineRow]>, RunRefusal> {
     let runs: Vec<&[SineRow]> = rows.chunk_by(|one, next| one.run == next.run).collect();
     enough("sine runs", runs.len(), 1)?;
     for (index, run) in runs.iter().enumerate() {
         if runs[..index].iter().any(|earlier| earlier[0].run == run[0].run) {
-            return Err(Refusal::unreadable(
+            return Err(RunRefusal::unreadable(
                 &run[0].place,
                 format!("run {} continues after another run", run[0].run),
             ));
@@ -132,7 +133,7 @@ fn split(rows: &[SineRow]) -> Result<Vec<&[SineRow]>, Refusal> {
     Ok(runs)
 }
 
-fn check(run: &[SineRow]) -> Result<(), Refusal> {
+fn check(run: &[SineRow]) -> Result<(), RunRefusal> {
     let mut distance = 0.0;
     for row in run {
         let place = &row.place;
@@ -163,7 +164,7 @@ fn check(run: &[SineRow]) -> Result<(), Refusal> {
     })
 }
 
-fn marks_of(run: &[SineRow], index: usize) -> Result<Vec<Mark<'_>>, Refusal> {
+fn marks_of(run: &[SineRow], index: usize) -> Result<Vec<Mark<'_>>, RunRefusal> {
     let (mut along, mut across) = ([0.0; 2], [0.0; 2]);
     let mut marks = Vec::new();
     let mut before = SineRow { time_s: 0.0, ..run[0].clone() };
@@ -188,7 +189,7 @@ fn marks_of(run: &[SineRow], index: usize) -> Result<Vec<Mark<'_>>, Refusal> {
             }),
             (None, None) => {}
             _ => {
-                return Err(Refusal::unreadable(
+                return Err(RunRefusal::unreadable(
                     &row.place,
                     "measured_x_m and measured_y_m have to be given both or not at all",
                 ));
@@ -215,12 +216,12 @@ fn equations(marks: &[Mark<'_>], runs: usize) -> (Vec<Vec<f64>>, Vec<f64>) {
     (equations, targets)
 }
 
-fn require_range(name: &str, value: f64, limit: f64) -> Result<(), Refusal> {
+fn require_range(name: &str, value: f64, limit: f64) -> Result<(), RunRefusal> {
     let is_outside = value.is_nan() || value.abs() > limit;
     refuse_if(is_outside, || format!("{name} = {value:.4} is outside -{limit} to {limit}"))
 }
 
-fn charts(marks: &[Mark<'_>], residuals: &[f64]) -> Vec<Chart> {
+fn charts(marks: &[Mark<'_>], residuals: &[f64]) -> Vec<FitChart> {
     let raw = |axis: usize| marks.iter().map(move |mark| [mark.row.time_s, mark.error[axis]]).collect();
     let rest = marks
         .iter()
@@ -228,9 +229,9 @@ fn charts(marks: &[Mark<'_>], residuals: &[f64]) -> Vec<Chart> {
         .flat_map(|(mark, pair)| pair.iter().map(|missed| [mark.row.time_s, 1e3 * missed]))
         .collect();
     vec![
-        Chart::of_points("error of the odometry along x", "time [s]", "error [m]", raw(0)),
-        Chart::of_points("error of the odometry along y", "time [s]", "error [m]", raw(1)),
-        Chart::of_points("residual after the correction, x and y", "time [s]", "residual [mm]", rest),
+        FitChart::of_points("error of the odometry along x", "time [s]", "error [m]", raw(0)),
+        FitChart::of_points("error of the odometry along y", "time [s]", "error [m]", raw(1)),
+        FitChart::of_points("residual after the correction, x and y", "time [s]", "residual [mm]", rest),
     ]
 }
 

@@ -5,14 +5,14 @@
 //! are never used.
 
 use emulator::Emulator;
-use emulator::noise::{Purpose, Stream};
+use emulator::noise::{NoiseStream, Purpose};
 use emulator::scenario::{Scenario, Start, Surroundings, Track};
 use nalgebra::Vector2;
 use shared_types::{Actuation, ActuationKind, Odometry, Scan, Truth};
 use vehicle::bounds::STEERING_MAX_RAD;
 use vehicle::frame::to_robot;
 
-use crate::record::{CircleRun, Side, SineRow, StraightRun};
+use crate::record::{ApproachSide, CircleRun, SineRow, StraightRun};
 use crate::velocity::TAPE_ERROR_M;
 
 /// Standard deviation of a time between two passages by stopwatch [s]: two hands of 35 ms.
@@ -59,7 +59,7 @@ const TIMEOUT_S: f64 = 600.0;
 
 /// Straight runs with a flying start, timed between two fixed points.
 pub fn straight_runs(robot: &Scenario, seed: u64) -> Vec<StraightRun> {
-    let mut hand = Stream::new(seed, Purpose::Course, 1001);
+    let mut hand = NoiseStream::new(seed, Purpose::Course, 1001);
     // The points are measured once and stay where they are.
     let distance_m = round(DISTANCE_M + TAPE_ERROR_M * hand.normal(), 1e-3);
     let mut runs = Vec::new();
@@ -76,12 +76,12 @@ pub fn straight_runs(robot: &Scenario, seed: u64) -> Vec<StraightRun> {
 
 /// Steady circle runs to both sides, each angle approached from below and from above.
 pub fn circle_runs(robot: &Scenario, seed: u64) -> Vec<CircleRun> {
-    let mut hand = Stream::new(seed, Purpose::Course, 1002);
+    let mut hand = NoiseStream::new(seed, Purpose::Course, 1002);
     let mut runs = Vec::new();
     for step in -CIRCLE_STEPS..=CIRCLE_STEPS {
         let sent = CIRCLE_RAD * f64::from(step) / f64::from(CIRCLE_STEPS);
-        for side in [Side::Below, Side::Above] {
-            let beyond = if side == Side::Below { -OVERSHOOT_RAD } else { OVERSHOOT_RAD };
+        for side in [ApproachSide::Below, ApproachSide::Above] {
+            let beyond = if side == ApproachSide::Below { -OVERSHOOT_RAD } else { OVERSHOOT_RAD };
             let mut drive = Drive::new(robot, seed);
             drive.send(CIRCLE_MPS, sent + beyond);
             drive.pass(0.3);
@@ -108,7 +108,7 @@ pub fn circle_runs(robot: &Scenario, seed: u64) -> Vec<CircleRun> {
 
 /// Sine runs with a chalk mark every second.
 pub fn sine_runs(robot: &Scenario, seed: u64) -> Vec<SineRow> {
-    let mut hand = Stream::new(seed, Purpose::Course, 1003);
+    let mut hand = NoiseStream::new(seed, Purpose::Course, 1003);
     let mut rows = Vec::new();
     for run in 1..=SINE_RUNS {
         // The robot starts at its origin; in the frame of the tape measure it is a little shifted and turned.

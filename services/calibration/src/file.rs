@@ -11,7 +11,7 @@ use vehicle::{Invalid, require, toml_fault};
 use crate::drift::DriftFit;
 use crate::steering::{DESIRED_MAX_RAD, SteeringFit};
 use crate::velocity::VelocityFit;
-use crate::{Estimate, Refusal};
+use crate::{Estimate, RunRefusal};
 
 /// The version of the file that is written and read.
 pub const SCHEMA: u32 = 1;
@@ -128,11 +128,11 @@ impl CalibrationFile {
     /// The file in `text`, checked; `file` stands in messages only.
     ///
     /// # Errors
-    /// [`Refusal::Unreadable`] with file, key, value and allowed range.
-    pub fn parse(text: &str, file: &str) -> Result<Self, Refusal> {
+    /// [`RunRefusal::Unreadable`] with file, key, value and allowed range.
+    pub fn parse(text: &str, file: &str) -> Result<Self, RunRefusal> {
         let read: Self =
-            toml::from_str(text).map_err(|error| Refusal::unreadable(file, toml_fault(text, &error)))?;
-        read.validate().map_err(|invalid| Refusal::unreadable(file, invalid.to_string()))?;
+            toml::from_str(text).map_err(|error| RunRefusal::unreadable(file, toml_fault(text, &error)))?;
+        read.validate().map_err(|invalid| RunRefusal::unreadable(file, invalid.to_string()))?;
         Ok(read)
     }
 

@@ -22,7 +22,7 @@ mod refusal;
 pub mod steering;
 pub mod velocity;
 
-pub use chart::Chart;
+pub use chart::FitChart;
 pub use estimate::Estimate;
 pub use file::CalibrationFile;
-pub use refusal::Refusal;
+pub use refusal::RunRefusal;

@@ -6,7 +6,7 @@
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::Refusal;
+use crate::RunRefusal;
 
 /// One straight run between two fixed points, passed at full speed.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -26,7 +26,7 @@ pub struct StraightRun {
 /// From which side the shaft came to its angle; with play the wheels lag to that side.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Side {
+pub enum ApproachSide {
     /// From smaller angles (further right): the wheels lag to the right.
     Below,
     /// From larger angles: the wheels lag to the left.
@@ -41,7 +41,7 @@ pub struct CircleRun {
     pub sent_steering_rad: f64,
     /// `below` or `above`: from which side the angle was approached; empty when it is not known.
     #[serde(default)]
-    pub approached_from: Option<Side>,
+    pub approached_from: Option<ApproachSide>,
     /// Chord of the arc, s [m].
     pub chord_m: f64,
     /// Height of the arc over the middle of its chord, h; positive for a left turn, negative for a right one [m].
@@ -126,8 +126,8 @@ pub fn append<R: Record>(rows: &mut Vec<R>, more: &mut Vec<R>) {
 /// The rows of a table; `file` stands in messages only.
 ///
 /// # Errors
-/// [`Refusal::Unreadable`] with file, line and column.
-pub fn read<R: Record>(text: &str, file: &str) -> Result<Vec<R>, Refusal> {
+/// [`RunRefusal::Unreadable`] with file, line and column.
+pub fn read<R: Record>(text: &str, file: &str) -> Result<Vec<R>, RunRefusal> {
     let mut reader =
         csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(text.as_bytes());
     let headers = reader.headers().map_err(|error| unreadable(text, file, &error))?.clone();
@@ -178,7 +178,7 @@ pub fn write<R: Record>(rows: &[R]) -> String {
 }
 
 /// A text that is no table.
-fn unreadable(text: &str, file: &str, error: &csv::Error) -> Refusal {
+fn unreadable(text: &str, file: &str, error: &csv::Error) -> RunRefusal {
     let line = Lines::of(text).line(error.position());
     let message = match error.kind() {
         csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
@@ -186,7 +186,7 @@ fn unreadable(text: &str, file: &str, error: &csv::Error) -> Refusal {
         }
         _ => error.to_string(),
     };
-    Refusal::unreadable(format!("{file}: line {line}"), message)
+    RunRefusal::unreadable(format!("{file}: line {line}"), message)
 }
 
 /// A row with a value that its column can't have.
@@ -196,15 +196,15 @@ fn not_a_row(
     error: &csv::Error,
     headers: &csv::StringRecord,
     record: &csv::StringRecord,
-) -> Refusal {
+) -> RunRefusal {
     use csv::DeserializeErrorKind::{ParseFloat, ParseInt};
 
     let csv::ErrorKind::Deserialize { err, .. } = error.kind() else {
-        return Refusal::unreadable(place, error.to_string());
+        return RunRefusal::unreadable(place, error.to_string());
     };
     // A column that is missing or unknown is the fault of the header line, not of the row where it is noticed.
     let Some(field) = err.field().and_then(|field| usize::try_from(field).ok()) else {
-        return Refusal::unreadable(format!("{file}: header"), err.kind().to_string());
+        return RunRefusal::unreadable(format!("{file}: header"), err.kind().to_string());
     };
     let [name, value] = [headers, record].map(|row| row.get(field).unwrap_or_default());
     let allowed = match err.kind() {
@@ -212,7 +212,7 @@ fn not_a_row(
         ParseInt(_) => "a whole number from 0".to_owned(),
         other => other.to_string(),
     };
-    Refusal::unreadable(place, format!("{name} = {value} is not allowed: {allowed}"))
+    RunRefusal::unreadable(place, format!("{name} = {value} is not allowed: {allowed}"))
 }
 
 #[cfg(test)]
@@ -224,7 +224,7 @@ mod tests {
         let rows = vec![
             CircleRun {
                 sent_steering_rad: 0.05,
-                approached_from: Some(Side::Below),
+                approached_from: Some(ApproachSide::Below),
                 chord_m: 2.5,
                 height_m: 0.2,
                 ..CircleRun::default()

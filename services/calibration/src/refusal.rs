@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 
 /// Runs that are refused, and the reason.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum Refusal {
+pub enum RunRefusal {
     /// A table or a file cannot be read.
     #[error("{place}: {message}")]
     Unreadable {
@@ -40,7 +40,7 @@ pub enum Refusal {
     Implausible(String),
 }
 
-impl Refusal {
+impl RunRefusal {
     /// A fit that is refused for a reason.
     pub(crate) fn implausible(reason: impl Into<String>) -> Self {
         Self::Implausible(reason.into())
@@ -58,20 +58,20 @@ pub(crate) fn within(
     column: &'static str,
     value: f64,
     range: RangeInclusive<f64>,
-) -> Result<(), Refusal> {
+) -> Result<(), RunRefusal> {
     if range.contains(&value) {
         return Ok(());
     }
     let allowed = format!("{} to {}", range.start(), range.end());
-    Err(Refusal::OutsideRange { place: place.to_owned(), column, value, allowed })
+    Err(RunRefusal::OutsideRange { place: place.to_owned(), column, value, allowed })
 }
 
 /// Passes when there are enough of something.
-pub(crate) fn enough(what: &'static str, found: usize, needed: usize) -> Result<(), Refusal> {
-    if found >= needed { Ok(()) } else { Err(Refusal::TooFew { what, found, needed }) }
+pub(crate) fn enough(what: &'static str, found: usize, needed: usize) -> Result<(), RunRefusal> {
+    if found >= needed { Ok(()) } else { Err(RunRefusal::TooFew { what, found, needed }) }
 }
 
 /// Refuses the fit with a reason where the condition holds.
-pub(crate) fn refuse_if(condition: bool, reason: impl FnOnce() -> String) -> Result<(), Refusal> {
-    if condition { Err(Refusal::Implausible(reason())) } else { Ok(()) }
+pub(crate) fn refuse_if(condition: bool, reason: impl FnOnce() -> String) -> Result<(), RunRefusal> {
+    if condition { Err(RunRefusal::Implausible(reason())) } else { Ok(()) }
 }

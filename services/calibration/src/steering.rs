@@ -25,9 +25,9 @@ use vehicle::correction::SENT_STEERING_MAX_RAD;
 use vehicle::network::{MIN_SAMPLES, SteeringNetwork, train};
 
 use crate::least_squares::{outlier, root_mean_square};
-use crate::record::{CircleRun, Side};
+use crate::record::{ApproachSide, CircleRun};
 use crate::refusal::{enough, refuse_if, within};
-use crate::{Chart, Estimate, Refusal};
+use crate::{Estimate, FitChart, RunRefusal};
 
 use network_error::NetworkError;
 
@@ -72,7 +72,7 @@ pub struct SteeringFit {
     /// How many runs.
     pub runs: usize,
     /// Angles, and residuals of the map.
-    pub charts: Vec<Chart>,
+    pub charts: Vec<FitChart>,
 }
 
 /// One angle of the map.
@@ -98,30 +98,30 @@ pub fn realised_angle(chord_m: f64, height_m: f64) -> f64 {
 /// Map, inverse and play with their errors.
 ///
 /// # Errors
-/// [`Refusal`] when runs are too few, out of range, do not cover the desired angles, or are not on one smooth
+/// [`RunRefusal`] when runs are too few, out of range, do not cover the desired angles, or are not on one smooth
 /// rising curve.
-pub fn fit(runs: &[CircleRun]) -> Result<SteeringFit, Refusal> {
+pub fn fit(runs: &[CircleRun]) -> Result<SteeringFit, RunRefusal> {
     check(runs)?;
     let realised: Vec<f64> = runs.iter().map(|run| realised_angle(run.chord_m, run.height_m)).collect();
     check_directions(runs, &realised)?;
     let play = play::estimate(runs, &realised);
     let half_play = play.map_or(0.0, |play| play.value);
     let shaft = |(run, wheels): (&CircleRun, &f64)| match run.approached_from {
-        Some(Side::Below) => wheels + half_play,
-        Some(Side::Above) => wheels - half_play,
+        Some(ApproachSide::Below) => wheels + half_play,
+        Some(ApproachSide::Above) => wheels - half_play,
         None => *wheels,
     };
     let samples: Vec<(f64, f64)> =
         runs.iter().zip(&realised).map(|pair| (pair.0.sent_steering_rad, shaft(pair))).collect();
 
-    let trained = train(&samples).map_err(|error| Refusal::implausible(error.to_string()))?;
+    let trained = train(&samples).map_err(|error| RunRefusal::implausible(error.to_string()))?;
     let map = trained.network;
     let residuals: Vec<f64> = samples.iter().map(|(sent, angle)| angle - map.eval(*sent)).collect();
     require_smooth(runs, &residuals)?;
     let sent_range_rad = range(samples.iter().map(|sample| sample.0));
     let inverse = invert(&map, sent_range_rad)?;
     let error = NetworkError::of(&map, &samples)
-        .ok_or_else(|| Refusal::implausible("the runs do not determine a steering map"))?;
+        .ok_or_else(|| RunRefusal::implausible("the runs do not determine a steering map"))?;
     let points = (-6..=6)
         .map(|step| {
             let desired_rad = DESIRED_MAX_RAD * f64::from(step) / 6.0;
@@ -142,7 +142,7 @@ pub fn fit(runs: &[CircleRun]) -> Result<SteeringFit, Refusal> {
     })
 }
 
-fn check(runs: &[CircleRun]) -> Result<(), Refusal> {
+fn check(runs: &[CircleRun]) -> Result<(), RunRefusal> {
     for CircleRun { sent_steering_rad, chord_m, height_m, place, .. } in runs {
         within(
             place,
@@ -158,7 +158,7 @@ fn check(runs: &[CircleRun]) -> Result<(), Refusal> {
     let mut sent: Vec<f64> = runs.iter().map(|run| run.sent_steering_rad).collect();
     sent.sort_by(f64::total_cmp);
     if let Some(pair) = sent.windows(2).find(|pair| pair[1] - pair[0] > LARGEST_STEP_RAD) {
-        return Err(Refusal::implausible(format!(
+        return Err(RunRefusal::implausible(format!(
             "no run between sent angles of {:.4} and {:.4} rad; neighbours may be {LARGEST_STEP_RAD} rad apart",
             pair[0], pair[1]
         )));
@@ -167,14 +167,14 @@ fn check(runs: &[CircleRun]) -> Result<(), Refusal> {
 }
 
 /// Refuses a run that turned away from the side it was steered to; most often the sign of the height was forgotten.
-fn check_directions(runs: &[CircleRun], realised: &[f64]) -> Result<(), Refusal> {
+fn check_directions(runs: &[CircleRun], realised: &[f64]) -> Result<(), RunRefusal> {
     let wrong = runs
         .iter()
         .zip(realised)
         .find(|(run, angle)| run.sent_steering_rad.abs() > 0.03 && run.sent_steering_rad * **angle < 0.0);
     match wrong {
         None => Ok(()),
-        Some((run, _)) => Err(Refusal::OutsideRange {
+        Some((run, _)) => Err(RunRefusal::OutsideRange {
             place: run.place.clone(),
             column: "height_m",
             value: run.height_m,
@@ -183,10 +183,10 @@ fn check_directions(runs: &[CircleRun], realised: &[f64]) -> Result<(), Refusal>
     }
 }
 
-fn require_smooth(runs: &[CircleRun], residuals: &[f64]) -> Result<(), Refusal> {
+fn require_smooth(runs: &[CircleRun], residuals: &[f64]) -> Result<(), RunRefusal> {
     let scatter = root_mean_square(residuals);
     if let Some(index) = outlier(residuals, DOUBTFUL_RAD) {
-        return Err(Refusal::implausible(format!(
+        return Err(RunRefusal::implausible(format!(
             "{}: the run is {:.4} rad off the map through all others; a wrong value, or play that was not taken up on the way to the angle",
             runs[index].place, residuals[index]
         )));
@@ -202,7 +202,7 @@ fn require_smooth(runs: &[CircleRun], residuals: &[f64]) -> Result<(), Refusal> 
 ///
 /// It is fitted where the map rises without a break from the middle outwards: the outermost angles have neighbours on
 /// one side only, where the map is not reliable.
-fn invert(map: &SteeringNetwork, [low, high]: [f64; 2]) -> Result<SteeringNetwork, Refusal> {
+fn invert(map: &SteeringNetwork, [low, high]: [f64; 2]) -> Result<SteeringNetwork, RunRefusal> {
     const GRID: usize = 240;
     let sent = |index: usize| low + (high - low) * index as f64 / GRID as f64;
     let middle = (0..=GRID)
@@ -223,7 +223,7 @@ fn invert(map: &SteeringNetwork, [low, high]: [f64; 2]) -> Result<SteeringNetwor
             "the map rises from sent angles of {first:.4} to {last:.4} rad only, of {low:.4} to {high:.4} rad driven, and realises {least:.4} to {most:.4} rad there; -{DESIRED_MAX_RAD} to {DESIRED_MAX_RAD} rad have to be covered"
         )
     })?;
-    let inverse = train(&samples).map_err(|error| Refusal::implausible(error.to_string()))?.network;
+    let inverse = train(&samples).map_err(|error| RunRefusal::implausible(error.to_string()))?.network;
     let desired = |index: usize| DESIRED_MAX_RAD * (2.0 * index as f64 / GRID as f64 - 1.0);
     let worst = (0..=GRID)
         .map(|index| (map.eval(inverse.eval(desired(index))) - desired(index)).abs())
@@ -246,21 +246,21 @@ fn charts(
     residuals: &[f64],
     map: &SteeringNetwork,
     [low, high]: [f64; 2],
-) -> Vec<Chart> {
+) -> Vec<FitChart> {
     let line = (0..=100).map(|step| low + (high - low) * f64::from(step) / 100.0);
     let driven = samples.iter().map(|(sent, angle)| [*sent, *angle]).collect();
     let missed = samples.iter().zip(residuals).map(|((sent, _), missed)| [*sent, 1e3 * missed]).collect();
     vec![
-        Chart {
+        FitChart {
             line: line.map(|sent| [sent, map.eval(sent)]).collect(),
-            ..Chart::of_points(
+            ..FitChart::of_points(
                 "circle runs without the play",
                 "angle sent [rad]",
                 "angle realised [rad]",
                 driven,
             )
         },
-        Chart::of_points("residuals of the map", "angle sent [rad]", "residual [mrad]", missed),
+        FitChart::of_points("residuals of the map", "angle sent [rad]", "residual [mrad]", missed),
     ]
 }
 

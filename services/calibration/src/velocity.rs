@@ -12,7 +12,7 @@ use vehicle::correction::SENT_VELOCITY_MAX_MPS;
 use crate::least_squares::{contradicting_row, root_mean_square, solve};
 use crate::record::StraightRun;
 use crate::refusal::{enough, refuse_if, within};
-use crate::{Chart, Estimate, Refusal};
+use crate::{Estimate, FitChart, RunRefusal};
 
 /// Fewest runs.
 const MIN_RUNS: usize = 5;
@@ -36,24 +36,24 @@ pub struct VelocityFit {
     /// How many runs.
     pub runs: usize,
     /// Velocities, and residuals of the times.
-    pub charts: Vec<Chart>,
+    pub charts: Vec<FitChart>,
 }
 
 /// The velocity factor with its standard error.
 ///
 /// # Errors
-/// [`Refusal`] when there are too few runs, one is out of range, or times and velocities are not in proportion.
-pub fn fit(runs: &[StraightRun]) -> Result<VelocityFit, Refusal> {
+/// [`RunRefusal`] when there are too few runs, one is out of range, or times and velocities are not in proportion.
+pub fn fit(runs: &[StraightRun]) -> Result<VelocityFit, RunRefusal> {
     check(runs)?;
     let rows: Vec<Vec<f64>> = runs.iter().map(|run| vec![run.distance_m / run.sent_velocity_mps]).collect();
     let times: Vec<f64> = runs.iter().map(|run| run.time_s).collect();
     let solution =
-        solve(&rows, &times).ok_or_else(|| Refusal::implausible("the runs do not determine a factor"))?;
+        solve(&rows, &times).ok_or_else(|| RunRefusal::implausible("the runs do not determine a factor"))?;
     let factor = solution.coefficients[0];
     let floor = 0.05 * times.iter().copied().fold(0.0, f64::max);
     if let Some((index, missed)) = contradicting_row(&rows, &times, floor) {
         let StraightRun { place, time_s, .. } = &runs[index];
-        return Err(Refusal::implausible(format!(
+        return Err(RunRefusal::implausible(format!(
             "{place}: time_s = {time_s} does not fit the other runs, which give {:.2} s",
             time_s - missed
         )));
@@ -77,7 +77,7 @@ pub fn fit(runs: &[StraightRun]) -> Result<VelocityFit, Refusal> {
     })
 }
 
-fn check(runs: &[StraightRun]) -> Result<(), Refusal> {
+fn check(runs: &[StraightRun]) -> Result<(), RunRefusal> {
     for StraightRun { sent_velocity_mps, distance_m, time_s, place } in runs {
         within(place, "sent_velocity_mps", *sent_velocity_mps, 0.05..=SENT_VELOCITY_MAX_MPS)?;
         within(place, "distance_m", *distance_m, 1.0..=1000.0)?;
@@ -94,7 +94,7 @@ fn check(runs: &[StraightRun]) -> Result<(), Refusal> {
 }
 
 /// Refuses times that contain a constant in addition to their proportional part.
-fn require_proportion(rows: &[Vec<f64>], times: &[f64]) -> Result<(), Refusal> {
+fn require_proportion(rows: &[Vec<f64>], times: &[f64]) -> Result<(), RunRefusal> {
     let rows: Vec<Vec<f64>> = rows.iter().map(|row| vec![row[0], 1.0]).collect();
     let Some(solution) = solve(&rows, times) else { return Ok(()) };
     let (constant, error) = (solution.coefficients[1], solution.standard_errors[1]);
@@ -106,17 +106,17 @@ fn require_proportion(rows: &[Vec<f64>], times: &[f64]) -> Result<(), Refusal> {
     })
 }
 
-fn charts(runs: &[StraightRun], factor: f64, residuals: &[f64]) -> Vec<Chart> {
+fn charts(runs: &[StraightRun], factor: f64, residuals: &[f64]) -> Vec<FitChart> {
     let fastest = runs.iter().map(|run| run.sent_velocity_mps).fold(0.0, f64::max);
     let driven = runs.iter().map(|run| [run.sent_velocity_mps, run.distance_m / run.time_s]).collect();
     let missed = runs.iter().zip(residuals).map(|(run, missed)| [run.sent_velocity_mps, *missed]).collect();
     let title = format!("straight runs, kv = {factor:.4}");
     vec![
-        Chart {
+        FitChart {
             line: vec![[0.0, 0.0], [fastest, fastest / factor]],
-            ..Chart::of_points(&title, "velocity sent [m/s]", "velocity driven [m/s]", driven)
+            ..FitChart::of_points(&title, "velocity sent [m/s]", "velocity driven [m/s]", driven)
         },
-        Chart::of_points("residuals of the times", "velocity sent [m/s]", "residual [s]", missed),
+        FitChart::of_points("residuals of the times", "velocity sent [m/s]", "residual [s]", missed),
     ]
 }
 

@@ -3,9 +3,9 @@
 
 use calibration::file::{DriftPart, Origin, SteeringPart, VelocityPart};
 use calibration::{CalibrationFile, drift, drive, steering, velocity};
-use emulator::noise::{Purpose, Stream};
+use emulator::noise::{NoiseStream, Purpose};
 use emulator::{Outcome, Scenario};
-use pipeline::Settings;
+use pipeline::PipelineSettings;
 use vehicle::correction::Calibration;
 
 fn imperfect() -> Scenario {
@@ -26,7 +26,7 @@ fn calibrated(scenario: &Scenario) -> CalibrationFile {
 }
 
 /// How a drive ended, and the root mean squares of what velocity [m/s] and steering angle [rad] were off.
-fn tracking(settings: &Settings) -> (Outcome, f64, f64) {
+fn tracking(settings: &PipelineSettings) -> (Outcome, f64, f64) {
     let (mut desired, mut squares, mut count) = (None, [0.0, 0.0], 0.0);
     let drive = pipeline::drive(settings, |step| {
         // The actuation of a scan is in force when the next scan is taken.
@@ -51,10 +51,10 @@ fn tracking(settings: &Settings) -> (Outcome, f64, f64) {
 fn compare(scenario: Scenario) -> [(Outcome, f64, f64); 2] {
     let robot = scenario.robot;
     let file = calibrated(&scenario);
-    let mut without = Settings::of(scenario);
+    let mut without = PipelineSettings::of(scenario);
     without.tuning.actuator.calibration = Calibration::Identity;
     let mut with = without.clone();
-    without.tuning.estimator.correction = Some(estimator::correction::Mode::Off);
+    without.tuning.estimator.correction = Some(estimator::correction::CorrectionMode::Off);
     // It would end these drives before there is much to compare.
     without.tuning.estimator.self_check = false;
     with.tuning.actuator.calibration =
@@ -84,7 +84,7 @@ fn the_imperfect_robot_reaches_its_goal_and_tracks_velocity_and_steering_five_ti
 #[test]
 fn hidden_robots_miss_the_goal_without_calibration_and_reach_it_with_their_own() {
     // Within 30 % of the scenario's robot; the drift of the odometer is the source's.
-    let mut random = Stream::new(20, Purpose::Course, 0);
+    let mut random = NoiseStream::new(20, Purpose::Course, 0);
     let mut off = |value: f64| value * random.between(0.7, 1.3);
     for _ in 0..10 {
         let mut scenario = imperfect();

@@ -2,7 +2,7 @@
 
 use crate::counter::{Counter, Order};
 use crate::envelope::{Envelope, Line, SETTLED};
-use crate::settings::Settings;
+use crate::settings::ClockSettings;
 
 /// Times after this are taken as this: 73 years, so that no sum of times overflows [ns].
 const MAX_TIME_NS: u64 = 1 << 61;
@@ -13,7 +13,7 @@ const SUSPECTED: u32 = 20;
 
 /// What a stamp shows about the clock of the device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Event {
+pub enum ClockEvent {
     /// As expected, also when it arrived late.
     Regular,
     /// Before the newest stamp: the sample was overtaken by others. Its time is right, and it is to be dropped.
@@ -32,7 +32,7 @@ pub struct Mapped {
     /// The true time is at most this far away [ns].
     pub error_ns: u64,
     /// What the stamp shows about the clock of the device.
-    pub event: Event,
+    pub event: ClockEvent,
 }
 
 /// Offset between the clocks from round trips: between `low_ns` and `high_ns`.
@@ -69,7 +69,7 @@ struct Delay {
     is_measured: bool,
 }
 
-/// Samples in a row that are late by more than [`Settings::jump_ns`].
+/// Samples in a row that are late by more than [`ClockSettings::jump_ns`].
 #[derive(Debug, Clone, Copy)]
 struct LateRun {
     since_ns: u64,
@@ -82,7 +82,7 @@ struct LateRun {
 /// Maps the stamps of one device to CLOCK_MONOTONIC. Makes no allocation.
 #[derive(Debug, Clone)]
 pub struct DeviceClock {
-    settings: Settings,
+    settings: ClockSettings,
     counter: Counter,
     envelope: Envelope,
     reference: Option<Reference>,
@@ -93,7 +93,7 @@ pub struct DeviceClock {
 
 impl DeviceClock {
     /// A clock of which nothing is known yet.
-    pub fn new(settings: Settings) -> Self {
+    pub fn new(settings: ClockSettings) -> Self {
         Self {
             settings,
             counter: Counter::new(&settings),
@@ -111,13 +111,13 @@ impl DeviceClock {
 
     /// Takes a round trip: the host asked at `sent_ns`, the device answered with `ticks`, the answer arrived at
     /// `received_ns`. Of several round trips the shortest ones count.
-    pub fn round_trip(&mut self, ticks: u64, sent_ns: u64, received_ns: u64) -> Event {
+    pub fn round_trip(&mut self, ticks: u64, sent_ns: u64, received_ns: u64) -> ClockEvent {
         let (sent_ns, received_ns) = (sent_ns.min(MAX_TIME_NS), received_ns.min(MAX_TIME_NS));
         let stamp_ns = self.counter.extend(ticks, received_ns);
         let event = match self.counter.keep(stamp_ns, received_ns) {
-            Order::Newest => Event::Regular,
-            Order::Overtaken => return Event::Overtaken,
-            Order::Restarted => self.restart(Event::Backwards),
+            Order::Newest => ClockEvent::Regular,
+            Order::Overtaken => return ClockEvent::Overtaken,
+            Order::Restarted => self.restart(ClockEvent::Backwards),
         };
         let offset_at = |time_ns: u64| time_ns.cast_signed().saturating_sub(stamp_ns);
         let low_ns = offset_at(sent_ns).saturating_sub(self.settings.resolution_ns.cast_signed());
@@ -128,7 +128,7 @@ impl DeviceClock {
         };
         let merged = new.and(&older, self.drifted_ns(received_ns.abs_diff(older.at_ns)));
         let by_ns = older.middle_ns().saturating_sub(new.middle_ns());
-        let event = if merged.is_some() { event } else { self.restart(Event::Jumped(by_ns)) };
+        let event = if merged.is_some() { event } else { self.restart(ClockEvent::Jumped(by_ns)) };
         self.reference = Some(merged.unwrap_or(new));
         self.measure_delay();
         event
@@ -139,17 +139,17 @@ impl DeviceClock {
         let arrived_ns = arrived_ns.min(MAX_TIME_NS);
         let stamp_ns = self.counter.extend(ticks, arrived_ns);
         let mut event = match self.counter.keep(stamp_ns, arrived_ns) {
-            Order::Newest => Event::Regular,
+            Order::Newest => ClockEvent::Regular,
             Order::Overtaken => {
                 let (time_ns, error_ns) = self.mapped(stamp_ns, arrived_ns);
-                return Mapped { time_ns: time_ns.min(arrived_ns), error_ns, event: Event::Overtaken };
+                return Mapped { time_ns: time_ns.min(arrived_ns), error_ns, event: ClockEvent::Overtaken };
             }
-            Order::Restarted => self.restart(Event::Backwards),
+            Order::Restarted => self.restart(ClockEvent::Backwards),
         };
         let offset_ns = arrived_ns.cast_signed().saturating_sub(stamp_ns);
         let excess_ns = self.excess_ns(offset_ns, arrived_ns);
         if self.is_ahead(stamp_ns, excess_ns, arrived_ns) {
-            event = self.restart(Event::Jumped(excess_ns.saturating_neg()));
+            event = self.restart(ClockEvent::Jumped(excess_ns.saturating_neg()));
         }
         self.envelope.add(arrived_ns, offset_ns);
         self.samples = self.samples.saturating_add(1);
@@ -172,7 +172,7 @@ impl DeviceClock {
         }
         let now_ns = now_ns.min(MAX_TIME_NS);
         let (time_ns, error_ns) = self.mapped(self.counter.extend(ticks, now_ns), now_ns);
-        Some(Mapped { time_ns, error_ns, event: Event::Regular })
+        Some(Mapped { time_ns, error_ns, event: ClockEvent::Regular })
     }
 
     /// Estimated drift: growth of CLOCK_MONOTONIC minus device per time [ppm].
@@ -191,7 +191,7 @@ impl DeviceClock {
     }
 
     /// Forgets the offset between the clocks. Drift and smallest delay belong to the device, and stay.
-    fn restart(&mut self, event: Event) -> Event {
+    fn restart(&mut self, event: ClockEvent) -> ClockEvent {
         self.envelope.clear();
         self.reference = None;
         self.samples = 0;
@@ -220,7 +220,7 @@ impl DeviceClock {
     }
 
     /// Follows samples that are late in a row; when all are for long, the clock of the device has jumped back.
-    fn suspect(&mut self, offset_ns: i64, excess_ns: i64, arrived_ns: u64) -> Option<Event> {
+    fn suspect(&mut self, offset_ns: i64, excess_ns: i64, arrived_ns: u64) -> Option<ClockEvent> {
         if excess_ns <= self.jump_ns(arrived_ns).cast_signed() {
             self.late = None;
             return None;
@@ -235,7 +235,7 @@ impl DeviceClock {
         if run.count < SUSPECTED || arrived_ns.saturating_sub(run.since_ns) < SUSPECTED_NS {
             return None;
         }
-        let event = self.restart(Event::Jumped(excess_ns.saturating_neg()));
+        let event = self.restart(ClockEvent::Jumped(excess_ns.saturating_neg()));
         self.envelope.add(run.arrived_ns, run.offset_ns);
         self.samples = run.count;
         Some(event)

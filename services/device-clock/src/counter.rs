@@ -1,6 +1,6 @@
 //! Counters of a device that wrap.
 
-use crate::settings::Settings;
+use crate::settings::ClockSettings;
 
 /// What a stamp is next to those before.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -28,7 +28,7 @@ pub(crate) struct Counter {
 }
 
 impl Counter {
-    pub(crate) fn new(settings: &Settings) -> Self {
+    pub(crate) fn new(settings: &ClockSettings) -> Self {
         Self {
             tick_ns: to_signed(settings.tick_ns).max(1),
             wrap_ticks: settings.wrap_ticks.map(to_signed),
@@ -96,13 +96,13 @@ mod tests {
     const MS: u64 = 1_000_000;
 
     /// A counter of milliseconds that does not wrap, on a line on which messages overtake each other.
-    fn overtaking() -> Settings {
-        Settings { tick_ns: MS, ..Settings::nanoseconds() }
+    fn overtaking() -> ClockSettings {
+        ClockSettings { tick_ns: MS, ..ClockSettings::nanoseconds() }
     }
 
     #[test]
     fn a_wrap_continues_the_count() {
-        let mut counter = Counter::new(&Settings::milliseconds_of_24_bits());
+        let mut counter = Counter::new(&ClockSettings::milliseconds_of_24_bits());
         let first = counter.extend((1 << 24) - 50, 5);
         assert_eq!(counter.keep(first, 5), Order::Newest);
         let second = counter.extend(50, 5 + 100 * MS);
@@ -112,7 +112,7 @@ mod tests {
 
     #[test]
     fn a_gap_longer_than_the_counter_is_extended_by_the_time_that_passed() {
-        let mut counter = Counter::new(&Settings::milliseconds_of_24_bits());
+        let mut counter = Counter::new(&ClockSettings::milliseconds_of_24_bits());
         let first = counter.extend(1000, 0);
         counter.keep(first, 0);
         let gap_ms = 2 * (1 << 24) + 7;
@@ -121,7 +121,7 @@ mod tests {
 
     #[test]
     fn a_restart_counts_backwards() {
-        let mut counter = Counter::new(&Settings::milliseconds_of_24_bits());
+        let mut counter = Counter::new(&ClockSettings::milliseconds_of_24_bits());
         let first = counter.extend(5000, 0);
         counter.keep(first, 0);
         let second = counter.extend(0, 100 * MS);

@@ -5,10 +5,10 @@
 //! stamp on CLOCK_MONOTONIC.
 //!
 //! ```
-//! use device_clock::{DeviceClock, Settings};
+//! use device_clock::{ClockSettings, DeviceClock};
 //!
 //! // A counter of milliseconds with 24 bits, as Hokuyo scanners have.
-//! let mut clock = DeviceClock::new(Settings::milliseconds_of_24_bits());
+//! let mut clock = DeviceClock::new(ClockSettings::milliseconds_of_24_bits());
 //! // The device answered 136 to a question asked at 2.000 s whose answer arrived at 2.004 s.
 //! clock.round_trip(136, 2_000_000_000, 2_004_000_000);
 //! // Data stamped 236 arrive 70 ms later than they were stamped.
@@ -30,21 +30,23 @@
 //!
 //! # Assumptions
 //! * The smallest delay does not change while the device is in use.
-//! * The clocks drift by at most [`Settings::max_drift_ppm`]. The drift is estimated, so that older values remain useful.
+//! * The clocks drift by at most [`ClockSettings::max_drift_ppm`]. The drift is estimated, so that older values remain
+//!   useful.
 //! * Some samples arrive without additional delay: at least one within some seconds at 10 Hz.
 //!
-//! Messages may overtake each other: one whose stamp is before the newest has the event [`Event::Overtaken`], changes
-//! nothing, and is to be dropped. A stamp that is so old that no delay explains it
-//! ([`Settings::max_overtaken_ns`]), and one that differs from its
-//! expected value, start the mapping anew ([`Event`]). A jump back by less than [`Settings::jump_ns`] is not seen as one;
-//! the mapping follows it within three minutes. Not seen either is a device that restarts within a second of its start:
-//! its data seem overtaken until they reach the newest stamp, and late after that, until they count as a jump.
+//! Messages may overtake each other: one whose stamp is before the newest has the event [`ClockEvent::Overtaken`],
+//! changes nothing, and is to be dropped. A stamp that is so old that no delay explains it
+//! ([`ClockSettings::max_overtaken_ns`]), and one that differs from its
+//! expected value, start the mapping anew ([`ClockEvent`]). A jump back by less than [`ClockSettings::jump_ns`] is not
+//! seen as one; the mapping follows it within three minutes. Not seen either is a device that restarts within a second
+//! of its start: its data seem overtaken until they reach the newest stamp, and late after that, until they count as a
+//! jump.
 
 mod clock;
 mod counter;
 mod envelope;
 mod settings;
 
-pub use clock::{DeviceClock, Event, Mapped};
+pub use clock::{ClockEvent, DeviceClock, Mapped};
 pub use envelope::{Envelope, Line};
-pub use settings::Settings;
+pub use settings::ClockSettings;

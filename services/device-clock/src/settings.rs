@@ -2,7 +2,7 @@
 
 /// What a device's clock is like.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settings {
+pub struct ClockSettings {
     /// Length of a tick of the stamps [ns].
     pub tick_ns: u64,
     /// Ticks after which the stamps are zero again; `None` if they never are.
@@ -24,7 +24,7 @@ pub struct Settings {
     pub jitter_ns: u64,
 }
 
-impl Settings {
+impl ClockSettings {
     /// A counter of milliseconds with 24 bits: Hokuyo scanners, whose lines keep the order.
     pub fn milliseconds_of_24_bits() -> Self {
         let tick_ns = 1_000_000;

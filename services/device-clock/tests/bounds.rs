@@ -1,6 +1,6 @@
 //! The error bound holds for simulated devices with drift, jitter, gaps, wraps, jumps and restarts.
 
-use device_clock::{DeviceClock, Event, Settings};
+use device_clock::{ClockEvent, ClockSettings, DeviceClock};
 use proptest::prelude::*;
 
 const MS: u64 = 1_000_000;
@@ -45,12 +45,12 @@ impl Device {
             let sent_ns = at_ns + number * 20 * MS;
             let there_ns = sent_ns + (self.uniform() * 2e6) as u64;
             let received_ns = there_ns + (self.uniform() * 2e6) as u64;
-            assert_eq!(clock.round_trip(self.ticks(there_ns), sent_ns, received_ns), Event::Regular);
+            assert_eq!(clock.round_trip(self.ticks(there_ns), sent_ns, received_ns), ClockEvent::Regular);
         }
     }
 
     /// Delivers a scan stamped at `stamped_ns`; arrivals keep their order. Returns the error, its bound and the event.
-    fn deliver(&mut self, clock: &mut DeviceClock, stamped_ns: u64) -> (u64, u64, Event) {
+    fn deliver(&mut self, clock: &mut DeviceClock, stamped_ns: u64) -> (u64, u64, ClockEvent) {
         let jitter = self.jitter;
         let delayed_ns = stamped_ns + self.delay_ns + jitter(self);
         self.arrived_ns = self.arrived_ns.max(delayed_ns);
@@ -74,14 +74,14 @@ fn as_recorded(device: &mut Device) -> u64 {
 
 /// Drives five hours at 10 Hz. With gaps some scans are missing, now and then for minutes.
 fn five_hours(mut device: Device, gaps: bool) -> Result<Vec<u64>, TestCaseError> {
-    let mut clock = DeviceClock::new(Settings::milliseconds_of_24_bits());
+    let mut clock = DeviceClock::new(ClockSettings::milliseconds_of_24_bits());
     device.synchronise(&mut clock, START_NS);
     let mut errors = Vec::new();
     let mut stamped_ns = START_NS + SECOND;
     while stamped_ns < START_NS + 5 * 3600 * SECOND {
         let (error_ns, bound_ns, event) = device.deliver(&mut clock, stamped_ns);
         prop_assert!(error_ns <= bound_ns, "{error_ns} > {bound_ns} at {stamped_ns}");
-        prop_assert_eq!(event, Event::Regular);
+        prop_assert_eq!(event, ClockEvent::Regular);
         errors.push(bound_ns);
         let lost = match device.uniform() {
             // The delay is measured in the first minute.
@@ -126,7 +126,7 @@ proptest! {
         samples in prop::collection::vec((any::<u64>(), any::<u64>(), any::<u64>(), any::<bool>()), 1..60),
         wraps: bool,
     ) {
-        let kind = if wraps { Settings::milliseconds_of_24_bits() } else { Settings::nanoseconds() };
+        let kind = if wraps { ClockSettings::milliseconds_of_24_bits() } else { ClockSettings::nanoseconds() };
         let mut clock = DeviceClock::new(kind);
         for (ticks, sent_ns, arrived_ns, asks) in samples {
             if asks {
@@ -140,13 +140,13 @@ proptest! {
 }
 
 /// Delivers scans for `seconds`, and returns the events that are not regular.
-fn drive(device: &mut Device, clock: &mut DeviceClock, from_ns: u64, seconds: u64) -> Vec<Event> {
+fn drive(device: &mut Device, clock: &mut DeviceClock, from_ns: u64, seconds: u64) -> Vec<ClockEvent> {
     let mut events = Vec::new();
     for number in 0..seconds * 10 {
         let (error_ns, bound_ns, event) = device.deliver(clock, from_ns + number * 100 * MS);
-        let is_used = event != Event::Overtaken;
+        let is_used = event != ClockEvent::Overtaken;
         assert!(!is_used || error_ns <= bound_ns, "{error_ns} > {bound_ns} in scan {number}");
-        if event != Event::Regular {
+        if event != ClockEvent::Regular {
             events.push(event);
         }
     }
@@ -154,15 +154,15 @@ fn drive(device: &mut Device, clock: &mut DeviceClock, from_ns: u64, seconds: u6
 }
 
 fn synchronised() -> (Device, DeviceClock) {
-    synchronised_with(Settings::milliseconds_of_24_bits())
+    synchronised_with(ClockSettings::milliseconds_of_24_bits())
 }
 
 /// The counter of a Hokuyo scanner on a line on which messages overtake each other.
-fn overtaking() -> Settings {
-    Settings { max_overtaken_ns: SECOND, ..Settings::milliseconds_of_24_bits() }
+fn overtaking() -> ClockSettings {
+    ClockSettings { max_overtaken_ns: SECOND, ..ClockSettings::milliseconds_of_24_bits() }
 }
 
-fn synchronised_with(settings: Settings) -> (Device, DeviceClock) {
+fn synchronised_with(settings: ClockSettings) -> (Device, DeviceClock) {
     let mut device = Device::new(5, 40.0, 1_000_000, quiet);
     let mut clock = DeviceClock::new(settings);
     device.synchronise(&mut clock, START_NS);
@@ -183,14 +183,14 @@ fn a_restart_of_the_device_is_seen_at_once() {
     let (mut device, mut clock) = synchronised();
     device.first_ms = 0;
     device.first_ms = (1 << 24) - (device.ticks(START_NS + 91 * SECOND) - 3);
-    assert_eq!(drive(&mut device, &mut clock, START_NS + 91 * SECOND, 60), [Event::Backwards]);
+    assert_eq!(drive(&mut device, &mut clock, START_NS + 91 * SECOND, 60), [ClockEvent::Backwards]);
 }
 
 /// A line on which messages overtake each other: each takes 20 to 60 ms, whatever the others take.
 #[test]
 fn messages_that_overtake_each_other_are_told_and_change_nothing() {
     let mut device = Device::new(7, 40.0, 1_000_000, quiet);
-    let mut clock = DeviceClock::new(Settings { delay_ns: 20 * MS, ..overtaking() });
+    let mut clock = DeviceClock::new(ClockSettings { delay_ns: 20 * MS, ..overtaking() });
     let delayed = |number: u64| START_NS + number * 20 * MS + 20 * MS + (device.uniform() * 40e6) as u64;
     let mut arrivals: Vec<(u64, u64)> = (0..20_000).map(delayed).zip(0..).collect();
     arrivals.sort_unstable();
@@ -198,10 +198,14 @@ fn messages_that_overtake_each_other_are_told_and_change_nothing() {
     for (arrived_ns, number) in arrivals {
         let stamped_ns = START_NS + number * 20 * MS;
         let mapped = clock.arrival(device.ticks(stamped_ns), arrived_ns);
-        assert_eq!(mapped.event == Event::Overtaken, number < newest, "{number} after {newest}: {mapped:?}");
+        assert_eq!(
+            mapped.event == ClockEvent::Overtaken,
+            number < newest,
+            "{number} after {newest}: {mapped:?}"
+        );
         assert!(mapped.time_ns.abs_diff(stamped_ns) <= mapped.error_ns, "{number}: {mapped:?}");
         newest = newest.max(number);
-        overtaken += u64::from(mapped.event == Event::Overtaken);
+        overtaken += u64::from(mapped.event == ClockEvent::Overtaken);
     }
     assert!(overtaken > 2_000, "{overtaken}");
 }
@@ -213,8 +217,8 @@ fn a_clock_that_is_set_back_is_seen_after_a_second() {
     let events = drive(&mut device, &mut clock, START_NS + 91 * SECOND, 60);
     // Nothing newer comes for a second: nine to eleven scans with their jitter.
     let (last, dropped) = events.split_last().expect("an event");
-    assert_eq!(*last, Event::Backwards, "{events:?}");
-    let is_overtaken = dropped.iter().all(|event| *event == Event::Overtaken);
+    assert_eq!(*last, ClockEvent::Backwards, "{events:?}");
+    let is_overtaken = dropped.iter().all(|event| *event == ClockEvent::Overtaken);
     assert!(is_overtaken && (9..=11).contains(&dropped.len()), "{events:?}");
 }
 
@@ -223,7 +227,7 @@ fn a_jump_ahead_is_seen_at_once() {
     let (mut device, mut clock) = synchronised();
     device.first_ms += 5_000;
     let events = drive(&mut device, &mut clock, START_NS + 91 * SECOND, 60);
-    let [Event::Jumped(by_ns)] = events[..] else { panic!("{events:?}") };
+    let [ClockEvent::Jumped(by_ns)] = events[..] else { panic!("{events:?}") };
     assert!((by_ns - 5_000_000_000).abs() < 2 * MS as i64, "{by_ns}");
 }
 
@@ -232,21 +236,21 @@ fn a_small_jump_back_is_seen_after_five_seconds_and_its_bounds_are_wide_until_th
     let (mut device, mut clock) = synchronised();
     device.first_ms -= 60;
     let events = drive(&mut device, &mut clock, START_NS + 91 * SECOND, 60);
-    let [Event::Jumped(by_ns)] = events[..] else { panic!("{events:?}") };
+    let [ClockEvent::Jumped(by_ns)] = events[..] else { panic!("{events:?}") };
     assert!((by_ns + 60_000_000).abs() < 21 * MS as i64, "{by_ns}");
 }
 
 #[test]
 fn without_round_trips_the_delay_is_a_setting() {
     let mut device = Device::new(9, -80.0, 0, quiet);
-    let known = Settings { delay_ns: 71 * MS, ..Settings::milliseconds_of_24_bits() };
+    let known = ClockSettings { delay_ns: 71 * MS, ..ClockSettings::milliseconds_of_24_bits() };
     assert_eq!(drive(&mut device, &mut DeviceClock::new(known), START_NS, 600), []);
 }
 
 #[test]
 fn a_delay_that_differs_from_the_setting_is_found() {
     let mut device = Device::new(9, -80.0, 0, quiet);
-    let wrong = Settings { delay_ns: 50 * MS, ..Settings::milliseconds_of_24_bits() };
+    let wrong = ClockSettings { delay_ns: 50 * MS, ..ClockSettings::milliseconds_of_24_bits() };
     let mut clock = DeviceClock::new(wrong);
     let outside = (0..600).filter(|number| {
         let (error_ns, bound_ns, _) = device.deliver(&mut clock, START_NS + number * 100 * MS);

@@ -7,7 +7,7 @@
 
 use std::io::Write;
 
-use device_clock::{DeviceClock, Event, Settings};
+use device_clock::{ClockEvent, ClockSettings, DeviceClock};
 
 /// Where the recording is expected, from the folder of this crate.
 const FILE: &str = "../../../shared/recordings/urg-rover.dat";
@@ -66,7 +66,7 @@ fn the_bound_holds_over_five_hours_of_recorded_arrivals() {
     let scans = five_hours(&recorded);
     for drift_ppm in [-120.0, -20.0, 0.0, 40.0, 150.0] {
         let ticks = |time_ns: u64| (time_ns as f64 * (1.0 + drift_ppm * 1e-6) * 1e-6) as u64 % (1 << 24);
-        let mut clock = DeviceClock::new(Settings::milliseconds_of_24_bits());
+        let mut clock = DeviceClock::new(ClockSettings::milliseconds_of_24_bits());
         let asked_ns = scans[0].1 - 1_000_000_000;
         for sent_ns in (0..10).map(|number| asked_ns + number * 20_000_000) {
             clock.round_trip(ticks(sent_ns + 700_000), sent_ns, sent_ns + 1_500_000);
@@ -75,7 +75,7 @@ fn the_bound_holds_over_five_hours_of_recorded_arrivals() {
             let mapped = clock.arrival(ticks(*stamped_ns), *arrived_ns);
             let error_ns = mapped.time_ns.abs_diff(*stamped_ns);
             assert!(error_ns <= mapped.error_ns, "{error_ns} > {} at {arrived_ns}", mapped.error_ns);
-            assert_eq!(mapped.event, Event::Regular);
+            assert_eq!(mapped.event, ClockEvent::Regular);
         }
     }
 }

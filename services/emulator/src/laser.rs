@@ -25,7 +25,7 @@ use vehicle::frame::{heading, to_track, wrap_angle};
 pub use crate::scenario::MAX_RANGE_M;
 
 use crate::history::History;
-use crate::noise::{Purpose, Stream};
+use crate::noise::{NoiseStream, Purpose};
 use crate::scenario::{Noise, Scenario, Values};
 use crate::scene::{PlacedObstacle, Scene};
 use faults::{Faults, Scale};
@@ -103,7 +103,7 @@ impl Laser {
     /// Ranges of one sweep past what stands around the robot [mm, or an error code below 20].
     pub fn measure(&mut self, sweep: &Sweep, history: &History, scene: &Scene, ranges_mm: &mut [u16; BEAMS]) {
         self.cast(sweep, history, scene);
-        let mut stream = Stream::new(self.seed, Purpose::Laser, sweep.scan_id);
+        let mut stream = NoiseStream::new(self.seed, Purpose::Laser, sweep.scan_id);
         self.mix_edges(&mut stream);
         let scale = self.faults.scale_at(sweep.front_ns);
         for (reading, range) in ranges_mm.iter_mut().zip(&self.mixed) {
@@ -188,7 +188,7 @@ impl Laser {
     }
 
     /// Copies the true ranges, with mixed ones at edges.
-    fn mix_edges(&mut self, stream: &mut Stream) {
+    fn mix_edges(&mut self, stream: &mut NoiseStream) {
         self.mixed.clear();
         self.mixed.extend_from_slice(&self.ranges);
         if self.noise.mixed_pixels <= 0.0 {
@@ -281,7 +281,7 @@ fn wall_range(beam: &Beam, [low, high]: [f64; 2]) -> f64 {
 }
 
 /// Reading of a range, with what `scale` makes of the measured one [mm].
-fn reading_of(range: f64, noise: &Noise, scale: Scale, stream: &mut Stream) -> u16 {
+fn reading_of(range: f64, noise: &Noise, scale: Scale, stream: &mut NoiseStream) -> u16 {
     if range > MAX_RANGE_M {
         return NO_RETURN;
     }

@@ -41,13 +41,13 @@ pub enum Purpose {
 
 /// A stream of random numbers.
 #[derive(Debug, Clone)]
-pub struct Stream {
+pub struct NoiseStream {
     generator: Pcg64,
     /// Box-Muller makes two numbers at once; this is the second.
     spare: Option<f64>,
 }
 
-impl Stream {
+impl NoiseStream {
     /// The stream of `purpose` for one scan (or any other running number) of a run.
     pub fn new(seed: u64, purpose: Purpose, number: u64) -> Self {
         let state = (u128::from(mix(seed)) << 64) | u128::from(mix(number ^ mix(seed)));
@@ -107,7 +107,7 @@ mod tests {
 
     #[test]
     fn streams_of_two_purposes_or_two_scans_differ_and_equal_ones_agree() {
-        let first = |purpose, number| Stream::new(1, purpose, number).uniform();
+        let first = |purpose, number| NoiseStream::new(1, purpose, number).uniform();
         assert_eq!(first(Purpose::Laser, 7), first(Purpose::Laser, 7));
         assert_ne!(first(Purpose::Laser, 7), first(Purpose::Odometry, 7));
         assert_ne!(first(Purpose::Laser, 7), first(Purpose::Laser, 8));
@@ -117,7 +117,7 @@ mod tests {
     fn normal_numbers_have_mean_zero_and_deviation_one_across_scans() {
         let count = 20_000;
         let samples: Vec<f64> =
-            (0..count).map(|scan| Stream::new(3, Purpose::Odometry, scan).normal()).collect();
+            (0..count).map(|scan| NoiseStream::new(3, Purpose::Odometry, scan).normal()).collect();
         let mean = samples.iter().sum::<f64>() / count as f64;
         let variance = samples.iter().map(|sample| (sample - mean).powi(2)).sum::<f64>() / count as f64;
         // Four standard errors: 1 / sqrt(20000) = 0.0071 for the mean, sqrt(2 / 20000) = 0.01 for the variance.

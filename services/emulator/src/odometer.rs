@@ -18,8 +18,8 @@ use vehicle::State;
 use vehicle::frame::{heading, to_track, wrap_angle};
 
 use crate::history::Node;
-use crate::noise::{Purpose, Stream};
-use crate::scenario::{Drift, Noise, OdometryModel, Robot, Scenario, Values};
+use crate::noise::{NoiseStream, Purpose};
+use crate::scenario::{DriftGrowth, Noise, OdometryModel, Robot, Scenario, Values};
 
 /// Distance between two pulses of the wheel encoders [m].
 const PULSE_M: f64 = 1e-3;
@@ -28,7 +28,7 @@ const PULSE_M: f64 = 1e-3;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reckoning {
     seed: u64,
-    drift: Drift,
+    drift: DriftGrowth,
     values: Values,
     /// ds of (7.38).
     pub(crate) lateral: f64,
@@ -76,7 +76,7 @@ impl Reckoning {
     /// Source note: (7.38) does not say when ds is zero. A correction can only count from the first report; if the error
     /// counted from the start of the robot, one scan period before, the difference would be dds T of the whole distance.
     pub(crate) fn begin(&mut self, elapsed_s: f64) {
-        if self.drift == Drift::Time {
+        if self.drift == DriftGrowth::Time {
             self.lateral = self.values.odometry_lateral_rate * elapsed_s;
         }
     }
@@ -97,7 +97,7 @@ impl Reckoning {
                 self.integrate(start_ns, after.yaw - before.yaw, distance, duration);
             }
         }
-        if distance > 0.0 || self.drift == Drift::Time {
+        if distance > 0.0 || self.drift == DriftGrowth::Time {
             self.lateral += self.values.odometry_lateral_rate * duration;
         }
     }
@@ -106,7 +106,7 @@ impl Reckoning {
     fn integrate(&mut self, start_ns: u64, turn: f64, distance: f64, duration: f64) {
         let Values { odometry_longitudinal, encoder_slip_m, gyro_noise_rad, gyro_bias_walk_radps, .. } =
             self.values;
-        let mut noise = Stream::new(self.seed, Purpose::Encoders, start_ns);
+        let mut noise = NoiseStream::new(self.seed, Purpose::Encoders, start_ns);
         let root_s = duration.sqrt();
         let (yaw, counted_m) = (self.yaw, self.encoder_m());
         self.yaw += turn + self.bias * duration + gyro_noise_rad * root_s * noise.normal();
@@ -157,7 +157,7 @@ impl Odometer {
     /// Fills all but the header with the reported pose at a node and the increments since the sample before, (7.36)
     /// and (7.37); `stamp_ns` is the time stamp of the sample.
     pub fn report(&mut self, scan_id: u64, stamp_ns: u64, node: &Node, odometry: &mut Odometry) {
-        let mut noise = Stream::new(self.seed, Purpose::Odometry, scan_id);
+        let mut noise = NoiseStream::new(self.seed, Purpose::Odometry, scan_id);
         let jump = if node.time_ns >= self.jump_ns { self.jump_rad } else { 0.0 };
         let reported = Reported {
             time_ns: stamp_ns,
@@ -230,7 +230,7 @@ mod tests {
     #[test]
     fn at_standstill_the_lateral_share_grows_only_where_it_grows_with_time() {
         let rest = State::default();
-        for (drift, expected) in [(Drift::Moving, 0.0), (Drift::Time, 0.1)] {
+        for (drift, expected) in [(DriftGrowth::Moving, 0.0), (DriftGrowth::Time, 0.1)] {
             let mut reckoning = reckoning(Robot {
                 odometry_lateral_rate: Some(0.1),
                 odometry_drift: drift,

@@ -12,7 +12,7 @@ use shared_types::{Actuation, ActuationKind, BlockReason, StopReason, Truth, nam
 use self::estimate::Wheels;
 use crate::scenario::Scenario;
 
-pub use self::estimate::Evidence;
+pub use self::estimate::EstimatedScan;
 
 named_enum! {
     /// How a run ended.
@@ -145,7 +145,7 @@ impl Referee {
     }
 
     /// The outcome of a drive without a truth, once there is one; a collision never is.
-    pub fn observe_estimate(&mut self, scan: &Evidence<'_>) -> Option<Outcome> {
+    pub fn observe_estimate(&mut self, scan: &EstimatedScan<'_>) -> Option<Outcome> {
         let is_of_scan = |actuation: &Actuation| actuation.header.scan_id >= scan.header.scan_id;
         // The actuator's own decisions carry the number of the scan before.
         let before = scan.actuations.iter().position(is_of_scan).unwrap_or(scan.actuations.len());
@@ -381,7 +381,7 @@ mod tests {
                 actuation.header.scan_id = self.scan_id - 1;
             }
             actuations.push(answer);
-            self.referee.observe_estimate(&Evidence {
+            self.referee.observe_estimate(&EstimatedScan {
                 header: &header,
                 time_s: acquired_ns as f64 * 1e-9,
                 period_ns: 100_000_000,
@@ -429,7 +429,7 @@ mod tests {
         let header =
             |scan_id: u64| Header { scan_id, acquired_ns: scan_id * 100_000_000, ..Header::default() };
         let ended = (2..100).find(|scan_id| {
-            let silent = Evidence {
+            let silent = EstimatedScan {
                 header: &header(*scan_id),
                 time_s: *scan_id as f64 * 0.1,
                 period_ns: 100_000_000,

@@ -18,10 +18,10 @@ use vehicle::geometry::Rectangle;
 use vehicle::{Invalid, settings};
 
 pub use endless::Endless;
-pub use obstacle::{Obstacle, Shape};
+pub use obstacle::{ScenarioObstacle, Shape};
 pub use places::Start;
 pub use preset::Values;
-pub use robot::{Drift, Noise, OdometryModel, Preset, Robot};
+pub use robot::{DriftGrowth, Noise, OdometryModel, Preset, Robot};
 pub use scanner::{MAX_RANGE_M, Scanner};
 pub use vehicle::{Goal, Surroundings, Track};
 
@@ -50,7 +50,7 @@ settings! {
         pub goal: Goal = Goal::default();
         /// One table for each obstacle.
         #[serde(rename = "obstacle")]
-        pub obstacles: Vec<Obstacle> = Vec::new();
+        pub obstacles: Vec<ScenarioObstacle> = Vec::new();
         /// With this table the seed places boxes along the whole track, in addition to the obstacles above.
         pub endless: Option<Endless> = None;
         /// Body and imperfections of the emulated robot.
@@ -170,7 +170,7 @@ impl Scenario {
     }
 
     /// Obstacles of the file, then those that the seed places.
-    pub fn placed_obstacles(&self) -> Vec<Obstacle> {
+    pub fn placed_obstacles(&self) -> Vec<ScenarioObstacle> {
         let mut obstacles = self.obstacles.clone();
         if let Some(endless) = &self.endless {
             let last_x_m = self.goal.x_m.min(self.track.x_m[1]);
@@ -204,7 +204,7 @@ impl Scenario {
         Ok(())
     }
 
-    fn validate_start_is_free(&self, obstacle: &Obstacle) -> Result<(), Invalid> {
+    fn validate_start_is_free(&self, obstacle: &ScenarioObstacle) -> Result<(), Invalid> {
         let distance =
             obstacle.solid_at(Vector2::new(obstacle.x_m, obstacle.y_m)).distance_to(&self.start_body());
         if obstacle.appears_s <= 0.0 && distance <= 0.0 {

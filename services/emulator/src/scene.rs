@@ -9,7 +9,7 @@ use nalgebra::Vector2;
 use vehicle::frame::heading;
 use vehicle::geometry::Rectangle;
 
-use crate::scenario::{Obstacle, Scenario};
+use crate::scenario::{Scenario, ScenarioObstacle};
 
 pub use crate::solid::Solid;
 
@@ -22,7 +22,7 @@ const NEARBY_M: f64 = 10.0;
 /// An obstacle at its place on the track.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlacedObstacle {
-    obstacle: Obstacle,
+    obstacle: ScenarioObstacle,
     reach: f64,
     /// Body at the place where it appears.
     solid: Solid,
@@ -124,7 +124,7 @@ impl Scene {
 }
 
 impl PlacedObstacle {
-    fn new(obstacle: Obstacle) -> Self {
+    fn new(obstacle: ScenarioObstacle) -> Self {
         Self {
             obstacle,
             reach: obstacle.reach(),
@@ -139,7 +139,7 @@ impl PlacedObstacle {
     }
 
     /// Its description in the scenario.
-    pub fn obstacle(&self) -> &Obstacle {
+    pub fn obstacle(&self) -> &ScenarioObstacle {
         &self.obstacle
     }
 

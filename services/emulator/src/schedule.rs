@@ -11,7 +11,7 @@
 //! uniform up to a quarter of the largest, one of ten up to all of it. Only the last few scans can delay one, so the
 //! time of each scan follows from the seed alone.
 
-use crate::noise::{Purpose, Stream};
+use crate::noise::{NoiseStream, Purpose};
 use crate::scenario::{Scanner, Scenario};
 
 /// The largest error of a stamp, in standard deviations.
@@ -76,7 +76,7 @@ impl Schedule {
         if !self.scanner.acts_at(scan_id.saturating_mul(self.period_ns)) {
             return 0;
         }
-        let mut stream = Stream::new(self.seed, Purpose::Period, scan_id);
+        let mut stream = NoiseStream::new(self.seed, Purpose::Period, scan_id);
         let share = if stream.chance(LONG_DELAYS) { 1.0 } else { SHORT_DELAY };
         (self.max_delay_ns as f64 * share * stream.uniform()) as u64
     }
@@ -106,7 +106,7 @@ impl Schedule {
         if jitter_ns <= 0.0 {
             return acquired_ns;
         }
-        let normal = Stream::new(self.seed, Purpose::Stamp, scan_id).normal();
+        let normal = NoiseStream::new(self.seed, Purpose::Stamp, scan_id).normal();
         let before_ns = acquired_ns - self.acquired_ns(scan_id.saturating_sub(1));
         let nearest_ns = before_ns.min(self.acquired_ns(scan_id.saturating_add(1)) - acquired_ns);
         let largest = (STAMP_ERROR_SIGMA * jitter_ns).min(nearest_ns as f64 / 4.0);
@@ -118,7 +118,7 @@ impl Schedule {
     pub fn is_missing(&self, scan_id: u64) -> bool {
         let missing_every = self.missing_every_of(scan_id);
         missing_every > 0
-            && Stream::new(self.seed, Purpose::Missing, scan_id).chance(1.0 / missing_every as f64)
+            && NoiseStream::new(self.seed, Purpose::Missing, scan_id).chance(1.0 / missing_every as f64)
     }
 
     /// Standard deviation of a stamp's error: the larger one of robot and scanner [ns].

@@ -3,15 +3,15 @@
 use serde::{Deserialize, Serialize};
 use vehicle::{Description, Invalid, Setting, settings};
 
-use crate::correction::{Drift, Mode};
-use crate::dead_reckoning::Sources;
+use crate::correction::{CorrectionMode, Drift};
+use crate::dead_reckoning::DriftSources;
 use crate::motion::{Lag, MotionModel};
 use crate::observability::{Measured, require_observable};
 
 /// A set of values for noise and correction that go together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Profile {
+pub enum NoiseProfile {
     /// Noise in metres and radians, so that the gate and the consistency of the filter mean something.
     #[default]
     Scaled,
@@ -23,10 +23,10 @@ pub enum Profile {
 
 settings! {
     /// Settings of the estimator; the profile sets what the file does not.
-    pub struct Config {
+    pub struct EstimatorConfig {
         /// Set of default values for noise and correction: `scaled` is in metres and radians, `source` has the values
         /// that the source prints, of which only the ratios matter.
-        pub profile: Profile = Profile::Scaled;
+        pub profile: NoiseProfile = NoiseProfile::Scaled;
         /// Measured components of the pose.
         pub measure: Vec<Measured> = vec![Measured::Yaw, Measured::X, Measured::Y],
             "each once; they must determine the state, (7.1)-(7.2), as `[\"x\", \"y\"]` does";
@@ -36,7 +36,7 @@ settings! {
         pub measurement_noise: Option<[f64; 3]> = None, 1e-12..=1e6;
         /// Correction of the odometry, (7.36)-(7.40): none, a lateral error that grows with time or while the robot moves,
         /// or an error that turns the travelled path.
-        pub correction: Option<Mode> = None;
+        pub correction: Option<CorrectionMode> = None;
         /// Odometry scale error: fraction of the travelled distance that is not reported, df.
         pub odometry_longitudinal: Option<f64> = None, -0.5..=0.5;
         /// Growth of the lateral odometry error, dds [1/s].
@@ -64,13 +64,13 @@ settings! {
     }
 }
 
-impl Setting for Profile {}
-impl Setting for Mode {}
+impl Setting for NoiseProfile {}
+impl Setting for CorrectionMode {}
 impl Setting for Measured {}
 
 /// All settings with the profile's values filled in, checked.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settings {
+pub struct FilterSettings {
     /// Whether the yaw is measured; x and y always are, because nothing else determines the state.
     pub yaw_is_measured: bool,
     /// Variances Q per 100 ms.
@@ -82,7 +82,7 @@ pub struct Settings {
     /// Correction of measured data.
     pub drift: Drift,
     /// What makes the odometry drift without being noticed.
-    pub dead_reckoning: Sources,
+    pub dead_reckoning: DriftSources,
     /// Whether measurements that do not fit are refused.
     pub gate: bool,
     /// Whether a wrong calibration is noticed.
@@ -106,27 +106,31 @@ const SOURCE_NOISE: ([f64; 3], [f64; 3]) = ([0.1, 0.1, 100.0], [1.0, 1.0, 10.0])
 /// leaves 30 % of the noise, and follows a bend of the way that the model does not know within half a second.
 pub(crate) const SCALED_NOISE: ([f64; 3], [f64; 3]) = ([4e-6, 1.6e-5, 4e-6], [1e-4, 4e-4, 4e-4]);
 
-impl Config {
+impl EstimatorConfig {
     /// The settings with the values of the profile filled in.
     ///
     /// # Errors
     /// [`Invalid`] with the key, the value and what is allowed; for `measure` also the rank, (7.1)-(7.2).
-    pub fn settings(&self) -> Result<Settings, Invalid> {
-        let source = self.profile == Profile::Source;
+    pub fn settings(&self) -> Result<FilterSettings, Invalid> {
+        let source = self.profile == NoiseProfile::Source;
         let (process_noise, measurement_noise) = if source { SOURCE_NOISE } else { SCALED_NOISE };
         let drift = Drift {
-            mode: self.correction.unwrap_or(if source { Mode::Time } else { Mode::Moving }),
+            mode: self.correction.unwrap_or(if source {
+                CorrectionMode::Time
+            } else {
+                CorrectionMode::Moving
+            }),
             longitudinal: self.odometry_longitudinal.unwrap_or(0.01),
             lateral_rate: self.odometry_lateral_rate.unwrap_or(if source { 0.053 } else { 0.0 }),
             reset_s: self.drift_reset_s,
         };
-        let settings = Settings {
+        let settings = FilterSettings {
             yaw_is_measured: self.measure.contains(&Measured::Yaw),
             process_noise: self.process_noise.unwrap_or(process_noise),
             noise_turns: !source,
             measurement_noise: self.measurement_noise.unwrap_or(measurement_noise),
             drift,
-            dead_reckoning: if source { Sources::default() } else { self.dead_reckoning() },
+            dead_reckoning: if source { DriftSources::default() } else { self.dead_reckoning() },
             gate: self.gate.unwrap_or(!source),
             self_check: self.self_check,
             recover_after: u64::from(self.recover_after),
@@ -149,9 +153,9 @@ impl Config {
         Ok(settings)
     }
 
-    fn dead_reckoning(&self) -> Sources {
+    fn dead_reckoning(&self) -> DriftSources {
         let vehicle = &self.vehicle;
-        Sources {
+        DriftSources {
             slip_m: self.drift_scale * vehicle.encoder_slip_m,
             yaw_rad: self.drift_scale * vehicle.gyro_noise_rad,
             bias_radps: self.drift_scale * vehicle.gyro_bias_walk_radps,
@@ -184,7 +188,7 @@ impl Config {
     /// # Errors
     /// [`Invalid`] as [`Self::settings`].
     pub fn complete(&self) -> Result<Self, Invalid> {
-        let Settings { process_noise, measurement_noise, drift, gate, .. } = self.settings()?;
+        let FilterSettings { process_noise, measurement_noise, drift, gate, .. } = self.settings()?;
         Ok(Self {
             process_noise: Some(process_noise),
             measurement_noise: Some(measurement_noise),
@@ -215,42 +219,50 @@ mod tests {
 
     #[test]
     fn profiles_fill_what_is_not_set() {
-        let scaled = Config::default().settings().unwrap();
+        let scaled = EstimatorConfig::default().settings().unwrap();
         assert!(scaled.gate && scaled.drift.lateral_rate == 0.0 && scaled.drift.longitudinal == 0.01);
-        let source = Config { profile: Profile::Source, ..Config::default() }.settings().unwrap();
-        assert!(!source.gate && source.drift.lateral_rate == 0.053 && source.drift.mode == Mode::Time);
+        let source = EstimatorConfig { profile: NoiseProfile::Source, ..EstimatorConfig::default() }
+            .settings()
+            .unwrap();
+        assert!(
+            !source.gate && source.drift.lateral_rate == 0.053 && source.drift.mode == CorrectionMode::Time
+        );
         assert_eq!(source.process_noise, [0.1, 0.1, 100.0]);
-        let mixed = Config { odometry_lateral_rate: Some(-0.02), ..Config::default() };
+        let mixed = EstimatorConfig { odometry_lateral_rate: Some(-0.02), ..EstimatorConfig::default() };
         assert_eq!(mixed.settings().unwrap().drift.lateral_rate, -0.02);
     }
 
     #[test]
     fn settings_outside_their_ranges_are_refused_by_name() {
-        let key = |config: Config| config.validate().unwrap_err().key;
-        assert_eq!(key(Config { measure: vec![Measured::Yaw], ..Config::default() }), "measure");
+        let key = |config: EstimatorConfig| config.validate().unwrap_err().key;
         assert_eq!(
-            key(Config { process_noise: Some([1e-6, 0.0, 1e-6]), ..Config::default() }),
+            key(EstimatorConfig { measure: vec![Measured::Yaw], ..EstimatorConfig::default() }),
+            "measure"
+        );
+        assert_eq!(
+            key(EstimatorConfig { process_noise: Some([1e-6, 0.0, 1e-6]), ..EstimatorConfig::default() }),
             "process_noise"
         );
         assert_eq!(
-            key(Config { measurement_noise: Some([f64::NAN; 3]), ..Config::default() }),
+            key(EstimatorConfig { measurement_noise: Some([f64::NAN; 3]), ..EstimatorConfig::default() }),
             "measurement_noise"
         );
         let vehicle = Description { command_delay_s: f64::NAN, ..Description::default() };
-        assert_eq!(key(Config { vehicle, ..Config::default() }), "vehicle.command_delay_s");
-        assert_eq!(key(Config { speed_weight: 1.1, ..Config::default() }), "speed_weight");
-        let gated = Config { profile: Profile::Source, gate: Some(true), ..Config::default() };
+        assert_eq!(key(EstimatorConfig { vehicle, ..EstimatorConfig::default() }), "vehicle.command_delay_s");
+        assert_eq!(key(EstimatorConfig { speed_weight: 1.1, ..EstimatorConfig::default() }), "speed_weight");
+        let gated =
+            EstimatorConfig { profile: NoiseProfile::Source, gate: Some(true), ..EstimatorConfig::default() };
         assert_eq!(key(gated), "gate");
     }
 
     #[test]
     fn settings_are_read_from_their_file() {
-        let read = |text: &str| toml::from_str::<Config>(text);
-        assert_eq!(read(""), Ok(Config::default()));
+        let read = |text: &str| toml::from_str::<EstimatorConfig>(text);
+        assert_eq!(read(""), Ok(EstimatorConfig::default()));
         let text = "profile = \"source\"\nmeasure = [\"x\", \"y\"]\ncorrection = \"yaw\"\n\
             measurement_noise = [1e-4, 1e-4, 1e-4]";
         let config = read(text).unwrap();
-        assert_eq!((config.profile, config.correction), (Profile::Source, Some(Mode::Yaw)));
+        assert_eq!((config.profile, config.correction), (NoiseProfile::Source, Some(CorrectionMode::Yaw)));
         assert!(!config.settings().unwrap().yaw_is_measured);
         assert_eq!(toml::from_str(&toml::to_string(&config).unwrap()), Ok(config));
         assert!(read("measure = [\"speed\"]").is_err() && read("noise = 1").is_err());

@@ -12,8 +12,8 @@
 //! stays white. Speeds are those measured at the wheels.
 //!
 //! Where it fails: the printed drift grows with time, also at standstill and without limit, and fits a constant
-//! steering offset for about 6 s only. [`Mode::Moving`] does not grow at standstill; [`Mode::Yaw`] turns the
-//! increments instead of shifting them, which is the true effect of a steering offset.
+//! steering offset for about 6 s only. [`CorrectionMode::Moving`] does not grow at standstill; [`CorrectionMode::Yaw`]
+//! turns the increments instead of shifting them, which is the true effect of a steering offset.
 
 use serde::{Deserialize, Serialize};
 use shared_types::plain_state;
@@ -22,7 +22,7 @@ use vehicle::frame::{to_track, wrap_angle};
 /// How measured data are corrected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Mode {
+pub enum CorrectionMode {
     /// Measured data are used as reported.
     Off,
     /// As printed: the lateral drift grows with time.
@@ -37,7 +37,7 @@ pub enum Mode {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Drift {
     /// How the drift acts.
-    pub mode: Mode,
+    pub mode: CorrectionMode,
     /// Share of the distance that odometry does not report, df.
     pub longitudinal: f64,
     /// Growth of the lateral drift, dds [1/s]; in mode `yaw`, turn per time at 1 m/s [rad/s]. Positive to the left.
@@ -128,15 +128,15 @@ impl CorrectionState {
         };
 
         match drift.mode {
-            Mode::Off => {}
-            Mode::Time | Mode::Moving => {
-                let grows = drift.mode == Mode::Time || distance > STANDSTILL_MPS * dt;
+            CorrectionMode::Off => {}
+            CorrectionMode::Time | CorrectionMode::Moving => {
+                let grows = drift.mode == CorrectionMode::Time || distance > STANDSTILL_MPS * dt;
                 let growth = if grows { self.grow(drift, dt) } else { 0.0 };
                 let missed = to_track(middle_yaw, drift.longitudinal, self.lateral - growth / 2.0) * distance;
                 self.x_m += missed.x;
                 self.y_m += missed.y;
             }
-            Mode::Yaw => {
+            CorrectionMode::Yaw => {
                 let growth = drift.lateral_rate * distance;
                 let rotation = self.yaw_rad + growth / 2.0;
                 self.yaw_rad += growth;
@@ -179,7 +179,7 @@ impl CorrectionState {
 mod tests {
     use super::*;
 
-    fn drift(mode: Mode, longitudinal: f64, lateral_rate: f64) -> Drift {
+    fn drift(mode: CorrectionMode, longitudinal: f64, lateral_rate: f64) -> Drift {
         Drift { mode, longitudinal, lateral_rate, reset_s: 0.0 }
     }
 
@@ -200,23 +200,23 @@ mod tests {
     #[test]
     fn a_missed_share_of_the_way_is_added_along_the_heading() {
         // 9.9 m reported, 10 m driven at 1 m/s, to the left.
-        let end = straight(&drift(Mode::Time, 0.01, 0.0), std::f64::consts::FRAC_PI_2, 0.99, 10);
+        let end = straight(&drift(CorrectionMode::Time, 0.01, 0.0), std::f64::consts::FRAC_PI_2, 0.99, 10);
         assert!(end.x.abs() < 1e-12 && (end.y - 10.0).abs() < 1e-12);
     }
 
     #[test]
     fn the_lateral_drift_is_the_integral_of_its_growth() {
         // 0.053 / 2 * 5^2 = 0.6625 m to the left of the heading.
-        let end = straight(&drift(Mode::Time, 0.0, 0.053), 0.0, 1.0, 5);
+        let end = straight(&drift(CorrectionMode::Time, 0.0, 0.053), 0.0, 1.0, 5);
         assert!((end.x - 5.0).abs() < 1e-12 && (end.y - 0.6625).abs() < 1e-12, "{end:?}");
-        let other_way = straight(&drift(Mode::Time, 0.0, -0.053), 0.0, 1.0, 5);
+        let other_way = straight(&drift(CorrectionMode::Time, 0.0, -0.053), 0.0, 1.0, 5);
         assert!((other_way.y + 0.6625).abs() < 1e-12);
     }
 
     #[test]
     fn the_turning_drift_drives_a_circle() {
         // 0.053 rad/m over 6 m: radius 18.87 m, angle 0.318 rad.
-        let end = straight(&drift(Mode::Yaw, 0.0, 0.053), 0.0, 1.0, 6);
+        let end = straight(&drift(CorrectionMode::Yaw, 0.0, 0.053), 0.0, 1.0, 6);
         let (radius, angle) = (1.0 / 0.053, 0.053 * 6.0_f64);
         assert!((end.yaw - angle).abs() < 1e-12);
         // Chords of 0.1 m instead of the arc: shorter by (0.0053)^2 / 24 of 6 m.
@@ -228,7 +228,7 @@ mod tests {
 
     #[test]
     fn at_standstill_the_printed_drift_grows_and_the_moving_one_does_not() {
-        for (mode, expected) in [(Mode::Time, 0.53), (Mode::Moving, 0.0)] {
+        for (mode, expected) in [(CorrectionMode::Time, 0.53), (CorrectionMode::Moving, 0.0)] {
             let mut state = CorrectionState::begin(Planar::default(), 0.0);
             for _ in 0..100 {
                 assert_eq!(
@@ -242,7 +242,7 @@ mod tests {
 
     #[test]
     fn the_drift_begins_anew_after_its_reset() {
-        let drift = Drift { reset_s: 2.0, ..drift(Mode::Time, 0.0, 0.1) };
+        let drift = Drift { reset_s: 2.0, ..drift(CorrectionMode::Time, 0.0, 0.1) };
         // Two seconds each: 0.1 / 2 * 2^2 = 0.2 m, three times.
         assert!((straight(&drift, 0.0, 1.0, 6).y - 0.6).abs() < 0.02);
     }
@@ -250,7 +250,7 @@ mod tests {
     #[test]
     fn white_noise_of_the_report_stays_white() {
         let mut state = CorrectionState::begin(Planar::default(), 1.0);
-        let correction = drift(Mode::Time, 0.01, 0.0);
+        let correction = drift(CorrectionMode::Time, 0.01, 0.0);
         for step in 1..=200 {
             let (exact, noise) = (0.099 * f64::from(step), if step % 2 == 0 { 0.05 } else { -0.05 });
             let corrected =
@@ -262,7 +262,7 @@ mod tests {
 
     #[test]
     fn off_passes_the_report_on() {
-        let end = straight(&drift(Mode::Off, 0.01, 0.053), 0.0, 0.99, 5);
+        let end = straight(&drift(CorrectionMode::Off, 0.01, 0.053), 0.0, 0.99, 5);
         assert!((end.x - 4.95).abs() < 1e-12 && end.y == 0.0);
     }
 }

@@ -12,7 +12,7 @@ use shared_types::plain_state;
 
 /// What makes dead reckoning drift.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Sources {
+pub struct DriftSources {
     /// Standard deviation of the measured distance after one metre [m].
     pub slip_m: f64,
     /// Standard deviation of the integrated yaw after one second [rad].
@@ -31,7 +31,7 @@ plain_state! {
 
 /// A step of the way.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Step {
+pub struct OdometryStep {
     /// Duration [s].
     pub seconds: f64,
     /// Distance driven [m].
@@ -48,8 +48,8 @@ pub struct Step {
 
 impl DeadReckoning {
     /// Adds the errors of one step.
-    pub fn grow(&mut self, sources: &Sources, step: &Step) {
-        let Step { seconds, distance_m, slid_m, dx_m, dy_m, yaw_rad } = *step;
+    pub fn grow(&mut self, sources: &DriftSources, step: &OdometryStep) {
+        let OdometryStep { seconds, distance_m, slid_m, dx_m, dy_m, yaw_rad } = *step;
         let mut transition = Matrix4::identity();
         (transition[(1, 0)], transition[(2, 0)]) = (-dy_m, dx_m);
         // The bias turns the way of this step by half of what it turns the robot.
@@ -82,27 +82,30 @@ impl DeadReckoning {
 mod tests {
     use super::*;
 
-    const SOURCES: Sources = Sources { slip_m: 5e-3, yaw_rad: 2e-4, bias_radps: 2e-5 };
+    const SOURCES: DriftSources = DriftSources { slip_m: 5e-3, yaw_rad: 2e-4, bias_radps: 2e-5 };
 
     /// Drives straight along `yaw_rad` at 1 m/s.
-    fn straight(sources: Sources, yaw_rad: f64, seconds: u32) -> DeadReckoning {
+    fn straight(sources: DriftSources, yaw_rad: f64, seconds: u32) -> DeadReckoning {
         let mut state = DeadReckoning::default();
         let (dy_m, dx_m) = (0.1 * yaw_rad.sin(), 0.1 * yaw_rad.cos());
         for _ in 0..10 * seconds {
-            state.grow(&sources, &Step { seconds: 0.1, distance_m: 0.1, slid_m: 0.0, dx_m, dy_m, yaw_rad });
+            state.grow(
+                &sources,
+                &OdometryStep { seconds: 0.1, distance_m: 0.1, slid_m: 0.0, dx_m, dy_m, yaw_rad },
+            );
         }
         state
     }
 
     #[test]
     fn slip_grows_with_the_root_of_the_distance_along_the_way() {
-        let pose = straight(Sources { slip_m: 5e-3, ..Sources::default() }, 0.0, 20).of_pose();
+        let pose = straight(DriftSources { slip_m: 5e-3, ..DriftSources::default() }, 0.0, 20).of_pose();
         assert!((pose[(1, 1)] - 25e-6 * 20.0).abs() < 1e-12 && pose[(2, 2)] == 0.0 && pose[(0, 0)] == 0.0);
     }
 
     #[test]
     fn white_noise_of_the_gyro_is_integrated_once_in_yaw_and_twice_across_the_way() {
-        let pose = straight(Sources { yaw_rad: 2e-4, ..Sources::default() }, 0.0, 20).of_pose();
+        let pose = straight(DriftSources { yaw_rad: 2e-4, ..DriftSources::default() }, 0.0, 20).of_pose();
         // s^2 T, s^2 T^3 / 3 and s^2 T^2 / 2 for a speed of 1 m/s.
         assert!((pose[(0, 0)] - 4e-8 * 20.0).abs() < 1e-15);
         assert!(
@@ -114,7 +117,7 @@ mod tests {
 
     #[test]
     fn the_walk_of_the_bias_is_integrated_twice_in_yaw_and_three_times_across_the_way() {
-        let pose = straight(Sources { bias_radps: 2e-5, ..Sources::default() }, 0.0, 20).of_pose();
+        let pose = straight(DriftSources { bias_radps: 2e-5, ..DriftSources::default() }, 0.0, 20).of_pose();
         // b^2 T^3 / 3 and b^2 T^5 / 20; the bias of a step acts from the next step on: 3 dt / 2 T and 5 dt / 2 T less.
         assert!((pose[(0, 0)] / (4e-10 * 8000.0 / 3.0) - 1.0).abs() < 0.01);
         assert!((pose[(2, 2)] / (4e-10 * 3.2e6 / 20.0) - 1.0).abs() < 0.015);
@@ -134,7 +137,7 @@ mod tests {
         let mut state = DeadReckoning::default();
         state.grow(
             &SOURCES,
-            &Step { seconds: 10.0, distance_m: 0.0, slid_m: 0.0, dx_m: 0.0, dy_m: 0.0, yaw_rad: 0.3 },
+            &OdometryStep { seconds: 10.0, distance_m: 0.0, slid_m: 0.0, dx_m: 0.0, dy_m: 0.0, yaw_rad: 0.3 },
         );
         let pose = state.of_pose();
         assert!(pose[(0, 0)] > 0.0 && pose[(1, 1)] == 0.0 && pose[(2, 2)] == 0.0);

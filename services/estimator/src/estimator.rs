@@ -27,12 +27,12 @@ use vehicle::frame::wrap_angle;
 
 use crate::config::SCALED_NOISE;
 use crate::correction::{CorrectionState, Planar};
-use crate::dead_reckoning::Step;
+use crate::dead_reckoning::OdometryStep;
 use crate::ekf::{Ekf, Innovation, NotPositive};
 use crate::motion::{MotionState, Moved, plausible_speed};
 use crate::observability::motion_jacobian;
 use crate::self_check::Evidence;
-use crate::{Config, EstimatorState, Settings};
+use crate::{EstimatorConfig, EstimatorState, FilterSettings};
 
 /// Positions beyond this are no measurement [m]: the longest track has 10 km.
 const FARTHEST_M: f64 = 1e6;
@@ -71,7 +71,7 @@ const MIN_MISFIT: f64 = 0.2;
 /// Estimates pose and motion from odometry and actuations.
 #[derive(Debug, Clone)]
 pub struct Estimator {
-    settings: Settings,
+    settings: FilterSettings,
     state: EstimatorState,
 }
 
@@ -88,7 +88,7 @@ impl Estimator {
     ///
     /// # Errors
     /// [`Invalid`] when a setting is outside its range or the measured states do not determine the state.
-    pub fn new(config: &Config) -> Result<Self, Invalid> {
+    pub fn new(config: &EstimatorConfig) -> Result<Self, Invalid> {
         Ok(Self { settings: config.settings()?, state: EstimatorState::default() })
     }
 
@@ -288,7 +288,7 @@ impl Estimator {
         let (dx_m, dy_m, to_mps) = (to_x - x, to_y - y, self.state.motion.speed_mps);
         let lost = (from_mps * from_mps - to_mps * to_mps).max(0.0);
         let slid_m = UNIFORM * lost / (2.0 * self.settings.motion.blocked_deceleration_mps2);
-        let step = Step {
+        let step = OdometryStep {
             seconds,
             distance_m: if is_cut { dx_m.hypot(dy_m) } else { f64::midpoint(from_mps, to_mps) * seconds },
             slid_m: if is_cut && self.settings.noise_turns { slid_m } else { 0.0 },

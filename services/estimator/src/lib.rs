@@ -15,7 +15,7 @@ pub mod self_check;
 pub mod service;
 mod state;
 
-pub use config::{Config, Profile, Settings};
+pub use config::{EstimatorConfig, FilterSettings, NoiseProfile};
 pub use estimator::Estimator;
 pub use observability::Measured;
 pub use state::EstimatorState;

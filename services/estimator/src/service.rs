@@ -3,7 +3,7 @@
 use runtime::{Handover, Process};
 use shared_types::{Actuation, Odometry, Pose, Role};
 
-use crate::{Config, Estimator};
+use crate::{Estimator, EstimatorConfig};
 
 /// Runs until asked to end.
 ///
@@ -11,7 +11,7 @@ use crate::{Config, Estimator};
 /// Settings that are not allowed, and errors of the bus.
 pub fn run() -> anyhow::Result<()> {
     let mut process = Process::attach(Role::Estimator)?;
-    let mut estimator = Estimator::new(&process.settings::<Config>("estimator")?)?;
+    let mut estimator = Estimator::new(&process.settings::<EstimatorConfig>("estimator")?)?;
     let odometry = process.input::<Odometry>()?;
     let actuation = process.input::<Actuation>()?;
     let poses = process.output::<Pose>()?;

@@ -5,7 +5,7 @@
 
 use actuation::Actuator;
 use emulator::{Emulator, Scenario};
-use estimator::{Config, Estimator, Profile};
+use estimator::{Estimator, EstimatorConfig, NoiseProfile};
 use shared_types::{
     Actuation, ActuationKind, Command, CommandKind, Header, Level, Odometry, Pose, Role, Scan, SolveStatus,
     Truth,
@@ -34,10 +34,10 @@ struct Errors {
     rejected: u64,
 }
 
-fn drive(scenario: &Scenario, config: &Config, period_ns: u64) -> Errors {
+fn drive(scenario: &Scenario, config: &EstimatorConfig, period_ns: u64) -> Errors {
     let mut robot = Emulator::new(scenario, period_ns);
     let mut estimator = Estimator::new(config).unwrap();
-    let mut actuator = Actuator::new(actuation::Config::default(), period_ns).unwrap();
+    let mut actuator = Actuator::new(actuation::ActuatorConfig::default(), period_ns).unwrap();
     let (mut scan, mut truth) = (Scan::default(), Truth::default());
     let mut errors = Errors::default();
     let period_s = period_ns as f64 * 1e-9;
@@ -87,8 +87,8 @@ fn compare(pose: &Pose, truth: &Truth, errors: &mut Errors) {
 }
 
 /// The default settings for a robot that follows at once.
-fn at_once() -> Config {
-    Config { vehicle: Description::default().without_lag(), ..Config::default() }
+fn at_once() -> EstimatorConfig {
+    EstimatorConfig { vehicle: Description::default().without_lag(), ..EstimatorConfig::default() }
 }
 
 fn open_track() -> Scenario {
@@ -127,18 +127,18 @@ fn noise_of_the_odometry_is_reduced_to_a_centimetre_or_two() {
 
 #[test]
 fn robots_that_drift_are_followed_by_the_correction_of_their_kind() {
-    use emulator::scenario::Drift;
-    use estimator::correction::Mode;
+    use emulator::scenario::DriftGrowth;
+    use estimator::correction::CorrectionMode;
     for (drift, mode, limit_m) in [
         // The robot's drift is one scan period older than the first odometry: 0.0053 of a way of 9 m.
-        (Drift::Time, Mode::Time, 0.06),
+        (DriftGrowth::Time, CorrectionMode::Time, 0.06),
         // The robot starts and stops within an interval, which counts as moved throughout: 0.0018 of the way.
-        (Drift::Moving, Mode::Moving, 0.03),
+        (DriftGrowth::Moving, CorrectionMode::Moving, 0.03),
     ] {
         let mut scenario = open_track();
         scenario.robot.odometry_lateral_rate = Some(0.053);
         scenario.robot.odometry_drift = drift;
-        let config = Config { profile: Profile::Source, correction: Some(mode), ..at_once() };
+        let config = EstimatorConfig { profile: NoiseProfile::Source, correction: Some(mode), ..at_once() };
         let errors = drive(&scenario, &config, 100_000_000);
         assert!(errors.position_m < limit_m, "{mode:?}: {errors:?}");
     }
@@ -153,7 +153,7 @@ fn a_robot_without_calibration_is_followed_by_its_measured_speed() {
 }
 
 /// All numbers of a drive under settings without lag, as one number.
-fn fingerprint(config: &Config) -> u64 {
+fn fingerprint(config: &EstimatorConfig) -> u64 {
     let mut estimator = Estimator::new(config).unwrap();
     let mut hash = 0xcbf2_9ce4_8422_2325_u64;
     for scan in 1..=120_u64 {

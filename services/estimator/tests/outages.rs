@@ -5,7 +5,7 @@
 
 use actuation::Actuator;
 use emulator::{Emulator, Scenario};
-use estimator::{Config, Estimator};
+use estimator::{Estimator, EstimatorConfig};
 use shared_types::{
     Actuation, Alarm, Command, CommandKind, Header, Level, Odometry, Pose, Role, Scan, SolveStatus, Truth,
 };
@@ -47,8 +47,8 @@ impl Loop {
         Self {
             outage,
             robot: Emulator::new(&scenario, T_NS),
-            estimator: Estimator::new(&Config::default()).unwrap(),
-            actuator: Actuator::new(actuation::Config::default(), T_NS).unwrap(),
+            estimator: Estimator::new(&EstimatorConfig::default()).unwrap(),
+            actuator: Actuator::new(actuation::ActuatorConfig::default(), T_NS).unwrap(),
             sequence: 0,
             sent: Actuation::default(),
             error_m: 0.0,

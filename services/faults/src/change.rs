@@ -4,7 +4,7 @@ use std::mem::size_of;
 
 use shared_types::{Field, Header, Kind, SampleType};
 
-use crate::sample_fault::{Action, SampleFault};
+use crate::sample_fault::{SampleAction, SampleFault};
 
 /// Copies of a sample that a flood adds.
 const FLOOD: u64 = 99;
@@ -44,7 +44,7 @@ struct Number {
 /// Applies a [`SampleFault`] to the samples of its topic, one after the other.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Change {
-    action: Action,
+    action: SampleAction,
     value: f64,
     delay_ns: u64,
     numbers: Vec<Number>,
@@ -72,9 +72,9 @@ impl Change {
         Ok(Self { action, value, delay_ns, numbers, of: of.name, last: Vec::new(), holds: false })
     }
 
-    /// Keeps a sample from before the fault; [`Action::Freeze`] and [`Action::Stale`] repeat it.
+    /// Keeps a sample from before the fault; [`SampleAction::Freeze`] and [`SampleAction::Stale`] repeat it.
     pub fn keep(&mut self, bytes: &[u8]) {
-        if matches!(self.action, Action::Freeze | Action::Stale) {
+        if matches!(self.action, SampleAction::Freeze | SampleAction::Stale) {
             self.last.clear();
             self.last.extend_from_slice(bytes);
         }
@@ -82,12 +82,12 @@ impl Change {
 
     /// How much later samples arrive, if that is all that happens to them [ns].
     pub fn delay_ns(&self) -> Option<u64> {
-        (self.action == Action::Delay).then_some(self.delay_ns)
+        (self.action == SampleAction::Delay).then_some(self.delay_ns)
     }
 
     /// Whether it repeats a good sample and has none yet.
     pub fn needs_sample(&self) -> bool {
-        matches!(self.action, Action::Freeze | Action::Stale) && self.last.is_empty()
+        matches!(self.action, SampleAction::Freeze | SampleAction::Stale) && self.last.is_empty()
     }
 
     /// Changes a complete sample of type `of` in place, and returns what arrives instead of it.
@@ -96,29 +96,33 @@ impl Change {
     pub fn apply(&mut self, of: &SampleType, bytes: &mut [u8]) -> Changed {
         debug_assert_eq!(of.name, self.of, "the topic of the fault");
         match self.action {
-            Action::Drop => return Changed::Nothing,
-            Action::Delay => return Changed::Once(self.delay_ns),
-            Action::Duplicate => return Changed::Twice,
-            Action::Flood => return Changed::Flood(FLOOD),
-            Action::Reorder => {
+            SampleAction::Drop => return Changed::Nothing,
+            SampleAction::Delay => return Changed::Once(self.delay_ns),
+            SampleAction::Duplicate => return Changed::Twice,
+            SampleAction::Flood => return Changed::Flood(FLOOD),
+            SampleAction::Reorder => {
                 self.holds = !self.holds;
                 return if self.holds { Changed::AfterNext } else { Changed::Once(0) };
             }
-            Action::Freeze | Action::Stale if self.last.len() != bytes.len() => return Changed::Nothing,
-            Action::Freeze if !self.numbers.is_empty() => {
+            SampleAction::Freeze | SampleAction::Stale if self.last.len() != bytes.len() => {
+                return Changed::Nothing;
+            }
+            SampleAction::Freeze if !self.numbers.is_empty() => {
                 self.numbers.iter().for_each(|number| number.copy(&self.last, bytes));
             }
-            Action::Freeze => bytes[size_of::<Header>()..].copy_from_slice(&self.last[size_of::<Header>()..]),
-            Action::Stale => {
+            SampleAction::Freeze => {
+                bytes[size_of::<Header>()..].copy_from_slice(&self.last[size_of::<Header>()..])
+            }
+            SampleAction::Stale => {
                 let sequence = (of.header)(bytes).sequence;
                 bytes.copy_from_slice(&self.last);
                 (of.header_mut)(bytes).sequence = sequence;
             }
-            Action::Set => self.numbers.iter().for_each(|number| number.change(bytes, |_| self.value)),
-            Action::Add => {
+            SampleAction::Set => self.numbers.iter().for_each(|number| number.change(bytes, |_| self.value)),
+            SampleAction::Add => {
                 self.numbers.iter().for_each(|number| number.change(bytes, |was| self.moved(was, number)))
             }
-            Action::Scale => {
+            SampleAction::Scale => {
                 self.numbers.iter().for_each(|number| number.change(bytes, |was| was * self.value));
             }
         }

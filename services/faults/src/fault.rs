@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use shared_types::{Role, Topic};
 
 use crate::Change;
-use crate::sample_fault::{Action, SampleFault};
+use crate::sample_fault::{SampleAction, SampleFault};
 
 /// Longest time of a process fault [s]: a cell with real processes is short.
 const MAX_SECONDS: f64 = 4.0;
@@ -15,7 +15,7 @@ const MAX_SECONDS: f64 = 4.0;
 /// Part of a drive in which a fault begins.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Phase {
+pub enum DrivePhase {
     /// With the first scan.
     Start,
     /// On the straight way to the obstacle, at full speed.
@@ -28,7 +28,7 @@ pub enum Phase {
     Swap,
 }
 
-impl Phase {
+impl DrivePhase {
     /// All phases, in the order of a drive.
     pub const ALL: [Self; 5] = [Self::Start, Self::Straight, Self::Beside, Self::Landing, Self::Swap];
 
@@ -44,7 +44,7 @@ impl Phase {
     }
 }
 
-impl fmt::Display for Phase {
+impl fmt::Display for DrivePhase {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.pad(self.name())
     }
@@ -53,7 +53,7 @@ impl fmt::Display for Phase {
 /// One fault.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Fault {
+pub struct InjectedFault {
     /// Name of the file.
     #[serde(skip)]
     pub name: String,
@@ -67,7 +67,7 @@ pub struct Fault {
     pub expect: Expectation,
     /// What differs in some phases.
     #[serde(default, rename = "in")]
-    pub in_phase: BTreeMap<Phase, InPhase>,
+    pub in_phase: BTreeMap<DrivePhase, InPhase>,
 }
 
 /// Where a fault acts.
@@ -186,7 +186,7 @@ pub struct FaultError {
     pub message: String,
 }
 
-impl Fault {
+impl InjectedFault {
     /// The fault `name` in `text`.
     ///
     /// # Errors
@@ -200,7 +200,7 @@ impl Fault {
     }
 
     /// What must happen when it begins in a phase.
-    pub fn expected(&self, phase: Phase) -> Expectation {
+    pub fn expected(&self, phase: DrivePhase) -> Expectation {
         let mut expected = self.expect.clone();
         if let Some(InPhase { outcomes, detected_by, within_ms, detectable_ms, .. }) =
             self.in_phase.get(&phase).cloned()
@@ -214,9 +214,9 @@ impl Fault {
     }
 
     /// The phases in which it can begin.
-    pub fn phases(&self) -> impl Iterator<Item = Phase> + '_ {
-        let is_skipped = |phase: &Phase| self.in_phase.get(phase).is_some_and(|differs| differs.skip);
-        Phase::ALL.into_iter().filter(move |phase| !is_skipped(phase))
+    pub fn phases(&self) -> impl Iterator<Item = DrivePhase> + '_ {
+        let is_skipped = |phase: &DrivePhase| self.in_phase.get(phase).is_some_and(|differs| differs.skip);
+        DrivePhase::ALL.into_iter().filter(move |phase| !is_skipped(phase))
     }
 
     /// Whether it needs real processes.
@@ -225,20 +225,21 @@ impl Fault {
     }
 
     fn validate(&self) -> Result<(), String> {
-        for phase in Phase::ALL {
+        for phase in DrivePhase::ALL {
             self.expected(phase).validate()?;
         }
         match &self.inject {
             Injection::Sample(fault) => {
                 Change::new(fault).map_err(|error| format!("inject.sample.fields: {error}"))?;
-                let is_changing = matches!(fault.action, Action::Set | Action::Add | Action::Scale);
-                let may_have_fields = is_changing || fault.action == Action::Freeze;
+                let is_changing =
+                    matches!(fault.action, SampleAction::Set | SampleAction::Add | SampleAction::Scale);
+                let may_have_fields = is_changing || fault.action == SampleAction::Freeze;
                 if is_changing && fault.fields.is_empty() || !may_have_fields && !fault.fields.is_empty() {
                     return Err(
                         "inject.sample.fields goes with the actions set, add, scale and freeze".to_owned()
                     );
                 }
-                if (fault.action == Action::Delay) != (fault.delay_ms > 0) {
+                if (fault.action == SampleAction::Delay) != (fault.delay_ms > 0) {
                     return Err("inject.sample.delay_ms goes with the action delay".to_owned());
                 }
                 if fault.at_robot && fault.topic != Topic::Actuation {

@@ -17,11 +17,11 @@ mod sample_fault;
 
 pub use change::{Change, Changed, UnknownField};
 pub use fault::{
-    Expectation, Fault, FaultError, InPhase, Injection, Phase, ProcessAction, ProcessFault, ProcessName,
-    ScenarioFault,
+    DrivePhase, Expectation, FaultError, InPhase, InjectedFault, Injection, ProcessAction, ProcessFault,
+    ProcessName, ScenarioFault,
 };
 pub use live::{ActiveFault, PERMIT_FILE, fault_file, live_names};
-pub use sample_fault::{Action, SampleFault};
+pub use sample_fault::{SampleAction, SampleFault};
 
 /// Name and text of each file in `faults/`.
 const FILES: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/list.rs"));
@@ -30,17 +30,17 @@ const FILES: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/list.rs"));
 ///
 /// # Errors
 /// The first file that is not allowed, with its key.
-pub fn all() -> Result<Vec<Fault>, FaultError> {
-    FILES.iter().map(|(name, text)| Fault::parse(name, text)).collect()
+pub fn all() -> Result<Vec<InjectedFault>, FaultError> {
+    FILES.iter().map(|(name, text)| InjectedFault::parse(name, text)).collect()
 }
 
 /// The fault of a name; `None` when there is none.
 ///
 /// # Errors
 /// Its file is not allowed, with the key.
-pub fn find(name: &str) -> Result<Option<Fault>, FaultError> {
+pub fn find(name: &str) -> Result<Option<InjectedFault>, FaultError> {
     let file = FILES.iter().find(|(known, _)| *known == name);
-    file.map(|(name, text)| Fault::parse(name, text)).transpose()
+    file.map(|(name, text)| InjectedFault::parse(name, text)).transpose()
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use shared_types::Role;
 
-use crate::{Action, Fault, FaultError, Injection, ProcessAction, all};
+use crate::{FaultError, InjectedFault, Injection, ProcessAction, SampleAction, all};
 
 /// How long a fault lasts that names no time of its own [s].
 const LASTS_S: f64 = 2.0;
@@ -39,7 +39,7 @@ pub fn live_names() -> Result<Vec<String>, FaultError> {
     Ok(live.map(|fault| fault.name).collect())
 }
 
-impl Fault {
+impl InjectedFault {
     /// Why it can't be injected into a running system; `None` if it can.
     pub fn refused_live(&self) -> Option<&'static str> {
         match &self.inject {
@@ -47,10 +47,10 @@ impl Fault {
                 Some("it acts between actuator and robot, where no process changes samples")
             }
             Injection::Sample(fault) => match fault.action {
-                Action::Duplicate | Action::Reorder | Action::Flood => {
+                SampleAction::Duplicate | SampleAction::Reorder | SampleAction::Flood => {
                     Some("a process publishes each sample once and in order")
                 }
-                Action::Delay if fault.delay_ms > MAX_DELAY_MS => {
+                SampleAction::Delay if fault.delay_ms > MAX_DELAY_MS => {
                     Some("the process would wait so long that it could not answer the next scan")
                 }
                 _ => None,

@@ -14,7 +14,7 @@ pub struct SampleFault {
     #[serde(default)]
     pub at_robot: bool,
     /// What happens to a sample.
-    pub action: Action,
+    pub action: SampleAction,
     /// Number of scans that it lasts; without it, to the end of the drive.
     pub scans: Option<u64>,
     /// The fields that `set`, `add` and `scale` change, like `x_m` or `items.0.x_m`; all elements of an array. `freeze`
@@ -32,7 +32,7 @@ pub struct SampleFault {
 /// What happens to a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Action {
+pub enum SampleAction {
     /// It is lost.
     Drop,
     /// Its fields get a value.

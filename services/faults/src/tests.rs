@@ -7,7 +7,7 @@ fn change(text: &str) -> Change {
         "title = \"\"\nmagnitude = \"\"\n[inject.sample]\n{text}\n\
          [expect]\noutcomes = [\"stopped\"]\ndetected_by = []\nwithin_ms = 0"
     );
-    match Fault::parse("test", &text).unwrap().inject {
+    match InjectedFault::parse("test", &text).unwrap().inject {
         Injection::Sample(fault) => Change::new(&fault).unwrap(),
         other => panic!("{other:?}"),
     }
@@ -16,7 +16,7 @@ fn change(text: &str) -> Change {
 fn refusal(text: &str) -> String {
     let expect = "[expect]\noutcomes = [\"stopped\"]\ndetected_by = []\nwithin_ms = 0";
     let text = format!("title = \"\"\nmagnitude = \"\"\n{text}\n{expect}");
-    Fault::parse("test", &text).unwrap_err().to_string()
+    InjectedFault::parse("test", &text).unwrap_err().to_string()
 }
 
 fn apply<S: Sample>(change: &mut Change, sample: &mut S) -> Changed {

@@ -6,7 +6,7 @@ use serde::de::{DeserializeOwned, IntoDeserializer};
 use toml::Value;
 
 use crate::rule::number;
-use crate::{Invalid, Rule};
+use crate::{Invalid, KeyRule};
 
 /// One key of a table.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -29,7 +29,7 @@ impl Key {
         name: &'static str,
         doc: &'static str,
         default: &T,
-        rules: &[&dyn Rule<T>],
+        rules: &[&dyn KeyRule<T>],
     ) -> Self {
         let texts = std::iter::once(T::allowed()).chain(rules.iter().map(|rule| rule.text()));
         let allowed: Vec<String> = texts.filter(|text| !text.is_empty()).collect();
@@ -72,7 +72,7 @@ pub trait Setting: DeserializeOwned {
 ///
 /// # Errors
 /// [`Invalid`] with the key, the value and what is allowed.
-pub fn require_key<T: Setting>(name: &str, value: &T, rules: &[&dyn Rule<T>]) -> Result<(), Invalid> {
+pub fn require_key<T: Setting>(name: &str, value: &T, rules: &[&dyn KeyRule<T>]) -> Result<(), Invalid> {
     if rules.is_empty() {
         return value.require_all(name);
     }

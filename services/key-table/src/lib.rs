@@ -12,5 +12,5 @@ mod settings;
 pub use invalid::{Invalid, require};
 pub use key::{Key, Setting, require_key, toml_text};
 pub use read::{ForeignLetter, parse, read, toml_fault};
-pub use rule::{Ascending, Numeric, Rule};
+pub use rule::{Ascending, KeyRule, Numeric};
 pub use shared_types::did_you_mean;

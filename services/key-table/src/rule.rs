@@ -43,7 +43,7 @@ several! {
 }
 
 /// What is allowed for a key with values of type `T`.
-pub trait Rule<T> {
+pub trait KeyRule<T> {
     /// The rule in words, for the documentation.
     fn text(&self) -> String;
 
@@ -55,7 +55,7 @@ pub trait Rule<T> {
 }
 
 /// All numbers of the value are within the range.
-impl<T: Numeric> Rule<T> for RangeInclusive<f64> {
+impl<T: Numeric> KeyRule<T> for RangeInclusive<f64> {
     fn text(&self) -> String {
         format!("{} to {}{}", number(*self.start()), number(*self.end()), T::EACH)
     }
@@ -66,7 +66,7 @@ impl<T: Numeric> Rule<T> for RangeInclusive<f64> {
 }
 
 /// A range with a condition that is documented here, and checked where its other values are known.
-impl<T, R: Rule<T>> Rule<T> for (R, &'static str) {
+impl<T, R: KeyRule<T>> KeyRule<T> for (R, &'static str) {
     fn text(&self) -> String {
         format!("{}, {}", self.0.text(), self.1)
     }
@@ -77,7 +77,7 @@ impl<T, R: Rule<T>> Rule<T> for (R, &'static str) {
 }
 
 /// A rule that is documented here, and checked elsewhere. For a table it replaces the rules of the table's own keys.
-impl<T> Rule<T> for &'static str {
+impl<T> KeyRule<T> for &'static str {
     fn text(&self) -> String {
         (*self).to_owned()
     }
@@ -87,7 +87,7 @@ impl<T> Rule<T> for &'static str {
     }
 }
 
-impl<T> Rule<T> for String {
+impl<T> KeyRule<T> for String {
     fn text(&self) -> String {
         self.clone()
     }
@@ -103,7 +103,7 @@ pub struct Ascending(pub RangeInclusive<f64>, pub f64);
 /// Share of the distance of two numbers that rounding may take.
 const ROUNDING: f64 = 1e-9;
 
-impl Rule<[f64; 2]> for Ascending {
+impl KeyRule<[f64; 2]> for Ascending {
     fn text(&self) -> String {
         let Self(range, apart) = self;
         let order = match *apart > 0.0 {
@@ -139,7 +139,7 @@ pub(crate) fn number(value: f64) -> String {
 mod tests {
     use super::*;
 
-    fn refusal<T>(rule: &impl Rule<T>, value: T) -> String {
+    fn refusal<T>(rule: &impl KeyRule<T>, value: T) -> String {
         rule.require("key", &value).map_or_else(|error| error.to_string(), |()| String::new())
     }
 
@@ -166,7 +166,7 @@ mod tests {
     #[test]
     fn a_condition_is_only_documented() {
         let rule = (0.0..=1.0, "above `low`");
-        assert_eq!(Rule::<Vec<f64>>::text(&rule), "0 to 1 each, above `low`");
+        assert_eq!(KeyRule::<Vec<f64>>::text(&rule), "0 to 1 each, above `low`");
         assert_eq!(refusal(&rule, vec![1.0, 2.0]), "key = 2 is not allowed: 0 to 1");
         assert_eq!(refusal(&"not below `low`", -1.0), "");
     }

@@ -3,9 +3,10 @@
 /// Declares a table of settings that is read from TOML, where every key is optional:
 /// `key: type = default;` or `key: type = default, rule;`.
 ///
-/// A rule says what is allowed for a value: `0.0..=1.0`, or another [`Rule`](crate::Rule). `require_ranges` names the
-/// first key whose rule is broken, also in the tables below. The doc comment of a key is its documentation for users,
-/// with the unit as `[m]` and without default and rule. The crate that uses the macro needs `serde` with `derive`.
+/// A rule says what is allowed for a value: `0.0..=1.0`, or another [`KeyRule`](crate::KeyRule). `require_ranges` names
+/// the first key whose rule is broken, also in the tables below. The doc comment of a key is its documentation for
+/// users, with the unit as `[m]` and without default and rule. The crate that uses the macro needs `serde` with
+/// `derive`.
 #[macro_export]
 macro_rules! settings {
     (
@@ -40,7 +41,7 @@ macro_rules! settings {
                 $($crate::require_key::<$type>(
                     [$($rename,)? stringify!($key)][0],
                     &self.$key,
-                    &[$(&$rule as &dyn $crate::Rule<$type>)?],
+                    &[$(&$rule as &dyn $crate::KeyRule<$type>)?],
                 )?;)*
                 Ok(())
             }
@@ -57,7 +58,7 @@ macro_rules! settings {
                     [$($rename,)? stringify!($key)][0],
                     concat!($($doc),*),
                     &default.$key,
-                    &[$(&$rule as &dyn $crate::Rule<$type>)?],
+                    &[$(&$rule as &dyn $crate::KeyRule<$type>)?],
                 ),)*]
             }
         }

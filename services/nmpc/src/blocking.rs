@@ -61,7 +61,7 @@ fn extent(obstacle: &PredictedObstacle, axis: usize) -> [f64; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Config;
+    use crate::config::ControllerConfig;
     use nalgebra::Vector2;
     use vehicle::State;
     use vehicle::geometry::Rectangle;
@@ -74,7 +74,7 @@ mod tests {
 
     #[test]
     fn the_gap_is_the_widest_between_obstacles_and_bounds() {
-        let config = Config::default();
+        let config = ControllerConfig::default();
         // Free without walls: -1.7 to -0.8, and 0.3 to 0.9; the third is 3 m further on.
         let predicted =
             [obstacle(7, 5.0, -0.8, 0.3), obstacle(8, 5.2, 0.9, 2.0), obstacle(9, 8.0, -3.0, 3.0)];

@@ -9,7 +9,7 @@
 
 use vehicle::{Description, Surroundings};
 
-use crate::config::Config;
+use crate::config::ControllerConfig;
 
 /// Distance that is left in front of what the robot stops for [m].
 pub(crate) const STOP_MARGIN_M: f64 = 0.05;
@@ -29,7 +29,7 @@ pub(crate) struct Stopping {
 
 impl Stopping {
     /// A stop with data of age `age_s` when they act, and scans every `period_s`.
-    pub(crate) fn new(config: &Config, period_s: f64, age_s: f64) -> Self {
+    pub(crate) fn new(config: &ControllerConfig, period_s: f64, age_s: f64) -> Self {
         Self {
             reaction_s: period_s + age_s,
             deceleration_mps2: config.vehicle.blocked_deceleration_mps2
@@ -70,7 +70,7 @@ impl Stopping {
 
 /// Largest speed at which the robot can stop for something that appears unseen at `config.vehicle.sudden_m`, with scans
 /// every `config.period_s` whose commands act as soon as they can [m/s].
-pub fn speed_limit(config: &Config) -> f64 {
+pub fn speed_limit(config: &ControllerConfig) -> f64 {
     let age_s = SWEEP_SHARE * config.period_s + config.vehicle.command_delay_s;
     Stopping::new(config, config.period_s, age_s).limit(&config.vehicle)
 }
@@ -96,7 +96,9 @@ mod tests {
     #[test]
     fn the_limit_contains_braking_period_age_delay_and_sudden_distance() {
         let vehicle = Description::default();
-        let of = |vehicle, period_s| speed_limit(&Config { vehicle, period_s, ..Config::default() });
+        let of = |vehicle, period_s| {
+            speed_limit(&ControllerConfig { vehicle, period_s, ..ControllerConfig::default() })
+        };
         let limit = of(vehicle, 0.1);
         // v (0.1 + 0.0333 + 0.02) + v^2 / (2 * 0.8 * 5) = 1.15, with a true speed v 5 % above the limit.
         let fast = 1.05 * limit;
@@ -110,7 +112,7 @@ mod tests {
 
     #[test]
     fn in_open_surroundings_the_limit_is_the_careful_speed_unless_the_way_to_stop_is_too_short() {
-        let of = |vehicle| speed_limit(&Config { vehicle, ..Config::default() });
+        let of = |vehicle| speed_limit(&ControllerConfig { vehicle, ..ControllerConfig::default() });
         let open = Description { surroundings: Surroundings::Open, ..Description::default() };
         assert_eq!(of(open), 0.3);
         assert_eq!(of(Description { careful_mps: 0.7, ..open }), 0.7);

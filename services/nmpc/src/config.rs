@@ -16,7 +16,7 @@ pub(crate) const MAX_INTERVALS: usize = shared_types::PLAN_NODES - 1;
 /// The reader of the system file puts the values of a profile where the file has none. The controller does not use it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Profile {
+pub enum ControllerProfile {
     /// The controller of this project.
     #[default]
     Scanloop,
@@ -24,7 +24,7 @@ pub enum Profile {
     Source,
 }
 
-impl Setting for Profile {}
+impl Setting for ControllerProfile {}
 
 settings! {
     /// The parts of the margin that the plan's samples do not contain.
@@ -79,10 +79,10 @@ settings! {
 
 settings! {
     /// Settings of the controller.
-    pub struct Config {
+    pub struct ControllerConfig {
         /// Set of default values for this table, the tables below it and `obstacles.cover`: `source` has the methods of
         /// the source. A key that is set holds with each profile.
-        pub profile: Profile = Profile::Scanloop;
+        pub profile: ControllerProfile = ControllerProfile::Scanloop;
         /// What chooses the passing sides: `search` is the path search. The others do without a search and pass obstacles
         /// on the line on their left, on their right, or on the side with the shorter detour.
         pub side: SideRule = SideRule::Search;
@@ -135,7 +135,7 @@ settings! {
     }
 }
 
-impl Config {
+impl ControllerConfig {
     /// Passes when every setting is within its range.
     ///
     /// # Errors
@@ -183,15 +183,15 @@ mod tests {
 
     #[test]
     fn the_defaults_are_allowed() {
-        assert_eq!(Config::default().validate(), Ok(()));
+        assert_eq!(ControllerConfig::default().validate(), Ok(()));
     }
 
     #[test]
     fn walls_shrink_the_bound_by_half_the_body_and_theta() {
         let track = Track { walls: true, y_m: [-1.9, 1.9], ..Track::default() };
-        let config = Config { track, ..Config::default() };
+        let config = ControllerConfig { track, ..ControllerConfig::default() };
         assert!((config.y_range()[1] - 1.5).abs() < 1e-12);
-        let narrow = Config { track: Track { y_m: [-0.4, 0.4], ..track }, ..config };
+        let narrow = ControllerConfig { track: Track { y_m: [-0.4, 0.4], ..track }, ..config };
         assert_eq!(
             narrow.validate().unwrap_err().to_string(),
             "track.y_m = [-0.4, 0.4] is not allowed: walls further apart than vehicle.width_m = 0.4 and twice \
@@ -201,7 +201,7 @@ mod tests {
 
     #[test]
     fn the_range_of_the_largest_velocity_is_one_that_its_own_rule_allows() {
-        let mut config = Config::default();
+        let mut config = ControllerConfig::default();
         config.vehicle.bounds.velocity_max_mps = 0.05;
         let refused = config.validate().unwrap_err().to_string();
         assert_eq!(refused, "vehicle.bounds.velocity_max_mps = 0.05 is not allowed: 0.1 to 2");
@@ -209,11 +209,17 @@ mod tests {
 
     #[test]
     fn nan_and_wrong_order_are_refused_by_name() {
-        let nan = Config { horizon_s: f64::NAN, ..Config::default() };
+        let nan = ControllerConfig { horizon_s: f64::NAN, ..ControllerConfig::default() };
         assert_eq!(nan.validate().unwrap_err().key, "horizon_s");
         let track = Track { x_m: [5.0, 1.0], ..Track::default() };
-        assert_eq!(Config { track, ..Config::default() }.validate().unwrap_err().key, "track.x_m");
+        assert_eq!(
+            ControllerConfig { track, ..ControllerConfig::default() }.validate().unwrap_err().key,
+            "track.x_m"
+        );
         let weights = WeightSettings { change: [f64::NAN, 0.0], ..WeightSettings::default() };
-        assert_eq!(Config { weights, ..Config::default() }.validate().unwrap_err().key, "weights.change");
+        assert_eq!(
+            ControllerConfig { weights, ..ControllerConfig::default() }.validate().unwrap_err().key,
+            "weights.change"
+        );
     }
 }

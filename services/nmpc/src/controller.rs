@@ -21,7 +21,7 @@ use vehicle::{Control, Invalid, State};
 
 use crate::blocking::blocking;
 use crate::braking::STOP_MARGIN_M;
-use crate::config::{Config, SideRule};
+use crate::config::{ControllerConfig, SideRule};
 use crate::contest::Contest;
 use crate::escape::struck_at_rest;
 use crate::explicit_side;
@@ -58,7 +58,7 @@ const SLOWING_SHARE: f64 = 0.35;
 /// The controller of the robot.
 #[derive(Debug, Clone)]
 pub struct Controller {
-    config: Config,
+    config: ControllerConfig,
     search: Search,
     planner: Planner,
     state: ControllerState,
@@ -75,7 +75,7 @@ impl Controller {
     ///
     /// # Errors
     /// [`Invalid`] with the first setting that is not allowed.
-    pub fn new(config: Config) -> Result<Self, Invalid> {
+    pub fn new(config: ControllerConfig) -> Result<Self, Invalid> {
         config.validate()?;
         let mut reference_path = ReferencePath::default();
         reference_path.set_line(0.0, config.goal.y_m, config.cruise_mps);

@@ -3,12 +3,12 @@
 use ocp::EllipsePath;
 use vehicle::State;
 
-use crate::config::Config;
+use crate::config::ControllerConfig;
 use crate::predicted_obstacle::PredictedObstacle;
 
 /// Fills the ellipses that the horizon can reach, nearest first.
 pub(crate) fn fill_ellipses(
-    config: &Config,
+    config: &ControllerConfig,
     predicted: &[PredictedObstacle],
     initial: &State,
     margin: impl Fn(&PredictedObstacle, f64) -> f64,
@@ -77,7 +77,12 @@ mod tests {
         };
         let predicted =
             [obstacle(1, 3.0), obstacle(2, -1.5), obstacle(3, 2.0), obstacle(4, 9.0), obstacle(5, 1.0)];
-        let config = Config { max_ellipses: 2, horizon_s: 2.72, intervals: 6, ..Config::default() };
+        let config = ControllerConfig {
+            max_ellipses: 2,
+            horizon_s: 2.72,
+            intervals: 6,
+            ..ControllerConfig::default()
+        };
         let mut ellipses = Vec::new();
         fill_ellipses(&config, &predicted, &State::default(), |_, _| 0.02, &mut ellipses, &mut Vec::new());
         let centres: Vec<f64> = ellipses.iter().map(|ellipse| ellipse.centres[0][0]).collect();

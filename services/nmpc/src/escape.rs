@@ -112,7 +112,7 @@ fn clearance(scene: &Scene, baseline: &Baseline, rollout: &Rollout, enough: f64)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Config;
+    use crate::config::ControllerConfig;
     use crate::predicted_obstacle::PredictedObstacle;
     use nalgebra::Vector2;
     use vehicle::geometry::Rectangle;
@@ -127,7 +127,7 @@ mod tests {
             b: 0.7,
             body,
         }];
-        let config = Config::default();
+        let config = ControllerConfig::default();
         let stopping = Stopping::new(&config, 0.1, 0.1);
         // The body of the robot slides from 0.28 m to 0.42 m ahead, and is 0.2 m wide to each side.
         let scene = Scene { speed: 1.0, ..Scene::new(&config, &predicted, State::default()) };
@@ -141,7 +141,7 @@ mod tests {
         let crossing =
             PredictedObstacle { id: 1, centre: [0.0, 1.0], velocity: [0.0, -0.3], a: 1.2, b: 0.7, body };
         let predicted: Vec<_> = standing.into_iter().chain([crossing]).collect();
-        let config = Config::default();
+        let config = ControllerConfig::default();
         let scene = Scene::new(&config, &predicted, State::default());
         let stopped_m = struck_at_rest(&scene, &Stopping::new(&config, 0.1, 0.1)).unwrap();
         let scene = Scene { escapes: true, ..scene.keeping(scene.margin.none(), 0.0) };

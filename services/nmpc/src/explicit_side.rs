@@ -118,14 +118,14 @@ fn is_free([low, high]: [f64; 2], [right, left]: [f64; 2]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Config;
+    use crate::config::ControllerConfig;
     use crate::side;
     use nalgebra::Vector2;
     use vehicle::geometry::Rectangle;
     use vehicle::{Goal, State};
 
-    fn config(side: SideRule) -> Config {
-        Config { side, goal: Goal { x_m: 20.0, ..Goal::default() }, ..Config::default() }
+    fn config(side: SideRule) -> ControllerConfig {
+        ControllerConfig { side, goal: Goal { x_m: 20.0, ..Goal::default() }, ..ControllerConfig::default() }
     }
 
     fn obstacle(id: u32, x: f64, y: f64, b: f64) -> PredictedObstacle {

@@ -42,7 +42,7 @@ mod warm;
 mod weights;
 
 pub use braking::speed_limit;
-pub use config::{Config, MarginSettings, Profile, SideRule, StopSettings};
+pub use config::{ControllerConfig, ControllerProfile, MarginSettings, SideRule, StopSettings};
 pub use controller::Controller;
 pub use ocp::Budget;
 pub use reference_path::LatticeSettings;

@@ -5,7 +5,7 @@
 
 use shared_types::{Margin, Pose};
 
-use crate::config::{Config, MarginSettings};
+use crate::config::{ControllerConfig, MarginSettings};
 
 /// The uncertainty grows for this time of a plan at most [s]: about the horizon. Later places are planned again before.
 const MAX_GROWTH_S: f64 = 2.7;
@@ -23,12 +23,12 @@ pub(crate) struct MarginModel {
 
 impl MarginModel {
     /// The margin of a certain pose and data without age.
-    pub(crate) fn certain(config: &Config) -> Self {
+    pub(crate) fn certain(config: &ControllerConfig) -> Self {
         Self { base_m: config.clearance_m, settings: config.margin, variance_m2: 0.0, age_s: 0.0 }
     }
 
     /// The margin for a pose.
-    pub(crate) fn of(config: &Config, pose: &Pose) -> Self {
+    pub(crate) fn of(config: &ControllerConfig, pose: &Pose) -> Self {
         let [xx, xy, yy] = [4, 5, 8].map(|index| pose.local_covariance[index]);
         // The larger eigenvalue of the covariance of x and y.
         let variance = f64::midpoint(xx, yy) + ((xx - yy) / 2.0).hypot(xy);
@@ -97,7 +97,7 @@ mod tests {
         // Standard deviations 0.03 and 0.01 m along axes that are turned by 45 degrees.
         (pose.local_covariance[4], pose.local_covariance[8]) = (5e-4, 5e-4);
         (pose.local_covariance[5], pose.local_covariance[7]) = (4e-4, 4e-4);
-        let model = MarginModel::of(&Config::default(), &pose);
+        let model = MarginModel::of(&ControllerConfig::default(), &pose);
         let margin = model.at(0.0, 0.5);
         assert!((margin.pose_m - 2.0 * 0.03).abs() < 1e-12);
         assert!((margin.latency_m - 0.075).abs() < 1e-12);
@@ -112,7 +112,7 @@ mod tests {
         let mut pose = Pose { predicted_ns: 150_000_000, ..Pose::default() };
         // Along x 0.03 m, across 0.01 m.
         (pose.local_covariance[4], pose.local_covariance[8]) = (9e-4, 1e-4);
-        let model = MarginModel::of(&Config::default(), &pose);
+        let model = MarginModel::of(&ControllerConfig::default(), &pose);
         assert!((model.at(0.0, 0.5).pose_m - 2.0 * 0.03).abs() < 1e-12);
         assert!((model.age_s() - 0.15).abs() < 1e-12);
         assert!((model.growth(0.0, 0.5) - (0.06 + 0.075 + 0.015 + 0.015)).abs() < 1e-12);

@@ -20,7 +20,7 @@ use ocp::{Budget, Problem, Solution, Solver, Status, Trajectory};
 use shared_types::{Command, Level, PlanNode, Pose, SolveStatus};
 use vehicle::{Control, State};
 
-use crate::config::Config;
+use crate::config::ControllerConfig;
 use crate::ellipses::fill_ellipses;
 use crate::escape::turn_away;
 #[cfg(test)]
@@ -141,7 +141,7 @@ pub(crate) struct Planner {
 
 impl Planner {
     /// A planner for `config`, which is valid.
-    pub(crate) fn new(config: &Config) -> Self {
+    pub(crate) fn new(config: &ControllerConfig) -> Self {
         let problem = Problem {
             model: Arc::new(config.vehicle.parameters()),
             bounds: config.vehicle.bounds,

@@ -174,7 +174,7 @@ impl Rollout {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Config;
+    use crate::config::ControllerConfig;
     use vehicle::integrate::integrate;
 
     #[test]
@@ -230,7 +230,7 @@ mod tests {
 
     #[test]
     fn nodes_are_the_ends_of_the_intervals() {
-        let config = Config { horizon_s: 2.4, intervals: 6, ..Config::default() };
+        let config = ControllerConfig { horizon_s: 2.4, intervals: 6, ..ControllerConfig::default() };
         let mut rollout = Rollout::default();
         let controls = [Control { velocity: 0.5, steering: 0.0 }; 3];
         rollout.drive(&Scene::new(&config, &[], State::default()), &controls);

@@ -8,7 +8,7 @@ use vehicle::frame::to_robot;
 use vehicle::geometry::Rectangle;
 use vehicle::{Bounds, Control, State};
 
-use crate::config::Config;
+use crate::config::ControllerConfig;
 use crate::margin::MarginModel;
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::sampled::Sampled;
@@ -33,7 +33,7 @@ const SLOW_BEFORE_M: f64 = 0.05;
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Scene<'a> {
     /// The robot, the track and the goal.
-    pub(crate) config: &'a Config,
+    pub(crate) config: &'a ControllerConfig,
     /// The obstacles.
     pub(crate) predicted: &'a [PredictedObstacle],
     /// State at the start of the plan.
@@ -69,7 +69,11 @@ pub(crate) enum Violation {
 
 impl<'a> Scene<'a> {
     /// What plans from `initial` must respect.
-    pub(crate) fn new(config: &'a Config, predicted: &'a [PredictedObstacle], initial: State) -> Self {
+    pub(crate) fn new(
+        config: &'a ControllerConfig,
+        predicted: &'a [PredictedObstacle],
+        initial: State,
+    ) -> Self {
         Self {
             config,
             predicted,

@@ -6,7 +6,7 @@ use std::cell::Cell;
 use runtime::{Handover, Process, join, monotonic_ns};
 use shared_types::{Blocking, Command, JournalKind, Obstacles, Pose, Role, ScannerHealth, StopReason};
 
-use crate::config::Config;
+use crate::config::ControllerConfig;
 use crate::controller::Controller;
 use crate::rehearsal::Rehearsal;
 
@@ -16,7 +16,7 @@ use crate::rehearsal::Rehearsal;
 /// Settings that are not allowed, and errors of the bus.
 pub fn run() -> anyhow::Result<()> {
     let mut process = Process::attach(Role::Controller)?;
-    let config = process.settings::<Config>("controller")?;
+    let config = process.settings::<ControllerConfig>("controller")?;
     let mut controller = Controller::new(config.clone())?;
     let poses = process.input::<Pose>()?;
     let obstacles = process.input::<Obstacles>()?;

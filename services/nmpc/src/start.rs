@@ -4,7 +4,7 @@ use shared_types::{Alarm, Obstacles, Pose, ScannerHealth, ScannerState, StopReas
 use vehicle::State;
 
 use crate::braking::{STOP_MARGIN_M, Stopping};
-use crate::config::Config;
+use crate::config::ControllerConfig;
 use crate::margin::MarginModel;
 use crate::predicted_obstacle::{self, PredictedObstacle};
 use crate::scene::Scene;
@@ -42,7 +42,7 @@ impl Start {
     /// # Errors
     /// [`StopReason::Scanner`] or [`StopReason::NoSafeSpeed`] when the robot can't stop in time at any speed.
     pub(crate) fn new(
-        config: &Config,
+        config: &ControllerConfig,
         pose: &Pose,
         scanner: &ScannerHealth,
         initial: State,
@@ -64,7 +64,11 @@ impl Start {
     }
 
     /// What plans from here must respect.
-    pub(crate) fn scene<'a>(&self, config: &'a Config, predicted: &'a [PredictedObstacle]) -> Scene<'a> {
+    pub(crate) fn scene<'a>(
+        &self,
+        config: &'a ControllerConfig,
+        predicted: &'a [PredictedObstacle],
+    ) -> Scene<'a> {
         let scene = Scene::new(config, predicted, self.initial).keeping(self.margin, self.speed);
         Scene { limit_mps: self.limit_mps, ..scene }
     }
@@ -76,7 +80,7 @@ impl Start {
 }
 
 /// Largest speed at which the robot stops within what the scanner shows [m/s]; zero when it shows nothing.
-fn seen_mps(config: &Config, stopping: &Stopping, scanner: &ScannerHealth) -> f64 {
+fn seen_mps(config: &ControllerConfig, stopping: &Stopping, scanner: &ScannerHealth) -> f64 {
     let seen_m = scanner.seen_ahead_m - config.vehicle.length_m / 2.0 - STOP_MARGIN_M;
     if seen_m.is_nan() {
         return 0.0;
@@ -94,7 +98,7 @@ fn seen_mps(config: &Config, stopping: &Stopping, scanner: &ScannerHealth) -> f6
 /// [`StopReason::BadInput`] when a number is impossible or the inputs contradict each other, [`StopReason::Covered`] when an
 /// obstacle is where the robot is.
 pub(crate) fn read(
-    config: &Config,
+    config: &ControllerConfig,
     pose: &Pose,
     obstacles: &Obstacles,
     known: &SmoothedEllipses,
@@ -130,7 +134,7 @@ pub(crate) fn read(
 }
 
 /// Whether the robot can get from its place to the predicted one in `lead_s`, at a speed that it can have.
-fn is_near(config: &Config, pose: &Pose, lead_s: f64) -> bool {
+fn is_near(config: &ControllerConfig, pose: &Pose, lead_s: f64) -> bool {
     let speed = pose.speed_mps.abs().max(pose.predicted_speed_mps.abs());
     let way = (pose.predicted_x_m - pose.x_m).hypot(pose.predicted_y_m - pose.y_m);
     // NaN is in no range.
@@ -140,7 +144,7 @@ fn is_near(config: &Config, pose: &Pose, lead_s: f64) -> bool {
 }
 
 /// Whether a state is finite and not far outside of the bounds.
-fn is_inside(config: &Config, state: &State) -> bool {
+fn is_inside(config: &ControllerConfig, state: &State) -> bool {
     let [low, high] = config.y_range();
     let within =
         |value: f64, [low, high]: [f64; 2]| value > low - FAR_OUTSIDE_M && value < high + FAR_OUTSIDE_M;

@@ -149,7 +149,7 @@ impl Turns<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Config;
+    use crate::config::ControllerConfig;
     use crate::predicted_obstacle::PredictedObstacle;
     use nalgebra::Vector2;
     use vehicle::geometry::Rectangle;
@@ -169,10 +169,10 @@ mod tests {
             b,
             body,
         }];
-        let config = Config {
+        let config = ControllerConfig {
             goal: Goal { x_m: 15.0, ..Goal::default() },
             track: Track { x_m: [-10.0, 22.0], ..Track::default() },
-            ..Config::default()
+            ..ControllerConfig::default()
         };
         let scene = Scene::new(&config, &predicted, State::default());
         blocked_by(&scene, &[], stop_m, slack - 0.05).is_some()
@@ -210,7 +210,7 @@ mod tests {
 
     #[test]
     fn a_turn_begins_a_step_after_the_command() {
-        let config = Config::default();
+        let config = ControllerConfig::default();
         let scene = Scene::new(&config, &[], State::default());
         let speed = 1.0;
         let curvature = scene.full_lock_curvature(speed);
@@ -230,12 +230,13 @@ mod tests {
 
     /// What a drive from the origin at 1 m/s meets, in a scene with these bodies.
     fn driven(predicted: &[PredictedObstacle], state: State, side: f64, length: f64, end_x: f64) -> Reach {
-        let config = Config { goal: Goal { x_m: 15.0, ..Goal::default() }, ..Config::default() };
+        let config =
+            ControllerConfig { goal: Goal { x_m: 15.0, ..Goal::default() }, ..ControllerConfig::default() };
         drive_in(&config, predicted, 1.0, state, (side, length), end_x)
     }
 
     fn drive_in(
-        config: &Config,
+        config: &ControllerConfig,
         predicted: &[PredictedObstacle],
         speed: f64,
         state: State,
@@ -250,14 +251,15 @@ mod tests {
 
     #[test]
     fn a_faster_turn_is_there_earlier_and_its_body_turns_with_it() {
-        let config = Config { goal: Goal { x_m: 15.0, ..Goal::default() }, ..Config::default() };
+        let config =
+            ControllerConfig { goal: Goal { x_m: 15.0, ..Goal::default() }, ..ControllerConfig::default() };
         // At 2 m/s the robot is there after 1.5 s, when the body is in the way, and not after 3 s or later.
         let crossing = [body(3.0, -1.2, 0.5, 0.8)];
         let reach = |speed| drive_in(&config, &crossing, speed, State::default(), (0.0, 0.0), 5.0);
         assert!(matches!((reach(2.0), reach(1.0)), (Reach::Hit { obstacle: Some(0), .. }, Reach::Past)));
         // Its front corner comes to the wall first.
         let track = Track { walls: true, ..config.track };
-        let walled = Config { track, ..config.clone() };
+        let walled = ControllerConfig { track, ..config.clone() };
         let reach = |config| drive_in(config, &[], 1.0, State::default(), (1.0, 9.0), 9.0);
         let [Reach::Hit { x, .. }, Reach::Hit { x: without_walls, .. }] = [reach(&walled), reach(&config)]
         else {
@@ -315,7 +317,7 @@ mod tests {
         let blocked = |bodies: &[PredictedObstacle], goal_x_m: f64| {
             let goal = Goal { x_m: goal_x_m, ..Goal::default() };
             let track = Track { x_m: [-10.0, 22.0], ..Track::default() };
-            let config = Config { goal, track, ..Config::default() };
+            let config = ControllerConfig { goal, track, ..ControllerConfig::default() };
             blocked_by(&Scene::new(&config, bodies, State::default()), &[], 0.1, 1.0)
         };
         let closed = |x: f64| PredictedObstacle { a: 1.2, ..body(x, 0.0, 1.9, 0.0) };
@@ -334,7 +336,7 @@ mod tests {
     fn blocking(bodies: &[PredictedObstacle], [x, y]: [f64; 2], slack: f64) -> Option<usize> {
         let goal = Goal { x_m: 15.0, ..Goal::default() };
         let track = Track { x_m: [-10.0, 22.0], ..Track::default() };
-        let config = Config { goal, track, ..Config::default() };
+        let config = ControllerConfig { goal, track, ..ControllerConfig::default() };
         blocked_by(&Scene::new(&config, bodies, State { x, y, ..State::default() }), &[], 0.1, slack)
     }
 

@@ -13,7 +13,7 @@ use vehicle::bounds::ROUNDING;
 use vehicle::{Control, State};
 
 use crate::braking::Stopping;
-use crate::config::Config;
+use crate::config::ControllerConfig;
 use crate::rollout::{PIECES, Rollout, advance};
 use crate::sampled::Sampled;
 use crate::scene::{Baseline, Scene, Violation};
@@ -195,7 +195,7 @@ fn slide_from(scene: &Scene, baseline: &Baseline, control: &Control, start: &Sam
 
 /// The next sample of a robot that holds a control.
 fn hold(scene: &Scene, control: &Control, last: &Sampled) -> Sampled {
-    let Config { vehicle, .. } = scene.config;
+    let ControllerConfig { vehicle, .. } = scene.config;
     let piece_s = scene.config.interval_s() / PIECES as f64;
     Sampled {
         t: last.t + piece_s,

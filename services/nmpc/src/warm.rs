@@ -116,7 +116,7 @@ fn finite(value: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Config;
+    use crate::config::ControllerConfig;
     use vehicle::Goal;
     use vehicle::State;
 
@@ -134,7 +134,8 @@ mod tests {
 
     #[test]
     fn following_a_line_brings_the_robot_onto_it() {
-        let config = Config { goal: Goal { x_m: 20.0, ..Goal::default() }, ..Config::default() };
+        let config =
+            ControllerConfig { goal: Goal { x_m: 20.0, ..Goal::default() }, ..ControllerConfig::default() };
         let scene = Scene::new(&config, &[], State { y: 0.2, ..State::default() });
         let pace = Pace { cruise: 1.0, slowest: 0.1, goal_x: 20.0, landing_time: 0.8 };
         let (mut reference_path, mut controls) = (ReferencePath::default(), Vec::new());

@@ -3,13 +3,13 @@
 mod common;
 
 use common::{Body, Noise, Outcome, body, print, print_head, run};
-use nmpc::Config;
+use nmpc::ControllerConfig;
 use shared_types::{CommandKind, StopReason};
 use vehicle::State;
 use vehicle::{Goal, Track};
 
-fn config(goal_x: f64) -> Config {
-    Config { goal: Goal { x_m: goal_x, ..Goal::default() }, ..Config::default() }
+fn config(goal_x: f64) -> ControllerConfig {
+    ControllerConfig { goal: Goal { x_m: goal_x, ..Goal::default() }, ..ControllerConfig::default() }
 }
 
 fn noise() -> Noise {
@@ -17,7 +17,7 @@ fn noise() -> Noise {
 }
 
 /// Runs a course without and with noise.
-fn both(name: &str, config: &Config, bodies: &[Body]) -> [Outcome; 2] {
+fn both(name: &str, config: &ControllerConfig, bodies: &[Body]) -> [Outcome; 2] {
     print_head();
     [("", Noise::default()), (" noisy", noise())].map(|(suffix, noise)| {
         let outcome = run(config, State::default(), bodies, noise);
@@ -26,7 +26,7 @@ fn both(name: &str, config: &Config, bodies: &[Body]) -> [Outcome; 2] {
     })
 }
 
-fn assert_reached(name: &str, config: &Config, bodies: &[Body]) {
+fn assert_reached(name: &str, config: &ControllerConfig, bodies: &[Body]) {
     for outcome in both(name, config, bodies) {
         assert!(outcome.reached(config), "{name}: {:?}", outcome.stopped);
         assert!(outcome.min_clearance >= 0.05, "{name}: {} m", outcome.min_clearance);
@@ -36,7 +36,7 @@ fn assert_reached(name: &str, config: &Config, bodies: &[Body]) {
 }
 
 /// Stopped by the rule, standing, with distance left.
-fn assert_stopped(name: &str, config: &Config, bodies: &[Body]) {
+fn assert_stopped(name: &str, config: &ControllerConfig, bodies: &[Body]) {
     for outcome in both(name, config, bodies) {
         assert_eq!(outcome.stopped, Some(StopReason::Blocked), "{name}");
         assert!(outcome.min_clearance >= 0.05, "{name}: {} m", outcome.min_clearance);
@@ -104,7 +104,7 @@ fn an_obstacle_that_appears_too_near_is_stopped_before() {
 #[test]
 fn walls_are_not_touched() {
     let track = Track { y_m: [-1.9, 1.9], walls: true, ..Track::default() };
-    let config = Config { track, ..config(12.0) };
+    let config = ControllerConfig { track, ..config(12.0) };
     assert_reached("walls", &config, &[body(5.0, 0.2, 0.1, 0.5)]);
 }
 

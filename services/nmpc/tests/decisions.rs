@@ -4,7 +4,7 @@
 mod independent;
 
 use independent::Judge;
-use nmpc::{Budget, Config, Controller, ControllerState};
+use nmpc::{Budget, Controller, ControllerConfig, ControllerState};
 use proptest::prelude::*;
 use shared_types::{
     Alarm, Command, CommandKind, Level, MAX_OBSTACLES, Obstacle, Obstacles, Pose, ScannerHealth,
@@ -14,12 +14,13 @@ use shared_types::{
 const BUDGET: Budget = Budget::Iterations(60);
 
 fn controller() -> Controller {
-    Controller::new(Config::default()).expect("the defaults are allowed")
+    Controller::new(ControllerConfig::default()).expect("the defaults are allowed")
 }
 
 fn judge() -> Judge {
-    let config = Config::default();
-    let (y_range, Config { vehicle, track, goal, clearance_m, period_s, .. }) = (config.y_range(), config);
+    let config = ControllerConfig::default();
+    let (y_range, ControllerConfig { vehicle, track, goal, clearance_m, period_s, .. }) =
+        (config.y_range(), config);
     Judge { vehicle, track, goal, y_range, clearance_m, period_s, ellipses: false }
 }
 
@@ -119,7 +120,7 @@ fn the_speed_is_limited_by_what_the_scanner_can_be_relied_on_for_and_by_alarms()
         obstacles.scanner = ScannerHealth { state: state.wire(), ..ScannerHealth::healthy(seen_ahead_m) };
         controller().step(&pose, &obstacles, &BUDGET)
     };
-    let config = Config::default();
+    let config = ControllerConfig::default();
     let driven = [
         (Alarm::None, ScannerState::Healthy, 5.0, config.cruise_mps),
         (Alarm::None, ScannerState::Degraded, 5.0, config.vehicle.careful_mps),
@@ -162,7 +163,7 @@ fn a_new_obstacle_is_passed_on_the_cheaper_side_and_both_costs_are_published() {
 
 #[test]
 fn a_robot_that_can_not_stop_in_time_at_any_speed_does_not_drive() {
-    let mut config = Config::default();
+    let mut config = ControllerConfig::default();
     config.vehicle.sudden_m = 0.1;
     config.vehicle.blocked_deceleration_mps2 = 0.1;
     let command = Controller::new(config).unwrap().step(&pose(1, 0.0, 0.0), &obstacles(1, &[]), &BUDGET);
@@ -410,7 +411,7 @@ proptest! {
         let mut state: ControllerState = bytemuck::pod_read_unaligned(&bytes);
         (state.arrival, state.blocked_scans, state.plan_length) = (0, 0, plan_length);
         if sound_interval {
-            (state.plan_start_ns, state.plan_interval_s) = (133_000_000, Config::default().interval_s());
+            (state.plan_start_ns, state.plan_interval_s) = (133_000_000, ControllerConfig::default().interval_s());
         }
         prop_assert_eq!(resumed(&state, &Budget::Iterations(iterations)), Ok(()));
     }

@@ -9,7 +9,7 @@
 mod common;
 
 use common::{Body, Noise, body, print, print_head, run};
-use nmpc::Config;
+use nmpc::ControllerConfig;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use vehicle::State;
@@ -63,7 +63,8 @@ fn course(campaign: &Campaign, seed: u64) -> (State, Vec<Body>) {
 
 /// Share of the courses whose goal was reached; nothing may be nearer than `clearance`.
 fn drive(campaign: Campaign, clearance: f64) -> f64 {
-    let mut config = Config { goal: Goal { x_m: 20.6, ..Goal::default() }, ..Config::default() };
+    let mut config =
+        ControllerConfig { goal: Goal { x_m: 20.6, ..Goal::default() }, ..ControllerConfig::default() };
     if campaign.walls {
         config.track = Track { y_m: [-1.9, 1.9], walls: true, ..Track::default() };
     }

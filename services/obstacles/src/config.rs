@@ -23,7 +23,7 @@ impl Setting for CoverRule {}
 settings! {
     /// Settings of the obstacle detector; the defaults are the source's values where it has any.
     #[derive(Copy)]
-    pub struct Config {
+    pub struct ObstaclesConfig {
         /// Whether the track has walls, whose returns are never obstacles; `run` takes it from the scenario.
         pub walls: bool = false;
         /// Surfaces of the right and left wall, or without walls the lateral bounds of the track; `run` takes them from the
@@ -77,7 +77,7 @@ settings! {
     }
 }
 
-impl Config {
+impl ObstaclesConfig {
     /// Distance of the robot's centre within which an obstacle is reported when it is first seen [m].
     ///
     /// The speed limit counts on it for what appears at `vehicle.sudden_m` in front of the body.
@@ -129,12 +129,12 @@ mod tests {
 
     #[test]
     fn nan_and_swapped_walls_are_refused_by_name() {
-        assert_eq!(Config::default().validate(), Ok(()));
-        let nan = Config { clearance_m: f64::NAN, ..Config::default() };
+        assert_eq!(ObstaclesConfig::default().validate(), Ok(()));
+        let nan = ObstaclesConfig { clearance_m: f64::NAN, ..ObstaclesConfig::default() };
         assert_eq!(nan.validate().unwrap_err().key, "clearance_m");
-        let swapped = Config { wall_y_m: [1.5, -1.5], ..Config::default() };
+        let swapped = ObstaclesConfig { wall_y_m: [1.5, -1.5], ..ObstaclesConfig::default() };
         assert_eq!(swapped.validate().unwrap_err().key, "wall_y_m");
-        let near = Config { wall_y_m: [0.0, 0.49], ..Config::default() };
+        let near = ObstaclesConfig { wall_y_m: [0.0, 0.49], ..ObstaclesConfig::default() };
         assert_eq!(near.validate().unwrap_err().key, "wall_y_m");
     }
 }

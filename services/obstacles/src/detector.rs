@@ -10,7 +10,7 @@ use vehicle::Invalid;
 use vehicle::frame::to_robot;
 use vehicle::geometry::Rectangle;
 
-use crate::Config;
+use crate::ObstaclesConfig;
 use crate::ellipse::{MAX_PIECES, cover};
 use crate::evidence::Evidence;
 use crate::outlines::Outlines;
@@ -24,7 +24,7 @@ const _: () = assert!(MAX_PIECES <= IDS_PER_BODY as usize);
 /// Detects and tracks obstacles; one call per scan.
 #[derive(Debug, Clone)]
 pub struct ObstacleDetector {
-    config: Config,
+    config: ObstaclesConfig,
     beams: Beams,
     acquired_ns: u64,
     pose: [f64; 3],
@@ -52,7 +52,7 @@ impl ObstacleDetector {
     ///
     /// # Errors
     /// [`Invalid`] when a setting is out of its range.
-    pub fn new(config: Config) -> Result<Self, Invalid> {
+    pub fn new(config: ObstaclesConfig) -> Result<Self, Invalid> {
         config.validate()?;
         Ok(Self {
             evidence: Evidence::new(config.vehicle, config.view_y_m()),

@@ -18,7 +18,7 @@ use vehicle::frame::to_track;
 use vehicle::geometry::Rectangle;
 
 use crate::shape::{DIRECTIONS, Directions};
-use crate::{Config, CoverRule};
+use crate::{CoverRule, ObstaclesConfig};
 
 /// Most ellipses that cover one body.
 pub(crate) const MAX_PIECES: usize = 6;
@@ -76,7 +76,7 @@ impl Cover {
 /// `extent` holds its lowest and highest coordinates, `before` the number of ellipses of the scan before (0
 /// when there was none): near a limit the number is kept.
 pub(crate) fn cover(
-    config: &Config,
+    config: &ObstaclesConfig,
     rectangle: &Rectangle,
     extent: &[Vector2<f64>; 2],
     before: u32,
@@ -123,7 +123,7 @@ fn piece(rectangle: &Rectangle, index: usize, count: usize) -> Rectangle {
 
 /// How large ellipses are.
 struct Sizing<'a> {
-    config: &'a Config,
+    config: &'a ObstaclesConfig,
     directions: &'a Directions,
     /// Distance that the robot's centre keeps from an obstacle's surface, along the track [m].
     along: f64,
@@ -132,7 +132,7 @@ struct Sizing<'a> {
 }
 
 impl<'a> Sizing<'a> {
-    fn of(config: &'a Config, directions: &'a Directions) -> Self {
+    fn of(config: &'a ObstaclesConfig, directions: &'a Directions) -> Self {
         let (yaw, clearance) = match config.cover {
             CoverRule::Tight => (TIGHT_YAW, config.tight_clearance_m),
             CoverRule::Source => (PASSING_YAW, config.clearance_m),
@@ -190,7 +190,7 @@ impl<'a> Sizing<'a> {
 
     /// a of (7.35) [m].
     fn rule(&self, b: f64) -> f64 {
-        let Config { long_axis_m, long_axis_ratio, .. } = *self.config;
+        let ObstaclesConfig { long_axis_m, long_axis_ratio, .. } = *self.config;
         if b < long_axis_m { long_axis_m } else { long_axis_ratio * b }
     }
 
@@ -234,11 +234,11 @@ mod tests {
         Rectangle { centre: Vector2::new(5.0, 0.3), yaw, length, width }
     }
 
-    fn source() -> Config {
-        Config { cover: CoverRule::Source, ..Config::default() }
+    fn source() -> ObstaclesConfig {
+        ObstaclesConfig { cover: CoverRule::Source, ..ObstaclesConfig::default() }
     }
 
-    fn covered(config: &Config, rectangle: &Rectangle) -> Cover {
+    fn covered(config: &ObstaclesConfig, rectangle: &Rectangle) -> Cover {
         let [dx, dy] = spans(rectangle);
         let half = Vector2::new(dx, dy) / 2.0;
         let extent = [rectangle.centre - half, rectangle.centre + half];
@@ -247,7 +247,7 @@ mod tests {
 
     /// Smallest distance of the robot's body to the rectangle while its centre moves around the ellipses,
     /// heading along them, by at most 0.8 rad off the track.
-    fn smallest_clearance(config: &Config, rectangle: &Rectangle) -> f64 {
+    fn smallest_clearance(config: &ObstaclesConfig, rectangle: &Rectangle) -> f64 {
         let cover = covered(config, rectangle);
         let mut smallest = f64::INFINITY;
         for (index, ellipse) in cover.list().iter().enumerate() {
@@ -287,7 +287,7 @@ mod tests {
                     let body = body(length, width, yaw);
                     let clearance = smallest_clearance(&source(), &body);
                     assert!(clearance >= 0.1, "{length} x {width} at {yaw}: {clearance}");
-                    let clearance = smallest_clearance(&Config::default(), &body);
+                    let clearance = smallest_clearance(&ObstaclesConfig::default(), &body);
                     // The body of the verification keeps 5 cm; the ellipse of a very long box may be 2 mm short of it.
                     assert!(clearance >= 0.048, "tight, {length} x {width} at {yaw}: {clearance}");
                 }

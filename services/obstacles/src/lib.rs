@@ -28,7 +28,7 @@ mod tracks;
 mod visibility;
 mod walls;
 
-pub use config::{Config, CoverRule};
+pub use config::{CoverRule, ObstaclesConfig};
 pub use detector::ObstacleDetector;
 pub use shape::DIRECTIONS;
 pub use state::{ObstaclesState, TRACKS, TrackState};

@@ -3,7 +3,7 @@
 use nalgebra::Vector2;
 use shared_types::{BEAMS, Scan};
 
-use crate::Config;
+use crate::ObstaclesConfig;
 use crate::hull::{HOLLOW_M, Hull};
 use crate::outline::{Vertex, trace};
 use crate::part::Known;
@@ -60,7 +60,7 @@ impl Outlines {
     /// Finds the outlines among `points`, without those on walls, and which of the `known` bodies each belongs to.
     pub(crate) fn find(
         &mut self,
-        config: &Config,
+        config: &ObstaclesConfig,
         scan: &Scan,
         place: &Place,
         points: &mut Vec<Point>,
@@ -86,7 +86,7 @@ impl Outlines {
     }
 
     /// Segments the scan into outlines of bodies.
-    fn outline(&mut self, config: &Config, scan: &Scan, place: &Place, points: &mut Vec<Point>) {
+    fn outline(&mut self, config: &ObstaclesConfig, scan: &Scan, place: &Place, points: &mut Vec<Point>) {
         let walls = Walls::fit(config, place, points);
         points.retain(|point| walls.leaves(point.at));
         self.segments.find(scan, points, config.range_noise_m, config.beside_y_m());
@@ -112,7 +112,7 @@ impl Outlines {
     }
 
     /// Gives each outline to the track whose expected box it is nearest to.
-    fn associate(&mut self, config: &Config, place: &Place) {
+    fn associate(&mut self, config: &ObstaclesConfig, place: &Place) {
         for outline in &mut self.list {
             let vertices = &self.vertices[outline.first..outline.end];
             let mut best = f64::INFINITY;

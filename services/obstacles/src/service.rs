@@ -3,7 +3,7 @@
 use runtime::{Handover, Process, join};
 use shared_types::{Obstacles, Pose, Role, Scan};
 
-use crate::{Config, ObstacleDetector};
+use crate::{ObstacleDetector, ObstaclesConfig};
 
 /// Runs until asked to end.
 ///
@@ -11,7 +11,7 @@ use crate::{Config, ObstacleDetector};
 /// Settings that are not allowed, and errors of the bus.
 pub fn run() -> anyhow::Result<()> {
     let mut process = Process::attach(Role::Obstacles)?;
-    let mut detector = ObstacleDetector::new(process.settings::<Config>("obstacles")?)?;
+    let mut detector = ObstacleDetector::new(process.settings::<ObstaclesConfig>("obstacles")?)?;
     let scans = process.input::<Scan>()?;
     let poses = process.input::<Pose>()?;
     let obstacles = process.output::<Obstacles>()?;

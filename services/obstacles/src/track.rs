@@ -5,7 +5,7 @@ use shared_types::PITCH_RAD;
 use vehicle::frame::to_robot;
 use vehicle::geometry::Rectangle;
 
-use crate::Config;
+use crate::ObstaclesConfig;
 use crate::motion::{Motion, Rest, agreed, noise_along};
 use crate::outline::Vertex;
 use crate::segment::End;
@@ -101,7 +101,12 @@ pub(crate) struct View<'a> {
 
 impl Track {
     /// A body seen for the first time; `view` has at least one vertex.
-    pub(crate) fn start(body: u32, view: &View<'_>, config: &Config, directions: &Directions) -> Self {
+    pub(crate) fn start(
+        body: u32,
+        view: &View<'_>,
+        config: &ObstaclesConfig,
+        directions: &Directions,
+    ) -> Self {
         let share = 1.0 / view.vertices.len().max(1) as f64;
         let at = view.vertices.iter().fold(Vector2::zeros(), |sum, vertex| sum + vertex.at) * share;
         let noise = deviations(view, (at - view.robot).norm(), config).1;
@@ -192,7 +197,7 @@ impl Track {
     }
 
     /// Updates the track with what a scan shows of the body.
-    pub(crate) fn sight(&mut self, view: &View<'_>, config: &Config, directions: &Directions) {
+    pub(crate) fn sight(&mut self, view: &View<'_>, config: &ObstaclesConfig, directions: &Directions) {
         let origin = self.motion.place();
         let expected = self.expected(directions);
         let seen = Seen::of(view.vertices, origin, directions);
@@ -384,7 +389,7 @@ impl Track {
     }
 
     /// Decides whether the body moves.
-    fn judge(&mut self, config: &Config) {
+    fn judge(&mut self, config: &ObstaclesConfig) {
         let (squared, speed) = self.motion.significance();
         if self.moving {
             let stands = squared < INSIGNIFICANT || speed < 0.5 * config.moving_mps;
@@ -434,7 +439,7 @@ fn direction(from: Vector2<f64>, to: Vector2<f64>) -> Vector2<f64> {
 }
 
 /// Standard deviations of a place seen at `distance`: along the view and across it [m].
-fn deviations(view: &View<'_>, distance: f64, config: &Config) -> (f64, f64) {
+fn deviations(view: &View<'_>, distance: f64, config: &ObstaclesConfig) -> (f64, f64) {
     let along = config.pose_noise_m.hypot(config.range_noise_m / (view.returns.clamp(1, 50) as f64).sqrt());
     let across = config.pose_noise_m.hypot(distance * (config.pose_noise_rad + 0.5 * PITCH_RAD));
     (along, across)
@@ -454,7 +459,7 @@ mod tests {
             robot: Vector2::zeros(),
             elapsed: 0.0,
         };
-        Track::start(1, &view, &Config::default(), &Directions::new())
+        Track::start(1, &view, &ObstaclesConfig::default(), &Directions::new())
     }
 
     /// Whether the body moves after sightings that show this speed each, 0.2 m from where it was first seen.
@@ -462,7 +467,7 @@ mod tests {
         for speed in speeds {
             track.motion.state = Vector4::new(3.2, 0.0, *speed, 0.0);
             track.motion.covariance = Matrix4::identity() * 1e-4;
-            track.judge(&Config::default());
+            track.judge(&ObstaclesConfig::default());
         }
         track.moving
     }

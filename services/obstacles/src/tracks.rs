@@ -5,7 +5,7 @@ use shared_types::Scan;
 use vehicle::frame::to_robot;
 use vehicle::geometry::Rectangle;
 
-use crate::Config;
+use crate::ObstaclesConfig;
 use crate::evidence::{Evidence, REST_MPS};
 use crate::hull::Hull;
 use crate::outline::Vertex;
@@ -45,7 +45,7 @@ pub(crate) struct Tracks {
     pub(crate) last_body: u32,
     /// The directions of their reaches.
     pub(crate) directions: Directions,
-    config: Config,
+    config: ObstaclesConfig,
     view: Vec<Vertex>,
     boxes: Vec<Rectangle>,
     hull: Hull,
@@ -53,7 +53,7 @@ pub(crate) struct Tracks {
 
 impl Tracks {
     /// No bodies, and room for all.
-    pub(crate) fn new(config: Config) -> Self {
+    pub(crate) fn new(config: ObstaclesConfig) -> Self {
         Self {
             list: Vec::with_capacity(TRACKS + 1),
             last_body: 0,
@@ -268,7 +268,7 @@ fn around(rectangle: &Rectangle) -> Rectangle {
 /// seen now, when it is farther than `distance`.
 fn least_needed(
     tracks: &[Track],
-    config: &Config,
+    config: &ObstaclesConfig,
     place: &Place,
     distance: f64,
     directions: &Directions,

@@ -9,7 +9,7 @@
 
 use nalgebra::{Matrix2, Vector2};
 
-use crate::Config;
+use crate::ObstaclesConfig;
 use crate::outline::Vertex;
 use crate::points::{Place, Point};
 use crate::segment::End;
@@ -39,7 +39,7 @@ pub(crate) struct Walls {
 
 impl Walls {
     /// Fits the walls to the points of one scan.
-    pub(crate) fn fit(config: &Config, place: &Place, points: &[Point]) -> Self {
+    pub(crate) fn fit(config: &ObstaclesConfig, place: &Place, points: &[Point]) -> Self {
         let outside = |[low, high]: [f64; 2], by: f64| [low - by, high + by];
         let along = outside(config.track_x_m, config.beside_m);
         if !config.walls {
@@ -78,7 +78,7 @@ impl Walls {
 }
 
 impl Wall {
-    fn fit(config: &Config, y: f64, place: &Place, points: &[Point]) -> Self {
+    fn fit(config: &ObstaclesConfig, y: f64, place: &Place, points: &[Point]) -> Self {
         let mut wall = Self { y, from_x: place.at.x, offset: 0.0, slope: 0.0 };
         let noise = config.range_noise_m.powi(2);
         // The prior allows twice the stated uncertainty: that costs little, a wall taken for an obstacle costs much.
@@ -117,7 +117,7 @@ mod tests {
 
     #[test]
     fn a_wall_seen_from_a_wrong_pose_is_still_a_wall() {
-        let config = Config { walls: true, ..Config::default() };
+        let config = ObstaclesConfig { walls: true, ..ObstaclesConfig::default() };
         // 0.02 rad and 3 cm wrong: 5 m ahead the wall seems 0.13 m off, which the plain band would miss.
         let points: Vec<Point> = (0..60)
             .map(|index| {
@@ -135,7 +135,7 @@ mod tests {
     #[test]
     fn without_walls_only_what_is_far_outside_of_the_track_is_ignored() {
         let place = Place::standing(Vector2::zeros(), 0.0);
-        let config = Config { track_x_m: [0.0, 5.0], ..Config::default() };
+        let config = ObstaclesConfig { track_x_m: [0.0, 5.0], ..ObstaclesConfig::default() };
         let walls = Walls::fit(&config, &place, &[]);
         assert!(walls.leaves(Vector2::new(5.5, 0.0)) && !walls.leaves(Vector2::new(5.7, 0.0)));
         assert!(walls.leaves(Vector2::new(3.0, 2.95)) && !walls.leaves(Vector2::new(3.0, -3.05)));

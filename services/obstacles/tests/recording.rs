@@ -7,7 +7,7 @@
 use std::f64::consts::PI;
 use std::io::Write;
 
-use obstacles::{Config, ObstacleDetector};
+use obstacles::{ObstacleDetector, ObstaclesConfig};
 use shared_types::{BEAMS, Header, Pose, Scan};
 use vehicle::Description;
 
@@ -60,7 +60,8 @@ fn the_recorded_scanner_is_never_blind_stuck_or_contradictory() {
 /// Drives along the recording with the way of the wheels multiplied by `factor`.
 fn drive(rows: &[Row], factor: f64) {
     let vehicle = Description { scanner_x_m: 0.145, ..Description::default() };
-    let mut detector = ObstacleDetector::new(Config { vehicle, ..Config::default() }).unwrap();
+    let mut detector =
+        ObstacleDetector::new(ObstaclesConfig { vehicle, ..ObstaclesConfig::default() }).unwrap();
     let mut pose = Pose::default();
     let mut states = [0_usize; 5];
     let mut stops = 0;

@@ -2,7 +2,7 @@
 
 mod scene;
 
-use obstacles::{Config, ObstacleDetector, ObstaclesState};
+use obstacles::{ObstacleDetector, ObstaclesConfig, ObstaclesState};
 use proptest::prelude::*;
 use scene::{Robot, Scene, block, detector};
 use shared_types::{BEAMS, Header, Obstacles, Pose, Sample, Scan};
@@ -57,7 +57,7 @@ proptest! {
         walls: bool,
         steps in proptest::collection::vec((ranges(), pose(), any::<u32>(), any::<bool>()), 1..12),
     ) {
-        let mut detector = ObstacleDetector::new(Config { walls, ..Config::default() }).unwrap();
+        let mut detector = ObstacleDetector::new(ObstaclesConfig { walls, ..ObstaclesConfig::default() }).unwrap();
         let mut now = 1_000_000_000_u64;
         for (ranges, mut pose, gap, tame) in steps {
             now = now.wrapping_add(if tame { 100_000_000 } else { u64::from(gap) });

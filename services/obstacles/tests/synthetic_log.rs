@@ -9,7 +9,7 @@ mod scene;
 use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::Vector2;
-use obstacles::{Config, ObstacleDetector};
+use obstacles::{ObstacleDetector, ObstaclesConfig};
 use scene::{Body, Robot, Scene, block};
 use shared_types::{BEAMS, Header, Pose, Scan, WINDOW};
 
@@ -252,7 +252,7 @@ fn the_log_has_the_statistics_of_the_recording() {
 #[test]
 fn a_healthy_scanner_with_the_statistics_of_the_recording_is_never_blind_stuck_or_contradictory() {
     for seed in 1..=4 {
-        let mut detector = ObstacleDetector::new(Config::default()).unwrap();
+        let mut detector = ObstacleDetector::new(ObstaclesConfig::default()).unwrap();
         let (mut states, mut lowest) = ([0_usize; 5], 1.0_f64);
         for (index, row) in log(seed).iter().enumerate() {
             let health = detector.step(&row.scan, &row.pose).scanner;

@@ -15,8 +15,8 @@ pub mod profile;
 mod settings;
 mod way_to_rest;
 
-pub use drive::{Drive, drive};
-pub use settings::{Settings, Tuning};
+pub use drive::{DriveResult, drive};
+pub use settings::{PipelineSettings, Tuning};
 pub use way_to_rest::WayToRest;
 
 use actuation::Actuator;
@@ -67,8 +67,8 @@ impl Pipeline {
     ///
     /// # Errors
     /// The first setting that is not allowed.
-    pub fn new(settings: &Settings) -> Result<Self, Invalid> {
-        let Settings { scenario, tuning, period_ns } = settings;
+    pub fn new(settings: &PipelineSettings) -> Result<Self, Invalid> {
+        let PipelineSettings { scenario, tuning, period_ns } = settings;
         let tuning = tuning.clone().for_scenario(scenario);
         Ok(Self {
             emulator: Emulator::new(scenario, *period_ns),

@@ -11,13 +11,13 @@ pub struct Tuning {
     /// What the stages believe about the robot; each has a copy in its own settings.
     pub vehicle: Description,
     /// Settings of the estimator.
-    pub estimator: estimator::Config,
+    pub estimator: estimator::EstimatorConfig,
     /// Settings of the obstacle description.
-    pub obstacles: obstacles::Config,
+    pub obstacles: obstacles::ObstaclesConfig,
     /// Settings of the controller.
-    pub controller: nmpc::Config,
+    pub controller: nmpc::ControllerConfig,
     /// Settings of the actuator.
-    pub actuator: actuation::Config,
+    pub actuator: actuation::ActuatorConfig,
 }
 
 impl Tuning {
@@ -25,10 +25,10 @@ impl Tuning {
     pub fn of(vehicle: Description) -> Self {
         Self {
             vehicle,
-            estimator: estimator::Config { vehicle, ..Default::default() },
-            obstacles: obstacles::Config { vehicle, ..Default::default() },
-            controller: nmpc::Config { vehicle, ..Default::default() },
-            actuator: actuation::Config { vehicle, ..Default::default() },
+            estimator: estimator::EstimatorConfig { vehicle, ..Default::default() },
+            obstacles: obstacles::ObstaclesConfig { vehicle, ..Default::default() },
+            controller: nmpc::ControllerConfig { vehicle, ..Default::default() },
+            actuator: actuation::ActuatorConfig { vehicle, ..Default::default() },
         }
     }
 
@@ -59,7 +59,7 @@ impl Tuning {
 
 /// Everything that a run is made from.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Settings {
+pub struct PipelineSettings {
     /// What is driven.
     pub scenario: Scenario,
     /// Settings of the stages, without what they know of the scenario.
@@ -68,7 +68,7 @@ pub struct Settings {
     pub period_ns: u64,
 }
 
-impl Settings {
+impl PipelineSettings {
     /// A scenario with the default settings of all stages, which know its surroundings, at ten scans a second.
     pub fn of(scenario: Scenario) -> Self {
         let surroundings = scenario.track.surroundings;

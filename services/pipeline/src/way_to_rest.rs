@@ -10,7 +10,7 @@ use shared_types::Truth;
 use vehicle::Description;
 use vehicle::geometry::Rectangle;
 
-use crate::Settings;
+use crate::PipelineSettings;
 
 /// Distance between two places that are checked [m].
 const STEP_M: f64 = 0.02;
@@ -30,7 +30,7 @@ pub struct WayToRest {
 
 impl WayToRest {
     /// A watch at the start of a drive.
-    pub fn new(settings: &Settings) -> Self {
+    pub fn new(settings: &PipelineSettings) -> Self {
         let (scene, vehicle) = (Scene::new(&settings.scenario), settings.tuning.vehicle);
         let delay_s = SWEEP_SHARE * settings.period_ns as f64 * 1e-9 + vehicle.command_delay_s;
         Self { scene, vehicle, delay_s }

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 
 use courses::course::{Family, of_campaign};
 use emulator::Scenario;
-use emulator::scenario::Obstacle;
-use pipeline::{Settings, WayToRest, drive};
+use emulator::scenario::ScenarioObstacle;
+use pipeline::{PipelineSettings, WayToRest, drive};
 use shared_types::{CommandKind, Level};
 
 fn shipped(name: &str) -> Scenario {
@@ -14,7 +14,7 @@ fn shipped(name: &str) -> Scenario {
 }
 
 /// Drives to the end; returns the smallest clearance on a way to rest [m], and the commands per level.
-fn driven(settings: &Settings) -> (f64, BTreeMap<u32, usize>) {
+fn driven(settings: &PipelineSettings) -> (f64, BTreeMap<u32, usize>) {
     let (mut rest, mut smallest_m, mut levels) = (WayToRest::new(settings), f64::INFINITY, BTreeMap::new());
     drive(settings, |step| {
         smallest_m = smallest_m.min(rest.clearance(&step.truth));
@@ -33,7 +33,7 @@ fn every_command_of_random_courses_leaves_a_way_to_rest() {
     let first = |family: &Family| (0..400).filter(|seed| of_campaign(*seed).0 == *family).take(6).collect();
     for seed in Family::ALL.iter().flat_map::<Vec<u64>, _>(first).chain([260, 262, 452]) {
         let (family, scenario) = of_campaign(seed);
-        let (smallest_m, _) = driven(&Settings::of(scenario));
+        let (smallest_m, _) = driven(&PipelineSettings::of(scenario));
         assert!(smallest_m > 0.0, "{} seed {seed}: {smallest_m} m", family.name());
     }
 }
@@ -43,7 +43,7 @@ fn plans_that_converged_best_ones_and_stops_occur_in_drives_and_leave_a_way_to_r
     let mut reached = BTreeMap::new();
     for iterations in [1, 2, 60] {
         for name in ["corridor", "slalom", "noisy", "crossing", "sudden"] {
-            let mut settings = Settings::of(shipped(name));
+            let mut settings = PipelineSettings::of(shipped(name));
             settings.tuning.controller.budget_iterations = iterations;
             let (smallest_m, levels) = driven(&settings);
             assert!(smallest_m > 0.0, "{name} with {iterations}: {smallest_m} m");
@@ -60,8 +60,8 @@ fn plans_that_converged_best_ones_and_stops_occur_in_drives_and_leave_a_way_to_r
 fn a_robot_that_drives_at_a_body_too_fast_has_no_way_to_rest() {
     let mut scenario = shipped("free");
     let shape = of_campaign(0).1.obstacles[0].shape;
-    scenario.obstacles = vec![Obstacle::fixed(shape, 2.0, 0.0)];
-    let settings = Settings::of(scenario);
+    scenario.obstacles = vec![ScenarioObstacle::fixed(shape, 2.0, 0.0)];
+    let settings = PipelineSettings::of(scenario);
     let mut rest = WayToRest::new(&settings);
     let mut truth = shared_types::Truth { x_m: 1.0, speed_mps: 0.3, ..shared_types::Truth::default() };
     assert!(rest.clearance(&truth) > 0.0);

@@ -7,7 +7,7 @@ use emulator::{Emulator, Scenario};
 use estimator::{Estimator, EstimatorState};
 use nmpc::{Budget, Controller, ControllerState, Rehearsal};
 use obstacles::{ObstacleDetector, ObstaclesState};
-use pipeline::Settings;
+use pipeline::PipelineSettings;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use shared_types::{
@@ -41,7 +41,7 @@ struct Outputs {
 }
 
 impl Stages {
-    fn new(settings: &Settings) -> Self {
+    fn new(settings: &PipelineSettings) -> Self {
         let tuning = settings.tuning.clone().for_scenario(&settings.scenario);
         Self {
             estimator: Estimator::new(&tuning.estimator).unwrap(),
@@ -116,7 +116,7 @@ fn complete<S: Sample>(role: Role, sample: &mut S, now_ns: u64) {
 /// Drives a scenario with stages that never rehearse, and gives the same inputs to stages that do.
 fn compare(name: &str, keys: &str, seed: u64) {
     let text = format!("{}\n{keys}", Scenario::shipped(name).unwrap());
-    let settings = Settings::of(Scenario { seed, ..Scenario::parse(&text, "test").unwrap() });
+    let settings = PipelineSettings::of(Scenario { seed, ..Scenario::parse(&text, "test").unwrap() });
     let mut emulator = Emulator::new(&settings.scenario, settings.period_ns);
     let (mut plain, mut rehearsed) = (Stages::new(&settings), Stages::new(&settings));
     let mut random = Pcg64Mcg::seed_from_u64(seed);

@@ -2,13 +2,13 @@
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
 use emulator::{Outcome, Scenario};
-use pipeline::{Drive, Settings, Step, drive};
+use pipeline::{DriveResult, PipelineSettings, Step, drive};
 use shared_types::{ActuationKind, BlockReason, StopReason};
 
 const PERIOD_NS: u64 = 100_000_000;
 
 /// Drives a shipped scenario with these keys of robot and scanner.
-fn driven(scenario: &str, robot: &str, scanner: &str) -> (Drive, Vec<Step>) {
+fn driven(scenario: &str, robot: &str, scanner: &str) -> (DriveResult, Vec<Step>) {
     let text = Scenario::shipped(scenario).unwrap();
     let robot = format!("[robot]\n{robot}\n");
     let text = match text.contains("[robot]\n") {
@@ -16,7 +16,8 @@ fn driven(scenario: &str, robot: &str, scanner: &str) -> (Drive, Vec<Step>) {
         false => format!("{text}\n{robot}"),
     };
     let mut steps = Vec::new();
-    let settings = Settings::of(Scenario::parse(&format!("{text}\n[scanner]\n{scanner}"), "test").unwrap());
+    let settings =
+        PipelineSettings::of(Scenario::parse(&format!("{text}\n[scanner]\n{scanner}"), "test").unwrap());
     let end = drive(&settings, |step| steps.push(*step)).unwrap();
     (end, steps)
 }

@@ -2,7 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use emulator::{Outcome, Scenario};
-use pipeline::{Settings, drive};
+use pipeline::{PipelineSettings, drive};
 use shared_types::{Alarm, StopReason, Suspect};
 
 fn shipped(name: &str) -> Scenario {
@@ -26,7 +26,7 @@ struct Seen {
     stopped_by_it: bool,
 }
 
-fn watch(settings: &Settings) -> Seen {
+fn watch(settings: &PipelineSettings) -> Seen {
     let mut seen = Seen {
         outcome: Outcome::Failed,
         scans: 0,
@@ -62,7 +62,7 @@ fn a_velocity_factor_off_by_ten_percent_slows_stops_and_is_named() {
         for name in ["corridor", "noisy"] {
             let mut scenario = shipped(name);
             scenario.robot.velocity_factor = Some(factor);
-            let seen = watch(&Settings::of(scenario));
+            let seen = watch(&PipelineSettings::of(scenario));
             let (first_s, suspect) = seen.first.unwrap();
             assert_eq!((seen.outcome, suspect), (Outcome::Stopped, Suspect::VelocityFactor));
             // Two seconds of a window, two of patience.
@@ -78,7 +78,7 @@ fn a_drift_gradient_of_twice_the_calibrated_one_slows_stops_and_is_named() {
         let mut scenario = shipped("free");
         scenario.robot.odometry_lateral_rate = Some(2.0 * rate * sign);
         (scenario.noise.odometry_m, scenario.noise.odometry_rad) = (0.005, 0.003);
-        let mut settings = Settings::of(scenario);
+        let mut settings = PipelineSettings::of(scenario);
         settings.tuning.estimator.odometry_lateral_rate = Some(rate * sign);
         let seen = watch(&settings);
         assert_eq!(seen.outcome, Outcome::Stopped);
@@ -92,7 +92,7 @@ fn a_sudden_jump_of_the_heading_slows_at_once_stops_and_is_named() {
     for jump in [0.1, -0.1, 0.5, 3.0] {
         let mut scenario = shipped("corridor");
         (scenario.robot.odometry_jump_rad, scenario.robot.odometry_jump_s) = (jump, 4.0);
-        let seen = watch(&Settings::of(scenario));
+        let seen = watch(&PipelineSettings::of(scenario));
         let (first_s, suspect) = seen.first.unwrap();
         assert_eq!((seen.outcome, suspect), (Outcome::Stopped, Suspect::Heading));
         assert!((4.0..4.5).contains(&first_s) && seen.stop_s.unwrap() < 4.8, "{seen:?}");
@@ -104,14 +104,14 @@ fn a_robot_that_is_as_calibrated_raises_no_alarm() {
     for name in Scenario::names() {
         let mut scenario = shipped(name);
         scenario.timeout_s = scenario.timeout_s.min(60.0);
-        let seen = watch(&Settings::of(scenario));
+        let seen = watch(&PipelineSettings::of(scenario));
         assert_eq!(seen.first, None, "{name}");
     }
     // As much noise as R expects, for 300 s.
     let mut scenario = shipped("endless");
     scenario.timeout_s = 300.0;
     (scenario.noise.odometry_m, scenario.noise.odometry_rad) = (0.02, 0.01);
-    assert_eq!(watch(&Settings::of(scenario)).first, None);
+    assert_eq!(watch(&PipelineSettings::of(scenario)).first, None);
 }
 
 #[test]
@@ -119,7 +119,7 @@ fn a_robot_that_is_as_calibrated_raises_no_alarm() {
 fn ten_kilometres_with_full_noise_raise_no_alarm() {
     let mut scenario = shipped("endless");
     (scenario.noise.odometry_m, scenario.noise.odometry_rad) = (0.02, 0.01);
-    let seen = watch(&Settings::of(scenario));
+    let seen = watch(&PipelineSettings::of(scenario));
     assert_eq!(seen.first, None);
     assert_eq!(seen.outcome, Outcome::Reached);
 }

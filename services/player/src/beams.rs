@@ -116,7 +116,7 @@ mod tests {
     use shared_types::{FRONT_BEAM, PITCH_RAD};
 
     use super::*;
-    use crate::xdr::{Reader, put_f64s, put_u32};
+    use crate::xdr::{XdrReader, put_f64s, put_u32};
 
     fn filled(fan: Fan, sign: f64, ranges: &[f64]) -> Result<[u16; BEAMS], Unusable> {
         let mut bytes = Vec::new();
@@ -124,7 +124,7 @@ mod tests {
         put_u32(&mut bytes, ranges.len() as u32);
         put_f64s(&mut bytes, ranges);
         let mut ranges_mm = [1; BEAMS];
-        let numbers = Numbers::f64s(&mut Reader::new(&bytes)).unwrap();
+        let numbers = Numbers::f64s(&mut XdrReader::new(&bytes)).unwrap();
         Beams::new(fan, ranges.len(), sign)?.fill(&numbers, &mut ranges_mm);
         Ok(ranges_mm)
     }

@@ -18,10 +18,10 @@ use std::time::{Duration, Instant};
 
 use shared_types::{BEAMS, Device};
 
-use crate::Config;
+use crate::PlayerConfig;
 use crate::config::ScanSource;
-use crate::handshake::Session;
-use crate::message::State;
+use crate::handshake::PlayerSession;
+use crate::message::BaseState;
 
 pub use guarded::Orders;
 pub use lost::Lost;
@@ -33,13 +33,13 @@ const PAUSES: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(2
 
 /// What the connection reports.
 #[derive(Debug)]
-pub enum Event {
+pub enum ClientEvent {
     /// Base and scanner are open; orders may be given.
-    Connected(Orders, Session),
+    Connected(Orders, PlayerSession),
     /// The state of the base.
     State {
         /// What it reports.
-        state: State,
+        state: BaseState,
         /// Time stamp of the server [s].
         time_s: f64,
         /// When it arrived, on CLOCK_MONOTONIC [ns].
@@ -76,7 +76,7 @@ pub enum Event {
 /// The running connection.
 #[derive(Debug)]
 pub struct Client {
-    events: Receiver<Event>,
+    events: Receiver<ClientEvent>,
     /// A state of the scanner that came before the first connection.
     scanner: Cell<Option<Device>>,
     is_ended: Arc<AtomicBool>,
@@ -90,7 +90,7 @@ impl Client {
     /// # Errors
     /// A thread that cannot be started.
     pub fn start(
-        config: &Config,
+        config: &PlayerConfig,
         timeout_ns: u64,
         scanloop: &Path,
         wake: impl Fn() + Send + Sync + 'static,
@@ -114,21 +114,21 @@ impl Client {
     }
 
     /// The next event, if there is one.
-    pub fn next(&self) -> Option<Event> {
-        self.scanner.take().map(Event::Scanner).or_else(|| self.events.try_recv().ok())
+    pub fn next(&self) -> Option<ClientEvent> {
+        self.scanner.take().map(ClientEvent::Scanner).or_else(|| self.events.try_recv().ok())
     }
 
     /// Waits for the first connection, but not longer than `limit_s` [s].
     ///
     /// # Errors
     /// Why there is none after that time.
-    pub fn connected(&self, limit_s: f64) -> Result<(Orders, Session), Option<Lost>> {
+    pub fn connected(&self, limit_s: f64) -> Result<(Orders, PlayerSession), Option<Lost>> {
         let (end, mut reason) = (Instant::now() + Duration::from_secs_f64(limit_s), None);
         loop {
             match self.events.recv_timeout(end.saturating_duration_since(Instant::now())) {
-                Ok(Event::Connected(orders, session)) => return Ok((orders, session)),
-                Ok(Event::Lost(lost)) => reason = Some(lost),
-                Ok(Event::Scanner(device)) => self.scanner.set(Some(device)),
+                Ok(ClientEvent::Connected(orders, session)) => return Ok((orders, session)),
+                Ok(ClientEvent::Lost(lost)) => reason = Some(lost),
+                Ok(ClientEvent::Scanner(device)) => self.scanner.set(Some(device)),
                 Ok(_) => {}
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => return Err(reason),
             }
@@ -151,7 +151,7 @@ impl Drop for Client {
 /// Where the threads put their events.
 #[derive(Clone)]
 struct Outlet {
-    events: SyncSender<Event>,
+    events: SyncSender<ClientEvent>,
     wake: Arc<dyn Fn() + Send + Sync>,
     /// The program of the guard.
     scanloop: PathBuf,
@@ -160,13 +160,13 @@ struct Outlet {
 
 impl Outlet {
     /// Hands data over; they are dropped when the process does not take them.
-    fn offer(&self, event: Event) {
+    fn offer(&self, event: ClientEvent) {
         let _ = self.events.try_send(event);
         (self.wake)();
     }
 
     /// Hands over what must not be lost; false when the process has ended.
-    fn put(&self, event: Event) -> bool {
+    fn put(&self, event: ClientEvent) -> bool {
         let is_there = self.events.send(event).is_ok();
         (self.wake)();
         is_there
@@ -178,13 +178,13 @@ impl Outlet {
 }
 
 /// Connects, and connects again after each loss with growing pauses.
-fn keep_connected(config: &Config, timeout_ns: u64, outlet: &Outlet) {
+fn keep_connected(config: &PlayerConfig, timeout_ns: u64, outlet: &Outlet) {
     let [shortest, longest] = PAUSES;
     let mut pause = shortest;
     while !outlet.is_ended() {
         let begun = Instant::now();
         let Err(lost) = connection::serve(config, timeout_ns, outlet) else { return };
-        if !outlet.put(Event::Lost(lost)) {
+        if !outlet.put(ClientEvent::Lost(lost)) {
             return;
         }
         // A connection that has worked is renewed at once.

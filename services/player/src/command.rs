@@ -1,7 +1,7 @@
 //! The messages that a client sends: requests to the server and its devices, and commands for the wheels.
 
-use crate::header::{Device, HEADER, Header, interface, kind};
-use crate::xdr::{Malformed, Reader, put_f64s, put_text, put_u32};
+use crate::header::{DeviceAddress, HEADER, MessageHeader, interface, kind};
+use crate::xdr::{Malformed, XdrReader, put_f64s, put_text, put_u32};
 
 /// Access to a device that is asked for, and that was given.
 pub mod access {
@@ -15,7 +15,7 @@ pub mod access {
 
 /// How the server delivers data.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Mode {
+pub enum DeliveryMode {
     /// Everything at once.
     Push = 1,
     /// What is queued, when the client asks.
@@ -24,7 +24,7 @@ pub enum Mode {
 
 /// What the server does with data that a rule is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Rule {
+pub enum QueueRule {
     /// A newer message replaces an older one in the queue.
     Replace = 1,
     /// Such messages are not sent.
@@ -33,50 +33,50 @@ pub enum Rule {
 
 /// A message that a client sends.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Command {
+pub enum ClientMessage {
     /// The list of all devices.
     Devices,
     /// The name of the driver of a device.
-    DriverInfo(Device),
+    DriverInfo(DeviceAddress),
     /// Opens or closes a device.
-    Subscribe(Device, u32),
+    Subscribe(DeviceAddress, u32),
     /// A round of data, in pull mode.
     Round,
     /// The delivery of data.
-    Deliver(Mode),
+    Deliver(DeliveryMode),
     /// What is done with data of this device and subtype; `None` is any device, and any subtype.
-    Queue(Option<(Device, u32)>, Rule),
+    Queue(Option<(DeviceAddress, u32)>, QueueRule),
     /// The geometry of a device.
-    Geometry(Device),
+    Geometry(DeviceAddress),
     /// The configuration of a scanner.
-    Configuration(Device),
+    Configuration(DeviceAddress),
     /// Power of the motors on or off.
-    MotorPower(Device, bool),
+    MotorPower(DeviceAddress, bool),
     /// Sets the pose that the odometry reports: x, y, yaw [m, m, rad].
-    SetOdometry(Device, [f64; 3]),
+    SetOdometry(DeviceAddress, [f64; 3]),
     /// Drives with velocities ahead, left and counter-clockwise [m/s, m/s, rad/s].
-    Velocity(Device, [f64; 3]),
+    Velocity(DeviceAddress, [f64; 3]),
     /// Drives like a car, with a velocity and a steering angle, left positive [m/s, rad].
-    Car(Device, [f64; 2]),
+    Car(DeviceAddress, [f64; 2]),
 }
 
 /// Any interface, index or subtype in a rule.
 const ANY: u32 = u32::MAX;
 
-impl Command {
+impl ClientMessage {
     /// Appends the message. `time_s` and `sequence` are free; the server repeats the sequence of its own answers.
     pub fn write(&self, bytes: &mut Vec<u8>, time_s: f64, sequence: u32) {
         let (device, kind, subtype) = self.address();
         let start = bytes.len();
-        Header { host: 0, robot: 0, device, kind, subtype, time_s, sequence, size: 0 }.write(bytes);
+        MessageHeader { host: 0, robot: 0, device, kind, subtype, time_s, sequence, size: 0 }.write(bytes);
         self.payload(bytes);
         let size = (bytes.len() - start - HEADER) as u32;
         bytes[start + HEADER - 4..start + HEADER].copy_from_slice(&size.to_be_bytes());
     }
 
     /// Device, kind and subtype; an answer repeats device and subtype.
-    pub fn address(&self) -> (Device, u32, u32) {
-        let server = |subtype| (Device::SERVER, kind::REQUEST, subtype);
+    pub fn address(&self) -> (DeviceAddress, u32, u32) {
+        let server = |subtype| (DeviceAddress::SERVER, kind::REQUEST, subtype);
         match *self {
             Self::Devices => server(1),
             Self::DriverInfo(_) => server(2),
@@ -129,20 +129,20 @@ impl Command {
 }
 
 /// A device as the payload of a request names it: host and port of the server are left open.
-fn put_address(bytes: &mut Vec<u8>, device: Device) {
+fn put_address(bytes: &mut Vec<u8>, device: DeviceAddress) {
     for number in [0, 0, device.interface, device.index] {
         put_u32(bytes, number);
     }
 }
 
-impl Command {
+impl ClientMessage {
     /// The command in a message of a client: for servers. `None` when it is another one.
     ///
     /// # Errors
     /// A payload that is not what the header promises.
-    pub fn read(header: &Header, payload: &[u8]) -> Result<Option<Self>, Malformed> {
-        let Header { device, kind, subtype, .. } = *header;
-        let mut reader = Reader::new(payload);
+    pub fn read(header: &MessageHeader, payload: &[u8]) -> Result<Option<Self>, Malformed> {
+        let MessageHeader { device, kind, subtype, .. } = *header;
+        let mut reader = XdrReader::new(payload);
         let command = match (device.interface, kind, subtype) {
             (interface::PLAYER, kind::REQUEST, 1) => Self::Devices,
             (interface::PLAYER, kind::REQUEST, 2) => {
@@ -157,12 +157,20 @@ impl Command {
             }
             (interface::PLAYER, kind::REQUEST, 4) => Self::Round,
             (interface::PLAYER, kind::REQUEST, 5) => {
-                Self::Deliver(if reader.u32()? == Mode::Pull as u32 { Mode::Pull } else { Mode::Push })
+                Self::Deliver(if reader.u32()? == DeliveryMode::Pull as u32 {
+                    DeliveryMode::Pull
+                } else {
+                    DeliveryMode::Push
+                })
             }
             (interface::PLAYER, kind::REQUEST, 10) => {
-                let of = Device { interface: reader.u32()?, index: reader.u32()? };
+                let of = DeviceAddress { interface: reader.u32()?, index: reader.u32()? };
                 let (_kind, subtype) = (reader.u32()?, reader.u32()?);
-                let rule = if reader.u32()? == Rule::Ignore as u32 { Rule::Ignore } else { Rule::Replace };
+                let rule = if reader.u32()? == QueueRule::Ignore as u32 {
+                    QueueRule::Ignore
+                } else {
+                    QueueRule::Replace
+                };
                 Self::Queue((of.interface != ANY).then_some((of, subtype)), rule)
             }
             (interface::POSITION2D, kind::REQUEST, 2) => Self::MotorPower(device, reader.u32()? != 0),
@@ -185,7 +193,7 @@ impl Command {
     }
 }
 
-fn address(reader: &mut Reader<'_>) -> Result<Device, Malformed> {
+fn address(reader: &mut XdrReader<'_>) -> Result<DeviceAddress, Malformed> {
     reader.take(8)?;
-    Ok(Device { interface: reader.u32()?, index: reader.u32()? })
+    Ok(DeviceAddress { interface: reader.u32()?, index: reader.u32()? })
 }

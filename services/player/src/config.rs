@@ -2,9 +2,9 @@
 
 use key_table::{Invalid, Setting, settings};
 use serde::{Deserialize, Serialize};
-use urg::Place;
+use urg::ScannerPlace;
 
-use crate::header::{Device, interface};
+use crate::header::{DeviceAddress, interface};
 
 /// Where the scans come from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -19,7 +19,7 @@ pub enum ScanSource {
 /// Which interface of a scanner is used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Scanner {
+pub enum ScannerInterface {
     /// `ranger` where the server has one, else `laser`.
     Auto,
     /// The interface ranger.
@@ -49,7 +49,7 @@ pub enum DriveCommand {
 }
 
 impl Setting for ScanSource {}
-impl Setting for Scanner {}
+impl Setting for ScannerInterface {}
 impl Setting for Delivery {}
 impl Setting for DriveCommand {}
 
@@ -58,7 +58,7 @@ const SIGN: &str = "1 or -1";
 
 settings! {
     /// Settings of the driver for Player servers, implementation `player` of role `robot`.
-    pub struct Config {
+    pub struct PlayerConfig {
         /// Host name or address of the server.
         pub host: String = "127.0.0.1".to_owned(), "not empty";
         /// Port of the server, which selects the robot.
@@ -78,7 +78,7 @@ settings! {
         /// Bit rate of a serial line to the Hokuyo scanner; without effect over USB and TCP [bit/s].
         pub urg_bit_rate: u32 = 115_200, 9_600.0..=4_000_000.0;
         /// Interface of the server's scanner; `auto` is ranger, or laser where there is no ranger.
-        pub scanner: Scanner = Scanner::Auto;
+        pub scanner: ScannerInterface = ScannerInterface::Auto;
         /// Index of the scanner among the devices of its interface.
         pub scanner_index: u32 = 0, 0.0..=65535.0;
         /// Whether the server sends data at once, or when the driver asks.
@@ -109,7 +109,7 @@ settings! {
     }
 }
 
-impl Config {
+impl PlayerConfig {
     /// Passes when all settings are allowed.
     ///
     /// # Errors
@@ -119,7 +119,7 @@ impl Config {
         if self.host.trim().is_empty() {
             return Err(Invalid::new("host", "\"\"", "the name or address of a host"));
         }
-        if Place::parse(&self.urg).is_err() {
+        if ScannerPlace::parse(&self.urg).is_err() {
             return Err(Invalid::new(
                 "urg",
                 format!("{:?}", self.urg),
@@ -138,8 +138,8 @@ impl Config {
     }
 
     /// The base.
-    pub fn base(&self) -> Device {
-        Device { interface: interface::POSITION2D, index: self.position2d }
+    pub fn base(&self) -> DeviceAddress {
+        DeviceAddress { interface: interface::POSITION2D, index: self.position2d }
     }
 
     /// The server as messages name it.
@@ -153,13 +153,13 @@ mod tests {
     use super::*;
 
     fn refusal(text: &str) -> String {
-        let config: Config = toml::from_str(text).unwrap();
+        let config: PlayerConfig = toml::from_str(text).unwrap();
         config.validate().map_err(|invalid| invalid.within("player")).unwrap_err().to_string()
     }
 
     #[test]
     fn a_value_that_is_not_allowed_is_named_with_its_range() {
-        assert_eq!(Config::default().validate(), Ok(()));
+        assert_eq!(PlayerConfig::default().validate(), Ok(()));
         assert_eq!(refusal("port = 70000"), "player.port = 70000 is not allowed: 1 to 65535");
         assert_eq!(
             refusal("host = \" \""),

@@ -4,10 +4,10 @@
 //! to the request with its device and subtype. Each request has a time limit, because the server drops what it does not
 //! know without an answer.
 
-use crate::command::{Command, Mode, Rule, access};
-use crate::config::{Config, Delivery, ScanSource, Scanner};
-use crate::header::{Device, Header, interface};
-use crate::message::{self, Fan, Message};
+use crate::command::{ClientMessage, DeliveryMode, QueueRule, access};
+use crate::config::{Delivery, PlayerConfig, ScanSource, ScannerInterface};
+use crate::header::{DeviceAddress, MessageHeader, interface};
+use crate::message::{self, Fan, ServerMessage};
 use crate::xdr::Malformed;
 
 /// An answer that has not come after this time does not come [ns]: the limit of Player's own clients.
@@ -15,9 +15,9 @@ pub const ANSWER_NS: u64 = 5_000_000_000;
 
 /// What is known about the devices when the conversation has ended.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Session {
+pub struct PlayerSession {
     /// The scanner; `None` when the scans come from elsewhere.
-    pub scanner: Option<Device>,
+    pub scanner: Option<DeviceAddress>,
     /// The beams, where the scanner reports them.
     pub fan: Option<Fan>,
     /// Length and width of the base, where it reports them [m].
@@ -35,23 +35,23 @@ pub enum Refused {
         /// What was looked for.
         wanted: String,
         /// What there is.
-        devices: Vec<Device>,
+        devices: Vec<DeviceAddress>,
     },
     /// A device could not be opened.
     #[error("{0} cannot be opened: its driver failed to start, or the server does not have it")]
-    NotOpened(Device),
+    NotOpened(DeviceAddress),
     /// The server refuses what is needed.
     #[error("{0} refuses request {1}")]
-    Nack(Device, u32),
+    Nack(DeviceAddress, u32),
     /// No answer came.
     #[error("{0} does not answer request {1} within 5 s")]
-    Silent(Device, u32),
+    Silent(DeviceAddress, u32),
     /// An answer is malformed.
     #[error("the answer of {0} to request {1}: {2}")]
-    Malformed(Device, u32, Malformed),
+    Malformed(DeviceAddress, u32, Malformed),
 }
 
-fn listed(devices: &[Device]) -> String {
+fn listed(devices: &[DeviceAddress]) -> String {
     let names: Vec<String> = devices.iter().map(ToString::to_string).collect();
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
@@ -59,7 +59,7 @@ fn listed(devices: &[Device]) -> String {
 /// A request without an answer yet.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Pending {
-    command: Command,
+    command: ClientMessage,
     /// Whether the conversation can do without.
     is_optional: bool,
 }
@@ -67,36 +67,36 @@ struct Pending {
 /// The conversation.
 #[derive(Debug)]
 pub struct Handshake {
-    base: Device,
+    base: DeviceAddress,
     scan: ScanSource,
-    scanner: Scanner,
+    scanner: ScannerInterface,
     scanner_index: u32,
-    session: Session,
+    session: PlayerSession,
     group: u32,
     pending: Vec<Pending>,
     sequence: u32,
     /// When the group was sent [ns].
     since_ns: u64,
-    devices: Vec<Device>,
+    devices: Vec<DeviceAddress>,
 }
 
 impl Handshake {
     /// Begins: appends the first requests.
-    pub fn new(config: &Config, now_ns: u64, bytes: &mut Vec<u8>) -> Self {
+    pub fn new(config: &PlayerConfig, now_ns: u64, bytes: &mut Vec<u8>) -> Self {
         let mut handshake = Self {
             base: config.base(),
             scan: config.scan,
             scanner: config.scanner,
             scanner_index: config.scanner_index,
-            session: Session::default(),
+            session: PlayerSession::default(),
             group: 0,
             pending: Vec::new(),
             sequence: 0,
             since_ns: now_ns,
             devices: Vec::new(),
         };
-        let mode = if config.delivery == Delivery::Pull { Mode::Pull } else { Mode::Push };
-        handshake.ask(&[(Command::Deliver(mode), false), (Command::Devices, false)], bytes);
+        let mode = if config.delivery == Delivery::Pull { DeliveryMode::Pull } else { DeliveryMode::Push };
+        handshake.ask(&[(ClientMessage::Deliver(mode), false), (ClientMessage::Devices, false)], bytes);
         handshake
     }
 
@@ -106,12 +106,12 @@ impl Handshake {
     /// [`Refused`].
     pub fn take(
         &mut self,
-        header: &Header,
-        message: &Message<'_>,
+        header: &MessageHeader,
+        message: &ServerMessage<'_>,
         now_ns: u64,
         bytes: &mut Vec<u8>,
-    ) -> Result<Option<Session>, Refused> {
-        let Message::Answer { accepted, payload } = *message else { return Ok(None) };
+    ) -> Result<Option<PlayerSession>, Refused> {
+        let ServerMessage::Answer { accepted, payload } = *message else { return Ok(None) };
         let opened = message::subscription(payload).ok();
         let is_answered = |pending: &Pending| {
             let (device, _, subtype) = pending.command.address();
@@ -119,7 +119,9 @@ impl Handshake {
             // Two subscriptions differ in the device that they name.
             is_same
                 && match pending.command {
-                    Command::Subscribe(device, _) => opened.is_some_and(|opened| opened.device == device),
+                    ClientMessage::Subscribe(device, _) => {
+                        opened.is_some_and(|opened| opened.device == device)
+                    }
                     _ => true,
                 }
         };
@@ -137,7 +139,7 @@ impl Handshake {
     ///
     /// # Errors
     /// [`Refused::Silent`] for a request that must be answered.
-    pub fn expire(&mut self, now_ns: u64, bytes: &mut Vec<u8>) -> Result<Option<Session>, Refused> {
+    pub fn expire(&mut self, now_ns: u64, bytes: &mut Vec<u8>) -> Result<Option<PlayerSession>, Refused> {
         if now_ns.saturating_sub(self.since_ns) < ANSWER_NS {
             return Ok(None);
         }
@@ -150,7 +152,7 @@ impl Handshake {
         self.next_group(bytes)
     }
 
-    fn ask(&mut self, commands: &[(Command, bool)], bytes: &mut Vec<u8>) {
+    fn ask(&mut self, commands: &[(ClientMessage, bool)], bytes: &mut Vec<u8>) {
         for (command, is_optional) in commands {
             self.sequence += 1;
             command.write(bytes, 0.0, self.sequence);
@@ -158,28 +160,33 @@ impl Handshake {
         }
     }
 
-    fn next_group(&mut self, bytes: &mut Vec<u8>) -> Result<Option<Session>, Refused> {
+    fn next_group(&mut self, bytes: &mut Vec<u8>) -> Result<Option<PlayerSession>, Refused> {
         self.group += 1;
         let (base, scanner) = (self.base, self.session.scanner);
         match self.group {
             1 => {
-                self.ask(&[(Command::Subscribe(base, access::OPEN), false)], bytes);
+                self.ask(&[(ClientMessage::Subscribe(base, access::OPEN), false)], bytes);
                 if let Some(scanner) = scanner {
                     // Stage sends intensities of zero and one with each sweep: half of all bytes.
-                    let rule = Command::Queue(Some((scanner, 3)), Rule::Ignore);
-                    let asked = [(Command::Subscribe(scanner, access::OPEN), false), (rule, true)];
+                    let rule = ClientMessage::Queue(Some((scanner, 3)), QueueRule::Ignore);
+                    let asked = [(ClientMessage::Subscribe(scanner, access::OPEN), false), (rule, true)];
                     let count = if scanner.interface == interface::RANGER { 2 } else { 1 };
                     self.ask(&asked[..count], bytes);
                 }
                 Ok(None)
             }
             2 => {
-                self.ask(&[(Command::MotorPower(base, true), true), (Command::Geometry(base), true)], bytes);
+                self.ask(
+                    &[(ClientMessage::MotorPower(base, true), true), (ClientMessage::Geometry(base), true)],
+                    bytes,
+                );
                 if let Some(scanner) = scanner {
                     // A laser reports its beams with each sweep.
                     let is_optional = scanner.interface == interface::LASER;
-                    let asked =
-                        [(Command::Geometry(scanner), true), (Command::Configuration(scanner), is_optional)];
+                    let asked = [
+                        (ClientMessage::Geometry(scanner), true),
+                        (ClientMessage::Configuration(scanner), is_optional),
+                    ];
                     self.ask(&asked, bytes);
                 }
                 Ok(None)
@@ -190,7 +197,7 @@ impl Handshake {
 
     fn read(&mut self, pending: &Pending, accepted: bool, payload: &[u8]) -> Result<(), Refused> {
         let (device, _, subtype) = pending.command.address();
-        if let Command::Subscribe(wanted, _) = pending.command {
+        if let ClientMessage::Subscribe(wanted, _) = pending.command {
             let opened = message::subscription(payload);
             let opened = opened.map_err(|error| Refused::Malformed(device, subtype, error))?;
             let is_open = accepted && opened.access == access::OPEN;
@@ -200,14 +207,14 @@ impl Handshake {
             return if pending.is_optional { Ok(()) } else { Err(Refused::Nack(device, subtype)) };
         }
         let result = match pending.command {
-            Command::Devices => self.choose(payload)?,
-            Command::Geometry(device) if device == self.base => {
+            ClientMessage::Devices => self.choose(payload)?,
+            ClientMessage::Geometry(device) if device == self.base => {
                 message::body(payload).map(|body_m| self.session.body_m = Some(body_m))
             }
-            Command::Geometry(device) => {
+            ClientMessage::Geometry(device) => {
                 message::mounting(device, payload).map(|mounting| self.session.mounting = Some(mounting))
             }
-            Command::Configuration(device) => {
+            ClientMessage::Configuration(device) => {
                 message::fan(device, payload).map(|fan| self.session.fan = Some(fan))
             }
             _ => Ok(()),
@@ -222,13 +229,13 @@ impl Handshake {
             Err(error) => return Ok(Err(error)),
         };
         self.devices = devices.collect();
-        let scanner = |interface| Device { interface, index: self.scanner_index };
+        let scanner = |interface| DeviceAddress { interface, index: self.scanner_index };
         let (ranger, laser) = (scanner(interface::RANGER), scanner(interface::LASER));
-        let wanted: &[Device] = match (self.scan, self.scanner) {
+        let wanted: &[DeviceAddress] = match (self.scan, self.scanner) {
             (ScanSource::Urg, _) => &[],
-            (_, Scanner::Auto) => &[ranger, laser],
-            (_, Scanner::Ranger) => &[ranger],
-            (_, Scanner::Laser) => &[laser],
+            (_, ScannerInterface::Auto) => &[ranger, laser],
+            (_, ScannerInterface::Ranger) => &[ranger],
+            (_, ScannerInterface::Laser) => &[laser],
         };
         let missing = |wanted: String| Refused::NoDevice { wanted, devices: self.devices.clone() };
         if !self.devices.contains(&self.base) {

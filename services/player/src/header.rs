@@ -1,6 +1,6 @@
 //! The header of 40 bytes before each message, and the codes in it.
 
-use crate::xdr::{Malformed, Reader, put_f64s, put_u32};
+use crate::xdr::{Malformed, XdrReader, put_f64s, put_u32};
 
 /// Size of a header [bytes].
 pub const HEADER: usize = 40;
@@ -35,19 +35,19 @@ pub mod interface {
 
 /// A device of the server: interface and index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Device {
+pub struct DeviceAddress {
     /// Code of the interface.
     pub interface: u32,
     /// Index among the devices of this interface.
     pub index: u32,
 }
 
-impl Device {
+impl DeviceAddress {
     /// The server itself, which is always open.
     pub const SERVER: Self = Self { interface: interface::PLAYER, index: 0 };
 }
 
-impl std::fmt::Display for Device {
+impl std::fmt::Display for DeviceAddress {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self.interface {
             interface::PLAYER => write!(formatter, "player:{}", self.index),
@@ -61,13 +61,13 @@ impl std::fmt::Display for Device {
 
 /// What precedes each payload.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Header {
+pub struct MessageHeader {
     /// Address of the server; a client sends 0 and ignores what it receives.
     pub host: u32,
     /// Port of the server; a client may send 0.
     pub robot: u32,
     /// The device that the message is from or for.
-    pub device: Device,
+    pub device: DeviceAddress,
     /// One of [`kind`].
     pub kind: u32,
     /// Number of the message within interface and kind.
@@ -80,17 +80,17 @@ pub struct Header {
     pub size: u32,
 }
 
-impl Header {
+impl MessageHeader {
     /// The header in its 40 bytes.
     ///
     /// # Errors
     /// [`Malformed::Short`] when there are less.
     pub fn read(bytes: &[u8]) -> Result<Self, Malformed> {
-        let mut reader = Reader::new(bytes);
+        let mut reader = XdrReader::new(bytes);
         Ok(Self {
             host: reader.u32()?,
             robot: reader.u32()?,
-            device: Device { interface: reader.u32()?, index: reader.u32()? },
+            device: DeviceAddress { interface: reader.u32()?, index: reader.u32()? },
             kind: reader.u32()?,
             subtype: reader.u32()?,
             time_s: reader.f64()?,
@@ -112,7 +112,7 @@ impl Header {
 
     /// Whether a server may have sent this: codes of two bytes and one byte have four bytes on the wire.
     pub fn is_plausible(&self) -> bool {
-        let Device { interface, index } = self.device;
+        let DeviceAddress { interface, index } = self.device;
         (kind::DATA..=kind::NACK).contains(&self.kind)
             && interface <= u32::from(u16::MAX)
             && index <= u32::from(u16::MAX)

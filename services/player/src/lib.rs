@@ -23,4 +23,4 @@ pub mod service;
 pub mod stream;
 pub mod xdr;
 
-pub use config::Config;
+pub use config::PlayerConfig;

@@ -1,11 +1,11 @@
 //! The messages that a client receives: data of base and scanner, and answers to its requests.
 
-use crate::header::{Device, Header, interface, kind};
-use crate::xdr::{Malformed, Numbers, Reader};
+use crate::header::{DeviceAddress, MessageHeader, interface, kind};
+use crate::xdr::{Malformed, Numbers, XdrReader};
 
 /// The base, as position2d reports it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct State {
+pub struct BaseState {
     /// Reported position ahead of the origin, left of it, and yaw counter-clockwise [m, m, rad].
     pub pose: [f64; 3],
     /// Velocities in the same order [m/s, m/s, rad/s].
@@ -27,7 +27,7 @@ pub struct Fan {
 
 /// Ranges of one sweep.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sweep<'a> {
+pub struct RangeSweep<'a> {
     /// Ranges from the first beam to the last [m].
     pub ranges_m: Numbers<'a>,
     /// What the message tells about the beams; the interface ranger tells it by its configuration only.
@@ -38,7 +38,7 @@ pub struct Sweep<'a> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Subscription<'a> {
     /// The device.
-    pub device: Device,
+    pub device: DeviceAddress,
     /// Access that was given.
     pub access: u32,
     /// Name of its driver, with the NUL of C.
@@ -47,11 +47,11 @@ pub struct Subscription<'a> {
 
 /// A message from the server.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Message<'a> {
+pub enum ServerMessage<'a> {
     /// The state of the base.
-    State(State),
+    State(BaseState),
     /// A sweep.
-    Sweep(Sweep<'a>),
+    Sweep(RangeSweep<'a>),
     /// Intensities of a sweep, which this client does not use.
     Intensities(Numbers<'a>),
     /// The answer to a request, with its payload.
@@ -67,14 +67,14 @@ pub enum Message<'a> {
     Unknown,
 }
 
-impl<'a> Message<'a> {
+impl<'a> ServerMessage<'a> {
     /// The message behind a header.
     ///
     /// # Errors
     /// A payload that is not what the header promises.
-    pub fn read(header: &Header, payload: &'a [u8]) -> Result<Self, Malformed> {
-        let Header { device: Device { interface, .. }, kind, subtype, .. } = *header;
-        let mut reader = Reader::new(payload);
+    pub fn read(header: &MessageHeader, payload: &'a [u8]) -> Result<Self, Malformed> {
+        let MessageHeader { device: DeviceAddress { interface, .. }, kind, subtype, .. } = *header;
+        let mut reader = XdrReader::new(payload);
         let message = match (interface, kind, subtype) {
             (_, kind::ACK | kind::NACK, _) => {
                 return Ok(Self::Answer { accepted: kind == kind::ACK, payload });
@@ -83,14 +83,14 @@ impl<'a> Message<'a> {
             (interface::PLAYER, kind::SYNCH, 2) => Self::RoundEnd(reader.u32()?),
             (interface::POSITION2D, kind::DATA, 1) => {
                 let (pose, velocity) = (reader.f64s()?, reader.f64s()?);
-                Self::State(State { pose, velocity, stalled: reader.u32()? != 0 })
+                Self::State(BaseState { pose, velocity, stalled: reader.u32()? != 0 })
             }
             (interface::RANGER, kind::DATA, 1) => {
-                Self::Sweep(Sweep { ranges_m: Numbers::f64s(&mut reader)?, fan: None })
+                Self::Sweep(RangeSweep { ranges_m: Numbers::f64s(&mut reader)?, fan: None })
             }
             // Geometry and configuration may follow, which the client has asked for.
             (interface::RANGER, kind::DATA, 2) => {
-                return Ok(Self::Sweep(Sweep { ranges_m: Numbers::f64s(&mut reader)?, fan: None }));
+                return Ok(Self::Sweep(RangeSweep { ranges_m: Numbers::f64s(&mut reader)?, fan: None }));
             }
             (interface::RANGER, kind::DATA, 3) => Self::Intensities(Numbers::f64s(&mut reader)?),
             (interface::LASER, kind::DATA, 1) => Self::Sweep(laser_scan(&mut reader)?),
@@ -105,27 +105,27 @@ impl<'a> Message<'a> {
     }
 }
 
-fn laser_scan<'a>(reader: &mut Reader<'a>) -> Result<Sweep<'a>, Malformed> {
+fn laser_scan<'a>(reader: &mut XdrReader<'a>) -> Result<RangeSweep<'a>, Malformed> {
     let (first_rad, last_rad, _resolution, max_range_m) =
         (reader.f32()?, reader.f32()?, reader.f32()?, reader.f32()?);
     let ranges_m = Numbers::f32s(reader)?;
     let _intensities = reader.text()?;
     let _id = reader.u32()?;
-    Ok(Sweep { ranges_m, fan: Some(Fan { first_rad, last_rad, max_range_m }) })
+    Ok(RangeSweep { ranges_m, fan: Some(Fan { first_rad, last_rad, max_range_m }) })
 }
 
-/// The devices in the answer to [`crate::command::Command::Devices`].
+/// The devices in the answer to [`crate::command::ClientMessage::Devices`].
 ///
 /// # Errors
 /// A payload that is no list of devices.
-pub fn devices(payload: &[u8]) -> Result<impl Iterator<Item = Device> + '_, Malformed> {
-    let mut reader = Reader::new(payload);
+pub fn devices(payload: &[u8]) -> Result<impl Iterator<Item = DeviceAddress> + '_, Malformed> {
+    let mut reader = XdrReader::new(payload);
     let elements = reader.elements(16)?;
     reader.end()?;
     let device = |address: &[u8]| {
-        let mut reader = Reader::new(address);
+        let mut reader = XdrReader::new(address);
         reader.take(8)?;
-        Ok::<Device, Malformed>(Device { interface: reader.u32()?, index: reader.u32()? })
+        Ok::<DeviceAddress, Malformed>(DeviceAddress { interface: reader.u32()?, index: reader.u32()? })
     };
     Ok(elements.chunks_exact(16).filter_map(move |address| device(address).ok()))
 }
@@ -135,9 +135,9 @@ pub fn devices(payload: &[u8]) -> Result<impl Iterator<Item = Device> + '_, Malf
 /// # Errors
 /// A payload that is no such answer.
 pub fn subscription(payload: &[u8]) -> Result<Subscription<'_>, Malformed> {
-    let mut reader = Reader::new(payload);
+    let mut reader = XdrReader::new(payload);
     reader.take(8)?;
-    let device = Device { interface: reader.u32()?, index: reader.u32()? };
+    let device = DeviceAddress { interface: reader.u32()?, index: reader.u32()? };
     let subscription = Subscription { device, access: reader.u32()?, driver: reader.text()? };
     reader.end().map(|()| subscription)
 }
@@ -147,7 +147,7 @@ pub fn subscription(payload: &[u8]) -> Result<Subscription<'_>, Malformed> {
 /// # Errors
 /// A payload that is no geometry of a position2d.
 pub fn body(payload: &[u8]) -> Result<[f64; 2], Malformed> {
-    let mut reader = Reader::new(payload);
+    let mut reader = XdrReader::new(payload);
     let [_, _, _, _, _, _, width, length, _height] = reader.f64s::<9>()?;
     reader.end().map(|()| [length, width])
 }
@@ -158,8 +158,8 @@ pub fn body(payload: &[u8]) -> Result<[f64; 2], Malformed> {
 ///
 /// # Errors
 /// A payload that is no geometry of this interface.
-pub fn mounting(of: Device, payload: &[u8]) -> Result<[f64; 3], Malformed> {
-    let mut reader = Reader::new(payload);
+pub fn mounting(of: DeviceAddress, payload: &[u8]) -> Result<[f64; 3], Malformed> {
+    let mut reader = XdrReader::new(payload);
     let [x_m, y_m, _, _, _, yaw_rad] = reader.f64s::<6>()?;
     reader.f64s::<3>()?;
     if of.interface == interface::RANGER {
@@ -176,8 +176,8 @@ pub fn mounting(of: Device, payload: &[u8]) -> Result<[f64; 3], Malformed> {
 ///
 /// # Errors
 /// A payload that is no configuration of this interface.
-pub fn fan(of: Device, payload: &[u8]) -> Result<Fan, Malformed> {
-    let mut reader = Reader::new(payload);
+pub fn fan(of: DeviceAddress, payload: &[u8]) -> Result<Fan, Malformed> {
+    let mut reader = XdrReader::new(payload);
     let fan = if of.interface == interface::LASER {
         let (first_rad, last_rad, _resolution, max_range_m) =
             (reader.f32()?, reader.f32()?, reader.f32()?, reader.f32()?);

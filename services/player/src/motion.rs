@@ -2,8 +2,8 @@
 
 use std::f64::consts::TAU;
 
-use crate::config::{Config, DriveCommand};
-use crate::message::State;
+use crate::config::{DriveCommand, PlayerConfig};
+use crate::message::BaseState;
 
 /// Tolerance of a place that the odometry reports, at any speed: noise of a real base [m].
 const REACH_M: f64 = 0.1;
@@ -12,7 +12,7 @@ const REACH_M: f64 = 0.1;
 ///
 /// `steering_rad` is the angle of both axles of the robot; its path has the curvature 2 tan(angle) / axle distance. A
 /// car with this path steers by atan(wheelbase x curvature).
-pub fn sent(config: &Config, axle_distance_m: f64, velocity_mps: f64, steering_rad: f64) -> [f64; 2] {
+pub fn sent(config: &PlayerConfig, axle_distance_m: f64, velocity_mps: f64, steering_rad: f64) -> [f64; 2] {
     let curvature = 2.0 * steering_rad.tan() / axle_distance_m;
     let turn = match config.command {
         DriveCommand::Car => (config.wheelbase_m * curvature).atan(),
@@ -37,7 +37,7 @@ pub struct Motion {
 impl Motion {
     /// A reported state in the frame of the robot, with ahead, left and counter-clockwise positive. `None` when a number
     /// is not finite.
-    pub fn of(config: &Config, state: &State, time_ns: u64) -> Option<Self> {
+    pub fn of(config: &PlayerConfig, state: &BaseState, time_ns: u64) -> Option<Self> {
         let [x, y, yaw] = config.odometry_signs;
         let pose = [x * state.pose[0], y * state.pose[1], yaw * state.pose[2]];
         let speed_mps = config.velocity_sign * state.velocity[0];
@@ -121,7 +121,7 @@ mod tests {
 
     #[test]
     fn a_car_with_half_the_axle_distance_steers_by_the_same_angle() {
-        let [velocity, angle] = sent(&Config::default(), AXLES_M, 0.8, 0.06);
+        let [velocity, angle] = sent(&PlayerConfig::default(), AXLES_M, 0.8, 0.06);
         assert_eq!(velocity, 0.8);
         assert!((angle - 0.06).abs() < 1e-12);
     }
@@ -129,9 +129,9 @@ mod tests {
     #[test]
     fn a_longer_car_steers_more_and_a_base_without_steering_gets_its_yaw_rate() {
         let curvature = 2.0 * 0.06_f64.tan() / AXLES_M;
-        let config = Config { wheelbase_m: 0.37, steering_sign: -1.0, ..Config::default() };
+        let config = PlayerConfig { wheelbase_m: 0.37, steering_sign: -1.0, ..PlayerConfig::default() };
         assert_eq!(sent(&config, AXLES_M, 0.8, 0.06), [0.8, -(0.37 * curvature).atan()]);
-        let config = Config { command: DriveCommand::Velocity, ..Config::default() };
+        let config = PlayerConfig { command: DriveCommand::Velocity, ..PlayerConfig::default() };
         assert_eq!(sent(&config, AXLES_M, 0.8, 0.06), [0.8, 0.8 * curvature]);
     }
 
@@ -187,11 +187,11 @@ mod tests {
 
     #[test]
     fn signs_turn_the_frame_and_numbers_that_are_none_are_dropped() {
-        let config = Config { odometry_signs: [1.0, -1.0, -1.0], ..Config::default() };
-        let state = State { pose: [1.0, 2.0, 0.3], velocity: [0.5, 0.0, 0.2], stalled: false };
+        let config = PlayerConfig { odometry_signs: [1.0, -1.0, -1.0], ..PlayerConfig::default() };
+        let state = BaseState { pose: [1.0, 2.0, 0.3], velocity: [0.5, 0.0, 0.2], stalled: false };
         let motion = Motion::of(&config, &state, 7).unwrap();
         assert_eq!((motion.pose, motion.yaw_rate_radps), ([1.0, -2.0, -0.3], -0.2));
-        let broken = State { pose: [1.0, f64::NAN, 0.0], ..state };
+        let broken = BaseState { pose: [1.0, f64::NAN, 0.0], ..state };
         assert_eq!(Motion::of(&config, &broken, 7), None);
     }
 }

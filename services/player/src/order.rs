@@ -1,8 +1,8 @@
 //! What the driver tells its guard, and what the guard answers: frames of fixed size on a socket between the two.
 
-use crate::command::Command;
+use crate::command::ClientMessage;
 use crate::config::DriveCommand;
-use crate::header::{Device, interface};
+use crate::header::{DeviceAddress, interface};
 
 /// Size of a frame of the driver [bytes].
 pub const FRAME: usize = 40;
@@ -11,7 +11,7 @@ pub const ANSWER: usize = 16;
 
 /// What the driver orders.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Order {
+pub enum GuardOrder {
     /// First of all: which base is guarded, how it is driven, and after how long without an order it is stopped [ns].
     Guard(Base, u64),
     /// Drive, with the numbers of the command.
@@ -32,22 +32,22 @@ pub struct Base {
 }
 
 impl Base {
-    fn device(self) -> Device {
-        Device { interface: interface::POSITION2D, index: self.index }
+    fn device(self) -> DeviceAddress {
+        DeviceAddress { interface: interface::POSITION2D, index: self.index }
     }
 
     /// The message that drives.
-    pub fn drive(self, numbers: [f64; 2]) -> Command {
+    pub fn drive(self, numbers: [f64; 2]) -> ClientMessage {
         match self.command {
-            DriveCommand::Car => Command::Car(self.device(), numbers),
-            DriveCommand::Velocity => Command::Velocity(self.device(), [numbers[0], 0.0, numbers[1]]),
+            DriveCommand::Car => ClientMessage::Car(self.device(), numbers),
+            DriveCommand::Velocity => ClientMessage::Velocity(self.device(), [numbers[0], 0.0, numbers[1]]),
         }
     }
 
     /// Appends the messages that stop the wheels: in the form that drives, and as velocities, which each base knows.
     pub fn stop(self, bytes: &mut Vec<u8>) {
         self.drive([0.0; 2]).write(bytes, 0.0, 0);
-        Command::Velocity(self.device(), [0.0; 3]).write(bytes, 0.0, 0);
+        ClientMessage::Velocity(self.device(), [0.0; 3]).write(bytes, 0.0, 0);
     }
 }
 
@@ -59,20 +59,20 @@ pub struct Frame {
     /// When it was given, on CLOCK_MONOTONIC [ns].
     pub given_ns: u64,
     /// The order.
-    pub order: Order,
+    pub order: GuardOrder,
 }
 
 impl Frame {
     /// The frame as bytes.
     pub fn to_bytes(self) -> [u8; FRAME] {
         let (kind, numbers) = match self.order {
-            Order::Guard(base, timeout_ns) => {
+            GuardOrder::Guard(base, timeout_ns) => {
                 let command = u64::from(base.command == DriveCommand::Velocity);
                 (1, [u64::from(base.index) << 1 | command, timeout_ns])
             }
-            Order::Drive(numbers) => (2, numbers.map(f64::to_bits)),
-            Order::Stop => (3, [0; 2]),
-            Order::Round => (4, [0; 2]),
+            GuardOrder::Drive(numbers) => (2, numbers.map(f64::to_bits)),
+            GuardOrder::Stop => (3, [0; 2]),
+            GuardOrder::Round => (4, [0; 2]),
         };
         let mut bytes = [0; FRAME];
         let fields = [kind, self.number, self.given_ns, numbers[0], numbers[1]];
@@ -88,11 +88,11 @@ impl Frame {
         let order = match kind {
             1 => {
                 let command = if one & 1 == 1 { DriveCommand::Velocity } else { DriveCommand::Car };
-                Order::Guard(Base { index: u32::try_from(one >> 1).ok()?, command }, other)
+                GuardOrder::Guard(Base { index: u32::try_from(one >> 1).ok()?, command }, other)
             }
-            2 => Order::Drive([one, other].map(f64::from_bits)),
-            3 => Order::Stop,
-            4 => Order::Round,
+            2 => GuardOrder::Drive([one, other].map(f64::from_bits)),
+            3 => GuardOrder::Stop,
+            4 => GuardOrder::Round,
             _ => return None,
         };
         Some(Self { number, given_ns, order })
@@ -101,14 +101,14 @@ impl Frame {
 
 /// What the guard answers to each frame, and when it stops the wheels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Answer {
+pub struct GuardAnswer {
     /// Number of the newest order.
     pub number: u64,
     /// How often it has stopped the wheels because the driver was silent.
     pub stops: u64,
 }
 
-impl Answer {
+impl GuardAnswer {
     /// The answer as bytes.
     pub fn to_bytes(self) -> [u8; ANSWER] {
         let mut bytes = [0; ANSWER];
@@ -140,14 +140,18 @@ mod tests {
     #[test]
     fn frames_and_answers_come_back_as_they_were() {
         let base = Base { index: 65_535, command: DriveCommand::Velocity };
-        for order in [Order::Guard(base, 200_000_000), Order::Drive([0.7, -0.05]), Order::Stop, Order::Round]
-        {
+        for order in [
+            GuardOrder::Guard(base, 200_000_000),
+            GuardOrder::Drive([0.7, -0.05]),
+            GuardOrder::Stop,
+            GuardOrder::Round,
+        ] {
             let frame = Frame { number: 3, given_ns: u64::MAX - 1, order };
             assert_eq!(Frame::from_bytes(&frame.to_bytes()), Some(frame));
         }
         assert_eq!(Frame::from_bytes(&[9; FRAME]), None);
-        let answer = Answer { number: 1 << 60, stops: 2 };
-        assert_eq!(Answer::from_bytes(&answer.to_bytes()), answer);
+        let answer = GuardAnswer { number: 1 << 60, stops: 2 };
+        assert_eq!(GuardAnswer::from_bytes(&answer.to_bytes()), answer);
     }
 
     #[test]

@@ -6,9 +6,9 @@
 use shared_types::BEAMS;
 
 use crate::clock::ServerClock;
-use crate::config::Config;
+use crate::config::PlayerConfig;
 use crate::join::Motions;
-use crate::message::State;
+use crate::message::BaseState;
 use crate::motion::Motion;
 
 /// A sweep waits for the state of its time for this share of a period.
@@ -23,7 +23,7 @@ const MIN_SPACING_SHARE: u64 = 4;
 
 /// A sweep with its motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Measured {
+pub struct MeasuredSweep {
     /// Ranges by beam of a scan [mm].
     pub ranges_mm: [u16; BEAMS],
     /// The ranges were damaged on the way, and are all zero.
@@ -44,7 +44,7 @@ struct Waiting {
 /// The newest data.
 #[derive(Debug)]
 pub struct Sensing {
-    config: Config,
+    config: PlayerConfig,
     period_ns: u64,
     clock: ServerClock,
     motions: Motions,
@@ -58,7 +58,7 @@ pub struct Sensing {
 
 impl Sensing {
     /// Knows nothing yet.
-    pub fn new(config: &Config, period_ns: u64) -> Self {
+    pub fn new(config: &PlayerConfig, period_ns: u64) -> Self {
         Self {
             config: config.clone(),
             period_ns,
@@ -78,7 +78,7 @@ impl Sensing {
     }
 
     /// Takes a state of the base, unless newer ones have overtaken it; false when a number in it is not finite.
-    pub fn state(&mut self, state: &State, time_s: f64, arrived_ns: u64) -> bool {
+    pub fn state(&mut self, state: &BaseState, time_s: f64, arrived_ns: u64) -> bool {
         let Some(time_ns) = self.clock.arrival(time_s, arrived_ns) else {
             self.dropped += 1;
             return true;
@@ -117,7 +117,7 @@ impl Sensing {
     }
 
     /// The sweep that waits, if its motion is known or it has waited long enough.
-    pub fn next(&mut self, now_ns: u64) -> Option<Measured> {
+    pub fn next(&mut self, now_ns: u64) -> Option<MeasuredSweep> {
         let Waiting { ranges_mm, is_missing, front_ns, until_ns } = self.waiting?;
         if !self.motions.covers(front_ns) && now_ns < until_ns {
             return None;
@@ -129,7 +129,7 @@ impl Sensing {
             return None;
         }
         self.front_ns = front_ns;
-        self.motions.at(front_ns).map(|motion| Measured { ranges_mm, is_missing, motion })
+        self.motions.at(front_ns).map(|motion| MeasuredSweep { ranges_mm, is_missing, motion })
     }
 
     /// When [`Self::next`] gives a sweep at the latest [ns].
@@ -155,13 +155,13 @@ mod tests {
     const T_NS: u64 = 100_000_000;
     const MS: u64 = 1_000_000;
 
-    fn state(x_m: f64) -> State {
-        State { pose: [x_m, 0.0, 0.0], velocity: [1.0, 0.0, 0.0], stalled: false }
+    fn state(x_m: f64) -> BaseState {
+        BaseState { pose: [x_m, 0.0, 0.0], velocity: [1.0, 0.0, 0.0], stalled: false }
     }
 
     /// A server whose clock shows 3.8 s at 1000 ms here, and whose states arrive after 2 ms.
     fn running() -> Sensing {
-        let mut sensing = Sensing::new(&Config::default(), T_NS);
+        let mut sensing = Sensing::new(&PlayerConfig::default(), T_NS);
         for step in 0..20_u64 {
             let arrived_ns = (1000 + 100 * step) * MS + 2 * MS;
             assert!(sensing.state(&state(0.1 * step as f64), 3.8 + 0.1 * step as f64, arrived_ns));

@@ -12,13 +12,13 @@ use shared_types::{Actuation, ActuationKind, DeviceState, Odometry, Phase, Role,
 use vehicle::Description;
 use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 
-use crate::client::{Client, Event, Lost, Orders};
-use crate::config::{Config, ScanSource};
+use crate::client::{Client, ClientEvent, Lost, Orders};
+use crate::config::{PlayerConfig, ScanSource};
 use crate::devices::Devices;
-use crate::handshake::Session;
+use crate::handshake::PlayerSession;
 use crate::motion::{Anchor, Motion, sent, wrapped};
-use crate::order::Order;
-use crate::sensing::{Measured, Sensing};
+use crate::order::GuardOrder;
+use crate::sensing::{MeasuredSweep, Sensing};
 
 /// The guard is a service of this program, also when an update has replaced its file.
 const THIS_PROGRAM: &str = "/proc/self/exe";
@@ -79,7 +79,7 @@ pub fn run() -> anyhow::Result<()> {
 
 /// The driver with its ports.
 struct Driver {
-    config: Config,
+    config: PlayerConfig,
     vehicle: Description,
     start: [f64; 3],
     period_ns: u64,
@@ -110,7 +110,7 @@ struct Driver {
 
 impl Driver {
     fn new(process: &mut Process) -> anyhow::Result<Self> {
-        let config = process.settings::<Config>("player")?;
+        let config = process.settings::<PlayerConfig>("player")?;
         config.validate().map_err(|invalid| anyhow::anyhow!("{}", invalid.within("player")))?;
         let vehicle: Description = process.settings("vehicle")?;
         let Start { x_m, y_m, yaw_rad } = process.settings::<Course>("scenario")?.start;
@@ -175,28 +175,28 @@ impl Driver {
         Ok(())
     }
 
-    fn take(&mut self, event: Event) {
+    fn take(&mut self, event: ClientEvent) {
         match event {
-            Event::Connected(orders, session) => {
+            ClientEvent::Connected(orders, session) => {
                 log_devices(&self.config, &self.vehicle, &session);
                 self.orders = Some(orders);
                 self.sensing.restart();
                 self.devices.set_base(DeviceState::Running, "", monotonic_ns());
             }
-            Event::State { state, time_s, arrived_ns } => {
+            ClientEvent::State { state, time_s, arrived_ns } => {
                 if !self.sensing.state(&state, time_s, arrived_ns) {
                     tracing::warn!(?state, "a state of the base is not finite");
                 }
             }
-            Event::Scan { ranges_mm, is_missing, front_ns, sweep_ns, arrived_ns } => {
+            ClientEvent::Scan { ranges_mm, is_missing, front_ns, sweep_ns, arrived_ns } => {
                 self.scan.sweep_ns = sweep_ns.clamp(1, self.period_ns);
                 self.sensing.sweep_at((ranges_mm, is_missing), front_ns, arrived_ns);
             }
-            Event::Sweep { ranges_mm, time_s, arrived_ns } => {
+            ClientEvent::Sweep { ranges_mm, time_s, arrived_ns } => {
                 self.sensing.sweep(ranges_mm, time_s, arrived_ns)
             }
-            Event::Scanner(device) => self.devices.set_scanner(device),
-            Event::Lost(lost) => self.lose(&lost),
+            ClientEvent::Scanner(device) => self.devices.set_scanner(device),
+            ClientEvent::Lost(lost) => self.lose(&lost),
         }
     }
 
@@ -250,18 +250,18 @@ impl Driver {
             (actuation.sent_velocity_mps.max(0.0), actuation.sent_steering_rad);
         let axle_distance_m = self.vehicle.front_m + self.vehicle.rear_m;
         let numbers = sent(&self.config, axle_distance_m, velocity_mps, steering_rad);
-        if self.give(Order::Drive(numbers)) {
+        if self.give(GuardOrder::Drive(numbers)) {
             self.ordered_mps = self.ordered_mps.max(velocity_mps);
             self.drives_until_ns = Some(monotonic_ns() + TIMEOUT_PERIODS * self.period_ns);
         }
     }
 
     fn block(&mut self) {
-        self.give(Order::Stop);
+        self.give(GuardOrder::Stop);
         self.drives_until_ns = None;
     }
 
-    fn give(&mut self, order: Order) -> bool {
+    fn give(&mut self, order: GuardOrder) -> bool {
         let Some(orders) = &self.orders else { return false };
         orders
             .give(order)
@@ -337,7 +337,7 @@ impl Driver {
     }
 
     /// Warns once when the scanner has another rate than the system.
-    fn compare_rate(&mut self, scan_id: u64, measured: &Measured) {
+    fn compare_rate(&mut self, scan_id: u64, measured: &MeasuredSweep) {
         if scan_id == 1 {
             self.first_ns = measured.motion.time_ns;
         }
@@ -357,7 +357,7 @@ impl Driver {
 }
 
 /// Logs what the server reports about its devices, and warns when the description has others.
-fn log_devices(config: &Config, vehicle: &Description, session: &Session) {
+fn log_devices(config: &PlayerConfig, vehicle: &Description, session: &PlayerSession) {
     let server = config.server();
     let scanner = session.scanner.map_or("none".to_owned(), |scanner| scanner.to_string());
     tracing::info!(server, base = %config.base(), scanner, body_m = ?session.body_m, "connected");

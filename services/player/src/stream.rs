@@ -3,7 +3,7 @@
 //! The memory is bounded and allocated once. Messages that are larger than it are skipped: none that this client uses is.
 //! Bytes that are no messages of Player end the stream with an error that shows them.
 
-use crate::header::{HEADER, Header};
+use crate::header::{HEADER, MessageHeader};
 
 /// Size of the text that a server sends first [bytes].
 pub const IDENT: usize = 32;
@@ -29,7 +29,7 @@ pub enum NotPlayer {
 
 /// A stream of messages.
 #[derive(Debug)]
-pub struct Stream {
+pub struct MessageStream {
     buffer: Box<[u8]>,
     /// The bytes that are there, from the first unread one.
     unread: std::ops::Range<usize>,
@@ -39,14 +39,14 @@ pub struct Stream {
     to_skip: usize,
 }
 
-impl Default for Stream {
+impl Default for MessageStream {
     fn default() -> Self {
         let buffer = vec![0; 2 * (HEADER + MAX_PAYLOAD)].into_boxed_slice();
         Self { buffer, unread: 0..0, is_open: false, to_skip: 0 }
     }
 }
 
-impl Stream {
+impl MessageStream {
     /// Where the next bytes are to be put; never empty after [`Self::next`] has returned `None`.
     pub fn space(&mut self) -> &mut [u8] {
         self.buffer.copy_within(self.unread.clone(), 0);
@@ -64,14 +64,14 @@ impl Stream {
     /// # Errors
     /// [`NotPlayer`] when there cannot be one.
     #[expect(clippy::should_implement_trait, reason = "a message borrows the stream")]
-    pub fn next(&mut self) -> Result<Option<(Header, &[u8])>, NotPlayer> {
+    pub fn next(&mut self) -> Result<Option<(MessageHeader, &[u8])>, NotPlayer> {
         if !self.is_open && !self.open()? {
             return Ok(None);
         }
         loop {
             let skipped = self.to_skip.min(self.unread.len());
             (self.unread.start, self.to_skip) = (self.unread.start + skipped, self.to_skip - skipped);
-            let Ok(header) = Header::read(&self.buffer[self.unread.clone()]) else { return Ok(None) };
+            let Ok(header) = MessageHeader::read(&self.buffer[self.unread.clone()]) else { return Ok(None) };
             let size = header.size as usize;
             if !header.is_plausible() || size > MAX_SIZE {
                 return Err(NotPlayer::Header(self.shown()));
@@ -113,7 +113,7 @@ mod tests {
 
     const IDENT_TEXT: [u8; IDENT] = *b"Player v.3.1.1-dev\0\0\0\0\0\0\0\0\0\0\0\0\0\0";
 
-    fn put(stream: &mut Stream, bytes: &[u8]) {
+    fn put(stream: &mut MessageStream, bytes: &[u8]) {
         let space = stream.space();
         space[..bytes.len()].copy_from_slice(bytes);
         stream.add(bytes.len());
@@ -121,24 +121,25 @@ mod tests {
 
     #[test]
     fn another_server_is_recognised_by_its_first_bytes() {
-        let mut stream = Stream::default();
+        let mut stream = MessageStream::default();
         put(&mut stream, b"SSH-2.0-Op");
         let error = stream.next().unwrap_err();
         assert_eq!(error.to_string(), "this is no Player 3 server: it sent `SSH-2.0-Op`");
-        let mut stream = Stream::default();
+        let mut stream = MessageStream::default();
         put(&mut stream, b"Player v.2.1.0");
         assert!(stream.next().is_err());
     }
 
     #[test]
     fn a_large_message_is_skipped_without_memory_for_it() {
-        let mut stream = Stream::default();
+        let mut stream = MessageStream::default();
         put(&mut stream, &IDENT_TEXT);
         let mut bytes = Vec::new();
         let header =
-            Header::read(&[0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 4].repeat(2)).unwrap();
+            MessageHeader::read(&[0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 4].repeat(2))
+                .unwrap();
         let size = 1 << 20;
-        Header { kind: 1, subtype: 1, size, ..header }.write(&mut bytes);
+        MessageHeader { kind: 1, subtype: 1, size, ..header }.write(&mut bytes);
         put(&mut stream, &bytes);
         assert_eq!(stream.next(), Ok(None));
         for _ in 0..size / 1024 {
@@ -146,14 +147,14 @@ mod tests {
             assert_eq!(stream.next(), Ok(None));
         }
         bytes.clear();
-        Header { kind: 5, subtype: 1, size: 0, ..header }.write(&mut bytes);
+        MessageHeader { kind: 5, subtype: 1, size: 0, ..header }.write(&mut bytes);
         put(&mut stream, &bytes);
         assert_eq!(stream.next().unwrap().map(|(header, _)| header.kind), Some(5));
     }
 
     #[test]
     fn an_impossible_header_ends_the_stream() {
-        let mut stream = Stream::default();
+        let mut stream = MessageStream::default();
         put(&mut stream, &IDENT_TEXT);
         put(&mut stream, &[b'x'; HEADER]);
         assert!(matches!(stream.next(), Err(NotPlayer::Header(text)) if text.starts_with("xxx")));

@@ -27,11 +27,11 @@ pub enum Malformed {
 
 /// Reads a payload from its start to its end.
 #[derive(Debug, Clone, Copy)]
-pub struct Reader<'a> {
+pub struct XdrReader<'a> {
     bytes: &'a [u8],
 }
 
-impl<'a> Reader<'a> {
+impl<'a> XdrReader<'a> {
     /// A reader of a whole payload.
     pub fn new(bytes: &'a [u8]) -> Self {
         Self { bytes }
@@ -151,16 +151,16 @@ impl<'a> Numbers<'a> {
     /// Numbers of 64 bits.
     ///
     /// # Errors
-    /// As [`Reader::elements`].
-    pub fn f64s(reader: &mut Reader<'a>) -> Result<Self, Malformed> {
+    /// As [`XdrReader::elements`].
+    pub fn f64s(reader: &mut XdrReader<'a>) -> Result<Self, Malformed> {
         Ok(Self { bytes: reader.elements(8)?, size: 8 })
     }
 
     /// Numbers of 32 bits.
     ///
     /// # Errors
-    /// As [`Reader::elements`].
-    pub fn f32s(reader: &mut Reader<'a>) -> Result<Self, Malformed> {
+    /// As [`XdrReader::elements`].
+    pub fn f32s(reader: &mut XdrReader<'a>) -> Result<Self, Malformed> {
         Ok(Self { bytes: reader.elements(4)?, size: 4 })
     }
 
@@ -178,7 +178,7 @@ impl<'a> Numbers<'a> {
     pub fn get(&self, index: usize) -> f64 {
         let place = index.saturating_mul(self.size);
         let bytes = self.bytes.get(place..place.saturating_add(self.size)).unwrap_or_default();
-        let mut reader = Reader::new(bytes);
+        let mut reader = XdrReader::new(bytes);
         let number = if self.size == 4 { reader.f32() } else { reader.f64() };
         number.unwrap_or(f64::NAN)
     }
@@ -193,7 +193,7 @@ mod tests {
         let mut bytes = Vec::new();
         put_text(&mut bytes, b"stage\0");
         assert_eq!(bytes, *b"\0\0\0\x06\0\0\0\x06stage\0\0\0");
-        let mut reader = Reader::new(&bytes);
+        let mut reader = XdrReader::new(&bytes);
         assert_eq!(reader.text(), Ok(&b"stage\0"[..]));
         assert_eq!(reader.end(), Ok(()));
     }
@@ -205,7 +205,7 @@ mod tests {
             put_u32(&mut bytes, count);
             put_u32(&mut bytes, length);
             put_f64s(&mut bytes, &[1.5]);
-            Numbers::f64s(&mut Reader::new(&bytes)).map(|numbers| (numbers.len(), numbers.get(0)))
+            Numbers::f64s(&mut XdrReader::new(&bytes)).map(|numbers| (numbers.len(), numbers.get(0)))
         };
         assert_eq!(lengths(1, 1), Ok((1, 1.5)));
         assert_eq!(lengths(1, 2), Err(Malformed::Lengths { count: 1, length: 2 }));
@@ -214,13 +214,13 @@ mod tests {
             lengths(u32::MAX, u32::MAX).map_err(|error| matches!(error, Malformed::Short { .. })),
             Err(true)
         );
-        assert_eq!(Reader::new(&[0; 3]).end(), Err(Malformed::Long(3)));
+        assert_eq!(XdrReader::new(&[0; 3]).end(), Err(Malformed::Long(3)));
     }
 
     #[test]
     fn a_number_that_is_not_there_is_no_number() {
         let bytes = [0, 0, 0, 1, 0, 0, 0, 1, 0x3f, 0x80, 0, 0];
-        let numbers = Numbers::f32s(&mut Reader::new(&bytes)).unwrap();
+        let numbers = Numbers::f32s(&mut XdrReader::new(&bytes)).unwrap();
         assert_eq!(numbers.get(0), 1.0);
         assert!(numbers.get(1).is_nan() && numbers.get(usize::MAX).is_nan());
     }

@@ -8,12 +8,12 @@
 use std::collections::BTreeMap;
 
 use player::beams::Beams;
-use player::command::{Command, Mode, Rule, access};
-use player::config::{Config, Delivery};
+use player::command::{ClientMessage, DeliveryMode, QueueRule, access};
+use player::config::{Delivery, PlayerConfig};
 use player::handshake::Handshake;
-use player::header::{Device, HEADER, Header, interface, kind};
-use player::message::{Fan, Message};
-use player::stream::Stream;
+use player::header::{DeviceAddress, HEADER, MessageHeader, interface, kind};
+use player::message::{Fan, ServerMessage};
+use player::stream::MessageStream;
 use player::{message, xdr};
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -22,14 +22,14 @@ const PUSH: &[u8] = include_bytes!("recordings/own-push-ranger.s2c.bin");
 const PULL: &[u8] = include_bytes!("recordings/ref-pull-ranger.s2c.bin");
 const PUSH_SENT: &[u8] = include_bytes!("recordings/own-push-ranger.c2s.bin");
 const PULL_SENT: &[u8] = include_bytes!("recordings/ref-pull-ranger.c2s.bin");
-const BASE: Device = Device { interface: interface::POSITION2D, index: 0 };
-const RANGER: Device = Device { interface: interface::RANGER, index: 0 };
+const BASE: DeviceAddress = DeviceAddress { interface: interface::POSITION2D, index: 0 };
+const RANGER: DeviceAddress = DeviceAddress { interface: interface::RANGER, index: 0 };
 /// Interface of the simulation, which the client does not use.
 const SIMULATION: u32 = 31;
 
 /// All messages of a stream that arrives in chunks.
-fn messages(bytes: &[u8], chunk: usize) -> Vec<(Header, Vec<u8>)> {
-    let (mut stream, mut all) = (Stream::default(), Vec::new());
+fn messages(bytes: &[u8], chunk: usize) -> Vec<(MessageHeader, Vec<u8>)> {
+    let (mut stream, mut all) = (MessageStream::default(), Vec::new());
     for mut part in bytes.chunks(chunk) {
         while !part.is_empty() {
             let space = stream.space();
@@ -46,7 +46,7 @@ fn messages(bytes: &[u8], chunk: usize) -> Vec<(Header, Vec<u8>)> {
 }
 
 /// How many messages there are of each interface, kind and subtype.
-fn counts(messages: &[(Header, Vec<u8>)]) -> BTreeMap<(u32, u32, u32), usize> {
+fn counts(messages: &[(MessageHeader, Vec<u8>)]) -> BTreeMap<(u32, u32, u32), usize> {
     let mut counts = BTreeMap::new();
     for (header, _) in messages {
         *counts.entry((header.device.interface, header.kind, header.subtype)).or_default() += 1;
@@ -55,7 +55,7 @@ fn counts(messages: &[(Header, Vec<u8>)]) -> BTreeMap<(u32, u32, u32), usize> {
 }
 
 /// The payload of the first message of a kind.
-fn first(messages: &[(Header, Vec<u8>)], of: Device, kind: u32, subtype: u32) -> &[u8] {
+fn first(messages: &[(MessageHeader, Vec<u8>)], of: DeviceAddress, kind: u32, subtype: u32) -> &[u8] {
     let found = messages
         .iter()
         .find(|(header, _)| (header.device, header.kind, header.subtype) == (of, kind, subtype));
@@ -71,7 +71,7 @@ fn the_streams_are_cut_into_the_same_messages_in_any_pieces() {
             assert_eq!(messages(bytes, chunk), whole);
         }
         for (header, payload) in &whole {
-            assert_eq!(Message::read(header, payload).err(), None, "{header:?}");
+            assert_eq!(ServerMessage::read(header, payload).err(), None, "{header:?}");
         }
     }
 }
@@ -102,11 +102,11 @@ fn the_messages_are_those_of_the_index() {
 #[test]
 fn what_the_server_tells_about_its_devices_is_read() {
     let push = messages(PUSH, 4096);
-    let devices: Vec<Device> =
-        message::devices(first(&push, Device::SERVER, kind::ACK, 1)).unwrap().collect();
+    let devices: Vec<DeviceAddress> =
+        message::devices(first(&push, DeviceAddress::SERVER, kind::ACK, 1)).unwrap().collect();
     let interfaces: Vec<u32> = devices.iter().map(|device| device.interface).collect();
     assert_eq!(interfaces, [SIMULATION, interface::POSITION2D, interface::RANGER, interface::LASER]);
-    let opened = message::subscription(first(&push, Device::SERVER, kind::ACK, 3)).unwrap();
+    let opened = message::subscription(first(&push, DeviceAddress::SERVER, kind::ACK, 3)).unwrap();
     assert_eq!((opened.access, opened.driver), (access::OPEN, &b"stage\0"[..]));
     assert_eq!(message::body(first(&push, BASE, kind::ACK, 1)), Ok([0.6, 0.45]));
     assert_eq!(message::mounting(RANGER, first(&push, RANGER, kind::ACK, 1)), Ok([0.2, 0.0, 0.0]));
@@ -121,7 +121,7 @@ fn the_first_sweep_has_the_walls_and_the_box_of_the_corridor() {
     let (header, payload) =
         push.iter().find(|(header, _)| (header.device, header.kind) == (RANGER, kind::DATA)).unwrap();
     assert_eq!(header.time_s, 3.8);
-    let Ok(Message::Sweep(sweep)) = Message::read(header, payload) else { panic!("no sweep") };
+    let Ok(ServerMessage::Sweep(sweep)) = ServerMessage::read(header, payload) else { panic!("no sweep") };
     assert_eq!((sweep.ranges_m.len(), sweep.fan), (682, None));
     for (beam, range_m) in
         [(0, 1.72698), (85, 1.50001), (255, 2.9903), (340, 3.65002), (341, 3.65002), (596, 1.50001)]
@@ -147,8 +147,8 @@ fn the_first_sweep_has_the_walls_and_the_box_of_the_corridor() {
 fn states_carry_the_pose_and_commands_move_it() {
     let poses: Vec<[f64; 3]> = messages(PUSH, 4096)
         .iter()
-        .filter_map(|(header, payload)| match Message::read(header, payload) {
-            Ok(Message::State(state)) => Some(state.pose),
+        .filter_map(|(header, payload)| match ServerMessage::read(header, payload) {
+            Ok(ServerMessage::State(state)) => Some(state.pose),
             _ => None,
         })
         .collect();
@@ -166,7 +166,7 @@ fn whole_sessions_are_read_to_their_last_byte() {
         let bytes = std::fs::read(folder.join(format!("{name}.s2c.bin"))).unwrap();
         let all = messages(&bytes, 1000);
         assert_eq!(bytes.len(), 32 + all.iter().map(|(_, payload)| HEADER + payload.len()).sum::<usize>());
-        all.iter().for_each(|(header, payload)| _ = Message::read(header, payload).unwrap());
+        all.iter().for_each(|(header, payload)| _ = ServerMessage::read(header, payload).unwrap());
         let counts = counts(&all);
         let count = |interface, subtype| counts[&(interface, kind::DATA, subtype)];
         let found =
@@ -176,9 +176,9 @@ fn whole_sessions_are_read_to_their_last_byte() {
 }
 
 /// The messages that a client sent.
-fn sent(bytes: &[u8]) -> Vec<(Header, &[u8])> {
+fn sent(bytes: &[u8]) -> Vec<(MessageHeader, &[u8])> {
     let (mut all, mut rest) = (Vec::new(), bytes);
-    while let Ok(header) = Header::read(rest) {
+    while let Ok(header) = MessageHeader::read(rest) {
         let end = HEADER + header.size as usize;
         all.push((header, &rest[..end]));
         rest = &rest[end..];
@@ -192,7 +192,7 @@ fn every_message_that_a_client_sent_is_written_with_the_same_bytes() {
     for (bytes, unknown) in [(PUSH_SENT, 3), (PULL_SENT, 0)] {
         let mut others = 0;
         for (header, message) in sent(bytes) {
-            let Some(command) = Command::read(&header, &message[HEADER..]).unwrap() else {
+            let Some(command) = ClientMessage::read(&header, &message[HEADER..]).unwrap() else {
                 assert_eq!(header.device.interface, SIMULATION);
                 others += 1;
                 continue;
@@ -201,7 +201,7 @@ fn every_message_that_a_client_sent_is_written_with_the_same_bytes() {
             command.write(&mut written, header.time_s, header.sequence);
             // The C library sends its own port, and in driver information the address of the server.
             written[4..8].copy_from_slice(&message[4..8]);
-            if matches!(command, Command::DriverInfo(_)) {
+            if matches!(command, ClientMessage::DriverInfo(_)) {
                 written[HEADER..HEADER + 8].copy_from_slice(&message[HEADER..HEADER + 8]);
             }
             assert_eq!(written, message, "{command:?}");
@@ -212,34 +212,40 @@ fn every_message_that_a_client_sent_is_written_with_the_same_bytes() {
 
 #[test]
 fn commands_are_those_that_were_given() {
-    let commands = |bytes| -> Vec<Command> {
-        let read = |(header, message): &(Header, &[u8])| Command::read(header, &message[HEADER..]).unwrap();
+    let commands = |bytes| -> Vec<ClientMessage> {
+        let read = |(header, message): &(MessageHeader, &[u8])| {
+            ClientMessage::read(header, &message[HEADER..]).unwrap()
+        };
         sent(bytes).iter().filter_map(read).collect()
     };
     let push = commands(PUSH_SENT);
-    assert!(push.contains(&Command::Car(BASE, [0.8, 0.0])));
-    assert!(push.contains(&Command::Velocity(BASE, [0.0; 3])));
-    assert!(push.contains(&Command::Queue(Some((RANGER, 3)), Rule::Ignore)));
-    assert!(push.contains(&Command::Subscribe(BASE, access::CLOSE)));
+    assert!(push.contains(&ClientMessage::Car(BASE, [0.8, 0.0])));
+    assert!(push.contains(&ClientMessage::Velocity(BASE, [0.0; 3])));
+    assert!(push.contains(&ClientMessage::Queue(Some((RANGER, 3)), QueueRule::Ignore)));
+    assert!(push.contains(&ClientMessage::Subscribe(BASE, access::CLOSE)));
     let pull = commands(PULL_SENT);
     assert_eq!(
         pull[..3],
-        [Command::Deliver(Mode::Pull), Command::Queue(None, Rule::Replace), Command::Devices]
+        [
+            ClientMessage::Deliver(DeliveryMode::Pull),
+            ClientMessage::Queue(None, QueueRule::Replace),
+            ClientMessage::Devices
+        ]
     );
-    assert_eq!(pull.iter().filter(|command| **command == Command::Round).count(), 37);
+    assert_eq!(pull.iter().filter(|command| **command == ClientMessage::Round).count(), 37);
 }
 
 #[test]
 fn the_conversation_ends_with_the_answers_of_the_server() {
-    let answers: Vec<(Header, Vec<u8>)> =
+    let answers: Vec<(MessageHeader, Vec<u8>)> =
         messages(PULL, 4096).into_iter().filter(|(header, _)| header.kind == kind::ACK).collect();
-    let config = Config { delivery: Delivery::Pull, ..Config::default() };
+    let config = PlayerConfig { delivery: Delivery::Pull, ..PlayerConfig::default() };
     let (mut requests, mut session) = (Vec::new(), None);
     let mut handshake = Handshake::new(&config, 0, &mut requests);
     // Answers of the recording in its order, until those that this client asks for have all come.
     for _ in 0..4 {
         for (header, payload) in &answers {
-            let message = Message::read(header, payload).unwrap();
+            let message = ServerMessage::read(header, payload).unwrap();
             session = session.or(handshake.take(header, &message, 0, &mut requests).unwrap());
         }
     }
@@ -250,8 +256,8 @@ fn the_conversation_ends_with_the_answers_of_the_server() {
 
 /// Reads a stream as the client does, until its end or its first error; returns how many messages there were.
 fn survive(bytes: &[u8], chunk: usize) -> usize {
-    let (mut stream, mut count, mut requests) = (Stream::default(), 0, Vec::new());
-    let mut handshake = Handshake::new(&Config::default(), 0, &mut requests);
+    let (mut stream, mut count, mut requests) = (MessageStream::default(), 0, Vec::new());
+    let mut handshake = Handshake::new(&PlayerConfig::default(), 0, &mut requests);
     let mut fan = Fan { first_rad: -2.0, last_rad: 2.0, max_range_m: 5.6 };
     let mut ranges_mm = [0; 682];
     for part in bytes.chunks(chunk) {
@@ -261,12 +267,12 @@ fn survive(bytes: &[u8], chunk: usize) -> usize {
         stream.add(part.len());
         while let Ok(Some((header, payload))) = stream.next() {
             count += 1;
-            let Ok(message) = Message::read(&header, payload) else { return count };
+            let Ok(message) = ServerMessage::read(&header, payload) else { return count };
             let _ = handshake.take(&header, &message, 0, &mut requests);
             if let Ok(changed) = message::fan(header.device, payload) {
                 fan = changed;
             }
-            if let Message::Sweep(sweep) = message
+            if let ServerMessage::Sweep(sweep) = message
                 && let Ok(beams) = Beams::new(fan, sweep.ranges_m.len(), 1.0)
             {
                 beams.fill(&sweep.ranges_m, &mut ranges_mm);
@@ -315,8 +321,8 @@ fn the_laser_of_older_robots_is_read() {
     }
     xdr::put_text(&mut payload, &[1, 2, 3]);
     xdr::put_u32(&mut payload, 0);
-    let device = Device { interface: interface::LASER, index: 0 };
-    let header = |subtype, size: usize| Header {
+    let device = DeviceAddress { interface: interface::LASER, index: 0 };
+    let header = |subtype, size: usize| MessageHeader {
         host: 0,
         robot: 0,
         device,
@@ -327,7 +333,8 @@ fn the_laser_of_older_robots_is_read() {
         size: size as u32,
     };
     for subtype in [1, 2] {
-        let Ok(Message::Sweep(sweep)) = Message::read(&header(subtype, payload.len()), &payload) else {
+        let Ok(ServerMessage::Sweep(sweep)) = ServerMessage::read(&header(subtype, payload.len()), &payload)
+        else {
             panic!("no sweep")
         };
         assert_eq!(sweep.fan, Some(Fan { first_rad: -2.0, last_rad: 2.0, max_range_m: 4.0 }));

@@ -98,7 +98,7 @@ pub use observer::{Checked, Observer, Publisher, TopicObserver, TopicPublishers}
 pub use orphan::LEAVING;
 pub use output::Output;
 pub use own::{
-    AlsoReads, ByteTopic, Companion, CompanionPage, CompanionReport, CompanionRow, Delays, LayoutField,
+    AlsoReads, ByteTopic, Companion, CompanionPage, CompanionRow, CompanionSelfReport, Delays, LayoutField,
     LayoutFile, LoopTopic, MAX_COMPANIONS, MAX_PORTS, NamedTopic, OPERATOR, OwnObserver, OwnPublisher,
     OwnTaken, OwnTopics, PortCount, PortTable, TOPICS_FILE, TakenBytes, TopicRow, memory_limit,
 };

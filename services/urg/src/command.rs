@@ -78,7 +78,7 @@ impl Measurement {
 
     fn append_to(&self, output: &mut Vec<u8>) {
         let Self { first, last, cluster, skip, count, single, .. } = *self;
-        output.extend(Command::Measure(*self).name().as_bytes());
+        output.extend(ScipCommand::Measure(*self).name().as_bytes());
         let ranges = [(first, 4), (last, 4), (u16::from(cluster), 2)];
         let repetition = [(u16::from(skip), 1), (u16::from(count), 2)];
         let repetition = if single { &repetition[..0] } else { &repetition[..] };
@@ -90,7 +90,7 @@ impl Measurement {
 
 /// A command of SCIP 2.0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Command {
+pub enum ScipCommand {
     /// `SCIP2.0`: leave SCIP 1.1, in which an URG-04LX starts.
     SelectScip2,
     /// `VV`: vendor, product, firmware, protocol, serial number.
@@ -117,7 +117,7 @@ pub enum Command {
     Measure(Measurement),
 }
 
-impl Command {
+impl ScipCommand {
     /// Appends the command with its line feed.
     pub fn append_to(&self, output: &mut Vec<u8>) {
         match self {
@@ -184,7 +184,7 @@ mod tests {
         let endless = Measurement { coding: Coding::Two, skip: 1, single: false, count: 7, ..single };
         for (measurement, text) in [(single, "GD0044072501\n"), (endless, "MS0044072501107\n")] {
             let mut bytes = Vec::new();
-            Command::Measure(measurement).append_to(&mut bytes);
+            ScipCommand::Measure(measurement).append_to(&mut bytes);
             assert_eq!(bytes, text.as_bytes());
             assert_eq!(Measurement::of_echo(text.trim_end().as_bytes()), Some(measurement));
         }

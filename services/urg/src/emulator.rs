@@ -8,8 +8,8 @@ mod replies;
 use std::collections::VecDeque;
 
 use crate::command::Measurement;
-use crate::model::Parameters;
-use crate::status::Status;
+use crate::model::SensorParameters;
+use crate::status::ScipStatus;
 
 pub use faults::DeviceFault;
 
@@ -35,8 +35,8 @@ struct Job {
 
 /// The emulated scanner.
 #[derive(Debug, Clone)]
-pub struct Emulator {
-    parameters: Parameters,
+pub struct ScannerEmulator {
+    parameters: SensorParameters,
     /// Range of each step, or an error code [mm].
     scene: Vec<u32>,
     /// When its counter was zero [ns].
@@ -47,14 +47,14 @@ pub struct Emulator {
     is_laser_on: bool,
     is_time_mode: bool,
     /// Statuses of `TM0` and `TM1` where nothing else is wrong.
-    time_status: [Status; 2],
+    time_status: [ScipStatus; 2],
     job: Option<Job>,
     command: Vec<u8>,
     output: VecDeque<u8>,
     faults: faults::Faults,
 }
 
-impl Emulator {
+impl ScannerEmulator {
     /// An URG-04LX that sees a wall of `range_mm` in all directions, switched on at `now_ns`.
     pub fn new(now_ns: u64, range_mm: u32) -> Self {
         Self::of(replies::urg_04lx(), now_ns, range_mm)
@@ -77,7 +77,7 @@ impl Emulator {
     }
 
     /// A scanner of another model.
-    pub fn of(parameters: Parameters, now_ns: u64, range_mm: u32) -> Self {
+    pub fn of(parameters: SensorParameters, now_ns: u64, range_mm: u32) -> Self {
         Self {
             scene: vec![range_mm; parameters.last as usize + 1],
             parameters,
@@ -86,7 +86,7 @@ impl Emulator {
             is_scip_2: true,
             is_laser_on: false,
             is_time_mode: false,
-            time_status: [Status::DONE; 2],
+            time_status: [ScipStatus::DONE; 2],
             job: None,
             command: Vec::new(),
             output: VecDeque::new(),
@@ -181,23 +181,23 @@ impl Emulator {
                 self.push(b"\nE\n\n");
             }
             b"TM0" | b"TM1" | b"TM2" => self.answer_time(command, now_ns),
-            _ if self.is_time_mode => self.reply(command, Status::NOT_ALLOWED, &[]),
+            _ if self.is_time_mode => self.reply(command, ScipStatus::NOT_ALLOWED, &[]),
             b"QT" => {
                 self.reset();
-                self.reply(command, Status::DONE, &[]);
+                self.reply(command, ScipStatus::DONE, &[]);
             }
             b"RS" => {
                 self.reset();
                 self.origin_ns = now_ns;
-                self.reply(command, Status::DONE, &[]);
+                self.reply(command, ScipStatus::DONE, &[]);
             }
             b"BM" => {
-                let status = if self.is_laser_on { Status(*b"02") } else { Status::DONE };
+                let status = if self.is_laser_on { ScipStatus(*b"02") } else { ScipStatus::DONE };
                 self.is_laser_on = true;
                 self.reply(command, status, &[]);
             }
-            b"VV" => self.reply(command, Status::DONE, &replies::version()),
-            b"PP" => self.reply(command, Status::DONE, &replies::parameters(&self.parameters)),
+            b"VV" => self.reply(command, ScipStatus::DONE, &replies::version()),
+            b"PP" => self.reply(command, ScipStatus::DONE, &replies::parameters(&self.parameters)),
             b"II" => {
                 let state = replies::state(
                     &self.parameters,
@@ -205,7 +205,7 @@ impl Emulator {
                     self.job.is_some(),
                     self.stamp_ms(now_ns),
                 );
-                self.reply(command, Status::DONE, &state);
+                self.reply(command, ScipStatus::DONE, &state);
             }
             _ => self.answer_measurement(command, now_ns),
         }
@@ -213,15 +213,15 @@ impl Emulator {
 
     fn answer_time(&mut self, command: &[u8], now_ns: u64) {
         let [enter, read] = self.time_status;
-        if command == b"TM0" && enter != Status::DONE || command == b"TM1" && read != Status::DONE {
+        if command == b"TM0" && enter != ScipStatus::DONE || command == b"TM1" && read != ScipStatus::DONE {
             return self.reply(command, if command == b"TM0" { enter } else { read }, &[]);
         }
         let (status, lines) = match (command, self.is_time_mode) {
-            (b"TM0", false) | (b"TM2", true) => (Status::DONE, None),
-            (b"TM0", true) => (Status(*b"02"), None),
-            (b"TM1", true) => (Status::DONE, Some(replies::number(self.stamp_ms(now_ns)))),
-            (b"TM1", false) => (Status(*b"04"), None),
-            _ => (Status(*b"03"), None),
+            (b"TM0", false) | (b"TM2", true) => (ScipStatus::DONE, None),
+            (b"TM0", true) => (ScipStatus(*b"02"), None),
+            (b"TM1", true) => (ScipStatus::DONE, Some(replies::number(self.stamp_ms(now_ns)))),
+            (b"TM1", false) => (ScipStatus(*b"04"), None),
+            _ => (ScipStatus(*b"03"), None),
         };
         self.is_time_mode = command != b"TM2" && (command == b"TM0" || self.is_time_mode);
         if self.is_time_mode {
@@ -232,23 +232,23 @@ impl Emulator {
 
     fn answer_measurement(&mut self, command: &[u8], now_ns: u64) {
         let Some(measurement) = Measurement::of_echo(command) else {
-            return self.reply(command, Status::NOT_ALLOWED, &[]);
+            return self.reply(command, ScipStatus::NOT_ALLOWED, &[]);
         };
         if u32::from(measurement.last) > self.parameters.last {
-            return self.reply(command, Status(*b"04"), &[]);
+            return self.reply(command, ScipStatus(*b"04"), &[]);
         }
         if measurement.last < measurement.first {
-            return self.reply(command, Status(*b"05"), &[]);
+            return self.reply(command, ScipStatus(*b"05"), &[]);
         }
         if measurement.single {
             if !self.is_laser_on {
-                return self.reply(command, Status(*b"10"), &[]);
+                return self.reply(command, ScipStatus(*b"10"), &[]);
             }
             let lines = self.scan_lines(&measurement, self.stamp_ms(now_ns));
-            return self.reply(command, Status::DONE, &lines);
+            return self.reply(command, ScipStatus::DONE, &lines);
         }
         self.is_laser_on = true;
-        self.reply(command, Status::DONE, &[]);
+        self.reply(command, ScipStatus::DONE, &[]);
         let turn = (now_ns.saturating_sub(self.origin_ns)) / self.parameters.turn_ns() + 1;
         let left = (measurement.count > 0).then_some(measurement.count);
         self.job = Some(Job { measurement, echo: command.to_vec(), left, turn });
@@ -265,7 +265,7 @@ impl Emulator {
         }
         let lines = self.scan_lines(&job.measurement, self.stamp_ms(begins_ns));
         let mut scan = Vec::new();
-        replies::append(&mut scan, &job.echo, Status::SCAN, &lines);
+        replies::append(&mut scan, &job.echo, ScipStatus::SCAN, &lines);
         self.faults.damage(&mut scan, ready_ns);
         if self.output.len() + scan.len() <= MAX_OUTPUT {
             self.output.extend(scan);
@@ -282,13 +282,13 @@ impl Emulator {
     }
 
     /// Ends the measurement with a status.
-    fn interrupt(&mut self, status: Status) {
+    fn interrupt(&mut self, status: ScipStatus) {
         if let Some(job) = self.job.take() {
             self.reply(&job.echo, status, &[]);
         }
     }
 
-    fn reply(&mut self, echo: &[u8], status: Status, lines: &[u8]) {
+    fn reply(&mut self, echo: &[u8], status: ScipStatus, lines: &[u8]) {
         let mut bytes = Vec::new();
         replies::append(&mut bytes, echo, status, lines);
         self.push(&bytes);

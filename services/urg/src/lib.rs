@@ -1,12 +1,13 @@
 //! Hokuyo laser scanners: the protocol SCIP 2.0, and a source of scans for drivers.
 //!
-//! [`Source`] connects to a scanner, starts it, and returns [`Scan`](shared_types::Scan)s whose stamps are on
-//! CLOCK_MONOTONIC. It restarts a scanner that is silent, and connects again when the connection is lost:
+//! [`ScannerConnection`] connects to a scanner, starts it, and returns [`Scan`](shared_types::Scan)s whose stamps are
+//! on CLOCK_MONOTONIC. It restarts a scanner that is silent, and connects again when the connection is lost:
 //!
 //! ```no_run
 //! # fn now_ns() -> u64 { 0 }
 //! # fn main() -> Result<(), urg::UrgError> {
-//! let mut source = urg::Source::open(urg::Config::new(urg::Place::parse("/dev/ttyACM0")?), now_ns);
+//! let config = urg::ScannerConfig::new(urg::ScannerPlace::parse("/dev/ttyACM0")?);
+//! let mut source = urg::ScannerConnection::open(config, now_ns);
 //! let mut scan = shared_types::Scan::default();
 //! loop {
 //!     match source.next(50_000_000, &mut scan)? {
@@ -17,9 +18,10 @@
 //! # }
 //! ```
 //!
-//! Below it, each part can be used alone: [`Parser`] reads replies, [`Command`] writes commands, [`Resampling`] turns
-//! the ranges of any model into beams, and [`Session`] is the conversation with a scanner, without input, output or
-//! clock. [`Emulator`] is a scanner with faults, for tests and for a first try without a scanner; [`Port`] connects it.
+//! Below it, each part can be used alone: [`Parser`] reads replies, [`ScipCommand`] writes commands, [`Resampling`]
+//! turns the ranges of any model into beams, and [`ScannerSession`] is the conversation with a scanner, without input,
+//! output or clock. [`ScannerEmulator`] is a scanner with faults, for tests and for a first try without a scanner;
+//! [`Port`] connects it.
 //!
 //! Source: Hokuyo, "URG series communication protocol specification SCIP 2.0", C-42-03320B.
 
@@ -40,19 +42,19 @@ mod state;
 mod status;
 
 pub use coding::{checksum, decode, encode, verified};
-pub use command::{Coding, Command, Measurement};
-pub use device_clock::Event;
-pub use emulator::{DeviceFault, Emulator};
-pub use identity::Identity;
-pub use model::{Parameters, fields};
+pub use command::{Coding, Measurement, ScipCommand};
+pub use device_clock::ClockEvent;
+pub use emulator::{DeviceFault, ScannerEmulator};
+pub use identity::ScannerIdentity;
+pub use model::{SensorParameters, fields};
 pub use parser::{Completed, MAX_RANGES, Parser, ReplyFault};
-pub use place::{Config, Place};
+pub use place::{ScannerConfig, ScannerPlace};
 pub use port::Port;
 pub use resampling::{NOT_MEASURED, Resampling};
-pub use session::Session;
-pub use source::Source;
+pub use session::ScannerSession;
+pub use source::ScannerConnection;
 pub use state::{Counters, Reading, SourceState};
-pub use status::Status;
+pub use status::ScipStatus;
 
 /// Why a scanner can't be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

@@ -11,7 +11,7 @@ use rustix::io::Errno;
 use rustix::net::{AddressFamily, SocketFlags, SocketType, connect, socket_with, sockopt};
 use rustix::termios::{ControlModes, InputModes, OptionalActions, isatty, tcgetattr, tcsetattr};
 
-use crate::place::Place;
+use crate::place::ScannerPlace;
 
 /// What a read has brought.
 #[derive(Debug)]
@@ -35,13 +35,13 @@ impl Link {
     ///
     /// # Errors
     /// A device that can't be opened or is no serial line, and a name that can't be resolved.
-    pub(crate) fn open(place: &Place, bit_rate: u32) -> io::Result<Self> {
+    pub(crate) fn open(place: &ScannerPlace, bit_rate: u32) -> io::Result<Self> {
         match place {
-            Place::Device(path) => {
+            ScannerPlace::Device(path) => {
                 let others = Vec::new().into_iter();
                 Ok(Self { descriptor: open_device(path, bit_rate)?, is_made: true, others })
             }
-            Place::Tcp(name) => Self::to(name.to_socket_addrs()?.collect()),
+            ScannerPlace::Tcp(name) => Self::to(name.to_socket_addrs()?.collect()),
         }
     }
 

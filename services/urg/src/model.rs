@@ -12,7 +12,7 @@ const RATE_TOLERANCE: f64 = 0.05;
 
 /// The parameters of a model, from the reply to `PP`.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Parameters {
+pub struct SensorParameters {
     /// Name of the model.
     pub model: String,
     /// Shortest range; smaller values are error codes [mm].
@@ -31,7 +31,7 @@ pub struct Parameters {
     pub rpm: u32,
 }
 
-impl Parameters {
+impl SensorParameters {
     /// Reads the lines of a reply to `PP`.
     ///
     /// # Errors
@@ -144,7 +144,7 @@ mod tests {
 
     #[test]
     fn the_parameters_of_the_usual_model_fit() {
-        let parameters = Parameters::of_text(URG_04LX).unwrap();
+        let parameters = SensorParameters::of_text(URG_04LX).unwrap();
         assert_eq!((parameters.first, parameters.last, parameters.front), (44, 725, 384));
         assert_eq!((parameters.turn_ns(), parameters.step_ns(384)), (100_000_000, 37_500_000));
         parameters.require_fit(Some(10.0), 0).unwrap();
@@ -153,8 +153,8 @@ mod tests {
 
     #[test]
     fn a_model_that_does_not_fit_is_refused_with_value_and_range() {
-        let parameters = Parameters::of_text(URG_04LX).unwrap();
-        let refused = |parameters: &Parameters, rate_hz, skip| {
+        let parameters = SensorParameters::of_text(URG_04LX).unwrap();
+        let refused = |parameters: &SensorParameters, rate_hz, skip| {
             parameters.require_fit(Some(rate_hz), skip).unwrap_err().to_string()
         };
         assert_eq!(
@@ -165,7 +165,7 @@ mod tests {
             refused(&parameters, 10.0, 1),
             "URG-04LX(emulated) measures 5.00 scans a second; rate_hz = 10 allows 9.50 to 10.50"
         );
-        let narrow = Parameters { first: 215, ..parameters };
+        let narrow = SensorParameters { first: 215, ..parameters };
         assert_eq!(
             refused(&narrow, 10.0, 0),
             "URG-04LX(emulated) measures from -59.4 to 119.9 deg; at least -59.8 to 60.1 deg are allowed"
@@ -190,7 +190,7 @@ mod tests {
         ] {
             let value = if line.starts_with("AMIN") { "AMIN:900;7" } else { "ARES:900x;7" };
             let text = String::from_utf8(URG_04LX.to_vec()).unwrap().replace(line, value);
-            assert_eq!(Parameters::of_text(text.as_bytes()).unwrap_err().to_string(), message);
+            assert_eq!(SensorParameters::of_text(text.as_bytes()).unwrap_err().to_string(), message);
         }
     }
 }

@@ -7,7 +7,7 @@
 
 use crate::coding::{append, decode, verified};
 use crate::command::Measurement;
-use crate::status::Status;
+use crate::status::ScipStatus;
 
 /// Most ranges of a scan.
 pub const MAX_RANGES: usize = 4096;
@@ -95,7 +95,7 @@ pub struct Parser {
     line: Bounded<MAX_LINE>,
     echo: Bounded<MAX_LINE>,
     text: Bounded<MAX_TEXT>,
-    status: Status,
+    status: ScipStatus,
     /// Of a reply with ranges.
     measurement: Option<Measurement>,
     stamp: Option<u32>,
@@ -114,7 +114,7 @@ impl Default for Parser {
             line: Bounded::EMPTY,
             echo: Bounded::EMPTY,
             text: Bounded::EMPTY,
-            status: Status::default(),
+            status: ScipStatus::default(),
             measurement: None,
             stamp: None,
             cut: None,
@@ -138,7 +138,7 @@ impl Parser {
     }
 
     /// Status of the reply.
-    pub fn status(&self) -> Status {
+    pub fn status(&self) -> ScipStatus {
         self.status
     }
 
@@ -213,20 +213,20 @@ impl Parser {
         self.ranges.clear();
         self.partial = (0, 0);
         self.fault = None;
-        self.status = Status::default();
+        self.status = ScipStatus::default();
         self.expected = Expected::Status;
     }
 
     fn take_status(&mut self) {
         let line = self.line.get();
         self.status = match (line, verified(line)) {
-            (_, Some(&[tens, ones])) => Status([tens, ones]),
-            (&[only], _) => Status([only, 0]),
+            (_, Some(&[tens, ones])) => ScipStatus([tens, ones]),
+            (&[only], _) => ScipStatus([only, 0]),
             _ => return self.spoil(ReplyFault::Checksum),
         };
         let measurement = Measurement::of_echo(self.echo.get());
         let has_ranges = |measurement: &Measurement| {
-            self.status == if measurement.single { Status::DONE } else { Status::SCAN }
+            self.status == if measurement.single { ScipStatus::DONE } else { ScipStatus::SCAN }
         };
         self.measurement = measurement.filter(has_ranges);
         self.expected = if self.measurement.is_some() { Expected::Stamp } else { Expected::Text };

@@ -8,14 +8,14 @@ use crate::command::Coding;
 
 /// Where a scanner is.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Place {
+pub enum ScannerPlace {
     /// A serial line, also one over USB.
     Device(PathBuf),
     /// A host and a port.
     Tcp(String),
 }
 
-impl Place {
+impl ScannerPlace {
     /// A path begins with `/`; everything else is `HOST:PORT`.
     ///
     /// # Errors
@@ -30,7 +30,7 @@ impl Place {
     }
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for ScannerPlace {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Device(path) => path.display().fmt(formatter),
@@ -41,9 +41,9 @@ impl fmt::Display for Place {
 
 /// Which scanner is used, and how.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Config {
+pub struct ScannerConfig {
     /// Where the scanner is.
-    pub place: Place,
+    pub place: ScannerPlace,
     /// Scans per second that the system expects; `None` for any. A scanner that differs by more than 5 % is refused.
     pub rate_hz: Option<f64>,
     /// Coding of the ranges: with two characters a third less is transmitted, and ranges end at 4.09 m.
@@ -58,9 +58,9 @@ pub struct Config {
     pub identify_only: bool,
 }
 
-impl Config {
+impl ScannerConfig {
     /// The usual configuration of a scanner at a place.
-    pub fn new(place: Place) -> Self {
+    pub fn new(place: ScannerPlace) -> Self {
         let coding = Coding::Three;
         Self { place, rate_hz: None, coding, skip: 0, cluster: 1, bit_rate: 115_200, identify_only: false }
     }

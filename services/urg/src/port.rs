@@ -9,7 +9,7 @@ use rustix::io::Errno;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 
-use crate::emulator::Emulator;
+use crate::emulator::ScannerEmulator;
 
 /// The host's end, as far as it is there.
 #[derive(Debug)]
@@ -25,7 +25,7 @@ enum Line {
 pub struct Port {
     line: Line,
     /// The scanner.
-    pub emulator: Emulator,
+    pub emulator: ScannerEmulator,
 }
 
 impl Port {
@@ -33,7 +33,7 @@ impl Port {
     ///
     /// # Errors
     /// An address that can't be used.
-    pub fn tcp(address: &str, emulator: Emulator) -> io::Result<Self> {
+    pub fn tcp(address: &str, emulator: ScannerEmulator) -> io::Result<Self> {
         let listener = TcpListener::bind(address)?;
         listener.set_nonblocking(true)?;
         Ok(Self { line: Line::Tcp(listener, None), emulator })
@@ -43,7 +43,7 @@ impl Port {
     ///
     /// # Errors
     /// A system without free pseudo terminals.
-    pub fn terminal(emulator: Emulator) -> io::Result<(Self, String)> {
+    pub fn terminal(emulator: ScannerEmulator) -> io::Result<(Self, String)> {
         let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
         let own = openpt(flags)?;
         grantpt(&own)?;

@@ -7,7 +7,7 @@
 use shared_types::{BEAMS, MIN_RANGE_MM, PITCH_RAD, Scan};
 
 use crate::command::{Coding, Measurement};
-use crate::model::Parameters;
+use crate::model::SensorParameters;
 
 /// Error code of beams that the scanner never measures: "not measurable" of the URG-04LX.
 pub const NOT_MEASURED: u16 = 19;
@@ -38,7 +38,7 @@ pub struct Resampling {
 
 impl Resampling {
     /// The beams of a measurement of a model.
-    pub fn new(parameters: &Parameters, measurement: &Measurement) -> Self {
+    pub fn new(parameters: &SensorParameters, measurement: &Measurement) -> Self {
         let max_mm = match measurement.coding {
             Coding::Two => parameters.max_mm.min(MAX_OF_TWO - 1),
             Coding::Three => parameters.max_mm.min(u32::from(u16::MAX)),
@@ -77,7 +77,7 @@ impl Resampling {
 }
 
 /// The ranges for a beam in a direction.
-fn source_of(yaw_rad: f64, parameters: &Parameters, measurement: &Measurement) -> Source {
+fn source_of(yaw_rad: f64, parameters: &SensorParameters, measurement: &Measurement) -> Source {
     let cluster = f64::from(measurement.cluster.max(1));
     let count = measurement.ranges() as f64;
     let steps_per_rad = f64::from(parameters.steps) / std::f64::consts::TAU;
@@ -101,11 +101,20 @@ mod tests {
     use super::*;
     use shared_types::FRONT_BEAM;
 
-    fn model(steps: u32, first: u32, last: u32, front: u32) -> Parameters {
-        Parameters { model: String::new(), min_mm: 20, max_mm: 30_000, steps, first, last, front, rpm: 600 }
+    fn model(steps: u32, first: u32, last: u32, front: u32) -> SensorParameters {
+        SensorParameters {
+            model: String::new(),
+            min_mm: 20,
+            max_mm: 30_000,
+            steps,
+            first,
+            last,
+            front,
+            rpm: 600,
+        }
     }
 
-    fn full(parameters: &Parameters) -> Measurement {
+    fn full(parameters: &SensorParameters) -> Measurement {
         let [first, last] = [parameters.first, parameters.last].map(|step| step as u16);
         Measurement { first, last, ..Measurement::default() }
     }
@@ -170,7 +179,7 @@ mod tests {
 
     #[test]
     fn what_is_no_range_becomes_an_error_code() {
-        let parameters = Parameters { min_mm: 60, max_mm: 4095, ..model(1024, 44, 725, 384) };
+        let parameters = SensorParameters { min_mm: 60, max_mm: 4095, ..model(1024, 44, 725, 384) };
         let resampling = Resampling::new(&parameters, &full(&parameters));
         let mut ranges = vec![1; 682];
         (ranges[0], ranges[1], ranges[2], ranges[3]) = (7, 30, 4096, 4095);

@@ -7,19 +7,19 @@
 
 use std::fmt::Write as _;
 
-use device_clock::{DeviceClock, Event, Settings};
+use device_clock::{ClockEvent, ClockSettings, DeviceClock};
 use shared_types::{BEAMS, Scan};
 
 use crate::UrgError;
-use crate::command::{Command, Measurement};
-use crate::identity::Identity;
-use crate::model::{Parameters, has_valid_sums};
+use crate::command::{Measurement, ScipCommand};
+use crate::identity::ScannerIdentity;
+use crate::model::{SensorParameters, has_valid_sums};
 use crate::parser::{Completed, Parser, ReplyFault};
-use crate::place::Config;
+use crate::place::ScannerConfig;
 use crate::resampling::Resampling;
 use crate::start::{Outcome, Step};
 use crate::state::{Counters, Reading, SourceState};
-use crate::status::Status;
+use crate::status::ScipStatus;
 
 /// Pause in which bytes of an earlier conversation are dropped: longer than a scan [ns].
 const DRAIN_NS: u64 = 140_000_000;
@@ -47,8 +47,8 @@ enum Phase {
 
 /// See the module.
 #[derive(Debug)]
-pub struct Session {
-    config: Config,
+pub struct ScannerSession {
+    config: ScannerConfig,
     parser: Parser,
     clock: Option<DeviceClock>,
     phase: Phase,
@@ -59,9 +59,9 @@ pub struct Session {
     attempts: u32,
     measurement: Measurement,
     resampling: Option<Resampling>,
-    identity: Identity,
+    identity: ScannerIdentity,
     /// Parameters whose checksums are wrong: they count when they come twice.
-    unverified: Option<Parameters>,
+    unverified: Option<SensorParameters>,
     output: Vec<u8>,
     state: SourceState,
     message: String,
@@ -69,9 +69,9 @@ pub struct Session {
     starts: u64,
 }
 
-impl Session {
+impl ScannerSession {
     /// A conversation that has not begun.
-    pub fn new(config: Config) -> Self {
+    pub fn new(config: ScannerConfig) -> Self {
         Self {
             config,
             parser: Parser::default(),
@@ -82,7 +82,7 @@ impl Session {
             attempts: 0,
             measurement: Measurement::default(),
             resampling: None,
-            identity: Identity::default(),
+            identity: ScannerIdentity::default(),
             unverified: None,
             output: Vec::with_capacity(64),
             state: SourceState::Connecting,
@@ -137,7 +137,7 @@ impl Session {
     }
 
     /// What the scanner has told about itself.
-    pub fn identity(&self) -> &Identity {
+    pub fn identity(&self) -> &ScannerIdentity {
         &self.identity
     }
 
@@ -229,7 +229,7 @@ impl Session {
             false => resampling.apply(self.parser.ranges(), &mut scan.ranges_mm),
         }
         self.deadline_ns = arrived_ns.saturating_add(SILENT_PERIODS * scan.period_ns);
-        self.counters.clock_jumps += u64::from(mapped.event != Event::Regular);
+        self.counters.clock_jumps += u64::from(mapped.event != ClockEvent::Regular);
         if !is_missing {
             self.message.clear();
             (self.attempts, self.state) = (0, SourceState::Measuring);
@@ -254,13 +254,13 @@ impl Session {
     }
 
     fn is_of_measurement(&self) -> bool {
-        Command::Measure(self.measurement).is_answered_by(self.parser.echo())
+        ScipCommand::Measure(self.measurement).is_answered_by(self.parser.echo())
     }
 
     /// The scanner has sent a status instead of a scan.
     fn interrupted(&mut self, now_ns: u64) {
         let status = self.parser.status();
-        if status.number() != Some(98) && status != Status::DONE {
+        if status.number() != Some(98) && status != ScipStatus::DONE {
             self.state = SourceState::Stalled;
             self.fail(now_ns, FAULT_NS, &format!("status {status}: {}", status.meaning()));
         }
@@ -271,7 +271,7 @@ impl Session {
         match step {
             Step::Version => self.identity.version = text.to_vec(),
             Step::State => self.identity.state = text.to_vec(),
-            Step::Parameters if status == Status::DONE => match self.read_parameters() {
+            Step::Parameters if status == ScipStatus::DONE => match self.read_parameters() {
                 Ok(parameters) => self.prepare(parameters)?,
                 Err(message) => {
                     self.fail(now_ns, DRAIN_NS, &message);
@@ -302,9 +302,9 @@ impl Session {
     }
 
     /// The parameters in the reply. Wrong ones would turn all ranges, so a damaged reply is asked for again.
-    fn read_parameters(&mut self) -> Result<Parameters, String> {
+    fn read_parameters(&mut self) -> Result<SensorParameters, String> {
         let text = self.parser.text();
-        let parameters = Parameters::of_text(text).map_err(|error| error.to_string())?;
+        let parameters = SensorParameters::of_text(text).map_err(|error| error.to_string())?;
         if has_valid_sums(text) || self.unverified.as_ref() == Some(&parameters) {
             return Ok(parameters);
         }
@@ -313,18 +313,18 @@ impl Session {
     }
 
     /// Prepares the measurement of a model.
-    fn prepare(&mut self, parameters: Parameters) -> Result<(), UrgError> {
-        let Config { rate_hz, skip, cluster, coding, identify_only, .. } = self.config;
+    fn prepare(&mut self, parameters: SensorParameters) -> Result<(), UrgError> {
+        let ScannerConfig { rate_hz, skip, cluster, coding, identify_only, .. } = self.config;
         if !identify_only {
             parameters.require_fit(rate_hz, skip)?;
         }
         let (first, last) = parameters.steps_of_beams();
         self.measurement = Measurement { coding, first, last, cluster, skip, count: 0, single: false };
         self.resampling = Some(Resampling::new(&parameters, &self.measurement));
-        let settings = Settings {
+        let settings = ClockSettings {
             delay_ns: parameters.step_ns(u32::from(last)),
             delay_error_ns: DELAY_ERROR_NS,
-            ..Settings::milliseconds_of_24_bits()
+            ..ClockSettings::milliseconds_of_24_bits()
         };
         self.clock.get_or_insert_with(|| DeviceClock::new(settings));
         self.identity.parameters = Some(parameters);

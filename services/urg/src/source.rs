@@ -6,10 +6,10 @@ use device_clock::DeviceClock;
 use shared_types::Scan;
 
 use crate::UrgError;
-use crate::identity::Identity;
+use crate::identity::ScannerIdentity;
 use crate::link::{Link, Read};
-use crate::place::Config;
-use crate::session::Session;
+use crate::place::ScannerConfig;
+use crate::session::ScannerSession;
 use crate::state::{Counters, Reading, SourceState};
 
 /// A lost connection is made again after this time [ns].
@@ -25,10 +25,10 @@ const READS: usize = 8;
 ///
 /// No call blocks longer than it is told, except for the resolution of a host's name.
 #[derive(Debug)]
-pub struct Source {
-    config: Config,
+pub struct ScannerConnection {
+    config: ScannerConfig,
     now_ns: fn() -> u64,
-    session: Session,
+    session: ScannerSession,
     link: Option<Link>,
     is_connected: bool,
     /// When to connect, or to give up connecting [ns].
@@ -40,11 +40,11 @@ pub struct Source {
     arrived_ns: u64,
 }
 
-impl Source {
+impl ScannerConnection {
     /// A source that will connect with the first call of [`Self::next`]; `now_ns` reads CLOCK_MONOTONIC.
-    pub fn open(config: Config, now_ns: fn() -> u64) -> Self {
+    pub fn open(config: ScannerConfig, now_ns: fn() -> u64) -> Self {
         Self {
-            session: Session::new(config.clone()),
+            session: ScannerSession::new(config.clone()),
             config,
             now_ns,
             link: None,
@@ -125,7 +125,7 @@ impl Source {
     }
 
     /// What the scanner has told about itself.
-    pub fn identity(&self) -> &Identity {
+    pub fn identity(&self) -> &ScannerIdentity {
         self.session.identity()
     }
 
@@ -234,7 +234,7 @@ impl Source {
     }
 }
 
-impl Drop for Source {
+impl Drop for ScannerConnection {
     /// Switches the laser off, if that is possible.
     fn drop(&mut self) {
         if let Some(link) = self.link.as_ref().filter(|_| self.is_connected) {

@@ -1,8 +1,8 @@
 //! The steps from a connection to the measurement.
 
 use crate::coding::{decode, verified};
-use crate::command::{Command, Measurement};
-use crate::status::Status;
+use crate::command::{Measurement, ScipCommand};
+use crate::status::ScipStatus;
 
 /// Round trips for the time: the shortest of ten is short.
 const ROUND_TRIPS: u8 = 10;
@@ -39,31 +39,31 @@ pub(crate) enum Outcome {
 }
 
 impl Step {
-    pub(crate) fn command(self, measurement: &Measurement) -> Command {
+    pub(crate) fn command(self, measurement: &Measurement) -> ScipCommand {
         match self {
-            Self::Stop => Command::Quit,
-            Self::SelectScip2 => Command::SelectScip2,
-            Self::LeaveTimeMode | Self::ExitTimeMode => Command::TimeModeOff,
-            Self::Version => Command::Version,
-            Self::Parameters => Command::Parameters,
-            Self::State => Command::State,
-            Self::EnterTimeMode => Command::TimeModeOn,
-            Self::ReadTime(_) => Command::Time,
-            Self::LaserOn => Command::LaserOn,
-            Self::Start => Command::Measure(*measurement),
+            Self::Stop => ScipCommand::Quit,
+            Self::SelectScip2 => ScipCommand::SelectScip2,
+            Self::LeaveTimeMode | Self::ExitTimeMode => ScipCommand::TimeModeOff,
+            Self::Version => ScipCommand::Version,
+            Self::Parameters => ScipCommand::Parameters,
+            Self::State => ScipCommand::State,
+            Self::EnterTimeMode => ScipCommand::TimeModeOn,
+            Self::ReadTime(_) => ScipCommand::Time,
+            Self::LaserOn => ScipCommand::LaserOn,
+            Self::Start => ScipCommand::Measure(*measurement),
         }
     }
 
     /// What follows a reply with this status.
-    pub(crate) fn after(self, status: Status, identify_only: bool) -> Outcome {
+    pub(crate) fn after(self, status: ScipStatus, identify_only: bool) -> Outcome {
         let number = status.number();
         match self {
-            Self::Stop if status == Status::DONE => Outcome::Ask(Self::Version),
-            Self::Stop if status == Status::SCIP_1 => Outcome::Ask(Self::SelectScip2),
-            Self::Stop if status == Status::NOT_ALLOWED => Outcome::Ask(Self::LeaveTimeMode),
+            Self::Stop if status == ScipStatus::DONE => Outcome::Ask(Self::Version),
+            Self::Stop if status == ScipStatus::SCIP_1 => Outcome::Ask(Self::SelectScip2),
+            Self::Stop if status == ScipStatus::NOT_ALLOWED => Outcome::Ask(Self::LeaveTimeMode),
             Self::SelectScip2 | Self::LeaveTimeMode => Outcome::Ask(Self::Version),
             Self::Version => Outcome::Ask(Self::Parameters),
-            Self::Parameters if status == Status::DONE => Outcome::Ask(Self::State),
+            Self::Parameters if status == ScipStatus::DONE => Outcome::Ask(Self::State),
             Self::State if identify_only => Outcome::Done,
             Self::State => Outcome::Ask(Self::EnterTimeMode),
             Self::EnterTimeMode if matches!(number, Some(0 | 2)) => Outcome::Ask(Self::ReadTime(0)),
@@ -73,13 +73,13 @@ impl Step {
             Self::ReadTime(_) => Outcome::Ask(Self::ExitTimeMode),
             Self::ExitTimeMode => Outcome::Ask(Self::LaserOn),
             Self::LaserOn if matches!(number, Some(0 | 2)) => Outcome::Ask(Self::Start),
-            Self::Start if status == Status::DONE => Outcome::Measure,
+            Self::Start if status == ScipStatus::DONE => Outcome::Measure,
             Self::LaserOn | Self::Start => Outcome::Fault(FAULT_NS),
             Self::Stop | Self::Parameters => Outcome::Fault(SOON_NS),
         }
     }
 
-    /// The time in the reply to [`Command::Time`] [ms, 24 bits].
+    /// The time in the reply to [`ScipCommand::Time`] [ms, 24 bits].
     pub(crate) fn time_of(text: &[u8]) -> Option<u32> {
         let line = text.split(|byte| *byte == b'\n').next()?;
         verified(line).filter(|text| text.len() == 4).and_then(decode)

@@ -1,6 +1,6 @@
 //! What a source of scans reports.
 
-use device_clock::Event;
+use device_clock::ClockEvent;
 
 /// What a scanner and its connection do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -53,7 +53,7 @@ pub struct Reading {
     /// The stamp of the scanner [ms, 24 bits].
     pub stamp_ms: u32,
     /// What the stamp shows about the clock of the scanner.
-    pub event: Event,
+    pub event: ClockEvent,
     /// The ranges were damaged on the way: the scan is marked as missing and has none.
     pub is_missing: bool,
 }

@@ -4,9 +4,9 @@ use std::fmt;
 
 /// The two characters after the echo of a reply; of a reply in SCIP 1.1 the first one only.
 #[derive(Clone, Copy, PartialEq, Eq, Default)]
-pub struct Status(pub [u8; 2]);
+pub struct ScipStatus(pub [u8; 2]);
 
-impl Status {
+impl ScipStatus {
     /// The command was accepted.
     pub const DONE: Self = Self(*b"00");
     /// A scan follows.
@@ -44,7 +44,7 @@ impl Status {
     }
 }
 
-impl fmt::Display for Status {
+impl fmt::Display for ScipStatus {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.0
             .iter()
@@ -53,8 +53,8 @@ impl fmt::Display for Status {
     }
 }
 
-impl fmt::Debug for Status {
+impl fmt::Debug for ScipStatus {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "Status({self})")
+        write!(formatter, "ScipStatus({self})")
     }
 }

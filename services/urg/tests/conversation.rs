@@ -7,8 +7,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use proptest::prelude::*;
 use shared_types::{BEAMS, FRONT_BEAM, Sample, Scan};
 use urg::{
-    Coding, Completed, Config, DeviceFault, Emulator, Event, Measurement, Parser, Place, Reading, Session,
-    SourceState, Status,
+    ClockEvent, Coding, Completed, DeviceFault, Measurement, Parser, Reading, ScannerConfig, ScannerEmulator,
+    ScannerPlace, ScannerSession, ScipStatus, SourceState,
 };
 
 const MS: u64 = 1_000_000;
@@ -20,8 +20,8 @@ type Damage = Box<dyn FnMut(&mut Vec<u8>)>;
 
 /// A session and a scanner, joined by lines that take a millisecond.
 struct Pair {
-    session: Session,
-    emulator: Emulator,
+    session: ScannerSession,
+    emulator: ScannerEmulator,
     now_ns: u64,
     readings: Vec<(Reading, Scan)>,
     states: Vec<SourceState>,
@@ -30,15 +30,15 @@ struct Pair {
 }
 
 impl Pair {
-    fn new(change: impl FnOnce(&mut Config)) -> Self {
-        let mut config = Config::new(Place::parse("/dev/none").unwrap());
+    fn new(change: impl FnOnce(&mut ScannerConfig)) -> Self {
+        let mut config = ScannerConfig::new(ScannerPlace::parse("/dev/none").unwrap());
         change(&mut config);
         let now_ns = 5_000 * MS;
-        let mut session = Session::new(config);
+        let mut session = ScannerSession::new(config);
         session.connected(now_ns);
         Self {
             session,
-            emulator: Emulator::new(1_000 * MS, 3000),
+            emulator: ScannerEmulator::new(1_000 * MS, 3000),
             now_ns,
             readings: Vec::new(),
             states: Vec::new(),
@@ -105,7 +105,7 @@ fn the_emulator_answers_the_recorded_commands_with_the_recorded_bytes() {
     let mut parser = Parser::default();
     let first = REPLIES.iter().position(|byte| parser.push(*byte) == Some(Completed::Scan)).unwrap();
     assert!(first > 0);
-    let mut emulator = Emulator::new(0, 0);
+    let mut emulator = ScannerEmulator::new(0, 0);
     let scene = emulator.scene();
     scene[44..=725].copy_from_slice(parser.ranges());
     // When the commands come; the last ones after the scans of those before.
@@ -180,7 +180,7 @@ fn a_damaged_scan_is_marked_as_missing_and_costs_no_other() {
 
 #[test]
 fn a_stall_in_the_middle_of_a_scan_is_seen_and_the_scanner_started_again() {
-    for fault in [DeviceFault::Stuck, DeviceFault::Stall(2_000), DeviceFault::Status(Status(*b"55"))] {
+    for fault in [DeviceFault::Stuck, DeviceFault::Stall(2_000), DeviceFault::Status(ScipStatus(*b"55"))] {
         let mut pair = measuring();
         pair.inject(fault).run(4_000);
         let expected =
@@ -222,8 +222,8 @@ fn stamps_that_count_backwards_are_reported_and_their_bound_holds() {
     let mut pair = measuring();
     let before = pair.readings.len();
     pair.inject(DeviceFault::Backwards(700)).run(2_000);
-    let events: Vec<Event> = pair.readings[before..].iter().map(|(reading, _)| reading.event).collect();
-    assert_eq!(events.iter().filter(|event| **event == Event::Backwards).count(), 1, "{events:?}");
+    let events: Vec<ClockEvent> = pair.readings[before..].iter().map(|(reading, _)| reading.event).collect();
+    assert_eq!(events.iter().filter(|event| **event == ClockEvent::Backwards).count(), 1, "{events:?}");
     assert_eq!(pair.session.counters().clock_jumps, 1);
     for (reading, scan) in &pair.readings[before..] {
         let front_ns = 1_000 * MS + u64::from(reading.stamp_ms + 700) * MS + 37_500_000;
@@ -248,7 +248,7 @@ fn a_scanner_that_never_answers_is_given_up_and_tried_again() {
 
 #[test]
 fn the_emulator_refuses_what_a_scanner_refuses() {
-    let mut emulator = Emulator::new(0, 500);
+    let mut emulator = ScannerEmulator::new(0, 500);
     let mut ask = |command: &str| {
         emulator.receive(command.as_bytes(), 0);
         emulator.receive(b"\n", 0);
@@ -295,16 +295,21 @@ fn the_laser_is_off_while_the_time_is_read() {
 
 #[test]
 fn a_scanner_that_refuses_time_mode_measures_with_a_wider_error_bound() {
-    let [unknown, command, off] = [Status(*b"0E"), Status(*b"04"), Status(*b"10")];
-    let cases =
-        [[unknown, unknown], [command, command], [off, off], [Status::DONE, command], [Status::DONE, off]];
+    let [unknown, command, off] = [ScipStatus(*b"0E"), ScipStatus(*b"04"), ScipStatus(*b"10")];
+    let cases = [
+        [unknown, unknown],
+        [command, command],
+        [off, off],
+        [ScipStatus::DONE, command],
+        [ScipStatus::DONE, off],
+    ];
     for statuses in cases {
         let (commands, pair) = commands_of_start(Some(DeviceFault::TimeStatus(statuses)));
         assert_eq!(pair.states, [SourceState::Starting, SourceState::Measuring], "{statuses:?} {commands:?}");
         assert!(pair.scans() >= 15, "{statuses:?}: {} scans", pair.scans());
         // A scanner that entered time mode is asked to leave it before its laser is switched on.
         let leaves = commands.iter().any(|command| command == "TM2");
-        assert_eq!(leaves, statuses[0] == Status::DONE, "{commands:?}");
+        assert_eq!(leaves, statuses[0] == ScipStatus::DONE, "{commands:?}");
         for (reading, scan) in &pair.readings {
             let front_ns = 1_000 * MS + u64::from(reading.stamp_ms) * MS + 37_500_000;
             assert!(scan.header.acquired_ns.abs_diff(front_ns) <= reading.error_ns, "{reading:?}");

@@ -9,12 +9,15 @@ use std::thread::JoinHandle;
 use std::time::Instant;
 
 use shared_types::{FRONT_BEAM, Scan};
-use urg::{Config, DeviceFault, Emulator, Place, Port, Reading, Source, SourceState, UrgError};
+use urg::{
+    DeviceFault, Port, Reading, ScannerConfig, ScannerConnection, ScannerEmulator, ScannerPlace, SourceState,
+    UrgError,
+};
 
 const MS: u64 = 1_000_000;
 /// What there is before the first scan.
 const NONE: Reading =
-    Reading { error_ns: 0, arrived_ns: 0, stamp_ms: 0, event: urg::Event::Regular, is_missing: true };
+    Reading { error_ns: 0, arrived_ns: 0, stamp_ms: 0, event: urg::ClockEvent::Regular, is_missing: true };
 
 fn now_ns() -> u64 {
     static START: OnceLock<Instant> = OnceLock::new();
@@ -61,14 +64,17 @@ impl Drop for Scanner {
     }
 }
 
-fn source(place: &str) -> Source {
-    Source::open(Config { rate_hz: Some(10.0), ..Config::new(Place::parse(place).unwrap()) }, now_ns)
+fn source(place: &str) -> ScannerConnection {
+    ScannerConnection::open(
+        ScannerConfig { rate_hz: Some(10.0), ..ScannerConfig::new(ScannerPlace::parse(place).unwrap()) },
+        now_ns,
+    )
 }
 
 /// Waits up to ten seconds until a condition holds.
 fn until(
-    source: &mut Source,
-    condition: impl Fn(&Source, Option<&(Reading, Scan)>) -> bool,
+    source: &mut ScannerConnection,
+    condition: impl Fn(&ScannerConnection, Option<&(Reading, Scan)>) -> bool,
 ) -> (Reading, Scan) {
     let mut last = None;
     let end_ns = now_ns() + 10_000 * MS;
@@ -84,13 +90,13 @@ fn until(
     panic!("{}: {} {:?}", source.state().name(), source.message(), source.counters());
 }
 
-fn measures(source: &Source, _: Option<&(Reading, Scan)>) -> bool {
+fn measures(source: &ScannerConnection, _: Option<&(Reading, Scan)>) -> bool {
     source.state() == SourceState::Measuring
 }
 
 #[test]
 fn scans_come_over_tcp_and_again_after_a_lost_connection() {
-    let port = Port::tcp("127.0.0.1:0", Emulator::new(now_ns(), 2500)).unwrap();
+    let port = Port::tcp("127.0.0.1:0", ScannerEmulator::new(now_ns(), 2500)).unwrap();
     let address = port.address().unwrap().to_string();
     let scanner = Scanner::start(port);
     let mut source = source(&address);
@@ -106,11 +112,12 @@ fn scans_come_over_tcp_and_again_after_a_lost_connection() {
 
 #[test]
 fn scans_come_over_a_serial_line_and_again_after_a_stuck_scanner() {
-    let (port, device) = Port::terminal(Emulator::new(now_ns(), 2500)).unwrap();
+    let (port, device) = Port::terminal(ScannerEmulator::new(now_ns(), 2500)).unwrap();
     let scanner = Scanner::start(port);
     let mut source = source(&device);
     until(&mut source, measures);
-    let mut second = Source::open(Config::new(Place::parse(&device).unwrap()), now_ns);
+    let mut second =
+        ScannerConnection::open(ScannerConfig::new(ScannerPlace::parse(&device).unwrap()), now_ns);
     assert_eq!(second.next(0, &mut Scan::default()), Ok(None));
     assert_eq!(second.message(), format!("{device}: is used by another process"));
     drop(second);
@@ -161,11 +168,12 @@ fn a_server_that_floods_delays_no_call_and_is_given_up() {
 
 #[test]
 fn a_model_of_another_rate_is_refused() {
-    let port = Port::tcp("127.0.0.1:0", Emulator::new(now_ns(), 2500)).unwrap();
+    let port = Port::tcp("127.0.0.1:0", ScannerEmulator::new(now_ns(), 2500)).unwrap();
     let address = port.address().unwrap().to_string();
     let _scanner = Scanner::start(port);
-    let config = Config { rate_hz: Some(20.0), ..Config::new(Place::parse(&address).unwrap()) };
-    let mut source = Source::open(config, now_ns);
+    let config =
+        ScannerConfig { rate_hz: Some(20.0), ..ScannerConfig::new(ScannerPlace::parse(&address).unwrap()) };
+    let mut source = ScannerConnection::open(config, now_ns);
     let mut scan = Scan::default();
     let refused = (0..50).find_map(|_| source.next(100 * MS, &mut scan).err());
     assert!(matches!(refused, Some(UrgError::Rate { .. })), "{refused:?}");
@@ -173,11 +181,12 @@ fn a_model_of_another_rate_is_refused() {
 
 #[test]
 fn a_source_that_only_identifies_leaves_the_laser_off() {
-    let port = Port::tcp("127.0.0.1:0", Emulator::new(now_ns(), 2500)).unwrap();
+    let port = Port::tcp("127.0.0.1:0", ScannerEmulator::new(now_ns(), 2500)).unwrap();
     let address = port.address().unwrap().to_string();
     let _scanner = Scanner::start(port);
-    let config = Config { identify_only: true, ..Config::new(Place::parse(&address).unwrap()) };
-    let mut source = Source::open(config, now_ns);
+    let config =
+        ScannerConfig { identify_only: true, ..ScannerConfig::new(ScannerPlace::parse(&address).unwrap()) };
+    let mut source = ScannerConnection::open(config, now_ns);
     until(&mut source, |source, _| source.is_identified());
     assert_eq!(source.identity().value("LASR").unwrap(), "OFF");
     assert_eq!(source.identity().parameters.as_ref().unwrap().model, "URG-04LX(emulated)");

@@ -1,7 +1,7 @@
 //! The bytes of Hokuyo's own client library and of the device that it talked to.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use urg::{Coding, Command, Completed, Measurement, Parameters, Parser, Status};
+use urg::{Coding, Completed, Measurement, Parser, ScipCommand, ScipStatus, SensorParameters};
 
 const REPLIES: &[u8] = include_bytes!("data/scip-urglib-tcp.s2c.bin");
 const COMMANDS: &[u8] = include_bytes!("data/scip-urglib-tcp.c2s.bin");
@@ -9,7 +9,7 @@ const COMMANDS: &[u8] = include_bytes!("data/scip-urglib-tcp.c2s.bin");
 /// A reply as it was read.
 #[derive(Debug, Clone, PartialEq)]
 enum Reply {
-    Answer(String, Status, Vec<u8>),
+    Answer(String, ScipStatus, Vec<u8>),
     Scan(Measurement, u32, Vec<u32>),
 }
 
@@ -44,7 +44,7 @@ fn every_reply_is_read_to_its_last_byte() {
     assert_eq!((answers.len(), scans.len()), (17, 12));
     for answer in answers {
         let Reply::Answer(echo, status, _) = answer else { unreachable!() };
-        assert_eq!(*status, Status::DONE, "{echo}");
+        assert_eq!(*status, ScipStatus::DONE, "{echo}");
     }
     let left: Vec<(u16, u8)> = scans
         .iter()
@@ -88,7 +88,7 @@ fn stamps_and_parameters_are_read() {
     assert_eq!(stamps[0], 136);
     assert!(stamps[1..].windows(2).all(|pair| (pair[1] - pair[0]).is_multiple_of(100)), "{stamps:?}");
     let parameters = replies.iter().find_map(|reply| match reply {
-        Reply::Answer(echo, _, text) if echo == "PP" => Some(Parameters::of_text(text).unwrap()),
+        Reply::Answer(echo, _, text) if echo == "PP" => Some(SensorParameters::of_text(text).unwrap()),
         _ => None,
     });
     let parameters = parameters.unwrap();
@@ -108,24 +108,24 @@ fn commands_are_written_as_the_library_wrote_them() {
     let full = Measurement { first: 44, last: 725, cluster: 1, ..Measurement::default() };
     let window = Measurement { first: 214, last: 555, cluster: 1, ..Measurement::default() };
     let commands = [
-        Command::Quit,
-        Command::Parameters,
-        Command::State,
-        Command::State,
-        Command::Version,
-        Command::Version,
-        Command::Version,
-        Command::TimeModeOn,
-        Command::Time,
-        Command::TimeModeOff,
-        Command::LaserOn,
-        Command::Measure(Measurement { single: true, ..full }),
-        Command::Measure(Measurement { count: 5, ..full }),
-        Command::Quit,
-        Command::Measure(Measurement { cluster: 1, skip: 1, ..window }),
-        Command::Quit,
-        Command::Measure(Measurement { coding: Coding::Two, cluster: 1, count: 2, ..window }),
-        Command::Quit,
+        ScipCommand::Quit,
+        ScipCommand::Parameters,
+        ScipCommand::State,
+        ScipCommand::State,
+        ScipCommand::Version,
+        ScipCommand::Version,
+        ScipCommand::Version,
+        ScipCommand::TimeModeOn,
+        ScipCommand::Time,
+        ScipCommand::TimeModeOff,
+        ScipCommand::LaserOn,
+        ScipCommand::Measure(Measurement { single: true, ..full }),
+        ScipCommand::Measure(Measurement { count: 5, ..full }),
+        ScipCommand::Quit,
+        ScipCommand::Measure(Measurement { cluster: 1, skip: 1, ..window }),
+        ScipCommand::Quit,
+        ScipCommand::Measure(Measurement { coding: Coding::Two, cluster: 1, count: 2, ..window }),
+        ScipCommand::Quit,
     ];
     // The library begins with an empty line.
     let mut written = b"\n".to_vec();

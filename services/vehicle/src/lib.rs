@@ -19,7 +19,7 @@ pub mod tyre;
 pub use bounds::Bounds;
 pub use description::Description;
 pub use key_table::{
-    Ascending, Invalid, Key, Rule, Setting, did_you_mean, parse, read, require, settings, toml_fault,
+    Ascending, Invalid, Key, KeyRule, Setting, did_you_mean, parse, read, require, settings, toml_fault,
     toml_text,
 };
 pub use parameters::Parameters;

@@ -5,7 +5,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use crate::modules::{Module, Modules, Sources};
-use crate::resolve::Target;
+use crate::resolve::PathTarget;
 
 /// Which file of a crate uses which, and for which names. A module and its parent may use each other: that is left out.
 #[derive(Debug, Default)]
@@ -34,9 +34,9 @@ impl Graph {
     fn add(&mut self, modules: &Modules, index: usize, module: &Module) {
         for path in &module.paths {
             let (target, name) = match modules.resolve(index, path) {
-                Some(Target::Item(target, name)) => (target, name),
+                Some(PathTarget::Item(target, name)) => (target, name),
                 // A module has no definition of its own; what is used of it says where that stands.
-                Some(Target::Module(_)) => continue,
+                Some(PathTarget::Module(_)) => continue,
                 None => match (path.as_slice(), path.first().and_then(|name| modules.macros.get(name))) {
                     ([name], Some(target)) => (*target, name.clone()),
                     _ => continue,

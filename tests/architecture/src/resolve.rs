@@ -6,7 +6,7 @@ use crate::modules::Modules;
 
 /// What a path leads to within its crate.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Target {
+pub enum PathTarget {
     /// A module.
     Module(usize),
     /// The item with this name of a module.
@@ -22,20 +22,20 @@ enum Wanted {
 
 impl Modules {
     /// What a path means in a module; none when it leads out of the crate, or is a local name.
-    pub fn resolve(&self, module: usize, path: &[String]) -> Option<Target> {
+    pub fn resolve(&self, module: usize, path: &[String]) -> Option<PathTarget> {
         self.follow(module, path, Wanted::Any, &mut BTreeSet::new())
     }
 
-    fn follow(&self, module: usize, path: &[String], wanted: Wanted, seen: &mut Seen) -> Option<Target> {
-        let mut at = Target::Module(module);
+    fn follow(&self, module: usize, path: &[String], wanted: Wanted, seen: &mut Seen) -> Option<PathTarget> {
+        let mut at = PathTarget::Module(module);
         for (index, name) in path.iter().enumerate() {
             // What follows an item is a part of it: a variant, an associated function.
-            let Target::Module(inside) = at else { break };
+            let PathTarget::Module(inside) = at else { break };
             let wanted = if index + 1 < path.len() { Wanted::Module } else { wanted };
             at = match name.as_str() {
-                "crate" => Target::Module(0),
-                "self" => Target::Module(inside),
-                "super" => Target::Module(self.all[inside].parent?),
+                "crate" => PathTarget::Module(0),
+                "self" => PathTarget::Module(inside),
+                "super" => PathTarget::Module(self.all[inside].parent?),
                 name => self.look_up(inside, name, wanted, seen)?,
             };
         }
@@ -43,14 +43,14 @@ impl Modules {
     }
 
     /// What a name is in a module: defined there, imported by name, or by a glob.
-    fn look_up(&self, module: usize, name: &str, wanted: Wanted, seen: &mut Seen) -> Option<Target> {
+    fn look_up(&self, module: usize, name: &str, wanted: Wanted, seen: &mut Seen) -> Option<PathTarget> {
         // Imports may lead in circles.
         if !seen.insert((module, name.to_owned(), wanted)) {
             return None;
         }
         let this = &self.all[module];
-        let item = this.items.contains(name).then(|| Target::Item(module, name.to_owned()));
-        let child = this.children.get(name).map(|child| Target::Module(*child));
+        let item = this.items.contains(name).then(|| PathTarget::Item(module, name.to_owned()));
+        let child = this.children.get(name).map(|child| PathTarget::Module(*child));
         let own = if wanted == Wanted::Module { child.or(item) } else { item.or(child) };
         let by_name = || {
             let paths = this.imports.get(name).into_iter().flatten();
@@ -60,8 +60,8 @@ impl Modules {
         let by_glob = || {
             let mut globs = this.globs.iter().filter_map(|path| {
                 match self.follow(module, path, Wanted::Module, &mut seen.clone())? {
-                    Target::Module(from) => self.look_up(from, name, wanted, &mut seen.clone()),
-                    Target::Item(..) => None,
+                    PathTarget::Module(from) => self.look_up(from, name, wanted, &mut seen.clone()),
+                    PathTarget::Item(..) => None,
                 }
             });
             globs.next()

@@ -50,7 +50,7 @@ fn fault(arguments: &[String]) -> Option<Fault> {
 
 fn run(fault: Fault) -> Result<(), Box<dyn std::error::Error>> {
     let mut process = Process::attach(Role::Controller)?;
-    let config = process.settings::<nmpc::Config>("controller")?;
+    let config = process.settings::<nmpc::ControllerConfig>("controller")?;
     let budget = nmpc::Budget::Iterations(config.budget_iterations);
     let mut controller = nmpc::Controller::new(config)?;
     let poses = process.input::<Pose>()?;

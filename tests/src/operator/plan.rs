@@ -29,14 +29,14 @@ const DESCRIPTORS: [u32; 5] = [12, 24, 32, 48, 64];
 
 /// A process of the system.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Target {
+pub enum ActionTarget {
     /// The one that was started last.
     Orchestrator,
     /// The one that fills a role, or any of several.
     Of(Role),
 }
 
-impl fmt::Display for Target {
+impl fmt::Display for ActionTarget {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Orchestrator => formatter.write_str("orchestrator"),
@@ -71,7 +71,7 @@ pub enum Traffic {
 
 /// The process that is to take over in a swap.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Successor {
+pub enum TrialSuccessor {
     /// The built-in one.
     BuiltIn,
     /// A program that ends at once.
@@ -82,15 +82,15 @@ pub enum Successor {
 
 /// One action of the operator.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Action {
+pub enum OperatorAction {
     /// A signal, by its name.
-    Signal(Target, &'static str, Signal),
+    Signal(ActionTarget, &'static str, Signal),
     /// SIGSTOP, and SIGCONT after so many milliseconds.
-    Pause(Target, u64),
+    Pause(ActionTarget, u64),
     /// `scanloop restart`.
     Restart(Role),
     /// `scanloop swap`.
-    Swap(Role, Successor),
+    Swap(Role, TrialSuccessor),
     /// Kills the orchestrator and starts `scanloop adopt` after so many milliseconds.
     Adopt(u64),
     /// A second `scanloop run` of the same system.
@@ -106,10 +106,10 @@ pub enum Action {
     /// Fills shared memory, or the file system of the systems, but for so many bytes.
     Fill(bool, u64),
     /// Limits the open files of a process that runs.
-    Descriptors(Target, u32),
+    Descriptors(ActionTarget, u32),
 }
 
-impl fmt::Display for Action {
+impl fmt::Display for OperatorAction {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Signal(target, name, _) => write!(formatter, "{name} {target}"),
@@ -137,7 +137,7 @@ impl fmt::Display for Action {
 
 /// Where the standard error of the orchestrator leads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Output {
+pub enum StderrTarget {
     /// To a file.
     File,
     /// To a pipe that is full and not read.
@@ -150,7 +150,7 @@ pub enum Output {
 
 /// All that a trial does.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Plan {
+pub struct TrialPlan {
     /// What it was drawn from.
     pub seed: u64,
     /// Name of a shipped scenario.
@@ -160,16 +160,16 @@ pub struct Plan {
     /// Silence of the orchestrator after which wheels are blocked [s].
     pub orphan_stop_s: f64,
     /// Standard error of the first orchestrator.
-    pub output: Output,
+    pub output: StderrTarget,
     /// Limit of open files under which the system is started.
     pub descriptors: Option<u32>,
     /// Actions, each after so many milliseconds of driving.
-    pub steps: Vec<(u64, Action)>,
+    pub steps: Vec<(u64, OperatorAction)>,
     /// When the last `stop` comes, likewise [ms].
     pub stop_ms: u64,
 }
 
-impl Plan {
+impl TrialPlan {
     /// The plan of a seed.
     pub fn of(seed: u64) -> Self {
         let mut dice = Pcg64::seed_from_u64(seed);
@@ -177,10 +177,10 @@ impl Plan {
         let rate_hz = pick(&mut dice, &RATES_HZ);
         let orphan_stop_s = pick(&mut dice, &[1.0, 5.0]);
         let output = match dice.random_range(0..12) {
-            0 => Output::Stalled,
-            1 => Output::Gone,
-            2 => Output::Closed,
-            _ => Output::File,
+            0 => StderrTarget::Stalled,
+            1 => StderrTarget::Gone,
+            2 => StderrTarget::Closed,
+            _ => StderrTarget::File,
         };
         let descriptors = (dice.random_range(0..25) == 0).then(|| pick(&mut dice, &DESCRIPTORS));
         let count = dice.random_range(1..=3);
@@ -196,26 +196,26 @@ impl Plan {
     }
 
     /// Whether an action meets a condition.
-    pub fn any(&self, condition: impl Fn(&Action) -> bool) -> bool {
+    pub fn any(&self, condition: impl Fn(&OperatorAction) -> bool) -> bool {
         self.steps.iter().any(|(_, action)| condition(action))
     }
 
     /// Whether `run` is called more than once.
     pub fn runs_again(&self) -> bool {
-        self.any(|action| matches!(action, Action::Run | Action::Race(Rival::Run, _)))
+        self.any(|action| matches!(action, OperatorAction::Run | OperatorAction::Race(Rival::Run, _)))
     }
 
     /// Whether files of the bus are damaged.
     pub fn damages(&self) -> bool {
-        self.any(|action| matches!(action, Action::Damage(..)))
+        self.any(|action| matches!(action, OperatorAction::Damage(..)))
     }
 }
 
-impl fmt::Display for Plan {
+impl fmt::Display for TrialPlan {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { seed, scenario, rate_hz, orphan_stop_s, .. } = self;
         write!(formatter, "seed {seed}: {scenario} {rate_hz} Hz, orphan_stop {orphan_stop_s} s")?;
-        if self.output != Output::File {
+        if self.output != StderrTarget::File {
             write!(formatter, ", stderr {:?}", self.output)?;
         }
         self.descriptors.iter().try_for_each(|count| write!(formatter, ", {count} files"))?;
@@ -229,34 +229,40 @@ fn pick<T: Copy>(dice: &mut Pcg64, from: &[T]) -> T {
     from[dice.random_range(0..from.len())]
 }
 
-fn target(dice: &mut Pcg64) -> Target {
+fn target(dice: &mut Pcg64) -> ActionTarget {
     match dice.random_range(0..8) {
-        0..3 => Target::Orchestrator,
-        _ => Target::Of(pick(dice, Role::ALL)),
+        0..3 => ActionTarget::Orchestrator,
+        _ => ActionTarget::Of(pick(dice, Role::ALL)),
     }
 }
 
-fn action(dice: &mut Pcg64) -> Action {
+fn action(dice: &mut Pcg64) -> OperatorAction {
     let role = pick(dice, Role::ALL);
     match dice.random_range(0..22) {
         0..6 => {
             let (name, signal) = pick(dice, &SIGNALS);
-            Action::Signal(target(dice), name, signal)
+            OperatorAction::Signal(target(dice), name, signal)
         }
-        6 => Action::Pause(target(dice), dice.random_range(50..2500)),
-        7 => Action::Restart(role),
-        8 | 9 => Action::Swap(role, pick(dice, &[Successor::BuiltIn, Successor::Fails, Successor::Sleeps])),
-        10 => Action::Adopt(dice.random_range(0..1500)),
-        11 => Action::Run,
+        6 => OperatorAction::Pause(target(dice), dice.random_range(50..2500)),
+        7 => OperatorAction::Restart(role),
+        8 | 9 => OperatorAction::Swap(
+            role,
+            pick(dice, &[TrialSuccessor::BuiltIn, TrialSuccessor::Fails, TrialSuccessor::Sleeps]),
+        ),
+        10 => OperatorAction::Adopt(dice.random_range(0..1500)),
+        11 => OperatorAction::Run,
         12..15 => {
             let rival = pick(dice, &[Rival::Adopt, Rival::Swap(role), Rival::Run, Rival::Stop]);
-            Action::Race(rival, dice.random_range(0..2) == 0)
+            OperatorAction::Race(rival, dice.random_range(0..2) == 0)
         }
-        15 => Action::Socket(pick(dice, &[Traffic::Garbage, Traffic::EndlessLine, Traffic::Connections])),
-        16 | 17 => Action::Damage(dice.random(), dice.random_range(0..2) == 0),
-        18 | 19 => Action::Load(dice.random_range(0..2) == 0),
-        20 => Action::Fill(dice.random_range(0..2) == 0, pick(dice, &[0, 4 << 10, 100 << 10])),
-        _ => Action::Descriptors(target(dice), pick(dice, &DESCRIPTORS)),
+        15 => OperatorAction::Socket(pick(
+            dice,
+            &[Traffic::Garbage, Traffic::EndlessLine, Traffic::Connections],
+        )),
+        16 | 17 => OperatorAction::Damage(dice.random(), dice.random_range(0..2) == 0),
+        18 | 19 => OperatorAction::Load(dice.random_range(0..2) == 0),
+        20 => OperatorAction::Fill(dice.random_range(0..2) == 0, pick(dice, &[0, 4 << 10, 100 << 10])),
+        _ => OperatorAction::Descriptors(target(dice), pick(dice, &DESCRIPTORS)),
     }
 }
 
@@ -266,8 +272,8 @@ mod tests {
 
     #[test]
     fn a_seed_always_gives_the_same_plan_and_seeds_give_all_kinds_of_action() {
-        assert_eq!(Plan::of(7), Plan::of(7));
-        let plans: Vec<Plan> = (0..500).map(Plan::of).collect();
+        assert_eq!(TrialPlan::of(7), TrialPlan::of(7));
+        let plans: Vec<TrialPlan> = (0..500).map(TrialPlan::of).collect();
         let actions: std::collections::BTreeSet<String> = plans
             .iter()
             .flat_map(|plan| &plan.steps)

@@ -9,12 +9,12 @@ use runtime::monotonic_ns;
 use rustix::process::{Pid, Signal, kill_process};
 use shared_types::Role;
 
-use super::evidence::{Drive, Evidence, Silence};
+use super::evidence::{DriveEvidence, OrchestratorOutage, TrialEvidence};
 use super::place::{Ballast, SHARED_MEMORY};
-use super::plan::{Action, Output, Plan, Rival, Successor, Target};
+use super::plan::{ActionTarget, OperatorAction, Rival, StderrTarget, TrialPlan, TrialSuccessor};
 use super::program::Program;
 use super::{socket, wheels};
-use crate::{System, fill, pause};
+use crate::{TestSystem, fill, pause};
 
 /// A run drives within this time on a busy machine, if it starts [ns].
 const START_NS: u64 = 20_000_000_000;
@@ -39,8 +39,8 @@ const STOPPING: [Signal; 6] =
 const SILENCING: [Signal; 4] = [Signal::KILL, Signal::ABORT, Signal::STOP, Signal::TSTP];
 
 /// Performs a plan; returns the system, with all files of the trial, and what was seen.
-pub fn drive(executable: &str, plan: &Plan) -> (System, Evidence) {
-    let mut trial = Trial::new(System::new(executable), plan);
+pub fn drive(executable: &str, plan: &TrialPlan) -> (TestSystem, TrialEvidence) {
+    let mut trial = Trial::new(TestSystem::new(executable), plan);
     trial.start(plan);
     let began_ns = monotonic_ns();
     for (ms, action) in &plan.steps {
@@ -53,7 +53,7 @@ pub fn drive(executable: &str, plan: &Plan) -> (System, Evidence) {
 }
 
 struct Trial {
-    system: System,
+    system: TestSystem,
     /// The choice of scenario, as arguments.
     choice: Vec<String>,
     programs: Vec<Program>,
@@ -64,11 +64,11 @@ struct Trial {
     polled_ns: u64,
     /// Something was done to an orchestrator that may keep it from its work.
     touched: bool,
-    seen: Evidence,
+    seen: TrialEvidence,
 }
 
 impl Trial {
-    fn new(system: System, plan: &Plan) -> Self {
+    fn new(system: TestSystem, plan: &TrialPlan) -> Self {
         let [rate, silence] =
             [format!("rate_hz={}", plan.rate_hz), format!("orphan_stop_s={:?}", plan.orphan_stop_s)];
         let seed = plan.seed.to_string();
@@ -82,25 +82,25 @@ impl Trial {
             ballasts: Vec::new(),
             polled_ns: 0,
             touched: false,
-            seen: Evidence::default(),
+            seen: TrialEvidence::default(),
         }
     }
 
     /// Starts the run and waits until it drives or has ended.
-    fn start(&mut self, plan: &Plan) {
+    fn start(&mut self, plan: &TrialPlan) {
         let mut command = self.run_command();
         if let Some(count) = plan.descriptors {
             command = limited(&command, count);
         }
-        if plan.output == Output::Closed {
+        if plan.output == StderrTarget::Closed {
             command = wrapped(&command, &["sh", "-c", "exec \"$0\" \"$@\" 2>&-"]);
         }
         match plan.output {
-            Output::File | Output::Closed => self.launch("run", command, None),
-            Output::Stalled | Output::Gone => {
+            StderrTarget::File | StderrTarget::Closed => self.launch("run", command, None),
+            StderrTarget::Stalled | StderrTarget::Gone => {
                 let (reader, writer) = std::io::pipe().expect("a pipe");
                 let writer = OwnedFd::from(writer);
-                if plan.output == Output::Stalled {
+                if plan.output == StderrTarget::Stalled {
                     fill(&writer);
                     self.unread.push(reader.into());
                 }
@@ -186,45 +186,45 @@ impl Trial {
         }
     }
 
-    fn perform(&mut self, action: &Action) {
+    fn perform(&mut self, action: &OperatorAction) {
         match *action {
-            Action::Signal(target, _, signal) => self.signal(target, signal),
-            Action::Pause(target, ms) => {
+            OperatorAction::Signal(target, _, signal) => self.signal(target, signal),
+            OperatorAction::Pause(target, ms) => {
                 self.signal(target, Signal::STOP);
                 self.wait_until_ns(monotonic_ns() + ms * 1_000_000);
                 self.signal(target, Signal::CONT);
             }
-            Action::Restart(role) => self.launch_command(&["restart", role.name()]),
-            Action::Swap(role, successor) => self.swap(role, successor),
-            Action::Adopt(ms) => {
-                self.signal(Target::Orchestrator, Signal::KILL);
+            OperatorAction::Restart(role) => self.launch_command(&["restart", role.name()]),
+            OperatorAction::Swap(role, successor) => self.swap(role, successor),
+            OperatorAction::Adopt(ms) => {
+                self.signal(ActionTarget::Orchestrator, Signal::KILL);
                 self.wait_until_ns(monotonic_ns() + ms * 1_000_000);
                 self.launch_command(&["adopt"]);
                 self.speaks_again();
             }
-            Action::Run => self.run_again(),
-            Action::Race(rival, first) => self.race(rival, first),
-            Action::Socket(traffic) => match self.system.find() {
+            OperatorAction::Run => self.run_again(),
+            OperatorAction::Race(rival, first) => self.race(rival, first),
+            OperatorAction::Socket(traffic) => match self.system.find() {
                 Some(domain) => socket::send(domain.directory().join("control.sock"), traffic),
                 None => self.seen.skipped.push("traffic: no system".to_owned()),
             },
-            Action::Damage(number, cut) => self.damage(number, cut),
-            Action::Load(fifo) => self.load(fifo),
-            Action::Fill(shared, left) => match Ballast::leave(shared, left) {
+            OperatorAction::Damage(number, cut) => self.damage(number, cut),
+            OperatorAction::Load(fifo) => self.load(fifo),
+            OperatorAction::Fill(shared, left) => match Ballast::leave(shared, left) {
                 Ok(ballast) => self.ballasts.push(ballast),
                 Err(reason) => self.seen.skipped.push(format!("{action}: {reason}")),
             },
-            Action::Descriptors(target, count) => self.limit(target, count),
+            OperatorAction::Descriptors(target, count) => self.limit(target, count),
         }
     }
 
-    fn pid_of(&mut self, target: Target) -> Option<i32> {
+    fn pid_of(&mut self, target: ActionTarget) -> Option<i32> {
         match target {
-            Target::Orchestrator => {
+            ActionTarget::Orchestrator => {
                 let index = self.orchestrator()?;
                 self.programs[index].runs().then(|| self.programs[index].pid())
             }
-            Target::Of(role) => self.system.processes().into_iter().rev().find(|pid| {
+            ActionTarget::Of(role) => self.system.processes().into_iter().rev().find(|pid| {
                 let environment = std::fs::read(format!("/proc/{pid}/environ")).unwrap_or_default();
                 let wanted = format!("{}={role}", runtime::ROLE_VARIABLE);
                 environment.split(|byte| *byte == 0).any(|text| text == wanted.as_bytes())
@@ -232,13 +232,13 @@ impl Trial {
         }
     }
 
-    fn signal(&mut self, target: Target, signal: Signal) {
+    fn signal(&mut self, target: ActionTarget, signal: Signal) {
         let Some(pid) = self.pid_of(target) else {
             return self.seen.skipped.push(format!("signal {}: no {target}", signal.as_raw()));
         };
         match target {
-            Target::Orchestrator => self.signal_orchestrator(signal),
-            Target::Of(role) => {
+            ActionTarget::Orchestrator => self.signal_orchestrator(signal),
+            ActionTarget::Of(role) => {
                 self.seen.robot_killed |= role == Role::Robot && SUDDEN.contains(&signal);
                 let _ = Pid::from_raw(pid).map(|pid| kill_process(pid, signal));
             }
@@ -257,7 +257,7 @@ impl Trial {
         }
         let pid = self.programs[index].pid();
         if SILENCING.contains(&signal) && (signal != Signal::TSTP || self.is_stopped(pid)) {
-            self.seen.silences.push(Silence { from_ns: sent_ns, to_ns: 0 });
+            self.seen.silences.push(OrchestratorOutage { from_ns: sent_ns, to_ns: 0 });
         }
         self.touched |= signal != Signal::CONT;
         if signal == Signal::CONT {
@@ -286,7 +286,7 @@ impl Trial {
         });
     }
 
-    fn swap(&mut self, role: Role, successor: Successor) {
+    fn swap(&mut self, role: Role, successor: TrialSuccessor) {
         let built_in = match role {
             Role::Robot => "emulator",
             Role::Estimator => "ekf",
@@ -295,9 +295,9 @@ impl Trial {
             Role::Actuator => "actuation",
         };
         let command: &[&str] = match successor {
-            Successor::BuiltIn => &["--to", built_in, "--shadow-scans", "3"],
-            Successor::Fails => &["--", "false"],
-            Successor::Sleeps => &["--", "sleep", "30"],
+            TrialSuccessor::BuiltIn => &["--to", built_in, "--shadow-scans", "3"],
+            TrialSuccessor::Fails => &["--", "false"],
+            TrialSuccessor::Sleeps => &["--", "sleep", "30"],
         };
         self.launch_command(&[&["swap", role.name()], command].concat());
     }
@@ -310,14 +310,14 @@ impl Trial {
 
     fn race(&mut self, rival: Rival, first: bool) {
         if rival == Rival::Adopt {
-            self.signal(Target::Orchestrator, Signal::KILL);
+            self.signal(ActionTarget::Orchestrator, Signal::KILL);
         }
         if !first {
             self.launch_command(&["stop"]);
         }
         match rival {
             Rival::Adopt => self.launch_command(&["adopt"]),
-            Rival::Swap(role) => self.swap(role, Successor::BuiltIn),
+            Rival::Swap(role) => self.swap(role, TrialSuccessor::BuiltIn),
             Rival::Run => self.run_again(),
             Rival::Stop => self.launch_command(&["stop"]),
         }
@@ -376,7 +376,7 @@ impl Trial {
         self.seen.fifo |= fifo;
     }
 
-    fn limit(&mut self, target: Target, count: u32) {
+    fn limit(&mut self, target: ActionTarget, count: u32) {
         let Some(pid) = self.pid_of(target) else {
             return self.seen.skipped.push(format!("limit: no {target}"));
         };
@@ -385,11 +385,11 @@ impl Trial {
         if !status.is_ok_and(|status| status.success()) {
             self.seen.skipped.push("limit: not permitted".to_owned());
         }
-        self.touched |= target == Target::Orchestrator;
+        self.touched |= target == ActionTarget::Orchestrator;
     }
 
     /// Stops the system and waits until it is gone.
-    fn end(&mut self, plan: &Plan) {
+    fn end(&mut self, plan: &TrialPlan) {
         let rounds = if plan.runs_again() { ROUNDS } else { 1 };
         for round in 1..=rounds {
             if !self.is_gone() {
@@ -480,7 +480,7 @@ impl Trial {
         left
     }
 
-    fn evidence(self) -> (System, Evidence) {
+    fn evidence(self) -> (TestSystem, TrialEvidence) {
         let Self { system, programs, mut seen, .. } = self;
         let truth = system.folder().join("truth.jsonl");
         seen.truth = wheels::points(&truth);
@@ -488,7 +488,7 @@ impl Trial {
         seen.programs = programs.map(Program::finish).collect();
         let mut folders: Vec<PathBuf> = seen.orchestrators().filter_map(|ended| ended.out.clone()).collect();
         folders.dedup();
-        seen.drives = folders.iter().map(|folder| Drive::read(folder)).collect();
+        seen.drives = folders.iter().map(|folder| DriveEvidence::read(folder)).collect();
         seen.panics = panics(&folders, &seen);
         seen.over_ns = monotonic_ns();
         (system, seen)
@@ -503,7 +503,7 @@ fn ignores_hangup() -> bool {
 }
 
 /// Lines of a panic, in what was printed and in all logs.
-fn panics(folders: &[PathBuf], seen: &Evidence) -> Vec<String> {
+fn panics(folders: &[PathBuf], seen: &TrialEvidence) -> Vec<String> {
     let logs = folders.iter().filter_map(|folder| std::fs::read_dir(folder.join("logs")).ok());
     let logs = logs.flatten().flatten().map(|entry| std::fs::read(entry.path()).unwrap_or_default());
     let texts = logs.map(|text| String::from_utf8_lossy(&text).into_owned());

@@ -2,10 +2,10 @@
 
 use emulator::Outcome;
 
-use super::evidence::{Drive, Evidence, Silence};
-use super::plan::{Output, Plan};
+use super::evidence::{DriveEvidence, OrchestratorOutage, TrialEvidence};
+use super::plan::{StderrTarget, TrialPlan};
 use super::program::Ended;
-use super::wheels::{State, state_at};
+use super::wheels::{WheelsState, state_at};
 
 /// Additional time for the start and the end of a command on a busy machine [ns].
 const BUSY_NS: u64 = 1_000_000_000;
@@ -35,7 +35,7 @@ pub fn blocked_after_ms(printed: &str) -> Option<f64> {
 }
 
 /// All that was wrong in a trial.
-pub fn problems(plan: &Plan, seen: &Evidence) -> Vec<String> {
+pub fn problems(plan: &TrialPlan, seen: &TrialEvidence) -> Vec<String> {
     let mut found = Vec::new();
     if !seen.drove && plan.descriptors.is_none() {
         found.push("the run did not drive".to_owned());
@@ -55,7 +55,7 @@ pub fn problems(plan: &Plan, seen: &Evidence) -> Vec<String> {
 }
 
 /// `stop` returned in time, and its exit code and message are true.
-fn judge_stop(plan: &Plan, seen: &Evidence, stop: &Ended, found: &mut Vec<String>) {
+fn judge_stop(plan: &TrialPlan, seen: &TrialEvidence, stop: &Ended, found: &mut Vec<String>) {
     let limit_s = (stop_limit_ns(plan.period_ns()) + BUSY_NS) as f64 * 1e-9;
     match stop.took_s() {
         None => found.push("stop did not return".to_owned()),
@@ -78,15 +78,18 @@ fn judge_stop(plan: &Plan, seen: &Evidence, stop: &Ended, found: &mut Vec<String
 }
 
 /// Whether wheels turn after a `stop` that found no system.
-fn drives_later(plan: &Plan, seen: &Evidence, stop: &Ended) -> bool {
-    let later = |drive: &Drive| {
-        drive.changes.iter().any(|change| change.wheels == State::Turning && change.at_ns > stop.ended_ns)
+fn drives_later(plan: &TrialPlan, seen: &TrialEvidence, stop: &Ended) -> bool {
+    let later = |drive: &DriveEvidence| {
+        drive
+            .changes
+            .iter()
+            .any(|change| change.wheels == WheelsState::Turning && change.at_ns > stop.ended_ns)
     };
     !plan.runs_again() && seen.drives.iter().any(later)
 }
 
 /// What a stop demands: when it was asked for, from when on wheels are blocked, and when they rest [ns].
-fn demands(plan: &Plan, seen: &Evidence) -> Vec<(u64, u64, u64)> {
+fn demands(plan: &TrialPlan, seen: &TrialEvidence) -> Vec<(u64, u64, u64)> {
     let slide_ns = SLIDE_NS + 3 * plan.period_ns() + SCHEDULED_NS;
     let limit_ns = stop_limit_ns(plan.period_ns());
     let stops = seen.stops().filter(|stop| matches!(stop.code, Some(0 | 4)) && stop.ended_ns > 0);
@@ -100,7 +103,7 @@ fn demands(plan: &Plan, seen: &Evidence) -> Vec<(u64, u64, u64)> {
 }
 
 /// The log of the emulator: rest in time after each stop, no start after it, and rest in each long silence.
-fn judge_drive(plan: &Plan, seen: &Evidence, drive: &Drive, found: &mut Vec<String>) {
+fn judge_drive(plan: &TrialPlan, seen: &TrialEvidence, drive: &DriveEvidence, found: &mut Vec<String>) {
     let name = drive.folder.file_name().unwrap_or_default().to_string_lossy();
     for (asked_ns, from_ns, by_ns) in demands(plan, seen) {
         // A run that began later was not meant.
@@ -108,16 +111,16 @@ fn judge_drive(plan: &Plan, seen: &Evidence, drive: &Drive, found: &mut Vec<Stri
             continue;
         }
         let meant = drive.changes.iter().filter(|change| change.at_ns > from_ns);
-        if let Some(change) = meant.into_iter().find(|change| change.wheels == State::Turning) {
+        if let Some(change) = meant.into_iter().find(|change| change.wheels == WheelsState::Turning) {
             let after_ms = (change.at_ns - from_ns) / 1_000_000;
             found.push(format!("{name}: wheels turn {after_ms} ms after a stop, by the log of the emulator"));
         }
         let is_gone = seen.robot_killed || plan.damages();
-        if !is_gone && state_at(&drive.changes, from_ns) == Some(State::Turning) {
+        if !is_gone && state_at(&drive.changes, from_ns) == Some(WheelsState::Turning) {
             found.push(format!("{name}: wheels are not blocked after a stop, by the log of the emulator"));
         }
         let state = state_at(&drive.changes, by_ns);
-        if !is_gone && state != Some(State::Resting) {
+        if !is_gone && state != Some(WheelsState::Resting) {
             found.push(format!("{name}: {state:?} instead of rest after a stop, by the log of the emulator"));
         }
     }
@@ -125,8 +128,8 @@ fn judge_drive(plan: &Plan, seen: &Evidence, drive: &Drive, found: &mut Vec<Stri
         let turned = drive
             .changes
             .iter()
-            .any(|change| change.wheels == State::Turning && (from_ns..to_ns).contains(&change.at_ns));
-        let turns = state_at(&drive.changes, from_ns) == Some(State::Turning);
+            .any(|change| change.wheels == WheelsState::Turning && (from_ns..to_ns).contains(&change.at_ns));
+        let turns = state_at(&drive.changes, from_ns) == Some(WheelsState::Turning);
         if turned || (turns && !seen.robot_killed && !plan.damages()) {
             found.push(format!(
                 "{name}: wheels turn in a silence of the orchestrator, by the log of the emulator"
@@ -144,15 +147,15 @@ fn judge_drive(plan: &Plan, seen: &Evidence, drive: &Drive, found: &mut Vec<Stri
 }
 
 /// Times in which the wheels must not turn because of a long time without directives [ns].
-fn long_silences(plan: &Plan, seen: &Evidence) -> Vec<(u64, u64)> {
+fn long_silences(plan: &TrialPlan, seen: &TrialEvidence) -> Vec<(u64, u64)> {
     let rest_ns = (plan.orphan_stop_s * 1e9) as u64 + SLIDE_NS + 3 * plan.period_ns() + SCHEDULED_NS;
-    let end_ns = |silence: &Silence| if silence.to_ns == 0 { seen.over_ns } else { silence.to_ns };
+    let end_ns = |silence: &OrchestratorOutage| if silence.to_ns == 0 { seen.over_ns } else { silence.to_ns };
     let silences = seen.silences.iter().map(|silence| (silence.from_ns + rest_ns, end_ns(silence)));
     silences.filter(|(from_ns, to_ns)| from_ns < to_ns && !plan.runs_again()).collect()
 }
 
 /// The truth: no contact, no drive without actuations, and rest after each stop and in each long silence.
-fn judge_truth(plan: &Plan, seen: &Evidence, found: &mut Vec<String>) {
+fn judge_truth(plan: &TrialPlan, seen: &TrialEvidence, found: &mut Vec<String>) {
     if seen.truth.iter().any(|point| point.collided) {
         found.push("the robot has collided".to_owned());
     }
@@ -175,7 +178,7 @@ fn judge_truth(plan: &Plan, seen: &Evidence, found: &mut Vec<String>) {
 }
 
 /// Each program ended as it may, and printed the truth.
-fn judge_end(plan: &Plan, seen: &Evidence, program: &Ended, found: &mut Vec<String>) {
+fn judge_end(plan: &TrialPlan, seen: &TrialEvidence, program: &Ended, found: &mut Vec<String>) {
     if program.name == "stop" {
         return;
     }
@@ -190,7 +193,7 @@ fn judge_end(plan: &Plan, seen: &Evidence, program: &Ended, found: &mut Vec<Stri
         if !is_known {
             found.push(format!("{name} was ended by signal {signal}: {}", last_line(&program.printed)));
         }
-        let is_file = plan.output == Output::File || program.began_ns > first_began(seen);
+        let is_file = plan.output == StderrTarget::File || program.began_ns > first_began(seen);
         let expected = LAST_LINES.iter().find(|(number, _)| *number == signal);
         let had_begun = program.ended_ns > program.began_ns + SCHEDULED_NS;
         if let Some((_, cause)) =
@@ -216,12 +219,12 @@ fn judge_end(plan: &Plan, seen: &Evidence, program: &Ended, found: &mut Vec<Stri
     }
 }
 
-fn first_began(seen: &Evidence) -> u64 {
+fn first_began(seen: &TrialEvidence) -> u64 {
     seen.programs.first().map_or(0, |program| program.began_ns)
 }
 
 /// The report of the first orchestrator agrees with its exit code.
-fn judge_report(seen: &Evidence, program: &Ended, code: i32, found: &mut Vec<String>) {
+fn judge_report(seen: &TrialEvidence, program: &Ended, code: i32, found: &mut Vec<String>) {
     let drive = seen.drives.iter().find(|drive| Some(&drive.folder) == program.out.as_ref());
     let Some(report) = drive.and_then(|drive| drive.report.as_ref()) else {
         if code < 2 {
@@ -246,20 +249,20 @@ fn last_line(printed: &str) -> &str {
 
 #[cfg(test)]
 mod tests {
-    use super::super::wheels::{Change, Point};
+    use super::super::wheels::{Point, WheelsChange};
     use super::*;
 
     const SECOND: u64 = 1_000_000_000;
 
-    fn plan() -> Plan {
-        let mut plan = Plan::of(1);
-        (plan.rate_hz, plan.orphan_stop_s, plan.output) = (10, 1.0, Output::File);
+    fn plan() -> TrialPlan {
+        let mut plan = TrialPlan::of(1);
+        (plan.rate_hz, plan.orphan_stop_s, plan.output) = (10, 1.0, StderrTarget::File);
         plan.steps.clear();
         plan
     }
 
     /// A run that was stopped ten seconds after its start and rested at once.
-    fn good() -> Evidence {
+    fn good() -> TrialEvidence {
         let run = Ended {
             name: "run".to_owned(),
             began_ns: SECOND,
@@ -275,19 +278,19 @@ mod tests {
             printed: "system `a` is stopped: wheels blocked after 4 ms, and it has ended".to_owned(),
             ..Ended::default()
         };
-        let change = |at_ns, wheels| Change { at_ns, wheels };
+        let change = |at_ns, wheels| WheelsChange { at_ns, wheels };
         let changes = vec![
-            change(2 * SECOND, State::Resting),
-            change(3 * SECOND, State::Turning),
-            change(10 * SECOND + 5, State::Blocked),
-            change(10 * SECOND + SECOND / 4, State::Resting),
+            change(2 * SECOND, WheelsState::Resting),
+            change(3 * SECOND, WheelsState::Turning),
+            change(10 * SECOND + 5, WheelsState::Blocked),
+            change(10 * SECOND + SECOND / 4, WheelsState::Resting),
         ];
-        Evidence {
+        TrialEvidence {
             drove: true,
             programs: vec![run, stop],
-            drives: vec![Drive { changes, ..Drive::default() }],
+            drives: vec![DriveEvidence { changes, ..DriveEvidence::default() }],
             over_ns: 12 * SECOND,
-            ..Evidence::default()
+            ..TrialEvidence::default()
         }
     }
 
@@ -302,7 +305,7 @@ mod tests {
     }
 
     /// Makes evidence of a good trial that of a bad one.
-    type Spoil = fn(&mut Evidence);
+    type Spoil = fn(&mut TrialEvidence);
 
     #[test]
     fn each_thing_that_may_be_wrong_is_found() {
@@ -317,10 +320,12 @@ mod tests {
                 seen.drives[0].changes[2..].iter_mut().for_each(|change| change.at_ns += SECOND);
             }),
             ("wheels turn 500 ms after a stop", |seen| {
-                seen.drives[0].changes.push(Change { at_ns: 11 * SECOND, wheels: State::Turning });
+                seen.drives[0]
+                    .changes
+                    .push(WheelsChange { at_ns: 11 * SECOND, wheels: WheelsState::Turning });
             }),
             ("wheels turn in a silence", |seen| {
-                seen.silences.push(Silence { from_ns: 4 * SECOND, to_ns: 9 * SECOND });
+                seen.silences.push(OrchestratorOutage { from_ns: 4 * SECOND, to_ns: 9 * SECOND });
             }),
             ("after it should rest, by the truth", |seen| seen.truth.push(point(12 * SECOND, 0.5))),
             ("without an actuation", |seen| {

@@ -6,16 +6,16 @@ use serde_json::Value;
 
 /// A line of the emulator's log about its wheels.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Change {
+pub struct WheelsChange {
     /// Time of the robot [ns of CLOCK_MONOTONIC].
     pub at_ns: u64,
     /// What they do from then on.
-    pub wheels: State,
+    pub wheels: WheelsState,
 }
 
 /// What wheels do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum State {
+pub enum WheelsState {
     /// They may turn.
     Turning,
     /// They are blocked, and the robot slides.
@@ -38,19 +38,19 @@ pub struct Point {
 }
 
 /// All changes in the log of an emulator.
-pub fn changes(log: &str) -> Vec<Change> {
+pub fn changes(log: &str) -> Vec<WheelsChange> {
     let state = |line: &str| match line {
-        _ if line.contains(": wheels may turn ") => Some(State::Turning),
-        _ if line.contains(": wheels are blocked ") => Some(State::Blocked),
-        _ if line.contains(": wheels rest ") => Some(State::Resting),
+        _ if line.contains(": wheels may turn ") => Some(WheelsState::Turning),
+        _ if line.contains(": wheels are blocked ") => Some(WheelsState::Blocked),
+        _ if line.contains(": wheels rest ") => Some(WheelsState::Resting),
         _ => None,
     };
     let at_ns = |line: &str| line.rsplit_once("at_ns=")?.1.trim().parse().ok();
-    log.lines().filter_map(|line| Some(Change { wheels: state(line)?, at_ns: at_ns(line)? })).collect()
+    log.lines().filter_map(|line| Some(WheelsChange { wheels: state(line)?, at_ns: at_ns(line)? })).collect()
 }
 
 /// The state at a time; `None` before the first change.
-pub fn state_at(changes: &[Change], at_ns: u64) -> Option<State> {
+pub fn state_at(changes: &[WheelsChange], at_ns: u64) -> Option<WheelsState> {
     changes.iter().rev().find(|change| change.at_ns <= at_ns).map(|change| change.wheels)
 }
 
@@ -82,7 +82,7 @@ mod tests {
         let changes = changes(log);
         assert_eq!(changes.len(), 3);
         assert_eq!(state_at(&changes, 99), None);
-        assert_eq!(state_at(&changes, 250), Some(State::Turning));
-        assert_eq!(state_at(&changes, 900), Some(State::Blocked));
+        assert_eq!(state_at(&changes, 250), Some(WheelsState::Turning));
+        assert_eq!(state_at(&changes, 900), Some(WheelsState::Blocked));
     }
 }

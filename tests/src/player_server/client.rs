@@ -4,8 +4,8 @@ use std::io::{self, ErrorKind, Write};
 use std::net::TcpStream;
 use std::time::Duration;
 
-use player::command::{Command, Mode, Rule, access};
-use player::header::{Device, HEADER, Header, interface, kind};
+use player::command::{ClientMessage, DeliveryMode, QueueRule, access};
+use player::header::{DeviceAddress, HEADER, MessageHeader, interface, kind};
 use player::xdr::{put_f64s, put_text, put_u32};
 use rustix::net::RecvFlags;
 use shared_types::{BEAMS, Scan};
@@ -14,10 +14,10 @@ use super::world::{Data, MAX_RANGE_M, World};
 
 /// The server's own address, as it stands in messages.
 const HOST: u32 = 0x0100_007f;
-const BASE: Device = Device { interface: interface::POSITION2D, index: 0 };
-const RANGER: Device = Device { interface: interface::RANGER, index: 0 };
-const LASER: Device = Device { interface: interface::LASER, index: 0 };
-const DEVICES: [Device; 3] = [BASE, RANGER, LASER];
+const BASE: DeviceAddress = DeviceAddress { interface: interface::POSITION2D, index: 0 };
+const RANGER: DeviceAddress = DeviceAddress { interface: interface::RANGER, index: 0 };
+const LASER: DeviceAddress = DeviceAddress { interface: interface::LASER, index: 0 };
+const DEVICES: [DeviceAddress; 3] = [BASE, RANGER, LASER];
 /// Wheelbase of the car that the steering angle belongs to [m].
 const WHEELBASE_M: f64 = 0.185;
 /// A client that does not read is dropped after this time.
@@ -27,10 +27,10 @@ pub(super) struct Client {
     stream: TcpStream,
     port: u16,
     received: Vec<u8>,
-    open: Vec<Device>,
+    open: Vec<DeviceAddress>,
     is_pull: bool,
     /// Devices and subtypes that it does not want.
-    ignored: Vec<(Device, u32)>,
+    ignored: Vec<(DeviceAddress, u32)>,
     /// What waits for a request in pull mode.
     queued: Vec<u8>,
     has_asked: bool,
@@ -69,10 +69,10 @@ impl Client {
             }
         }
         let mut read = 0;
-        while let Ok(header) = Header::read(&self.received[read..]) {
+        while let Ok(header) = MessageHeader::read(&self.received[read..]) {
             let end = read + HEADER + header.size as usize;
             let Some(payload) = self.received.get(read + HEADER..end) else { break };
-            let command = Command::read(&header, payload).map_err(io::Error::other)?;
+            let command = ClientMessage::read(&header, payload).map_err(io::Error::other)?;
             read = end;
             if let Some(command) = command {
                 self.obey(&header, &command, world);
@@ -82,23 +82,25 @@ impl Client {
         if self.is_lost { Err(ErrorKind::BrokenPipe.into()) } else { Ok(()) }
     }
 
-    fn obey(&mut self, header: &Header, command: &Command, world: &mut World) {
+    fn obey(&mut self, header: &MessageHeader, command: &ClientMessage, world: &mut World) {
         let mut payload = Vec::new();
         let mut kind = kind::ACK;
         match *command {
-            Command::Car(BASE, [velocity_mps, angle_rad]) => return world.command(velocity_mps, angle_rad),
-            Command::Velocity(BASE, [velocity_mps, _, yaw_rate]) => {
+            ClientMessage::Car(BASE, [velocity_mps, angle_rad]) => {
+                return world.command(velocity_mps, angle_rad);
+            }
+            ClientMessage::Velocity(BASE, [velocity_mps, _, yaw_rate]) => {
                 let curvature = if velocity_mps == 0.0 { 0.0 } else { yaw_rate / velocity_mps };
                 return world.command(velocity_mps, (WHEELBASE_M * curvature).atan());
             }
             // Unknown devices and numbers have no answer.
-            Command::Car(..) | Command::Velocity(..) => return,
-            Command::Devices => {
+            ClientMessage::Car(..) | ClientMessage::Velocity(..) => return,
+            ClientMessage::Devices => {
                 put_u32(&mut payload, DEVICES.len() as u32);
                 put_u32(&mut payload, DEVICES.len() as u32);
                 DEVICES.iter().for_each(|device| self.address(&mut payload, *device));
             }
-            Command::Subscribe(device, wanted) => {
+            ClientMessage::Subscribe(device, wanted) => {
                 let is_known = DEVICES.contains(&device);
                 self.open.retain(|open| *open != device);
                 if is_known && wanted == access::OPEN {
@@ -109,35 +111,35 @@ impl Client {
                 put_text(&mut payload, b"emulator\0");
                 kind = if is_known { kind::ACK } else { kind::NACK };
             }
-            Command::DriverInfo(device) => {
+            ClientMessage::DriverInfo(device) => {
                 self.address(&mut payload, device);
                 put_text(&mut payload, b"emulator\0");
             }
-            Command::Deliver(mode) => self.is_pull = mode == Mode::Pull,
-            Command::Queue(Some(of), Rule::Ignore) => self.ignored.push(of),
-            Command::Queue(..) | Command::MotorPower(..) | Command::SetOdometry(..) => {}
-            Command::Round => self.has_asked = true,
-            Command::Geometry(device) => geometry(device, &mut payload),
-            Command::Configuration(device) => configuration(device, &mut payload),
+            ClientMessage::Deliver(mode) => self.is_pull = mode == DeliveryMode::Pull,
+            ClientMessage::Queue(Some(of), QueueRule::Ignore) => self.ignored.push(of),
+            ClientMessage::Queue(..) | ClientMessage::MotorPower(..) | ClientMessage::SetOdometry(..) => {}
+            ClientMessage::Round => self.has_asked = true,
+            ClientMessage::Geometry(device) => geometry(device, &mut payload),
+            ClientMessage::Configuration(device) => configuration(device, &mut payload),
         }
-        let sequence = if header.device == Device::SERVER { header.sequence } else { 0 };
+        let sequence = if header.device == DeviceAddress::SERVER { header.sequence } else { 0 };
         let time_s = world.time_s();
-        let answer = Header { kind, time_s, sequence, ..*header };
+        let answer = MessageHeader { kind, time_s, sequence, ..*header };
         let message = self.message(&answer, &payload);
         self.send(&message);
         self.flush();
     }
 
-    fn address(&self, payload: &mut Vec<u8>, device: Device) {
+    fn address(&self, payload: &mut Vec<u8>, device: DeviceAddress) {
         [HOST, u32::from(self.port), device.interface, device.index]
             .iter()
             .for_each(|field| put_u32(payload, *field));
     }
 
     /// A message with this server as its sender.
-    fn message(&self, header: &Header, payload: &[u8]) -> Vec<u8> {
+    fn message(&self, header: &MessageHeader, payload: &[u8]) -> Vec<u8> {
         let (mut bytes, size) = (Vec::new(), payload.len() as u32);
-        Header { host: HOST, robot: u32::from(self.port), size, ..*header }.write(&mut bytes);
+        MessageHeader { host: HOST, robot: u32::from(self.port), size, ..*header }.write(&mut bytes);
         bytes.extend_from_slice(payload);
         bytes
     }
@@ -173,12 +175,20 @@ impl Client {
         self.is_pull = is_pull;
     }
 
-    fn publish(&mut self, device: Device, subtype: u32, time_s: f64, payload: &[u8]) {
+    fn publish(&mut self, device: DeviceAddress, subtype: u32, time_s: f64, payload: &[u8]) {
         if self.ignored.contains(&(device, subtype)) || !self.open.contains(&device) {
             return;
         }
-        let header =
-            Header { host: 0, robot: 0, device, kind: kind::DATA, subtype, time_s, sequence: 0, size: 0 };
+        let header = MessageHeader {
+            host: 0,
+            robot: 0,
+            device,
+            kind: kind::DATA,
+            subtype,
+            time_s,
+            sequence: 0,
+            size: 0,
+        };
         let message = self.message(&header, payload);
         if self.is_pull {
             self.queued.extend(message);
@@ -195,8 +205,8 @@ impl Client {
         self.has_asked = false;
         // Time and sequence of the real server are uninitialised.
         let (time_s, sequence) = (4.6e-310, 3_090_320_311);
-        let (device, kind) = (Device::SERVER, kind::SYNCH);
-        let end = Header { host: 0, robot: 0, device, kind, subtype: 1, time_s, sequence, size: 0 };
+        let (device, kind) = (DeviceAddress::SERVER, kind::SYNCH);
+        let end = MessageHeader { host: 0, robot: 0, device, kind, subtype: 1, time_s, sequence, size: 0 };
         let mut bytes = std::mem::take(&mut self.queued);
         bytes.extend(self.message(&end, &[]));
         self.send(&bytes);
@@ -207,7 +217,7 @@ impl Client {
     }
 }
 
-fn geometry(of: Device, payload: &mut Vec<u8>) {
+fn geometry(of: DeviceAddress, payload: &mut Vec<u8>) {
     if of == BASE {
         return put_f64s(payload, &[0.0, 0.0, 4.6e-310, 6.9e-310, 0.0, 0.0, 0.4, 0.56, 4.6e-310]);
     }
@@ -222,7 +232,7 @@ fn geometry(of: Device, payload: &mut Vec<u8>) {
     }
 }
 
-fn configuration(of: Device, payload: &mut Vec<u8>) {
+fn configuration(of: DeviceAddress, payload: &mut Vec<u8>) {
     let (first, last) = (Scan::beam_yaw_rad(0), Scan::beam_yaw_rad(BEAMS - 1));
     // Stage reports the opening by the number of beams.
     let resolution = (last - first) / BEAMS as f64;

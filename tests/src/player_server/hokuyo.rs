@@ -4,7 +4,7 @@ use std::io;
 
 use runtime::monotonic_ns;
 use shared_types::FRONT_BEAM;
-use urg::{DeviceFault, Emulator, Port};
+use urg::{DeviceFault, Port, ScannerEmulator};
 
 use super::world::MAX_RANGE_M;
 
@@ -33,7 +33,7 @@ impl Hokuyo {
     /// A scanner whose front beam is taken together with that of the server, at `front_ns` and every period after.
     pub(super) fn new(front_ns: u64) -> io::Result<Self> {
         let to_front_ns = (FIRST_STEP + FRONT_BEAM) as u64 * TURN_NS / STEPS;
-        let emulator = Emulator::new(front_ns + AFTER_NS - to_front_ns, 0);
+        let emulator = ScannerEmulator::new(front_ns + AFTER_NS - to_front_ns, 0);
         Ok(Self {
             port: Port::tcp("127.0.0.1:0", emulator)?,
             damage: (DeviceFault::Checksum, 0),

@@ -14,7 +14,7 @@ pub(super) const MAX_RANGE_M: f64 = 5.6;
 
 /// What a server receives.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Received {
+pub enum ReceivedCommand {
     /// A command to drive: velocity and steering angle [m/s, rad].
     Drive(f64, f64),
     /// A command to stop.
@@ -44,7 +44,7 @@ pub(super) struct World {
     /// When the last command came [ns].
     commanded_last_ns: u64,
     pub(super) truth: Truth,
-    pub(super) received: Vec<(u64, Received)>,
+    pub(super) received: Vec<(u64, ReceivedCommand)>,
     /// Whether a client has the base open.
     pub(super) is_open: bool,
     was_open: bool,
@@ -91,7 +91,7 @@ impl World {
         self.commanded_last_ns = monotonic_ns();
         self.received.push((
             monotonic_ns(),
-            if stops { Received::Stop } else { Received::Drive(velocity_mps, steering_rad) },
+            if stops { ReceivedCommand::Stop } else { ReceivedCommand::Drive(velocity_mps, steering_rad) },
         ));
         let kind = if stops { ActuationKind::Block } else { ActuationKind::Drive };
         self.command = Actuation {
@@ -107,7 +107,7 @@ impl World {
     pub(super) fn advance(&mut self, now_ns: u64) -> Option<Data> {
         if self.was_open && !self.is_open {
             self.command(0.0, 0.0);
-            self.received.push((now_ns, Received::Closed));
+            self.received.push((now_ns, ReceivedCommand::Closed));
         }
         self.was_open = self.is_open;
         let drives = self.command.kind == ActuationKind::Drive.wire();

@@ -1,7 +1,7 @@
 //! `scanloop analyse` gives the figures of the source and of the independent computation, and refuses bad options.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 use serde_json::Value;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -15,7 +15,7 @@ struct Answer {
 
 /// Runs an analysis with `--json` and checks that it has drawn its picture and printed its definition.
 fn ask(arguments: &[&str]) -> Answer {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let all = [&["analyse"], arguments, &["--json", "--out", "pictures"]].concat();
     let output = system.run(&all);
     let table = String::from_utf8(output.stderr).unwrap();
@@ -128,7 +128,7 @@ fn the_same_question_has_the_same_answer() {
 
 #[test]
 fn bad_options_are_named_with_value_and_range() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let refused = |arguments: &[&str], names: &[&str]| {
         let output = system.run(&[&["analyse"], arguments].concat());
         let message = String::from_utf8_lossy(&output.stderr).into_owned();

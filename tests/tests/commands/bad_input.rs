@@ -3,12 +3,12 @@
 
 use std::os::unix::ffi::OsStrExt;
 
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 /// Runs a command that must be refused and checks what its message names.
-fn refused(system: &System, arguments: &[&str], names: &[&str]) {
+fn refused(system: &TestSystem, arguments: &[&str], names: &[&str]) {
     let output = system.run(arguments);
     let message = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(2), "{arguments:?}: {message}");
@@ -21,7 +21,7 @@ fn refused(system: &System, arguments: &[&str], names: &[&str]) {
 
 /// A scenario file with this text must be refused.
 fn scenario(text: &str, names: &[&str]) {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     std::fs::write(system.folder().join("lab.toml"), text).unwrap();
     for command in [["run", "lab.toml"], ["check", "lab.toml"]] {
         refused(&system, &command, &[&["lab.toml"], names].concat());
@@ -46,7 +46,7 @@ fn scenarios_are_checked() {
 
 #[test]
 fn the_driver_of_a_player_server_is_checked() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let robot = include_str!("../../../examples/player/system.toml");
     let file = system.folder().join("player.toml");
     for (text, names) in [
@@ -75,7 +75,7 @@ fn the_driver_of_a_player_server_is_checked() {
 
 #[test]
 fn systems_and_options_are_checked() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let file = system.folder().join("system.toml");
     let mut built_in = String::new();
     for (role, implementation) in [
@@ -131,7 +131,7 @@ fn systems_and_options_are_checked() {
 }
 
 /// Runs a command below a limit of the shell; its exit code and message.
-fn limited(system: &System, limit: &str, arguments: &str) -> (Option<i32>, String) {
+fn limited(system: &TestSystem, limit: &str, arguments: &str) -> (Option<i32>, String) {
     let id = system.id();
     let script = format!("ulimit {limit}; exec {EXECUTABLE} --system-id {id} run --quiet {arguments}");
     let mut shell = std::process::Command::new("bash");
@@ -144,7 +144,7 @@ fn limited(system: &System, limit: &str, arguments: &str) -> (Option<i32>, Strin
 
 #[test]
 fn limits_that_are_too_small_are_named_with_the_command_that_sets_them() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     for (limit, value, command) in [
         ("-n 16", "16", "`ulimit -n 256`"),
         ("-n 32", "32", "`ulimit -n 256`"),
@@ -164,7 +164,7 @@ fn limits_that_are_too_small_are_named_with_the_command_that_sets_them() {
 
 #[test]
 fn an_out_folder_that_is_no_utf8_is_refused_before_anything_is_made() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let folder = std::ffi::OsStr::from_bytes(b"out\xff");
     for arguments in [["run", "--quiet", "--out"], ["run", "--lockstep", "--out"]] {
         let output = system.command(&arguments).arg(folder).output().unwrap();
@@ -178,7 +178,7 @@ fn an_out_folder_that_is_no_utf8_is_refused_before_anything_is_made() {
 
 #[test]
 fn files_that_are_no_regular_files_or_too_large_are_refused() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let fifo = system.folder().join("fifo.toml");
     assert!(std::process::Command::new("mkfifo").arg(&fifo).status().unwrap().success());
     std::fs::write(system.folder().join("large.toml"), "#".repeat((1 << 20) + 1)).unwrap();
@@ -218,13 +218,13 @@ fn a_system_id_that_is_no_file_name_is_refused() {
 
 #[test]
 fn a_service_started_by_hand_is_refused() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     refused(&system, &["service", "nmpc"], &["SCANLOOP_INCARNATION"]);
 }
 
 #[test]
 fn a_command_that_does_not_exist_ends_the_run_with_its_name() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let output = system.run(&["run", "--quiet", "--set", "process.controller.command=[\"no-such-program\"]"]);
     // `implementation` and `command` together are refused before anything starts.
     assert_eq!(output.status.code(), Some(2));
@@ -233,12 +233,12 @@ fn a_command_that_does_not_exist_ends_the_run_with_its_name() {
 
 #[test]
 fn a_process_that_dies_at_start_three_times_ends_the_run_with_its_last_log_lines() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     failing(&system, "command = [\"sh\", \"-c\", \"echo no camera found; exit 7\"]", "no camera found");
 }
 
 /// A system whose controller does not come up ends with exit code 4 and the reason.
-fn failing(system: &System, controller: &str, expected: &str) {
+fn failing(system: &TestSystem, controller: &str, expected: &str) {
     let file = system.folder().join("system.toml");
     let text = format!(
         "[[process]]\nrole = \"robot\"\nimplementation = \"emulator\"\n\
@@ -257,7 +257,7 @@ fn failing(system: &System, controller: &str, expected: &str) {
 
 #[test]
 fn a_folder_that_cannot_be_written_to_is_refused_before_anything_is_started() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     std::fs::write(system.folder().join("file"), "").unwrap();
     let commands = [
         &["run"][..],
@@ -279,7 +279,7 @@ fn a_folder_that_cannot_be_written_to_is_refused_before_anything_is_started() {
 
 #[test]
 fn a_choice_of_log_lines_that_cannot_be_read_is_refused_before_anything_is_started() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     for value in ["garbage", "nmpc=loud", "debug,garbage", "=", "[a=info"] {
         for command in [&["run"][..], &["status"], &["service", "nmpc"], &["bench", "transport"]] {
             let output = system.command(command).env("SCANLOOP_LOG", value).output().unwrap();

@@ -3,7 +3,7 @@
 
 use std::process::Output;
 
-use scanloop_tests::{System, system_file};
+use scanloop_tests::{TestSystem, system_file};
 use serde_json::Value;
 use shared_types::Role;
 
@@ -15,7 +15,7 @@ fn stderr(output: &Output) -> String {
 }
 
 /// Runs the bench for a second at 50 Hz and returns its JSON and its text.
-fn bench(system: &System, arguments: &[&str]) -> (Value, String) {
+fn bench(system: &TestSystem, arguments: &[&str]) -> (Value, String) {
     let short = ["bench", "latency", "--rate", "50", "--duration", "1.2", "--quiet", "--json"];
     let output = system.run(&[&short, arguments].concat());
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
@@ -35,7 +35,7 @@ fn assert_nothing_unexplained(results: &Value) {
 
 #[test]
 fn the_pipeline_is_measured_and_the_files_are_those_that_tools_read() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let (results, text) = bench(&system, &["--out", "measured"]);
     system.assert_nothing_left();
     assert_nothing_unexplained(&results);
@@ -94,7 +94,7 @@ fn the_pipeline_is_measured_and_the_files_are_those_that_tools_read() {
 
 #[test]
 fn the_chain_without_compute_carries_any_payload_under_load() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let (results, text) = bench(&system, &["--compute", "none", "--payload", "100000", "--load"]);
     system.assert_nothing_left();
     assert_nothing_unexplained(&results);
@@ -108,7 +108,7 @@ fn the_chain_without_compute_carries_any_payload_under_load() {
 
 #[test]
 fn real_time_processes_on_one_processor_run_or_are_refused_with_the_way_out() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let arguments = ["bench", "latency", "--compute", "none", "--rate", "50", "--duration", "0.4", "--quiet"];
     let output = system.run(&[&arguments[..], &["--sched", "fifo", "--cpu", "0", "--json"]].concat());
     system.assert_nothing_left();
@@ -128,7 +128,7 @@ fn real_time_processes_on_one_processor_run_or_are_refused_with_the_way_out() {
 
 #[test]
 fn a_sample_that_nothing_explains_makes_no_measurement() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let file = system.folder().join("system.toml");
     std::fs::write(&file, system_file(100, &[Role::Estimator], FAULTY, &["drop", "pose", "20"])).unwrap();
     let arguments = ["bench", "latency", "--rate", "100", "--duration", "1", "--quiet", "--json", "--system"];
@@ -142,7 +142,7 @@ fn a_sample_that_nothing_explains_makes_no_measurement() {
 
 #[test]
 fn what_is_not_allowed_is_named() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     for (arguments, expected) in [
         (&["latency", "--rate", "2000"][..], "--rate 2000 is not allowed: 0.5 to 1000"),
         (&["latency", "--payload", "100"], "--payload 100 is not allowed with --compute real"),
@@ -166,7 +166,7 @@ fn what_is_not_allowed_is_named() {
 
 #[test]
 fn commands_in_turns_are_told_apart_by_what_they_print() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     // Each command counts its runs, so that its figures are not all the same.
     let command = |name: &str, offset: u32| {
         format!("echo x >> {name}; n=$(wc -l < {name}); echo \"{{\\\"t_us\\\": $((n % 3 + {offset}))}}\"")

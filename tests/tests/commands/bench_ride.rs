@@ -1,13 +1,13 @@
 //! `scanloop bench ride` on one scenario, and the same figures in the report of a run.
 
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 use serde_json::Value;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 #[test]
 fn a_scenario_has_its_regret_and_a_run_reports_the_same_figures() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let output = system.run(&["bench", "ride", "corridor", "--json", "--problems", "problems"]);
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(0), "{text}");
@@ -52,7 +52,7 @@ fn a_scenario_has_its_regret_and_a_run_reports_the_same_figures() {
 
 #[test]
 fn random_courses_have_seeds_and_a_summary_of_their_families() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let output = system.run(&["bench", "ride", "--random", "2", "--seed", "134", "--json"]);
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(0), "{text}");
@@ -72,7 +72,7 @@ fn random_courses_have_seeds_and_a_summary_of_their_families() {
 
 #[test]
 fn a_drive_that_stops_before_its_goal_has_no_regret() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let output = system.run(&["bench", "ride", "blocked", "--json"]);
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(0), "{text}");

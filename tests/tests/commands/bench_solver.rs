@@ -1,7 +1,7 @@
 //! `scanloop bench solver` on a handful of cases: what it prints, never how long it takes.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 use serde_json::Value;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -17,7 +17,7 @@ near the goal,0.1,8.5,0,0,0
 
 /// Runs the benchmark on these cases and returns its JSON and its text.
 fn bench(text: &str, arguments: &[&str]) -> (Value, String) {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     std::fs::write(system.folder().join("cases.csv"), text).unwrap();
     let output = system.run(&[&["bench", "solver", "--json", "--cases", "cases.csv"], arguments].concat());
     let message = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -57,7 +57,7 @@ fn every_hessian_and_qp_solver_is_reported_for_every_number_of_intervals() {
 
 #[test]
 fn an_executable_without_its_laboratory_names_the_command_that_builds_it() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let alone = system.executable_alone("scanloop");
     for arguments in [
         &["campaign", "--runs", "3"][..],
@@ -106,7 +106,7 @@ fn peers_that_cannot_be_run_are_skipped_with_the_command_that_installs_them() {
 
 #[test]
 fn bad_cases_are_refused_with_file_line_and_column() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     for (text, names) in [
         ("x1,x2,x3,x4,x5\n0,0,0,0,0\n0,0,NaN,0,0\n", ["bad.csv", "line 3", "x3"]),
         ("x1,x2,x3,x4\n0,0,0,0\n", ["bad.csv", "line 1", "x5"]),

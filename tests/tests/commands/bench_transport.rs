@@ -1,13 +1,13 @@
 //! `scanloop bench transport` with what needs no install: what it counts and prints, never how long it takes.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 use serde_json::Value;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 /// Runs the benchmark and returns its JSON and its text.
-fn bench(system: &System, arguments: &[&str]) -> (Value, String) {
+fn bench(system: &TestSystem, arguments: &[&str]) -> (Value, String) {
     let output = system.run(&[&["bench", "transport", "--json"], arguments].concat());
     let message = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(0), "{message}");
@@ -39,7 +39,7 @@ fn assert_explained(rows: &Value, sent: u64) {
 
 #[test]
 fn every_contender_of_ours_carries_the_pipelines_samples_under_both_policies() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let peers = "floor,floor-futex,unix-socket,iceoryx2-listener";
     let (results, text) = bench(
         &system,
@@ -68,7 +68,7 @@ fn every_contender_of_ours_carries_the_pipelines_samples_under_both_policies() {
 
 #[test]
 fn large_messages_arrive_whole_over_every_contender_of_ours() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     for payload in ["1k", "1M"] {
         let options = "--peers floor,unix-socket,iceoryx2-listener --rate 50 --samples 15 --rounds 3 --policy block --payload";
         let arguments: Vec<&str> = options.split(' ').chain([payload]).collect();
@@ -82,7 +82,7 @@ fn large_messages_arrive_whole_over_every_contender_of_ours() {
 
 #[test]
 fn several_rates_give_a_list_and_all_processes_stay_where_they_are_pinned() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let first = first_processor().to_string();
     let options = "--peers floor --rate 50,100 --samples 6 --rounds 3 --policy poll --cpu";
     let arguments: Vec<&str> = options.split(' ').chain([first.as_str()]).collect();
@@ -98,7 +98,7 @@ fn several_rates_give_a_list_and_all_processes_stay_where_they_are_pinned() {
 
 #[test]
 fn a_loaded_machine_is_reported() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let options = "--peers floor --rate 100 --samples 3 --rounds 3 --policy block --load";
     let (results, text) = bench(&system, &options.split(' ').collect::<Vec<_>>());
     assert_eq!(results["load"], true);
@@ -109,7 +109,7 @@ fn a_loaded_machine_is_reported() {
 #[test]
 fn peers_that_are_not_built_are_skipped_with_the_command_that_builds_them() {
     // Polling is not for peers, so nothing of theirs is started even where they are built.
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let options = "--peers zenoh,zenoh-shm,zeromq,dora --rate 100 --samples 3 --rounds 3 --policy poll";
     let (results, text) = bench(&system, &options.split(' ').collect::<Vec<_>>());
     assert_eq!(names(&results["transports"]), ["iceoryx2"]);
@@ -124,7 +124,7 @@ fn peers_that_are_not_built_are_skipped_with_the_command_that_builds_them() {
 
 #[test]
 fn wrong_options_are_refused_with_what_is_allowed() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     for (arguments, parts) in [
         (["--peers", "dds"], ["unknown peer `dds`", "zenoh-shm"]),
         (["--rate", "0"], ["--rate", "0.5 to 5000"]),

@@ -1,12 +1,12 @@
 //! A robot is calibrated from its own runs and then reaches its goal; what cannot be calibrated is refused.
 
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 #[test]
 fn the_imperfect_robot_reaches_its_goal_with_its_own_calibration() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     for kind in ["velocity", "steering", "drift"] {
         let output = system.run(&[
             "calibrate",
@@ -34,7 +34,7 @@ fn the_imperfect_robot_reaches_its_goal_with_its_own_calibration() {
 
 #[test]
 fn runs_and_files_that_cannot_be_used_are_refused_with_the_reason() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let runs = system.folder().join("runs.csv");
     let refused = |arguments: &[&str], names: &[&str]| {
         let output = system.run(arguments);

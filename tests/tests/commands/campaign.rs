@@ -1,11 +1,11 @@
 //! `scanloop campaign`: a few courses of hostile families, and a failure that `run` replays from its file.
 
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 use serde_json::Value;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
-fn results(system: &System, arguments: &[&str]) -> (Option<i32>, Value) {
+fn results(system: &TestSystem, arguments: &[&str]) -> (Option<i32>, Value) {
     let output = system.run(&[&["campaign", "--json", "--out", "out"], arguments].concat());
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     let results = serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {text}"));
@@ -14,7 +14,7 @@ fn results(system: &System, arguments: &[&str]) -> (Option<i32>, Value) {
 
 #[test]
 fn hostile_courses_are_driven_without_contact_and_each_drive_has_one_verdict() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let chosen = ["--family", "gap", "--family", "clutter", "--family", "crossing", "--family", "closed"];
     let (_, results) = results(&system, &[&chosen[..], &["--runs", "3", "--robot", "summit"]].concat());
     let families = results["families"].as_array().unwrap();
@@ -35,7 +35,7 @@ fn hostile_courses_are_driven_without_contact_and_each_drive_has_one_verdict() {
 
 #[test]
 fn a_bad_course_is_a_file_in_the_folder_of_its_cause_that_run_replays() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     // No robot with encoders lands within 1 cm of the true goal, and the speed is no part of a scenario.
     let set = ["--set", "goal.tolerance_m=0.01", "--set", "controller.cruise_mps=0.9"];
     let chosen = ["--family", "anywhere", "--robot", "random", "--runs", "2"];
@@ -58,7 +58,7 @@ fn a_bad_course_is_a_file_in_the_folder_of_its_cause_that_run_replays() {
 
 #[test]
 fn unknown_families_and_keys_are_refused_before_the_first_drive() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     for (arguments, expected) in [
         (["--family", "easy"], "[possible values: plain, symmetric"),
         (["--robot", "perfect"], "[possible values: ideal, summit, worn, random]"),
@@ -77,7 +77,7 @@ fn unknown_families_and_keys_are_refused_before_the_first_drive() {
 fn each_class_of_failures_on_the_page_has_a_file_that_reproduces_it() {
     let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/campaign");
     let page = std::fs::read_to_string(format!("{folder}.md")).unwrap();
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     for file in std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
         let name = file.file_name().unwrap().to_str().unwrap();
         assert!(page.contains(&format!("(campaign/{name})")), "the page does not name {name}");

@@ -2,14 +2,14 @@
 
 use emulator::Outcome;
 use report::BlockingReport;
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 use serde_json::{Value, json};
 use vehicle::Surroundings;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 /// Runs a command and returns what it prints for people.
-fn text(system: &System, arguments: &[&str]) -> String {
+fn text(system: &TestSystem, arguments: &[&str]) -> String {
     let output = system.run(arguments);
     scanloop_tests::printed(&output)
 }
@@ -21,7 +21,7 @@ const WIDER_ROW: &str = "robot.width_m = 0.5, vehicle.width_m = 0.4 (+25 %)";
 
 #[test]
 fn check_lists_where_the_robot_differs_and_run_and_report_name_it() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let checked = text(&system, &[&["check", "free"][..], &WIDER].concat());
     let expected = format!(
         "obstacles, goal at (10, 0)\n  the scenario differs from [vehicle] in one property:\n    {WIDER_ROW}\n"
@@ -52,7 +52,7 @@ fn check_lists_where_the_robot_differs_and_run_and_report_name_it() {
 
 #[test]
 fn open_surroundings_limit_the_speed_and_are_named_by_check_run_and_report() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let line = "speed limited to 0.3 m/s: nothing around shows that the scanner sees\n";
     let open = ["--set", "robot.preset=summit", "--set", "track.surroundings=open"];
     let run = [&["run", "free", "--lockstep", "--duration", "0.5"][..], &open].concat();
@@ -92,7 +92,7 @@ fn open_surroundings_limit_the_speed_and_are_named_by_check_run_and_report() {
 
 #[test]
 fn an_old_key_of_a_stage_warns_in_check_and_in_run_even_with_quiet() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let warning = "warning: controller.body_width_m holds for this stage only; set vehicle.width_m instead\n";
     let old = ["--set", "controller.body_width_m=0.5"];
     let run = ["run", "free", "--quiet", "--lockstep", "--duration", "0.5"];
@@ -108,7 +108,7 @@ fn an_old_key_of_a_stage_warns_in_check_and_in_run_even_with_quiet() {
 
 #[test]
 fn the_report_has_the_margins_of_the_drive_and_the_coverage_of_the_estimate() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let report = system.lockstep(&["corridor"]);
     assert_eq!(report.outcome, Outcome::Reached, "{}", report.reason);
     assert!(
@@ -129,7 +129,7 @@ fn assert_names_the_wall(blocking: &BlockingReport, text: &str) {
 
 #[test]
 fn a_stop_names_its_obstacle_in_report_summary_and_log() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let out = system.folder().join("out");
     let printed = text(&system, &["run", "blocked", "--lockstep", "--quiet", "--out", out.to_str().unwrap()]);
     let report = report::Report::read(&out.join("report.json")).unwrap();
@@ -144,9 +144,9 @@ fn a_stop_names_its_obstacle_in_report_summary_and_log() {
 
 #[test]
 fn status_names_the_obstacle_while_the_robot_stands_in_front_of_it() {
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     system.start(&["blocked", "--set", "stop_final_s=60"]);
-    let json = |system: &System| -> Value {
+    let json = |system: &TestSystem| -> Value {
         let output = system.run(&["status", "--json"]);
         serde_json::from_slice(&output.stdout).unwrap_or_default()
     };

@@ -5,19 +5,19 @@ use std::fs::File;
 use std::os::unix::fs::PermissionsExt;
 
 use recording::mcap::{Channel, Schema, Writer};
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 /// Runs a command; returns its exit code and all that it printed.
-fn printed(system: &System, arguments: &[&str]) -> (i32, String) {
+fn printed(system: &TestSystem, arguments: &[&str]) -> (i32, String) {
     let output = system.run(arguments);
     let text = [output.stdout, output.stderr].concat();
     (output.status.code().unwrap(), String::from_utf8(text).unwrap())
 }
 
-fn refused(system: &System, arguments: &[&str], names: &[&str]) {
+fn refused(system: &TestSystem, arguments: &[&str], names: &[&str]) {
     let (code, text) = printed(system, arguments);
     assert_eq!(code, 2, "{arguments:?}: {text}");
     for name in names {
@@ -32,7 +32,7 @@ fn utf_16(text: &str, mark: bool) -> Vec<u8> {
 
 #[test]
 fn texts_of_other_editors_are_read_or_named_for_what_they_are() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let write = |name: &str, bytes: &[u8]| {
         let path = system.folder().join(name);
         std::fs::write(&path, bytes).unwrap();
@@ -88,7 +88,7 @@ fn texts_of_other_editors_are_read_or_named_for_what_they_are() {
 
 #[test]
 fn tables_of_spreadsheets_are_named_for_what_they_are() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let write = |bytes: &[u8]| std::fs::write(system.folder().join("runs.csv"), bytes).unwrap();
     let header = "sent_velocity_mps,distance_m,time_s";
     let rows = ["1.0,6.0,8.4", "1.3,6.0,6.5", "0.5,6.0,16.8", "0.7,6.0,12.0", "0.9,6.0,9.3"];
@@ -149,7 +149,7 @@ fn tables_of_spreadsheets_are_named_for_what_they_are() {
 
 #[test]
 fn a_process_that_is_no_program_is_named_for_what_it_is() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let script = system.folder().join("stage");
     let table = scanloop_tests::system_file(10, &[Role::Controller], "./stage", &[]);
     std::fs::write(system.folder().join("system.toml"), table).unwrap();
@@ -183,7 +183,7 @@ fn speaks(text: &str) -> bool {
 
 #[test]
 fn words_of_foreign_files_do_not_speak_to_the_terminal() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     // Clears the screen, sets the title, colours by an 8-bit control, turns the order round, and forges a line.
     let evil = "/\u{1b}[2J\u{1b}]0;owned\u{7}\u{9b}31m\u{202e}\u{2066}\n       99 /scanloop/forged";
     let schema =

@@ -1,7 +1,7 @@
 //! Bodies that move are not met, and sides are passed from which the robot gets to its goal.
 
 use emulator::Outcome;
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
@@ -17,7 +17,7 @@ fn cart(x_m: f64, side: f64, speed_mps: f64) -> String {
 /// With 0.5 m/s a cart struck the robot in nine of these places, before one end showed its motion.
 #[test]
 fn a_cart_that_is_visible_from_the_start_is_waited_for_or_passed() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let file = system.folder().join("cart.toml");
     let places = [3.0, 3.5, 4.0, 4.5, 5.0, 5.5].into_iter().flat_map(|x_m| [(x_m, 1.0), (x_m, -1.0)]);
     for (index, (x_m, side)) in places.enumerate() {
@@ -35,7 +35,7 @@ fn a_cart_that_is_visible_from_the_start_is_waited_for_or_passed() {
 /// A box on the line, and a thin post behind it that comes into view when the robot is already beside the line.
 #[test]
 fn a_side_from_which_the_goal_is_reached_is_taken() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let file = system.folder().join("post.toml");
     for (side, box_y_m, goal_x_m, seed) in
         [(1.0, -0.15, 8.7, "2"), (-1.0, -0.15, 8.7, "3"), (1.0, -0.1, 8.7, "1"), (1.0, -0.15, 8.7, "7")]
@@ -59,7 +59,7 @@ fn a_side_from_which_the_goal_is_reached_is_taken() {
 /// bodies past which a robot crept to the bound of the track before they went.
 #[test]
 fn a_robot_drives_on_when_what_was_beside_a_body_at_rest_has_gone() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let file = system.folder().join("left.toml");
     let box_of = |[x_m, y_m, length_m, width_m]: [f64; 4], more: &str| {
         format!(
@@ -100,7 +100,7 @@ fn a_robot_drives_on_when_what_was_beside_a_body_at_rest_has_gone() {
 /// robot, which stood for ever, as the body at rest stayed in view.
 #[test]
 fn a_body_that_went_past_another_one_in_the_open_contradicts_nothing() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let file = system.folder().join("passes.toml");
     let scene = |rest: [f64; 4], more: &str| {
         let [x_m, y_m, length_m, width_m] = rest;

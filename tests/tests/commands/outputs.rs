@@ -5,19 +5,19 @@ use std::os::unix::fs::symlink;
 use std::path::Path;
 use std::process::Stdio;
 
-use scanloop_tests::{SHORT_FREE, System};
+use scanloop_tests::{SHORT_FREE, TestSystem};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 /// Runs a command that must end with exit code 2, and returns its message.
-fn refused(system: &System, arguments: &[&str]) -> String {
+fn refused(system: &TestSystem, arguments: &[&str]) -> String {
     let output = system.run(arguments);
     let message = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(2), "{arguments:?}: {message}");
     message
 }
 
-fn succeeds(system: &System, arguments: &[&str]) {
+fn succeeds(system: &TestSystem, arguments: &[&str]) {
     let output = system.run(arguments);
     assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
 }
@@ -31,7 +31,7 @@ fn files(folder: &Path) -> Vec<String> {
 
 #[test]
 fn a_recording_is_not_destroyed_by_an_output_onto_itself() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     system.lockstep(&[&SHORT_FREE[..], &["--record=drive.mcap"]].concat());
     let place = |name: &str| system.folder().join(name);
     let whole = std::fs::read(place("drive.mcap")).unwrap();
@@ -79,7 +79,7 @@ fn a_recording_is_not_destroyed_by_an_output_onto_itself() {
 
 #[test]
 fn a_run_does_not_record_over_its_scenario_or_its_system() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let path = system.folder().join("recording.mcap");
     let run = ["run", "--lockstep", "--quiet", "--out", ".", "--force", "--record"];
     for (text, arguments) in
@@ -94,7 +94,7 @@ fn a_run_does_not_record_over_its_scenario_or_its_system() {
 
 #[test]
 fn a_file_of_the_user_is_replaced_only_when_asked_for() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let place = |name: &str| system.folder().join(name);
     let drive = ["calibrate", "velocity", "--drive", "--out", "."];
     let analyse = ["analyse", "observability", "--out", "."];
@@ -133,7 +133,7 @@ fn a_file_of_the_user_is_replaced_only_when_asked_for() {
 
 #[test]
 fn a_report_of_a_version_without_lists_is_replaced() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let run = ["run", "--lockstep", "--quiet", "--out", "out", "free", "--set", "goal.x_m=4"];
     succeeds(&system, &run);
     std::fs::remove_file(system.folder().join("out/.scanloop")).unwrap();
@@ -142,7 +142,7 @@ fn a_report_of_a_version_without_lists_is_replaced() {
 
 #[test]
 fn links_in_a_shared_folder_are_not_followed() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let place = |name: &str| system.folder().join(name);
     std::fs::create_dir(place("shared")).unwrap();
     for name in ["victim", "victim.svg"] {

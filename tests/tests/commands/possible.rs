@@ -1,7 +1,7 @@
 //! What scenario and system ask for together is kept, or refused with what was asked and what is possible.
 
 use emulator::Outcome;
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
@@ -12,7 +12,7 @@ fn set<'a>(keys: &[&'a str]) -> Vec<&'a str> {
 
 /// `run` and `check` refuse the keys with a message that has these words.
 fn refused(keys: &[&str], words: &[&str]) {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     for command in [&["run", "--lockstep"][..], &["check"]] {
         let output = system.run(&[command, &set(keys)].concat());
         let message = String::from_utf8_lossy(&output.stderr);
@@ -33,7 +33,7 @@ fn a_velocity_that_may_not_be_sent_is_refused_and_the_largest_one_is_driven() {
         &["actuator.calibration={ custom = { velocity_factor = 2.5, steering = \"identity\" } }"],
         &["0.8,"],
     );
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let largest =
         ["vehicle.bounds.velocity_max_mps=1.428", "controller.cruise_mps=1.428", "robot.preset=summit"];
     let report = system.lockstep(&set(&largest));
@@ -54,7 +54,7 @@ fn a_goal_to_which_no_way_forwards_leads_is_refused_and_the_nearest_one_is_reach
         &["goal.x_m = 1.8 is not allowed: at least 2.1", "goal.y_m = -0.8"],
     );
     refused(&["track.walls=true", "goal.y_m=1.3"], &["goal.y_m = 1.3 is not allowed: -1.1 to 1.1"]);
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let report = system.lockstep(&set(&["goal.x_m=2.2", "goal.y_m=-0.8"]));
     assert_eq!(report.outcome, Outcome::Reached, "{}", report.reason);
 }
@@ -67,7 +67,7 @@ fn a_heading_from_which_the_robot_leaves_the_track_is_refused_and_the_largest_on
         &["start.yaw_rad = 0.9 is not allowed: at most 0.59"],
     );
     refused(&[&aside[..], &["start.yaw_rad=3.1"]].concat(), &["start.yaw_rad = 3.1 is not allowed"]);
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     for heading in ["start.yaw_rad=0.5", "start.yaw_rad=-1.2"] {
         let report = system.lockstep(&set(&[&aside[..], &[heading]].concat()));
         assert_eq!(report.outcome, Outcome::Reached, "{heading}: {}", report.reason);
@@ -78,7 +78,7 @@ fn a_heading_from_which_the_robot_leaves_the_track_is_refused_and_the_largest_on
 fn the_robot_lands_at_every_rate_that_is_not_refused() {
     refused(&["rate_hz=1"], &["rate_hz = 1 is not allowed: at least 2.206,", "0.453 s"]);
     refused(&["rate_hz=0.5"], &["rate_hz = 0.5 is not allowed: at least 2.206,"]);
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let long = ["controller.horizon_s=10", "controller.intervals=10"];
     for keys in [
         &["rate_hz=2.206"][..],
@@ -103,7 +103,7 @@ fn a_tolerance_finer_than_the_way_of_a_period_is_refused_with_the_smallest_one()
 
 #[test]
 fn a_timeout_that_is_over_before_the_goal_is_a_warning() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let output = system.run(&[&["check"], &set(&["timeout_s=5"])[..]].concat());
     let message = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(0), "{message}");

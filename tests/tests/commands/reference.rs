@@ -3,14 +3,14 @@
 use std::path::Path;
 use std::process::Command;
 
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 const LABORATORY: &str = env!("CARGO_BIN_EXE_scanloop-under-test-lab");
 
 #[test]
 fn the_pages_are_what_the_executable_prints() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let pages = [
         ("scenario", "scenario-file.md"),
         ("system", "system-file.md"),
@@ -35,7 +35,7 @@ fn the_pages_are_what_the_executable_prints() {
 
 #[test]
 fn a_key_is_found_by_a_part_of_its_name_and_an_override_takes_what_is_shown() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let output = system.run(&["reference", "backlash"]);
     let printed = String::from_utf8(output.stdout).unwrap();
     assert_eq!(printed.lines().next(), Some("robot.steering_backlash_rad = 0.0   (0 to 0.1)"));

@@ -3,12 +3,12 @@
 
 use emulator::Outcome;
 use report::Report;
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 /// The report of a drive of this scenario.
-fn drive(system: &System, text: &str, keys: &[&str]) -> Report {
+fn drive(system: &TestSystem, text: &str, keys: &[&str]) -> Report {
     let file = system.folder().join("scene.toml");
     std::fs::write(&file, text).unwrap();
     let mut arguments = vec![file.to_str().unwrap()];
@@ -21,7 +21,7 @@ fn drive(system: &System, text: &str, keys: &[&str]) -> Report {
 
 #[test]
 fn a_cart_that_crossed_the_way_is_waited_for_and_forgotten() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let cart = "name = \"cart\"\n[[obstacle]]\nshape = \"box\"\nx_m = 5.0\ny_m = -1.0\nlength_m = 0.6\n\
                 width_m = 1.0\nvelocity_y_mps = 0.5\nappears_s = 1.0\n";
     for surroundings in ["track.surroundings='hall'", "track.surroundings='open'"] {
@@ -34,7 +34,7 @@ fn a_cart_that_crossed_the_way_is_waited_for_and_forgotten() {
 
 #[test]
 fn a_corner_of_a_room_and_boxes_that_overlap_are_driven_past() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let corner = "name = \"corner\"\n[goal]\nx_m = 11.0\n[[obstacle]]\nshape = \"box\"\nx_m = 10.0\ny_m = -1.2\n\
                   length_m = 12.0\nwidth_m = 0.1\n[[obstacle]]\nshape = \"box\"\nx_m = 16.0\ny_m = -0.2\n\
                   length_m = 0.1\nwidth_m = 2.1\n";
@@ -52,7 +52,7 @@ fn a_corner_of_a_room_and_boxes_that_overlap_are_driven_past() {
 /// The robot stopped before both and stood to the end of the run: the scanner was thought to be degraded.
 #[test]
 fn a_cart_behind_a_box_is_waited_for_and_forgotten() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let scene = "name = \"behind\"\n[goal]\nx_m = 12.0\n[[obstacle]]\nshape = \"box\"\nx_m = 8.48\ny_m = -0.27\n\
                  length_m = 0.22\nwidth_m = 0.27\n[[obstacle]]\nshape = \"box\"\nx_m = 9.9\ny_m = -1.93\n\
                  length_m = 0.52\nwidth_m = 0.3\nvelocity_y_mps = 0.2\n";

@@ -5,16 +5,16 @@ use std::collections::BTreeMap;
 
 use audit::digest::Digests;
 use emulator::{Outcome, Scenario};
-use pipeline::{Drive, Settings, Tuning, profile};
+use pipeline::{DriveResult, PipelineSettings, Tuning, profile};
 use report::Report;
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 use vehicle::Surroundings;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 /// Drives a scenario twice and checks what holds for all of them.
 fn drive(scenario: &str, expected: Outcome) -> Report {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let report = system.lockstep(&[scenario]);
     assert_eq!(report.outcome, expected, "{scenario}: {}", report.reason);
     assert!(!report.drive.truth.unwrap().collided);
@@ -46,7 +46,7 @@ fn corridor_is_reached() {
 
 #[test]
 fn a_drive_continues_after_missing_scans() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     // With seed 2 scans are missing after the end of the run, too.
     let drive = || system.lockstep(&["corridor", "--seed", "2", "--set", "robot.scan_missing_every=10"]);
     let (report, again) = (drive(), drive());
@@ -60,7 +60,7 @@ fn a_drive_continues_after_missing_scans() {
 /// Late and irregular scans, and scans without ranges: every one is answered, and processes and pipeline agree.
 #[test]
 fn every_scan_of_a_scanner_that_is_late_irregular_or_blind_is_answered() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let faults: [(&str, &[&str]); 5] = [
         ("constantly late", &["scanner.late_s=0.05"]),
         ("late for a second", &["scanner.late_s=0.25", "scanner.from_s=3.0", "scanner.to_s=4.0"]),
@@ -145,7 +145,7 @@ fn sudden_obstacle_is_stopped_for() {
 /// difference is 0.0053 of the distance, 0.2 m in this drive.
 #[test]
 fn the_printed_drift_is_corrected_to_ten_centimetres_in_forty_seconds() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let set = [
         "robot.odometry_lateral_rate=0.053",
         "robot.odometry_drift=time",
@@ -166,7 +166,7 @@ fn the_printed_drift_is_corrected_to_ten_centimetres_in_forty_seconds() {
 }
 
 /// Drives and passes when the exit code goes with the outcome; nothing is touched.
-fn untouched(system: &System, arguments: &[&str]) -> Report {
+fn untouched(system: &TestSystem, arguments: &[&str]) -> Report {
     let report = system.lockstep(arguments);
     assert!(
         !report.drive.truth.unwrap().collided && report.drive.truth.unwrap().min_clearance_m > 0.0,
@@ -183,7 +183,7 @@ fn set<'a>(scenario: &'a str, keys: &[&'a str]) -> Vec<&'a str> {
 
 #[test]
 fn every_stage_knows_a_body_that_one_key_sets() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     for body in ["robot.width_m=1.4", "robot.width_m=1.2", "robot.length_m=1.2"] {
         let report = untouched(&system, &set("corridor", &[body]));
         let ended = [Outcome::Reached, Outcome::Stopped].contains(&report.outcome);
@@ -201,7 +201,7 @@ fn every_stage_knows_a_body_that_one_key_sets() {
 
 #[test]
 fn the_speed_limit_contains_braking_way_and_age_of_the_data() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let slow = ["rate_hz=0.5", "controller.horizon_s=10", "controller.intervals=5", "goal.tolerance_m=0.2"];
     for keys in [&["robot.blocked_deceleration_mps2=0.3"][..], &slow] {
         for preset in ["robot.preset=ideal", "robot.preset=summit"] {
@@ -213,7 +213,7 @@ fn the_speed_limit_contains_braking_way_and_age_of_the_data() {
 
 #[test]
 fn a_rate_without_a_safe_speed_is_refused_and_the_keys_are_named() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     for command in [&["run", "--lockstep"][..], &["check"]] {
         let arguments = set("sudden", &["vehicle.sudden_m=0.2", "rate_hz=0.5"]);
         let output = system.run(&[command, &arguments].concat());
@@ -225,7 +225,7 @@ fn a_rate_without_a_safe_speed_is_refused_and_the_keys_are_named() {
 
 #[test]
 fn gaps_of_120_centimetres_are_driven_through() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let course = ["goal.x_m=16", "obstacle.0.x_m=8"];
     let centred = untouched(&system, &set("corridor", &[&course[..], &["obstacle.0.width_m=1.6"]].concat()));
     assert_eq!(centred.outcome, Outcome::Reached, "{}", centred.reason);
@@ -245,7 +245,7 @@ fn gaps_of_120_centimetres_are_driven_through() {
 
 #[test]
 fn processes_and_pipeline_give_the_same_bits() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     for (name, surroundings) in
         [("corridor", Surroundings::Hall), ("noisy", Surroundings::Hall), ("free", Surroundings::Open)]
     {
@@ -261,7 +261,7 @@ fn processes_and_pipeline_give_the_same_bits() {
 
 #[test]
 fn the_controller_of_the_source_gives_the_same_bits_in_processes_and_in_the_pipeline() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     for (name, outcome) in [("two-obstacles", Outcome::Reached), ("sudden", Outcome::Stopped)] {
         let report = system.lockstep(&[name, "--set", "controller.profile=source"]);
         assert_eq!(report.outcome, outcome, "{name}: {}", report.reason);
@@ -269,18 +269,18 @@ fn the_controller_of_the_source_gives_the_same_bits_in_processes_and_in_the_pipe
         profile::add(&mut table);
         let tuning: Tuning = table.try_into().unwrap();
         let scenario = Scenario::parse(Scenario::shipped(name).unwrap(), name).unwrap();
-        let (drive, digests) = with_settings(&Settings { tuning, ..Settings::of(scenario) });
+        let (drive, digests) = with_settings(&PipelineSettings { tuning, ..PipelineSettings::of(scenario) });
         assert_eq!((drive.outcome, digests), (outcome, report.digests), "{name}");
     }
 }
 
 /// The drive of a scenario in the pipeline, with its digests.
-fn in_one_process(scenario: Scenario) -> (Drive, BTreeMap<String, String>) {
-    with_settings(&Settings::of(scenario))
+fn in_one_process(scenario: Scenario) -> (DriveResult, BTreeMap<String, String>) {
+    with_settings(&PipelineSettings::of(scenario))
 }
 
 /// The same with other settings of the stages.
-fn with_settings(settings: &Settings) -> (Drive, BTreeMap<String, String>) {
+fn with_settings(settings: &PipelineSettings) -> (DriveResult, BTreeMap<String, String>) {
     let mut digests = Digests::default();
     let drive = pipeline::drive(settings, |step| {
         digests.add(&step.truth);

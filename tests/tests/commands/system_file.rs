@@ -1,12 +1,12 @@
 //! A file has only what differs, a refusal names what was written and where, and a name that is nearly right is guessed.
 
 use emulator::Outcome;
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 /// The message of a command that is refused.
-fn refusal(system: &System, arguments: &[&str]) -> String {
+fn refusal(system: &TestSystem, arguments: &[&str]) -> String {
     let output = system.run(arguments);
     let message = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(2), "{arguments:?}: {message}");
@@ -15,7 +15,7 @@ fn refusal(system: &System, arguments: &[&str]) -> String {
 
 #[test]
 fn a_part_of_a_system_file_drives() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let file = system.folder().join("system.toml");
     for text in [
         "[vehicle]\nwidth_m = 0.45\nlength_m = 0.6\nmass_kg = 15.0\nsudden_m = 1.0\n",
@@ -37,7 +37,7 @@ fn a_part_of_a_system_file_drives() {
 
 #[test]
 fn a_refusal_names_what_was_written_and_where() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let write = |name: &str, text: &str| std::fs::write(system.folder().join(name), text).unwrap();
     write("system.toml", "rate_hz = 20.0\n\n[vehicle.bounds]\nsteering_max_rad = 0.3\n");
     write("course.toml", "[goal]\nx_m = 8.0\ntolerance_m = 7.0\n");
@@ -67,7 +67,7 @@ fn a_refusal_names_what_was_written_and_where() {
 
 #[test]
 fn a_name_that_is_nearly_right_is_guessed() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     for (line, meant) in [
         ("run coridor", "corridor"),
         ("check coridor", "corridor"),

@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader};
 use std::net::{TcpListener, ToSocketAddrs};
 use std::process::{Child, Stdio};
 
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 use scanloop_tests::namespace::is_inside;
 use serde_json::Value;
 
@@ -18,7 +18,7 @@ struct Scanner {
 }
 
 impl Scanner {
-    fn start(system: &System, arguments: &[&str]) -> Self {
+    fn start(system: &TestSystem, arguments: &[&str]) -> Self {
         let mut command = system.command(&[&["urg", "emulate", "--duration", "60"], arguments].concat());
         let mut process = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
         let mut place = String::new();
@@ -36,7 +36,7 @@ impl Drop for Scanner {
 
 #[test]
 fn info_prints_what_a_scanner_tells_about_itself() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let scanner = Scanner::start(&system, &["--tcp", "127.0.0.1:0"]);
     let output = system.run(&["urg", "info", "--json", "--tcp", &scanner.place]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -53,7 +53,7 @@ fn every_address_of_a_name_is_tried() {
     if !is_inside(concat!(module_path!(), "::every_address_of_a_name_is_tried"), hosts, |_| {}) {
         return;
     }
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let scanner = Scanner::start(&system, &["--tcp", "127.0.0.1:0"]);
     let place = scanner.place.replace("127.0.0.1", "twin");
     let addresses: Vec<_> = place.to_socket_addrs().unwrap().collect();
@@ -72,7 +72,7 @@ fn every_address_of_a_name_is_tried() {
 
 #[test]
 fn a_log_has_the_columns_of_the_coreslam_logs() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let scanner = Scanner::start(&system, &["--fault", "checksum@0"]);
     let arguments = ["urg", "log", "--device", &scanner.place, "-n", "6", "scans.dat"];
     let output = system.run(&arguments);
@@ -92,7 +92,7 @@ fn a_log_has_the_columns_of_the_coreslam_logs() {
 
 #[test]
 fn a_plot_shows_the_room() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let scanner = Scanner::start(&system, &[]);
     let output = system.run(&["urg", "plot", "--device", &scanner.place, "-n", "1"]);
     let picture = String::from_utf8_lossy(&output.stdout).into_owned();
@@ -102,7 +102,7 @@ fn a_plot_shows_the_room() {
 
 #[test]
 fn a_scanner_that_is_not_there_or_does_not_answer_is_named() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let silent = TcpListener::bind("127.0.0.1:0").unwrap();
     let silent_place = silent.local_addr().unwrap().to_string();
     let closed = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();

@@ -3,7 +3,7 @@
 
 use emulator::{JudgedBy, Outcome, Scenario};
 use report::Report;
-use scanloop_tests::{System, system_file};
+use scanloop_tests::{TestSystem, system_file};
 use serde_json::Value;
 use shared_types::Role;
 
@@ -23,7 +23,7 @@ const OF_TRUTH: [&str; 7] = [
 
 /// A drive in lock-step: exit code, report, and the report as JSON.
 fn drive(arguments: &[&str]) -> (i32, Report, Value) {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let output = system.run(&[&["run", "--lockstep", "--quiet", "--out", "out"], arguments].concat());
     let path = system.folder().join("out/report.json");
     let text = std::fs::read_to_string(&path).unwrap();
@@ -123,7 +123,7 @@ fn a_collision_that_only_the_truth_shows_is_not_claimed() {
 #[test]
 fn a_robot_that_promises_a_truth_and_publishes_none_ends_the_run_with_its_name() {
     for (fault, since) in [("withholding", 1), ("forgetful", 20)] {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let path = system.folder().join("system.toml");
         std::fs::write(&path, system_file(10, &[Role::Robot], FAULTY, &[fault])).unwrap();
         for mode in [&["--lockstep"][..], &[]] {
@@ -150,7 +150,7 @@ fn a_robot_that_promises_a_truth_and_publishes_none_ends_the_run_with_its_name()
 
 #[test]
 fn a_program_that_opens_no_truth_is_judged_by_the_estimate_too() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let path = system.folder().join("system.toml");
     std::fs::write(&path, system_file(10, &[Role::Robot], FAULTY, &["truthless"])).unwrap();
     let report = system.lockstep(&["free", "--system", path.to_str().unwrap()]);
@@ -166,7 +166,7 @@ fn a_program_that_opens_no_truth_is_judged_by_the_estimate_too() {
 
 #[test]
 fn latency_is_measured_without_a_truth() {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let short = ["bench", "latency", "--rate", "50", "--duration", "1.2", "--quiet", "--json"];
     let output = system.run(&[&short, &HIDDEN[..]].concat());
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));

@@ -7,8 +7,8 @@ use std::process::{Command, Stdio};
 use emulator::Outcome;
 use report::Report;
 use rustix::process::Signal;
-use scanloop_tests::{SHORT_CORRIDOR, SHORT_FREE, System, Watch};
-use session::control::Status;
+use scanloop_tests::{SHORT_CORRIDOR, SHORT_FREE, TestSystem, TruthWatch};
+use session::control::SystemStatus;
 use shared_types::{Role, Truth};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -18,32 +18,32 @@ const FAULTY: &str = env!("CARGO_BIN_EXE_faulty-controller");
 const MAX_BLIND_S: f64 = 0.3;
 
 /// A system that drives and whose orchestrator was killed.
-fn orphaned(arguments: &[&str]) -> (System, Watch) {
-    let mut system = System::new(EXECUTABLE);
+fn orphaned(arguments: &[&str]) -> (TestSystem, TruthWatch) {
+    let mut system = TestSystem::new(EXECUTABLE);
     system.start(arguments);
-    let watch = Watch::new(&system);
+    let watch = TruthWatch::new(&system);
     system.kill_orchestrator();
     (system, watch)
 }
 
 /// Process ids of all roles.
-fn pids(status: &Status) -> Vec<i32> {
+fn pids(status: &SystemStatus) -> Vec<i32> {
     status.processes.iter().map(|process| process.pid).collect()
 }
 
 /// The rows of `status` of a system without an orchestrator.
-fn orphaned_status(system: &System) -> Status {
+fn orphaned_status(system: &TestSystem) -> SystemStatus {
     let output = system.run(&["status", "--json"]);
     serde_json::from_slice(&output.stdout)
         .unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(&output.stderr)))
 }
 
-fn pid_of(status: &Status, role: Role) -> i32 {
+fn pid_of(status: &SystemStatus, role: Role) -> i32 {
     status.processes.iter().find(|process| process.role == role).unwrap().pid
 }
 
 /// Waits for the end of an adopted run that reaches its goal.
-fn assert_reached(mut system: System) -> Report {
+fn assert_reached(mut system: TestSystem) -> Report {
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
     let report = system.report();
     assert_eq!(report.outcome, Outcome::Reached);
@@ -65,10 +65,10 @@ fn stderr(output: &std::process::Output) -> String {
 #[test]
 fn the_robot_drives_on_without_an_orchestrator_and_is_adopted_as_it_is() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&SHORT_CORRIDOR);
         let before = pids(&system.status().unwrap());
-        let watch = Watch::new(&system);
+        let watch = TruthWatch::new(&system);
         system.kill_orchestrator();
         let from = watch.wait_for(&system, "the truth continues", |_| true);
         let later =
@@ -90,7 +90,7 @@ fn an_adopted_run_is_supervised_like_any_other() {
         // These roles recover without a state: on a busy machine it may be older than half a second.
         let (mut system, watch) = orphaned(&["endless", "--set", "timeout_s=600"]);
         system.adopt(&[]);
-        let restarted = |system: &System, role: Role, before: i32| {
+        let restarted = |system: &TestSystem, role: Role, before: i32| {
             system.wait_until("a successor", |system| {
                 system.status().is_some_and(|status| {
                     status.processes.iter().any(|process| {
@@ -160,10 +160,10 @@ fn a_controller_that_died_meanwhile_is_restarted_and_rests_before_it_drives() {
 #[test]
 fn a_controller_resumes_from_the_state_of_one_that_hung_for_longer_than_a_state_may_be_old() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         // At 5 Hz a hang is found after 0.6 s; the state was young when it began.
         system.start(&["corridor", "--set", "rate_hz=5"]);
-        let watch = Watch::new(&system);
+        let watch = TruthWatch::new(&system);
         watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
         let pid = system.pid(Role::Controller);
         system.signal(pid, Signal::STOP);
@@ -186,7 +186,7 @@ fn a_controller_resumes_from_the_state_of_one_that_hung_for_longer_than_a_state_
 #[test]
 fn adopt_is_refused_without_a_run_and_while_an_orchestrator_drives() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         for arguments in [["adopt", "--quiet"], ["run", "--adopt"]] {
             let output = system.run(&arguments);
             assert_eq!(output.status.code(), Some(2));
@@ -253,10 +253,10 @@ fn a_stranger_under_the_number_of_a_process_is_named_and_left_alone() {
 
 /// Kills the orchestrator when the swap of the controller has reached this state; returns both process ids,
 /// the one in charge first.
-fn kill_within_swap(system: &mut System, state: &str) -> [i32; 2] {
+fn kill_within_swap(system: &mut TestSystem, state: &str) -> [i32; 2] {
     let mut swap = system.command(&["swap", "controller", "--to", "nmpc", "--standby-scans", "50"]);
     let mut swap = swap.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
-    let rows = |system: &System| -> Vec<(i32, String)> {
+    let rows = |system: &TestSystem| -> Vec<(i32, String)> {
         let processes = system.status().map(|status| status.processes).unwrap_or_default();
         let rows = processes.into_iter().filter(|process| process.role == Role::Controller);
         rows.map(|process| (process.pid, process.state.to_string())).collect()
@@ -270,7 +270,7 @@ fn kill_within_swap(system: &mut System, state: &str) -> [i32; 2] {
 
 /// A swap whose orchestrator was killed in this state ends with the process in charge.
 fn ends_with_the_process_in_charge(state: &str) {
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     system.start(&SHORT_CORRIDOR);
     let [in_charge, other] = kill_within_swap(&mut system, state);
     system.adopt(&[]);
@@ -298,7 +298,7 @@ fn a_swap_that_lost_its_orchestrator_in_standby_ends_with_the_process_in_charge(
 #[test]
 fn a_start_that_lost_its_orchestrator_is_brought_to_its_end() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.launch(&[&["run", "--quiet", "--out", "out"], &SHORT_FREE[..]].concat(), &[]);
         system.wait_until("some process", |system| !system.processes().is_empty());
         system.wait_until("it was written down", |system| {
@@ -416,7 +416,7 @@ fn without_the_actuator_the_robot_blocks_its_wheels_itself() {
 }
 
 /// The built-in system with a controller that does `what`, and some keys more in its entry.
-fn with_faulty_controller(system: &System, what: &[&str], keys: &str) -> String {
+fn with_faulty_controller(system: &TestSystem, what: &[&str], keys: &str) -> String {
     let path = system.folder().join("system.toml");
     let command: Vec<String> = what.iter().map(|argument| format!("{argument:?}")).collect();
     let roles =
@@ -432,7 +432,7 @@ fn with_faulty_controller(system: &System, what: &[&str], keys: &str) -> String 
 
 /// Runs with such a controller until the run fails because of it; returns standard error.
 fn fails(what: &[&str], keys: &str) -> String {
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     let file = with_faulty_controller(&system, what, keys);
     system.launch(&["run", "--quiet", "--out", "out", "endless", "--system", &file], &[]);
     assert_eq!(system.wait().code(), Some(4), "{}", system.stderr());

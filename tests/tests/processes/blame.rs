@@ -6,15 +6,15 @@ use emulator::Outcome;
 use report::Report;
 use rustix::process::Signal;
 use scanloop_tests::machine::repeat_when_late;
-use scanloop_tests::{System, is_ignored, system_file};
+use scanloop_tests::{TestSystem, is_ignored, system_file};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 const FAULTY: &str = env!("CARGO_BIN_EXE_faulty");
 
 /// A system in which `role` is filled by a faulty program.
-fn system_with(role: Role, fault: &str) -> System {
-    let system = System::new(EXECUTABLE);
+fn system_with(role: Role, fault: &str) -> TestSystem {
+    let system = TestSystem::new(EXECUTABLE);
     std::fs::write(system.folder().join("system.toml"), system_file(10, &[role], FAULTY, &[fault])).unwrap();
     system
 }
@@ -23,7 +23,7 @@ fn state_of(report: &Report, role: Role) -> &str {
     &report.processes.iter().find(|process| process.role == role.name()).unwrap().state
 }
 
-fn log_of(system: &System, role: Role) -> String {
+fn log_of(system: &TestSystem, role: Role) -> String {
     std::fs::read_to_string(system.folder().join("out/logs").join(format!("{role}.log"))).unwrap()
 }
 
@@ -174,7 +174,7 @@ fn a_process_that_had_to_drop_all_its_inputs_is_not_blamed_for_having_no_output(
 #[test]
 fn a_stage_can_not_read_the_scenario_and_finds_all_its_settings() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["--duration", "30"]);
         let domain = system.domain();
         let directory = domain.directory();
@@ -205,7 +205,7 @@ fn a_stage_can_not_read_the_scenario_and_finds_all_its_settings() {
 fn an_interrupt_at_any_moment_of_the_start_leaves_nothing() {
     repeat_when_late(|| {
         for delay_us in (0..40_000).step_by(2_000) {
-            let mut system = System::new(EXECUTABLE);
+            let mut system = TestSystem::new(EXECUTABLE);
             system.launch(&["run", "--quiet", "--out", "out"], &[]);
             let started = std::time::Instant::now();
             while started.elapsed().as_micros() < delay_us {

@@ -8,7 +8,7 @@ use emulator::Outcome;
 use handover::swap::{Certificate, SwapOutcome};
 use report::Report;
 use rustix::process::Signal;
-use scanloop_tests::{SHORT_FREE, System};
+use scanloop_tests::{SHORT_FREE, TestSystem};
 use session::control::CompanionStatus;
 use supervision::supervisor::VisibleState;
 
@@ -19,8 +19,8 @@ const LAYOUT: &str =
     "name = \"Echo\"\n[[field]]\nname = \"value\"\ntype = \"f64\"\ndoc = \"Number of the scan\"\n";
 
 /// The built-in system with the topic `echo`, a companion that writes it in this way, and one that reads it.
-fn system_with(mode: &str, more: &str) -> System {
-    let system = System::new(EXECUTABLE);
+fn system_with(mode: &str, more: &str) -> TestSystem {
+    let system = TestSystem::new(EXECUTABLE);
     let built_in = include_str!("../../../orchestrator/systems/default.toml");
     let text = format!(
         "{built_in}\n[[topic]]\nname = \"echo\"\nlayout = \"echo.toml\"\n[[topic]]\nname = \"limit\"\nlayout = \
@@ -35,14 +35,14 @@ fn system_with(mode: &str, more: &str) -> System {
 
 const SYSTEM: [&str; 2] = ["--system", "lab.toml"];
 
-fn started(mode: &str, more: &str) -> System {
+fn started(mode: &str, more: &str) -> TestSystem {
     let mut system = system_with(mode, more);
     system.start(&[&SHORT_FREE[..], &SYSTEM].concat());
     system
 }
 
 /// The longest that a log of the run is now [bytes].
-fn longest_log(system: &System) -> u64 {
+fn longest_log(system: &TestSystem) -> u64 {
     let logs = std::fs::read_dir(system.folder().join("out/logs")).into_iter().flatten();
     logs.filter_map(|log| Some(log.ok()?.metadata().ok()?.len())).max().unwrap_or(0)
 }
@@ -98,12 +98,12 @@ fn the_rate_of_a_topic_is_that_of_its_writer_however_few_samples_are_seen() {
     });
 }
 
-fn companion(system: &System, name: &str) -> Option<CompanionStatus> {
+fn companion(system: &TestSystem, name: &str) -> Option<CompanionStatus> {
     system.status()?.companions.into_iter().find(|companion| companion.name == name)
 }
 
 /// Waits for the goal; the loop has lost nothing.
-fn reached(mut system: System) -> (Report, String) {
+fn reached(mut system: TestSystem) -> (Report, String) {
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
     let report = system.report();
     assert_eq!(report.outcome, Outcome::Reached);
@@ -194,7 +194,7 @@ fn a_companion_that_is_killed_is_started_again() {
 fn a_companion_is_replaced_and_restarted_while_the_robot_drives() {
     repeat_when_late(|| {
         let system = started("echo", "");
-        let pid = |system: &System| companion(system, "writer").map_or(0, |it| it.pid);
+        let pid = |system: &TestSystem| companion(system, "writer").map_or(0, |it| it.pid);
         let first = pid(&system);
         let swapped = system.run(&["swap", "writer", "--", COMPANION, "echo"]);
         assert_eq!(swapped.status.code(), Some(0), "{}", text(&swapped));
@@ -218,7 +218,7 @@ fn a_companion_is_replaced_and_restarted_while_the_robot_drives() {
 }
 
 /// A system whose topic `echo` has a bound of agreement.
-fn bounded() -> System {
+fn bounded() -> TestSystem {
     let mut system = system_with("echo", "");
     let file = system.folder().join("lab.toml");
     let lab = std::fs::read_to_string(&file).unwrap();

@@ -7,7 +7,7 @@ use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
-use scanloop_tests::{System, pause, printed};
+use scanloop_tests::{TestSystem, pause, printed};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -16,14 +16,14 @@ const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 const CLOSED_LIMIT: Duration = Duration::from_secs(8);
 
 /// A connection to the control socket as any client has it.
-fn connect(system: &System) -> UnixStream {
+fn connect(system: &TestSystem) -> UnixStream {
     let stream = UnixStream::connect(system.domain().directory().join("control.sock")).unwrap();
     stream.set_read_timeout(Some(CLOSED_LIMIT)).unwrap();
     stream
 }
 
 /// Ends the run and checks that it lost no scan.
-fn end(mut system: System) {
+fn end(mut system: TestSystem) {
     system.signal(system.orchestrator(), Signal::INT);
     assert_eq!(system.wait().code(), Some(1));
     let scans = system.report().scans;
@@ -32,7 +32,7 @@ fn end(mut system: System) {
 }
 
 /// A value of /proc/PID/status [KiB].
-fn kib(system: &System, key: &str) -> u64 {
+fn kib(system: &TestSystem, key: &str) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{}/status", system.orchestrator())).unwrap();
     let line = status.lines().find_map(|line| line.strip_prefix(key)).unwrap();
     line.trim_start_matches(':').split_whitespace().next().unwrap().parse().unwrap()
@@ -53,7 +53,7 @@ fn dribble(mut client: UnixStream) -> Duration {
 #[test]
 fn a_client_that_sends_a_byte_now_and_then_holds_up_nothing_and_is_closed() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless"]);
         let clients: Vec<_> = (0..4).map(|_| connect(&system)).collect();
         let clients: Vec<_> =
@@ -75,7 +75,7 @@ fn a_client_that_sends_a_byte_now_and_then_holds_up_nothing_and_is_closed() {
 #[test]
 fn an_endless_line_is_cut_and_takes_no_memory() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless"]);
         let before_kib = kib(&system, "VmHWM");
         let mut client = connect(&system);
@@ -99,7 +99,7 @@ fn an_endless_line_is_cut_and_takes_no_memory() {
 #[test]
 fn many_idle_connections_stop_no_command_for_long() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless"]);
         let mut clients: Vec<_> = (0..40).map(|_| connect(&system)).collect();
         let started = Instant::now();
@@ -118,7 +118,7 @@ fn many_idle_connections_stop_no_command_for_long() {
 #[test]
 fn what_was_reported_as_failed_is_not_carried_out_later() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless"]);
         let (controller, orchestrator) = (system.pid(Role::Controller), system.orchestrator());
         for command in [

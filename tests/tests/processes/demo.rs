@@ -1,13 +1,13 @@
 //! The demo: all of its promises hold here, a promise that does not hold fails it, and it leaves nothing behind.
 
 use rustix::process::Signal;
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 use scanloop_tests::machine::repeat_when_late;
 use serde_json::Value;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
-fn demo(system: &System, arguments: &[&str]) -> (Option<i32>, Value, String) {
+fn demo(system: &TestSystem, arguments: &[&str]) -> (Option<i32>, Value, String) {
     let output = system.run(&[&["demo", "--fast", "--json"], arguments].concat());
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     let result = serde_json::from_slice(&output.stdout);
@@ -17,7 +17,7 @@ fn demo(system: &System, arguments: &[&str]) -> (Option<i32>, Value, String) {
 #[test]
 fn every_promise_of_the_demo_holds() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let (code, result, text) = demo(&system, &["--out", "out"]);
         let claims = result["claims"].as_array().unwrap();
         let failed: Vec<&Value> = claims.iter().filter(|claim| claim["held"] != true).collect();
@@ -36,7 +36,7 @@ fn every_promise_of_the_demo_holds() {
 #[test]
 fn a_promise_that_does_not_hold_fails_the_demo() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let arguments = ["--only", "drive", "--promise", "scan_to_actuation_ms=0.001"];
         let (code, result, text) = demo(&system, &arguments);
         assert_eq!((code, &result["held"]), (Some(1), &Value::Bool(false)));
@@ -51,7 +51,7 @@ fn a_promise_that_does_not_hold_fails_the_demo() {
 #[test]
 fn an_interrupted_demo_stops_everything() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.launch(&["demo", "--fast"], &[]);
         system.wait_until_driving();
         system.signal(system.orchestrator(), Signal::INT);
@@ -64,7 +64,7 @@ fn an_interrupted_demo_stops_everything() {
 #[test]
 fn the_demo_leaves_a_system_of_the_user_alone() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless"]);
         let output = system.run(&["demo", "--fast"]);
         let text = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -79,7 +79,7 @@ fn the_demo_leaves_a_system_of_the_user_alone() {
 #[test]
 fn what_the_demo_can_t_do_is_refused_before_anything_is_started() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let held = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
         let port = held.local_addr().unwrap().port().to_string();
         for (arguments, reason) in [

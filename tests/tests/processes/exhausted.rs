@@ -8,7 +8,7 @@ use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Resource, Rlimit, prlimit};
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
@@ -19,7 +19,7 @@ fn text(output: &Output) -> String {
 #[test]
 fn a_limit_that_is_too_small_for_a_system_is_named_and_nothing_is_left() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         for (limit, named) in [
             ("-f 1024", "`ulimit -f 262144`"),
             ("-f 100000", "`ulimit -f 262144`"),
@@ -48,7 +48,7 @@ fn a_limit_that_is_too_small_for_a_system_is_named_and_nothing_is_left() {
 #[test]
 fn a_file_that_may_not_become_larger_is_an_error_and_no_signal() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         std::fs::create_dir(system.folder().join("bags")).unwrap();
         let recorded = system.run(&["run", "--lockstep", "--quiet", "--record=f.mcap", "free"]);
         assert_eq!(recorded.status.code(), Some(0), "{}", text(&recorded));
@@ -61,7 +61,7 @@ fn a_file_that_may_not_become_larger_is_an_error_and_no_signal() {
 }
 
 /// What a running system answers to its commands while nothing more can be started: each answer names the limit.
-fn assert_answers(system: &System, limit: &str) {
+fn assert_answers(system: &TestSystem, limit: &str) {
     let status = system.run(&["status"]);
     assert_eq!(status.status.code(), Some(0), "{}", text(&status));
     assert!(text(&status).contains("driving"), "{}", text(&status));
@@ -84,7 +84,7 @@ fn assert_answers(system: &System, limit: &str) {
 #[test]
 fn a_system_without_a_free_descriptor_is_asked_and_stopped() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless", "--set", "timeout_s=600"]);
         let pid = system.orchestrator();
         let open = std::fs::read_dir(format!("/proc/{pid}/fd")).unwrap().count() as u64;
@@ -124,7 +124,7 @@ impl Drop for Full {
 #[test]
 fn a_system_whose_control_group_allows_no_more_processes_is_asked_and_stopped() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let Some(group) = Full::new(system.id()) else {
             eprintln!(
                 "skipped a_system_whose_control_group_allows_no_more_processes: no control group can be made"
@@ -148,7 +148,7 @@ fn a_system_whose_control_group_allows_no_more_processes_is_asked_and_stopped() 
 }
 
 /// Runs a command of the executable in a control group that allows so many processes and threads.
-fn run_in(group: &Full, most: u32, system: &System, arguments: &str) -> Output {
+fn run_in(group: &Full, most: u32, system: &TestSystem, arguments: &str) -> Output {
     std::fs::write(group.0.join("pids.max"), most.to_string()).unwrap();
     let (procs, id) = (group.0.join("cgroup.procs").display().to_string(), system.id());
     let script = format!("echo $$ > {procs} && exec {EXECUTABLE} --system-id {id} {arguments}");
@@ -158,7 +158,7 @@ fn run_in(group: &Full, most: u32, system: &System, arguments: &str) -> Output {
 #[test]
 fn a_command_whose_control_group_allows_no_thread_names_the_limit() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let Some(group) = Full::new(system.id()) else {
             eprintln!("skipped a_command_whose_control_group_allows_no_thread: no control group can be made");
             return;
@@ -190,7 +190,7 @@ fn a_command_whose_control_group_allows_no_thread_names_the_limit() {
 #[test]
 fn a_command_beside_a_running_system_names_the_limit_of_files_or_of_their_size() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless", "--set", "timeout_s=600"]);
         let limited = |limit: &str, command: &str| {
             let script = format!("ulimit {limit} && exec {EXECUTABLE} --system-id {} {command}", system.id());

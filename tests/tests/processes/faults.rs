@@ -4,13 +4,13 @@
 use scanloop_tests::machine::repeat_when_late;
 use std::collections::BTreeSet;
 
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 use serde_json::Value;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 /// Runs `scanloop faults` and returns its exit code and what it printed.
-fn faults(system: &System, arguments: &[&str]) -> (Option<i32>, Value) {
+fn faults(system: &TestSystem, arguments: &[&str]) -> (Option<i32>, Value) {
     let output = system.run(&[&["faults", "--json", "--out", "out"], arguments].concat());
     let printed = serde_json::from_slice(&output.stdout);
     let printed =
@@ -30,7 +30,7 @@ fn assert_passed((code, matrix): (Option<i32>, Value)) -> usize {
 #[test]
 fn a_sample_of_simulated_faults_is_detected_and_nothing_is_touched() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let output = system.run(&["faults", "--list"]);
         let names = String::from_utf8(output.stdout).unwrap();
         let of_processes = ["process-", "machine-", "orchestrator-", "shared-memory-"];
@@ -53,7 +53,7 @@ fn a_sample_of_simulated_faults_is_detected_and_nothing_is_touched() {
 #[test]
 fn processes_that_die_hang_and_flood_are_detected_and_nothing_is_touched() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         for name in [
             "process-controller-dies/beside",
             "process-estimator-hangs/straight",
@@ -72,7 +72,7 @@ fn processes_that_die_hang_and_flood_are_detected_and_nothing_is_touched() {
 #[test]
 fn a_full_shared_memory_does_not_disturb_the_drive_where_it_may_be_filled() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let (code, matrix) = faults(&system, &["--only", "shared-memory-full/beside"]);
         let skipped = matrix["skipped"].as_array().unwrap();
         if skipped.is_empty() {
@@ -86,7 +86,7 @@ fn a_full_shared_memory_does_not_disturb_the_drive_where_it_may_be_filled() {
 #[test]
 fn a_pattern_that_no_cell_has_is_refused() {
     repeat_when_late(|| {
-        let output = System::new(EXECUTABLE).run(&["faults", "--only", "nothing"]);
+        let output = TestSystem::new(EXECUTABLE).run(&["faults", "--only", "nothing"]);
         assert_eq!(output.status.code(), Some(2));
         let message = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(message.contains("--only nothing: no cell has such a name"), "{message}");

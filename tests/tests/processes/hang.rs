@@ -6,14 +6,14 @@ use std::time::{Duration, Instant};
 
 use emulator::Outcome;
 use rustix::process::{Pid, Signal, kill_process};
-use scanloop_tests::{SHORT_CORRIDOR, System, pause};
+use scanloop_tests::{SHORT_CORRIDOR, TestSystem, pause};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 /// Suspends a process in the middle of the corridor, resumes it after a time if it still lives, and reaches the goal.
 fn reaches_the_goal(role: Role, stopped_for: Duration) {
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     system.start(&SHORT_CORRIDOR);
     system.wait_until("it drives fast", |system| system.status().is_some_and(|status| status.scan > 20));
     let pid = system.pid(role);

@@ -19,7 +19,7 @@ use std::process::{Child, Command, Stdio};
 use emulator::Outcome;
 use runtime::{Domain, LinkStatus};
 use rustix::process::{Pid, Signal, kill_process};
-use scanloop_tests::{SHORT_FREE, System, processes_of, system_file};
+use scanloop_tests::{SHORT_FREE, TestSystem, processes_of, system_file};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -35,7 +35,7 @@ fn link_folder() -> Option<PathBuf> {
 
 /// A system on several hosts, and the agents of the others.
 struct TwoHosts {
-    system: System,
+    system: TestSystem,
     path: String,
     /// Names of the other hosts.
     names: Vec<String>,
@@ -56,7 +56,7 @@ impl TwoHosts {
             return None;
         };
         let path = format!("{}:{}", folder.display(), std::env::var("PATH").unwrap_or_default());
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let mut text = system_file(10, &[], "", &[]).replace("restart = \"never\"\n", "");
         text = text.replace("role = \"robot\"\n", "role = \"robot\"\nrestart = \"never\"\n");
         let mut names: Vec<String> = places.iter().map(|(_, host)| (*host).to_owned()).collect();
@@ -338,7 +338,7 @@ fn hosts_that_trust_each_other_drive_over_an_encrypted_link() {
 #[test]
 fn an_agent_file_that_others_can_read_is_refused() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let file = system.folder().join("agent.toml");
         std::fs::write(&file, "name = \"lab\"\n").unwrap();
         std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o644)).unwrap();

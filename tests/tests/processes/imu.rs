@@ -8,7 +8,7 @@ use std::process::Command;
 
 use emulator::Outcome;
 use runtime::LayoutFile;
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 
 /// The struct of the example, from its own source.
 #[path = "../../../examples/rust/imu/src/imu.rs"]
@@ -35,7 +35,7 @@ fn example() -> &'static Path {
 
 /// The root of the mean square of the yaw error of one drive [rad].
 fn yaw_error_rad(seed: u32, estimator: &[&str]) -> f64 {
-    let system = System::new(EXECUTABLE);
+    let system = TestSystem::new(EXECUTABLE);
     let file = example().join("system.toml");
     let command = |key: &str, words: &[&str]| format!("process.{key}.command={words:?}");
     let overrides = [

@@ -1,15 +1,15 @@
 //! Faults that a command injects into a running system.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use recording::mcap::Reader;
+use recording::mcap::McapReader;
 use runtime::{Bus, Observer};
 use scanloop_tests::machine::repeat_when_late;
-use scanloop_tests::{DEADLINE, System, pause, printed};
+use scanloop_tests::{DEADLINE, TestSystem, pause, printed};
 use shared_types::{Actuation, ActuationKind, Role, Truth};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
-fn inject(system: &System, arguments: &[&str]) -> (Option<i32>, String) {
+fn inject(system: &TestSystem, arguments: &[&str]) -> (Option<i32>, String) {
     let output = system.run(&[&["inject"], arguments].concat());
     (output.status.code(), printed(&output))
 }
@@ -26,7 +26,7 @@ fn wait_for(actuations: &Observer<Actuation>, what: &str, kind: ActuationKind) {
 }
 
 /// A fault begins, is seen at the wheels, and ends: the robot drives again.
-fn blocks_for_a_time(system: &System, actuations: &Observer<Actuation>, fault: &str) {
+fn blocks_for_a_time(system: &TestSystem, actuations: &Observer<Actuation>, fault: &str) {
     assert_eq!(inject(system, &[fault, "--for", "1s"]), (Some(0), format!("{fault}: for 1 s\n")));
     wait_for(actuations, &format!("{fault}: the wheels are blocked"), ActuationKind::Block);
     wait_for(actuations, &format!("{fault}: the robot drives again"), ActuationKind::Drive);
@@ -35,7 +35,7 @@ fn blocks_for_a_time(system: &System, actuations: &Observer<Actuation>, fault: &
 #[test]
 fn faults_of_samples_robot_and_processes_act_for_their_time_and_are_recorded() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless", "--allow-inject", "--record"]);
         let bus = Bus::open(&system.domain(), "observer").unwrap();
         let actuations = Observer::<Actuation>::new(&bus).unwrap();
@@ -61,7 +61,7 @@ fn faults_of_samples_robot_and_processes_act_for_their_time_and_are_recorded() {
         let report = system.report();
         assert_eq!((report.scans.unaccounted, report.drive.truth.unwrap().collided), (0, false));
         let file = std::fs::File::open(system.folder().join("out/recording.mcap")).unwrap();
-        let (mut reader, mut is_recorded) = (Reader::new(file).unwrap(), false);
+        let (mut reader, mut is_recorded) = (McapReader::new(file).unwrap(), false);
         let text = b"fault injected for 1 s: scanner-dead";
         while let Some(message) = reader.next_message().unwrap() {
             is_recorded |= message.data.windows(text.len()).any(|part| part == text);
@@ -79,7 +79,7 @@ fn faults_of_samples_robot_and_processes_act_for_their_time_and_are_recorded() {
 #[test]
 fn after_numbers_of_scans_that_do_not_exist_the_robot_drives_on_and_reaches_the_goal() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["free", "--allow-inject"]);
         let bus = Bus::open(&system.domain(), "observer").unwrap();
         let actuations = Observer::<Actuation>::new(&bus).unwrap();
@@ -112,7 +112,7 @@ fn after_numbers_of_scans_that_do_not_exist_the_robot_drives_on_and_reaches_the_
 #[test]
 fn what_can_t_be_injected_is_refused_with_what_can() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let (code, text) = inject(&system, &["scanner-dead"]);
         assert!(code == Some(2) && text.contains("is not running"), "{text}");
         let list = String::from_utf8(system.run(&["inject", "--list"]).stdout).unwrap();

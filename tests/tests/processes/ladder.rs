@@ -13,7 +13,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use independent::Judge;
 use runtime::{Bus, Observer};
-use scanloop_tests::{System, system_file};
+use scanloop_tests::{TestSystem, system_file};
 use shared_types::{
     Actuation, ActuationKind, Command, CommandKind, Level, MAX_OBSTACLES, Obstacles, PlanNode, Pose, Role,
     Sample, SolveStatus, StopReason, Truth,
@@ -60,7 +60,7 @@ fn keep<S: Sample>(observer: &Observer<S>, samples: &mut BTreeMap<u64, S>, is_ke
 }
 
 impl Recorder {
-    fn new(system: &System) -> Self {
+    fn new(system: &TestSystem) -> Self {
         let bus = Bus::open(&system.domain(), "test").unwrap();
         Self {
             poses: Observer::new(&bus).unwrap(),
@@ -142,20 +142,21 @@ impl Samples {
 
 /// A judge of a command whose plan was made for this scan period.
 fn judge(period_s: f64) -> Judge {
-    let config = nmpc::Config::default();
-    let (y_range, nmpc::Config { vehicle, track, goal, clearance_m, .. }) = (config.y_range(), config);
+    let config = nmpc::ControllerConfig::default();
+    let (y_range, nmpc::ControllerConfig { vehicle, track, goal, clearance_m, .. }) =
+        (config.y_range(), config);
     Judge { vehicle, track, goal, y_range, clearance_m, period_s, ellipses: false }
 }
 
 /// Drives with these arguments until a condition holds; all commands of the drive are judged.
 fn drive(arguments: &[&str], what: &str, condition: impl Fn(&Samples) -> bool) -> Samples {
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     drive_in(&mut system, arguments, what, condition)
 }
 
 /// [`drive`] of a system in whose folder there are files.
 fn drive_in(
-    system: &mut System,
+    system: &mut TestSystem,
     arguments: &[&str],
     what: &str,
     condition: impl Fn(&Samples) -> bool,
@@ -237,7 +238,7 @@ width_m = 3.5
 #[test]
 fn without_time_the_wheels_follow_the_best_verified_plan_then_the_rest_of_the_last_one_then_are_blocked() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         std::fs::write(system.folder().join("barrier.toml"), BARRIER).unwrap();
         let slow = settings([
             "controller.budget_ms=0.1",
@@ -294,7 +295,7 @@ fn the_last_rung_blocks_the_wheels_in_front_of_a_box_that_appears_too_near_to_st
 
 /// Drives with a faulty program in a role until a condition holds.
 fn drive_with(role: Role, fault: &str, what: &str, condition: impl Fn(&Samples) -> bool) -> Samples {
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     let file = system_file(10, &[role], FAULTY, &[fault]);
     std::fs::write(system.folder().join("system.toml"), file).unwrap();
     drive_in(&mut system, &["free", "--system", "system.toml"], what, condition)
@@ -347,7 +348,7 @@ fn a_heap_of_sixteen_ellipses_is_passed_at_a_distance() {
 #[test]
 fn a_controller_resumes_from_a_state_that_is_no_number_and_drives_on() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let once =
             "test -e ended || { touch ended; exec \"$0\" controller bad-state; }; exec \"$1\" service nmpc";
         let command = ["sh", "-c", once, FAULTY, EXECUTABLE];

@@ -5,12 +5,12 @@ use scanloop_tests::machine::repeat_when_late;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 
-use audit::ledger::Kind;
+use audit::ledger::DeliveryFaultKind;
 use emulator::Outcome;
 use report::Report;
 use report::latency::attribute;
 use runtime::{Bus, Observer};
-use scanloop_tests::{Place, STAGES, System, plan, system_file};
+use scanloop_tests::{DelayPlace, STAGES, TestSystem, plan, system_file};
 use shared_types::{Actuation, Header, Role, Topic};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -18,13 +18,13 @@ const FAULTY: &str = env!("CARGO_BIN_EXE_faulty-role");
 
 /// What can be wrong with a sample, and how it is named: in real time, and in lock-step, where a sample that is held
 /// back stops the loop.
-const FAULTS: [(&str, Kind, Kind); 6] = [
-    ("drop", Kind::Missing, Kind::Missing),
-    ("omit", Kind::Missing, Kind::Missing),
-    ("repeat", Kind::Duplicate, Kind::Duplicate),
-    ("double", Kind::Duplicate, Kind::Duplicate),
-    ("swap", Kind::Reordered, Kind::Missing),
-    ("mix", Kind::Reordered, Kind::Missing),
+const FAULTS: [(&str, DeliveryFaultKind, DeliveryFaultKind); 6] = [
+    ("drop", DeliveryFaultKind::Missing, DeliveryFaultKind::Missing),
+    ("omit", DeliveryFaultKind::Missing, DeliveryFaultKind::Missing),
+    ("repeat", DeliveryFaultKind::Duplicate, DeliveryFaultKind::Duplicate),
+    ("double", DeliveryFaultKind::Duplicate, DeliveryFaultKind::Duplicate),
+    ("swap", DeliveryFaultKind::Reordered, DeliveryFaultKind::Missing),
+    ("mix", DeliveryFaultKind::Reordered, DeliveryFaultKind::Missing),
 ];
 
 /// Topics with the role that writes them.
@@ -51,7 +51,7 @@ impl Dice {
 
 /// Plants one fault in a run; returns scan and number of the sample that it affected, if any, and the report.
 fn hide(fault: &str, topic: Topic, role: Role, scan: u64, lockstep: bool) -> (Option<[u64; 2]>, Report) {
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     let file = system.folder().join("system.toml");
     let rate_hz = if lockstep { 10 } else { 100 };
     let arguments = [fault, topic.name(), &scan.to_string()];
@@ -69,7 +69,7 @@ fn hide(fault: &str, topic: Topic, role: Role, scan: u64, lockstep: bool) -> (Op
 }
 
 /// Numbers in the lines of a role's log with a prefix: `prefix scan 17 ns 25` has 17 and 25.
-fn log(system: &System, role: Role, prefix: &str) -> Vec<Vec<u64>> {
+fn log(system: &TestSystem, role: Role, prefix: &str) -> Vec<Vec<u64>> {
     let text = std::fs::read_to_string(system.folder().join(format!("out/logs/{role}.log"))).unwrap();
     let lines = text.lines().filter(|line| line.starts_with(prefix));
     lines.map(|line| line.split(' ').filter_map(|number| number.parse().ok()).collect()).collect()
@@ -103,7 +103,7 @@ fn finds_one(dice: &mut Dice, lockstep: bool) {
 const MAX_MEMORY_KIB: u64 = 400_000;
 
 /// The most memory that the orchestrator has needed so far [KiB].
-fn memory_kib(system: &System) -> u64 {
+fn memory_kib(system: &TestSystem) -> u64 {
     let text = std::fs::read_to_string(format!("/proc/{}/status", system.orchestrator())).unwrap_or_default();
     let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
     line.and_then(|line| line.trim().trim_end_matches(" kB").parse().ok()).unwrap_or(0)
@@ -115,7 +115,7 @@ fn memory_kib(system: &System) -> u64 {
 fn no_number_in_a_header_ends_a_run_or_takes_its_memory() {
     repeat_when_late(|| {
         for (topic, role) in TOPICS {
-            let mut system = System::new(EXECUTABLE);
+            let mut system = TestSystem::new(EXECUTABLE);
             let file = system.folder().join("system.toml");
             std::fs::write(&file, system_file(100, &[role], FAULTY, &["forge", topic.name(), "40"])).unwrap();
             system.start(&["--system", file.to_str().unwrap(), "--duration", "4"]);
@@ -129,8 +129,9 @@ fn no_number_in_a_header_ends_a_run_or_takes_its_memory() {
             assert!(matches!(code, Some(0 | 1)), "{topic}: {code:?}: {} {}", report.reason, system.stderr());
             assert!(largest.get() < MAX_MEMORY_KIB, "{topic}: {} KiB", largest.get());
             assert_eq!(log(&system, role, "wrong").len(), 32, "{topic}");
-            let named =
-                |fault: &audit::ledger::Fault| fault.kind == Kind::Impossible && fault.topic == topic.name();
+            let named = |fault: &audit::ledger::DeliveryFault| {
+                fault.kind == DeliveryFaultKind::Impossible && fault.topic == topic.name()
+            };
             assert!(report.ledger.faults.iter().any(named), "{topic}: {:?}", report.ledger.faults);
             assert!(report.ledger.impossible >= 8, "{topic}: {}", report.ledger.impossible);
             // Each blocks the wheels for some scans at most: most scans have a command of their own.
@@ -153,8 +154,8 @@ fn a_number_that_can_not_be_ends_a_lock_step_with_its_name() {
                 let (befallen, report) = hide(fault, topic, role, 8, true);
                 let what =
                     format!("{fault} {topic} at {befallen:?}: {} {:?}", report.reason, report.ledger.faults);
-                let named = |found: &audit::ledger::Fault| {
-                    found.topic == topic.name() && found.kind == Kind::Impossible
+                let named = |found: &audit::ledger::DeliveryFault| {
+                    found.topic == topic.name() && found.kind == DeliveryFaultKind::Impossible
                 };
                 assert!(report.ledger.faults.iter().any(named), "{field}: {what}");
                 if topic != Topic::Truth {
@@ -192,7 +193,7 @@ fn a_clean_run_raises_no_alarm() {
     repeat_when_late(|| {
         let mut dice = Dice(3);
         for trial in 0..trials(6) {
-            let mut system = System::new(EXECUTABLE);
+            let mut system = TestSystem::new(EXECUTABLE);
             let seed = dice.roll(1_000_000).to_string();
             let report = if trial % 2 == 0 {
                 system.lockstep(&["long", "--seed", &seed])
@@ -222,7 +223,7 @@ fn assert_clean(report: &Report) {
 }
 
 /// The headers of all actuations that answered a scan, read from the bus while the system drives.
-fn answers(system: &System) -> BTreeMap<u64, Header> {
+fn answers(system: &TestSystem) -> BTreeMap<u64, Header> {
     let bus = Bus::open(&system.domain(), "observer").unwrap();
     let observer = Observer::<Actuation>::new(&bus).unwrap();
     let headers = RefCell::new(BTreeMap::new());
@@ -240,7 +241,7 @@ fn answers(system: &System) -> BTreeMap<u64, Header> {
 }
 
 /// When one stage waited per scan, from its own log: from, to [ns].
-fn planted(system: &System, role: Role) -> BTreeMap<u64, (u64, u64)> {
+fn planted(system: &TestSystem, role: Role) -> BTreeMap<u64, (u64, u64)> {
     log(system, role, "planted").into_iter().map(|line| (line[0], (line[1], line[2]))).collect()
 }
 
@@ -256,7 +257,7 @@ fn median(mut values: Vec<u64>) -> u64 {
 #[test]
 fn planted_delays_lie_in_the_stage_and_place_that_they_are_attributed_to() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let file = system.folder().join("system.toml");
         std::fs::write(&file, system_file(10, &STAGES, FAULTY, &["delay"])).unwrap();
         system.start(&["endless", "--system", file.to_str().unwrap(), "--duration", "11"]);
@@ -278,14 +279,14 @@ fn planted_delays_lie_in_the_stage_and_place_that_they_are_attributed_to() {
             };
             let next = STAGES.get(index + 1).map(|next| header.stage(*next));
             let (part, attributed_ns) = match place {
-                Place::Take => ((before_ns, stamps.taken_ns), attribution.stages[index].hop_ns),
-                Place::Compute => {
+                DelayPlace::Take => ((before_ns, stamps.taken_ns), attribution.stages[index].hop_ns),
+                DelayPlace::Compute => {
                     ((stamps.taken_ns, stamps.computed_ns), attribution.stages[index].compute_ns)
                 }
-                Place::Publish => {
+                DelayPlace::Publish => {
                     ((stamps.computed_ns, stamps.published_ns), attribution.stages[index].publish_ns)
                 }
-                Place::Deliver => match next {
+                DelayPlace::Deliver => match next {
                     // A subscriber that polled before it was woken did not wait.
                     Some(next) if next.woken_ns >= to_ns => {
                         ((stamps.published_ns, next.taken_ns), attribution.stages[index + 1].hop_ns)

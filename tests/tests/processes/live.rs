@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use emulator::Outcome;
 use report::Report;
 use rustix::process::Signal;
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -18,7 +18,7 @@ const MAX_BLIND_S: f64 = 0.3;
 
 /// Sends a signal to a role while it drives and returns the report of the run.
 fn disturb(role: Role, signal: Signal) -> Report {
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     system.start(&["--duration", "6"]);
     let pid = system.pid(role);
     system.signal(pid, signal);
@@ -84,7 +84,7 @@ fn a_controller_that_hangs_is_killed_and_restarted() {
 
 /// Drives the corridor in real time with these keys of the scanner; no process is restarted, and all is accounted for.
 fn live(duration_s: &str, keys: &[&str]) -> Report {
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     let mut arguments = vec!["--duration", duration_s];
     keys.iter().for_each(|key| arguments.extend(["--set", key]));
     system.start(&arguments);
@@ -143,7 +143,7 @@ fn late_scans_block_the_wheels_and_the_drive_continues_after_them() {
 #[test]
 fn a_swap_while_all_scans_are_late_is_refused_with_the_reason() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let late = ["--set", "scanner.late_s=0.3", "--set", "scanner.from_s=1.0", "--set", "stop_final_s=60"];
         system.start(&late);
         system.wait_until("scans are late", |system| system.status().is_some_and(|status| status.scan > 15));
@@ -164,7 +164,7 @@ fn a_swap_while_all_scans_are_late_is_refused_with_the_reason() {
 #[test]
 fn a_machine_that_was_suspended_restarts_no_process() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         // At 5 Hz a hang is 600 ms: a resumed process has the time to publish a heartbeat.
         system.start(&["--duration", "6", "--set", "rate_hz=5"]);
         let all: Vec<i32> = [Role::Robot, Role::Estimator, Role::Obstacles, Role::Controller, Role::Actuator]
@@ -195,7 +195,7 @@ fn a_machine_that_was_suspended_restarts_no_process() {
 #[test]
 fn the_death_of_the_robot_ends_the_run() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&[]);
         let pid = system.pid(Role::Robot);
         system.signal(pid, Signal::KILL);
@@ -209,7 +209,7 @@ fn the_death_of_the_robot_ends_the_run() {
 #[test]
 fn an_interrupt_stops_the_wheels_and_leaves_nothing() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&[]);
         system.signal(system.orchestrator(), Signal::INT);
         assert_eq!(system.wait().code(), Some(1));
@@ -224,7 +224,7 @@ fn an_interrupt_stops_the_wheels_and_leaves_nothing() {
 #[test]
 fn a_run_after_the_orchestrator_was_killed_needs_no_cleaning() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&[]);
         let orphans = system.processes();
         assert!(orphans.len() >= 5, "{orphans:?}");
@@ -239,7 +239,7 @@ fn a_run_after_the_orchestrator_was_killed_needs_no_cleaning() {
 #[test]
 fn processes_without_an_orchestrator_stop_and_end_by_themselves() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["--set", "orphan_timeout_s=1"]);
         system.signal(system.orchestrator(), Signal::KILL);
         system.wait();
@@ -250,7 +250,7 @@ fn processes_without_an_orchestrator_stop_and_end_by_themselves() {
 #[test]
 fn a_second_run_of_the_same_system_is_refused_and_the_first_drives_on() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["--duration", "2"]);
         let second = system.run(&["run", "--quiet", "--out", "second"]);
         assert_eq!(second.status.code(), Some(2));
@@ -265,7 +265,7 @@ fn a_second_run_of_the_same_system_is_refused_and_the_first_drives_on() {
 #[test]
 fn a_running_system_can_be_inspected_restarted_and_stopped() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&[]);
         let status: serde_json::Value =
             serde_json::from_slice(&system.run(&["status", "--json"]).stdout).expect("status prints JSON");
@@ -318,7 +318,7 @@ fn a_running_system_can_be_inspected_restarted_and_stopped() {
 #[test]
 fn driving_processes_wait_for_no_disk() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["--duration", "5"]);
         for role in Role::ALL {
             let log = system.folder().canonicalize().unwrap().join(format!("out/logs/{role}.log"));

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 use scanloop_tests::machine::repeat_when_late;
 use serde_json::Value;
 
@@ -10,7 +10,7 @@ const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 const FAULTY_ROBOT: &str = env!("CARGO_BIN_EXE_faulty-robot");
 
 /// [`check_once`], again when the machine was too busy for the robot: scans then come late.
-fn check(system: &System, arguments: &[&str]) -> (Option<i32>, BTreeMap<String, String>, Value) {
+fn check(system: &TestSystem, arguments: &[&str]) -> (Option<i32>, BTreeMap<String, String>, Value) {
     let mut found = check_once(system, arguments);
     for _ in 0..3 {
         if found.1["jitter"] != "failed" {
@@ -22,7 +22,7 @@ fn check(system: &System, arguments: &[&str]) -> (Option<i32>, BTreeMap<String, 
 }
 
 /// The exit code of a check, the outcome of each of its checks, and the whole report.
-fn check_once(system: &System, arguments: &[&str]) -> (Option<i32>, BTreeMap<String, String>, Value) {
+fn check_once(system: &TestSystem, arguments: &[&str]) -> (Option<i32>, BTreeMap<String, String>, Value) {
     let output = system.run(&[&["check", "--live", "--json", "--observe", "1"], arguments].concat());
     let message = String::from_utf8_lossy(&output.stderr).into_owned();
     let report: Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{message}"));
@@ -33,7 +33,7 @@ fn check_once(system: &System, arguments: &[&str]) -> (Option<i32>, BTreeMap<Str
 }
 
 /// A system file whose robot is the emulator with this fault.
-fn faulty(system: &System, fault: &[&str]) -> String {
+fn faulty(system: &TestSystem, fault: &[&str]) -> String {
     let command: Vec<String> =
         [&[FAULTY_ROBOT], fault].concat().iter().map(|text| format!("{text:?}")).collect();
     let others =
@@ -50,7 +50,7 @@ fn faulty(system: &System, fault: &[&str]) -> String {
 #[test]
 fn a_robot_that_works_passes_and_its_deceleration_is_measured() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let (code, outcomes, report) = check(&system, &["--drive", "--speed", "0.8"]);
         assert_eq!(code, Some(0), "{report:#}");
         assert_eq!(outcomes.len(), 10, "{report:#}");
@@ -72,7 +72,7 @@ fn a_robot_that_works_passes_and_its_deceleration_is_measured() {
 #[test]
 fn a_stop_that_is_longer_than_described_fails_with_the_value_to_enter() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let weak = [
             "--set",
             "robot.blocked_deceleration_mps2=1.0",
@@ -89,7 +89,7 @@ fn a_stop_that_is_longer_than_described_fails_with_the_value_to_enter() {
 #[test]
 fn an_odometry_of_the_wrong_sign_fails_when_the_robot_drives() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let file = faulty(&system, &["backwards"]);
         let (code, outcomes, report) = check(&system, &["--drive", "--system", &file]);
         assert_eq!((code, outcomes["ahead"].as_str()), (Some(1), "failed"), "{report:#}");
@@ -102,7 +102,7 @@ fn an_odometry_of_the_wrong_sign_fails_when_the_robot_drives() {
 #[test]
 fn wheels_that_slide_uncounted_are_measured_by_the_scans() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let file = faulty(&system, &["locked"]);
         let (code, outcomes, report) = check(&system, &["--drive", "--speed", "0.8", "--system", &file]);
         assert_eq!((code, outcomes["stop"].as_str()), (Some(0), "ok"), "{report:#}");
@@ -118,7 +118,7 @@ fn wheels_that_slide_uncounted_are_measured_by_the_scans() {
 #[test]
 fn a_way_to_rest_that_friction_forbids_gives_no_advice() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let file = faulty(&system, &["locked"]);
         // Nothing stands around that would show the motion.
         let open =
@@ -136,7 +136,7 @@ fn a_way_to_rest_that_friction_forbids_gives_no_advice() {
 #[test]
 fn wheels_that_turn_faster_than_the_body_drives_fail() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let file = faulty(&system, &["spinning"]);
         let (code, outcomes, report) = check(&system, &["--drive", "--speed", "0.8", "--system", &file]);
         assert_eq!((code, outcomes["ahead"].as_str()), (Some(1), "failed"), "{report:#}");
@@ -147,7 +147,7 @@ fn wheels_that_turn_faster_than_the_body_drives_fail() {
 #[test]
 fn motions_by_hand_show_the_direction_of_the_odometry() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         for (sign, expected) in [("1", "ok"), ("-1", "failed")] {
             let file = faulty(&system, &["rolled", sign]);
             let (_, outcomes, report) = check(&system, &["--system", &file]);
@@ -173,7 +173,7 @@ fn motions_by_hand_show_the_direction_of_the_odometry() {
 #[test]
 fn a_scanner_that_is_missing_fails_and_the_robot_is_not_driven() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let (code, outcomes, report) = check(&system, &["--drive", "--set", "scanner.missing_every=1"]);
         assert_eq!(
             (code, outcomes["scanner"].as_str(), outcomes["health"].as_str()),
@@ -196,7 +196,7 @@ fn a_scanner_that_is_missing_fails_and_the_robot_is_not_driven() {
 #[test]
 fn a_scanner_of_another_rate_fails() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let file = faulty(&system, &["slow"]);
         let (code, outcomes, report) = check_once(&system, &["--by-hand", "0", "--system", &file]);
         assert_eq!((code, outcomes["rate"].as_str()), (Some(1), "failed"), "{report:#}");
@@ -206,7 +206,7 @@ fn a_scanner_of_another_rate_fails() {
 #[test]
 fn a_way_that_is_not_free_is_not_driven() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let (code, outcomes, report) = check(&system, &["--drive", "--set", "obstacle.0.x_m=1.5"]);
         assert_eq!((code, outcomes["ahead"].as_str()), (Some(0), "skipped"), "{report:#}");
         assert!(report["checks"][7]["measured"].as_str().unwrap().contains("are free ahead"), "{report:#}");
@@ -216,7 +216,7 @@ fn a_way_that_is_not_free_is_not_driven() {
 #[test]
 fn a_drive_ends_when_something_comes_near_or_the_scans_end() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         // The robot drives from about 4.3 s on: something stands before it, or ranges end, after 5.2 s.
         let near = ["obstacle.0.x_m=0.85", "obstacle.0.appears_s=5.2"].map(|set| ["--set", set]).concat();
         let blind = ["scanner.missing_every=1", "scanner.from_s=5.2"].map(|set| ["--set", set]).concat();
@@ -234,7 +234,7 @@ fn a_drive_ends_when_something_comes_near_or_the_scans_end() {
 #[test]
 fn a_running_system_is_observed_and_never_driven() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless"]);
         let (_, outcomes, report) = check(&system, &[]);
         assert_eq!(
@@ -257,7 +257,7 @@ fn a_running_system_is_observed_and_never_driven() {
 #[test]
 fn wrong_usage_and_a_robot_that_ends_have_their_exit_codes() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         for wrong in [
             &["check", "--live", "--drive", "--speed", "3"][..],
             &["check", "--live", "--drive", "--stops", "0"],
@@ -282,7 +282,7 @@ fn wrong_usage_and_a_robot_that_ends_have_their_exit_codes() {
 #[test]
 fn a_stop_ends_a_drive() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.launch(&["check", "--live", "--drive", "--observe", "1"], &[]);
         system.wait_until("it is about to drive", |system| system.stderr().contains("the robot drives"));
         assert_eq!(system.run(&["stop"]).status.code(), Some(0));

@@ -8,14 +8,14 @@ use std::process::{Command, Output};
 use scanloop_tests::machine::repeat_when_late;
 use scanloop_tests::namespace::executable_for_all;
 use scanloop_tests::stranger::{is_driving, kill, system, text};
-use scanloop_tests::{System, Watch, among_users};
+use scanloop_tests::{TestSystem, TruthWatch, among_users};
 
 /// Ways into a namespace from which the processes of a run can't be seen.
 const WAYS: [&[&str]; 3] =
     [&["-pf", "--mount-proc"], &["-U", "-pf", "--map-root-user", "--mount-proc"], &["-U", "--map-root-user"]];
 
 /// Runs a command in another namespace.
-fn elsewhere(system: &System, way: &[&str], arguments: &[&str]) -> Output {
+fn elsewhere(system: &TestSystem, way: &[&str], arguments: &[&str]) -> Output {
     let mut command = Command::new("unshare");
     command.args(way).arg(executable_for_all()).args(["--system-id", system.id()]).args(arguments);
     command.current_dir(system.folder()).output().expect("unshare runs")
@@ -63,7 +63,7 @@ fn an_orphaned_system_that_cannot_be_seen_is_left_alone_and_told() {
         for way in WAYS.into_iter().filter(|way| may_be_made(way)) {
             let mut system = system();
             system.start(&["endless", "--set", "orphan_stop_s=30", "--set", "timeout_s=600"]);
-            let watch = Watch::new(&system);
+            let watch = TruthWatch::new(&system);
             system.kill_orchestrator();
             let commands: [&[&str]; 7] = [
                 &["run", "--quiet", "free"],

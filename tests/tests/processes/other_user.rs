@@ -19,11 +19,11 @@ use scanloop_tests::stranger::{
     HOME, PLACE, PLACE_OF_STRANGER, STRANGER, as_stranger, assert_refused, is_driving, kill, make_folder,
     of_stranger, shared_memory, system, text, tree,
 };
-use scanloop_tests::{SHORT_FREE, System, among_users, processes_of};
+use scanloop_tests::{SHORT_FREE, TestSystem, among_users, processes_of};
 use shared_types::Role;
 
 /// That a drive of root works.
-fn assert_drives(system: &System) {
+fn assert_drives(system: &TestSystem) {
     let output = system.run(&["run", "--lockstep", "--quiet", "free"]);
     assert_eq!(output.status.code(), Some(0), "{}", text(&output));
 }
@@ -252,7 +252,7 @@ fn squat(names: &[String], known: &str, until: &AtomicBool) -> usize {
 }
 
 /// That no process of a system has a file of another user in its memory.
-fn assert_maps_nothing_of_strangers(system: &System) {
+fn assert_maps_nothing_of_strangers(system: &TestSystem) {
     for pid in system.processes().into_iter().chain([system.orchestrator()]) {
         let maps = std::fs::read_to_string(format!("/proc/{pid}/maps")).unwrap_or_default();
         for path in maps.lines().filter_map(|line| line.find("/dev/shm/").map(|start| &line[start..])) {
@@ -330,7 +330,7 @@ fn locks_of_another_user_keep_the_owner_from_nothing() {
 }
 
 /// A run of the other user of a system of that id, which drives.
-fn drive_of_stranger(system: &System, arguments: &[&str]) -> std::process::Child {
+fn drive_of_stranger(system: &TestSystem, arguments: &[&str]) -> std::process::Child {
     let before = system.processes().len();
     let all = [&["run", "--quiet", "--out", "out"], arguments].concat();
     let child = of_stranger(system.id(), &all).spawn().expect("the executable runs");

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use emulator::Outcome;
 use rustix::process::Signal;
 use scanloop_tests::terminal::ends as terminal;
-use scanloop_tests::{System, fill, system_file};
+use scanloop_tests::{TestSystem, fill, system_file};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -25,7 +25,7 @@ const SHORT: [&str; 6] = ["run", "--out", "out", "free", "--set", "goal.x_m=3"];
 /// Drives with a standard error that takes nothing and is never read, and interrupts the run.
 fn drives_and_ends(output: OwnedFd) {
     fill(&output);
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     system.launch_into(&output, &["run", "--out", "out", "endless"], &[]);
     drop(output);
     system.wait_until_driving();
@@ -64,7 +64,7 @@ fn an_output_that_is_read_again_has_the_lines_of_the_time_between_and_the_summar
         let (mut reader, writer) = std::io::pipe().unwrap();
         let writer = OwnedFd::from(writer);
         fill(&writer);
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.launch_into(&writer, &SHORT, &[]);
         drop(writer);
         system.wait_until_driving();
@@ -82,7 +82,7 @@ fn an_output_that_is_read_again_has_the_lines_of_the_time_between_and_the_summar
 fn a_terminal_that_is_read_shows_a_live_line_and_then_the_summary() {
     repeat_when_late(|| {
         let (near, far) = terminal();
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.launch_into(&far, &SHORT, &[]);
         drop(far);
         let mut shown = Vec::new();
@@ -105,7 +105,7 @@ fn a_drive_whose_output_cannot_be_written_reaches_its_goal() {
         let gone = OwnedFd::from(std::io::pipe().unwrap().1);
         let full = OwnedFd::from(File::options().write(true).open("/dev/full").unwrap());
         for output in [gone, full] {
-            let mut system = System::new(EXECUTABLE);
+            let mut system = TestSystem::new(EXECUTABLE);
             system.launch_into(&output, &SHORT, &[]);
             assert_eq!(system.wait().code(), Some(0));
             assert_eq!(system.report().outcome, Outcome::Reached);
@@ -117,7 +117,7 @@ fn a_drive_whose_output_cannot_be_written_reaches_its_goal() {
 #[test]
 fn commands_whose_reader_goes_end_without_a_panic() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless"]);
         let closed = || Stdio::from(std::io::pipe().unwrap().1);
         for arguments in [
@@ -145,7 +145,7 @@ fn commands_whose_reader_goes_end_without_a_panic() {
 #[test]
 fn results_that_cannot_be_written_change_neither_summary_nor_exit_code() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let out = system.folder().join("out");
         // Folders in the places of the files: root too can't write there.
         std::fs::create_dir_all(out.join("report.json")).unwrap();
@@ -166,7 +166,7 @@ fn results_that_cannot_be_written_change_neither_summary_nor_exit_code() {
 #[test]
 fn a_process_is_restarted_while_its_log_is_on_a_full_disk() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless"]);
         system.kill_orchestrator();
         // An adopting orchestrator appends to the logs that are there.
@@ -191,7 +191,7 @@ fn a_process_is_restarted_while_its_log_is_on_a_full_disk() {
 #[test]
 fn escape_sequences_in_names_do_not_reach_the_terminal() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         // It would clear the screen, set the title, ring, and colour what follows.
         let evil = "\u{1b}[2J\u{1b}]0;title\u{7}\u{9b}31m";
         let escaped: String = evil.chars().map(|letter| format!("\\u{:04x}", u32::from(letter))).collect();

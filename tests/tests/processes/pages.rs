@@ -10,7 +10,7 @@ use scanloop_tests::machine::repeat_when_late;
 use scanloop_tests::pages::{
     How, commands, commands_in_prose, compare_or_write, figures, how, pages, read, words,
 };
-use scanloop_tests::{System, printed};
+use scanloop_tests::{TestSystem, printed};
 
 use super::languages::tools::{DEAD_RECKONING, EXECUTABLE, root};
 
@@ -18,8 +18,8 @@ use super::languages::tools::{DEAD_RECKONING, EXECUTABLE, root};
 const FRAGMENTS: [&str; 0] = [];
 
 /// A folder as the reader's after the build: the examples, and `scanloop` in the `PATH`.
-fn reader() -> System {
-    let system = System::new(EXECUTABLE);
+fn reader() -> TestSystem {
+    let system = TestSystem::new(EXECUTABLE);
     let folder = system.folder();
     std::fs::create_dir_all(folder.join("target/release")).unwrap();
     let link = |from: &std::path::Path, to: &str| std::os::unix::fs::symlink(from, folder.join(to)).unwrap();
@@ -29,7 +29,7 @@ fn reader() -> System {
     system
 }
 
-fn shell(system: &System, line: &str) -> Output {
+fn shell(system: &TestSystem, line: &str) -> Output {
     let path = format!("{}/target/release:{}", system.folder().display(), std::env::var("PATH").unwrap());
     let mut command = Command::new("bash");
     command.args(["-c", line]).current_dir(system.folder()).env("PATH", path);

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
-use scanloop_tests::{System, Watch};
+use scanloop_tests::{TestSystem, TruthWatch};
 use shared_types::Truth;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -17,19 +17,19 @@ const STATUS_LIMIT: Duration = Duration::from_secs(5);
 const LIMITS: [&str; 6] =
     ["--set", "orphan_timeout_s=1.0", "--set", "orphan_stop_s=0.5", "--set", "timeout_s=600"];
 
-fn driving() -> (System, Watch) {
-    let mut system = System::new(EXECUTABLE);
+fn driving() -> (TestSystem, TruthWatch) {
+    let mut system = TestSystem::new(EXECUTABLE);
     system.start(&[&["endless"], &LIMITS[..]].concat());
-    let watch = Watch::new(&system);
+    let watch = TruthWatch::new(&system);
     watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     (system, watch)
 }
 
-fn all(system: &System) -> Vec<i32> {
+fn all(system: &TestSystem) -> Vec<i32> {
     system.processes().into_iter().chain([system.orchestrator()]).collect()
 }
 
-fn status(system: &System) -> String {
+fn status(system: &TestSystem) -> String {
     let asked = Instant::now();
     let output = system.run(&["status", "--json"]);
     assert!(asked.elapsed() < STATUS_LIMIT, "{:?}", asked.elapsed());
@@ -47,7 +47,7 @@ fn let_pass(pause: Duration) {
 }
 
 /// That the wheels were blocked after scan `paused`, and the robot drives on with the same processes until it is stopped.
-fn assert_drives_on(mut system: System, watch: Watch, processes: &[i32], paused: u64) {
+fn assert_drives_on(mut system: TestSystem, watch: TruthWatch, processes: &[i32], paused: u64) {
     let after = watch.newest().unwrap().header.scan_id;
     watch
         .wait_for(&system, "it drives on", |truth| truth.header.scan_id > after + 5 && truth.speed_mps > 0.5);

@@ -10,14 +10,14 @@ use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use emulator::{JudgedBy, Outcome, Scenario};
-use player::Config;
-use player::client::{Client, Event, Orders};
+use player::PlayerConfig;
+use player::client::{Client, ClientEvent, Orders};
 use player::config::Delivery;
-use player::order::Order;
+use player::order::GuardOrder;
 use runtime::{Bus, Observer};
 use rustix::process::{Pid, Signal, kill_process};
-use scanloop_tests::player_server::{Fault, PlayerServer, Received};
-use scanloop_tests::{DEADLINE, System, pause};
+use scanloop_tests::player_server::{PlayerServer, ReceivedCommand, ServerFault};
+use scanloop_tests::{DEADLINE, TestSystem, pause};
 use shared_types::{BEAMS, Role, Scan};
 use urg::DeviceFault;
 
@@ -36,7 +36,7 @@ fn server(scenario: &str) -> PlayerServer {
     PlayerServer::start(&scenario, PERIOD_NS, 0).unwrap()
 }
 
-fn start(config: &Config) -> Client {
+fn start(config: &PlayerConfig) -> Client {
     Client::start(config, TIMEOUT_NS, Path::new(EXECUTABLE), || {}).unwrap()
 }
 
@@ -52,9 +52,9 @@ struct Link {
 }
 
 impl Link {
-    fn new(config: Config) -> Self {
+    fn new(config: PlayerConfig) -> Self {
         let server = server("free");
-        let config = Config { port: server.port().into(), ..config };
+        let config = PlayerConfig { port: server.port().into(), ..config };
         let client = start(&config);
         let (orders, _) = client.connected(DEADLINE.as_secs_f64()).unwrap();
         Self { client, orders: Some(orders), lost: Vec::new(), sweeps: 0, server }
@@ -62,11 +62,11 @@ impl Link {
 
     /// Drives, with an order each period, until something holds.
     fn drive_until(&mut self, what: &str, done: impl Fn(&Self) -> bool) {
-        self.wait(what, Some(Order::Drive(DRIVE)), done);
+        self.wait(what, Some(GuardOrder::Drive(DRIVE)), done);
     }
 
     /// Waits until something holds, and gives an order each period.
-    fn wait(&mut self, what: &str, order: Option<Order>, done: impl Fn(&Self) -> bool) {
+    fn wait(&mut self, what: &str, order: Option<GuardOrder>, done: impl Fn(&Self) -> bool) {
         let (started, mut ordered) = (Instant::now(), None::<Instant>);
         while !done(self) {
             assert!(started.elapsed() < DEADLINE, "{what}: not within {DEADLINE:?}: {:?}", self.lost);
@@ -83,13 +83,13 @@ impl Link {
     fn take(&mut self) {
         while let Some(event) = self.client.next() {
             match event {
-                Event::Connected(orders, _) => (self.orders, self.sweeps) = (Some(orders), 0),
-                Event::Sweep { .. } => self.sweeps += 1,
-                Event::Lost(lost) => {
+                ClientEvent::Connected(orders, _) => (self.orders, self.sweeps) = (Some(orders), 0),
+                ClientEvent::Sweep { .. } => self.sweeps += 1,
+                ClientEvent::Lost(lost) => {
                     self.orders = None;
                     self.lost.push(lost.to_string());
                 }
-                Event::State { .. } | Event::Scan { .. } | Event::Scanner(_) => {}
+                ClientEvent::State { .. } | ClientEvent::Scan { .. } | ClientEvent::Scanner(_) => {}
             }
         }
     }
@@ -127,26 +127,27 @@ fn guards(port: u16) -> Vec<Pid> {
 /// Time from a moment to the first stop that the server received after it [ns].
 fn stopped_after_ns(server: &PlayerServer, since_ns: u64) -> Option<u64> {
     let received = server.received();
-    let stop =
-        received.iter().find(|(at_ns, what)| *at_ns >= since_ns && !matches!(what, Received::Drive(..)));
+    let stop = received
+        .iter()
+        .find(|(at_ns, what)| *at_ns >= since_ns && !matches!(what, ReceivedCommand::Drive(..)));
     stop.map(|(at_ns, _)| at_ns - since_ns)
 }
 
 fn last_drive_ns(server: &PlayerServer) -> u64 {
     let received = server.received();
-    let drive = received.iter().rev().find(|(_, what)| matches!(what, Received::Drive(..)));
+    let drive = received.iter().rev().find(|(_, what)| matches!(what, ReceivedCommand::Drive(..)));
     drive.expect("a command to drive").0
 }
 
 #[test]
 fn a_server_that_is_not_there_or_none_is_named() {
     repeat_when_late(|| {
-        let message = |config: &Config| {
+        let message = |config: &PlayerConfig| {
             let (client, started) = (start(config), Instant::now());
             loop {
                 assert!(started.elapsed() < DEADLINE, "no event");
                 match client.next() {
-                    Some(Event::Lost(lost)) => break lost.to_string(),
+                    Some(ClientEvent::Lost(lost)) => break lost.to_string(),
                     Some(event) => panic!("{event:?}"),
                     None => pause(),
                 }
@@ -160,7 +161,7 @@ fn a_server_that_is_not_there_or_none_is_named() {
                 std::thread::park_timeout(Duration::from_millis(300));
             }
         });
-        let local = Config { port, ..Config::default() };
+        let local = PlayerConfig { port, ..PlayerConfig::default() };
         let no_player = message(&local);
         assert_eq!(
             no_player,
@@ -172,7 +173,7 @@ fn a_server_that_is_not_there_or_none_is_named() {
             refused.starts_with(&format!("no Player server at 127.0.0.1:{port}: Connection refused")),
             "{refused}"
         );
-        let unknown = message(&Config { host: "not a host".to_owned(), ..local });
+        let unknown = message(&PlayerConfig { host: "not a host".to_owned(), ..local });
         assert!(unknown.starts_with("host `not a host` is unknown: "), "{unknown}");
     });
 }
@@ -180,7 +181,7 @@ fn a_server_that_is_not_there_or_none_is_named() {
 #[test]
 fn the_guard_stops_the_wheels_after_a_silence_of_two_periods() {
     repeat_when_late(|| {
-        let mut link = Link::new(Config::default());
+        let mut link = Link::new(PlayerConfig::default());
         link.drive_until("it drives", |link| link.server.speed_mps() > 0.3);
         link.wait("it stands", None, |link| link.server.speed_mps() == 0.0);
         let silent_ns = stopped_after_ns(&link.server, last_drive_ns(&link.server)).unwrap();
@@ -193,7 +194,7 @@ fn the_guard_stops_the_wheels_after_a_silence_of_two_periods() {
 
 /// Disturbs the guard while it drives; returns how long the server followed the last command before a stop [ns].
 fn disturb_guard(signal: Signal) -> (Link, u64) {
-    let mut link = Link::new(Config::default());
+    let mut link = Link::new(PlayerConfig::default());
     link.drive_until("it drives", |link| link.server.speed_mps() > 0.3);
     let (guard, since_ns) = (link.guard(), runtime::monotonic_ns());
     kill_process(guard, signal).unwrap();
@@ -202,9 +203,13 @@ fn disturb_guard(signal: Signal) -> (Link, u64) {
     let blind_ns = stopped_after_ns(&link.server, since_ns).unwrap();
     let received: Vec<_> =
         link.server.received().into_iter().filter(|(at_ns, _)| *at_ns >= since_ns).collect();
-    let stops = received.iter().filter(|(_, what)| !matches!(what, Received::Drive(..))).take(2);
-    let stops: Vec<Received> = stops.map(|(_, what)| *what).collect();
-    assert_eq!(stops, [Received::Stop; 2], "both forms, before the connection is closed: {received:?}");
+    let stops = received.iter().filter(|(_, what)| !matches!(what, ReceivedCommand::Drive(..))).take(2);
+    let stops: Vec<ReceivedCommand> = stops.map(|(_, what)| *what).collect();
+    assert_eq!(
+        stops,
+        [ReceivedCommand::Stop; 2],
+        "both forms, before the connection is closed: {received:?}"
+    );
     // With another guard it drives again.
     link.drive_until("it drives again", |link| link.orders.is_some() && link.server.speed_mps() > 0.3);
     assert_ne!(link.guard(), guard);
@@ -234,13 +239,13 @@ fn the_driver_stops_the_wheels_when_the_guard_hangs_and_starts_another() {
 }
 
 /// Switches a fault of the server on while the robot drives; returns the first text of the loss.
-fn disturb_server(fault: Fault, config: Config) -> String {
+fn disturb_server(fault: ServerFault, config: PlayerConfig) -> String {
     let mut link = Link::new(config);
     link.drive_until("it drives", |link| link.server.speed_mps() > 0.3 && link.sweeps > 3);
     link.server.set_fault(fault);
     link.drive_until("the driver notices", |link| !link.lost.is_empty());
     link.wait("it stands", None, |link| link.server.speed_mps() == 0.0);
-    link.server.set_fault(Fault::None);
+    link.server.set_fault(ServerFault::None);
     link.drive_until("it drives again", |link| link.server.speed_mps() > 0.3 && link.sweeps > 3);
     link.lost.swap_remove(0)
 }
@@ -249,11 +254,12 @@ fn disturb_server(fault: Fault, config: Config) -> String {
 fn a_server_that_falls_silent_is_left_and_the_wheels_are_stopped() {
     repeat_when_late(|| {
         for (fault, delivery) in [
-            (Fault::Stalls, Delivery::Push),
-            (Fault::Stalls, Delivery::Pull),
-            (Fault::HalfSweep, Delivery::Push),
+            (ServerFault::Stalls, Delivery::Push),
+            (ServerFault::Stalls, Delivery::Pull),
+            (ServerFault::HalfSweep, Delivery::Push),
         ] {
-            let lost = disturb_server(fault, Config { delivery, silence_s: 0.3, ..Config::default() });
+            let lost =
+                disturb_server(fault, PlayerConfig { delivery, silence_s: 0.3, ..PlayerConfig::default() });
             assert!(lost.starts_with("no data of the ") && lost.ends_with(" ms"), "{lost}");
         }
     });
@@ -262,7 +268,7 @@ fn a_server_that_falls_silent_is_left_and_the_wheels_are_stopped() {
 #[test]
 fn a_server_that_sends_garbage_is_left_and_the_wheels_are_stopped() {
     repeat_when_late(|| {
-        let lost = disturb_server(Fault::Garbage, Config::default());
+        let lost = disturb_server(ServerFault::Garbage, PlayerConfig::default());
         assert!(lost.contains("garbage in the stream: `\\xa5\\xa5"), "{lost}");
     });
 }
@@ -270,13 +276,13 @@ fn a_server_that_sends_garbage_is_left_and_the_wheels_are_stopped() {
 #[test]
 fn a_server_that_floods_is_left_and_the_wheels_are_stopped() {
     repeat_when_late(|| {
-        let lost = disturb_server(Fault::Floods, Config::default());
+        let lost = disturb_server(ServerFault::Floods, PlayerConfig::default());
         assert!(lost.starts_with("the server floods: "), "{lost}");
     });
 }
 
 /// A system file for a server, with more keys of `[player]`.
-fn system_file(system: &System, port: u16, more: &str) -> String {
+fn system_file(system: &TestSystem, port: u16, more: &str) -> String {
     let text = include_str!("../../../examples/player/system.toml");
     let text = text.replace("port = 6665", &format!("port = {port}\ndelay_s = 0.0333\n{more}"));
     let path = system.folder().join("system.toml");
@@ -290,20 +296,20 @@ fn hokuyo(server: &PlayerServer) -> String {
 }
 
 /// What `status` shows of the robot's devices: state and reason.
-fn device(system: &System) -> Option<(String, String)> {
+fn device(system: &TestSystem) -> Option<(String, String)> {
     let robot = system.status()?.processes.into_iter().find(|process| process.role == Role::Robot)?;
     assert_eq!(robot.device.is_some(), robot.device_for_s.is_some());
     Some((robot.device?, robot.device_reason?))
 }
 
-fn shows(system: &System, state: &str, reason: &str) -> bool {
+fn shows(system: &TestSystem, state: &str, reason: &str) -> bool {
     device(system).is_some_and(|(its_state, its_reason)| its_state == state && its_reason.contains(reason))
 }
 
 /// Drives a scenario through the shipped orchestrator to its end.
 fn drives(scenario: &str, more: impl Fn(&PlayerServer) -> String) {
     let server = server(scenario);
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     let file = system_file(&system, server.port(), &more(&server));
     system.start(&["--system", &file, scenario, "--record"]);
     system.wait_until("base and scanner run", |system| shows(system, "running", ""));
@@ -351,7 +357,7 @@ fn a_base_at_the_server_and_a_hokuyo_scanner_drive_past_two_obstacles() {
 /// Drives with a Hokuyo scanner, damages one scan, then all for a while; the run reaches its goal.
 fn survives_damage(damage: DeviceFault, reason: &str) {
     let server = server("corridor");
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     let file = system_file(&system, server.port(), &hokuyo(&server));
     system.start(&["--system", &file, "corridor"]);
     let bus = Bus::open(&system.domain(), "test").unwrap();
@@ -426,7 +432,7 @@ fn half_scans_are_named_and_stop_the_wheels_if_they_last() {
 fn a_scanner_that_is_not_there_is_named_in_the_status() {
     repeat_when_late(|| {
         let server = server("free");
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let closed = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap().local_addr().unwrap();
         let file = system_file(&system, server.port(), &format!("scan = \"urg\"\nurg = \"{closed}\""));
         system.launch(&["run", "--quiet", "--out", "out", "--system", &file, "free"], &[]);
@@ -446,19 +452,19 @@ fn a_scanner_that_is_not_there_is_named_in_the_status() {
 fn the_run_goes_on_after_the_server_was_silent() {
     repeat_when_late(|| {
         let server = server("corridor");
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let file = system_file(&system, server.port(), "silence_s = 0.3");
         system.start(&["--system", &file, "corridor", "--set", "stop_final_s=60"]);
         system.wait_until("it drives", |_| server.truth().x_m > 1.0 && server.speed_mps() > 0.5);
         let silent_since_ns = runtime::monotonic_ns();
-        server.set_fault(Fault::Stalls);
+        server.set_fault(ServerFault::Stalls);
         system.wait_until("it stands", |_| server.speed_mps() == 0.0);
         let stopped_ns = stopped_after_ns(&server, silent_since_ns).unwrap();
         // The actuator blocks the wheels 1.5 periods after the last command.
         assert!(stopped_ns < 2 * PERIOD_NS + BUSY_NS, "{stopped_ns} ns");
         system.wait_until("the driver has left the server", |_| guards(server.port()).is_empty());
         system.wait_until("the fault is shown", |system| shows(system, "fault", "base: no data of the "));
-        server.set_fault(Fault::None);
+        server.set_fault(ServerFault::None);
         system.wait_until("the base runs again", |system| shows(system, "running", ""));
         let status = system.wait();
         assert_eq!(
@@ -476,10 +482,10 @@ fn the_run_goes_on_after_the_server_was_silent() {
 }
 
 /// Drives 10 m with outages, each from a place on for a time [m, s]; the goal is reached by the truth.
-fn survives_outages(watchdog_ns: Option<u64>, outages: &[(Fault, f64, u64)]) {
+fn survives_outages(watchdog_ns: Option<u64>, outages: &[(ServerFault, f64, u64)]) {
     let server = server("free");
     watchdog_ns.into_iter().for_each(|after_ns| server.set_watchdog(after_ns));
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     let file = system_file(&system, server.port(), "");
     system.start(&["--system", &file, "free", "--set", "stop_final_s=30"]);
     for (fault, from_m, for_ms) in outages {
@@ -487,7 +493,7 @@ fn survives_outages(watchdog_ns: Option<u64>, outages: &[(Fault, f64, u64)]) {
         let until_ns = runtime::monotonic_ns() + for_ms * 1_000_000;
         server.set_fault(*fault);
         system.wait_until("the outage is over", |_| runtime::monotonic_ns() >= until_ns);
-        server.set_fault(Fault::None);
+        server.set_fault(ServerFault::None);
     }
     let status = system.wait();
     assert_eq!((status.code(), system.report().outcome), (Some(0), Outcome::Reached), "{}", system.stderr());
@@ -500,7 +506,8 @@ fn survives_outages(watchdog_ns: Option<u64>, outages: &[(Fault, f64, u64)]) {
 fn after_outages_the_pose_is_where_the_robot_is_and_it_drives_on() {
     repeat_when_late(|| {
         // The robot has a watchdog of 0.3 s, and the driver forwards what comes late.
-        let outages = [(Fault::Held, 1.0, 500), (Fault::Held, 3.0, 1_000), (Fault::Held, 5.5, 1_500)];
+        let outages =
+            [(ServerFault::Held, 1.0, 500), (ServerFault::Held, 3.0, 1_000), (ServerFault::Held, 5.5, 1_500)];
         survives_outages(Some(300_000_000), &outages);
     });
 }
@@ -509,10 +516,10 @@ fn after_outages_the_pose_is_where_the_robot_is_and_it_drives_on() {
 fn after_outages_without_their_data_it_drives_on() {
     repeat_when_late(|| {
         let outages = [
-            (Fault::Cut, 1.0, 300),
-            (Fault::Cut, 2.5, 700),
-            (Fault::Cut, 4.5, 1_300),
-            (Fault::Cut, 6.5, 2_500),
+            (ServerFault::Cut, 1.0, 300),
+            (ServerFault::Cut, 2.5, 700),
+            (ServerFault::Cut, 4.5, 1_300),
+            (ServerFault::Cut, 6.5, 2_500),
         ];
         survives_outages(Some(300_000_000), &outages);
     });
@@ -522,7 +529,7 @@ fn after_outages_without_their_data_it_drives_on() {
 fn a_base_that_drives_on_for_more_than_a_metre_in_an_outage_has_not_jumped() {
     repeat_when_late(|| {
         // The wheels follow the last command, as those of Stage; the driver leaves the server after a second.
-        survives_outages(None, &[(Fault::Cut, 2.0, 1_200), (Fault::Held, 5.0, 1_500)]);
+        survives_outages(None, &[(ServerFault::Cut, 2.0, 1_200), (ServerFault::Held, 5.0, 1_500)]);
     });
 }
 
@@ -530,7 +537,7 @@ fn a_base_that_drives_on_for_more_than_a_metre_in_an_outage_has_not_jumped() {
 fn a_second_driver_of_the_same_wheels_is_refused_and_the_first_drives_on() {
     repeat_when_late(|| {
         let server = server("free");
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let file = system_file(&system, server.port(), "");
         system.start(&["--system", &file, "free"]);
         system.wait_until("it drives", |_| server.speed_mps() > 0.5);
@@ -538,7 +545,7 @@ fn a_second_driver_of_the_same_wheels_is_refused_and_the_first_drives_on() {
         let message = scanloop_tests::printed(&output);
         assert_ne!(output.status.code(), Some(0), "{message}");
         assert!(message.contains("the wheels have one driver"), "{message}");
-        assert!(server.received().iter().all(|(_, what)| *what != Received::Closed));
+        assert!(server.received().iter().all(|(_, what)| *what != ReceivedCommand::Closed));
         let x_m = server.truth().x_m;
         system.wait_until("it drives on", |_| server.truth().x_m > x_m + 0.5);
     });
@@ -548,7 +555,7 @@ fn a_second_driver_of_the_same_wheels_is_refused_and_the_first_drives_on() {
 fn a_hokuyo_scanner_at_this_computer_and_a_base_at_the_server_are_one_robot() {
     repeat_when_late(|| {
         let server = server("free");
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let mut scanner = system.command(&["urg", "emulate", "--duration", "60", "--tcp", "127.0.0.1:0"]);
         let mut scanner = scanner.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
         let mut place = String::new();
@@ -567,7 +574,7 @@ fn a_hokuyo_scanner_at_this_computer_and_a_base_at_the_server_are_one_robot() {
 /// Kills the driver while it drives, after the guard if that is asked for; returns the server and the time of the kill.
 fn kill_driver(with_guard: bool) -> (PlayerServer, u64) {
     let server = server("free");
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     let file = system_file(&system, server.port(), "");
     system.start(&["--system", &file, "free"]);
     system.wait_until("it drives", |_| server.speed_mps() > 0.5);
@@ -595,7 +602,11 @@ fn the_guard_stops_the_wheels_when_the_driver_is_killed() {
         let received = server.received();
         let after: Vec<_> =
             received.iter().filter(|(at_ns, _)| *at_ns >= since_ns).map(|(_, what)| *what).collect();
-        assert_eq!(after[..2], [Received::Stop; 2], "both forms, before the connection is closed: {after:?}");
+        assert_eq!(
+            after[..2],
+            [ReceivedCommand::Stop; 2],
+            "both forms, before the connection is closed: {after:?}"
+        );
     });
 }
 
@@ -606,7 +617,11 @@ fn the_closed_connection_stops_the_wheels_when_driver_and_guard_are_killed() {
         let received = server.received();
         let after: Vec<_> =
             received.iter().filter(|(at_ns, _)| *at_ns >= since_ns).map(|(_, what)| *what).collect();
-        assert_eq!(after, [Received::Stop, Received::Closed], "the server stops its robot by itself");
+        assert_eq!(
+            after,
+            [ReceivedCommand::Stop, ReceivedCommand::Closed],
+            "the server stops its robot by itself"
+        );
         assert!(stopped_after_ns(&server, since_ns).unwrap() < BUSY_NS);
     });
 }
@@ -614,7 +629,7 @@ fn the_closed_connection_stops_the_wheels_when_driver_and_guard_are_killed() {
 #[test]
 fn the_driver_meets_what_is_required_of_a_robot() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         // One robot: one case at a time.
         let test = |more: &[&str]| {
             let server = server("free");
@@ -623,11 +638,12 @@ fn the_driver_meets_what_is_required_of_a_robot() {
                 ["conformance", "robot", "--to", "player", "--system", &file, "--jobs", "1", "--json"];
             let output = system.run(&[&arguments[..], more].concat());
             let text = String::from_utf8_lossy(&output.stderr).into_owned();
-            (serde_json::from_slice::<conformance::Report>(&output.stdout).unwrap(), text)
+            (serde_json::from_slice::<conformance::SuiteReport>(&output.stdout).unwrap(), text)
         };
         let (mut report, text) = test(&[]);
         // The robot drives on from case to case, until nothing is in reach of its scanner: the last ones get a new robot.
-        let is_unseen = |case: &conformance::CaseReport| case.outcome == conformance::Outcome::NotObserved;
+        let is_unseen =
+            |case: &conformance::CaseReport| case.outcome == conformance::CaseOutcome::NotObserved;
         let unseen = report.cases.iter().filter(|case| is_unseen(case));
         let again: Vec<&str> = unseen.flat_map(|case| ["--only", case.name.as_str()]).collect();
         if !again.is_empty() {
@@ -636,7 +652,7 @@ fn the_driver_meets_what_is_required_of_a_robot() {
             report.cases.extend(once_more.cases);
         }
         assert_eq!(report.failed, 0, "{text}");
-        let missed = report.cases.iter().filter(|case| case.outcome != conformance::Outcome::Passed);
+        let missed = report.cases.iter().filter(|case| case.outcome != conformance::CaseOutcome::Passed);
         let missed: Vec<&str> = missed.map(|case| case.name.as_str()).collect();
         assert_eq!(
             missed,

@@ -14,10 +14,10 @@ use scanloop_tests::stranger::{
     HOME, PLACE, PLACE_OF_STRANGER, as_stranger, assert_refused, make_folder, of_stranger, shared_memory,
     system, text, tree,
 };
-use scanloop_tests::{System, among_users};
+use scanloop_tests::{TestSystem, among_users};
 
 /// Permissions of other users for the files of a running system, in its directory and in shared memory.
-fn assert_private(system: &System) {
+fn assert_private(system: &TestSystem) {
     let domain = system.domain();
     let of_run = shared_memory().filter(|name| name.contains(domain.run_id()));
     let mut all = tree(domain.directory().parent().expect("a place"));
@@ -121,7 +121,7 @@ fn state_of(path: &Path) -> Vec<(String, u32, Vec<u8>)> {
     tree(path).iter().map(|path| (name(path), mode(path), content(path))).collect()
 }
 
-fn in_place(system: &System, place: &Path, arguments: &[&str]) -> Output {
+fn in_place(system: &TestSystem, place: &Path, arguments: &[&str]) -> Output {
     let mut command = system.command(arguments);
     command.env(runtime::RUNTIME_DIR_VARIABLE, place).output().expect("the executable runs")
 }
@@ -129,7 +129,7 @@ fn in_place(system: &System, place: &Path, arguments: &[&str]) -> Output {
 #[test]
 fn a_named_place_that_others_may_read_is_refused_and_not_changed() {
     repeat_when_late(|| {
-        let system = System::new(env!("CARGO_BIN_EXE_scanloop-under-test"));
+        let system = TestSystem::new(env!("CARGO_BIN_EXE_scanloop-under-test"));
         for mode in [0o755, 0o750, 0o770, 0o500] {
             let place = system.folder().join(format!("own-{mode:o}"));
             make_folder(&place, 0o700);
@@ -152,7 +152,7 @@ fn a_named_place_that_others_may_read_is_refused_and_not_changed() {
 #[test]
 fn a_folder_with_the_name_of_a_system_is_not_taken_for_one() {
     repeat_when_late(|| {
-        let system = System::new(env!("CARGO_BIN_EXE_scanloop-under-test"));
+        let system = TestSystem::new(env!("CARGO_BIN_EXE_scanloop-under-test"));
         let place = system.folder().join("own");
         let own = place.join(system.id());
         let contents: [&[(&str, &str)]; 4] = [
@@ -192,7 +192,7 @@ fn a_folder_with_the_name_of_a_system_is_not_taken_for_one() {
 #[test]
 fn a_stop_from_another_session_leaves_the_empty_place_that_the_user_named() {
     repeat_when_late(|| {
-        let mut system = System::new(env!("CARGO_BIN_EXE_scanloop-under-test"));
+        let mut system = TestSystem::new(env!("CARGO_BIN_EXE_scanloop-under-test"));
         let place = system.folder().join("scanloop");
         make_folder(&place, 0o700);
         let named = [(runtime::RUNTIME_DIR_VARIABLE, place.to_str().unwrap())];
@@ -238,7 +238,7 @@ fn a_system_in_another_place_is_not_started_twice_and_answers_all_commands() {
             let environment = [("XDG_RUNTIME_DIR", "/tmp/session")];
             system.launch(&["run", "--quiet", "--out", "out", "long"], &environment);
             let folder = Path::new("/tmp/session/scanloop").join(system.id());
-            let status = |system: &System| system.run(&["status", "--json"]);
+            let status = |system: &TestSystem| system.run(&["status", "--json"]);
             system.wait_until("it drives", |system| {
                 String::from_utf8_lossy(&status(system).stdout).contains("\"driving\"")
             });
@@ -262,7 +262,7 @@ fn a_system_in_another_place_is_not_started_twice_and_answers_all_commands() {
 #[test]
 fn a_file_in_the_output_folder_that_no_run_has_written_is_left() {
     repeat_when_late(|| {
-        let system = System::new(env!("CARGO_BIN_EXE_scanloop-under-test"));
+        let system = TestSystem::new(env!("CARGO_BIN_EXE_scanloop-under-test"));
         std::fs::create_dir_all(system.folder().join("out/logs")).unwrap();
         let (log, incident) = ("out/logs/robot.log", "out/incident-of-mine.mcap");
         for name in [log, incident] {

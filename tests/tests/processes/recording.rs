@@ -15,10 +15,10 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
-use recording::mcap::{Channel, Reader, Schema, Writer};
+use recording::mcap::{Channel, McapReader, Schema, Writer};
 use rustix::process::Signal;
 use scanloop_tests::namespace::is_inside;
-use scanloop_tests::{SHORT_CORRIDOR, SHORT_FREE, System};
+use scanloop_tests::{SHORT_CORRIDOR, SHORT_FREE, TestSystem};
 use serde_json::Value;
 
 use crate::languages::tools;
@@ -26,14 +26,14 @@ use crate::languages::tools;
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 /// A recorded drive in lock-step; its system and the recording.
-pub(crate) fn recorded(arguments: &[&str]) -> (System, PathBuf) {
-    let system = System::new(EXECUTABLE);
+pub(crate) fn recorded(arguments: &[&str]) -> (TestSystem, PathBuf) {
+    let system = TestSystem::new(EXECUTABLE);
     let file = recorded_in(&system, arguments);
     (system, file)
 }
 
 /// A drive in lock-step that is recorded in a given system.
-fn recorded_in(system: &System, arguments: &[&str]) -> PathBuf {
+fn recorded_in(system: &TestSystem, arguments: &[&str]) -> PathBuf {
     let report = system.lockstep(&[arguments, &["--record=drive.mcap"]].concat());
     let recording = report.recording.expect("a recording");
     assert_eq!(recording.file, system.folder().join("drive.mcap"));
@@ -52,7 +52,7 @@ fn json(output: &Output) -> Value {
 }
 
 /// The report of a replay, and its exit code.
-pub(crate) fn replayed(system: &System, file: &Path, arguments: &[&str]) -> (Value, i32) {
+pub(crate) fn replayed(system: &TestSystem, file: &Path, arguments: &[&str]) -> (Value, i32) {
     let output = system.run(&[&["replay", text(file), "--json"], arguments].concat());
     (json(&output), output.status.code().expect("of a test"))
 }
@@ -60,8 +60,8 @@ pub(crate) fn replayed(system: &System, file: &Path, arguments: &[&str]) -> (Val
 #[test]
 fn a_recorded_drive_is_the_same_drive_and_its_replay_agrees_to_the_bit() {
     repeat_when_late(|| {
-        let unrecorded = System::new(EXECUTABLE).lockstep(&SHORT_CORRIDOR);
-        let system = System::new(EXECUTABLE);
+        let unrecorded = TestSystem::new(EXECUTABLE).lockstep(&SHORT_CORRIDOR);
+        let system = TestSystem::new(EXECUTABLE);
         let report = system.lockstep(&[&SHORT_CORRIDOR[..], &["--record"]].concat());
         assert_eq!(report.digests, unrecorded.digests);
         let file = report.recording.expect("of a test").file;
@@ -140,7 +140,7 @@ fn rewrite_with(
     file: impl Fn(&str, &[u8]) -> Vec<u8>,
     mut change: impl FnMut(&str, u32, &mut Vec<u8>),
 ) {
-    let mut reader = Reader::new(File::open(from).expect("of a test")).expect("of a test");
+    let mut reader = McapReader::new(File::open(from).expect("of a test")).expect("of a test");
     let mut writer = None;
     while let Some(message) = reader.next_message().expect("of a test") {
         let (channel, sequence, log_ns, mut data) =
@@ -195,7 +195,7 @@ fn a_recording_that_is_cut_off_is_read_and_repaired_up_to_its_last_second() {
 #[test]
 fn a_recorder_that_is_killed_costs_no_scan_and_leaves_a_readable_file() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&[&SHORT_CORRIDOR[..], &["--record"]].concat());
         system.wait_until("three seconds are driven", |system| {
             system.status().is_some_and(|status| status.scan > 30)
@@ -225,7 +225,7 @@ fn a_disk_that_fills_up_costs_no_scan_and_the_loss_is_told() {
         if !is_inside(name, "mount -t tmpfs -o size=200k tmpfs /mnt &&", |_| {}) {
             return;
         }
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&[&SHORT_FREE[..], &["--record=/mnt/drive.mcap"]].concat());
         assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
         let report = system.report();
@@ -244,7 +244,7 @@ fn a_disk_that_fills_up_costs_no_scan_and_the_loss_is_told() {
 #[test]
 fn a_disk_that_is_full_at_the_start_is_an_error_before_the_drive() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         std::fs::create_dir_all(system.folder().join("out")).expect("of a test");
         // Every write to this device fails as on a full disk.
         std::os::unix::fs::symlink("/dev/full", system.folder().join("out/recording.mcap"))
@@ -261,7 +261,7 @@ fn a_disk_that_is_full_at_the_start_is_an_error_before_the_drive() {
 }
 
 /// The process that records a system.
-fn recorder_of(system: &System) -> Option<i32> {
+fn recorder_of(system: &TestSystem) -> Option<i32> {
     let processes = std::fs::read_dir("/proc").expect("of a test").flatten();
     let mut pids = processes.filter_map(|entry| entry.file_name().to_str()?.parse::<i32>().ok());
     pids.find(|pid| {
@@ -274,7 +274,7 @@ fn recorder_of(system: &System) -> Option<i32> {
 #[test]
 fn a_live_drive_with_a_restart_and_a_swap_is_replayed_to_the_bit() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&[&SHORT_CORRIDOR[..], &["--record"]].concat());
         for arguments in [["restart", "estimator"].as_slice(), &["swap", "controller", "--to", "nmpc"]] {
             let output = system.run(arguments);

@@ -3,7 +3,7 @@
 use emulator::Outcome;
 use scanloop_tests::machine::repeat_when_late;
 use scanloop_tests::swaps::{assert_every_scan_answered_once, restart, restart_all, rows};
-use scanloop_tests::{SHORT_CORRIDOR, STAGES, System, system_file};
+use scanloop_tests::{SHORT_CORRIDOR, STAGES, TestSystem, system_file};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -11,7 +11,7 @@ const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 #[test]
 fn a_restart_loses_no_scan_and_is_no_swap() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&SHORT_CORRIDOR);
         restart_all(&system);
         assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
@@ -27,7 +27,7 @@ fn a_restart_loses_no_scan_and_is_no_swap() {
 #[test]
 fn a_restart_whose_process_does_not_come_up_leaves_the_old_one_driving() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let (script, started) = (system.folder().join("controller.sh"), system.folder().join("started"));
         let text = format!(
             "if [ -e {started} ]; then echo no room for another one >&2; exit 1; fi\n\
@@ -58,7 +58,7 @@ fn a_restart_whose_process_does_not_come_up_leaves_the_old_one_driving() {
 #[test]
 fn a_restart_whose_state_cannot_be_written_leaves_the_old_one_driving() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&SHORT_CORRIDOR);
         // As on a full disk, nothing can be written to a folder.
         std::fs::create_dir(system.domain().directory().join("controller.checkpoint")).unwrap();
@@ -79,8 +79,8 @@ fn a_restart_whose_state_cannot_be_written_leaves_the_old_one_driving() {
 #[test]
 fn a_restart_in_lock_step_changes_no_bit_of_the_drive() {
     repeat_when_late(|| {
-        let undisturbed = System::new(EXECUTABLE).lockstep(&["endless", "--duration", "120"]);
-        let mut system = System::new(EXECUTABLE);
+        let undisturbed = TestSystem::new(EXECUTABLE).lockstep(&["endless", "--duration", "120"]);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless", "--lockstep", "--duration", "120"]);
         for role in STAGES {
             let (code, printed) = restart(&system, role);

@@ -1,7 +1,7 @@
 //! Runs in real time end by the clock of this computer, whatever the stamps of the robot do.
 
 use emulator::Outcome;
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 use scanloop_tests::machine::repeat_when_late;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -9,7 +9,7 @@ const FAULTY: &str = env!("CARGO_BIN_EXE_faulty");
 
 /// Drives with a faulty robot and returns how the run ended and why.
 fn ended(fault: &str, settings: &[&str]) -> (Outcome, String) {
-    let mut system = System::new(EXECUTABLE);
+    let mut system = TestSystem::new(EXECUTABLE);
     let built_in =
         [("estimator", "ekf"), ("obstacles", "ellipses"), ("controller", "nmpc"), ("actuator", "actuation")]
             .map(|(role, name)| format!("[[process]]\nrole = \"{role}\"\nimplementation = \"{name}\"\n"));

@@ -8,7 +8,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
-use scanloop_tests::{DEADLINE, System};
+use scanloop_tests::{DEADLINE, TestSystem};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -35,7 +35,7 @@ fn messages_until(socket: &UnixDatagram, is_last: impl Fn(&str) -> bool) -> Vec<
 #[test]
 fn the_service_manager_is_notified_of_readiness_status_life_and_stop_also_after_an_adoption() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let path = system.folder().join("notify.sock");
         let socket = UnixDatagram::bind(&path).unwrap();
         socket.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
@@ -71,7 +71,7 @@ fn the_service_manager_is_notified_of_readiness_status_life_and_stop_also_after_
 #[test]
 fn lines_for_the_journal_have_a_priority_and_neither_colours_nor_progress() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let log = system.folder().join("stderr.txt");
         let file = std::fs::File::create(&log).unwrap().metadata().unwrap();
         let stream = format!("{}:{}", file.dev(), file.ino());
@@ -99,7 +99,7 @@ fn lines_for_the_journal_have_a_priority_and_neither_colours_nor_progress() {
 #[test]
 fn systemd_finds_nothing_wrong_with_the_unit_file() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let unit = Path::new(env!("CARGO_MANIFEST_DIR")).join("../orchestrator/systemd/scanloop.service");
         let text = std::fs::read_to_string(unit).unwrap();
         let copy = system.folder().join("scanloop.service");

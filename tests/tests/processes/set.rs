@@ -3,7 +3,7 @@
 
 use handover::swap::{Certificate, SwapOutcome};
 use rustix::process::Signal;
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 use scanloop_tests::machine::repeat_when_late;
 use scanloop_tests::swaps::{
     assert_every_scan_answered_once, assert_seamless, assert_seamless_swap, certificate,
@@ -12,19 +12,19 @@ use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
-fn set(system: &System, arguments: &[&str]) -> Certificate {
+fn set(system: &TestSystem, arguments: &[&str]) -> Certificate {
     certificate(&system.run(&[&["set", "--json"], arguments].concat()))
 }
 
 /// Number of nodes in the plan of the next command: one more than the controller has intervals.
-fn plan_length(system: &System) -> u64 {
+fn plan_length(system: &TestSystem) -> u64 {
     let output = system.run(&["topic", "echo", "command", "-n", "1", "--short"]);
     let command: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     command["plan_length"].as_u64().unwrap()
 }
 
 /// Kills the controller and waits until its successor is ready.
-fn kill_controller(system: &System) {
+fn kill_controller(system: &TestSystem) {
     let old = system.pid(Role::Controller);
     system.signal(old, Signal::KILL);
     system.wait_until("the controller is restarted", |system| {
@@ -37,7 +37,7 @@ fn kill_controller(system: &System) {
 }
 
 /// Settings files of single processes.
-fn own_files(system: &System) -> Vec<String> {
+fn own_files(system: &TestSystem) -> Vec<String> {
     let names = system.domain().folder().names().into_iter();
     names.filter(|name| name.starts_with("settings-") && name.as_bytes()[9].is_ascii_digit()).collect()
 }
@@ -45,7 +45,7 @@ fn own_files(system: &System) -> Vec<String> {
 #[test]
 fn a_setting_acts_at_once_and_survives_restarts_and_an_adoption() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless"]);
         let before = plan_length(&system);
         let old = system.pid(Role::Controller);
@@ -77,7 +77,7 @@ fn a_setting_acts_at_once_and_survives_restarts_and_an_adoption() {
 #[test]
 fn a_change_that_drives_otherwise_is_refused_and_leaves_the_settings_as_they_were() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless"]);
         let file = || system.domain().folder().read_text("settings-actuator.toml").unwrap();
         let (before, pid) = (file(), system.pid(Role::Actuator));
@@ -98,7 +98,7 @@ fn a_change_that_drives_otherwise_is_refused_and_leaves_the_settings_as_they_wer
 #[test]
 fn what_a_setting_is_meant_to_change_is_no_disagreement() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless"]);
         for key in ["controller.cruise_mps=0.7", "noise.odometry_m=0.01", "controller.cruise_mps=1.0"] {
             let certificate = set(&system, &[key]);
@@ -114,7 +114,7 @@ fn what_a_setting_is_meant_to_change_is_no_disagreement() {
 #[test]
 fn what_is_not_allowed_is_named_with_the_reason() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless"]);
         for (arguments, reason) in [
             (&["controller.intervals=0"][..], "controller.intervals = 0 is not allowed: "),

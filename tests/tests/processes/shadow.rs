@@ -6,14 +6,14 @@ use scanloop_tests::machine::repeat_when_late;
 use scanloop_tests::swaps::{
     BUILT_IN, assert_every_scan_answered_once, begin_shadow, more_scans, rows, shadow, shadow_report,
 };
-use scanloop_tests::{SHORT_CORRIDOR, SHORTENED_LONG, System};
+use scanloop_tests::{SHORT_CORRIDOR, SHORTENED_LONG, TestSystem};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 const FAULTY: &str = env!("CARGO_BIN_EXE_faulty-controller");
 
 /// Asserts that the run reached its goal as without a shadow, and left nothing.
-fn assert_undisturbed(mut system: System) {
+fn assert_undisturbed(mut system: TestSystem) {
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
     assert_every_scan_answered_once(&system);
     let report = system.report();
@@ -24,7 +24,7 @@ fn assert_undisturbed(mut system: System) {
 #[test]
 fn a_shadow_of_each_role_at_once_publishes_the_same_as_the_live_process() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&SHORT_CORRIDOR);
         let shadows = BUILT_IN
             .map(|(role, name)| (role, begin_shadow(&system, &[role.name(), "--to", name, "--for", "4s"])));
@@ -50,7 +50,7 @@ fn a_shadow_of_each_role_at_once_publishes_the_same_as_the_live_process() {
 #[test]
 fn a_shadow_that_steers_more_is_found_and_drives_nothing() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["slalom"]);
         // The option `--for` may be the last argument.
         let report = shadow(&system, &["controller", "--", FAULTY, "steer", "--for", "5s"]);
@@ -67,7 +67,7 @@ fn a_shadow_that_steers_more_is_found_and_drives_nothing() {
 #[test]
 fn a_shadow_that_floods_its_topic_costs_no_scan() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&SHORT_CORRIDOR);
         let report = shadow(&system, &["controller", "--for", "4s", "--", FAULTY, "flood"]);
         assert_eq!(report.outcome, ShadowOutcome::Completed, "{report}");
@@ -80,7 +80,7 @@ fn a_shadow_that_floods_its_topic_costs_no_scan() {
 #[test]
 fn a_shadow_that_hangs_or_dies_is_reported_and_costs_no_scan() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&SHORTENED_LONG);
         let child = begin_shadow(&system, &["controller", "--to", "nmpc", "--for", "4s"]);
         system.wait_until("a shadow", |system| rows(system, Role::Controller).len() == 2);
@@ -106,7 +106,7 @@ fn a_shadow_that_hangs_or_dies_is_reported_and_costs_no_scan() {
 #[test]
 fn an_interrupt_ends_it_early_with_the_report_so_far_and_so_does_the_end_of_the_run() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&SHORT_CORRIDOR);
         let child = begin_shadow(&system, &["estimator", "--to", "ekf", "--for", "1h"]);
         system.wait_until("a shadow", |system| rows(system, Role::Estimator).len() == 2);
@@ -127,8 +127,8 @@ fn an_interrupt_ends_it_early_with_the_report_so_far_and_so_does_the_end_of_the_
 #[test]
 fn a_role_has_one_candidate_at_most() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
-        let refusal = |system: &System, arguments: &[&str]| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        let refusal = |system: &TestSystem, arguments: &[&str]| {
             let output = system.run(arguments);
             assert_eq!(output.status.code(), Some(2));
             String::from_utf8_lossy(&output.stderr).into_owned()
@@ -157,7 +157,7 @@ fn a_role_has_one_candidate_at_most() {
         system.signal(child.id().cast_signed(), Signal::INT);
         shadow_report(&child.wait_with_output().unwrap());
         assert_undisturbed(system);
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless", "--lockstep", "--duration", "9000"]);
         assert!(refusal(&system, &["shadow", "controller", "--to", "nmpc"]).contains("in real time"));
         assert_eq!(system.run(&["stop"]).status.code(), Some(0));

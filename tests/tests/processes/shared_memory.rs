@@ -12,7 +12,7 @@ use handover::swap::{Certificate, SwapOutcome};
 use rustix::fs::{FallocateFlags, fallocate, statvfs};
 use rustix::process::Signal;
 use scanloop_tests::swaps::{assert_reached, assert_seamless, begin, certificate, rows, swap};
-use scanloop_tests::{SHORT_CORRIDOR, SHORTENED_LONG, System, namespace};
+use scanloop_tests::{SHORT_CORRIDOR, SHORTENED_LONG, TestSystem, namespace};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -72,14 +72,14 @@ fn missing_kib(text: &str) -> u64 {
     end.and_then(|index| parts[index].parse().ok()).unwrap_or_else(|| panic!("no sum in: {text}"))
 }
 
-fn swapped(system: &System) -> Certificate {
+fn swapped(system: &TestSystem) -> Certificate {
     let certificate = swap(system, &["controller", "--to", "nmpc"]);
     assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
     assert_seamless(&certificate);
     certificate
 }
 
-fn refused(system: &System, reason: &str) -> Certificate {
+fn refused(system: &TestSystem, reason: &str) -> Certificate {
     let old = rows(system, Role::Controller);
     let certificate = swap(system, &["controller", "--to", "nmpc"]);
     assert_eq!(certificate.outcome, SwapOutcome::Refused, "{certificate:?}");
@@ -90,7 +90,7 @@ fn refused(system: &System, reason: &str) -> Certificate {
 }
 
 /// That no process of the run was ended by SIGBUS.
-fn assert_no_signal(system: &System) {
+fn assert_no_signal(system: &TestSystem) {
     assert!(!system.stderr().contains("signal 7"), "{}", system.stderr());
     let logs = std::fs::read_dir(system.folder().join("out/logs")).expect("logs").flatten();
     for log in logs {
@@ -99,13 +99,13 @@ fn assert_no_signal(system: &System) {
     }
 }
 
-fn reached(system: System, certificates: &[Certificate]) {
+fn reached(system: TestSystem, certificates: &[Certificate]) {
     assert_no_signal(&system);
     assert_reached(system, certificates);
 }
 
 /// Waits until the orchestrator holds its reserve, after which so much is free.
-fn wait_for_reserve(system: &System, free: u64) {
+fn wait_for_reserve(system: &TestSystem, free: u64) {
     system.wait_until("the reserve is held", |_| free_bytes(Path::new(SHARED_MEMORY)) <= free);
 }
 
@@ -119,7 +119,7 @@ fn a_system_that_does_not_fit_is_refused_with_what_is_missing() {
             ) {
                 continue;
             }
-            let system = System::new(EXECUTABLE);
+            let system = TestSystem::new(EXECUTABLE);
             let free_kib = free_bytes(SHARED_MEMORY.as_ref()) / 1024;
             for arguments in [["run", "--quiet", "corridor"], ["run", "--lockstep", "corridor"]] {
                 let output = system.run(&arguments);
@@ -144,7 +144,7 @@ fn a_swap_finds_the_reserve_however_full_shared_memory_is() {
         if !is_inside("a_swap_finds_the_reserve_however_full_shared_memory_is", &[(ROOMY, place)]) {
             return;
         }
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["long"]);
         let held = free_bytes(place);
         let mut certificates = Vec::new();
@@ -171,7 +171,7 @@ fn a_swap_without_room_is_refused_with_what_is_missing_and_the_robot_drives_on()
         ) {
             return;
         }
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&SHORTENED_LONG);
         let mut certificates = Vec::new();
         // While a process starts, the reserve is free; this process takes nothing of it.
@@ -202,7 +202,7 @@ fn a_restart_after_a_death_finds_room_in_full_shared_memory() {
         if !is_inside("a_restart_after_a_death_finds_room_in_full_shared_memory", &[(ROOMY, place)]) {
             return;
         }
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&SHORT_CORRIDOR);
         let _ballast = Ballast::leave(0, place);
         for role in [Role::Obstacles, Role::Controller] {
@@ -226,7 +226,7 @@ fn a_process_whose_memory_is_cut_off_reports_it_before_it_ends() {
         if !is_inside("a_process_whose_memory_is_cut_off_reports_it_before_it_ends", &[(ROOMY, place)]) {
             return;
         }
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["long"]);
         let doorbells = system.domain().bus_directory().join("doorbells.v2");
         File::options().write(true).open(doorbells).unwrap().set_len(0).unwrap();
@@ -249,7 +249,7 @@ fn a_swap_with_the_directory_of_the_system_full_is_refused_with_the_file() {
         if !is_inside(test, &[("1m", place)]) {
             return;
         }
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&SHORT_CORRIDOR);
         let mut certificates = vec![];
         // Room for nothing, for a part of the state of the old one, and for that but not for the list of processes.

@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use emulator::Outcome;
 use runtime::{Bus, Observer};
 use rustix::process::{Pid, Signal, kill_process};
-use scanloop_tests::{System, Watch, is_ignored, pause, printed, system_file};
+use scanloop_tests::{TestSystem, TruthWatch, is_ignored, pause, printed, system_file};
 use shared_types::{Actuation, Role};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -19,21 +19,21 @@ const FAULTY: &str = env!("CARGO_BIN_EXE_faulty");
 const LIMIT_MS: u64 = 1000;
 
 /// A system that drives.
-fn driving(arguments: &[&str]) -> (System, Watch) {
-    let mut system = System::new(EXECUTABLE);
+fn driving(arguments: &[&str]) -> (TestSystem, TruthWatch) {
+    let mut system = TestSystem::new(EXECUTABLE);
     system.start(&[&["endless"], arguments].concat());
-    let watch = Watch::new(&system);
+    let watch = TruthWatch::new(&system);
     watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     (system, watch)
 }
 
-fn wait_for_rest(system: &System, watch: &Watch) {
+fn wait_for_rest(system: &TestSystem, watch: &TruthWatch) {
     let rest = watch.wait_for(system, "it rests", |truth| truth.blocked == 1 && truth.speed_mps <= 0.0);
     assert_eq!(rest.collided, 0);
 }
 
 /// Stops the system, which must acknowledge within the limit; returns what was printed.
-fn stop(system: &System) -> String {
+fn stop(system: &TestSystem) -> String {
     let output = system.run(&["stop"]);
     let text = printed(&output);
     assert_eq!(output.status.code(), Some(0), "{text}");
@@ -202,7 +202,7 @@ fn a_run_that_was_suspended_drives_on() {
 }
 
 /// The built-in system in which these roles are started without the stop word.
-fn without_stop_word(system: &System, roles: &[Role]) -> String {
+fn without_stop_word(system: &TestSystem, roles: &[Role]) -> String {
     let names = ["emulator", "ekf", "ellipses", "nmpc", "actuation"];
     let mut text = String::new();
     for (role, name) in Role::ALL.iter().zip(names) {
@@ -224,10 +224,10 @@ fn without_stop_word(system: &System, roles: &[Role]) -> String {
 fn a_process_that_does_not_see_the_stop_word_is_ended_and_the_block_is_confirmed_by_the_other() {
     repeat_when_late(|| {
         for role in [Role::Actuator, Role::Robot] {
-            let mut system = System::new(EXECUTABLE);
+            let mut system = TestSystem::new(EXECUTABLE);
             let file = without_stop_word(&system, &[role]);
             system.start(&["endless", "--system", &file]);
-            let watch = Watch::new(&system);
+            let watch = TruthWatch::new(&system);
             watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
             system.signal(system.orchestrator(), Signal::STOP);
             stop(&system);
@@ -242,10 +242,10 @@ fn a_process_that_does_not_see_the_stop_word_is_ended_and_the_block_is_confirmed
 #[test]
 fn a_block_that_no_process_acknowledges_is_not_confirmed_and_names_what_lives() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let file = without_stop_word(&system, &[Role::Actuator, Role::Robot]);
         system.start(&["endless", "--system", &file]);
-        let watch = Watch::new(&system);
+        let watch = TruthWatch::new(&system);
         watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
         system.signal(system.orchestrator(), Signal::STOP);
         let output = system.run(&["stop"]);
@@ -265,11 +265,11 @@ fn a_block_that_no_process_acknowledges_is_not_confirmed_and_names_what_lives() 
 #[test]
 fn a_service_whose_orchestrator_hung_stays_stopped_once() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let arguments = ["run", "--adopt-or-start", "--quiet", "--out", "out", "endless"];
         system.launch(&arguments, &[]);
         system.wait_until_driving();
-        let watch = Watch::new(&system);
+        let watch = TruthWatch::new(&system);
         watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
         let pid = Pid::from_raw(system.orchestrator()).unwrap();
         let is_over = AtomicBool::new(false);
@@ -305,7 +305,7 @@ fn a_service_whose_orchestrator_hung_stays_stopped_once() {
 #[test]
 fn a_robot_that_tells_nothing_of_its_wheels_is_not_killed_at_the_end_of_a_run() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let text = system_file(10, &[Role::Robot], FAULTY, &["stubborn"]);
         let path = system.folder().join("system.toml");
         std::fs::write(&path, text).unwrap();
@@ -368,7 +368,7 @@ fn a_program_that_is_replaced_while_it_drives_still_starts_processes_and_stops()
         // By another process: a file that a test thread writes is busy while others start programs.
         let copy = || assert!(Command::new("cp").arg(EXECUTABLE).arg(&program).status().unwrap().success());
         copy();
-        let mut system = System::new(program.to_str().unwrap());
+        let mut system = TestSystem::new(program.to_str().unwrap());
         system.start(&["endless"]);
         std::fs::remove_file(&program).unwrap();
         copy();

@@ -5,14 +5,14 @@ use scanloop_tests::machine::repeat_when_late;
 use std::process::Output;
 
 use rustix::process::Signal;
-use scanloop_tests::{SHORT_FREE, System};
+use scanloop_tests::{SHORT_FREE, TestSystem};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 /// A system whose robot, estimator and companion each start a daemon in a session of its own.
-fn system() -> System {
-    let system = System::new(EXECUTABLE);
+fn system() -> TestSystem {
+    let system = TestSystem::new(EXECUTABLE);
     let names = ["emulator", "ekf", "ellipses", "nmpc", "actuation"];
     let mut text = String::new();
     for (role, name) in Role::ALL.iter().zip(names) {
@@ -33,8 +33,8 @@ fn system() -> System {
 }
 
 /// The built-in system with a companion that is a script.
-fn system_with(script: &str) -> System {
-    let system = System::new(EXECUTABLE);
+fn system_with(script: &str) -> TestSystem {
+    let system = TestSystem::new(EXECUTABLE);
     let command = ["sh", "-c", script];
     let text = format!(
         "[[process]]\nrole = \"companion\"\nname = \"lidar\"\nrestart = \"never\"\ncommand = {command:?}\n"
@@ -44,7 +44,7 @@ fn system_with(script: &str) -> System {
 }
 
 /// Waits until a program of the system runs that sleeps for so long.
-fn wait_for_sleeper(system: &System, seconds: &str) {
+fn wait_for_sleeper(system: &TestSystem, seconds: &str) {
     let line = format!("sleep\0{seconds}\0");
     let is_sleeper =
         |pid: &i32| std::fs::read(format!("/proc/{pid}/cmdline")).is_ok_and(|found| found == line.as_bytes());
@@ -58,7 +58,7 @@ const PROLIFIC: &str =
     "setsid sh -c 'trap \"\" TERM; while :; do setsid sleep 90115 & sleep 0.1; done' & exec sleep 90215";
 
 /// Process ids of the daemons, once all three are there.
-fn daemons(system: &System) -> Vec<i32> {
+fn daemons(system: &TestSystem) -> Vec<i32> {
     let of = |pid: &i32| {
         let line = std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
         line == b"sleep\x009741\0" || line == b"sleep\x009742\0"
@@ -73,7 +73,7 @@ fn text(output: &Output) -> String {
 }
 
 /// The exit code, and that each daemon is named.
-fn named(system: &System, daemons: &[i32], arguments: &[&str]) -> Option<i32> {
+fn named(system: &TestSystem, daemons: &[i32], arguments: &[&str]) -> Option<i32> {
     let output = system.run(arguments);
     for pid in daemons {
         assert!(
@@ -86,7 +86,7 @@ fn named(system: &System, daemons: &[i32], arguments: &[&str]) -> Option<i32> {
 }
 
 /// That no system lives by the daemons: `status` and `adopt` find none, a run drives, and a stop ends them.
-fn assert_no_system_lives(system: &System, daemons: &[i32]) {
+fn assert_no_system_lives(system: &TestSystem, daemons: &[i32]) {
     assert_eq!(named(system, daemons, &["status"]), Some(2));
     assert_eq!(named(system, daemons, &["adopt", "--quiet"]), Some(2));
     let run = ["run", "--lockstep", "--quiet", "free", "--set", "goal.x_m=2"];

@@ -4,7 +4,7 @@
 use scanloop_tests::machine::repeat_when_late;
 use std::process::{Command, Output, Stdio};
 
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 
 use super::languages::tools::EXECUTABLE;
 
@@ -67,7 +67,7 @@ fn assert_answers(line: &str, part: &str, output: &Output) {
 }
 
 /// Asserts that a command whose reader goes after a line ends as one that is read, without a word.
-fn assert_quiet_without_reader(system: &System, line: &str, code: Option<i32>) {
+fn assert_quiet_without_reader(system: &TestSystem, line: &str, code: Option<i32>) {
     let id = system.id();
     let script =
         format!("{EXECUTABLE} --system-id {id} {line} | head -1 >/dev/null; exit ${{PIPESTATUS[0]}}");
@@ -82,7 +82,7 @@ fn assert_quiet_without_reader(system: &System, line: &str, code: Option<i32>) {
 #[test]
 fn what_a_command_was_asked_for_is_on_standard_output() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         std::fs::write(system.folder().join("cases.csv"), CASES).unwrap();
         for (line, part) in ALONE {
             assert_answers(line, part, &system.run(&words(line)));
@@ -103,7 +103,7 @@ fn what_a_command_was_asked_for_is_on_standard_output() {
 #[test]
 fn what_is_asked_of_a_running_system_is_on_standard_output() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless", "--allow-inject"]);
         for (line, part) in BESIDE {
             assert_answers(line, part, &system.run(&words(line)));
@@ -122,7 +122,7 @@ fn what_is_asked_of_a_running_system_is_on_standard_output() {
 #[test]
 fn with_json_standard_output_has_nothing_else() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         std::fs::write(system.folder().join("cases.csv"), CASES).unwrap();
         for line in [
             "analyse observability --json",

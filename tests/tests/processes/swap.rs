@@ -11,7 +11,7 @@ use scanloop_tests::swaps::{
     rolls_back_a_hang_in_charge, rows, standby, stop, survives_the_death_of_the_standby, swap_in_vain,
     swap_seamlessly,
 };
-use scanloop_tests::{SHORT_CORRIDOR, SHORTENED_LONG, System};
+use scanloop_tests::{SHORT_CORRIDOR, SHORTENED_LONG, TestSystem};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -20,7 +20,7 @@ const FAULTY: &str = env!("CARGO_BIN_EXE_faulty-controller");
 #[test]
 fn the_controller_is_swapped_within_three_seconds_and_no_scan_is_missed() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&SHORT_CORRIDOR);
         let old = system.pid(Role::Controller);
         let started = Instant::now();
@@ -38,7 +38,7 @@ fn the_controller_is_swapped_within_three_seconds_and_no_scan_is_missed() {
 #[test]
 fn all_roles_are_swapped_one_after_the_other_and_their_certificates_are_true() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["long"]);
         let observer = Audit::start(&system.domain());
         let mut certificates = Vec::new();
@@ -59,7 +59,7 @@ fn all_roles_are_swapped_one_after_the_other_and_their_certificates_are_true() {
 #[test]
 fn a_bad_process_is_refused_with_the_reason_and_the_robot_does_not_notice() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&SHORTENED_LONG);
         let mut certificates = Vec::new();
         for (command, reason) in [
@@ -84,7 +84,7 @@ fn a_bad_process_is_refused_with_the_reason_and_the_robot_does_not_notice() {
 #[test]
 fn the_tolerance_can_be_raised_for_a_controller_that_drives_differently() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&SHORT_CORRIDOR);
         let arguments = ["controller", "--gate-scans", "5", "--tolerance", "1000", "--", FAULTY, "steer"];
         let certificate = swap_seamlessly(&system, &arguments);
@@ -97,7 +97,7 @@ fn the_tolerance_can_be_raised_for_a_controller_that_drives_differently() {
 #[test]
 fn the_old_one_answers_the_scan_in_which_the_new_one_is_killed() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["long"]);
         let observer = Audit::start(&system.domain());
         let mut certificates = Vec::new();
@@ -121,21 +121,21 @@ fn the_old_one_answers_the_scan_in_which_the_new_one_is_killed() {
 #[test]
 fn a_process_that_hangs_in_charge_is_rolled_back_before_the_wheels_are_blocked() {
     repeat_when_late(|| {
-        rolls_back_a_hang_in_charge(System::new(EXECUTABLE), Role::Controller, FAULTY);
+        rolls_back_a_hang_in_charge(TestSystem::new(EXECUTABLE), Role::Controller, FAULTY);
     });
 }
 
 #[test]
 fn the_new_process_stays_when_the_old_one_is_killed_during_its_standby() {
     repeat_when_late(|| {
-        survives_the_death_of_the_standby(System::new(EXECUTABLE), Role::Controller, "nmpc");
+        survives_the_death_of_the_standby(TestSystem::new(EXECUTABLE), Role::Controller, "nmpc");
     });
 }
 
 #[test]
 fn a_process_that_took_over_is_supervised_like_the_one_before() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&SHORT_CORRIDOR);
         swap_seamlessly(&system, &["controller", "--", FAULTY, "none"]);
         let pid = system.pid(Role::Controller);
@@ -155,8 +155,8 @@ fn a_process_that_took_over_is_supervised_like_the_one_before() {
 #[test]
 fn wrong_usage_has_exit_code_2_and_disturbs_no_process() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
-        let exit = |system: &System, arguments: &[&str]| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        let exit = |system: &TestSystem, arguments: &[&str]| {
             let output = system.run(&[&["swap"], arguments].concat());
             (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
         };
@@ -199,7 +199,7 @@ fn wrong_usage_has_exit_code_2_and_disturbs_no_process() {
 #[test]
 fn a_run_that_ends_takes_the_new_process_with_it() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["corridor"]);
         let shadow = begin(&system, &["controller", "--to", "nmpc", "--shadow-scans", "1000"]);
         system.wait_until("a shadow", |system| rows(system, Role::Controller).len() == 2);
@@ -225,8 +225,8 @@ fn a_run_that_ends_takes_the_new_process_with_it() {
 #[test]
 fn swaps_in_lock_step_miss_no_scan_and_change_no_bit_of_the_drive() {
     repeat_when_late(|| {
-        let undisturbed = System::new(EXECUTABLE).lockstep(&["endless", "--duration", "300"]);
-        let mut system = System::new(EXECUTABLE);
+        let undisturbed = TestSystem::new(EXECUTABLE).lockstep(&["endless", "--duration", "300"]);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless", "--lockstep", "--duration", "300"]);
         let mut certificates = Vec::new();
         for (role, implementation) in [BUILT_IN, BUILT_IN].concat() {
@@ -248,7 +248,7 @@ fn swaps_in_lock_step_miss_no_scan_and_change_no_bit_of_the_drive() {
 #[test]
 fn bad_processes_are_refused_or_rolled_back_in_lock_step_too() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless", "--lockstep", "--duration", "9000"]);
         for (command, outcome) in [
             (vec!["false"], SwapOutcome::Refused),

@@ -7,7 +7,7 @@ use scanloop_tests::swaps::{
     assert_reached, rolls_back_a_hang_in_charge, stop, survives_the_death_of_the_standby, swap_in_vain,
     swap_seamlessly,
 };
-use scanloop_tests::{SHORT_CORRIDOR, System};
+use scanloop_tests::{SHORT_CORRIDOR, TestSystem};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -41,7 +41,7 @@ fn leap_at(report: &Report, scan: u64) -> f64 {
 #[test]
 fn a_swapped_robot_continues_where_it_is() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&EVENTFUL);
         let old = system.pid(Role::Robot);
         let mut certificates = Vec::new();
@@ -74,8 +74,8 @@ fn in_lock_step_noise_drift_and_what_waits_for_the_robot_are_the_same_to_the_las
             &EVENTFUL[1..],
         ]
         .concat();
-        let undisturbed = System::new(EXECUTABLE).lockstep(&arguments);
-        let mut system = System::new(EXECUTABLE);
+        let undisturbed = TestSystem::new(EXECUTABLE).lockstep(&arguments);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&[&["--lockstep"], &arguments[..]].concat());
         let certificate = swap_seamlessly(&system, &["robot", "--to", "emulator"]);
         system.wait();
@@ -90,7 +90,7 @@ fn in_lock_step_noise_drift_and_what_waits_for_the_robot_are_the_same_to_the_las
 #[test]
 fn a_bad_robot_is_refused_with_the_reason() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&SHORT_CORRIDOR);
         let mut certificates = Vec::new();
         for (fault, reason) in [
@@ -109,21 +109,21 @@ fn a_bad_robot_is_refused_with_the_reason() {
 #[test]
 fn a_robot_that_hangs_in_charge_is_rolled_back_and_no_scan_is_missed() {
     repeat_when_late(|| {
-        rolls_back_a_hang_in_charge(System::new(EXECUTABLE), Role::Robot, FAULTY);
+        rolls_back_a_hang_in_charge(TestSystem::new(EXECUTABLE), Role::Robot, FAULTY);
     });
 }
 
 #[test]
 fn the_new_robot_stays_when_the_old_one_is_killed_during_its_standby() {
     repeat_when_late(|| {
-        survives_the_death_of_the_standby(System::new(EXECUTABLE), Role::Robot, "emulator");
+        survives_the_death_of_the_standby(TestSystem::new(EXECUTABLE), Role::Robot, "emulator");
     });
 }
 
 #[test]
 fn a_robot_that_fails_in_lock_step_is_rolled_back_too() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless", "--lockstep", "--duration", "9000"]);
         for fault in [["hang-after", "20"], ["exit-after", "20"]] {
             let standby = ["robot", "--standby-scans", "40", "--", FAULTY];

@@ -9,14 +9,14 @@ use rustix::process::{Pid, Signal, kill_process};
 use scanloop_tests::machine::repeat_when_late;
 use scanloop_tests::machine::waits_of;
 use scanloop_tests::terminal::Terminal;
-use scanloop_tests::{DEADLINE, System, is_ignored};
+use scanloop_tests::{DEADLINE, TestSystem, is_ignored};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 /// A system that drives, and a view of it that has drawn it.
-fn view() -> (System, Terminal, Child) {
-    let mut system = System::new(EXECUTABLE);
+fn view() -> (TestSystem, Terminal, Child) {
+    let mut system = TestSystem::new(EXECUTABLE);
     system.start(&["endless"]);
     let terminal = Terminal::new(80, 24);
     let view = terminal.spawn(system.command(&["top"]));
@@ -25,14 +25,14 @@ fn view() -> (System, Terminal, Child) {
     (system, terminal, view)
 }
 
-fn wait_for_text(system: &System, terminal: &Terminal, text: &str) {
+fn wait_for_text(system: &TestSystem, terminal: &Terminal, text: &str) {
     system.wait_until(&format!("the terminal has `{text}`"), |_| {
         terminal.screen(24).iter().any(|line| line.contains(text))
     });
 }
 
 /// Waits for the end of a process and checks that the terminal is as before.
-fn end(system: &System, terminal: &Terminal, mut view: Child) -> ExitStatus {
+fn end(system: &TestSystem, terminal: &Terminal, mut view: Child) -> ExitStatus {
     let started = Instant::now();
     let status = loop {
         if let Some(status) = view.try_wait().unwrap() {
@@ -45,7 +45,7 @@ fn end(system: &System, terminal: &Terminal, mut view: Child) -> ExitStatus {
     status
 }
 
-fn stop(mut system: System) {
+fn stop(mut system: TestSystem) {
     system.run(&["stop"]);
     system.wait();
     system.assert_nothing_left();
@@ -104,7 +104,7 @@ fn the_terminal_is_restored_after_any_end() {
         let view = terminal.spawn(system.command(&["top"]));
         wait_for_text(&system, &terminal, "driving, endless");
         stop(system);
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         assert_eq!(end(&system, &terminal, view).code(), Some(0), "the system has ended");
     });
 }
@@ -167,7 +167,7 @@ fn a_pasted_text_stops_nothing() {
 #[test]
 fn a_run_shows_itself_and_prints_its_summary_afterwards() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let terminal = Terminal::new(80, 24);
         let run = terminal.spawn(system.command(&["run", "--top", "--out", "out", "endless"]));
         wait_for_text(&system, &terminal, "driving, endless");
@@ -186,7 +186,7 @@ fn a_run_shows_itself_and_prints_its_summary_afterwards() {
 #[test]
 fn a_run_goes_on_without_its_view() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let terminal = Terminal::new(80, 24);
         let run = terminal.spawn(system.command(&["run", "--top", "--out", "out", "endless"]));
         wait_for_text(&system, &terminal, "driving, endless");
@@ -205,7 +205,7 @@ fn a_run_goes_on_without_its_view() {
 #[test]
 fn without_a_terminal_or_a_system_there_is_no_view() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         for arguments in [&["top"][..], &["run", "--top"]] {
             let output = system.run(arguments);
             assert_eq!(output.status.code(), Some(2));

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 
 use rustix::process::{Pid, Signal, kill_process};
-use scanloop_tests::{DEADLINE, SHORT_CORRIDOR, System};
+use scanloop_tests::{DEADLINE, SHORT_CORRIDOR, TestSystem};
 use serde_json::Value;
 use shared_types::Role;
 
@@ -24,7 +24,7 @@ pub(crate) struct View {
 }
 
 impl View {
-    pub(crate) fn start(system: &System, options: &[&str]) -> Self {
+    pub(crate) fn start(system: &TestSystem, options: &[&str]) -> Self {
         let mut command = system.command(&[&["view", "--port", "0"], options].concat());
         let mut process = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let mut link = String::new();
@@ -47,7 +47,12 @@ impl View {
         self.json("/system")
     }
 
-    pub(crate) fn wait_for(&self, system: &System, what: &str, condition: impl Fn(&Value) -> bool) -> Value {
+    pub(crate) fn wait_for(
+        &self,
+        system: &TestSystem,
+        what: &str,
+        condition: impl Fn(&Value) -> bool,
+    ) -> Value {
         system.wait_until(what, |_| condition(&self.system()));
         self.system()
     }
@@ -133,7 +138,7 @@ pub(crate) fn is_driving(system: &Value) -> bool {
 #[test]
 fn the_page_shows_what_status_prints_and_survives_deaths_and_the_end_of_a_run() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let view = View::start(&system, &["--control"]);
         view.wait_for(&system, "the page waits", |shown| shown["connection"] == "waiting");
 
@@ -208,7 +213,7 @@ fn the_page_shows_what_status_prints_and_survives_deaths_and_the_end_of_a_run() 
 #[test]
 fn a_run_serves_its_page_until_it_ends() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless", "--view=0"]);
         system.wait_until("the link is printed", |system| system.stderr().contains("/#token="));
         let printed = system.stderr();
@@ -224,7 +229,7 @@ fn a_run_serves_its_page_until_it_ends() {
 #[test]
 fn a_port_in_use_is_refused_before_anything_starts() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let view = View::start(&system, &[]);
         let port = view.address.rsplit_once(':').unwrap().1.to_owned();
         for arguments in [vec!["view", "--port", &port], vec!["run", "free", &format!("--view={port}")]] {
@@ -349,7 +354,7 @@ fn the_page_works_in_a_browser() {
         if !has_browser("the_page_works_in_a_browser") {
             return;
         }
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let view = View::start(&system, &["--control"]);
         system.start(&["endless"]);
         view.wait_for(&system, "the page shows the drive", is_driving);

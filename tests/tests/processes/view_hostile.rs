@@ -6,7 +6,7 @@ use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
 
 use rustix::process::Signal;
-use scanloop_tests::{DEADLINE, System};
+use scanloop_tests::{DEADLINE, TestSystem};
 
 use crate::view::{View, is_driving};
 
@@ -44,7 +44,7 @@ fn garbage(number: usize) -> Vec<u8> {
 #[test]
 fn clients_that_misbehave_change_neither_page_nor_drive() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless"]);
         let view = View::start(&system, &["--control"]);
         let before = view.wait_for(&system, "the page shows the drive", is_driving);

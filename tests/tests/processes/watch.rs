@@ -10,7 +10,7 @@ use std::process::{Child, Stdio};
 
 use handover::swap::{Certificate, SwapOutcome};
 use rustix::process::Signal;
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 use scanloop_tests::swaps::{assert_seamless, assert_seamless_swap, stop};
 use shared_types::Role;
 
@@ -18,21 +18,21 @@ const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 const FAULTY: &str = env!("CARGO_BIN_EXE_faulty-controller");
 
 /// Starts the watch of a program; certificates go to a file.
-fn watch(system: &System, command: &[&str]) -> Child {
+fn watch(system: &TestSystem, command: &[&str]) -> Child {
     let file = |name: &str| std::fs::File::create(system.folder().join(name)).unwrap();
     let mut watch = system.command(&["swap", "controller", "--watch", "--gate-scans", "3", "--json", "--"]);
     watch.args(command).stdout(file("certificates.json")).stderr(Stdio::from(file("watch.txt")));
     watch.spawn().unwrap()
 }
 
-fn certificates(system: &System) -> Vec<Certificate> {
+fn certificates(system: &TestSystem) -> Vec<Certificate> {
     let text = std::fs::read_to_string(system.folder().join("certificates.json")).unwrap_or_default();
     // The last one may not be whole yet.
     serde_json::Deserializer::from_str(&text).into_iter().map_while(Result::ok).collect()
 }
 
 /// Waits for the certificate of that number and returns it.
-fn wait_for(system: &System, number: usize) -> Certificate {
+fn wait_for(system: &TestSystem, number: usize) -> Certificate {
     system.wait_until("the next certificate", |system| certificates(system).len() >= number);
     let all = certificates(system);
     assert_eq!(all.len(), number, "{all:?}");
@@ -53,7 +53,7 @@ fn script(path: &Path, program: &str) {
 #[test]
 fn each_change_takes_over_and_a_worse_one_is_refused() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless"]);
         let (program, good) = (system.folder().join("mine"), format!("{EXECUTABLE} service nmpc"));
         script(&program, &good);
@@ -93,7 +93,7 @@ fn each_change_takes_over_and_a_worse_one_is_refused() {
 #[test]
 fn a_change_of_an_imported_module_counts() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless"]);
         let module = system.folder().join("plan.py");
         let start = "import os, plan\nos.execv(plan.COMMAND[0], plan.COMMAND)\n";
@@ -121,7 +121,7 @@ fn a_change_of_an_imported_module_counts() {
 #[test]
 fn a_watch_needs_a_file_and_ends_with_the_system() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless"]);
         let output = system.run(&["swap", "controller", "--watch", "--", "no-such-command"]);
         assert_eq!(output.status.code(), Some(2));
@@ -138,7 +138,7 @@ fn a_watch_needs_a_file_and_ends_with_the_system() {
 #[test]
 fn a_program_that_another_user_can_replace_is_not_watched() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless"]);
         let (outer, inner) = (system.folder().join("outer"), system.folder().join("outer/inner"));
         std::fs::create_dir_all(&inner).unwrap();

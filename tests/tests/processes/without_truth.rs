@@ -6,7 +6,7 @@ use handover::swap::SwapOutcome;
 use report::Report;
 use scanloop_tests::machine::repeat_when_late;
 use scanloop_tests::swaps::{BUILT_IN, shadow, swap_in_vain, swap_seamlessly};
-use scanloop_tests::{SHORT_CORRIDOR, SHORTENED_LONG, System};
+use scanloop_tests::{SHORT_CORRIDOR, SHORTENED_LONG, TestSystem};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -14,14 +14,14 @@ const FAULTY: &str = env!("CARGO_BIN_EXE_faulty");
 const HIDDEN: [&str; 2] = ["--set", "robot.publish_truth=false"];
 
 /// A system that drives without a truth.
-fn driving(arguments: &[&str]) -> System {
-    let mut system = System::new(EXECUTABLE);
+fn driving(arguments: &[&str]) -> TestSystem {
+    let mut system = TestSystem::new(EXECUTABLE);
     system.start(&[arguments, &HIDDEN].concat());
     system
 }
 
 /// Waits for a run that reaches its goal by the estimate.
-fn reached(mut system: System) -> Report {
+fn reached(mut system: TestSystem) -> Report {
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
     let report = system.report();
     assert_eq!((report.outcome, report.judged_by), (Outcome::Reached, JudgedBy::Estimate));
@@ -89,7 +89,7 @@ fn an_adopted_run_is_still_judged_by_the_estimate_from_its_start() {
 #[test]
 fn a_robot_without_a_truth_does_not_take_over_from_one_with_it() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&SHORT_CORRIDOR);
         let robot = system.pid(Role::Robot);
         let truthless = ["robot", "--", FAULTY, "robot", "truthless"];

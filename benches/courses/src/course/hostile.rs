@@ -12,8 +12,8 @@ use shared_types::named_enum;
 use self::bodies::{Motion, appear, mover};
 use self::lane::Lane;
 use super::random_obstacle::obstacle;
-use emulator::noise::{Purpose, Stream};
-use emulator::scenario::{Goal, Noise, Obstacle, Scenario, Shape, Start, Track};
+use emulator::noise::{NoiseStream, Purpose};
+use emulator::scenario::{Goal, Noise, Scenario, ScenarioObstacle, Shape, Start, Track};
 
 named_enum! {
     /// What makes a course hard.
@@ -80,7 +80,7 @@ const STREAM: u64 = 100;
 /// The course of a family and a seed; always the same.
 pub fn hostile(family: Hostile, seed: u64) -> HostileCourse {
     let seed = seed & i64::MAX as u64;
-    let mut stream = Stream::new(seed, Purpose::Course, STREAM + u64::from(family as u32));
+    let mut stream = NoiseStream::new(seed, Purpose::Course, STREAM + u64::from(family as u32));
     let needs_way = matches!(family, Hostile::Gap | Hostile::Walls | Hostile::Closed);
     let mut scenario = empty(&mut stream, needs_way);
     scenario.name = format!("{family}-{seed}");
@@ -142,7 +142,7 @@ pub fn hostile(family: Hostile, seed: u64) -> HostileCourse {
 }
 
 /// Start, goal and noise; without obstacles.
-fn empty(stream: &mut Stream, needs_way: bool) -> Scenario {
+fn empty(stream: &mut NoiseStream, needs_way: bool) -> Scenario {
     let yaw_rad = stream.between(-HEADING_RAD, HEADING_RAD);
     // Turning back from this heading takes this much to the side, at 3.2 m.
     let turning_back_m = 3.2 * (1.0 - yaw_rad.cos());
@@ -173,10 +173,10 @@ fn room(scenario: &Scenario) -> [f64; 2] {
 /// Adds up to `count` obstacles, at least `spacing_m` apart along the track.
 fn spread(
     scenario: &mut Scenario,
-    stream: &mut Stream,
+    stream: &mut NoiseStream,
     count: usize,
     spacing_m: f64,
-    kind: impl Fn(&mut Stream) -> Obstacle,
+    kind: impl Fn(&mut NoiseStream) -> ScenarioObstacle,
 ) {
     let [from, to] = room(scenario);
     let most = 1 + ((to - from) / (spacing_m + 1.0)) as usize;
@@ -197,17 +197,17 @@ fn spread(
 }
 
 /// One box; returns the room on its wider side.
-fn width(scenario: &mut Scenario, stream: &mut Stream) -> f64 {
+fn width(scenario: &mut Scenario, stream: &mut NoiseStream) -> f64 {
     let [from, to] = room(scenario);
     let width_m = stream.between(0.05, 2.7);
     let shape = Shape::Box { length_m: stream.between(0.05, 0.5), width_m, yaw_rad: 0.0 };
     let y_m = stream.between(-1.3, 1.3);
-    scenario.obstacles.push(Obstacle::fixed(shape, stream.between(from + 0.25, to - 0.25), y_m));
+    scenario.obstacles.push(ScenarioObstacle::fixed(shape, stream.between(from + 0.25, to - 0.25), y_m));
     BOUND_M + HALF_BODY_M - width_m / 2.0 + y_m.abs()
 }
 
 /// Two boxes with a gap that is the only way; returns its width.
-fn gap(scenario: &mut Scenario, stream: &mut Stream) -> f64 {
+fn gap(scenario: &mut Scenario, stream: &mut NoiseStream) -> f64 {
     let gap_m = stream.between(0.55, 2.0);
     let length_m = stream.between(0.05, 1.0);
     let [from, to] = [scenario.start.x_m + WAY_ACROSS_M, scenario.goal.x_m - WAY_ACROSS_M];
@@ -217,13 +217,13 @@ fn gap(scenario: &mut Scenario, stream: &mut Stream) -> f64 {
     let outer_m = BOUND_M + 1.5;
     for [low, high] in [[-outer_m, middle_m - gap_m / 2.0], [middle_m + gap_m / 2.0, outer_m]] {
         let shape = Shape::Box { length_m, width_m: high - low, yaw_rad: 0.0 };
-        scenario.obstacles.push(Obstacle::fixed(shape, x_m, (low + high) / 2.0));
+        scenario.obstacles.push(ScenarioObstacle::fixed(shape, x_m, (low + high) / 2.0));
     }
     gap_m
 }
 
 /// Walls, and one or two boxes on alternate walls; returns the width of the narrowest gap to the other wall.
-fn walls(scenario: &mut Scenario, stream: &mut Stream) -> f64 {
+fn walls(scenario: &mut Scenario, stream: &mut NoiseStream) -> f64 {
     let wall_m = 1.9;
     scenario.track = Track { y_m: [-wall_m, wall_m], walls: true, ..scenario.track };
     let [from, to] = [scenario.start.x_m + WAY_ACROSS_M, scenario.goal.x_m - WAY_ACROSS_M];
@@ -237,7 +237,7 @@ fn walls(scenario: &mut Scenario, stream: &mut Stream) -> f64 {
         let last = to - (count - 1 - index) as f64 * (WAY_ACROSS_M + 3.0);
         let begins_m = stream.between(x_m, (last - length_m).max(x_m + 1e-3));
         let shape = Shape::Box { length_m, width_m, yaw_rad: 0.0 };
-        scenario.obstacles.push(Obstacle::fixed(
+        scenario.obstacles.push(ScenarioObstacle::fixed(
             shape,
             begins_m + length_m / 2.0,
             side * (wall_m - width_m / 2.0),
@@ -250,17 +250,17 @@ fn walls(scenario: &mut Scenario, stream: &mut Stream) -> f64 {
 }
 
 /// A long box at any angle.
-fn turned(stream: &mut Stream) -> Obstacle {
+fn turned(stream: &mut NoiseStream) -> ScenarioObstacle {
     let shape = Shape::Box {
         length_m: stream.between(0.5, 2.5),
         width_m: stream.between(0.05, 0.4),
         yaw_rad: stream.between(-1.57, 1.57),
     };
-    Obstacle::fixed(shape, 0.0, stream.between(-BOUND_M, BOUND_M))
+    ScenarioObstacle::fixed(shape, 0.0, stream.between(-BOUND_M, BOUND_M))
 }
 
 /// A lane between three to five obstacles, a body that moves or appears, and sometimes a fault of the scanner.
-fn combine(scenario: &mut Scenario, stream: &mut Stream) {
+fn combine(scenario: &mut Scenario, stream: &mut NoiseStream) {
     let count = stream.count(3, 5);
     let room = room(scenario);
     Lane::new(scenario, stream).fill(scenario, stream, room, count);
@@ -279,7 +279,7 @@ fn combine(scenario: &mut Scenario, stream: &mut Stream) {
 }
 
 /// A box across the whole track, or two with a gap that is narrower than the body.
-fn close(scenario: &mut Scenario, stream: &mut Stream) {
+fn close(scenario: &mut Scenario, stream: &mut NoiseStream) {
     let x_m = stream.between(scenario.start.x_m + AFTER_START_M + 0.5, scenario.goal.x_m - BEFORE_GOAL_M);
     let (length_m, gap_m) = (stream.between(0.05, 0.5), stream.between(0.0, 0.35));
     let (middle_m, outer_m) = (stream.between(-BOUND_M, BOUND_M), BOUND_M + 1.5);
@@ -291,7 +291,7 @@ fn close(scenario: &mut Scenario, stream: &mut Stream) {
     };
     for [low, high] in parts {
         let shape = Shape::Box { length_m, width_m: high - low, yaw_rad: 0.0 };
-        scenario.obstacles.push(Obstacle::fixed(shape, x_m, (low + high) / 2.0));
+        scenario.obstacles.push(ScenarioObstacle::fixed(shape, x_m, (low + high) / 2.0));
     }
 }
 

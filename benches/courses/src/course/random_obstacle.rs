@@ -1,10 +1,10 @@
 //! An obstacle as random courses have it.
 
-use emulator::noise::Stream;
-use emulator::scenario::{Obstacle, Shape};
+use emulator::noise::NoiseStream;
+use emulator::scenario::{ScenarioObstacle, Shape};
 
 /// An obstacle of random shape and lateral position; where it stands along the track comes later.
-pub(super) fn obstacle(stream: &mut Stream) -> Obstacle {
+pub(super) fn obstacle(stream: &mut NoiseStream) -> ScenarioObstacle {
     let shape = if stream.chance(0.4) {
         Shape::Circle { radius_m: stream.between(0.05, 0.25) }
     } else {
@@ -15,5 +15,5 @@ pub(super) fn obstacle(stream: &mut Stream) -> Obstacle {
         }
     };
     let aside = if stream.chance(0.5) { 0.4 } else { 1.3 };
-    Obstacle::fixed(shape, 0.0, stream.between(-aside, aside))
+    ScenarioObstacle::fixed(shape, 0.0, stream.between(-aside, aside))
 }

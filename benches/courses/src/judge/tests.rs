@@ -4,18 +4,18 @@ use shared_types::ActuationKind;
 
 const PERIOD_NS: u64 = 100_000_000;
 
-fn boxed(x_m: f64, y_m: f64, width_m: f64) -> Obstacle {
-    Obstacle::fixed(Shape::Box { length_m: 0.1, width_m, yaw_rad: 0.0 }, x_m, y_m)
+fn boxed(x_m: f64, y_m: f64, width_m: f64) -> ScenarioObstacle {
+    ScenarioObstacle::fixed(Shape::Box { length_m: 0.1, width_m, yaw_rad: 0.0 }, x_m, y_m)
 }
 
-fn course(obstacles: Vec<Obstacle>, preset: Preset) -> Scenario {
+fn course(obstacles: Vec<ScenarioObstacle>, preset: Preset) -> Scenario {
     let robot = Robot { preset, ..Robot::default() };
     let goal = Goal { x_m: 12.0, ..Goal::default() };
     Scenario { obstacles, robot, goal, timeout_s: 60.0, ..Scenario::default() }
 }
 
 /// Two boxes that leave a gap in the middle.
-fn gap(gap_m: f64) -> Vec<Obstacle> {
+fn gap(gap_m: f64) -> Vec<ScenarioObstacle> {
     let width_m = 3.0 - gap_m / 2.0;
     let y_m = gap_m / 2.0 + width_m / 2.0;
     vec![boxed(6.0, y_m, width_m), boxed(6.0, -y_m, width_m)]
@@ -89,7 +89,7 @@ fn a_stop_is_right_when_something_appears_too_near_and_wrong_when_it_appears_far
     // To pass a box of 0.4 m with 0.25 m to spare the corner of the body must move 0.65 m aside; at a radius of 3.2 m that
     // takes sqrt(2 * 3.2 * 0.65 - 0.65^2) = 1.9 m from the centre, 1.65 m from the front.
     for (ahead_m, expected) in [(1.2, Verdict::StoppedRightly), (3.0, Verdict::StoppedWrongly)] {
-        let sudden = Obstacle { appears_ahead_m: Some(ahead_m), ..boxed(6.0, 0.0, 0.4) };
+        let sudden = ScenarioObstacle { appears_ahead_m: Some(ahead_m), ..boxed(6.0, 0.0, 0.4) };
         let scenario = course(vec![sudden], Preset::Summit);
         let way_m = 6.0 - 0.05 - 0.28 - ahead_m;
         // Half a metre per second: it has appeared, and there is a scan or two left to react.
@@ -102,7 +102,7 @@ fn a_stop_is_right_when_something_appears_too_near_and_wrong_when_it_appears_far
 #[test]
 fn a_black_obstacle_counts_from_where_the_scanner_can_see_it() {
     for (black, expected) in [(true, Verdict::StoppedRightly), (false, Verdict::StoppedWrongly)] {
-        let scenario = course(vec![Obstacle { black, ..boxed(6.0, 0.0, 0.4) }], Preset::Summit);
+        let scenario = course(vec![ScenarioObstacle { black, ..boxed(6.0, 0.0, 0.4) }], Preset::Summit);
         // The default range for black surfaces is 1.5 m: it is seen at x = 4.17 m, and the robot stands at 5 m.
         assert_eq!(judged(&scenario, 0.5, 100).verdict, expected);
     }
@@ -117,17 +117,17 @@ fn a_contact_with_what_stands_is_never_excused() {
 #[test]
 fn a_contact_with_a_crossing_body_is_excused_only_if_braking_does_not_help() {
     // It crosses 4 m ahead and is visible from the start: a robot that brakes stays where it is.
-    let crossing = Obstacle { velocity_y_mps: -0.5, ..boxed(4.0, 3.75, 0.3) };
+    let crossing = ScenarioObstacle { velocity_y_mps: -0.5, ..boxed(4.0, 3.75, 0.3) };
     let scenario = course(vec![crossing], Preset::Summit);
     let judgement = judged(&scenario, 0.5, 1000);
     assert_eq!((judgement.verdict, judgement.cause.as_str()), (Verdict::Collision, "contact-moving"));
     // It comes along the line of the robot: it touches the robot that stands, too.
-    let head_on = Obstacle { velocity_x_mps: -0.5, ..boxed(5.0, 0.0, 0.3) };
+    let head_on = ScenarioObstacle { velocity_x_mps: -0.5, ..boxed(5.0, 0.0, 0.3) };
     let judgement = judged(&course(vec![head_on], Preset::Summit), 0.3, 1000);
     assert_eq!(judgement.verdict, Verdict::CollisionExcused);
     // It strikes the robot that stands in its way, but would not have struck one that stands 4 m before it.
     let start = Start { x_m: 0.0, ..Start::default() };
-    let slow = Obstacle { velocity_y_mps: -0.1, ..boxed(4.0, 1.5, 0.3) };
+    let slow = ScenarioObstacle { velocity_y_mps: -0.1, ..boxed(4.0, 1.5, 0.3) };
     let scenario = Scenario { start, ..course(vec![slow], Preset::Summit) };
     let judgement = judged(&scenario, 0.5, 80);
     assert_eq!((judgement.verdict, judgement.cause.as_str()), (Verdict::StoppedWrongly, "struck-moving"));

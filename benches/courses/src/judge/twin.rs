@@ -9,13 +9,13 @@ use vehicle::geometry::Rectangle;
 
 use emulator::emulator::Emulator;
 use emulator::laser::MAX_RANGE_M;
-use emulator::scenario::{Obstacle, Scenario};
+use emulator::scenario::{Scenario, ScenarioObstacle};
 
 /// What the body has touched.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Touched {
     /// A body that moves.
-    Moving(Obstacle),
+    Moving(ScenarioObstacle),
     /// A body at rest.
     Fixed,
     /// A wall.
@@ -46,7 +46,7 @@ pub(super) fn twin_is_touched(
     scenario: &Scenario,
     period_ns: u64,
     sent: &[Option<Actuation>],
-    mover: &Obstacle,
+    mover: &ScenarioObstacle,
 ) -> bool {
     let mut twin = Repetition::new(scenario, period_ns);
     let mut brakes = false;
@@ -127,7 +127,7 @@ impl<'a> Repetition<'a> {
     }
 
     /// Whether a beam can reach a body now: nothing hides it, and it is within the range and the view of the scanner.
-    fn can_see(&self, obstacle: &Obstacle) -> bool {
+    fn can_see(&self, obstacle: &ScenarioObstacle) -> bool {
         let (state, time_s) = (self.emulator.plant().state(), self.time_s());
         let values = self.scenario.robot_values();
         let (forward, left) = (heading(state.yaw), heading(state.yaw + std::f64::consts::FRAC_PI_2));

@@ -1,7 +1,9 @@
 //! The controller in charge, and in a swap the one that is to take its place.
 
-use handover::swap::{Meant, Output, OutputSummary, Party, Recorded, Swap, SwapAction, SwapEvent, SwapPlan};
-use nmpc::{Config, Controller};
+use handover::swap::{
+    Meant, OutputSummary, Party, RecordedScan, Swap, SwapAction, SwapEvent, SwapOutput, SwapPlan,
+};
+use nmpc::{Controller, ControllerConfig};
 use shared_types::{Actuation, Authority, Command, Obstacles, Pose, Role, StopReason};
 use vehicle::Invalid;
 
@@ -19,12 +21,12 @@ const SHADOW_SCANS: u64 = 10;
 /// The processes of the role.
 #[derive(Debug, Clone)]
 pub(super) struct Controllers {
-    config: Config,
+    config: ControllerConfig,
     period_ns: u64,
     in_charge: Process,
     new: Option<Process>,
     swap: Option<Swap>,
-    recorded: Vec<Recorded>,
+    recorded: Vec<RecordedScan>,
 }
 
 /// One process: the stage and its ends.
@@ -46,7 +48,7 @@ pub(super) struct Turn {
 }
 
 impl Process {
-    fn new(config: Config, incarnation: u32, period_ns: u64) -> Result<Self, Invalid> {
+    fn new(config: ControllerConfig, incarnation: u32, period_ns: u64) -> Result<Self, Invalid> {
         Ok(Self {
             controller: Controller::new(config)?,
             poses: Reader::new(Role::Controller, period_ns),
@@ -57,7 +59,7 @@ impl Process {
 }
 
 impl Controllers {
-    pub(super) fn new(config: Config, period_ns: u64) -> Result<Self, Invalid> {
+    pub(super) fn new(config: ControllerConfig, period_ns: u64) -> Result<Self, Invalid> {
         let in_charge = Process::new(config.clone(), incarnation(Role::Controller), period_ns)?;
         Ok(Self { config, period_ns, in_charge, new: None, swap: None, recorded: Vec::new() })
     }
@@ -139,7 +141,7 @@ impl Controllers {
         let header = &command.header;
         let party = if header.incarnation == NEW { Party::New } else { Party::Old };
         let published_ns = header.stage(Role::Controller).published_ns;
-        let output = Output {
+        let output = SwapOutput {
             scan: header.scan_id,
             sequence: header.sequence,
             scan_published_ns: header.scan_published_ns(),
@@ -154,7 +156,7 @@ impl Controllers {
     /// Shows an answer of the actuator to the swap.
     pub(super) fn record(&mut self, command: &Command, actuation: &Actuation) {
         if self.swap.is_some() && actuation.answers == 1 {
-            self.recorded.push(Recorded {
+            self.recorded.push(RecordedScan {
                 scan: command.header.scan_id,
                 answers: 1,
                 desired: [actuation.desired_steering_rad, actuation.desired_velocity_mps],

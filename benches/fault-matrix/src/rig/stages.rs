@@ -5,7 +5,7 @@ use emulator::Received;
 use shared_types::{Actuation, BlockReason, Command, Odometry, Role, ScannerState, Suspect};
 
 use super::{COMMANDS, HALT_PERIODS, Rig, alone};
-use crate::finding::Place;
+use crate::finding::FindingPlace;
 use crate::reader::join;
 
 impl Rig {
@@ -95,7 +95,7 @@ impl Rig {
             any = true;
         }
         let Self { controllers, wires, findings, .. } = self;
-        let place = Place { at_ns: now_ns, way_m: self.way_m };
+        let place = FindingPlace { at_ns: now_ns, way_m: self.way_m };
         any |= controllers.step(now_ns, &mut wires.command, |reason| {
             findings.note(Role::Controller.name(), reason.name(), place);
         });

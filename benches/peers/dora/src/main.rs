@@ -7,7 +7,7 @@ use std::error::Error;
 use std::time::Duration;
 
 use dora_node_api::{DoraNode, Event, EventStream, MetadataParameters, dora_core::config::DataId};
-use hops::{Arrival, HopError, Setup, Stage, Stamp, run};
+use hops::{Arrival, ChainStage, HopError, Setup, Stamp, run};
 
 /// Longest sleep.
 const MAX_WAIT: Duration = Duration::from_millis(230);
@@ -39,7 +39,7 @@ impl Hop {
     }
 }
 
-impl Stage for Hop {
+impl ChainStage for Hop {
     fn send(&mut self, stamp: Stamp) -> Result<(), HopError> {
         if self.bytes == 0 {
             return Ok(());

@@ -15,7 +15,7 @@ use std::num::NonZeroUsize;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
 
-use hops::{Arrival, Control, HopError, Setup, Stage, Stamp, run};
+use hops::{Arrival, ChainStage, DriverConnection, HopError, Setup, Stamp, run};
 use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Publisher;
 use zenoh::qos::{CongestionControl, Priority};
@@ -58,7 +58,7 @@ fn main() -> Result<(), Failure> {
         }
     });
     let _subscriber = subscriber.wait()?;
-    let mut control = Control::connect(&setup)?;
+    let mut control = DriverConnection::connect(&setup)?;
     control.hello(&setup)?;
     control.wait_for_close();
     Ok(())
@@ -145,7 +145,7 @@ struct First {
     outlet: Outlet,
 }
 
-impl Stage for First {
+impl ChainStage for First {
     fn send(&mut self, stamp: Stamp) -> Result<(), HopError> {
         self.outlet.send(stamp)
     }
@@ -167,7 +167,7 @@ struct Last {
     noticed: Option<Arrival>,
 }
 
-impl Stage for Last {
+impl ChainStage for Last {
     fn send(&mut self, _stamp: Stamp) -> Result<(), HopError> {
         Ok(())
     }

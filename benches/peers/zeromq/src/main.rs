@@ -6,7 +6,7 @@
 
 use std::error::Error;
 
-use hops::{Arrival, HopError, Setup, Stage, Stamp, run};
+use hops::{Arrival, ChainStage, HopError, Setup, Stamp, run};
 use zmq::{Context, DONTWAIT, Message, Socket, SocketType};
 
 /// Messages that wait at most at each end of a hop.
@@ -66,7 +66,7 @@ impl Hop {
     }
 }
 
-impl Stage for Hop {
+impl ChainStage for Hop {
     fn send(&mut self, stamp: Stamp) -> Result<(), HopError> {
         let Some(outlet) = &self.outlet else { return Ok(()) };
         stamp.write(&mut self.buffer);

@@ -9,7 +9,7 @@ mod imu;
 use std::collections::VecDeque;
 use std::process::ExitCode;
 
-use estimator::{Config, Estimator};
+use estimator::{Estimator, EstimatorConfig};
 use imu::Imu;
 use runtime::{Handover, NamedTopic, Process};
 use shared_types::{Actuation, Odometry, Pose, Role};
@@ -31,7 +31,7 @@ fn main() -> ExitCode {
 
 fn run(uses_imu: bool) -> Result<(), Problem> {
     let mut process = Process::attach(Role::Estimator)?;
-    let mut estimator = Estimator::new(&process.settings::<Config>("estimator")?)?;
+    let mut estimator = Estimator::new(&process.settings::<EstimatorConfig>("estimator")?)?;
     let odometry = process.input::<Odometry>()?;
     let actuation = process.input::<Actuation>()?;
     let imu = process.open::<Imu>("imu")?;

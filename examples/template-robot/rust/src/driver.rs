@@ -2,7 +2,7 @@
 
 use std::rc::Rc;
 
-use device_clock::{DeviceClock, Event, Settings};
+use device_clock::{ClockEvent, ClockSettings, DeviceClock};
 use runtime::{Input, Output, Process, RuntimeError, Wheels};
 use shared_types::{Actuation, ActuationKind, BEAMS, DeviceState, Header, Odometry, Phase, Scan};
 
@@ -153,7 +153,7 @@ impl Driver {
             let mapped = self.base_clock.arrival(stamp_ns, now_ns);
             if self.is_in_order(mapped.event) {
                 // A base that was restarted counts from zero again, its clock and its odometry.
-                self.history.add(mapped.time_ns, pose, mapped.event == Event::Backwards);
+                self.history.add(mapped.time_ns, pose, mapped.event == ClockEvent::Backwards);
                 self.speed_mps = pose.speed_mps;
             }
             self.arrived_ns[0] = Some(now_ns);
@@ -170,12 +170,12 @@ impl Driver {
     }
 
     /// Whether a message is newer than those before. One that was overtaken is old: it is counted and dropped.
-    fn is_in_order(&mut self, event: Event) -> bool {
-        if event == Event::Overtaken {
+    fn is_in_order(&mut self, event: ClockEvent) -> bool {
+        if event == ClockEvent::Overtaken {
             self.overtaken += 1;
             self.remark = format!("{} messages were overtaken by others", self.overtaken);
         }
-        event != Event::Overtaken
+        event != ClockEvent::Overtaken
     }
 
     /// Whether a front beam is after the one before; logs a gap.
@@ -210,7 +210,7 @@ impl Driver {
 
 /// The clock of a device whose data need at least this long to arrive [ns].
 fn clock(delay_ns: u64) -> DeviceClock {
-    DeviceClock::new(Settings { delay_ns, resolution_ns: RESOLUTION_NS, ..Settings::nanoseconds() })
+    DeviceClock::new(ClockSettings { delay_ns, resolution_ns: RESOLUTION_NS, ..ClockSettings::nanoseconds() })
 }
 
 /// Whether a velocity and an angle can be meant; NaN is in no range.

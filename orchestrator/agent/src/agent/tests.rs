@@ -3,7 +3,7 @@
 use shared_types::Role;
 
 use super::*;
-use crate::message::Start;
+use crate::message::RemoteStart;
 
 fn agent() -> Agent {
     let file = AgentFile {
@@ -30,14 +30,14 @@ fn down(version: &str) -> Down {
         run_id: "abcdefghij".to_owned(),
         incarnation: 7,
         role: Role::Controller,
-        order: Order::Start,
+        order: RemoteOrder::Start,
         stopped: false,
         start: None,
     }
 }
 
-fn start() -> Start {
-    Start {
+fn start() -> RemoteStart {
+    RemoteStart {
         implementation: "nmpc".to_owned(),
         restart: false,
         candidate: None,
@@ -54,7 +54,7 @@ fn start() -> Start {
 fn values_that_no_orchestrator_sends_are_refused_by_name() {
     let good = Down { start: Some(start()), ..down(&link_version()) };
     assert_eq!(agent().refuses(&good), None);
-    type Change = fn(&mut Down, &mut Start);
+    type Change = fn(&mut Down, &mut RemoteStart);
     let changes: [(&str, Change); 17] = [
         ("run_id", |down, _| down.run_id = "../../x".to_owned()),
         ("run_id", |down, _| down.run_id.clear()),

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use runtime::{LinkLoss, LossReason};
 use shared_types::{MAX_NUMBER, Topic};
 
-use super::fault::{Fault, Kind};
+use super::fault::{DeliveryFault, DeliveryFaultKind};
 
 /// A missing sample waits for the report of a link for this long: reports repeat for longer than any outage after which
 /// processes continue [ns].
@@ -39,7 +39,7 @@ struct Span {
 #[derive(Debug, Clone, Default)]
 pub(super) struct Crossing {
     lost: BTreeMap<(Topic, u32), VecDeque<Span>>,
-    waiting: Vec<(Fault, u64)>,
+    waiting: Vec<(DeliveryFault, u64)>,
     /// By topic and by what noticed them: writer and number.
     explained: BTreeMap<(String, String), BTreeSet<(u32, u64)>>,
     /// Topics and scans of explained samples.
@@ -92,12 +92,17 @@ impl Crossing {
 
     /// The faults that no link explains: of `found`, and of those that waited for too long at `now_ns`; with `is_last` none
     /// waits any longer.
-    pub(super) fn filter(&mut self, found: Vec<Fault>, now_ns: u64, is_last: bool) -> Vec<Fault> {
+    pub(super) fn filter(
+        &mut self,
+        found: Vec<DeliveryFault>,
+        now_ns: u64,
+        is_last: bool,
+    ) -> Vec<DeliveryFault> {
         if !self.is_linked {
             return found;
         }
         let (missing, mut faults): (Vec<_>, Vec<_>) =
-            found.into_iter().partition(|fault| fault.kind == Kind::Missing);
+            found.into_iter().partition(|fault| fault.kind == DeliveryFaultKind::Missing);
         let mut waiting = std::mem::take(&mut self.waiting);
         waiting.extend(missing.into_iter().flat_map(one_by_one).map(|fault| (fault, now_ns)));
         // Those with a number first: they explain the ones of the same scan that have none.
@@ -141,8 +146,8 @@ impl Crossing {
     }
 
     /// Whether a link reports the sample as lost; it counts once per topic and process that noticed it.
-    fn explain(&mut self, fault: &Fault) -> bool {
-        let Fault { topic, incarnation, sequence, scan_id, noticed_by, .. } = fault;
+    fn explain(&mut self, fault: &DeliveryFault) -> bool {
+        let DeliveryFault { topic, incarnation, sequence, scan_id, noticed_by, .. } = fault;
         if *sequence == 0 && *scan_id > 0 {
             return self.scans.contains(&(topic.clone(), *scan_id));
         }
@@ -190,7 +195,7 @@ impl Crossing {
 }
 
 /// The samples of a fault, because a link reports each by its number. Of very many, the first stay one fault.
-fn one_by_one(fault: Fault) -> Vec<Fault> {
+fn one_by_one(fault: DeliveryFault) -> Vec<DeliveryFault> {
     let single = fault.count.min(EXPLAINED as u64);
     if fault.count == 1 || fault.sequence == 0 {
         let count = if fault.count == 1 { 1 } else { single };
@@ -201,7 +206,7 @@ fn one_by_one(fault: Fault) -> Vec<Fault> {
     }
     let rest = fault.count - single;
     let scan = |ahead: u64| if fault.scan_id == 0 { 0 } else { fault.scan_id.saturating_add(ahead) };
-    let mut faults: Vec<Fault> = (rest..fault.count)
+    let mut faults: Vec<DeliveryFault> = (rest..fault.count)
         .map(|ahead| fault.clone().count(1).sequence(fault.sequence.saturating_add(ahead)).scan(scan(ahead)))
         .collect();
     faults.extend((rest > 0).then(|| fault.clone().count(rest)));
@@ -216,8 +221,11 @@ mod tests {
         LinkLoss { topic: "scan".to_owned(), incarnation: 1, first, last, reason }
     }
 
-    fn missing(sequence: u64, scan_id: u64, noticed_by: &str) -> Fault {
-        Fault::new(Topic::Scan, Kind::Missing, 1).sequence(sequence).scan(scan_id).noticed_by(noticed_by)
+    fn missing(sequence: u64, scan_id: u64, noticed_by: &str) -> DeliveryFault {
+        DeliveryFault::new(Topic::Scan, DeliveryFaultKind::Missing, 1)
+            .sequence(sequence)
+            .scan(scan_id)
+            .noticed_by(noticed_by)
     }
 
     #[test]
@@ -247,7 +255,7 @@ mod tests {
         assert_eq!(crossing.filter(vec![missing(7, 9, "bus")], 1, false), []);
         assert_eq!(crossing.filter(Vec::new(), REPORT_NS, false), []);
         assert_eq!(crossing.filter(Vec::new(), REPORT_NS + 1, false), [missing(7, 9, "bus")]);
-        let vanished = Fault::new(Topic::Scan, Kind::Vanished, 1).sequence(8);
+        let vanished = DeliveryFault::new(Topic::Scan, DeliveryFaultKind::Vanished, 1).sequence(8);
         assert_eq!(crossing.filter(vec![vanished.clone()], 1, false), [vanished]);
     }
 

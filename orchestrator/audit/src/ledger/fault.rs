@@ -7,11 +7,11 @@ use shared_types::Topic;
 
 /// A sample that was lost, repeated or out of order, and no rule explains it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Fault {
+pub struct DeliveryFault {
     /// Name of the topic.
     pub topic: String,
     /// The kind of fault.
-    pub kind: Kind,
+    pub kind: DeliveryFaultKind,
     /// Incarnation of the process that wrote it, or should have.
     pub incarnation: u32,
     /// Its sequence number; 0 when it never got one, or when it is not known. Of several samples in a row, the first.
@@ -28,7 +28,7 @@ pub struct Fault {
 /// The kind of fault of a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Kind {
+pub enum DeliveryFaultKind {
     /// It should have arrived and did not.
     Missing,
     /// It arrived at a process, which neither used nor dropped it.
@@ -45,8 +45,8 @@ fn one() -> u64 {
     1
 }
 
-impl Fault {
-    pub(super) fn new(topic: Topic, kind: Kind, incarnation: u32) -> Self {
+impl DeliveryFault {
+    pub(super) fn new(topic: Topic, kind: DeliveryFaultKind, incarnation: u32) -> Self {
         let (topic, noticed_by) = (topic.name().to_owned(), "bus".to_owned());
         Self { topic, kind, incarnation, sequence: 0, count: 1, scan_id: 0, noticed_by }
     }
@@ -97,7 +97,7 @@ impl Fault {
     }
 }
 
-impl fmt::Display for Fault {
+impl fmt::Display for DeliveryFault {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { topic, incarnation, sequence, count, scan_id, .. } = self;
         match (sequence, scan_id) {
@@ -121,13 +121,13 @@ impl fmt::Display for Fault {
             ),
         }?;
         formatter.write_str(match self.kind {
-            Kind::Missing if *count > 1 => " are missing",
-            Kind::Vanished if *count > 1 => " came and vanished",
-            Kind::Missing => " is missing",
-            Kind::Vanished => " came and vanished",
-            Kind::Duplicate => " came twice",
-            Kind::Reordered => " came after a later one",
-            Kind::Impossible => " has a number that it can't have",
+            DeliveryFaultKind::Missing if *count > 1 => " are missing",
+            DeliveryFaultKind::Vanished if *count > 1 => " came and vanished",
+            DeliveryFaultKind::Missing => " is missing",
+            DeliveryFaultKind::Vanished => " came and vanished",
+            DeliveryFaultKind::Duplicate => " came twice",
+            DeliveryFaultKind::Reordered => " came after a later one",
+            DeliveryFaultKind::Impossible => " has a number that it can't have",
         })?;
         match self.noticed_by.as_str() {
             "bus" => Ok(()),
@@ -142,18 +142,23 @@ mod tests {
 
     #[test]
     fn a_fault_names_topic_number_and_scan() {
-        let fault = Fault::new(Topic::Pose, Kind::Missing, 2).sequence(17).scan(18).noticed_by("obstacles");
+        let fault = DeliveryFault::new(Topic::Pose, DeliveryFaultKind::Missing, 2)
+            .sequence(17)
+            .scan(18)
+            .noticed_by("obstacles");
         assert_eq!(
             fault.to_string(),
             "pose number 17 of incarnation 2, for scan 18, is missing (noticed by the obstacles)"
         );
-        let fault = Fault::new(Topic::Pose, Kind::Duplicate, 2).scan(18);
+        let fault = DeliveryFault::new(Topic::Pose, DeliveryFaultKind::Duplicate, 2).scan(18);
         assert_eq!(fault.to_string(), "pose for scan 18 of incarnation 2 came twice");
     }
 
     #[test]
     fn several_samples_in_a_row_are_one_fault() {
-        let fault = |first, count| Fault::new(Topic::Pose, Kind::Missing, 2).sequence(first).count(count);
+        let fault = |first, count| {
+            DeliveryFault::new(Topic::Pose, DeliveryFaultKind::Missing, 2).sequence(first).count(count)
+        };
         assert_eq!(
             fault(17, 3).scan(18).to_string(),
             "pose numbers 17 to 19 of incarnation 2, from scan 18 on, are missing"
@@ -167,16 +172,18 @@ mod tests {
 
     #[test]
     fn the_same_sample_is_one_fault_at_whichever_process_it_was_noticed() {
-        let numbered = Fault::new(Topic::Scan, Kind::Missing, 1).sequence(17).scan(18);
+        let numbered = DeliveryFault::new(Topic::Scan, DeliveryFaultKind::Missing, 1).sequence(17).scan(18);
+        assert!(numbered.is_same(
+            &DeliveryFault::new(Topic::Scan, DeliveryFaultKind::Missing, 1).scan(18).noticed_by("obstacles")
+        ));
         assert!(
-            numbered.is_same(&Fault::new(Topic::Scan, Kind::Missing, 1).scan(18).noticed_by("obstacles"))
+            numbered.is_same(&DeliveryFault::new(Topic::Scan, DeliveryFaultKind::Missing, 1).sequence(17))
         );
-        assert!(numbered.is_same(&Fault::new(Topic::Scan, Kind::Missing, 1).sequence(17)));
         for other in [
-            Fault::new(Topic::Scan, Kind::Missing, 1),
-            Fault::new(Topic::Scan, Kind::Missing, 2).sequence(17),
-            Fault::new(Topic::Scan, Kind::Duplicate, 1).sequence(17),
-            Fault::new(Topic::Odometry, Kind::Missing, 1).sequence(17),
+            DeliveryFault::new(Topic::Scan, DeliveryFaultKind::Missing, 1),
+            DeliveryFault::new(Topic::Scan, DeliveryFaultKind::Missing, 2).sequence(17),
+            DeliveryFault::new(Topic::Scan, DeliveryFaultKind::Duplicate, 1).sequence(17),
+            DeliveryFault::new(Topic::Odometry, DeliveryFaultKind::Missing, 1).sequence(17),
         ] {
             assert!(!numbered.is_same(&other), "{other}");
         }

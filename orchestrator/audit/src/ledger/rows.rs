@@ -7,7 +7,7 @@ use runtime::Delays;
 use serde::{Deserialize, Serialize};
 use shared_types::InputAccount;
 
-use super::fault::Fault;
+use super::fault::DeliveryFault;
 use super::refused::RefusedRow;
 
 /// Counts of scans: `published = commanded + lost + unaccounted`.
@@ -62,7 +62,7 @@ pub struct LedgerReport {
     /// Samples that a reader dropped or refused because of their content: by writer, reader and rule.
     pub refused: Vec<RefusedRow>,
     /// Faults sample by sample; at most a thousand.
-    pub faults: Vec<Fault>,
+    pub faults: Vec<DeliveryFault>,
 }
 
 /// Counts of one topic at one reader: `published = used + replaced + lost + in_flight + residual`.

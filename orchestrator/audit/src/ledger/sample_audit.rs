@@ -16,7 +16,7 @@ use runtime::{LinkLoss, LossReason};
 use shared_types::{Header, Heartbeat, ProcessState, Role, Sample, Topic};
 
 use super::crossing::Crossing;
-use super::fault::{Fault, Kind};
+use super::fault::{DeliveryFault, DeliveryFaultKind};
 use super::refused::{NewRefusal, Refused, RefusedRow};
 use super::rows::{LedgerReport, LedgerRow, StrangerRow};
 use super::sweep::{Lack, Sweep};
@@ -174,7 +174,7 @@ impl SampleAudit {
     pub fn see_impossible<S: Sample>(&mut self, sample: &S, now_ns: u64) {
         let Header { incarnation, sequence, scan_id, .. } = *sample.header();
         if self.follow(S::TOPIC, sample.header(), false, now_ns) && self.workers.contains_key(&incarnation) {
-            let fault = Fault::new(S::TOPIC, Kind::Impossible, incarnation);
+            let fault = DeliveryFault::new(S::TOPIC, DeliveryFaultKind::Impossible, incarnation);
             self.note(Some(fault.sequence(sequence).scan(scan_id)));
         }
     }
@@ -276,9 +276,9 @@ impl SampleAudit {
 
     /// Compares what all sources report; returns the faults found since the last call. With `is_last`, after the last
     /// heartbeats of a run, late samples are not waited for.
-    pub fn reconcile(&mut self, is_last: bool) -> Vec<Fault> {
+    pub fn reconcile(&mut self, is_last: bool) -> Vec<DeliveryFault> {
         self.found.closings += 1;
-        let mut found: Vec<Fault> =
+        let mut found: Vec<DeliveryFault> =
             self.topics.values_mut().flat_map(|ledger| ledger.reconcile(is_last)).collect();
         found.extend(self.unanswered());
         found.extend(self.lacking(is_last));
@@ -402,7 +402,7 @@ impl SampleAudit {
     }
 
     /// Outputs that are missing: the inputs for them were used.
-    fn unanswered(&mut self) -> Vec<Fault> {
+    fn unanswered(&mut self) -> Vec<DeliveryFault> {
         let mut found = Vec::new();
         for (incarnation, worker) in &mut self.workers {
             let Some(debt) = worker.owes.take_if(|debt| debt.is_certain) else { continue };
@@ -410,14 +410,16 @@ impl SampleAudit {
             let Some(topic) = debt.role.writes().first() else { continue };
             let scan_id = if debt.count == 1 { debt.scans } else { 0 };
             // An input that came twice is answered once, and one that came after a later one not at all.
-            let is_excused = |fault: &Fault| {
-                matches!(fault.kind, Kind::Duplicate | Kind::Reordered)
+            let is_excused = |fault: &DeliveryFault| {
+                matches!(fault.kind, DeliveryFaultKind::Duplicate | DeliveryFaultKind::Reordered)
                     && debt.role.answers().is_some_and(|topic| fault.topic == topic.name())
                     && fault.scan_id == scan_id
             };
             if scan_id == 0 || !self.found.faults.iter().any(is_excused) {
                 found.push(
-                    Fault::new(*topic, Kind::Missing, *incarnation).scan(scan_id).noticed_by(debt.role),
+                    DeliveryFault::new(*topic, DeliveryFaultKind::Missing, *incarnation)
+                        .scan(scan_id)
+                        .noticed_by(debt.role),
                 );
             }
         }
@@ -425,14 +427,16 @@ impl SampleAudit {
     }
 
     /// Samples that the robot did not publish for a scan.
-    fn lacking(&mut self, is_last: bool) -> Vec<Fault> {
+    fn lacking(&mut self, is_last: bool) -> Vec<DeliveryFault> {
         let (mut found, mut skipped) = (Vec::new(), Vec::new());
         let now_ns = self.topics.values().map(TopicLedger::polled_ns).min().unwrap_or(0);
         for (incarnation, sweep) in &mut self.sweeps {
             let has_finished = self.workers.get(incarnation).is_some_and(|robot| robot.has_finished);
             let is_dead = self.dead.contains(incarnation);
             for lack in sweep.reconcile(now_ns, is_dead || is_last && has_finished) {
-                let missing = |topic, scan_id| Fault::new(topic, Kind::Missing, *incarnation).scan(scan_id);
+                let missing = |topic, scan_id| {
+                    DeliveryFault::new(topic, DeliveryFaultKind::Missing, *incarnation).scan(scan_id)
+                };
                 match lack {
                     // It may have died between two topics.
                     Lack::Sample(..) if is_dead => {}
@@ -449,7 +453,7 @@ impl SampleAudit {
         found
     }
 
-    fn note(&mut self, fault: Option<Fault>) {
+    fn note(&mut self, fault: Option<DeliveryFault>) {
         let Some(fault) = fault else { return };
         let known = self.found.faults.iter_mut().find(|known| known.is_same(&fault));
         let (is_known, count) = match known {
@@ -457,10 +461,10 @@ impl SampleAudit {
             None => (false, fault.count),
         };
         let total = match fault.kind {
-            Kind::Missing | Kind::Vanished => &mut self.found.residual,
-            Kind::Duplicate => &mut self.found.duplicates,
-            Kind::Reordered => &mut self.found.reordered,
-            Kind::Impossible => &mut self.found.impossible,
+            DeliveryFaultKind::Missing | DeliveryFaultKind::Vanished => &mut self.found.residual,
+            DeliveryFaultKind::Duplicate => &mut self.found.duplicates,
+            DeliveryFaultKind::Reordered => &mut self.found.reordered,
+            DeliveryFaultKind::Impossible => &mut self.found.impossible,
         };
         *total = total.saturating_add(count);
         if is_known {

@@ -10,7 +10,7 @@ use std::ops::RangeInclusive;
 use shared_types::{Header, MAX_LATE, Topic, require_sequence};
 
 use super::TIMEOUT_NS;
-use super::fault::{Fault, Kind};
+use super::fault::{DeliveryFault, DeliveryFaultKind};
 
 /// Number of newest samples that are stored.
 const RECENT: usize = 64;
@@ -120,13 +120,13 @@ impl Stream {
         answers: bool,
         after_ns: u64,
         seen_ns: u64,
-    ) -> Option<Fault> {
+    ) -> Option<DeliveryFault> {
         let Header { sequence, scan_id, .. } = *header;
         let (topic, incarnation) = (self.topic, self.incarnation);
-        let fault = |kind| Fault::new(topic, kind, incarnation).sequence(sequence).scan(scan_id);
+        let fault = |kind| DeliveryFault::new(topic, kind, incarnation).sequence(sequence).scan(scan_id);
         let elapsed_ns = if self.recent.is_empty() { seen_ns } else { seen_ns.saturating_sub(after_ns) };
         if require_sequence(sequence, self.newest, elapsed_ns).is_err() {
-            return Some(fault(Kind::Impossible));
+            return Some(fault(DeliveryFaultKind::Impossible));
         }
         if sequence <= self.newest {
             // As in `InputAccount`: the second in a row far below shows that the newest was wrong.
@@ -134,14 +134,18 @@ impl Stream {
             self.late = sequence;
             if !goes_on {
                 let is_late = self.fill_hole(sequence, scan_id);
-                return Some(fault(if is_late { Kind::Reordered } else { Kind::Duplicate }));
+                return Some(fault(if is_late {
+                    DeliveryFaultKind::Reordered
+                } else {
+                    DeliveryFaultKind::Duplicate
+                }));
             }
             self.go_back(sequence, scan_id);
         }
         let found = match scan_id.cmp(&self.newest_scan) {
             _ if !answers || self.newest_scan == 0 => None,
-            std::cmp::Ordering::Less => Some(fault(Kind::Reordered)),
-            std::cmp::Ordering::Equal => Some(fault(Kind::Duplicate)),
+            std::cmp::Ordering::Less => Some(fault(DeliveryFaultKind::Reordered)),
+            std::cmp::Ordering::Equal => Some(fault(DeliveryFaultKind::Duplicate)),
             std::cmp::Ordering::Greater => None,
         };
         if sequence > self.newest.saturating_add(1) {
@@ -196,7 +200,7 @@ impl Stream {
     }
 
     /// The samples that are certainly missing after the poll at `now_ns`; with `is_last` without waiting for late ones.
-    pub(super) fn reconcile(&mut self, now_ns: u64, is_last: bool) -> Vec<Fault> {
+    pub(super) fn reconcile(&mut self, now_ns: u64, is_last: bool) -> Vec<DeliveryFault> {
         if let Some(Claim { sequence, since_ns }) = self.claim
             && sequence > self.newest
             && (is_last || now_ns.saturating_sub(since_ns) >= TIMEOUT_NS)
@@ -205,7 +209,7 @@ impl Stream {
             self.newest = sequence;
             self.claim = None;
         }
-        let missing = || Fault::new(self.topic, Kind::Missing, self.incarnation);
+        let missing = || DeliveryFault::new(self.topic, DeliveryFaultKind::Missing, self.incarnation);
         let mut faults = Vec::new();
         if self.unnamed > 0 {
             faults.push(missing().count(std::mem::take(&mut self.unnamed)));
@@ -294,7 +298,7 @@ mod tests {
     }
 
     /// The faults of these numbers in this order, each for the scan 10 later.
-    fn noticed(sequences: &[u64]) -> Vec<(Kind, u64, u64)> {
+    fn noticed(sequences: &[u64]) -> Vec<(DeliveryFaultKind, u64, u64)> {
         let mut stream = Stream::new(Topic::Pose, 2, 1, true);
         let mut faults = Vec::new();
         for &sequence in sequences {
@@ -307,10 +311,14 @@ mod tests {
     #[test]
     fn a_dropped_repeated_or_reordered_sample_is_named() {
         assert_eq!(noticed(&[1, 2, 3, 4]), []);
-        assert_eq!(noticed(&[1, 2, 4]), [(Kind::Missing, 3, 13)]);
-        assert_eq!(noticed(&[2, 3]), [(Kind::Missing, 1, 11)], "all were connected before the first");
-        assert_eq!(noticed(&[1, 2, 2, 3]), [(Kind::Duplicate, 2, 12)]);
-        assert_eq!(noticed(&[1, 3, 2, 4]), [(Kind::Reordered, 2, 12)]);
+        assert_eq!(noticed(&[1, 2, 4]), [(DeliveryFaultKind::Missing, 3, 13)]);
+        assert_eq!(
+            noticed(&[2, 3]),
+            [(DeliveryFaultKind::Missing, 1, 11)],
+            "all were connected before the first"
+        );
+        assert_eq!(noticed(&[1, 2, 2, 3]), [(DeliveryFaultKind::Duplicate, 2, 12)]);
+        assert_eq!(noticed(&[1, 3, 2, 4]), [(DeliveryFaultKind::Reordered, 2, 12)]);
     }
 
     #[test]
@@ -318,8 +326,8 @@ mod tests {
         let mut stream = Stream::new(Topic::Command, 2, 1, true);
         assert_eq!(stream.see(&header(1, 5), true, 0, 1), None);
         assert_eq!(stream.see(&header(2, 7), true, 0, 1), None);
-        assert_eq!(stream.see(&header(3, 6), true, 0, 1).unwrap().kind, Kind::Reordered);
-        assert_eq!(stream.see(&header(4, 7), true, 0, 1).unwrap().kind, Kind::Duplicate);
+        assert_eq!(stream.see(&header(3, 6), true, 0, 1).unwrap().kind, DeliveryFaultKind::Reordered);
+        assert_eq!(stream.see(&header(4, 7), true, 0, 1).unwrap().kind, DeliveryFaultKind::Duplicate);
         assert_eq!(stream.see(&header(5, 7), false, 0, 1), None, "a block that answers no scan");
     }
 
@@ -340,7 +348,7 @@ mod tests {
     fn one_number_that_can_not_be_is_named_and_costs_nothing_else() {
         for wrong in [1 << 63, u64::MAX, u64::MAX - 1, 100_000] {
             let faults = noticed(&[1, 2, wrong, 3, 4]);
-            assert_eq!(faults, [(Kind::Impossible, wrong, wrong.saturating_add(10))]);
+            assert_eq!(faults, [(DeliveryFaultKind::Impossible, wrong, wrong.saturating_add(10))]);
         }
     }
 
@@ -348,8 +356,8 @@ mod tests {
     fn one_number_that_could_be_costs_one_sample_and_no_memory() {
         let numbers: Vec<u64> = (1..=25).chain([1_026]).chain(27..=60).collect();
         // 27 is late; 28 shows that the writer continues there, so only 26 is missing.
-        let late = (Kind::Reordered, 27, 37);
-        assert_eq!(noticed(&numbers), [late, (Kind::Missing, 26, 36)]);
+        let late = (DeliveryFaultKind::Reordered, 27, 37);
+        assert_eq!(noticed(&numbers), [late, (DeliveryFaultKind::Missing, 26, 36)]);
     }
 
     #[test]
@@ -382,6 +390,10 @@ mod tests {
         assert_eq!(stream.reconcile(10 + TIMEOUT_NS - 1, false), []);
         let faults = stream.reconcile(10 + TIMEOUT_NS, false);
         assert_eq!((faults.len(), faults[0].sequence, faults[0].scan_id), (1, 2, 2));
-        assert_eq!(stream.see(&header(2, 2), true, 0, 1).unwrap().kind, Kind::Reordered, "it came late");
+        assert_eq!(
+            stream.see(&header(2, 2), true, 0, 1).unwrap().kind,
+            DeliveryFaultKind::Reordered,
+            "it came late"
+        );
     }
 }

@@ -20,7 +20,7 @@ use runtime::PROCESS_QUEUE;
 use shared_types::{Header, InputAccount, MAX_NUMBER, Role, Span, Topic};
 
 use super::TIMEOUT_NS;
-use super::fault::{Fault, Kind};
+use super::fault::{DeliveryFault, DeliveryFaultKind};
 use super::rows::LedgerRow;
 use super::stream::{Seen, Stream};
 
@@ -57,7 +57,7 @@ struct Reader {
     /// Counters of the report before.
     reported: InputAccount,
     /// Faults that it noticed since the last reconciliation: kind, writer, first number and count.
-    noticed: Vec<(Kind, u32, u64, u64)>,
+    noticed: Vec<(DeliveryFaultKind, u32, u64, u64)>,
     /// By writer: the first sample after the last that arrived here, as it arrived at the orchestrator.
     beyond: BTreeMap<u32, Seen>,
     spans: BTreeMap<u32, Span>,
@@ -137,7 +137,7 @@ impl TopicLedger {
 
     /// The poll found a sample; `answers` unless its scan may be an older one. With `from_start` its writer started
     /// when all readers were connected.
-    pub fn see(&mut self, header: &Header, answers: bool, from_start: bool) -> Option<Fault> {
+    pub fn see(&mut self, header: &Header, answers: bool, from_start: bool) -> Option<DeliveryFault> {
         let (topic, after_ns, now_ns) = (self.topic, self.before_ns, self.now_ns);
         let Header { incarnation, sequence, .. } = *header;
         let begin = || Stream::new(topic, incarnation, sequence.clamp(1, MAX_NUMBER), from_start);
@@ -229,7 +229,7 @@ impl TopicLedger {
 
     /// The faults that are certain after the last poll. With `is_last`, after the last heartbeats of a run, late
     /// samples are not waited for.
-    pub fn reconcile(&mut self, is_last: bool) -> Vec<Fault> {
+    pub fn reconcile(&mut self, is_last: bool) -> Vec<DeliveryFault> {
         let mut faults = Vec::new();
         let Self { topic, streams, readers, now_ns, .. } = self;
         for stream in streams.values_mut() {
@@ -406,16 +406,26 @@ impl Reader {
         let missing = counters.missing.saturating_sub(reported.missing);
         let known = hole.count().min(missing);
         let found = [
-            (Kind::Missing, hole.incarnation, 0, missing - known),
-            (Kind::Missing, hole.incarnation, hole.last.saturating_sub(known.saturating_sub(1)), known),
-            again(Kind::Duplicate, &twice, counters.duplicate.saturating_sub(reported.duplicate)),
-            again(Kind::Reordered, &late, counters.reordered.saturating_sub(reported.reordered)),
+            (DeliveryFaultKind::Missing, hole.incarnation, 0, missing - known),
+            (
+                DeliveryFaultKind::Missing,
+                hole.incarnation,
+                hole.last.saturating_sub(known.saturating_sub(1)),
+                known,
+            ),
+            again(
+                DeliveryFaultKind::Duplicate,
+                &twice,
+                counters.duplicate.saturating_sub(reported.duplicate),
+            ),
+            again(DeliveryFaultKind::Reordered, &late, counters.reordered.saturating_sub(reported.reordered)),
         ];
         (reported.missing, reported.duplicate, reported.reordered) =
             (counters.missing, counters.duplicate, counters.reordered);
         for (kind, writer, first, count) in found.into_iter().filter(|(.., count)| *count > 0) {
             let first = if self.noticed.len() >= MAX_NOTICED { 0 } else { first };
-            let same = |known: &(Kind, u32, u64, u64)| (known.0, known.1, known.2) == (kind, writer, 0);
+            let same =
+                |known: &(DeliveryFaultKind, u32, u64, u64)| (known.0, known.1, known.2) == (kind, writer, 0);
             match self.noticed.iter().position(same) {
                 Some(index) if first == 0 => {
                     let known = &mut self.noticed[index].3;
@@ -428,7 +438,7 @@ impl Reader {
         }
     }
 
-    fn reconcile(&mut self, topic: Topic, streams: &BTreeMap<u32, Stream>, faults: &mut Vec<Fault>) {
+    fn reconcile(&mut self, topic: Topic, streams: &BTreeMap<u32, Stream>, faults: &mut Vec<DeliveryFault>) {
         for (&writer, stream) in streams {
             if let Some(next) = self.last(writer, stream).map(|last| last.saturating_add(1)) {
                 // Stored here, because a stream stores the newest only.
@@ -441,8 +451,10 @@ impl Reader {
         let (counters, reported, role) = (&self.counters, &self.reported, self.role);
         let scan = |writer: u32, sequence| streams.get(&writer).map_or(0, |stream| stream.scan_of(sequence));
         let mut note = |kind, writer: u32, first: u64, count: u64| {
-            let fault =
-                Fault::new(topic, kind, writer).sequence(first).count(count).scan(scan(writer, first));
+            let fault = DeliveryFault::new(topic, kind, writer)
+                .sequence(first)
+                .count(count)
+                .scan(scan(writer, first));
             faults.push(fault.noticed_by(role));
         };
         self.noticed.drain(..).for_each(|(kind, writer, first, count)| note(kind, writer, first, count));
@@ -451,12 +463,17 @@ impl Reader {
         let sum = |counters: &InputAccount| counters.open_sum.wrapping_sub(counters.waiting_sum);
         match vanished(counters).saturating_sub(vanished(reported)) {
             0 => {}
-            1 => note(Kind::Vanished, newest_writer(counters), sum(counters).wrapping_sub(sum(reported)), 1),
-            count => note(Kind::Vanished, newest_writer(counters), 0, count),
+            1 => note(
+                DeliveryFaultKind::Vanished,
+                newest_writer(counters),
+                sum(counters).wrapping_sub(sum(reported)),
+                1,
+            ),
+            count => note(DeliveryFaultKind::Vanished, newest_writer(counters), 0, count),
         }
         for Span { incarnation, first, .. } in self.begun.drain(..) {
             if self.from_start && streams.get(&incarnation).is_some_and(|stream| stream.from_start) {
-                note(Kind::Missing, incarnation, 1, first - 1);
+                note(DeliveryFaultKind::Missing, incarnation, 1, first - 1);
             }
         }
         for (&writer, stream) in streams {
@@ -468,7 +485,7 @@ impl Reader {
                 && seen.after_ns > self.connected_ns
                 && self.polled_ns >= seen.seen_ns.saturating_add(TIMEOUT_NS)
             {
-                note(Kind::Missing, writer, last + 1, 1);
+                note(DeliveryFaultKind::Missing, writer, last + 1, 1);
             }
         }
         self.reported = *counters;
@@ -476,7 +493,7 @@ impl Reader {
 }
 
 /// Samples that came late or again: the newest is named, unless its number is not known.
-fn again(kind: Kind, newest: &Span, count: u64) -> (Kind, u32, u64, u64) {
+fn again(kind: DeliveryFaultKind, newest: &Span, count: u64) -> (DeliveryFaultKind, u32, u64, u64) {
     (kind, newest.incarnation, newest.first, if newest.first == 0 { count } else { count.min(1) })
 }
 
@@ -512,7 +529,7 @@ mod tests {
         }
     }
 
-    fn named(faults: &[Fault]) -> Vec<(Kind, u64, u64)> {
+    fn named(faults: &[DeliveryFault]) -> Vec<(DeliveryFaultKind, u64, u64)> {
         faults.iter().map(|fault| (fault.kind, fault.sequence, fault.scan_id)).collect()
     }
 
@@ -592,7 +609,11 @@ mod tests {
         (counters.missing, counters.hole) = (2, span(7, 7));
         (counters.duplicate, counters.twice) = (1, span(8, 8));
         ledger.receive(report(&counters, 6));
-        let expected = [(Kind::Missing, 3, 3), (Kind::Missing, 7, 7), (Kind::Duplicate, 8, 8)];
+        let expected = [
+            (DeliveryFaultKind::Missing, 3, 3),
+            (DeliveryFaultKind::Missing, 7, 7),
+            (DeliveryFaultKind::Duplicate, 8, 8),
+        ];
         assert_eq!(named(&ledger.reconcile(false)), expected);
         ledger.receive(report(&counters, 7));
         assert_eq!(ledger.reconcile(false), [], "once is enough");
@@ -612,10 +633,10 @@ mod tests {
         let faults = ledger.reconcile(false);
         let counts: Vec<_> = faults.iter().map(|fault| (fault.kind, fault.sequence, fault.count)).collect();
         let expected = [
-            (Kind::Missing, 5, gap),
-            (Kind::Missing, gap + 3, 2),
-            (Kind::Duplicate, 0, 1 << 47),
-            (Kind::Reordered, 0, 1 << 47),
+            (DeliveryFaultKind::Missing, 5, gap),
+            (DeliveryFaultKind::Missing, gap + 3, 2),
+            (DeliveryFaultKind::Duplicate, 0, 1 << 47),
+            (DeliveryFaultKind::Reordered, 0, 1 << 47),
         ];
         assert_eq!(counts, expected);
         for round in 0..10_000 {
@@ -646,7 +667,9 @@ mod tests {
                 }
             }
             assert!(
-                found.iter().any(|(kind, sequence, _)| (*kind, *sequence) == (Kind::Missing, 11)),
+                found
+                    .iter()
+                    .any(|(kind, sequence, _)| (*kind, *sequence) == (DeliveryFaultKind::Missing, 11)),
                 "{found:?}"
             );
         }

@@ -12,7 +12,7 @@ use shared_types::{
 };
 
 use emulator::Scenario;
-use emulator::scenario::{Obstacle, Scanner, Shape};
+use emulator::scenario::{Scanner, ScenarioObstacle, Shape};
 
 use super::{BOX_M, covers_the_box};
 use crate::case::{Case, Trouble, Verdict, failed, observed, require};
@@ -261,7 +261,7 @@ fn seen_free(suite: &Suite) -> Verdict {
         // A barrier 2 m behind the box returns what passes its place.
         let barrier = Shape::Box { length_m: 0.1, width_m: 3.6, yaw_rad: 0.0 };
         scenario.obstacles[0].disappears_s = Some(onset_s);
-        scenario.obstacles.push(Obstacle::fixed(barrier, BOX_M[0] + 2.0, 0.0));
+        scenario.obstacles.push(ScenarioObstacle::fixed(barrier, BOX_M[0] + 2.0, 0.0));
     })?;
     let known = |described: &Obstacles| {
         described.list().iter().any(|item| (item.x_m - BOX_M[0]).hypot(item.y_m - BOX_M[1]) < 0.6)

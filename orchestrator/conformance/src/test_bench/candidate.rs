@@ -5,7 +5,7 @@ use runtime::{HandoverData, monotonic_ns, write_handover};
 use shared_types::{Authority, Checkpoint, Phase, ProcessState};
 use supervision::child::{Child, Launch};
 use supervision::environment::environment_of;
-use supervision::supervisor::Exit;
+use supervision::supervisor::ProcessExit;
 
 use super::{TestBench, Trouble, failed};
 
@@ -81,7 +81,7 @@ impl TestBench<'_> {
     }
 
     /// How the candidate ended, if it has.
-    pub(crate) fn exit(&mut self) -> Result<Option<Exit>, Trouble> {
+    pub(crate) fn exit(&mut self) -> Result<Option<ProcessExit>, Trouble> {
         Ok(self.child.as_mut().map(|child| child.try_wait()).transpose()?.flatten())
     }
 

@@ -191,7 +191,7 @@ fn with_the_rounds_that_settle_it_a_difference_is_seen_nine_times_in_ten() {
         rounds(&(0..count).map(|_| more + 40.0 * random.normal()).collect::<Vec<_>>()).unwrap()
     };
     let smallest = (0..200).map(|seed| seen(seed, 12, 0.0).smallest_visible).sum::<f64>() / 200.0;
-    let estimate = Difference { value: 15.0, interval: [-30.0, 60.0], smallest_visible: smallest };
+    let estimate = DifferenceEstimate { value: 15.0, interval: [-30.0, 60.0], smallest_visible: smallest };
     let needed = estimate.rounds_to_settle(12).unwrap();
     assert!((60..300).contains(&needed), "{needed}");
     let found = (0..200).filter(|seed| seen(1000 + seed, needed, 15.0).is_seen()).count();
@@ -200,7 +200,7 @@ fn with_the_rounds_that_settle_it_a_difference_is_seen_nine_times_in_ten() {
 
 #[test]
 fn an_estimate_of_zero_is_settled_by_no_number_of_rounds() {
-    let of = |value: f64| Difference { value, interval: [-2.0, 2.0], smallest_visible: 3.0 };
+    let of = |value: f64| DifferenceEstimate { value, interval: [-2.0, 2.0], smallest_visible: 3.0 };
     assert_eq!([of(0.0), of(0.1), of(30.0)].map(|one| one.rounds_to_settle(12)), [None, None, Some(13)]);
     assert_eq!(of(1.5).rounds_to_settle(12), Some(48));
 }

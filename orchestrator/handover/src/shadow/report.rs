@@ -69,7 +69,7 @@ pub struct ShadowReport {
     /// Of these, scans on which only one of them drove.
     pub kind_differs: u64,
     /// Shadow minus live, quantity by quantity.
-    pub differences: Vec<Difference>,
+    pub differences: Vec<QuantityDifference>,
     /// From the publication of the scan to that of the output [ms].
     pub reaction_ms: Timing,
     /// From the inputs to the result [ms].
@@ -78,7 +78,7 @@ pub struct ShadowReport {
 
 /// One quantity, shadow minus live.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct Difference {
+pub struct QuantityDifference {
     /// What is compared.
     pub quantity: String,
     /// Unit of all numbers here.

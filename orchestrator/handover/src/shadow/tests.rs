@@ -3,13 +3,13 @@
 use shared_types::{Command, CommandKind, Role};
 
 use super::{ShadowReport, Study};
-use crate::swap::{Output, OutputSummary, Party};
+use crate::swap::{OutputSummary, Party, SwapOutput};
 
 const PERIOD_NS: u64 = 100_000_000;
 
-fn output(scan: u64, after_ms: f64, content: Result<OutputSummary, String>) -> Output {
+fn output(scan: u64, after_ms: f64, content: Result<OutputSummary, String>) -> SwapOutput {
     let published_ns = scan * PERIOD_NS + (after_ms * 1e6) as u64;
-    Output {
+    SwapOutput {
         scan,
         sequence: scan,
         scan_published_ns: scan * PERIOD_NS,
@@ -26,7 +26,7 @@ fn command(steering_rad: f64) -> OutputSummary {
 }
 
 /// Scans 1 to `scans`, all answered by the live one after 2 ms, and by the shadow with the outputs of `shadow`.
-fn study(scans: u64, shadow: impl Fn(u64) -> Vec<Output>) -> ShadowReport {
+fn study(scans: u64, shadow: impl Fn(u64) -> Vec<SwapOutput>) -> ShadowReport {
     let mut study = Study::new(Role::Controller, PERIOD_NS, scans);
     for scan in 1..=scans {
         study.output(scan * PERIOD_NS, Party::Old, output(scan, 2.0, Ok(command(0.04))));
@@ -81,10 +81,10 @@ fn late_invalid_repeated_and_other_outputs_are_counted_apart() {
         // Of a thousand, sixteen are received; the numbers of those that follow show the others.
         9 => (0..16).map(|_| output(scan, 3.0, Ok(command(0.04)))).collect(),
         11 => {
-            let no_such_scan = Output { scan: u64::MAX, ..output(scan, 3.0, Ok(command(0.04))) };
+            let no_such_scan = SwapOutput { scan: u64::MAX, ..output(scan, 3.0, Ok(command(0.04))) };
             vec![no_such_scan, output(scan, 3.0, Ok(command(0.04)))]
         }
-        20 => vec![Output { sequence: 1019, ..output(scan, 3.0, Ok(command(0.04))) }],
+        20 => vec![SwapOutput { sequence: 1019, ..output(scan, 3.0, Ok(command(0.04))) }],
         _ => vec![output(scan, 3.0, Ok(command(0.04)))],
     });
     assert_eq!((report.scans, report.answered, report.late), (20, 20, 1));

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::{
     FIRST_OUTPUT_NS, FORGIVEN_LATE, FORGIVEN_SHARE, HANG_NS, LATE_NS, LOCKSTEP_TIMEOUT_NS, MAX_TOLERANCE,
-    Output, Party, Recorded, SwapPlan, WARM_UP, WARM_UP_NS, agreement,
+    Party, RecordedScan, SwapOutput, SwapPlan, WARM_UP, WARM_UP_NS, agreement,
 };
 
 /// This many outputs for scans that were answered before are invalid.
@@ -34,8 +34,8 @@ pub(super) struct Comparison {
 /// The outputs of both for one scan.
 #[derive(Debug, Clone, Default)]
 struct Pair {
-    old: Option<Output>,
-    new: Option<Output>,
+    old: Option<SwapOutput>,
+    new: Option<SwapOutput>,
     seen_ns: u64,
     judged: bool,
 }
@@ -69,7 +69,7 @@ impl Comparison {
     }
 
     /// Takes an output in; `newest` is the newest scan that is known to exist.
-    pub(super) fn keep(&mut self, now_ns: u64, newest: u64, party: Party, output: Output) {
+    pub(super) fn keep(&mut self, now_ns: u64, newest: u64, party: Party, output: SwapOutput) {
         let scan = output.scan;
         if party == Party::New {
             let fault = match &output.content {
@@ -155,8 +155,8 @@ impl Comparison {
     }
 
     /// The process whose output a recorded answer is based on, as far as stamps show it.
-    pub(super) fn source_of(&self, recorded: &Recorded) -> Option<Party> {
-        let has_stamp = |output: &Option<Output>| {
+    pub(super) fn source_of(&self, recorded: &RecordedScan) -> Option<Party> {
+        let has_stamp = |output: &Option<SwapOutput>| {
             output.as_ref().is_some_and(|output| output.stamps_ns.contains(&recorded.stamp_ns))
         };
         let pair = self.pairs.get(&recorded.scan).filter(|_| recorded.stamp_ns > 0)?;
@@ -213,13 +213,13 @@ impl Comparison {
 }
 
 /// The verdict on two outputs for one scan.
-fn compare(plan: &SwapPlan, scan: u64, old: &Output, new: &Output, in_charge: bool) -> Verdict {
+fn compare(plan: &SwapPlan, scan: u64, old: &SwapOutput, new: &SwapOutput, in_charge: bool) -> Verdict {
     let (Ok(expected), Ok(found)) = (&old.content, &new.content) else {
         // Only the old one's output is invalid: nothing to compare with.
         return if in_charge { Verdict::Good } else { Verdict::Nothing };
     };
     let limit_ns = (plan.period_ns / 2).max(LATE_NS);
-    let taken_ns = |output: &Output| output.published_ns.saturating_sub(output.scan_published_ns);
+    let taken_ns = |output: &SwapOutput| output.published_ns.saturating_sub(output.scan_published_ns);
     let judges_time = !plan.lockstep && !in_charge && new.scan_published_ns > 0;
     if judges_time && taken_ns(new) > limit_ns && taken_ns(old) <= limit_ns {
         let [taken_ms, limit_ms] = [taken_ns(new), limit_ns].map(|time| time as f64 * 1e-6);
@@ -242,7 +242,7 @@ mod tests {
 
     #[test]
     fn an_answer_is_based_on_the_output_that_has_its_stamp() {
-        let output = |stamps_ns| Output {
+        let output = |stamps_ns| SwapOutput {
             scan: 7,
             sequence: 1,
             scan_published_ns: 1,
@@ -254,7 +254,7 @@ mod tests {
         let pair = Pair { old: Some(output([3, 0])), new: Some(output([4, 0])), ..Pair::default() };
         let comparison = Comparison { pairs: [(7, pair)].into(), ..Comparison::default() };
         let source = |scan, stamp_ns| {
-            comparison.source_of(&Recorded { scan, answers: 1, desired: [0.0; 2], stamp_ns })
+            comparison.source_of(&RecordedScan { scan, answers: 1, desired: [0.0; 2], stamp_ns })
         };
         assert_eq!([source(7, 3), source(7, 4)], [Some(Party::Old), Some(Party::New)]);
         assert_eq!([source(7, 5), source(8, 3), source(7, 0)], [None; 3], "no stamp is none of either");

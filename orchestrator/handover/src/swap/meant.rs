@@ -30,7 +30,7 @@ pub struct Meant {
 
 /// A key that changes, and by how much: the difference of its numbers, 0 if it has none.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Change {
+pub struct KeyChange {
     /// The key with its tables, as `scanloop set` takes it.
     pub key: String,
     /// Its new number minus the old one, without a sign; the largest of several.
@@ -121,9 +121,9 @@ const EFFECTS: &[(&str, Effect)] = &[
 
 impl Meant {
     /// What the changes of one role are meant to change.
-    pub fn of(changes: &[Change]) -> Self {
+    pub fn of(changes: &[KeyChange]) -> Self {
         let mut meant = Self::default();
-        for Change { key, by } in changes {
+        for KeyChange { key, by } in changes {
             let effect = EFFECTS.iter().find(|(begin, _)| key.starts_with(begin));
             let Some((_, effect)) = effect else { continue };
             meant = meant.max(Self::of_effect(*effect, *by));
@@ -173,7 +173,7 @@ mod tests {
     use super::*;
 
     fn of(key: &str, by: f64) -> Meant {
-        Meant::of(&[Change { key: key.to_owned(), by }])
+        Meant::of(&[KeyChange { key: key.to_owned(), by }])
     }
 
     #[test]
@@ -221,7 +221,7 @@ mod tests {
     #[test]
     fn several_keys_have_the_larger_allowance_of_each() {
         let changes = [("noise.odometry_m", 0.01), ("noise.range_m", 0.5)]
-            .map(|(key, by)| Change { key: key.to_owned(), by });
+            .map(|(key, by)| KeyChange { key: key.to_owned(), by });
         assert_eq!(Meant::of(&changes), Meant { position_m: 0.06, beam_share: 1.0, ..Meant::default() });
     }
 }

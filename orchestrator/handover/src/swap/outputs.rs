@@ -6,7 +6,7 @@ use runtime::{Bus, Observer, RuntimeError};
 use shared_types::{Actuation, Command, Fault, Header, Obstacles, Odometry, Pose, Role, Sample, Scan, Truth};
 
 use super::agreement::Sensed;
-use super::{Output, OutputSummary, Party};
+use super::{OutputSummary, Party, SwapOutput};
 
 /// Scans of a robot, of both processes together, whose samples are being collected.
 const PARTS: usize = 64;
@@ -15,7 +15,7 @@ const PARTS: usize = 64;
 const NO_TRUTH: &str = "it publishes no truth, by which this run is judged";
 
 /// Observes the topics of one role.
-pub enum Watch {
+pub enum RoleWatch {
     /// Both topics of a robot.
     Robot(Box<RobotWatch>),
     /// An estimator's.
@@ -49,7 +49,7 @@ struct Parts {
     passed_on: bool,
 }
 
-impl Watch {
+impl RoleWatch {
     /// Starts to observe what `role` publishes. With `needs_truth` the output of a robot is invalid without a truth.
     ///
     /// # Errors
@@ -78,9 +78,9 @@ impl Watch {
         &mut self,
         old: u32,
         new: u32,
-        mut each: impl FnMut(Party, Output),
+        mut each: impl FnMut(Party, SwapOutput),
     ) -> Result<(), RuntimeError> {
-        let mut each = |incarnation: u32, output: Output| {
+        let mut each = |incarnation: u32, output: SwapOutput| {
             if incarnation == old {
                 each(Party::Old, output);
             } else if incarnation == new {
@@ -99,7 +99,7 @@ impl Watch {
 }
 
 impl RobotWatch {
-    fn poll(&mut self, both: [u32; 2], each: &mut impl FnMut(u32, Output)) -> Result<(), RuntimeError> {
+    fn poll(&mut self, both: [u32; 2], each: &mut impl FnMut(u32, SwapOutput)) -> Result<(), RuntimeError> {
         let Self { scans, odometries, truths, needs_truth, parts } = self;
         // The truth last: it is published before the others of its scan.
         collect(scans, both, parts, |parts, scan| parts.scan = Some(*scan))?;
@@ -146,7 +146,7 @@ fn collect<S: Sample>(
 fn take<S: Sample>(
     observer: &Observer<S>,
     counts: impl Fn(&S) -> bool,
-    each: &mut impl FnMut(u32, Output),
+    each: &mut impl FnMut(u32, SwapOutput),
 ) -> Result<(), RuntimeError>
 where
     for<'a> OutputSummary: From<&'a S>,
@@ -167,9 +167,9 @@ fn is_impossible(checked: &Result<(), Fault>) -> bool {
     matches!(checked, Err(Fault::ImpossibleNumber { .. }))
 }
 
-fn output_of(header: &Header, role: Role, content: Result<OutputSummary, Fault>) -> Output {
+fn output_of(header: &Header, role: Role, content: Result<OutputSummary, Fault>) -> SwapOutput {
     let stage = header.stage(role);
-    Output {
+    SwapOutput {
         scan: header.scan_id,
         sequence: header.sequence,
         scan_published_ns: header.scan_published_ns(),

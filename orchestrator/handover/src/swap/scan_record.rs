@@ -16,7 +16,7 @@ const ANSWERS: usize = 8;
 
 /// One scan as it was recorded.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Recorded {
+pub struct RecordedScan {
     /// The scan; they come in order.
     pub scan: u64,
     /// Answers of the actuator.
@@ -42,8 +42,8 @@ pub(super) struct ScanRecord {
 
 impl ScanRecord {
     /// Adds a scan that was answered with the output of `party`, as far as that is known.
-    pub(super) fn record(&mut self, recorded: &Recorded, party: Party) {
-        let Recorded { scan, answers, desired, .. } = *recorded;
+    pub(super) fn record(&mut self, recorded: &RecordedScan, party: Party) {
+        let RecordedScan { scan, answers, desired, .. } = *recorded;
         self.missed += u64::from(answers == 0);
         self.duplicates += answers.saturating_sub(1);
         if answers == 0 {
@@ -125,7 +125,7 @@ mod tests {
         let mut scan_record = ScanRecord::default();
         for (index, party) in parties.iter().enumerate() {
             let scan = index as u64 + 1;
-            let recorded = Recorded { scan, answers: 1, desired: [steering(scan), 1.0], stamp_ns: 0 };
+            let recorded = RecordedScan { scan, answers: 1, desired: [steering(scan), 1.0], stamp_ns: 0 };
             scan_record.record(&recorded, *party);
         }
         let mut certificate = Certificate::default();

@@ -3,8 +3,8 @@
 use shared_types::{Authority, Command, CommandKind, Role};
 
 use super::{
-    Certificate, FIRST_OUTPUT_NS, Meant, Output, OutputSummary, Party, RUN_ENDS, Recorded, Stage, Swap,
-    SwapAction, SwapEvent, SwapOutcome, SwapPlan,
+    Certificate, FIRST_OUTPUT_NS, Meant, OutputSummary, Party, RUN_ENDS, RecordedScan, Swap, SwapAction,
+    SwapEvent, SwapOutcome, SwapOutput, SwapPlan, SwapStage,
 };
 
 const PERIOD_NS: u64 = 100_000_000;
@@ -62,7 +62,7 @@ impl Trial {
     /// An output for the newest scan, so long after it.
     fn output(&mut self, party: Party, after_ms: u64, content: Result<OutputSummary, String>) {
         self.now_ns = self.now_ns.max(self.scan * PERIOD_NS + after_ms * 1_000_000);
-        let output = Output {
+        let output = SwapOutput {
             scan: self.scan,
             sequence: 0,
             scan_published_ns: self.scan * PERIOD_NS,
@@ -83,7 +83,7 @@ impl Trial {
     fn record(&mut self) {
         let scan = self.scan;
         self.send(SwapEvent::Scans { newest: scan, answered: scan });
-        self.send(SwapEvent::Recorded(Recorded { scan, answers: 1, desired: [0.04, 1.0], stamp_ns: 0 }));
+        self.send(SwapEvent::Recorded(RecordedScan { scan, answers: 1, desired: [0.04, 1.0], stamp_ns: 0 }));
     }
 
     /// A scan on which both agree, in time.
@@ -115,7 +115,7 @@ impl Trial {
     /// Until the new one is in charge of the newest scan.
     fn in_charge(&mut self) {
         self.good_scans(7);
-        assert_eq!(self.swap.stage(), Stage::Standby);
+        assert_eq!(self.swap.stage(), SwapStage::Standby);
         assert_eq!(self.actions, [SwapAction::Authorise(authority(NEW, OLD, 17))]);
         assert_eq!((self.scan, self.swap.candidate()), (17, OLD));
         self.actions.clear();
@@ -131,7 +131,7 @@ impl Trial {
     fn refused(&self) -> &str {
         assert_eq!(self.actions[0], SwapAction::KillNew);
         let certificate = self.certificate();
-        assert_eq!((certificate.outcome, self.swap.stage()), (SwapOutcome::Refused, Stage::Over));
+        assert_eq!((certificate.outcome, self.swap.stage()), (SwapOutcome::Refused, SwapStage::Over));
         assert_eq!((certificate.last_scan_old, certificate.first_scan_new), (None, None));
         &certificate.reason
     }
@@ -146,7 +146,7 @@ impl Trial {
         // It was killed, which is not another failure.
         self.send(SwapEvent::Exited(Party::New, "killed by signal 9 (SIGKILL)".to_owned()));
         assert_eq!(self.actions.len(), 2);
-        while self.swap.stage() == Stage::Settling {
+        while self.swap.stage() == SwapStage::Settling {
             assert!(self.scan < MANY, "it settles");
             self.publish();
             self.output(Party::Old, 2, Ok(command(0.04)));
@@ -173,7 +173,7 @@ fn authority(incarnation: u32, previous: u32, from_scan: u64) -> Authority {
 fn a_good_process_takes_over_and_the_old_one_ends_after_its_standby() {
     let mut trial = Trial::new();
     trial.good_scan();
-    assert_eq!((trial.swap.stage(), trial.swap.candidate()), (Stage::Shadowing, NEW));
+    assert_eq!((trial.swap.stage(), trial.swap.candidate()), (SwapStage::Shadowing, NEW));
     trial.good_scans(4);
     // Five good scans from 11 to 15, so 17 is the first scan that is not published soon.
     assert_eq!(trial.actions, [SwapAction::Authorise(authority(NEW, OLD, 17))]);
@@ -207,7 +207,7 @@ fn a_default_swap_has_its_certificate_within_three_seconds() {
         trial.output(Party::Old, 2, Ok(command(0.04)));
         trial.record();
     }
-    while trial.swap.stage() != Stage::Over && trial.scan < MANY {
+    while trial.swap.stage() != SwapStage::Over && trial.scan < MANY {
         trial.good_scan();
     }
     assert!(trial.scan - 10 <= 28, "{} scans", trial.scan - 10);
@@ -254,7 +254,7 @@ fn an_invalid_output_is_refused_at_once() {
     let mut trial = Trial::new();
     trial.publish();
     trial.scan = u64::MAX;
-    let output = Output {
+    let output = SwapOutput {
         scan: u64::MAX,
         sequence: 0,
         scan_published_ns: 0,
@@ -275,7 +275,7 @@ fn a_disagreement_is_forgiven_while_the_process_warms_up_and_not_later() {
         trial.scan_with(command(0.048));
     }
     trial.good_scans(4);
-    assert_eq!(trial.swap.stage(), Stage::Shadowing, "the good scans count from the last bad one on");
+    assert_eq!(trial.swap.stage(), SwapStage::Shadowing, "the good scans count from the last bad one on");
     assert!(trial.actions.is_empty());
     trial.scan_with(command(0.048));
     assert_eq!(
@@ -284,7 +284,7 @@ fn a_disagreement_is_forgiven_while_the_process_warms_up_and_not_later() {
     );
     let mut trial = Trial::with(|plan| plan.tolerance = 2.0);
     (0..7).for_each(|_| trial.scan_with(command(0.048)));
-    assert_eq!(trial.swap.stage(), Stage::Standby, "twice the bounds");
+    assert_eq!(trial.swap.stage(), SwapStage::Standby, "twice the bounds");
 }
 
 #[test]
@@ -351,7 +351,7 @@ fn an_output_that_names_no_time_of_its_scan_is_not_late() {
         trial.publish();
         trial.output(Party::Old, 2, Ok(command(0.04)));
         let (scan, published_ns) = (trial.scan, trial.now_ns + 60_000_000);
-        let output = Output { scan, published_ns, ..untimed() };
+        let output = SwapOutput { scan, published_ns, ..untimed() };
         trial.send(SwapEvent::Output(Party::New, output));
         trial.tick_at(65);
     }
@@ -359,8 +359,8 @@ fn an_output_that_names_no_time_of_its_scan_is_not_late() {
 }
 
 /// An output that tells nothing of time.
-fn untimed() -> Output {
-    Output {
+fn untimed() -> SwapOutput {
+    SwapOutput {
         scan: 0,
         sequence: 0,
         scan_published_ns: 0,
@@ -381,7 +381,7 @@ fn a_process_that_answers_scans_that_the_old_one_does_not_has_no_good_scan() {
         trial.publish();
         trial.output(Party::New, 1, Ok(command(0.04)));
         trial.send(SwapEvent::Tick);
-        assert_eq!((trial.swap.stage(), trial.actions.len()), (Stage::Shadowing, 0));
+        assert_eq!((trial.swap.stage(), trial.actions.len()), (SwapStage::Shadowing, 0));
     }
     // Three seconds and ten times the five scans, after its first output 3 ms after scan 11.
     trial.now_ns = 11 * PERIOD_NS + 3_000_000 + 8_000_000_000;
@@ -441,7 +441,7 @@ fn an_output_may_be_newer_than_the_newest_scan_that_is_known_by_as_many_as_are_k
     for (scan, is_known) in [(11 + 32, true), (11 + 33, false)] {
         let mut trial = Trial::new();
         trial.publish();
-        trial.send(SwapEvent::Output(Party::New, Output { scan, ..untimed() }));
+        trial.send(SwapEvent::Output(Party::New, SwapOutput { scan, ..untimed() }));
         trial.send(SwapEvent::Tick);
         assert_eq!(trial.actions.is_empty(), is_known, "{scan}");
     }
@@ -456,7 +456,7 @@ fn stamps_show_which_process_a_scan_was_answered_with() {
         trial.publish();
         for (party, stamp_ns) in [(Party::Old, old), (Party::New, new)] {
             let times = (trial.now_ns, trial.now_ns + 1);
-            let output = Output {
+            let output = SwapOutput {
                 scan: trial.scan,
                 scan_published_ns: times.0,
                 published_ns: times.1,
@@ -466,7 +466,7 @@ fn stamps_show_which_process_a_scan_was_answered_with() {
             trial.send(SwapEvent::Output(party, output));
         }
         trial.send(SwapEvent::Tick);
-        let record = Recorded { scan: trial.scan, answers: 1, desired: [0.04, 1.0], stamp_ns: recorded };
+        let record = RecordedScan { scan: trial.scan, answers: 1, desired: [0.04, 1.0], stamp_ns: recorded };
         trial.send(SwapEvent::Scans { newest: trial.scan, answered: trial.scan });
         trial.send(SwapEvent::Recorded(record));
     }
@@ -490,7 +490,7 @@ fn a_scan_is_not_judged_when_the_cause_lies_in_an_earlier_stage() {
         trial.tick_at(99);
     }
     assert!(trial.actions.is_empty());
-    assert_eq!(trial.swap.stage(), Stage::Shadowing);
+    assert_eq!(trial.swap.stage(), SwapStage::Shadowing);
 }
 
 #[test]
@@ -546,7 +546,7 @@ fn a_swap_whose_scans_are_not_recorded_is_over_two_seconds_after_its_decision() 
     let decided_ns = trial.now_ns;
     trial.now_ns = decided_ns + 1_999_999_999;
     trial.send(SwapEvent::Tick);
-    assert_eq!((trial.swap.stage(), trial.actions.len()), (Stage::Settling, 2));
+    assert_eq!((trial.swap.stage(), trial.actions.len()), (SwapStage::Settling, 2));
     trial.now_ns += 1;
     trial.send(SwapEvent::Tick);
     assert_eq!(trial.certificate().outcome, SwapOutcome::Swapped);
@@ -611,7 +611,7 @@ fn the_new_one_answers_earlier_when_the_old_one_ends_before_the_change() {
     trial.record();
     // The certificate covers three scans after the change.
     trial.good_scans(3);
-    assert_eq!((trial.scan, trial.swap.stage()), (19, Stage::Settling));
+    assert_eq!((trial.scan, trial.swap.stage()), (19, SwapStage::Settling));
     trial.send(SwapEvent::Tick);
     let certificate = trial.certificate();
     assert_eq!((certificate.last_scan_old, certificate.first_scan_new), (Some(15), Some(16)));
@@ -670,14 +670,14 @@ fn the_certificate_counts_answers_and_measures_the_jump_around_the_change_only()
         17..=21 => [0.01, 1.2],
         _ => [0.5, 1.2],
     };
-    while trial.swap.stage() != Stage::Over && trial.scan < MANY {
+    while trial.swap.stage() != SwapStage::Over && trial.scan < MANY {
         trial.publish();
         trial.output(Party::Old, 2, Ok(command(0.04)));
         trial.output(Party::New, 3, Ok(command(0.04)));
         trial.tick_at(5);
         let scan = trial.scan;
         let answers = [(13, 0), (19, 2)].iter().find(|(at, _)| *at == scan).map_or(1, |(_, count)| *count);
-        trial.send(SwapEvent::Recorded(Recorded { scan, answers, desired: desired(scan), stamp_ns: 0 }));
+        trial.send(SwapEvent::Recorded(RecordedScan { scan, answers, desired: desired(scan), stamp_ns: 0 }));
     }
     let certificate = trial.certificate();
     assert_eq!((certificate.missed_scans, certificate.duplicate_scans), (1, 1));
@@ -692,7 +692,7 @@ fn across_hosts_the_new_one_is_announced_before_it_takes_over() {
     trial.good_scans(6);
     // An acknowledgement of something before does not count.
     assert_eq!(trial.actions, [SwapAction::Authorise(authority(NEW, OLD, u64::MAX))]);
-    assert_eq!((trial.swap.stage(), trial.swap.candidate()), (Stage::Shadowing, NEW));
+    assert_eq!((trial.swap.stage(), trial.swap.candidate()), (SwapStage::Shadowing, NEW));
     trial.send(SwapEvent::Acknowledged);
     trial.good_scan();
     assert_eq!(trial.actions[1..], [SwapAction::Authorise(authority(NEW, OLD, 19))]);

@@ -12,9 +12,9 @@ const LISTS: &str = "[[host]]\nname = \"lab\"\naddress = \"127.0.0.1:7000\"\ntra
 const OBSTACLE: &str = "[[obstacle]]\nshape = \"box\"\nx_m = 6.0\ny_m = 0.0\nlength_m = 0.5\nwidth_m = 0.4\n";
 
 fn written(scenario: &str, system: &str, overrides: &[&str]) -> anyhow::Result<Written> {
-    let mut source = Source::parse(system.to_owned(), "lab.toml".to_owned())?;
+    let mut source = SourceFile::parse(system.to_owned(), "lab.toml".to_owned())?;
     crate::system::add_built_in(&mut source.table);
-    let scenario = Source::parse(scenario.to_owned(), "course.toml".to_owned())?;
+    let scenario = SourceFile::parse(scenario.to_owned(), "course.toml".to_owned())?;
     let overrides = overrides.iter().map(ToString::to_string).collect();
     Written::new(scenario, source, &Choice { overrides, ..Choice::default() })
 }
@@ -102,8 +102,8 @@ fn the_value_without_which_all_is_allowed_is_named_before_one_without_which_anot
     let file = refused("", system, &[]);
     assert!(file.starts_with(&format!("lab.toml: line 1: rate_hz {goal}")), "{file}");
     // Nor is a file of ours named for what the user's file does.
-    let scenario = Source::shipped("[goal]\ntolerance_m = 0.1\n", "shipped scenario".to_owned()).unwrap();
-    let mut source = Source::parse(system.to_owned(), "lab.toml".to_owned()).unwrap();
+    let scenario = SourceFile::shipped("[goal]\ntolerance_m = 0.1\n", "shipped scenario".to_owned()).unwrap();
+    let mut source = SourceFile::parse(system.to_owned(), "lab.toml".to_owned()).unwrap();
     crate::system::add_built_in(&mut source.table);
     let written = Written::new(scenario, source, &Choice::default()).unwrap();
     let check = |tables| Plan::checked(tables).err();

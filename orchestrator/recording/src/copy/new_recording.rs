@@ -10,7 +10,7 @@ use console::new_file::NewFile;
 
 use super::copied::missing;
 use super::{Axis, Copied, Missing, REPAIRED, Summary, is_loss, is_one_run};
-use crate::mcap::{Channel, Contents, MAX_TEXT, MESSAGE_BYTES, Reader, Schema, Writer};
+use crate::mcap::{Channel, Contents, MAX_TEXT, MESSAGE_BYTES, McapReader, Schema, Writer};
 use crate::tape::PREFIX;
 
 /// Chunks end with this many bytes.
@@ -118,7 +118,7 @@ impl NewRecording {
     /// which it is.
     pub(super) fn finish(
         mut self,
-        reader: &Reader<BufReader<File>>,
+        reader: &McapReader<BufReader<File>>,
         of: Range<usize>,
         axis: &Axis,
         copied: &mut Copied,
@@ -143,7 +143,7 @@ impl NewRecording {
     /// Adds what is missing of the joined files from which it is.
     fn tell_missing(
         &mut self,
-        reader: &Reader<BufReader<File>>,
+        reader: &McapReader<BufReader<File>>,
         of: Range<usize>,
         axis: &Axis,
     ) -> std::io::Result<()> {

@@ -63,7 +63,7 @@ impl Memory {
 
 /// A message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Message<'a> {
+pub struct McapMessage<'a> {
     /// Number of its channel.
     pub channel: u16,
     /// Number of the message.
@@ -258,9 +258,9 @@ fn statistics(mut fields: Fields<'_>) -> Result<Statistics, Damage> {
 }
 
 /// The message in the fields of a record.
-pub(super) fn message(body: &[u8]) -> Result<Message<'_>, Damage> {
+pub(super) fn message(body: &[u8]) -> Result<McapMessage<'_>, Damage> {
     let mut fields = Fields(body);
     let (channel, sequence, log_ns) = (fields.u16()?, fields.u32()?, fields.u64()?);
     let publish_ns = fields.u64()?;
-    Ok(Message { channel, sequence, log_ns, publish_ns, data: fields.0 })
+    Ok(McapMessage { channel, sequence, log_ns, publish_ns, data: fields.0 })
 }

@@ -12,7 +12,7 @@ use super::index::{Index, Part, Place};
 use super::input::{Head, Input};
 use super::unpack::{self, ChunkHead};
 use super::walk::index;
-use super::{Channel, Contents, Damage, Message, ReadError, Schema, opcode};
+use super::{Channel, Contents, Damage, McapMessage, ReadError, Schema, opcode};
 
 /// What a part holds.
 #[derive(Debug)]
@@ -27,7 +27,7 @@ enum Loaded {
 
 /// Reads a file message by message.
 #[derive(Debug)]
-pub struct Reader<R> {
+pub struct McapReader<R> {
     input: Input<R>,
     index: Index,
     is_salvage: bool,
@@ -50,7 +50,7 @@ pub struct Reader<R> {
     assumed: (BTreeMap<u16, Schema>, BTreeMap<u16, Channel>),
 }
 
-impl<R: Read + Seek> Reader<R> {
+impl<R: Read + Seek> McapReader<R> {
     /// A reader at the start of a file.
     ///
     /// # Errors
@@ -59,7 +59,7 @@ impl<R: Read + Seek> Reader<R> {
         Self::with(input, false)
     }
 
-    /// A reader that skips what is damaged; [`Reader::gaps`] tells what was skipped.
+    /// A reader that skips what is damaged; [`McapReader::gaps`] tells what was skipped.
     ///
     /// # Errors
     /// [`ReadError::Foreign`] for other files.
@@ -125,7 +125,7 @@ impl<R: Read + Seek> Reader<R> {
     /// # Errors
     /// [`ReadError::Damaged`] and errors of the file system; in a salvage only the latter, and at the end the reason if not
     /// one message could be read.
-    pub fn next_message(&mut self) -> Result<Option<Message<'_>>, ReadError> {
+    pub fn next_message(&mut self) -> Result<Option<McapMessage<'_>>, ReadError> {
         loop {
             let mut fields = Fields(self.content.get(self.place..).unwrap_or_default());
             if fields.0.is_empty() {
@@ -172,7 +172,8 @@ impl<R: Read + Seek> Reader<R> {
         self.place >= self.content.len()
     }
 
-    /// Continues with the chunk that begins at a byte of the file, see [`Reader::chunk_at`]; false if there is none.
+    /// Continues with the chunk that begins at a byte of the file, see [`McapReader::chunk_at`]; false if there is
+    /// none.
     pub fn seek_to_chunk(&mut self, at: u64) -> bool {
         let found = self.index.parts.binary_search_by_key(&at, |part| part.at);
         (self.content, self.place, self.current, self.counts) = (Vec::new(), 0, None, None);

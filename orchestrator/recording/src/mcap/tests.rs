@@ -28,7 +28,7 @@ fn file() -> Vec<u8> {
 }
 
 fn read(bytes: &[u8]) -> (Contents, Vec<(String, u64, usize)>) {
-    let mut reader = Reader::new(Cursor::new(bytes)).unwrap();
+    let mut reader = McapReader::new(Cursor::new(bytes)).unwrap();
     let mut messages = Vec::new();
     while let Some(message) = reader.next_message().unwrap() {
         let (channel, log_ns, length) = (message.channel, message.log_ns, message.data.len());
@@ -80,7 +80,7 @@ fn a_flipped_bit_in_a_chunk_is_found() {
     for at in (chunk + 16..chunk + 40).step_by(3) {
         let mut flipped = whole.clone();
         flipped[at] ^= 4;
-        let mut reader = Reader::new(Cursor::new(&flipped[..])).unwrap();
+        let mut reader = McapReader::new(Cursor::new(&flipped[..])).unwrap();
         let error = loop {
             match reader.next_message() {
                 Ok(Some(_)) => {}
@@ -94,8 +94,8 @@ fn a_flipped_bit_in_a_chunk_is_found() {
 
 #[test]
 fn another_file_is_refused() {
-    assert!(matches!(Reader::new(Cursor::new(b"#ROSBAG V2.0")), Err(ReadError::Foreign)));
-    assert!(matches!(Reader::new(Cursor::new(b"")), Err(ReadError::Foreign)));
+    assert!(matches!(McapReader::new(Cursor::new(b"#ROSBAG V2.0")), Err(ReadError::Foreign)));
+    assert!(matches!(McapReader::new(Cursor::new(b"")), Err(ReadError::Foreign)));
 }
 
 /// A file with chunks of one message each, and the bytes in the file between which each chunk lies.
@@ -121,7 +121,7 @@ type Salvaged = (Vec<u64>, Vec<Gap>, Option<u64>);
 /// Reads a damaged file, with the channels that all files of these tests have.
 fn salvage(bytes: &[u8]) -> Result<Salvaged, ReadError> {
     let schema = Schema { name: "s/msg/S".into(), encoding: "ros2msg".into(), text: "uint8 a".into() };
-    let mut reader = Reader::salvage(Cursor::new(bytes))?;
+    let mut reader = McapReader::salvage(Cursor::new(bytes))?;
     reader.assume(&[schema], &[channel("one", vec![])]);
     let mut times = Vec::new();
     while let Some(message) = reader.next_message()? {
@@ -133,7 +133,7 @@ fn salvage(bytes: &[u8]) -> Result<Salvaged, ReadError> {
 
 /// Reads a file until its end, or until it is refused; true when nothing was wrong.
 fn is_whole(bytes: &[u8]) -> bool {
-    let Ok(mut reader) = Reader::new(Cursor::new(bytes)) else { return false };
+    let Ok(mut reader) = McapReader::new(Cursor::new(bytes)) else { return false };
     loop {
         match reader.next_message() {
             Ok(Some(_)) => {}
@@ -229,7 +229,7 @@ fn pairs_of_damaged_places_and_cuts_lose_no_intact_chunk() {
 fn joined_files_are_read_one_after_the_other_and_a_damaged_joint_costs_nothing() {
     let one = file();
     let joined = [&one[..], &many().0].concat();
-    let mut reader = Reader::new(Cursor::new(&joined)).unwrap();
+    let mut reader = McapReader::new(Cursor::new(&joined)).unwrap();
     let mut counts = [0, 0];
     while reader.next_message().unwrap().is_some() {
         counts[reader.file()] += 1;
@@ -238,7 +238,7 @@ fn joined_files_are_read_one_after_the_other_and_a_damaged_joint_costs_nothing()
     let mut damaged = joined;
     damaged[one.len() - 4..one.len() + 4].fill(0);
     assert!(!is_whole(&damaged));
-    let mut reader = Reader::salvage(Cursor::new(&damaged)).unwrap();
+    let mut reader = McapReader::salvage(Cursor::new(&damaged)).unwrap();
     let mut messages = 0;
     while reader.next_message().unwrap().is_some() {
         messages += 1;
@@ -277,7 +277,7 @@ fn chunk(length: u64, compression: &str, stored: &[u8]) -> Vec<u8> {
 }
 
 fn refused(bytes: &[u8]) -> String {
-    let read = Reader::new(Cursor::new(bytes)).and_then(|mut reader| reader.next_message().map(|_| ()));
+    let read = McapReader::new(Cursor::new(bytes)).and_then(|mut reader| reader.next_message().map(|_| ()));
     read.unwrap_err().to_string()
 }
 
@@ -292,14 +292,15 @@ fn what_is_not_supported_or_too_large_is_named_with_the_numbers() {
     append(&mut attached, opcode::ATTACHMENT, &[0; 60]);
     let message = refused(&chunk(attached.len() as u64, "", &attached));
     assert_eq!(message, "damaged at byte 30: a record stands where it does not belong");
-    assert!(Reader::salvage(Cursor::new(chunk(9, "br", &[0; 9]))).is_ok());
-    let salvaged = Reader::salvage(Cursor::new(chunk(9, "br", &[0; 9]))).unwrap().next_message().map(|_| ());
+    assert!(McapReader::salvage(Cursor::new(chunk(9, "br", &[0; 9]))).is_ok());
+    let salvaged =
+        McapReader::salvage(Cursor::new(chunk(9, "br", &[0; 9]))).unwrap().next_message().map(|_| ());
     assert!(salvaged.unwrap_err().to_string().contains("compression br"));
 }
 
 /// The messages of a file: topic, encoding, times and content.
 fn messages(bytes: &[u8]) -> Vec<(String, String, [u64; 2], Vec<u8>)> {
-    let (mut reader, mut found) = (Reader::new(Cursor::new(bytes)).unwrap(), Vec::new());
+    let (mut reader, mut found) = (McapReader::new(Cursor::new(bytes)).unwrap(), Vec::new());
     while let Some(message) = reader.next_message().unwrap() {
         let (channel, data) = (message.channel, message.data.to_vec());
         let times_ns = [message.log_ns, message.publish_ns];
@@ -358,7 +359,7 @@ fn a_chunk_in_zstd_is_read_and_one_that_unpacks_to_more_than_it_says_is_refused(
     append(&mut content, opcode::MESSAGE, &body);
     let stored = compress_to_vec(&content[..], CompressionLevel::Fastest);
     let bytes = chunk(content.len() as u64, "zstd", &stored);
-    let mut reader = Reader::new(Cursor::new(&bytes)).unwrap();
+    let mut reader = McapReader::new(Cursor::new(&bytes)).unwrap();
     let message = reader.next_message().unwrap().unwrap();
     assert_eq!((message.log_ns, message.data), (7, &[9; 5000][..]));
     for wrong in [content.len() as u64 - 1, content.len() as u64 + 1] {

@@ -16,7 +16,7 @@ use shared_types::{Header, TOPICS};
 use super::Summary;
 use super::ring::Ring;
 use crate::mcap::Writer;
-use crate::tape::{Tape, Target};
+use crate::tape::{Tape, TapeTarget};
 
 /// How many batches may wait for the disk: at 100 a second, five seconds.
 const BATCHES: usize = 512;
@@ -245,7 +245,7 @@ impl Batches {
 }
 
 /// Puts a batch on a tape, up to the first error.
-fn put<T: Target>(tape: &mut Tape<T>, batch: &Batch) -> io::Result<()> {
+fn put<T: TapeTarget>(tape: &mut Tape<T>, batch: &Batch) -> io::Result<()> {
     tape.set_clock(monotonic_ns());
     batch.samples().try_for_each(|(topic, bytes)| match TOPICS.get(topic) {
         Some(topic) => tape.sample(*topic, bytes),

@@ -9,7 +9,7 @@ use console::out_folder::OutFolder;
 
 use super::opening::Opening;
 use crate::mcap::{Chunk, OpenChunk};
-use crate::tape::Target;
+use crate::tape::TapeTarget;
 
 /// The ring holds no more than this [bytes].
 const MAX_BYTES: usize = 256 << 20;
@@ -75,7 +75,7 @@ impl Ring {
     }
 }
 
-impl Target for Ring {
+impl TapeTarget for Ring {
     fn message(&mut self, channel: u16, sequence: u32, log_ns: u64, data: &[&[u8]]) {
         self.open.message(channel, sequence, [log_ns; 2], data);
     }

@@ -17,7 +17,7 @@ use supervision::lock::{Claim, SystemLock};
 use toml::Value;
 
 use super::inputs::Input;
-use crate::Drive;
+use crate::ReplayDrive;
 
 /// An answer that has not come after this time does not come [ns].
 const ANSWER_NS: u64 = 5_000_000_000;
@@ -58,7 +58,7 @@ impl<'a, S: Sample> Bench<'a, S> {
     pub(super) fn start(
         role: Role,
         command: &[String],
-        drive: &Drive,
+        drive: &ReplayDrive,
         state: Option<&Checkpoint>,
         shutdown: &'a Shutdown,
     ) -> anyhow::Result<Self> {
@@ -199,7 +199,7 @@ impl<'a, S: Sample> Bench<'a, S> {
 }
 
 /// The recorded settings, in simulated time and without the privileges of the recorded drive.
-fn write_settings(domain: &Domain, drive: &Drive) -> anyhow::Result<()> {
+fn write_settings(domain: &Domain, drive: &ReplayDrive) -> anyhow::Result<()> {
     let run = RunSettings {
         period_ns: drive.period_ns,
         clock: ClockKind::Simulated,

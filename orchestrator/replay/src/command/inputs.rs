@@ -8,7 +8,7 @@ use shared_types::{
     Sample, Scan, Topic,
 };
 
-use crate::Drive;
+use crate::ReplayDrive;
 
 /// A recorded sample that a stage reads.
 pub(super) struct Input {
@@ -52,7 +52,7 @@ struct Process {
 /// The inputs of one role, from its first output on.
 pub(super) struct Inputs<'a> {
     role: Role,
-    drive: &'a Drive,
+    drive: &'a ReplayDrive,
     processes: BTreeMap<u32, Process>,
     /// The actuations that count, in the order of their publication, for an estimator without journals.
     actuations: Vec<&'a Actuation>,
@@ -66,7 +66,7 @@ pub(super) struct Inputs<'a> {
 
 impl<'a> Inputs<'a> {
     /// The inputs of a role.
-    pub(super) fn new(role: Role, drive: &'a Drive) -> Self {
+    pub(super) fn new(role: Role, drive: &'a ReplayDrive) -> Self {
         let counts = |actuation: &&Actuation| drive.counts(Role::Actuator, &actuation.header);
         let mut actuations: Vec<&Actuation> = drive.actuations.samples.iter().filter(counts).collect();
         actuations.sort_by_key(|actuation| (published_ns(actuation), actuation.header.scan_id));
@@ -204,7 +204,7 @@ impl<'a> Inputs<'a> {
 /// The journals of a process.
 fn process<'p>(
     processes: &'p mut BTreeMap<u32, Process>,
-    drive: &Drive,
+    drive: &ReplayDrive,
     incarnation: u32,
 ) -> &'p mut Process {
     processes.entry(incarnation).or_insert_with(|| {

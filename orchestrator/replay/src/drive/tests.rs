@@ -5,15 +5,15 @@ use shared_types::{
     Actuation, Checkpoint, Header, Journal, JournalEntry, JournalKind, Odometry, Role, Sample, Topic,
 };
 
-use super::Drive;
+use super::ReplayDrive;
 
 /// Incarnation of its estimator.
 pub(crate) const ESTIMATOR: u32 = 7;
 
 /// An estimator that gets the actuation of scan 1 only after its pose of scan 2: it saves states 1 and 2 after its poses, state
 /// 3 of scan 1 after that actuation, and state 4 after its pose of scan 3.
-pub(crate) fn late_actuation() -> Drive {
-    let mut drive = Drive::default();
+pub(crate) fn late_actuation() -> ReplayDrive {
+    let mut drive = ReplayDrive::default();
     let header =
         |scan_id, sequence| Header { scan_id, sequence, incarnation: ESTIMATOR, ..Header::default() };
     for (sequence, scan_id) in [(1, 1), (2, 2), (3, 1), (4, 3)] {

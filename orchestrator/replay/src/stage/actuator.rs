@@ -1,10 +1,10 @@
 //! Recomputes actuations.
 
-use actuation::{ActuatorState, Config};
+use actuation::{ActuatorConfig, ActuatorState};
 use shared_types::{Actuation, Command, JournalEntry, JournalKind, Role};
 
 use super::journal::{Missing, Stage, Taking};
-use crate::Drive;
+use crate::ReplayDrive;
 
 /// The process of an actuator.
 pub(super) struct Actuator {
@@ -20,8 +20,8 @@ impl Stage for Actuator {
     type State = ActuatorState;
     const ROLE: Role = Role::Actuator;
 
-    fn begin(drive: &Drive, incarnation: u32) -> anyhow::Result<Self> {
-        let config: Config = drive.table_of(incarnation, Role::Actuator, "actuator")?;
+    fn begin(drive: &ReplayDrive, incarnation: u32) -> anyhow::Result<Self> {
+        let config: ActuatorConfig = drive.table_of(incarnation, Role::Actuator, "actuator")?;
         let actuator = actuation::Actuator::new(config, drive.period_ns)?;
         Ok(Self { actuator, command: Err(Missing::Input), output: None, is_held_back: false })
     }

@@ -2,11 +2,11 @@
 
 use std::cell::Cell;
 
-use nmpc::{Budget, Config, ControllerState};
+use nmpc::{Budget, ControllerConfig, ControllerState};
 use shared_types::{Command, JournalEntry, JournalKind, Obstacles, Pose, Role, Topic};
 
 use super::journal::{Missing, Stage, Taking};
-use crate::Drive;
+use crate::ReplayDrive;
 
 /// The process of a controller.
 pub(super) struct Controller {
@@ -26,8 +26,8 @@ impl Stage for Controller {
     type State = ControllerState;
     const ROLE: Role = Role::Controller;
 
-    fn begin(drive: &Drive, incarnation: u32) -> anyhow::Result<Self> {
-        let config: Config = drive.table_of(incarnation, Role::Controller, "controller")?;
+    fn begin(drive: &ReplayDrive, incarnation: u32) -> anyhow::Result<Self> {
+        let config: ControllerConfig = drive.table_of(incarnation, Role::Controller, "controller")?;
         let iterations = drive.simulated.then_some(config.budget_iterations);
         let controller = nmpc::Controller::new(config)?;
         let is_changed = drive.is_changed;

@@ -1,10 +1,10 @@
 //! Recomputes poses.
 
-use estimator::{Config, EstimatorState};
+use estimator::{EstimatorConfig, EstimatorState};
 use shared_types::{Actuation, JournalEntry, JournalKind, Odometry, Pose, Role, Topic};
 
 use super::journal::{Missing, Stage, Taking};
-use crate::Drive;
+use crate::ReplayDrive;
 
 /// The process of an estimator.
 pub(super) struct Estimator {
@@ -24,8 +24,8 @@ impl Stage for Estimator {
     type State = EstimatorState;
     const ROLE: Role = Role::Estimator;
 
-    fn begin(drive: &Drive, incarnation: u32) -> anyhow::Result<Self> {
-        let config: Config = drive.table_of(incarnation, Role::Estimator, "estimator")?;
+    fn begin(drive: &ReplayDrive, incarnation: u32) -> anyhow::Result<Self> {
+        let config: EstimatorConfig = drive.table_of(incarnation, Role::Estimator, "estimator")?;
         Ok(Self { estimator: estimator::Estimator::new(&config)?, taken: None, pose: None })
     }
 

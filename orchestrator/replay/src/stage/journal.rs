@@ -10,7 +10,7 @@ use shared_types::{Checkpoint, Described, Journal, JournalEntry, JournalKind, Ro
 
 use super::{Findings, Window};
 use crate::drive::{Lane, moved};
-use crate::{Drive, Options};
+use crate::{ReplayDrive, ReplayOptions};
 
 /// An output that can't be recomputed.
 const NO_STATE: &str = "no state of the process was recorded";
@@ -43,7 +43,7 @@ impl Missing {
 /// How a process has taken samples.
 pub(super) struct Taking<'d> {
     /// The samples.
-    pub(super) drive: &'d Drive,
+    pub(super) drive: &'d ReplayDrive,
     incarnation: u32,
     /// The next one was handed over, with its times moved by this [ns].
     moved_ns: Option<i64>,
@@ -70,7 +70,7 @@ pub(super) trait Stage: Sized {
     const ROLE: Role;
 
     /// A process that begins without a state, with the settings of the recorded one.
-    fn begin(drive: &Drive, incarnation: u32) -> anyhow::Result<Self>;
+    fn begin(drive: &ReplayDrive, incarnation: u32) -> anyhow::Result<Self>;
     /// Continues from a state; false when it can't be used.
     fn resume(&mut self, state: &Self::State) -> bool;
     /// Remembers a sample that the process has taken.
@@ -83,8 +83,8 @@ pub(super) trait Stage: Sized {
     fn compare_others(
         &mut self,
         _recorded: &Self::Output,
-        _drive: &Drive,
-        _options: &Options,
+        _drive: &ReplayDrive,
+        _options: &ReplayOptions,
         _findings: &mut Findings,
     ) {
     }
@@ -93,8 +93,8 @@ pub(super) trait Stage: Sized {
 /// Replays all processes of a role.
 pub(super) fn replay<T: Stage>(
     lane: &Lane<T::Output>,
-    drive: &Drive,
-    options: &Options,
+    drive: &ReplayDrive,
+    options: &ReplayOptions,
     findings: &mut Findings,
 ) -> anyhow::Result<()> {
     let processes: BTreeSet<u32> = lane.samples.iter().map(|sample| sample.header().incarnation).collect();
@@ -141,8 +141,8 @@ impl Default for Skipped {
 /// Replays one process from its start, or from the first recorded state behind each gap.
 fn replay_process<T: Stage>(
     (incarnation, lane): (u32, &Lane<T::Output>),
-    drive: &Drive,
-    options: &Options,
+    drive: &ReplayDrive,
+    options: &ReplayOptions,
     window: &Window,
     findings: &mut Findings,
     skipped: &mut Skipped,
@@ -232,7 +232,7 @@ impl<T: Stage> Replayed<'_, T> {
         &mut self,
         journal: &Journal,
         recorded: Option<&T::Output>,
-        (options, window): (&Options, &Window),
+        (options, window): (&ReplayOptions, &Window),
         findings: &mut Findings,
     ) {
         let output = match self.unknown {
@@ -262,7 +262,7 @@ impl<T: Stage> Replayed<'_, T> {
 ///
 /// The scan of a state does not tell: an estimator that got an actuation late has saved a state of an earlier scan after
 /// its pose.
-fn nearest_state(incarnation: u32, drive: &Drive, options: &Options) -> Option<u64> {
+fn nearest_state(incarnation: u32, drive: &ReplayDrive, options: &ReplayOptions) -> Option<u64> {
     let (from, mut nearest) = (options.from?, None);
     for journal in drive.journals(incarnation) {
         let saved = journal.used().iter().filter(|entry| entry.kind == JournalKind::Saved.wire() as u16);
@@ -330,7 +330,8 @@ mod tests {
     #[test]
     fn a_replay_begins_with_the_newest_state_before_its_first_output() {
         let drive = late_actuation();
-        let nearest = |from| nearest_state(ESTIMATOR, &drive, &Options { from, ..Options::default() });
+        let nearest =
+            |from| nearest_state(ESTIMATOR, &drive, &ReplayOptions { from, ..ReplayOptions::default() });
         // State 3 is of scan 1 too, but holds the pose of scan 2.
         let found = [None, Some(1), Some(2), Some(3), Some(4)].map(nearest);
         assert_eq!(found, [None, None, Some(1), Some(3), Some(4)]);

@@ -1,10 +1,10 @@
 //! Recomputes described obstacles.
 
-use obstacles::{Config, ObstacleDetector, ObstaclesState};
+use obstacles::{ObstacleDetector, ObstaclesConfig, ObstaclesState};
 use shared_types::{JournalEntry, JournalKind, Obstacles, Pose, Role, Scan, Topic};
 
 use super::journal::{Missing, Stage, Taking};
-use crate::Drive;
+use crate::ReplayDrive;
 
 /// The process of an obstacle detector.
 pub(super) struct Detector {
@@ -18,8 +18,8 @@ impl Stage for Detector {
     type State = ObstaclesState;
     const ROLE: Role = Role::Obstacles;
 
-    fn begin(drive: &Drive, incarnation: u32) -> anyhow::Result<Self> {
-        let config: Config = drive.table_of(incarnation, Role::Obstacles, "obstacles")?;
+    fn begin(drive: &ReplayDrive, incarnation: u32) -> anyhow::Result<Self> {
+        let config: ObstaclesConfig = drive.table_of(incarnation, Role::Obstacles, "obstacles")?;
         let (scan, pose) = (Err(Missing::Input), Err(Missing::Input));
         Ok(Self { detector: ObstacleDetector::new(config)?, scan, pose })
     }

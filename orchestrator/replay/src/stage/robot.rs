@@ -6,7 +6,7 @@ use shared_types::{Actuation, Header, JournalEntry, JournalKind, Odometry, Role,
 
 use super::Findings;
 use super::journal::{Missing, Stage, Taking};
-use crate::{Drive, Options};
+use crate::{ReplayDrive, ReplayOptions};
 
 /// The process of an emulated robot.
 pub(super) struct Robot {
@@ -23,7 +23,7 @@ impl Stage for Robot {
     type State = RobotState;
     const ROLE: Role = Role::Robot;
 
-    fn begin(drive: &Drive, incarnation: u32) -> anyhow::Result<Self> {
+    fn begin(drive: &ReplayDrive, incarnation: u32) -> anyhow::Result<Self> {
         let scenario: Scenario = drive.table_of(incarnation, Role::Robot, "scenario")?;
         Ok(Self {
             emulator: Emulator::new(&scenario, drive.period_ns),
@@ -72,7 +72,13 @@ impl Stage for Robot {
         Ok(scan)
     }
 
-    fn compare_others(&mut self, recorded: &Scan, drive: &Drive, options: &Options, findings: &mut Findings) {
+    fn compare_others(
+        &mut self,
+        recorded: &Scan,
+        drive: &ReplayDrive,
+        options: &ReplayOptions,
+        findings: &mut Findings,
+    ) {
         let Header { scan_id, incarnation, .. } = recorded.header;
         let is_same = |header: &Header| header.incarnation == incarnation;
         let odometry = drive.odometries.of_scan(scan_id).find(|other| is_same(&other.header));

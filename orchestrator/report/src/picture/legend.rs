@@ -4,7 +4,7 @@ use emulator::JudgedBy;
 use plotters::prelude::*;
 
 use super::map::Layout;
-use super::{Area, BODY, BOUND, ELLIPSE, ESTIMATED_PATH, GOAL, OBSTACLE, Result, Scene, TRUE_PATH};
+use super::{Area, BODY, BOUND, ELLIPSE, ESTIMATED_PATH, GOAL, OBSTACLE, PictureScene, Result, TRUE_PATH};
 use super::{fine, text};
 
 /// Height of this part [pixels].
@@ -19,7 +19,12 @@ const SAMPLE: u32 = 26;
 /// Estimated width of a letter; the library can't measure text [pixels].
 const LETTER: f64 = 6.6;
 
-pub(super) fn draw(area: &Area<'_>, scene: &Scene, layout: &Layout, judged_by: JudgedBy) -> Result<()> {
+pub(super) fn draw(
+    area: &Area<'_>,
+    scene: &PictureScene,
+    layout: &Layout,
+    judged_by: JudgedBy,
+) -> Result<()> {
     text(area, &scene.title, 19, LEFT, 20)?;
     let part = if layout.is_cut() { " (only the last part of the drive is shown)" } else { "" };
     text(area, &format!("{}{part}", scene.subtitle), 13, LEFT, 44)?;

@@ -11,7 +11,7 @@ use super::clip::{self, View};
 use super::{
     Area, Axes, BODY, BOUND, EDGE, ELLIPSE, ESTIMATED_PATH, GOAL, OBSTACLE, TRACK, TRUE_PATH, WIDTH,
 };
-use super::{Drive, Ellipse, Moment, Result, Scene, fine, mesh};
+use super::{Ellipse, Moment, PictureDrive, PictureScene, Result, fine, mesh};
 
 /// Room for labels on the left [pixels].
 const LEFT: u32 = 60;
@@ -57,7 +57,7 @@ pub(super) struct Layout {
 
 impl Layout {
     /// Lays out the strips for a drive.
-    pub(super) fn of(scene: &Scene, drive: &Drive) -> Self {
+    pub(super) fn of(scene: &PictureScene, drive: &PictureDrive) -> Self {
         let whole = viewed(scene, drive);
         let length = whole.x[1] - whole.x[0];
         let foldable = whole.y[1] - whole.y[0] < FOLD_M / 2.0;
@@ -108,7 +108,7 @@ impl Layout {
     }
 
     /// Draws all strips.
-    pub(super) fn draw(&self, area: &Area<'_>, scene: &Scene, drive: &Drive) -> Result<()> {
+    pub(super) fn draw(&self, area: &Area<'_>, scene: &PictureScene, drive: &PictureDrive) -> Result<()> {
         let bodies = bodies(&drive.moments, MAX_BODIES * self.strips.len());
         let mut rest = area.clone();
         for (index, view) in self.strips.iter().enumerate() {
@@ -123,7 +123,7 @@ impl Layout {
 }
 
 /// The part of the track that is shown: the drive, start and goal, and the bounds near them.
-fn viewed(scene: &Scene, drive: &Drive) -> View {
+fn viewed(scene: &PictureScene, drive: &PictureDrive) -> View {
     let path = drive.moments.iter().map(|moment| [moment.x_m, moment.y_m]);
     let points = path.chain(drive.estimates.iter().copied()).chain([scene.start_m, scene.goal_m]);
     let mut view = View { x: [f64::INFINITY, f64::NEG_INFINITY], y: [f64::INFINITY, f64::NEG_INFINITY] };
@@ -163,8 +163,8 @@ fn bodies(moments: &[Moment], max: usize) -> Vec<Moment> {
 /// One strip: the part of the plane it shows, and what is drawn in it.
 struct Strip<'a> {
     view: &'a View,
-    scene: &'a Scene,
-    drive: &'a Drive,
+    scene: &'a PictureScene,
+    drive: &'a PictureDrive,
 }
 
 impl Strip<'_> {
@@ -201,12 +201,12 @@ impl Strip<'_> {
     }
 
     fn draw_ground(&self, chart: &mut Axes<'_, '_>) -> Result<()> {
-        let Scene { track_x_m: [left, right], track_y_m: [low, high], .. } = *self.scene;
+        let PictureScene { track_x_m: [left, right], track_y_m: [low, high], .. } = *self.scene;
         self.fill(chart, &[[left, low], [right, low], [right, high], [left, high]], TRACK.filled())
     }
 
     fn draw_bounds(&self, chart: &mut Axes<'_, '_>) -> Result<()> {
-        let Scene { track_x_m: [left, right], track_y_m: [low, high], walls, .. } = *self.scene;
+        let PictureScene { track_x_m: [left, right], track_y_m: [low, high], walls, .. } = *self.scene;
         let bound = BOUND.stroke_width(fine(1) as u32 * 3 / 2);
         let lateral = if walls { OBSTACLE.stroke_width(fine(4) as u32) } else { bound };
         for y in [low, high] {
@@ -231,7 +231,7 @@ impl Strip<'_> {
                 places => self.draw_way(chart, &obstacle.points, places)?,
             }
         }
-        let Scene { goal_m: [x_m, y_m], goal_tolerance_m: radius, .. } = *self.scene;
+        let PictureScene { goal_m: [x_m, y_m], goal_tolerance_m: radius, .. } = *self.scene;
         let tolerance = corners(&Ellipse { x_m, y_m, a_m: radius, b_m: radius });
         self.fill(chart, &tolerance, GOAL.mix(0.15).filled())?;
         self.outline(chart, &tolerance, GOAL.stroke_width(fine(2) as u32))?;

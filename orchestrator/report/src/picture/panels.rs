@@ -1,6 +1,6 @@
 //! Several charts, one below the other: measured points, the fit, and its residuals.
 
-use calibration::Chart;
+use calibration::FitChart;
 use plotters::prelude::*;
 
 use super::chart::range;
@@ -19,7 +19,7 @@ const FITTED: RGBColor = RGBColor(240, 110, 0);
 ///
 /// # Errors
 /// [`super::PictureError`] when the drawing library refuses.
-pub fn draw(charts: &[Chart]) -> Result<String> {
+pub fn draw(charts: &[FitChart]) -> Result<String> {
     let count = charts.len().max(1);
     svg(HEIGHT * count as u32, |root| {
         let areas = root.split_evenly((count, 1));
@@ -27,7 +27,7 @@ pub fn draw(charts: &[Chart]) -> Result<String> {
     })
 }
 
-fn panel(area: &Area<'_>, chart: &Chart) -> Result<()> {
+fn panel(area: &Area<'_>, chart: &FitChart) -> Result<()> {
     let finite = |points: &[[f64; 2]]| -> Vec<(f64, f64)> {
         let pairs = points.iter().map(|[x, y]| (*x, *y));
         pairs.filter(|(x, y)| x.is_finite() && y.is_finite()).collect()
@@ -66,8 +66,8 @@ fn panel(area: &Area<'_>, chart: &Chart) -> Result<()> {
 mod tests {
     use super::*;
 
-    fn chart(points: Vec<[f64; 2]>) -> Chart {
-        Chart {
+    fn chart(points: Vec<[f64; 2]>) -> FitChart {
+        FitChart {
             title: "what the map misses".to_owned(),
             across: "angle [rad]",
             up: "residual [mrad]",
@@ -92,7 +92,7 @@ mod tests {
     fn nothing_nonsense_and_a_single_value_are_drawn_too() {
         draw(&[]).unwrap();
         draw(&[chart(vec![[f64::NAN, 1.0], [1.0, f64::INFINITY]])]).unwrap();
-        draw(&[Chart { line: Vec::new(), ..chart(vec![[2.0, 0.0]]) }]).unwrap();
-        draw(&[Chart { line: Vec::new(), ..chart(Vec::new()) }]).unwrap();
+        draw(&[FitChart { line: Vec::new(), ..chart(vec![[2.0, 0.0]]) }]).unwrap();
+        draw(&[FitChart { line: Vec::new(), ..chart(Vec::new()) }]).unwrap();
     }
 }

@@ -155,7 +155,7 @@ impl fmt::Display for BlockingReport {
 
 /// A property in which the scenario differs from the description of the robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Difference {
+pub struct DifferenceReport {
     /// Its key in both tables.
     pub key: String,
     /// `robot.KEY` of the scenario, a number; or `track.surroundings`, a name.

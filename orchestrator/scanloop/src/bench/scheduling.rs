@@ -11,7 +11,7 @@ use rustix::thread::{CpuSet, sched_getaffinity};
 
 /// Scheduling policy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Policy {
+pub enum SchedulingPolicy {
     /// SCHED_OTHER, the default of Linux.
     Other,
     /// SCHED_FIFO: real time, a process runs until it sleeps.
@@ -24,7 +24,7 @@ pub struct SchedulingArguments {
     /// Scheduling policy of the processes; without it that of the system file. `fifo` needs root, or the right to
     /// priority 40.
     #[arg(long, value_name = "POLICY", value_enum)]
-    pub sched: Option<Policy>,
+    pub sched: Option<SchedulingPolicy>,
     /// Processors that the processes may run on, for example `0` or `0,2-3`; without it all.
     #[arg(long, value_name = "LIST")]
     pub cpu: Option<String>,
@@ -34,7 +34,7 @@ pub struct SchedulingArguments {
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Scheduling {
     /// The policy, if one is asked for.
-    pub policy: Option<Policy>,
+    pub policy: Option<SchedulingPolicy>,
     /// The processors; empty for all.
     pub cpus: Vec<usize>,
 }
@@ -64,8 +64,8 @@ impl Scheduling {
     /// Applies the settings that were asked for to those of a system.
     pub fn apply(&self, realtime: &mut Realtime) {
         match self.policy {
-            Some(Policy::Fifo) => realtime.scheduler = Scheduler::Fifo,
-            Some(Policy::Other) => realtime.scheduler = Scheduler::Other,
+            Some(SchedulingPolicy::Fifo) => realtime.scheduler = Scheduler::Fifo,
+            Some(SchedulingPolicy::Other) => realtime.scheduler = Scheduler::Other,
             None => {}
         }
         if !self.cpus.is_empty() {
@@ -82,7 +82,7 @@ impl Scheduling {
         }
         let fifo = Realtime { scheduler: Scheduler::Fifo, ..Realtime::default() };
         let priority = fifo.priority;
-        if self.policy == Some(Policy::Fifo) && !is_granted(fifo)? {
+        if self.policy == Some(SchedulingPolicy::Fifo) && !is_granted(fifo)? {
             return Err(Failure::process(format!(
                 "the kernel refuses `--sched fifo`: run as root, or allow priority {priority}: `ulimit -r {priority}`, \
                  or a line `USER - rtprio {priority}` in /etc/security/limits.conf and log in anew"
@@ -149,7 +149,7 @@ mod tests {
             (realtime.scheduler, realtime.cpu)
         };
         assert_eq!(applied(None, &[]), (Scheduler::Fifo, vec![0]));
-        assert_eq!(applied(Some(Policy::Other), &[1]), (Scheduler::Other, vec![1]));
+        assert_eq!(applied(Some(SchedulingPolicy::Other), &[1]), (Scheduler::Other, vec![1]));
     }
 
     #[test]

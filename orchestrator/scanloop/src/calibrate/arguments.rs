@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 
 /// What is calibrated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Kind {
+pub enum CalibrationKind {
     /// The velocity factor kv, from straight runs with the columns sent_velocity_mps, distance_m, time_s.
     Velocity,
     /// The steering map and the play, from circle runs with the columns sent_steering_rad, approached_from, chord_m,
@@ -17,7 +17,7 @@ pub enum Kind {
     Drift,
 }
 
-impl Kind {
+impl CalibrationKind {
     /// Its name on the command line and of its files.
     pub const fn name(self) -> &'static str {
         match self {
@@ -33,7 +33,7 @@ impl Kind {
 pub struct CalibrateArguments {
     /// What to calibrate.
     #[arg(value_enum)]
-    pub kind: Kind,
+    pub kind: CalibrationKind,
     /// Recorded runs as CSV tables; docs/calibration.md describes their columns.
     #[arg(value_name = "CSV", required_unless_present = "drive", conflicts_with = "drive")]
     pub files: Vec<PathBuf>,

@@ -10,7 +10,7 @@ use anyhow::Context;
 use console::exit::{Exit, Failure};
 use runtime::{Domain, RUN_ID_VARIABLE, Shutdown, wait_for};
 use rustix::process::{Pid, Signal, kill_process};
-use session::control::{Reply, Request, Status, ask};
+use session::control::{Reply, Request, SystemStatus, ask};
 use supervision::child::this_program;
 
 /// A step of the demo that takes longer has failed.
@@ -140,7 +140,7 @@ impl System {
     }
 
     /// Its state, if it answers.
-    pub(super) fn status(&self) -> Option<Status> {
+    pub(super) fn status(&self) -> Option<SystemStatus> {
         match ask(&self.domain()?, &Request::Status) {
             Ok(Reply::Status(status)) => Some(*status),
             _ => None,

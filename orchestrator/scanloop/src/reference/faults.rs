@@ -2,10 +2,10 @@
 
 use std::fmt::Write as _;
 
-use faults::{Fault, Phase};
+use faults::{DrivePhase, InjectedFault};
 
 /// `docs/faults.md`: what is injected and what must happen.
-pub(super) fn faults_page(all: &[Fault]) -> String {
+pub(super) fn faults_page(all: &[InjectedFault]) -> String {
     let cells = all.iter().map(|fault| fault.phases().count()).sum::<usize>();
     let live: usize = all.iter().filter(|fault| fault.is_live()).map(|fault| fault.phases().count()).sum();
     let mut text = include_str!("faults.md").to_owned();
@@ -46,7 +46,7 @@ fn or_dash(text: &str) -> &str {
 }
 
 /// Time until the detection; where the fault has to grow, from when on.
-fn within(fault: &Fault) -> String {
+fn within(fault: &InjectedFault) -> String {
     let expected = &fault.expect;
     match expected.detectable_ms {
         _ if expected.from_effect => format!("{:.0} ms after 5 cm", expected.within_ms),
@@ -55,7 +55,7 @@ fn within(fault: &Fault) -> String {
     }
 }
 
-fn differences(fault: &Fault, phase: Phase) -> String {
+fn differences(fault: &InjectedFault, phase: DrivePhase) -> String {
     let Some(differs) = fault.in_phase.get(&phase) else { return String::new() };
     if differs.skip {
         return "no cell".to_owned();

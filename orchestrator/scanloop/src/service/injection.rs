@@ -6,7 +6,7 @@
 use std::sync::mpsc::{Receiver, Sender, channel};
 
 use anyhow::Context;
-use faults::{ActiveFault, Change, Changed, Fault, Injection, PERMIT_FILE, SampleFault, fault_file};
+use faults::{ActiveFault, Change, Changed, InjectedFault, Injection, PERMIT_FILE, SampleFault, fault_file};
 use runtime::{Domain, Tamper, monotonic_ns, tamper_with, wait_for};
 use shared_types::{Role, SampleType, Topic};
 
@@ -68,14 +68,14 @@ fn read(domain: &Domain, role: Role) -> Option<ActiveFault> {
     toml::from_str::<ActiveFault>(&text).ok().filter(|active| active.until_ns > monotonic_ns())
 }
 
-fn of_samples(fault: &Fault) -> Option<&SampleFault> {
+fn of_samples(fault: &InjectedFault) -> Option<&SampleFault> {
     match &fault.inject {
         Injection::Sample(fault) => Some(fault),
         Injection::Scenario(_) | Injection::Process(_) => None,
     }
 }
 
-fn of_robot(fault: &Fault) -> toml::Table {
+fn of_robot(fault: &InjectedFault) -> toml::Table {
     match &fault.inject {
         Injection::Scenario(fault) => fault.set.clone(),
         Injection::Sample(_) | Injection::Process(_) => toml::Table::new(),

@@ -3,7 +3,7 @@
 use ratatui_core::buffer::Buffer;
 use ratatui_core::layout::Rect;
 use ratatui_core::style::{Color, Modifier, Style};
-use session::control::{ProcessStatus, Status};
+use session::control::{ProcessStatus, SystemStatus};
 use shared_types::{Role, ScannerState, StopReason};
 use vehicle::frame::to_track;
 
@@ -76,7 +76,7 @@ fn print(buffer: &mut Buffer, area: Rect, at: u16, text: &str, style: Style) {
 fn title(area: Rect, buffer: &mut Buffer, model: &Model) {
     let style = Style::new().add_modifier(Modifier::REVERSED);
     buffer.set_style(area, style);
-    let Some(Status { state, scenario, scan, lockstep, .. }) = &model.status else {
+    let Some(SystemStatus { state, scenario, scan, lockstep, .. }) = &model.status else {
         return print(buffer, area, 0, &format!(" {}: waiting for the system", model.system_id), style);
     };
     let left =

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use session::control::{EventRow, Status};
+use session::control::{EventRow, SystemStatus};
 use shared_types::{Actuation, ActuationKind, BEAMS, Command, Obstacles, Pose, Role, Scan, Truth};
 use vehicle::frame::to_track;
 use vehicle::{Description, Goal, Track};
@@ -18,7 +18,7 @@ pub(super) struct Model {
     /// Id of the system.
     pub(super) system_id: String,
     /// The last status that was received.
-    pub(super) status: Option<Status>,
+    pub(super) status: Option<SystemStatus>,
     /// Why there is no newer status.
     pub(super) trouble: Option<String>,
     /// The course and the robot as the controller knows them.

@@ -9,7 +9,7 @@ use console::output::data;
 use runtime::{Shutdown, monotonic_ns};
 use session::arguments::check_duration;
 use shared_types::did_you_mean;
-use urg::{DeviceFault, Emulator, Port};
+use urg::{DeviceFault, Port, ScannerEmulator};
 
 use super::arguments::EmulateArguments;
 
@@ -21,7 +21,7 @@ pub(super) fn emulate(arguments: &EmulateArguments) -> anyhow::Result<Exit> {
     check_duration(arguments.duration)?;
     let started_ns = monotonic_ns();
     let mut faults = arguments.fault.iter().map(|text| fault(text)).collect::<anyhow::Result<Vec<_>>>()?;
-    let emulator = Emulator::in_a_room(started_ns);
+    let emulator = ScannerEmulator::in_a_room(started_ns);
     let (mut port, place) = match &arguments.tcp {
         Some(address) => {
             let refused = |error| Failure::bad_input(format!("--tcp {address}: {}", refusal(&error)));

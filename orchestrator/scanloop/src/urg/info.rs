@@ -3,7 +3,7 @@
 use console::exit::{Exit, Failure};
 use console::output::data;
 use serde_json::{Map, Value, json};
-use urg::{Parameters, fields};
+use urg::{SensorParameters, fields};
 
 use super::arguments::InfoArguments;
 use super::scanner::Scanner;
@@ -32,12 +32,12 @@ pub(super) fn info(arguments: &InfoArguments) -> anyhow::Result<Exit> {
 }
 
 /// First and last angle [deg].
-fn view_deg(parameters: &Parameters) -> [f64; 2] {
+fn view_deg(parameters: &SensorParameters) -> [f64; 2] {
     [parameters.first, parameters.last].map(|step| parameters.yaw_rad(f64::from(step)).to_degrees())
 }
 
-fn summary(parameters: &Parameters) -> String {
-    let Parameters { model, min_mm, max_mm, steps, first, last, front, rpm } = parameters;
+fn summary(parameters: &SensorParameters) -> String {
+    let SensorParameters { model, min_mm, max_mm, steps, first, last, front, rpm } = parameters;
     let [right, left] = view_deg(parameters);
     let fit = match parameters.require_fit(None, 0) {
         Ok(()) => "covers what the stages analyse".to_owned(),
@@ -50,8 +50,8 @@ fn summary(parameters: &Parameters) -> String {
     )
 }
 
-fn parameters_json(parameters: &Parameters) -> Value {
-    let Parameters { model, min_mm, max_mm, steps, first, last, front, .. } = parameters;
+fn parameters_json(parameters: &SensorParameters) -> Value {
+    let SensorParameters { model, min_mm, max_mm, steps, first, last, front, .. } = parameters;
     let [right_deg, left_deg] = view_deg(parameters);
     json!({
         "model": model, "min_mm": min_mm, "max_mm": max_mm, "steps": steps, "first": first, "last": last,

@@ -5,7 +5,7 @@ use console::note;
 use runtime::{Shutdown, monotonic_ns};
 use session::arguments::check_duration;
 use shared_types::Scan;
-use urg::{Coding, Config, Place, Reading, Source, SourceState};
+use urg::{Coding, Reading, ScannerConfig, ScannerConnection, ScannerPlace, SourceState};
 
 use super::arguments::{PlaceArguments, ScannerArguments};
 
@@ -16,7 +16,7 @@ const CHECK_NS: u64 = 100_000_000;
 
 /// The source of scans with the limits of the command.
 pub(super) struct Scanner {
-    source: Source,
+    source: ScannerConnection,
     shutdown: Shutdown,
     started_ns: u64,
     end_ns: u64,
@@ -30,7 +30,8 @@ impl Scanner {
         let ScannerArguments { place, bit_rate, two_characters, skip, cluster, count, duration } = arguments;
         check_duration(*duration)?;
         let coding = if *two_characters { Coding::Two } else { Coding::Three };
-        let config = Config { coding, skip: *skip, cluster: *cluster, bit_rate: *bit_rate, ..config(place)? };
+        let config =
+            ScannerConfig { coding, skip: *skip, cluster: *cluster, bit_rate: *bit_rate, ..config(place)? };
         let mut scanner = Self::of(config)?;
         scanner.left = count.unwrap_or(u64::MAX);
         if let Some(duration) = duration {
@@ -40,8 +41,8 @@ impl Scanner {
     }
 
     /// Opens a scanner for its identification only.
-    pub(super) fn identify(place: &PlaceArguments) -> anyhow::Result<Source> {
-        let mut scanner = Self::of(Config { identify_only: true, ..config(place)? })?;
+    pub(super) fn identify(place: &PlaceArguments) -> anyhow::Result<ScannerConnection> {
+        let mut scanner = Self::of(ScannerConfig { identify_only: true, ..config(place)? })?;
         let mut scan = Scan::default();
         while !scanner.source.is_identified() {
             scanner.source.next(CHECK_NS, &mut scan).map_err(Failure::bad_input)?;
@@ -51,10 +52,10 @@ impl Scanner {
         Ok(scanner.source)
     }
 
-    fn of(config: Config) -> anyhow::Result<Self> {
+    fn of(config: ScannerConfig) -> anyhow::Result<Self> {
         let started_ns = monotonic_ns();
         Ok(Self {
-            source: Source::open(config, monotonic_ns),
+            source: ScannerConnection::open(config, monotonic_ns),
             shutdown: Shutdown::on_signals()?,
             started_ns,
             end_ns: u64::MAX,
@@ -64,7 +65,7 @@ impl Scanner {
     }
 
     /// The source.
-    pub(super) fn source(&self) -> &Source {
+    pub(super) fn source(&self) -> &ScannerConnection {
         &self.source
     }
 
@@ -112,11 +113,13 @@ impl Scanner {
     }
 }
 
-fn config(place: &PlaceArguments) -> anyhow::Result<Config> {
+fn config(place: &PlaceArguments) -> anyhow::Result<ScannerConfig> {
     let place = match place {
-        PlaceArguments { tcp: Some(address), .. } if !address.starts_with('/') => Place::parse(address),
-        PlaceArguments { device: Some(path), .. } => Ok(Place::Device(path.clone())),
+        PlaceArguments { tcp: Some(address), .. } if !address.starts_with('/') => {
+            ScannerPlace::parse(address)
+        }
+        PlaceArguments { device: Some(path), .. } => Ok(ScannerPlace::Device(path.clone())),
         PlaceArguments { tcp, .. } => Err(urg::UrgError::Place(tcp.clone().unwrap_or_default())),
     };
-    Ok(Config::new(place.map_err(Failure::bad_input)?))
+    Ok(ScannerConfig::new(place.map_err(Failure::bad_input)?))
 }

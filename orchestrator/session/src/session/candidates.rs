@@ -5,14 +5,14 @@ use std::collections::BTreeMap;
 
 use console::limits::text_of;
 use emulator::JudgedBy;
-use handover::swap::outputs::Watch;
+use handover::swap::outputs::RoleWatch;
 use handover::swap::{Party, SwapEvent};
 use plan::change;
 use runtime::{HandoverData, monotonic_ns, own_settings_file, started_settings_file};
 use shared_types::{Authority, Phase, ProcessState, Role, Topic};
 use supervision::entry::ProcessEntry;
 use supervision::fleet::Fleet;
-use supervision::supervisor::{Event, Exit, Supervisor, VisibleState};
+use supervision::supervisor::{Event, ProcessExit, Supervisor, VisibleState};
 
 use super::{GRANT_AHEAD, Session};
 use crate::run_recorder::RunRecorder;
@@ -24,7 +24,7 @@ const MAX_AHEAD: u64 = 256;
 const MAX_SETTLED: usize = 16;
 
 /// The outputs of each candidate and of the process in charge, by incarnation of the candidate.
-pub(crate) type Watches = BTreeMap<u32, Watch>;
+pub(crate) type Watches = BTreeMap<u32, RoleWatch>;
 
 /// What the session does for a swap or a shadow.
 #[derive(Debug, Clone, PartialEq)]
@@ -147,7 +147,7 @@ impl Session {
         &mut self,
         role: Role,
         incarnation: u32,
-        exit: Exit,
+        exit: ProcessExit,
     ) -> anyhow::Result<bool> {
         if self.shadows.ended(incarnation, || self.fleet.reason_of(role, exit)) {
             return Ok(true);
@@ -290,7 +290,7 @@ impl Session {
         let handover = self.hand_over(role);
         self.fleet.spawn_candidate(entry, incarnation, handover.as_ref())?;
         // After the start: until then the reserve holds the memory of the watch.
-        let watch = Watch::new(&self.bus, role, needs_truth).map_err(anyhow::Error::from);
+        let watch = RoleWatch::new(&self.bus, role, needs_truth).map_err(anyhow::Error::from);
         let begun = watch.and_then(|watch| self.write_registry().map(|()| watch));
         if begun.is_err() {
             self.fleet.dismiss(incarnation);

@@ -1,7 +1,7 @@
 //! Whether the kernel has killed a process because its control group had no memory left.
 
 use console::control_group::{Reached, memory_limit, out_of_memory_kills};
-use supervision::supervisor::Exit;
+use supervision::supervisor::ProcessExit;
 
 /// Number of the signal with which the kernel ends a process for want of memory.
 const KILL: i32 = 9;
@@ -19,8 +19,8 @@ impl Default for MemoryWatch {
 
 impl MemoryWatch {
     /// The limit behind the end of a process, as a continuation of the sentence; empty for another cause.
-    pub(super) fn cause_of(&mut self, exit: Exit) -> String {
-        if exit != Exit::Signal(KILL) {
+    pub(super) fn cause_of(&mut self, exit: ProcessExit) -> String {
+        if exit != ProcessExit::Signal(KILL) {
             return String::new();
         }
         let before = std::mem::replace(&mut self.kills, out_of_memory_kills());

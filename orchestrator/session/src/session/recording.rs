@@ -2,7 +2,7 @@
 
 use audit::digest::Digests;
 use audit::samples::ScanRecord;
-use emulator::{Evidence, Referee, Scenario};
+use emulator::{EstimatedScan, Referee, Scenario};
 use report::Outcome;
 use report::recorder::{Recorder, RunInfo};
 
@@ -92,7 +92,7 @@ impl Recording {
         let time_s = self.recorder.duration_s();
         let decided = match &scan.truth {
             Some(truth) => self.referee.observe(truth, self.recorder.last_actuation()),
-            None => self.referee.observe_estimate(&Evidence {
+            None => self.referee.observe_estimate(&EstimatedScan {
                 header: &scan.header,
                 time_s,
                 period_ns: self.period_ns,

@@ -1,6 +1,6 @@
 //! The requests of commands over the control socket, and the answers of a session.
 
-use handover::swap::{Change, Meant};
+use handover::swap::{KeyChange, Meant};
 use plan::change;
 use report::Outcome;
 use runtime::{Domain, monotonic_ns, settings_file, wait_for};
@@ -126,7 +126,7 @@ fn changed_settings(domain: &Domain, request: &SwapRequest) -> Result<Option<Cha
     let text = domain.folder().read_text(&settings_file(role)).map_err(|error| error.to_string())?;
     let changed = change::settings(role, &text, &request.set).and_then(|settings| {
         let amounts = change::amounts(role, [&text, &settings], &request.set)?;
-        let changes: Vec<Change> = amounts.into_iter().map(|(key, by)| Change { key, by }).collect();
+        let changes: Vec<KeyChange> = amounts.into_iter().map(|(key, by)| KeyChange { key, by }).collect();
         Ok(Changed { settings, meant: Meant::of(&changes) })
     });
     changed.map(Some).map_err(|error| format!("{error:#}"))

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
 use handover::shadow::{ShadowOutcome, ShadowReport, Study};
-use handover::swap::{Output, Party};
+use handover::swap::{Party, SwapOutput};
 use shared_types::Role;
 use supervision::entry::ProcessEntry;
 
@@ -136,7 +136,7 @@ impl Shadows {
     }
 
     /// An output of a shadow, or of the live process for comparison.
-    pub(super) fn output(&mut self, now_ns: u64, incarnation: u32, party: Party, output: Output) {
+    pub(super) fn output(&mut self, now_ns: u64, incarnation: u32, party: Party, output: SwapOutput) {
         let shadow = self.begun.iter_mut().find(|shadow| shadow.incarnation == incarnation);
         if let Some(Work::Running(study)) = shadow.map(|shadow| &mut shadow.work) {
             study.output(now_ns, party, output);

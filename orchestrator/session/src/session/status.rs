@@ -8,7 +8,7 @@ use shared_types::{Phase, Role};
 use supervision::supervisor::VisibleState;
 
 use super::Session;
-use crate::control::{ProcessStatus, Status};
+use crate::control::{ProcessStatus, SystemStatus};
 
 impl Session {
     pub(super) fn show(&mut self) {
@@ -25,7 +25,7 @@ impl Session {
         self.manager.turn(|| line(&view, &labels, COLUMNS));
     }
 
-    pub(super) fn status(&mut self) -> Status {
+    pub(super) fn status(&mut self) -> SystemStatus {
         let views: Vec<_> = self.supervisor.processes().collect();
         let processes = views.into_iter().map(|view| {
             let load = self.fleet.load(view.role);
@@ -48,7 +48,7 @@ impl Session {
         for (role, incarnation) in self.shadows.incarnations().collect::<Vec<_>>() {
             self.show_candidate(&mut processes, role, incarnation, VisibleState::Shadow);
         }
-        Status {
+        SystemStatus {
             system_id: self.run.domain.system_id().to_owned(),
             state: Phase::try_from(self.directives.current.phase).map_or("starting", Phase::name).to_owned(),
             scenario: self.run.scenario.clone(),

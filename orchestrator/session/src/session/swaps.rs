@@ -6,8 +6,8 @@
 
 use audit::samples::ScanRecord;
 use handover::swap::{
-    Certificate, LOCKSTEP_TIMEOUT_NS, MAX_TOLERANCE, Meant, Party, RUN_ENDS, Recorded, Stage, Swap,
-    SwapAction, SwapEvent, SwapOutcome, SwapPlan,
+    Certificate, LOCKSTEP_TIMEOUT_NS, MAX_TOLERANCE, Meant, Party, RUN_ENDS, RecordedScan, Swap, SwapAction,
+    SwapEvent, SwapOutcome, SwapPlan, SwapStage,
 };
 use shared_types::{Checkpoint, ProcessState, Role, Topic};
 use supervision::supervisor::VisibleState;
@@ -126,8 +126,8 @@ impl Swaps {
     pub(super) fn shown(&self) -> Option<(Role, u32, VisibleState)> {
         let swap = &self.current.as_ref()?.swap;
         let state = match swap.stage() {
-            Stage::Starting => VisibleState::Starting,
-            Stage::Shadowing => VisibleState::Shadow,
+            SwapStage::Starting => VisibleState::Starting,
+            SwapStage::Shadowing => VisibleState::Shadow,
             _ => VisibleState::Ready,
         };
         Some((swap.plan().role, swap.plan().new, state))
@@ -273,7 +273,7 @@ impl Swaps {
     pub(super) fn party_of(&self, incarnation: u32) -> Option<Party> {
         let swap = &self.current.as_ref()?.swap;
         match swap.stage() {
-            Stage::Settling | Stage::Over => None,
+            SwapStage::Settling | SwapStage::Over => None,
             _ if swap.plan().new == incarnation => Some(Party::New),
             _ => (swap.plan().old == incarnation).then_some(Party::Old),
         }
@@ -285,7 +285,7 @@ impl Swaps {
         let Some(plan) = self.plan() else { return Vec::new() };
         let answers = scan.actuations.iter().filter(|actuation| actuation.answers == 1);
         let last = answers.clone().next_back();
-        let recorded = Recorded {
+        let recorded = RecordedScan {
             scan: self.recorded_scan,
             answers: answers.count() as u64,
             desired: last.map_or([0.0; 2], |last| [last.desired_steering_rad, last.desired_velocity_mps]),
@@ -333,7 +333,7 @@ impl Swaps {
     fn holds(&self, now_ns: u64) -> bool {
         let Some(Current { swap, connected_at, .. }) = &self.current else { return self.asked.is_some() };
         let waits = match (swap.stage(), connected_at) {
-            (Stage::Settling | Stage::Over, _) => false,
+            (SwapStage::Settling | SwapStage::Over, _) => false,
             (_, None) => return true,
             (_, Some(scan)) => self.recorded_scan > *scan && !swap.both_answered(self.recorded_scan),
         };

@@ -40,7 +40,7 @@ fn the_exit_code_and_the_output_come_back() {
     let scratch = Scratch::new();
     let log = scratch.log();
     let mut child = Child::spawn(&shell("echo out; echo err >&2; exit 2"), &log).unwrap();
-    assert_eq!(child.wait_for(LIMIT).unwrap(), Some(Exit::Code(2)));
+    assert_eq!(child.wait_for(LIMIT).unwrap(), Some(ProcessExit::Code(2)));
     assert_eq!(child.try_wait().unwrap().unwrap().to_string(), "exit code 2");
     assert_eq!(log.last_lines(5).unwrap(), ["out", "err"]);
     assert_eq!(child.usage(), None);
@@ -101,7 +101,7 @@ fn environment_and_empty_input_are_as_asked() {
         ..shell("echo \"$SCANLOOP_TEST\"; wc -c")
     };
     let mut child = Child::spawn(&launch, &log).unwrap();
-    assert_eq!(child.wait_for(LIMIT).unwrap(), Some(Exit::Code(0)));
+    assert_eq!(child.wait_for(LIMIT).unwrap(), Some(ProcessExit::Code(0)));
     let lines = log.last_lines(2).unwrap();
     assert_eq!((lines[0].as_str(), lines[1].trim()), ("a b", "0"));
 }
@@ -126,7 +126,7 @@ fn a_process_that_ignores_the_request_or_is_stopped_can_be_killed() {
     child.terminate().unwrap();
     assert_eq!(child.wait_for(Duration::from_millis(50)).unwrap(), None);
     child.kill().unwrap();
-    assert_eq!(child.wait_for(LIMIT).unwrap(), Some(Exit::Signal(9)));
+    assert_eq!(child.wait_for(LIMIT).unwrap(), Some(ProcessExit::Signal(9)));
 }
 
 #[test]
@@ -137,7 +137,7 @@ fn a_signal_reaches_the_whole_group() {
     let grandchild: u32 = first_line(&log).parse().unwrap();
     assert!(runs(grandchild));
     child.kill().unwrap();
-    assert_eq!(child.wait_for(LIMIT).unwrap(), Some(Exit::Signal(9)));
+    assert_eq!(child.wait_for(LIMIT).unwrap(), Some(ProcessExit::Signal(9)));
     wait_until("the end of the grandchild", || !runs(grandchild));
 }
 
@@ -147,7 +147,7 @@ fn the_rest_of_a_group_does_not_outlive_its_leader() {
     let log = scratch.log();
     let mut child = Child::spawn(&shell("sleep 1000 & echo $!; exit 3"), &log).unwrap();
     let grandchild: u32 = first_line(&log).parse().unwrap();
-    assert_eq!(child.wait_for(LIMIT).unwrap(), Some(Exit::Code(3)));
+    assert_eq!(child.wait_for(LIMIT).unwrap(), Some(ProcessExit::Code(3)));
     wait_until("the end of the grandchild", || !runs(grandchild));
 }
 
@@ -175,7 +175,11 @@ fn the_pidfd_wakes_a_poll_at_the_end_of_the_process() {
     assert_eq!(ready(&child, 0), 0);
     child.kill().unwrap();
     assert_eq!(ready(&child, 20), 1);
-    assert_eq!(child.try_wait().unwrap(), Some(Exit::Signal(9)), "what the poll told can be read at once");
+    assert_eq!(
+        child.try_wait().unwrap(),
+        Some(ProcessExit::Signal(9)),
+        "what the poll told can be read at once"
+    );
 }
 
 #[test]

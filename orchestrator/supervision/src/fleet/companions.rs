@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use console::limits::text_of;
 use runtime::{
-    COMPANION_VARIABLE, CompanionPage, CompanionReport, Domain, MAX_COMPANIONS, REPORT_VARIABLE,
+    COMPANION_VARIABLE, CompanionPage, CompanionSelfReport, Domain, MAX_COMPANIONS, REPORT_VARIABLE,
     STOOD_STILL_NS, StopWord, monotonic_ns,
 };
 use rustix::process::{Pid, setpriority_process};
@@ -21,7 +21,7 @@ use crate::child::{Child, Launch};
 use crate::child_log::ChildLog;
 use crate::entry::ProcessEntry;
 use crate::environment::{joining, variable};
-use crate::keeper::{Keeper, KeeperPolicy, Life, Order};
+use crate::keeper::{Keeper, KeeperOrder, KeeperPolicy, Life};
 use crate::supervisor::VisibleState;
 
 /// Companions have incarnations from this number on, so that they differ from those of roles.
@@ -118,7 +118,7 @@ pub struct CompanionView {
     /// Samples published per second.
     pub rate_hz: f64,
     /// What it reports.
-    pub report: CompanionReport,
+    pub report: CompanionSelfReport,
     /// The scan from which on lock-step did not wait for it any more.
     pub left_at_scan: Option<u64>,
     /// Last log lines of the process before the one that runs.
@@ -256,7 +256,7 @@ impl Companions {
         let passes = (report.incarnation == incarnation && incarnation != 0).then_some(report.activations);
         member.excuse_starved(now_ns, passes);
         match member.keeper.advance(now_ns, passes) {
-            Some(Order::Start) => {
+            Some(KeeperOrder::Start) => {
                 let started = self.start(index);
                 let member = &mut self.members[index];
                 match started {
@@ -274,7 +274,7 @@ impl Companions {
                 }
                 self.publish(index);
             }
-            Some(Order::Kill) => {
+            Some(KeeperOrder::Kill) => {
                 events.push(CompanionEvent::Hung(member.entry.name().to_owned()));
                 if let Some(running) = &member.process {
                     let _ = running.process.child.kill();
@@ -369,7 +369,7 @@ impl Companions {
             return;
         }
         let now_ns = monotonic_ns();
-        let CompanionReport { answered_scan, taken, answered, .. } = self.page.report(member.report);
+        let CompanionSelfReport { answered_scan, taken, answered, .. } = self.page.report(member.report);
         let is_late = now_ns.saturating_sub(member.answered.1) > LOCKSTEP_LIMIT_NS;
         if answered_scan != member.answered.0 || answered_scan >= newest_scan {
             member.answered = (answered_scan, now_ns);

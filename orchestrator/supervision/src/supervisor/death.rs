@@ -4,7 +4,7 @@ use shared_types::{Phase, Role};
 
 use super::slot::{EndReason, Life, Limit, Slot};
 use super::turn::Turn;
-use super::{Action, Exit, Restart, Severity, Supervisor};
+use super::{Action, ProcessExit, Restart, Severity, Supervisor};
 
 /// A caller that does not ask for the stop of a failed run within this time is not waited for [ms].
 const HALT_MS: u64 = 3_000;
@@ -39,7 +39,7 @@ impl Supervisor {
         turn.warn(format!("{role} could not be started: {error}; again in {pause_ms} ms"));
     }
 
-    pub(super) fn exited(&mut self, turn: &mut Turn, role: Role, incarnation: u32, exit: Exit) {
+    pub(super) fn exited(&mut self, turn: &mut Turn, role: Role, incarnation: u32, exit: ProcessExit) {
         let (stopping, lockstep) = (self.is_ending(), self.lockstep);
         let Some(slot) = self.slot(role) else { return };
         if !slot.is_live() || slot.incarnation != incarnation {

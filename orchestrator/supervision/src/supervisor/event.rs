@@ -2,7 +2,7 @@
 
 use shared_types::{Phase, ProcessState, Role};
 
-use super::Exit;
+use super::ProcessExit;
 
 /// Something that happened.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -89,7 +89,7 @@ pub enum Event {
         /// Its incarnation.
         incarnation: u32,
         /// How it ended.
-        exit: Exit,
+        exit: ProcessExit,
     },
     /// Time has passed. Send it after all other events at hand, several times within a hang limit.
     Tick,

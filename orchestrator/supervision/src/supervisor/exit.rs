@@ -12,7 +12,7 @@ const SIGNALS: [&str; 31] = [
 
 /// How a process ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Exit {
+pub enum ProcessExit {
     /// It returned or called `exit` with this code.
     Code(i32),
     /// A signal of this number killed it.
@@ -21,14 +21,14 @@ pub enum Exit {
     Unknown,
 }
 
-impl Exit {
+impl ProcessExit {
     /// Whether the process ended by itself without an error.
     pub const fn is_success(self) -> bool {
         matches!(self, Self::Code(0))
     }
 }
 
-impl From<std::process::ExitStatus> for Exit {
+impl From<std::process::ExitStatus> for ProcessExit {
     fn from(status: std::process::ExitStatus) -> Self {
         match (status.code(), status.signal()) {
             (Some(code), _) => Self::Code(code),
@@ -39,7 +39,7 @@ impl From<std::process::ExitStatus> for Exit {
     }
 }
 
-impl fmt::Display for Exit {
+impl fmt::Display for ProcessExit {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::Code(code) => write!(formatter, "exit code {code}"),
@@ -59,18 +59,22 @@ mod tests {
 
     #[test]
     fn an_exit_names_its_code_or_signal() {
-        assert_eq!(Exit::Code(2).to_string(), "exit code 2");
-        assert_eq!(Exit::Signal(9).to_string(), "killed by signal 9 (SIGKILL)");
-        assert_eq!(Exit::Signal(15).to_string(), "killed by signal 15 (SIGTERM)");
-        assert_eq!(Exit::Signal(31).to_string(), "killed by signal 31 (SIGSYS)");
-        assert_eq!(Exit::Signal(40).to_string(), "killed by signal 40");
-        assert_eq!(Exit::Signal(0).to_string(), "killed by signal 0");
-        assert_eq!(Exit::Unknown.to_string(), "exit code unknown, as it was adopted");
+        assert_eq!(ProcessExit::Code(2).to_string(), "exit code 2");
+        assert_eq!(ProcessExit::Signal(9).to_string(), "killed by signal 9 (SIGKILL)");
+        assert_eq!(ProcessExit::Signal(15).to_string(), "killed by signal 15 (SIGTERM)");
+        assert_eq!(ProcessExit::Signal(31).to_string(), "killed by signal 31 (SIGSYS)");
+        assert_eq!(ProcessExit::Signal(40).to_string(), "killed by signal 40");
+        assert_eq!(ProcessExit::Signal(0).to_string(), "killed by signal 0");
+        assert_eq!(ProcessExit::Unknown.to_string(), "exit code unknown, as it was adopted");
     }
 
     #[test]
     fn only_code_zero_is_a_success() {
-        assert!(Exit::Code(0).is_success());
-        assert!(!Exit::Code(1).is_success() && !Exit::Signal(15).is_success() && !Exit::Unknown.is_success());
+        assert!(ProcessExit::Code(0).is_success());
+        assert!(
+            !ProcessExit::Code(1).is_success()
+                && !ProcessExit::Signal(15).is_success()
+                && !ProcessExit::Unknown.is_success()
+        );
     }
 }

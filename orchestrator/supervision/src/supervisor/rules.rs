@@ -4,13 +4,13 @@ use proptest::prelude::*;
 use shared_types::{Phase, ProcessState, Role};
 
 use super::world::{Found, World, policies};
-use super::{Action, Event, Exit, ProcessPolicy, Supervisor};
+use super::{Action, Event, ProcessExit, ProcessPolicy, Supervisor};
 
-const KILLED: Exit = Exit::Signal(9);
+const KILLED: ProcessExit = ProcessExit::Signal(9);
 
 /// What can happen next in a run of a robot and a controller.
 fn step(world: &mut World, choice: u32) {
-    let exit = Exit::Code(1);
+    let exit = ProcessExit::Code(1);
     match choice {
         0 => Role::ALL.iter().for_each(|role| world.answer(*role, true)),
         1 => world.answer(Role::Controller, false),
@@ -90,7 +90,7 @@ enum Deed {
     Progress(Role),
     Starve(Role),
     Refuse(Role, Role),
-    Die(Role, Exit),
+    Die(Role, ProcessExit),
     Clean(Role),
     Wait(u64),
     WaitForDeadline,
@@ -108,8 +108,8 @@ fn any_state() -> impl Strategy<Value = ProcessState> {
     prop::sample::select(ProcessState::ALL)
 }
 
-fn any_exit() -> impl Strategy<Value = Exit> {
-    prop_oneof![(0..3).prop_map(Exit::Code), (1..16).prop_map(Exit::Signal)]
+fn any_exit() -> impl Strategy<Value = ProcessExit> {
+    prop_oneof![(0..3).prop_map(ProcessExit::Code), (1..16).prop_map(ProcessExit::Signal)]
 }
 
 fn any_stray() -> impl Strategy<Value = Event> {
@@ -270,7 +270,7 @@ fn once_a_run_has_failed_a_first_output_is_not_waited_for() {
     let mut world = World::adopted(policies(), false, Phase::Driving, |_| Found::Alive);
     world.advance(7_876);
     world.send(Event::Tick);
-    world.die(Role::Estimator, Exit::Code(0));
+    world.die(Role::Estimator, ProcessExit::Code(0));
     assert!(world.failure.is_some());
     world.actions.clear();
     world.advance(2_124);

@@ -12,9 +12,9 @@ mod stop;
 use shared_types::{ProcessState, Role};
 
 use super::world::World;
-use super::{Action, Event, Exit, VisibleState};
+use super::{Action, Event, ProcessExit, VisibleState};
 
-const KILLED: Exit = Exit::Signal(9);
+const KILLED: ProcessExit = ProcessExit::Signal(9);
 
 fn state(world: &World, role: Role) -> VisibleState {
     world.supervisor.process(role).unwrap().state

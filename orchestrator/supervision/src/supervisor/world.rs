@@ -5,7 +5,7 @@ use shared_types::{Phase, ProcessState, Role};
 use super::due::feeders;
 use super::policy::nanoseconds;
 use super::slot::{Life, Slot};
-use super::{Action, Event, Exit, ProcessPolicy, Severity, Supervisor, VisibleState};
+use super::{Action, Event, ProcessExit, ProcessPolicy, Severity, Supervisor, VisibleState};
 
 /// The state of one role in the world.
 #[derive(Debug, Clone, Default)]
@@ -219,7 +219,7 @@ impl World {
         self.send(Event::Progress { role, incarnation });
     }
 
-    pub(super) fn die(&mut self, role: Role, exit: Exit) {
+    pub(super) fn die(&mut self, role: Role, exit: ProcessExit) {
         let healthy_ns = nanoseconds(self.policy(role).healthy_after_ms);
         let place = &mut self.places[role.index()];
         let Some(process) = place.process.take() else { return };
@@ -270,7 +270,7 @@ impl World {
                 if let Some(Process { terminated_ns: Some(_), .. } | Process { killed: true, .. }) =
                     self.place(role).process
                 {
-                    self.die(role, Exit::Signal(15));
+                    self.die(role, ProcessExit::Signal(15));
                 }
             }
             let all_ready = self.supervisor.processes().all(|view| view.state == VisibleState::Ready);
@@ -295,7 +295,7 @@ impl World {
                 let ends =
                     |process: &Process| process.killed || (obedient && process.terminated_ns.is_some());
                 if place.process.as_ref().is_some_and(ends) {
-                    self.die(role, Exit::Signal(15));
+                    self.die(role, ProcessExit::Signal(15));
                 }
             }
             if self.all_stopped {

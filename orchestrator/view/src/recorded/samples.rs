@@ -1,7 +1,7 @@
 //! Samples of a recording in the order of their time.
 
 use bytemuck::from_bytes;
-use recording::Recorded;
+use recording::RecordedSample;
 use shared_types::{Actuation, Command, Directive, Header, Obstacles, Pose, Sample, Scan, Topic, Truth};
 
 use crate::follower::News;
@@ -25,7 +25,7 @@ pub(super) struct OwnedSample {
 
 impl OwnedSample {
     /// A copy; `None` for a topic that is not shown.
-    pub(super) fn new(recorded: &Recorded<'_>, chunk: u32) -> Option<Self> {
+    pub(super) fn new(recorded: &RecordedSample<'_>, chunk: u32) -> Option<Self> {
         let place = SHOWN.iter().position(|topic| *topic == recorded.topic);
         let place = place.map(|place| place + 1).or((recorded.topic == Topic::Directive).then_some(0))?;
         let mut words = vec![0; recorded.bytes.len().div_ceil(8)];

@@ -33,7 +33,7 @@ fn drive(scan: u64) -> Command {
 }
 
 fn actuator() -> Actuator {
-    Actuator::new(Config::default(), PERIOD_NS).unwrap()
+    Actuator::new(ActuatorConfig::default(), PERIOD_NS).unwrap()
 }
 
 /// An actuator that drives, with scan `scan` as the last one answered.
@@ -73,7 +73,7 @@ fn a_valid_command_is_corrected_and_sent_with_its_header() {
 
 #[test]
 fn the_identity_calibration_sends_what_is_desired() {
-    let config = Config { calibration: Calibration::Identity, ..Config::default() };
+    let config = ActuatorConfig { calibration: Calibration::Identity, ..ActuatorConfig::default() };
     let actuation = Actuator::new(config, PERIOD_NS).unwrap().answer(&drive(1), arrival(1));
     assert_eq!((actuation.sent_velocity_mps, actuation.sent_steering_rad), (0.5, 0.02));
 }
@@ -494,7 +494,7 @@ proptest! {
         identity: bool,
     ) {
         let calibration = if identity { Calibration::Identity } else { Calibration::Default };
-        let mut actuator = Actuator::new(Config { calibration, ..Config::default() }, PERIOD_NS).unwrap();
+        let mut actuator = Actuator::new(ActuatorConfig { calibration, ..ActuatorConfig::default() }, PERIOD_NS).unwrap();
         let (mut now, mut scan, mut answered, mut stopped) = (1_000_000_000, 1, 0, false);
         for (event, pause) in events {
             now += pause;
@@ -511,7 +511,7 @@ proptest! {
                     (command.velocity_mps, command.steering_rad) = (velocity, steering);
                     admissible = kind == CommandKind::Drive.wire() && verified == 1 && scan > answered
                         && velocity.is_finite() && steering.is_finite()
-                        && Config::default().vehicle.bounds.contains(Control { velocity, steering }, 1e-6)
+                        && ActuatorConfig::default().vehicle.bounds.contains(Control { velocity, steering }, 1e-6)
                         && age_ns <= 3 * PERIOD_NS as i64 && age_ns >= -(PERIOD_NS as i64);
                     let actuation = actuator.answer(&command, now);
                     if actuation.answers == 1 {

@@ -1,9 +1,9 @@
 use super::*;
-use estimator::correction::{CorrectionState, Drift, Mode, Planar};
+use estimator::correction::{CorrectionMode, CorrectionState, Drift, Planar};
 
 /// A run along a sine whose odometry errs exactly so that the estimator's own correction undoes it.
 fn run(number: u32, df: f64, dds: f64, seconds: usize) -> Vec<SineRow> {
-    let drift = Drift { mode: Mode::Moving, longitudinal: df, lateral_rate: dds, reset_s: 0.0 };
+    let drift = Drift { mode: CorrectionMode::Moving, longitudinal: df, lateral_rate: dds, reset_s: 0.0 };
     let speed = 0.8;
     let reported = |step: usize| {
         let time_s = 0.1 * step as f64;

@@ -4,7 +4,7 @@ use emulator::scenario::{Noise, Robot, Values};
 
 /// A robot whose hidden parameters differ by up to 30 % from those of scenario `imperfect-robot`.
 fn hidden(trial: u64) -> Scenario {
-    let mut stream = Stream::new(trial, Purpose::Course, 4242);
+    let mut stream = NoiseStream::new(trial, Purpose::Course, 4242);
     let mut off = |value: f64| value * stream.between(0.7, 1.3);
     Scenario {
         robot: Robot {

@@ -1,7 +1,7 @@
 //! Play from angles that were approached from both sides.
 
 use crate::Estimate;
-use crate::record::{CircleRun, Side};
+use crate::record::{ApproachSide, CircleRun};
 
 /// Fewest angles that were approached from both sides.
 const MIN_PAIRS: usize = 5;
@@ -12,12 +12,13 @@ const MIN_PAIRS: usize = 5;
 /// `None` when fewer than [`MIN_PAIRS`] angles were approached from both sides. Without play the value may be a little
 /// below zero.
 pub(super) fn estimate(runs: &[CircleRun], realised: &[f64]) -> Option<Estimate> {
-    let from =
-        |side: Side| runs.iter().zip(realised).filter(move |(run, _)| run.approached_from == Some(side));
+    let from = |side: ApproachSide| {
+        runs.iter().zip(realised).filter(move |(run, _)| run.approached_from == Some(side))
+    };
     let mut above: Vec<(f64, f64)> =
-        from(Side::Above).map(|(run, angle)| (run.sent_steering_rad, *angle)).collect();
+        from(ApproachSide::Above).map(|(run, angle)| (run.sent_steering_rad, *angle)).collect();
     let (mut halves, mut squares) = (Vec::new(), 0.0);
-    for (run, low) in from(Side::Below) {
+    for (run, low) in from(ApproachSide::Below) {
         // The same text in two lines of a table gives the same number.
         if let Some(index) = above.iter().position(|(sent, _)| *sent == run.sent_steering_rad) {
             halves.push((above.swap_remove(index).1 - low) / 2.0);

@@ -1,10 +1,10 @@
 use super::*;
 use crate::record::{read, write};
-use emulator::noise::{Purpose, Stream};
+use emulator::noise::{NoiseStream, Purpose};
 use emulator::steering_map::nonlinear;
 
 /// Arc of a given length driven with a steering angle of the wheels.
-fn arc(sent: f64, wheels: f64, side: Option<Side>, noise: &mut dyn FnMut() -> f64) -> CircleRun {
+fn arc(sent: f64, wheels: f64, side: Option<ApproachSide>, noise: &mut dyn FnMut() -> f64) -> CircleRun {
     let length = 4.0;
     let curvature = 2.0 * wheels.tan() / 0.37;
     let (chord, height) = if curvature.abs() < 1e-9 {
@@ -23,13 +23,13 @@ fn arc(sent: f64, wheels: f64, side: Option<Side>, noise: &mut dyn FnMut() -> f6
 }
 
 fn runs(map: &dyn Fn(f64) -> f64, play: f64, seed: Option<u64>) -> Vec<CircleRun> {
-    let mut stream = Stream::new(seed.unwrap_or(0), Purpose::Course, 77);
+    let mut stream = NoiseStream::new(seed.unwrap_or(0), Purpose::Course, 77);
     let mut noise = || if seed.is_some() { 0.003 * stream.normal() } else { 0.0 };
     let mut runs = Vec::new();
     for step in -20..=20 {
         let sent = 0.09 * f64::from(step) / 20.0;
-        runs.push(arc(sent, map(sent) - play, Some(Side::Below), &mut noise));
-        runs.push(arc(sent, map(sent) + play, Some(Side::Above), &mut noise));
+        runs.push(arc(sent, map(sent) - play, Some(ApproachSide::Below), &mut noise));
+        runs.push(arc(sent, map(sent) + play, Some(ApproachSide::Above), &mut noise));
     }
     runs
 }
@@ -75,7 +75,7 @@ fn the_fit_is_deterministic_and_survives_its_table() {
 
 /// Maps within 30 % of the identity that no network has seen.
 fn unseen(trial: u64) -> impl Fn(f64) -> f64 {
-    let mut stream = Stream::new(trial, Purpose::Course, 5);
+    let mut stream = NoiseStream::new(trial, Purpose::Course, 5);
     let (gain, tilt, bend) =
         (stream.between(0.9, 1.2), stream.between(-0.1, 0.1), stream.between(-0.3, 0.15));
     move |sent: f64| {

@@ -5,7 +5,7 @@
 
 use shared_types::{Actuation, Fault, Flag, finite, plain_state};
 
-use crate::noise::{Purpose, Stream};
+use crate::noise::{NoiseStream, Purpose};
 use crate::scenario::{Scenario, Values};
 
 /// How many actuations can be on their way.
@@ -93,7 +93,7 @@ impl Way {
         let Values { command_delay_s, command_jitter_s, command_loss, .. } = self.values;
         // Scan numbers never get as large as the other half of the numbers.
         let number = if actuation.answers == 1 { actuation.header.scan_id } else { now_ns | 1 << 63 };
-        let mut stream = Stream::new(self.seed, Purpose::Command, number);
+        let mut stream = NoiseStream::new(self.seed, Purpose::Command, number);
         let is_lost = stream.chance(command_loss);
         let travel_s = command_delay_s + command_jitter_s * stream.exponential();
         (!is_lost).then(|| now_ns.saturating_add((travel_s * 1e9).round() as u64))

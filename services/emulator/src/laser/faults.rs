@@ -8,7 +8,7 @@
 use shared_types::{BEAMS, MIN_RANGE_MM, Scan};
 
 use super::{MAX_RANGE_M, NO_RETURN, Sweep};
-use crate::noise::{Purpose, Stream};
+use crate::noise::{NoiseStream, Purpose};
 use crate::scenario::{Scanner, Scenario};
 
 /// Nearest random range of dust and salt [m].
@@ -86,7 +86,7 @@ impl Faults {
             return;
         }
         let Scanner { salt, dust, .. } = self.scanner;
-        let stream = |purpose| Stream::new(self.seed, purpose, sweep.scan_id);
+        let stream = |purpose| NoiseStream::new(self.seed, purpose, sweep.scan_id);
         lose(self.scanner.dropout_at(sweep.front_ns), stream(Purpose::Dropout), ranges_mm);
         scatter(dust, DUST_M, stream(Purpose::Dust), ranges_mm);
         scatter(salt, MAX_RANGE_M, stream(Purpose::Salt), ranges_mm);
@@ -117,7 +117,7 @@ impl Faults {
 }
 
 /// Loses a share of the beams.
-fn lose(share: f64, mut stream: Stream, ranges_mm: &mut [u16; BEAMS]) {
+fn lose(share: f64, mut stream: NoiseStream, ranges_mm: &mut [u16; BEAMS]) {
     if share <= 0.0 {
         return;
     }
@@ -129,7 +129,7 @@ fn lose(share: f64, mut stream: Stream, ranges_mm: &mut [u16; BEAMS]) {
 }
 
 /// Replaces a share of the readings by random ranges of at most `reach_m`.
-fn scatter(share: f64, reach_m: f64, mut stream: Stream, ranges_mm: &mut [u16; BEAMS]) {
+fn scatter(share: f64, reach_m: f64, mut stream: NoiseStream, ranges_mm: &mut [u16; BEAMS]) {
     if share <= 0.0 {
         return;
     }
@@ -143,7 +143,7 @@ fn scatter(share: f64, reach_m: f64, mut stream: Stream, ranges_mm: &mut [u16; B
 
 /// Gives each beam without a return an error code, whatever the reason, so that a code tells nothing.
 pub(super) fn draw_codes(seed: u64, scan_id: u64, ranges_mm: &mut [u16; BEAMS]) {
-    let mut stream = Stream::new(seed, Purpose::Code, scan_id);
+    let mut stream = NoiseStream::new(seed, Purpose::Code, scan_id);
     for reading in ranges_mm {
         let code = code_of(stream.uniform());
         if *reading < MIN_RANGE_MM {

@@ -121,7 +121,7 @@ fn a_moving_obstacle_is_hit_where_it_is_at_the_time_of_the_beam() {
 
 #[test]
 fn culling_changes_nothing() {
-    let mut stream = Stream::new(5, Purpose::Course, 0);
+    let mut stream = NoiseStream::new(5, Purpose::Course, 0);
     for _ in 0..200 {
         let (x, y) = (stream.between(-5.0, 5.0), stream.between(-5.0, 5.0));
         if x.hypot(y) < 1.5 {
@@ -146,7 +146,7 @@ fn culling_changes_nothing() {
 #[test]
 fn readings_are_error_codes_below_20_mm_and_beyond_5600_mm() {
     let silent = Noise { range_m: 0.0, ..Noise::default() };
-    let mut stream = Stream::new(1, Purpose::Laser, 1);
+    let mut stream = NoiseStream::new(1, Purpose::Laser, 1);
     let mut reading = |range| reading_of(range, &silent, Scale::TRUE, &mut stream);
     assert_eq!(reading(0.0194), NO_RETURN);
     assert_eq!(reading(0.0196), 20);

@@ -18,7 +18,7 @@ const DEAD_MAN_PERIODS: u64 = 2;
 
 /// One scan of a robot that publishes no truth.
 #[derive(Debug, Clone, Copy)]
-pub struct Evidence<'a> {
+pub struct EstimatedScan<'a> {
     /// Identity of the scan, and the time of its front beam.
     pub header: &'a Header,
     /// That time since the start of the run [s].
@@ -54,7 +54,7 @@ impl Wheels {
     }
 
     /// The robot at the front beam of a scan, from what was sent before it.
-    pub(super) fn at(&mut self, scan: &Evidence<'_>, goal_m: [f64; 2]) -> Sight {
+    pub(super) fn at(&mut self, scan: &EstimatedScan<'_>, goal_m: [f64; 2]) -> Sight {
         let silent_ns = scan.header.acquired_ns.saturating_sub(self.sent_ns);
         let dead_man = self.turn && silent_ns > DEAD_MAN_PERIODS * scan.period_ns;
         let turned = std::mem::take(&mut self.turned);

@@ -2,8 +2,8 @@
 
 use vehicle::{Invalid, settings};
 
-use super::{Obstacle, Shape, Start};
-use crate::noise::{Purpose, Stream};
+use super::{ScenarioObstacle, Shape, Start};
+use crate::noise::{NoiseStream, Purpose};
 
 /// The first obstacle stands this far after the start: nearer ones need not be passable [m].
 const FIRST_M: f64 = 6.0;
@@ -39,15 +39,20 @@ impl Endless {
     }
 
     /// The obstacles between a start and a goal at `goal_x_m` along the track.
-    pub(super) fn placed(&self, seed: u64, start: &Start, goal_x_m: f64) -> impl Iterator<Item = Obstacle> {
+    pub(super) fn placed(
+        &self,
+        seed: u64,
+        start: &Start,
+        goal_x_m: f64,
+    ) -> impl Iterator<Item = ScenarioObstacle> {
         let (settings, start) = (*self, *start);
         let place = move |number: u64| start.x_m + FIRST_M + number as f64 * settings.spacing_m;
         (0..MAX_PLACED).take_while(move |number| place(*number) <= goal_x_m - LAST_M).map(move |number| {
-            let mut stream = Stream::new(seed, Purpose::Placement, number);
+            let mut stream = NoiseStream::new(seed, Purpose::Placement, number);
             let width_m = stream.between(settings.width_m[0], settings.width_m[1]);
             let y_m = start.y_m + stream.between(-settings.lateral_m, settings.lateral_m);
             let shape = Shape::Box { length_m: settings.length_m, width_m, yaw_rad: 0.0 };
-            Obstacle::fixed(shape, place(number), y_m)
+            ScenarioObstacle::fixed(shape, place(number), y_m)
         })
     }
 }

@@ -34,7 +34,7 @@ pub enum Shape {
 /// An obstacle, where it stands, when it is there, and how it moves.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "ObstacleFile", into = "ObstacleFile")]
-pub struct Obstacle {
+pub struct ScenarioObstacle {
     /// Shape and size.
     pub shape: Shape,
     /// Position of the centre along the track when it appears [m].
@@ -55,7 +55,7 @@ pub struct Obstacle {
     pub black: bool,
 }
 
-impl Obstacle {
+impl ScenarioObstacle {
     /// An obstacle that stands there all the time.
     pub fn fixed(shape: Shape, x_m: f64, y_m: f64) -> Self {
         Self {
@@ -109,7 +109,7 @@ impl Obstacle {
     }
 }
 
-impl Setting for Obstacle {
+impl Setting for ScenarioObstacle {
     fn require_all(&self, name: &str) -> Result<(), Invalid> {
         let allowed = ObstacleFile::from(*self).require_ranges().and_then(|()| self.require_order());
         allowed.map_err(|error| error.within(name))
@@ -161,7 +161,7 @@ settings! {
     }
 }
 
-impl TryFrom<ObstacleFile> for Obstacle {
+impl TryFrom<ObstacleFile> for ScenarioObstacle {
     type Error = Invalid;
 
     fn try_from(file: ObstacleFile) -> Result<Self, Invalid> {
@@ -199,8 +199,8 @@ impl TryFrom<ObstacleFile> for Obstacle {
     }
 }
 
-impl From<Obstacle> for ObstacleFile {
-    fn from(obstacle: Obstacle) -> Self {
+impl From<ScenarioObstacle> for ObstacleFile {
+    fn from(obstacle: ScenarioObstacle) -> Self {
         let (shape, [radius_m, length_m, width_m, yaw_rad]) = match obstacle.shape {
             Shape::Circle { radius_m } => (ShapeName::Circle, [Some(radius_m), None, None, None]),
             Shape::Box { length_m, width_m, yaw_rad } => {

@@ -3,7 +3,7 @@
 use vehicle::{Description, Parameters};
 
 use super::robot::{OdometryModel, Preset, Robot};
-use crate::noise::{Purpose, Stream};
+use crate::noise::{NoiseStream, Purpose};
 
 /// Spread of a worn robot: each value is within this share of its middle.
 const SPREAD: f64 = 0.2;
@@ -133,7 +133,7 @@ impl Values {
         let middle = Self::summit(description);
         let about = |key, middle: f64, spread: f64| {
             // From -1 to 1.
-            let draw = 2.0 * Stream::new(seed, Purpose::Wear, name_hash(key)).uniform() - 1.0;
+            let draw = 2.0 * NoiseStream::new(seed, Purpose::Wear, name_hash(key)).uniform() - 1.0;
             middle + spread * draw
         };
         let share = |key, middle: f64| about(key, middle, SPREAD * middle);

@@ -4,7 +4,7 @@ use toml::{Table, Value};
 use vehicle::{Invalid, read};
 
 use super::obstacle::ObstacleFile;
-use super::{Obstacle, Scenario};
+use super::{Scenario, ScenarioObstacle};
 
 /// The scenario in `table`, with types and names of keys checked, numbers not yet.
 pub(super) fn scenario(table: Table) -> Result<Scenario, Invalid> {
@@ -19,7 +19,7 @@ fn obstacles(value: &Value) -> Result<(), Invalid> {
         let name = format!("obstacle[{index}]");
         let table =
             value.as_table().ok_or_else(|| Invalid::new(&name, value, format!("a table [{name}]")))?;
-        let obstacle = read::<ObstacleFile>(table.clone()).and_then(Obstacle::try_from);
+        let obstacle = read::<ObstacleFile>(table.clone()).and_then(ScenarioObstacle::try_from);
         obstacle.map(drop).map_err(|error| error.within(&name))
     })
 }

@@ -10,7 +10,7 @@ use crate::steering_map::SteeringMap;
 /// When the lateral error of the odometry grows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Drift {
+pub enum DriftGrowth {
     /// While the robot moves.
     #[default]
     Moving,
@@ -53,7 +53,7 @@ pub enum OdometryModel {
     Encoders,
 }
 
-impl Setting for Drift {}
+impl Setting for DriftGrowth {}
 impl Setting for Preset {}
 impl Setting for OdometryModel {}
 
@@ -116,7 +116,7 @@ settings! {
         /// Growth of the lateral odometry error, dds of (7.38) [1/s].
         pub odometry_lateral_rate: Option<f64> = None, -1.0..=1.0;
         /// When the lateral odometry error grows: while the robot moves, or with time, also at standstill.
-        pub odometry_drift: Drift = Drift::Moving;
+        pub odometry_drift: DriftGrowth = DriftGrowth::Moving;
         /// Error of the reported yaw from `odometry_jump_s` on [rad].
         pub odometry_jump_rad: f64 = 0.0, -PI..=PI;
         /// Time at which the reported yaw jumps [s].

@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use vehicle::{Invalid, Rule, settings};
+use vehicle::{Invalid, KeyRule, settings};
 
 /// Longest time by which a scan can be late [s]: the emulator keeps the poses of this time.
 const MAX_LATE_S: f64 = 10.0;
@@ -112,7 +112,7 @@ fn nanoseconds(seconds: f64) -> u64 {
 /// Two times in ascending order.
 struct Periods;
 
-impl Rule<Option<[f64; 2]>> for Periods {
+impl KeyRule<Option<[f64; 2]>> for Periods {
     fn text(&self) -> String {
         format!("`[shortest, longest]` from 0.001 to {MAX_LATE_S}; the scan period lies between them")
     }
@@ -130,7 +130,7 @@ impl Rule<Option<[f64; 2]>> for Periods {
 /// Pairs of angles in ascending order.
 struct Sectors;
 
-impl Rule<Vec<[f64; 2]>> for Sectors {
+impl KeyRule<Vec<[f64; 2]>> for Sectors {
     fn text(&self) -> String {
         "pairs `[from, to]` from -pi to pi, the smaller one first".to_owned()
     }
@@ -143,7 +143,7 @@ impl Rule<Vec<[f64; 2]>> for Sectors {
 /// Pairs of time and share, in the order of time.
 struct Steps;
 
-impl Rule<Vec<[f64; 2]>> for Steps {
+impl KeyRule<Vec<[f64; 2]>> for Steps {
     fn text(&self) -> String {
         "pairs `[time, share]`: times from 0 to 1e6 s in ascending order, shares from 0 to 1".to_owned()
     }
@@ -158,7 +158,7 @@ impl Rule<Vec<[f64; 2]>> for Steps {
 
 /// Passes when each pair is allowed after the one before; the first that is not is named with its index.
 fn require_pairs(
-    rule: &impl Rule<Vec<[f64; 2]>>,
+    rule: &impl KeyRule<Vec<[f64; 2]>>,
     key: &str,
     pairs: &[[f64; 2]],
     is_allowed: impl Fn(Option<[f64; 2]>, [f64; 2]) -> bool,

@@ -32,7 +32,7 @@ fn the_shipped_corridor_is_the_default_with_one_box() {
     let shape = Shape::Box { length_m: 0.1, width_m: 0.4, yaw_rad: 0.0 };
     let robot = Robot { preset: Preset::Summit, ..Robot::default() };
     let expected =
-        Scenario { obstacles: vec![Obstacle::fixed(shape, 5.0, 0.0)], robot, ..Scenario::default() };
+        Scenario { obstacles: vec![ScenarioObstacle::fixed(shape, 5.0, 0.0)], robot, ..Scenario::default() };
     // The file repeats some values of the preset.
     let resolved = |scenario: Scenario| Scenario {
         robot: scenario.robot.resolved(&vehicle::Description::default(), scenario.seed),
@@ -196,7 +196,7 @@ proptest! {
         x in 2.0..20.0f64, y in -1.0..1.0f64, radius in 0.01..0.5f64, yaw in -1.0..1.0f64,
         seed in 0..=i64::MAX as u64, speed in -1.0..1.0f64, ahead in proptest::option::of(0.1..3.0f64),
     ) {
-        let mut obstacle = Obstacle::fixed(Shape::Circle { radius_m: radius }, x, y);
+        let mut obstacle = ScenarioObstacle::fixed(Shape::Circle { radius_m: radius }, x, y);
         obstacle.velocity_y_mps = speed;
         obstacle.appears_ahead_m = ahead;
         let scenario = Scenario {

@@ -5,8 +5,8 @@ use shared_types::{ActuationKind, Alarm, Header, Sample};
 use vehicle::{Control, Description};
 
 use super::*;
-use crate::Profile;
-use crate::correction::Mode;
+use crate::NoiseProfile;
+use crate::correction::CorrectionMode;
 
 mod drift;
 mod figures;
@@ -14,12 +14,12 @@ mod figures;
 const PERIOD_NS: u64 = 100_000_000;
 
 /// The default settings for a robot that follows at once.
-fn at_once() -> Config {
-    Config { vehicle: Description::default().without_lag(), ..Config::default() }
+fn at_once() -> EstimatorConfig {
+    EstimatorConfig { vehicle: Description::default().without_lag(), ..EstimatorConfig::default() }
 }
 
-fn source() -> Config {
-    Config { profile: Profile::Source, ..at_once() }
+fn source() -> EstimatorConfig {
+    EstimatorConfig { profile: NoiseProfile::Source, ..at_once() }
 }
 
 fn header(scan: u64) -> Header {
@@ -49,12 +49,12 @@ fn odometry(scan: u64, x: f64, speed: f64) -> Odometry {
     Odometry { header: header(scan), x_m: x, speed_mps: speed, ..Odometry::default() }
 }
 
-fn ideal() -> Config {
-    Config { correction: Some(Mode::Off), ..at_once() }
+fn ideal() -> EstimatorConfig {
+    EstimatorConfig { correction: Some(CorrectionMode::Off), ..at_once() }
 }
 
 /// An estimator of a robot that drives straight at 1 m/s, after `scans` samples.
-fn straight(config: &Config, scans: u64) -> (Estimator, Option<Pose>) {
+fn straight(config: &EstimatorConfig, scans: u64) -> (Estimator, Option<Pose>) {
     let mut estimator = Estimator::new(config).unwrap();
     estimator.note(&actuation(0, Control { velocity: 1.0, steering: 0.0 }), 0);
     let pose = (1..=scans)
@@ -80,7 +80,7 @@ fn the_first_odometry_is_the_first_estimate() {
 #[test]
 fn the_prediction_ends_when_the_command_would_act() {
     let vehicle = Description { command_delay_s: 0.01, ..ideal().vehicle };
-    let config = Config { vehicle, ..ideal() };
+    let config = EstimatorConfig { vehicle, ..ideal() };
     let (_, pose) = straight(&config, 20);
     let pose = pose.unwrap();
     assert_eq!(pose.predicted_ns, at(20) + 10_000_000);
@@ -95,7 +95,7 @@ fn the_prediction_ends_when_the_command_would_act() {
 #[test]
 fn the_lead_contains_the_delay_and_the_share_of_the_steering_lag() {
     let lead = |lead_share| {
-        let config = Config { lead_share, vehicle: Description::default(), ..ideal() };
+        let config = EstimatorConfig { lead_share, vehicle: Description::default(), ..ideal() };
         straight(&config, 20).1.unwrap().predicted_ns - at(20)
     };
     assert_eq!((lead(0.0), lead(0.5), lead(1.0)), (20_000_000, 70_000_000, 120_000_000));
@@ -225,7 +225,7 @@ fn the_reach_after_a_gap_ends_five_standard_deviations_beyond_the_way() {
 
 #[test]
 fn the_reach_follows_the_noise_of_the_measurement() {
-    let config = Config { measurement_noise: Some([1e-4, 1.6e-3, 1.6e-3]), ..ideal() };
+    let config = EstimatorConfig { measurement_noise: Some([1e-4, 1.6e-3, 1.6e-3]), ..ideal() };
     let refused = |x_m| {
         let (mut estimator, _) = straight(&config, 5);
         estimator.step(&odometry(7, x_m, 1.0), None, at(7)).unwrap().rejected
@@ -275,7 +275,7 @@ fn yaw_passes_the_half_turn_without_a_jump() {
 
 #[test]
 fn the_printed_noise_has_the_printed_gains() {
-    let (_, pose) = straight(&Config { correction: Some(Mode::Off), ..source() }, 200);
+    let (_, pose) = straight(&EstimatorConfig { correction: Some(CorrectionMode::Off), ..source() }, 200);
     let pose = pose.unwrap();
     // y is coupled with yaw by the distance driven, a little.
     for (index, expected) in [(0, 0.27), (4, 0.27), (8, 0.92)] {
@@ -285,8 +285,8 @@ fn the_printed_noise_has_the_printed_gains() {
 
 #[test]
 fn a_resumed_estimator_continues_with_the_same_bits() {
-    let (mut original, _) = straight(&Config::default(), 30);
-    let mut resumed = Estimator::new(&Config::default()).unwrap();
+    let (mut original, _) = straight(&EstimatorConfig::default(), 30);
+    let mut resumed = Estimator::new(&EstimatorConfig::default()).unwrap();
     assert_eq!(resumed.resume(&original.state()), Ok(()));
     for scan in 31..60 {
         let sample = odometry(scan, 0.0999 * scan as f64, 0.99);
@@ -315,7 +315,7 @@ proptest! {
             (0..8u64, any_number(), any_number(), any_number(), any_number(), any_number(), 0..3u32), 1..60),
         printed: bool,
     ) {
-        let mut estimator = Estimator::new(&if printed { source() } else { Config::default() }).unwrap();
+        let mut estimator = Estimator::new(&if printed { source() } else { EstimatorConfig::default() }).unwrap();
         let mut scan = 1;
         for (skip, x, y, yaw, speed, steering, kind) in steps {
             scan += skip;
@@ -339,8 +339,11 @@ proptest! {
 fn lost_samples_are_no_evidence_against_the_calibration() {
     // Outages: the robot blocks its wheels and stands; the actuations that say so are lost as well.
     for lost in [2, 4, 6, 8] {
-        let mut estimator =
-            Estimator::new(&Config { correction: Some(Mode::Off), ..Config::default() }).unwrap();
+        let mut estimator = Estimator::new(&EstimatorConfig {
+            correction: Some(CorrectionMode::Off),
+            ..EstimatorConfig::default()
+        })
+        .unwrap();
         let (mut x_m, mut scan) = (0.0, 0);
         for outage in 0..20 {
             for since in 0..4_i32 {

@@ -17,7 +17,7 @@ const NONE: Budget = Budget::Iterations(0);
 #[derive(Clone)]
 struct Case {
     name: &'static str,
-    config: Config,
+    config: ControllerConfig,
     y: f64,
     items: Vec<Obstacle>,
     control: Control,
@@ -53,7 +53,8 @@ fn cases() -> Vec<Case> {
     let (straight, left) =
         (Control { velocity: 0.9, steering: 0.0 }, Control { velocity: 0.9, steering: 0.06 });
     let case = |name, y, items, control| {
-        let config = Config { goal: Goal { x_m: 20.0, ..Goal::default() }, ..Config::default() };
+        let config =
+            ControllerConfig { goal: Goal { x_m: 20.0, ..Goal::default() }, ..ControllerConfig::default() };
         Case { name, config, y, items, control, is_clamped: false }
     };
     let clamped = |name, control| Case { is_clamped: true, ..case(name, 0.0, Vec::new(), control) };
@@ -70,13 +71,14 @@ fn cases() -> Vec<Case> {
         case("position", 1.0, Vec::new(), left),
         wall,
     ];
-    let explicit = |case: Case| Case { config: Config { side: SideRule::Nearest, ..case.config }, ..case };
+    let explicit =
+        |case: Case| Case { config: ControllerConfig { side: SideRule::Nearest, ..case.config }, ..case };
     [searched.clone(), searched.into_iter().map(explicit).collect()].concat()
 }
 
 impl Case {
     fn judge(&self) -> Judge {
-        let Config { vehicle, track, goal, clearance_m, period_s, .. } = self.config;
+        let ControllerConfig { vehicle, track, goal, clearance_m, period_s, .. } = self.config;
         let y_range = self.config.y_range();
         Judge { vehicle, track, goal, y_range, clearance_m, period_s, ellipses: true }
     }

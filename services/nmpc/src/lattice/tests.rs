@@ -2,7 +2,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use super::*;
-use crate::config::Config;
+use crate::config::ControllerConfig;
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::side::{Passing, Sides, hold};
 use nalgebra::Vector2;
@@ -15,7 +15,8 @@ fn obstacle_at(id: u32, x: f64, y: f64, b: f64) -> PredictedObstacle {
 }
 
 fn find(start: State, predicted: &[PredictedObstacle], sides: &Sides) -> ReferencePath {
-    let config = Config { goal: Goal { x_m: 30.0, ..Goal::default() }, ..Config::default() };
+    let config =
+        ControllerConfig { goal: Goal { x_m: 30.0, ..Goal::default() }, ..ControllerConfig::default() };
     let query =
         Query { scene: Scene::new(&config, predicted, start), speed: 1.0, narrow: true, sides, forced: None };
     let mut reference_path = ReferencePath::default();
@@ -101,7 +102,8 @@ fn the_path_is_that_of_a_search_of_all_paths() {
     for _ in 0..300 {
         let (predicted, sides) = random_scene(&mut random);
         let x_m = if random.random_bool(0.3) { random.random_range(1.0..7.0) } else { 30.0 };
-        let config = Config { goal: Goal { x_m, ..Goal::default() }, ..Config::default() };
+        let config =
+            ControllerConfig { goal: Goal { x_m, ..Goal::default() }, ..ControllerConfig::default() };
         let (y, yaw) = (random.random_range(-0.7..0.7), random.random_range(-0.3..0.3));
         let scene = Scene::new(&config, &predicted, State { y, yaw, ..State::default() });
         let narrow = random.random_bool(0.5);

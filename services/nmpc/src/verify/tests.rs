@@ -8,13 +8,13 @@ use vehicle::geometry::Rectangle;
 use vehicle::{Goal, Track};
 
 struct Fixture {
-    config: Config,
+    config: ControllerConfig,
     predicted: Vec<PredictedObstacle>,
 }
 
 impl Fixture {
     fn new(predicted: Vec<PredictedObstacle>) -> Self {
-        Self { config: Config::default(), predicted }
+        Self { config: ControllerConfig::default(), predicted }
     }
 
     fn scene(&self) -> Scene<'_> {

@@ -6,7 +6,7 @@
 mod independent;
 
 use independent::Judge;
-use nmpc::{Budget, Config, Controller};
+use nmpc::{Budget, Controller, ControllerConfig};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use shared_types::{Command, CommandKind, Obstacle, Obstacles, Pose, ScannerHealth, StopReason};
@@ -72,7 +72,7 @@ pub(crate) struct Outcome {
 
 impl Outcome {
     /// Landed within the tolerance without contact.
-    pub(crate) fn reached(&self, config: &Config) -> bool {
+    pub(crate) fn reached(&self, config: &ControllerConfig) -> bool {
         self.landed && self.final_distance <= config.goal.tolerance_m && !self.contact
     }
 }
@@ -87,14 +87,14 @@ pub(crate) struct Noise {
 }
 
 /// A judge of the commands of a controller with this configuration.
-pub(crate) fn judge(config: &Config) -> Judge {
-    let Config { vehicle, track, goal, clearance_m, period_s, .. } = *config;
+pub(crate) fn judge(config: &ControllerConfig) -> Judge {
+    let ControllerConfig { vehicle, track, goal, clearance_m, period_s, .. } = *config;
     let y_range = config.y_range();
     Judge { vehicle, track, goal, y_range, clearance_m, period_s, ellipses: false }
 }
 
 /// Drives `config` among `bodies` until it landed, stood for 5 s, or 60 s passed.
-pub(crate) fn run(config: &Config, start: State, bodies: &[Body], noise: Noise) -> Outcome {
+pub(crate) fn run(config: &ControllerConfig, start: State, bodies: &[Body], noise: Noise) -> Outcome {
     let parameters = Parameters::default();
     let mut random = Pcg64Mcg::seed_from_u64(noise.seed);
     let mut controller = Controller::new(config.clone()).expect("a valid configuration");
@@ -285,7 +285,7 @@ fn normal(random: &mut Pcg64Mcg) -> f64 {
 }
 
 /// The figures of a run on one line.
-pub(crate) fn print(name: &str, config: &Config, outcome: &Outcome) {
+pub(crate) fn print(name: &str, config: &ControllerConfig, outcome: &Outcome) {
     let mut step = outcome.step_us.clone();
     step.sort_by(f64::total_cmp);
     let [stop, converged, best, last] = outcome.levels;

@@ -8,7 +8,7 @@
 )]
 
 use nalgebra::Vector2;
-use obstacles::{Config, CoverRule, ObstacleDetector};
+use obstacles::{CoverRule, ObstacleDetector, ObstaclesConfig};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use shared_types::{BEAMS, Header, Obstacles, Pose, Scan};
@@ -211,14 +211,14 @@ pub fn rectangle(x: f64, y: f64, length: f64, width: f64, yaw: f64) -> Rectangle
 }
 
 /// Settings for a scene in which nothing is around the track.
-pub fn open() -> Config {
+pub fn open() -> ObstaclesConfig {
     let vehicle = Description { surroundings: Surroundings::Open, ..Description::default() };
-    Config { vehicle, ..Config::default() }
+    ObstaclesConfig { vehicle, ..ObstaclesConfig::default() }
 }
 
 /// A detector with the ellipses of (7.35).
 pub fn detector() -> ObstacleDetector {
-    ObstacleDetector::new(Config { cover: CoverRule::Source, ..open() }).unwrap()
+    ObstacleDetector::new(ObstaclesConfig { cover: CoverRule::Source, ..open() }).unwrap()
 }
 
 /// A detector with the default ellipses.
@@ -227,7 +227,7 @@ pub fn tight() -> ObstacleDetector {
 }
 
 pub fn with_walls() -> ObstacleDetector {
-    let config = Config { walls: true, cover: CoverRule::Source, ..open() };
+    let config = ObstaclesConfig { walls: true, cover: CoverRule::Source, ..open() };
     ObstacleDetector::new(config).unwrap()
 }
 

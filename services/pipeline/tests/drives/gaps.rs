@@ -1,10 +1,10 @@
 //! Gaps that a robot fits through, eight metres ahead of a start in the middle of the track.
 
-use emulator::noise::{Purpose, Stream};
-use emulator::scenario::{Obstacle, Preset, Shape};
+use emulator::noise::{NoiseStream, Purpose};
+use emulator::scenario::{Preset, ScenarioObstacle, Shape};
 use emulator::{Outcome, Scenario};
 use obstacles::CoverRule;
-use pipeline::Settings;
+use pipeline::PipelineSettings;
 
 use crate::{End, end, parse, seeds};
 
@@ -18,14 +18,14 @@ fn scenario(preset: Preset, seed: u64) -> Scenario {
 }
 
 /// A box from the right to the left edge.
-pub(crate) fn block(depth_m: f64, [right_m, left_m]: [f64; 2]) -> Obstacle {
+pub(crate) fn block(depth_m: f64, [right_m, left_m]: [f64; 2]) -> ScenarioObstacle {
     let shape = Shape::Box { length_m: depth_m, width_m: left_m - right_m, yaw_rad: 0.0 };
-    Obstacle::fixed(shape, 8.0, f64::midpoint(right_m, left_m))
+    ScenarioObstacle::fixed(shape, 8.0, f64::midpoint(right_m, left_m))
 }
 
 /// Two boxes that close the track but for a gap, whose centre the seed draws from |y| <= 0.5 m.
 pub(crate) fn gap(preset: Preset, width_m: f64, depth_m: f64, seed: u64) -> Scenario {
-    let centre = Stream::new(seed, Purpose::Placement, 0).between(-0.5, 0.5);
+    let centre = NoiseStream::new(seed, Purpose::Placement, 0).between(-0.5, 0.5);
     let [right, left] = [centre - width_m / 2.0, centre + width_m / 2.0];
     let mut scenario = scenario(preset, seed);
     scenario.obstacles = vec![block(depth_m, [right - 1.6, right]), block(depth_m, [left, left + 1.6])];
@@ -34,7 +34,8 @@ pub(crate) fn gap(preset: Preset, width_m: f64, depth_m: f64, seed: u64) -> Scen
 
 /// Passes when at least 95 % of the drives reach the goal and none touches anything.
 fn assert_passed(preset: Preset, width_m: f64, depth_m: f64, drives: u64) {
-    let ends = seeds::each(1..=drives, |seed| end(&Settings::of(gap(preset, width_m, depth_m, seed))));
+    let ends =
+        seeds::each(1..=drives, |seed| end(&PipelineSettings::of(gap(preset, width_m, depth_m, seed))));
     let stopped: Vec<_> = ends.iter().filter(|(_, end)| end.outcome != Outcome::Reached).collect();
     assert!(20 * stopped.len() as u64 <= drives, "{preset:?}, {width_m} m: {stopped:?}");
     let touched: Vec<_> = ends.iter().filter(|(_, end)| !end.is_untouched()).collect();
@@ -66,12 +67,14 @@ fn centred_boxes_and_a_gap_of_120_centimetres_are_passed_at_every_seed() {
             for (seed, end) in seeds::each(1..=2, |seed| {
                 let mut scenario = scenario(preset, seed);
                 scenario.obstacles = vec![block(depth_m, [-width_m / 2.0, width_m / 2.0])];
-                end(&Settings::of(scenario))
+                end(&PipelineSettings::of(scenario))
             }) {
                 assert!(reached(&end), "{preset:?}, box of {width_m} m, seed {seed}: {end:?}");
             }
         }
-        for (seed, end) in seeds::each(1..=2, |seed| end(&Settings::of(gap(preset, 1.2, depth_m, seed)))) {
+        for (seed, end) in
+            seeds::each(1..=2, |seed| end(&PipelineSettings::of(gap(preset, 1.2, depth_m, seed))))
+        {
             assert!(reached(&end), "{preset:?}, gap, seed {seed}: {end:?}");
         }
     }
@@ -81,7 +84,7 @@ fn centred_boxes_and_a_gap_of_120_centimetres_are_passed_at_every_seed() {
 #[test]
 fn the_ellipses_of_the_source_close_the_same_gap() {
     for (seed, end) in seeds::each(1..=10, |seed| {
-        let mut settings = Settings::of(gap(Preset::Ideal, BODY_M + 0.5, 0.1, seed));
+        let mut settings = PipelineSettings::of(gap(Preset::Ideal, BODY_M + 0.5, 0.1, seed));
         settings.tuning.obstacles.cover = CoverRule::Source;
         end(&settings)
     }) {

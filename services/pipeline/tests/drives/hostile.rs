@@ -3,14 +3,14 @@
 use courses::course::hostile::{Hostile, hostile};
 use emulator::scenario::Preset;
 use emulator::{Outcome, Scenario};
-use pipeline::Settings;
+use pipeline::PipelineSettings;
 
 use crate::{End, end};
 
 fn drive(family: Hostile, seed: u64) -> End {
     let mut scenario: Scenario = hostile(family, seed).scenario;
     scenario.robot.preset = Preset::Summit;
-    end(&Settings::of(scenario))
+    end(&PipelineSettings::of(scenario))
 }
 
 #[test]

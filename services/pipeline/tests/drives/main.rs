@@ -12,7 +12,7 @@ mod source;
 mod stopping;
 
 use emulator::{Outcome, Scenario};
-use pipeline::{Settings, drive};
+use pipeline::{PipelineSettings, drive};
 
 /// How a drive ended.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,7 +32,7 @@ impl End {
 }
 
 /// Drives to the end.
-fn end(settings: &Settings) -> End {
+fn end(settings: &PipelineSettings) -> End {
     let (mut clearance_m, mut goal_m) = (f64::INFINITY, f64::INFINITY);
     let drive = drive(settings, |step| {
         (clearance_m, goal_m) = (step.truth.min_clearance_m, step.truth.goal_distance_m);

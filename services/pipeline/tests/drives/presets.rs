@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 
 use emulator::scenario::Preset;
 use emulator::{Outcome, Scenario};
-use pipeline::Settings;
+use pipeline::PipelineSettings;
 
 use crate::{End, end, seeds, shipped};
 
@@ -23,7 +23,7 @@ fn ends(name: &str, preset: Preset, seeds: RangeInclusive<u64>) -> Vec<(u64, End
         (scenario.robot.preset, scenario.seed) = (preset, seed);
         // A robot that rests for a second does not start again in these scenarios.
         scenario.stop_final_s = 1.0;
-        end(&Settings::of(scenario))
+        end(&PipelineSettings::of(scenario))
     })
 }
 

@@ -1,7 +1,7 @@
 //! What stops the robot is over when its cause is gone: the robot drives on.
 
 use emulator::Outcome;
-use pipeline::{Settings, drive};
+use pipeline::{PipelineSettings, drive};
 
 use crate::{parse, seeds};
 
@@ -10,7 +10,7 @@ const RELEASED_S: f64 = 2.0;
 
 /// Drives a scenario at a scan rate; the longest time for which the robot stood while the way was free from `free_s` on [s].
 fn waits(text: &str, rate_hz: u64, free_s: f64) -> f64 {
-    let mut settings = Settings::of(parse(text));
+    let mut settings = PipelineSettings::of(parse(text));
     settings.period_ns = 1_000_000_000 / rate_hz;
     settings.tuning.controller.period_s = 1.0 / rate_hz as f64;
     let (mut since, mut longest, mut clearance_m) = (free_s, 0.0_f64, f64::INFINITY);

@@ -1,7 +1,7 @@
 //! Bodies with hollows, and bodies that touch: what is free between them is driven through.
 
 use emulator::Outcome;
-use pipeline::Settings;
+use pipeline::PipelineSettings;
 
 use crate::{end, parse, seeds};
 
@@ -35,9 +35,9 @@ fn ends(outcome: Outcome, goal_m: f64, boxes: &Boxes, more: &str) {
             .iter()
             .map(|[x, y, length, width, yaw]| [*x, sign * y, *length, *width, sign * yaw])
             .collect();
-        for (seed, end) in
-            seeds::each(3..=5, |seed| end(&Settings::of(parse(&course(seed, goal_m, &mirrored, more)))))
-        {
+        for (seed, end) in seeds::each(3..=5, |seed| {
+            end(&PipelineSettings::of(parse(&course(seed, goal_m, &mirrored, more))))
+        }) {
             assert!(end.is_untouched(), "seed {seed}, {sign}: {end:?}, {boxes:?}");
             // What misses the goal by its odometry has passed all the same.
             let missed =

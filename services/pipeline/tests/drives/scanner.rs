@@ -1,7 +1,7 @@
 //! A scanner that fails: the robot stops in time, and drives on where what is left is enough.
 
 use emulator::{Outcome, Scenario};
-use pipeline::Settings;
+use pipeline::PipelineSettings;
 
 use crate::{End, end, parse};
 
@@ -64,7 +64,7 @@ fn with_scanner(name: &str, preset: &str, seed: u64, keys: &str) -> End {
     let robot = table.entry("robot").or_insert_with(|| toml::Table::new().into());
     robot.as_table_mut().unwrap().insert("preset".into(), preset.into());
     table.insert("scanner".into(), keys.parse::<toml::Table>().unwrap().into());
-    end(&Settings::of(parse(&toml::to_string(&table).unwrap())))
+    end(&PipelineSettings::of(parse(&toml::to_string(&table).unwrap())))
 }
 
 #[test]
@@ -142,7 +142,7 @@ fn a_front_that_is_covered_during_an_outage_stays_unseen() {
 fn in_open_surroundings_the_robot_is_careful() {
     let text = "name = \"open\"\ntimeout_s = 90\n[track]\nsurroundings = \"open\"\n[goal]\nx_m = 4\n";
     let (mut fastest, mut scans) = (0.0_f64, 0);
-    let drive = pipeline::drive(&Settings::of(parse(text)), |step| {
+    let drive = pipeline::drive(&PipelineSettings::of(parse(text)), |step| {
         fastest = fastest.max(step.truth.speed_mps);
         scans += 1;
     })

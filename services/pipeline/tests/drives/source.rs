@@ -2,7 +2,7 @@
 
 use emulator::Outcome;
 use emulator::scenario::Preset;
-use pipeline::{Settings, Tuning, drive, profile};
+use pipeline::{PipelineSettings, Tuning, drive, profile};
 
 use crate::presets::{expected, names};
 use crate::{End, end, seeds, shipped};
@@ -14,10 +14,10 @@ fn tuning(keys: &str) -> Tuning {
     system.try_into().unwrap()
 }
 
-fn settings(name: &str, preset: Preset, seed: u64, keys: &str) -> Settings {
+fn settings(name: &str, preset: Preset, seed: u64, keys: &str) -> PipelineSettings {
     let mut scenario = shipped(name);
     (scenario.robot.preset, scenario.seed, scenario.stop_final_s) = (preset, seed, 1.0);
-    Settings { tuning: tuning(keys), ..Settings::of(scenario) }
+    PipelineSettings { tuning: tuning(keys), ..PipelineSettings::of(scenario) }
 }
 
 /// Drives all scenarios; the seeds in which one is touched or ends otherwise than it should.

@@ -1,9 +1,9 @@
 //! The speed limit: each of its terms prevents a collision with what appears at `sudden_m`.
 
-use emulator::scenario::{Obstacle, Preset, Shape};
+use emulator::scenario::{Preset, ScenarioObstacle, Shape};
 use emulator::{Outcome, Scenario};
-use nmpc::{Config, speed_limit};
-use pipeline::{Settings, Tuning};
+use nmpc::{ControllerConfig, speed_limit};
+use pipeline::{PipelineSettings, Tuning};
 use vehicle::Description;
 
 use crate::gaps::{block, gap};
@@ -31,17 +31,17 @@ fn vehicle() -> Description {
 fn wall_appears(phase: u64) -> Scenario {
     let mut scenario = parse("name = \"wall\"\nstop_final_s = 2.0\n");
     let shape = Shape::Box { length_m: 0.1, width_m: 3.6, yaw_rad: 0.0 };
-    let wall = Obstacle::fixed(shape, 5.0 + 0.02 * phase as f64, 0.0);
-    scenario.obstacles = vec![Obstacle { appears_ahead_m: Some(SUDDEN_M), ..wall }];
+    let wall = ScenarioObstacle::fixed(shape, 5.0 + 0.02 * phase as f64, 0.0);
+    scenario.obstacles = vec![ScenarioObstacle { appears_ahead_m: Some(SUDDEN_M), ..wall }];
     scenario.robot.velocity_factor = Some(1.4 / 1.05);
     scenario.robot.blocked_deceleration_mps2 = Some(0.8 * vehicle().blocked_deceleration_mps2);
     scenario.robot.command_delay_s = Some(vehicle().command_delay_s);
     scenario
 }
 
-fn at(scenario: Scenario, mut tuning: Tuning, period_s: f64) -> Settings {
+fn at(scenario: Scenario, mut tuning: Tuning, period_s: f64) -> PipelineSettings {
     tuning.controller.period_s = period_s;
-    Settings { scenario, tuning, period_ns: (period_s * 1e9) as u64 }
+    PipelineSettings { scenario, tuning, period_ns: (period_s * 1e9) as u64 }
 }
 
 /// The ends of drives at all phases.
@@ -56,7 +56,7 @@ fn described() -> Tuning {
 }
 
 /// Whether a robot without a limit collides that cruises at the limit of `without`.
-fn collides(without: &str, change: impl Fn(&mut Config)) {
+fn collides(without: &str, change: impl Fn(&mut ControllerConfig)) {
     let mut tuning = described();
     let mut changed = tuning.controller.clone();
     change(&mut changed);
@@ -153,17 +153,17 @@ fn a_lag_of_the_drive_touches_nothing_described_or_left_out() {
 const GAP_M: f64 = 0.8;
 
 /// A robot with smooth tyres drives through a gap when a wall appears behind it: it slides with blocked wheels.
-fn slides(deceleration: f64, wall_x_m: f64) -> Settings {
+fn slides(deceleration: f64, wall_x_m: f64) -> PipelineSettings {
     let vehicle =
         Description { blocked_deceleration_mps2: deceleration, sudden_m: 4.0, ..Description::default() };
     let mut scenario = gap(Preset::Ideal, GAP_M, 0.5, 1);
     let wall = Shape::Box { length_m: 0.1, width_m: 3.6, yaw_rad: 0.0 };
-    let wall = Obstacle::fixed(wall, wall_x_m, 0.0);
+    let wall = ScenarioObstacle::fixed(wall, wall_x_m, 0.0);
     scenario.obstacles = vec![block(0.5, [-1.6, 0.5 - GAP_M / 2.0]), block(0.5, [0.5 + GAP_M / 2.0, 2.0])];
-    scenario.obstacles.push(Obstacle { appears_ahead_m: Some(3.4), ..wall });
+    scenario.obstacles.push(ScenarioObstacle { appears_ahead_m: Some(3.4), ..wall });
     scenario.robot.blocked_deceleration_mps2 = Some(deceleration);
     scenario.stop_final_s = 4.0;
-    Settings { scenario, tuning: Tuning::of(vehicle), period_ns: 100_000_000 }
+    PipelineSettings { scenario, tuning: Tuning::of(vehicle), period_ns: 100_000_000 }
 }
 
 /// The wall appears in every phase of the turn into the gap. The wheels keep their angle, so the robot slides along an

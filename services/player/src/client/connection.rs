@@ -11,15 +11,15 @@ use rustix::net::RecvFlags;
 use shared_types::BEAMS;
 
 use super::guarded::Guarded;
-use super::{Event, Lost, Outlet};
-use crate::Config;
+use super::{ClientEvent, Lost, Outlet};
+use crate::PlayerConfig;
 use crate::beams::Beams;
 use crate::config::Delivery;
-use crate::handshake::{Handshake, Session};
-use crate::header::Header;
-use crate::message::{Message, Sweep};
+use crate::handshake::{Handshake, PlayerSession};
+use crate::header::MessageHeader;
+use crate::message::{RangeSweep, ServerMessage};
 use crate::order::Base;
-use crate::stream::Stream;
+use crate::stream::MessageStream;
 
 /// An attempt to connect ends after this time.
 const CONNECT: Duration = Duration::from_secs(2);
@@ -37,13 +37,13 @@ const SECOND_NS: u64 = 1_000_000_000;
 ///
 /// # Errors
 /// Why the connection was lost; the wheels are stopped then.
-pub(super) fn serve(config: &Config, timeout_ns: u64, outlet: &Outlet) -> Result<(), Lost> {
+pub(super) fn serve(config: &PlayerConfig, timeout_ns: u64, outlet: &Outlet) -> Result<(), Lost> {
     let server = connect(config)?;
     let mut connection = Connection::new(config, timeout_ns, &server);
     let Some(session) = connection.open(outlet)? else { return Ok(()) };
     let base = Base { index: config.position2d, command: config.command };
     let mut guard = Guarded::start(&outlet.scanloop, &server, base, timeout_ns)?;
-    if !outlet.put(Event::Connected(guard.orders()?, session.clone())) {
+    if !outlet.put(ClientEvent::Connected(guard.orders()?, session.clone())) {
         return Ok(());
     }
     let ended = connection.follow(&session, &mut guard, outlet);
@@ -56,7 +56,7 @@ pub(super) fn serve(config: &Config, timeout_ns: u64, outlet: &Outlet) -> Result
     ended
 }
 
-fn connect(config: &Config) -> Result<TcpStream, Lost> {
+fn connect(config: &PlayerConfig) -> Result<TcpStream, Lost> {
     let unknown = |source| Lost::UnknownHost { host: config.host.clone(), source };
     let port = u16::try_from(config.port).unwrap_or(u16::MAX);
     let addresses = (config.host.as_str(), port).to_socket_addrs().map_err(unknown)?;
@@ -75,9 +75,9 @@ fn connect(config: &Config) -> Result<TcpStream, Lost> {
 
 /// The reading end of a connection.
 struct Connection<'a> {
-    config: &'a Config,
+    config: &'a PlayerConfig,
     server: &'a TcpStream,
-    stream: Stream,
+    stream: MessageStream,
     beams: Option<Beams>,
     /// Bytes and messages since the start of the present second [ns].
     traffic: [usize; 2],
@@ -93,13 +93,13 @@ struct Connection<'a> {
 }
 
 impl<'a> Connection<'a> {
-    fn new(config: &'a Config, timeout_ns: u64, server: &'a TcpStream) -> Self {
+    fn new(config: &'a PlayerConfig, timeout_ns: u64, server: &'a TcpStream) -> Self {
         let now_ns = monotonic_ns();
         Self {
             config,
             server,
             silence_ns: ((config.silence_s * 1e9) as u64).max(timeout_ns / 2 * MIN_SILENT_PERIODS),
-            stream: Stream::default(),
+            stream: MessageStream::default(),
             beams: None,
             traffic: [0; 2],
             second_ns: now_ns,
@@ -110,7 +110,7 @@ impl<'a> Connection<'a> {
     }
 
     /// The conversation at the start; `None` when the driver ends.
-    fn open(&mut self, outlet: &Outlet) -> Result<Option<Session>, Lost> {
+    fn open(&mut self, outlet: &Outlet) -> Result<Option<PlayerSession>, Lost> {
         let mut requests = Vec::new();
         let mut handshake = Handshake::new(self.config, monotonic_ns(), &mut requests);
         while !outlet.is_ended() {
@@ -134,7 +134,7 @@ impl<'a> Connection<'a> {
     }
 
     /// Reads data until the driver ends.
-    fn follow(&mut self, session: &Session, guard: &mut Guarded, outlet: &Outlet) -> Result<(), Lost> {
+    fn follow(&mut self, session: &PlayerSession, guard: &mut Guarded, outlet: &Outlet) -> Result<(), Lost> {
         while !outlet.is_ended() {
             let now_ns = monotonic_ns();
             if self.config.delivery == Delivery::Pull && now_ns > self.asked_ns + SECOND_NS / 2 {
@@ -147,24 +147,24 @@ impl<'a> Connection<'a> {
             while let Some((header, payload)) = next(&mut self.stream, self.config)? {
                 self.traffic[1] += 1;
                 match read(&header, payload)? {
-                    Message::State(state) if header.device == self.config.base() => {
+                    ServerMessage::State(state) if header.device == self.config.base() => {
                         self.data_ns[0] = now_ns;
-                        outlet.offer(Event::State { state, time_s: header.time_s, arrived_ns: now_ns });
+                        outlet.offer(ClientEvent::State { state, time_s: header.time_s, arrived_ns: now_ns });
                     }
-                    Message::Sweep(sweep) if Some(header.device) == session.scanner => {
+                    ServerMessage::Sweep(sweep) if Some(header.device) == session.scanner => {
                         self.data_ns[1] = now_ns;
                         // The server's converter from ranger to laser sends each sweep twice.
                         if header.time_s != self.sweep_s {
                             self.sweep_s = header.time_s;
                             let ranges_mm = fill(&mut self.beams, self.config, session, &sweep)?;
-                            outlet.offer(Event::Sweep {
+                            outlet.offer(ClientEvent::Sweep {
                                 ranges_mm,
                                 time_s: header.time_s,
                                 arrived_ns: now_ns,
                             });
                         }
                     }
-                    Message::RoundEnd(lost) => {
+                    ServerMessage::RoundEnd(lost) => {
                         if lost > 0 {
                             tracing::warn!(lost, "the queue of the server was full");
                         }
@@ -199,7 +199,7 @@ impl<'a> Connection<'a> {
         if floods { Err(Lost::Flood { bytes, messages }) } else { Ok(()) }
     }
 
-    fn require_data(&self, session: &Session, now_ns: u64) -> Result<(), Lost> {
+    fn require_data(&self, session: &PlayerSession, now_ns: u64) -> Result<(), Lost> {
         let names = ["base", "scanner"];
         let devices = if session.scanner.is_some() { 2 } else { 1 };
         for (what, data_ns) in names.into_iter().zip(self.data_ns).take(devices) {
@@ -212,21 +212,24 @@ impl<'a> Connection<'a> {
     }
 }
 
-fn next<'s>(stream: &'s mut Stream, config: &Config) -> Result<Option<(Header, &'s [u8])>, Lost> {
+fn next<'s>(
+    stream: &'s mut MessageStream,
+    config: &PlayerConfig,
+) -> Result<Option<(MessageHeader, &'s [u8])>, Lost> {
     stream.next().map_err(|source| Lost::NotPlayer { server: config.server(), source })
 }
 
-fn read<'p>(header: &Header, payload: &'p [u8]) -> Result<Message<'p>, Lost> {
-    let Header { device, subtype, .. } = *header;
-    Message::read(header, payload).map_err(|source| Lost::Malformed { device, subtype, source })
+fn read<'p>(header: &MessageHeader, payload: &'p [u8]) -> Result<ServerMessage<'p>, Lost> {
+    let MessageHeader { device, subtype, .. } = *header;
+    ServerMessage::read(header, payload).map_err(|source| Lost::Malformed { device, subtype, source })
 }
 
 /// The ranges of a sweep by beam of a scan.
 fn fill(
     beams: &mut Option<Beams>,
-    config: &Config,
-    session: &Session,
-    sweep: &Sweep<'_>,
+    config: &PlayerConfig,
+    session: &PlayerSession,
+    sweep: &RangeSweep<'_>,
 ) -> Result<[u16; BEAMS], Lost> {
     let fan = sweep.fan.or(session.fan).ok_or(Lost::NoFan)?;
     let count = sweep.ranges_m.len();

@@ -15,7 +15,7 @@ use runtime::monotonic_ns;
 use rustix::net::RecvFlags;
 
 use super::Lost;
-use crate::order::{ANSWER, Answer, Base, FRAME, Frame, Order};
+use crate::order::{ANSWER, Base, FRAME, Frame, GuardAnswer, GuardOrder};
 
 /// The arguments with which `scanloop` is a guard.
 const ARGUMENTS: [&str; 2] = ["service", "player-guard"];
@@ -40,7 +40,7 @@ impl Orders {
     ///
     /// # Errors
     /// The guard has ended, or does not read.
-    pub fn give(&self, order: Order) -> std::io::Result<()> {
+    pub fn give(&self, order: GuardOrder) -> std::io::Result<()> {
         let number = self.number.fetch_add(1, Ordering::SeqCst) + 1;
         let frame = Frame { number, given_ns: monotonic_ns(), order };
         // A guard that does not read is noticed by its missing answers; this process never waits for it.
@@ -62,7 +62,7 @@ pub(super) struct Guarded {
     orders: Orders,
     base: Base,
     timeout_ns: u64,
-    answer: Answer,
+    answer: GuardAnswer,
     /// Since when an order is known that is not answered [ns].
     waits_since_ns: Option<u64>,
 }
@@ -88,8 +88,8 @@ impl Guarded {
         let child = command.spawn().map_err(Lost::GuardNotStarted)?;
         let orders = Orders { socket: mine, number: Arc::default() };
         let guarded =
-            Self { child, orders, base, timeout_ns, answer: Answer::default(), waits_since_ns: None };
-        guarded.orders.give(Order::Guard(base, timeout_ns)).map_err(Lost::GuardNotStarted)?;
+            Self { child, orders, base, timeout_ns, answer: GuardAnswer::default(), waits_since_ns: None };
+        guarded.orders.give(GuardOrder::Guard(base, timeout_ns)).map_err(Lost::GuardNotStarted)?;
         tracing::info!(pid = guarded.child.id(), "the guard of the wheels runs");
         Ok(guarded)
     }
@@ -102,7 +102,7 @@ impl Guarded {
     /// Asks for a round of data.
     pub(super) fn ask_for_data(&self) {
         // Whether it works is seen by its answers.
-        let _ = self.orders.give(Order::Round);
+        let _ = self.orders.give(GuardOrder::Round);
     }
 
     /// Readable when the guard has answered or ended.
@@ -116,7 +116,7 @@ impl Guarded {
             let mut bytes = [0; ANSWER];
             match rustix::net::recv(&self.orders.socket, &mut bytes[..], RecvFlags::DONTWAIT) {
                 Ok((_, 0)) => return Err(Lost::GuardEnded),
-                Ok(_) => self.note(Answer::from_bytes(&bytes)),
+                Ok(_) => self.note(GuardAnswer::from_bytes(&bytes)),
                 Err(rustix::io::Errno::AGAIN | rustix::io::Errno::INTR) => break,
                 Err(_) => return Err(Lost::GuardEnded),
             }
@@ -131,7 +131,7 @@ impl Guarded {
         if silent_ns > limit_ns { Err(Lost::GuardSilent(silent_ns / 1_000_000)) } else { Ok(()) }
     }
 
-    fn note(&mut self, answer: Answer) {
+    fn note(&mut self, answer: GuardAnswer) {
         if answer.stops > self.answer.stops {
             tracing::warn!(stops = answer.stops, "the guard has stopped the wheels: it got no orders");
         }

@@ -2,7 +2,7 @@
 
 use crate::beams::Unusable;
 use crate::handshake::Refused;
-use crate::header::Device;
+use crate::header::DeviceAddress;
 use crate::stream::NotPlayer;
 use crate::xdr::Malformed;
 
@@ -40,7 +40,7 @@ pub enum Lost {
     #[error("a malformed message of {device}, subtype {subtype}: {source}")]
     Malformed {
         /// From which device.
-        device: Device,
+        device: DeviceAddress,
         /// Its subtype.
         subtype: u32,
         /// What is wrong.

@@ -4,10 +4,10 @@ use std::fmt::Write as _;
 
 use runtime::monotonic_ns;
 use shared_types::{Device, DeviceState, Scan};
-use urg::{Coding, Place, Reading, Source, SourceState, UrgError};
+use urg::{Coding, Reading, ScannerConnection, ScannerPlace, SourceState, UrgError};
 
-use super::{Event, Outlet};
-use crate::Config;
+use super::{ClientEvent, Outlet};
+use crate::PlayerConfig;
 
 /// Longest time in one call [ns].
 const WAIT_NS: u64 = 20_000_000;
@@ -15,30 +15,30 @@ const WAIT_NS: u64 = 20_000_000;
 const MAX_DAMAGED: u64 = 3;
 
 /// Hands the scans over until the driver ends, or until the scanner can't be used. The crate `urg` connects again by itself.
-pub(super) fn read(config: &Config, rate_hz: f64, outlet: &Outlet) {
+pub(super) fn read(config: &PlayerConfig, rate_hz: f64, outlet: &Outlet) {
     if let Err(error) = follow(config, rate_hz, outlet) {
         tracing::error!(%error, "the scanner can't be used: there are no scans");
         let mut device = Device::default();
         device.note(DeviceState::Fault, &error.to_string(), monotonic_ns());
-        outlet.put(Event::Scanner(device));
+        outlet.put(ClientEvent::Scanner(device));
     }
 }
 
-fn follow(config: &Config, rate_hz: f64, outlet: &Outlet) -> Result<(), UrgError> {
-    let urg = urg::Config {
+fn follow(config: &PlayerConfig, rate_hz: f64, outlet: &Outlet) -> Result<(), UrgError> {
+    let urg = urg::ScannerConfig {
         rate_hz: Some(rate_hz),
         skip: config.urg_skip as u8,
         cluster: config.urg_cluster as u8,
         bit_rate: config.urg_bit_rate,
         coding: if config.urg_two_characters { Coding::Two } else { Coding::Three },
-        ..urg::Config::new(Place::parse(&config.urg)?)
+        ..urg::ScannerConfig::new(ScannerPlace::parse(&config.urg)?)
     };
-    let mut source = Source::open(urg, monotonic_ns);
+    let mut source = ScannerConnection::open(urg, monotonic_ns);
     let (mut scan, mut health) = (Scan::default(), Health::default());
     while !outlet.is_ended() {
         let reading = source.next(WAIT_NS, &mut scan)?;
         if reading.is_some() {
-            outlet.offer(Event::Scan {
+            outlet.offer(ClientEvent::Scan {
                 ranges_mm: scan.ranges_mm,
                 is_missing: scan.missing.is_set(),
                 front_ns: scan.header.acquired_ns,
@@ -48,7 +48,7 @@ fn follow(config: &Config, rate_hz: f64, outlet: &Outlet) -> Result<(), UrgError
         }
         if let Some(device) = health.changed(&source, reading.as_ref()) {
             tracing::info!(state = device.state().name(), reason = device.reason(), "scanner");
-            if !outlet.put(Event::Scanner(device)) {
+            if !outlet.put(ClientEvent::Scanner(device)) {
                 break;
             }
         }
@@ -69,7 +69,7 @@ struct Health {
 
 impl Health {
     /// The state of the scanner, if it has changed.
-    fn changed(&mut self, source: &Source, reading: Option<&Reading>) -> Option<Device> {
+    fn changed(&mut self, source: &ScannerConnection, reading: Option<&Reading>) -> Option<Device> {
         match reading {
             Some(reading) if reading.is_missing => {
                 self.damaged += 1;

@@ -10,7 +10,7 @@ use anyhow::Context;
 use runtime::monotonic_ns;
 
 use super::Guard;
-use crate::order::{Answer, FRAME, Frame, Order};
+use crate::order::{FRAME, Frame, GuardAnswer, GuardOrder};
 
 /// Longest time between two checks [ns].
 const MAX_WAIT_NS: u64 = 100_000_000;
@@ -25,11 +25,12 @@ pub fn run() -> anyhow::Result<()> {
     let by_hand = "the guard is started by the driver `player`";
     let driver = UnixStream::from(std::io::stdin().as_fd().try_clone_to_owned()?);
     let server = TcpStream::from(std::io::stdout().as_fd().try_clone_to_owned()?);
-    let Some(Frame { order: Order::Guard(base, timeout_ns), .. }) = first(&driver).context(by_hand)? else {
+    let Some(Frame { order: GuardOrder::Guard(base, timeout_ns), .. }) = first(&driver).context(by_hand)?
+    else {
         anyhow::bail!("{by_hand}: the first order is another");
     };
     let mut guard = Guard::new(base, timeout_ns);
-    let ended = send(&mut Vec::new(), &server, Some((Answer { number: 1, stops: 0 }, &driver)))
+    let ended = send(&mut Vec::new(), &server, Some((GuardAnswer { number: 1, stops: 0 }, &driver)))
         .and_then(|()| follow(&mut guard, &driver, &server));
     if ended.is_err() {
         // The driver and the server see it.
@@ -82,7 +83,7 @@ fn follow(guard: &mut Guard, mut driver: &UnixStream, mut server: &TcpStream) ->
 fn send(
     messages: &mut Vec<u8>,
     mut server: &TcpStream,
-    answer: Option<(Answer, &UnixStream)>,
+    answer: Option<(GuardAnswer, &UnixStream)>,
 ) -> std::io::Result<()> {
     server.write_all(messages)?;
     messages.clear();

@@ -7,7 +7,7 @@ use shared_types::{Described, LayoutRow, Phase, ProcessState, Sample, StageStamp
 
 use super::builtin::{Feed, LoopTopic};
 use super::member::{Member, Place};
-use super::page::{CompanionReport, MAX_COMPANIONS};
+use super::page::{CompanionSelfReport, MAX_COMPANIONS};
 use super::table::CompanionRow;
 use super::topic::{ByteTopic, NamedTopic};
 use crate::crash::report_crashes;
@@ -220,7 +220,7 @@ impl Companion {
     }
 
     /// What this process has reported.
-    pub fn report(&self) -> CompanionReport {
+    pub fn report(&self) -> CompanionSelfReport {
         *self.member.report.borrow()
     }
 

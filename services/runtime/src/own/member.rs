@@ -7,7 +7,7 @@ use shared_types::{
     Described, Difference, Header, LayoutRow, Layouts, OwnType, Phase, Role, StageStamps, difference_in,
 };
 
-use super::page::{CompanionPage, CompanionReport, MAX_COMPANIONS};
+use super::page::{CompanionPage, CompanionSelfReport, MAX_COMPANIONS};
 use super::ports::{Port, PortTable};
 use super::table::{OPERATOR, OwnTopics, TopicRow};
 use crate::{Clock, Domain, RuntimeError, Silence, monotonic_ns};
@@ -31,7 +31,7 @@ pub(crate) struct Member {
     ports: PortTable,
     pub(super) clock: Clock,
     pub(super) stamps: Cell<StageStamps>,
-    pub(super) report: RefCell<CompanionReport>,
+    pub(super) report: RefCell<CompanionSelfReport>,
     /// The sample of the first topic that is being answered: its scan, 0 for none.
     open_scan: Cell<u64>,
     silence: Cell<Silence>,
@@ -55,8 +55,11 @@ impl Member {
     ) -> Result<Rc<Self>, RuntimeError> {
         let none = || RuntimeError::NoOwnTopic { process: name.to_owned(), topic: "any".to_owned() };
         let table = OwnTopics::of(domain)?.ok_or_else(none)?;
-        let report =
-            CompanionReport { incarnation, pid: u64::from(std::process::id()), ..CompanionReport::default() };
+        let report = CompanionSelfReport {
+            incarnation,
+            pid: u64::from(std::process::id()),
+            ..CompanionSelfReport::default()
+        };
         Ok(Rc::new(Self {
             place,
             name: name.to_owned(),
@@ -184,7 +187,7 @@ impl Member {
     }
 
     /// Writes the report of a companion.
-    pub(super) fn write(&self, content: &CompanionReport) {
+    pub(super) fn write(&self, content: &CompanionSelfReport) {
         if let Place::Companion { report, .. } = self.place {
             self.page.write_report(report, content);
         }

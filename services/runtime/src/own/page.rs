@@ -73,7 +73,7 @@ pub struct CompanionPage(Arc<Mapped<Page>>);
 
 /// What a companion reports about itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct CompanionReport {
+pub struct CompanionSelfReport {
     /// Its incarnation; 0 when no process has reported.
     pub incarnation: u32,
     /// `ProcessState`.
@@ -150,10 +150,10 @@ impl CompanionPage {
     }
 
     /// The report with that number.
-    pub fn report(&self, report: usize) -> CompanionReport {
+    pub fn report(&self, report: usize) -> CompanionSelfReport {
         let cell = &self.0.reports[report];
         let read = |number: &AtomicU64| number.load(Ordering::SeqCst);
-        CompanionReport {
+        CompanionSelfReport {
             incarnation: cell.incarnation.load(Ordering::SeqCst),
             state: cell.state.load(Ordering::SeqCst),
             pid: read(&cell.pid),
@@ -170,7 +170,7 @@ impl CompanionPage {
     }
 
     /// Writes the report of a process; its scan is written last, because lock-step waits for it.
-    pub(crate) fn write_report(&self, report: usize, content: &CompanionReport) {
+    pub(crate) fn write_report(&self, report: usize, content: &CompanionSelfReport) {
         let cell = &self.0.reports[report];
         let numbers = [
             content.pid,
@@ -287,7 +287,7 @@ impl Cell {
     }
 }
 
-impl CompanionReport {
+impl CompanionSelfReport {
     /// The state that it reports.
     pub fn state(&self) -> Option<ProcessState> {
         (self.incarnation != 0).then(|| ProcessState::try_from(self.state).ok()).flatten()

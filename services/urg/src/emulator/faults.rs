@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use crate::status::Status;
+use crate::status::ScipStatus;
 
 /// A fault of the emulated scanner.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,9 +22,9 @@ pub enum DeviceFault {
     /// The counter is set back by this time [ms].
     Backwards(u64),
     /// From now on `TM0` and `TM1` have these statuses, in this order.
-    TimeStatus([Status; 2]),
+    TimeStatus([ScipStatus; 2]),
     /// The measurement ends with this status.
-    Status(Status),
+    Status(ScipStatus),
 }
 
 /// Faults of the next scan, and bytes that are held back.

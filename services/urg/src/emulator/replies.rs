@@ -2,15 +2,15 @@
 
 use crate::coding::{checksum, encode};
 use crate::command::{Coding, Measurement};
-use crate::model::Parameters;
-use crate::status::Status;
+use crate::model::SensorParameters;
+use crate::status::ScipStatus;
 
 /// Characters of a line of ranges.
 const LINE: usize = 64;
 
 /// The parameters of the recorded device.
-pub(crate) fn urg_04lx() -> Parameters {
-    Parameters {
+pub(crate) fn urg_04lx() -> SensorParameters {
+    SensorParameters {
         model: "URG-04LX(emulated)".to_owned(),
         min_mm: 20,
         max_mm: 5600,
@@ -23,7 +23,7 @@ pub(crate) fn urg_04lx() -> Parameters {
 }
 
 /// Appends a whole reply.
-pub(crate) fn append(output: &mut Vec<u8>, echo: &[u8], status: Status, lines: &[u8]) {
+pub(crate) fn append(output: &mut Vec<u8>, echo: &[u8], status: ScipStatus, lines: &[u8]) {
     output.extend(echo);
     output.push(b'\n');
     append_line(output, &status.0);
@@ -58,8 +58,8 @@ pub(crate) fn version() -> Vec<u8> {
     lines(&fields.map(|(key, value)| (key, value.to_owned())))
 }
 
-pub(crate) fn parameters(parameters: &Parameters) -> Vec<u8> {
-    let Parameters { model, min_mm, max_mm, steps, first, last, front, rpm } = parameters;
+pub(crate) fn parameters(parameters: &SensorParameters) -> Vec<u8> {
+    let SensorParameters { model, min_mm, max_mm, steps, first, last, front, rpm } = parameters;
     lines(&[
         ("MODL", model.clone()),
         ("DMIN", min_mm.to_string()),
@@ -72,7 +72,12 @@ pub(crate) fn parameters(parameters: &Parameters) -> Vec<u8> {
     ])
 }
 
-pub(crate) fn state(parameters: &Parameters, is_laser_on: bool, measures: bool, stamp_ms: u32) -> Vec<u8> {
+pub(crate) fn state(
+    parameters: &SensorParameters,
+    is_laser_on: bool,
+    measures: bool,
+    stamp_ms: u32,
+) -> Vec<u8> {
     lines(&[
         ("MODL", parameters.model.clone()),
         ("LASR", if is_laser_on { "ON" } else { "OFF" }.to_owned()),

@@ -1,4 +1,4 @@
-//! A name of a public type means one thing in its crate.
+//! A name of a public type means one thing in the workspace.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeMap;
@@ -9,8 +9,8 @@ use syn::visit::{self, Visit};
 
 use crate::{files, root};
 
-/// Names that two public types of one crate have, and why.
-const ALLOWED: &[(&str, &str, &str)] = &[];
+/// Names that several public types have, and why.
+const ALLOWED: &[(&str, &str)] = &[];
 
 /// Names of public types of a file; tests do not count.
 #[derive(Default)]
@@ -50,30 +50,41 @@ fn types(source: &str) -> Vec<String> {
     types.0
 }
 
-#[test]
-fn no_two_public_types_of_a_crate_have_one_name() {
-    let mut twice = Vec::new();
-    let mut found = 0;
-    for package in packages(&root()).unwrap() {
-        let mut places: BTreeMap<String, Vec<String>> = BTreeMap::new();
-        for file in files(&root().join(&package.folder).join("src"), ".rs") {
-            for name in types(&std::fs::read_to_string(&file).unwrap()) {
-                found += 1;
-                places
-                    .entry(name)
-                    .or_default()
-                    .push(file.file_name().unwrap().to_string_lossy().into_owned());
-            }
-        }
-        let is_allowed =
-            |name: &str| ALLOWED.iter().any(|(krate, other, _)| *krate == package.name && *other == name);
-        let several = places.into_iter().filter(|(name, files)| files.len() > 1 && !is_allowed(name));
-        twice.extend(
-            several.map(|(name, files)| format!("{}: {name} in {}\n", package.name, files.join(", "))),
-        );
+/// Names that stand in several places, each with its places.
+fn repeated(types: impl IntoIterator<Item = (String, String)>) -> BTreeMap<String, Vec<String>> {
+    let mut places: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    for (name, place) in types {
+        places.entry(name).or_default().push(place);
     }
-    assert!(found > 300, "{found}");
-    assert!(twice.is_empty(), "\n{}", twice.concat());
+    places.retain(|_, places| places.len() > 1);
+    places
+}
+
+#[test]
+fn no_two_public_types_of_the_workspace_have_one_name() {
+    let mut found = Vec::new();
+    for package in packages(&root()).unwrap() {
+        for file in files(&root().join(&package.folder).join("src"), ".rs") {
+            let place = file.strip_prefix(root()).unwrap().to_string_lossy().into_owned();
+            let types = types(&std::fs::read_to_string(&file).unwrap());
+            found.extend(types.into_iter().map(|name| (name, place.clone())));
+        }
+    }
+    assert!(found.len() > 500, "{}", found.len());
+    let mut repeated = repeated(found);
+    for (name, _) in ALLOWED {
+        assert!(repeated.remove(*name).is_some(), "not needed any more: {name}");
+    }
+    let lines = repeated.iter().map(|(name, places)| format!("{name} in {}\n", places.join(", ")));
+    assert!(repeated.is_empty(), "\n{}", lines.collect::<String>());
+}
+
+#[test]
+fn a_name_of_two_files_is_repeated_and_a_name_of_one_is_not() {
+    let types = [("Plan", "a.rs"), ("Chain", "a.rs"), ("Plan", "b.rs")];
+    let types = types.map(|(name, place)| (name.to_owned(), place.to_owned()));
+    let expected = BTreeMap::from([("Plan".to_owned(), vec!["a.rs".to_owned(), "b.rs".to_owned()])]);
+    assert_eq!(repeated(types), expected);
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::rc::Rc;
 use std::str::FromStr;
 
 use runtime::{Output, Process, RuntimeError, monotonic_ns};
-use scanloop_tests::{Place, planted};
+use scanloop_tests::{DelayPlace, planted};
 use shared_types::{Header, Role, Sample};
 
 use crate::Trouble;
@@ -91,12 +91,12 @@ impl<S: Sample> Outlet<S> {
 
     /// The inputs for a scan are there and about to be taken.
     pub(crate) fn before_take(&self, scan_id: u64) {
-        self.wait_at(Place::Take, scan_id);
+        self.wait_at(DelayPlace::Take, scan_id);
     }
 
     /// The inputs were taken.
     pub(crate) fn taken(&self, scan_id: u64) {
-        self.wait_at(Place::Compute, scan_id);
+        self.wait_at(DelayPlace::Compute, scan_id);
     }
 
     /// Publishes a sample, or mistreats it.
@@ -155,15 +155,15 @@ impl<S: Sample> Outlet<S> {
 
     fn publish_late(&mut self, scan_id: u64, sample: &mut S) -> Result<(), RuntimeError> {
         self.output.complete(sample);
-        self.wait_at(Place::Publish, scan_id);
+        self.wait_at(DelayPlace::Publish, scan_id);
         self.output.send(sample)?;
-        self.wait_at(Place::Deliver, scan_id);
+        self.wait_at(DelayPlace::Deliver, scan_id);
         self.output.wake();
         Ok(())
     }
 
     /// Waits there if it is planned, and logs from when to when it really waited [ns].
-    fn wait_at(&self, place: Place, scan_id: u64) {
+    fn wait_at(&self, place: DelayPlace, scan_id: u64) {
         if !matches!(self.trouble, Trouble::Delay) {
             return;
         }

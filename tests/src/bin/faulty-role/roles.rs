@@ -116,7 +116,7 @@ pub(crate) fn obstacles(trouble: Trouble) -> Ended {
 /// The controller.
 pub(crate) fn controller(trouble: Trouble) -> Ended {
     let mut process = Process::attach(Role::Controller)?;
-    let config = process.settings::<nmpc::Config>("controller")?;
+    let config = process.settings::<nmpc::ControllerConfig>("controller")?;
     let budget = nmpc::Budget::Iterations(config.budget_iterations);
     let mut controller = nmpc::Controller::new(config)?;
     let poses = process.input::<Pose>()?;

@@ -1,6 +1,6 @@
 //! Actuators with a fault.
 
-use actuation::{Actuator, Config};
+use actuation::{Actuator, ActuatorConfig};
 use runtime::{Handover, Process};
 use shared_types::{Actuation, ActuationKind, Command, CommandKind, Role, StopReason};
 use vehicle::correction::Calibration;
@@ -11,7 +11,7 @@ use crate::Outcome;
 /// `eager`, `wary`.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Actuator)?;
-    let mut config = process.settings::<Config>("actuator")?;
+    let mut config = process.settings::<ActuatorConfig>("actuator")?;
     let bounds = config.vehicle.bounds;
     match fault {
         "hasty" => config.recovery = 1,

@@ -13,7 +13,7 @@ const LAST_SCAN: u64 = 25;
 /// `bad-state`, `halts`.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Controller)?;
-    let config = process.settings::<nmpc::Config>("controller")?;
+    let config = process.settings::<nmpc::ControllerConfig>("controller")?;
     let budget = Budget::Iterations(config.budget_iterations);
     let mut controller = Controller::new(config)?;
     let poses = process.input::<Pose>()?;

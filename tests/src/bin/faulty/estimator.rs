@@ -10,7 +10,7 @@ use crate::{Outcome, everything};
 /// age, repetition), `believes` (content), `stays` (with the first producer), `invents`.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Estimator)?;
-    let mut config = process.settings::<estimator::Config>("estimator")?;
+    let mut config = process.settings::<estimator::EstimatorConfig>("estimator")?;
     if fault == "uncorrected" {
         config.odometry_longitudinal = Some(0.0);
     }

@@ -14,7 +14,8 @@ const SPOILED: u64 = 15;
 /// `unforgiving`, `needs-scans`, `keeps`, `travels`, `nothing`, `always-blind`; from the scan [`SPOILED`] on `nan`, `heap`, `inside`.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Obstacles)?;
-    let mut detector = obstacles::ObstacleDetector::new(process.settings::<obstacles::Config>("obstacles")?)?;
+    let mut detector =
+        obstacles::ObstacleDetector::new(process.settings::<obstacles::ObstaclesConfig>("obstacles")?)?;
     let scans = process.input::<Scan>()?;
     let poses = process.input::<Pose>()?;
     let output = process.output::<Obstacles>()?;

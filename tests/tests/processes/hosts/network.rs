@@ -44,7 +44,7 @@ struct Outputs {
 }
 
 impl Outputs {
-    fn of(system: &System) -> Self {
+    fn of(system: &TestSystem) -> Self {
         let bus = Bus::open(&system.domain(), "test").unwrap();
         Self { observer: Observer::new(&bus).unwrap(), seen: RefCell::default(), _bus: bus }
     }
@@ -62,14 +62,14 @@ impl Outputs {
     }
 
     /// Waits until the actuator drives by a command for a scan that was published after `since_ns`.
-    fn wait_for_drive(&self, system: &System, what: &str, since_ns: u64) {
+    fn wait_for_drive(&self, system: &TestSystem, what: &str, since_ns: u64) {
         system.wait_until(what, |_| {
             self.drives(since_ns, u64::MAX).iter().any(|actuation| scanned_ns(actuation) > since_ns)
         });
     }
 
     /// Waits until this share of a period has passed since a scan was published.
-    fn wait_for_phase(&self, system: &System, phase: f64) {
+    fn wait_for_phase(&self, system: &TestSystem, phase: f64) {
         self.poll();
         let newest_ns = self.seen.borrow().iter().map(scanned_ns).max().expect("an output");
         let periods = (monotonic_ns() - newest_ns) / PERIOD_NS + 1;
@@ -77,7 +77,7 @@ impl Outputs {
     }
 
     /// Waits for a moment, with all outputs received.
-    fn wait_for_time(&self, system: &System, until_ns: u64) {
+    fn wait_for_time(&self, system: &TestSystem, until_ns: u64) {
         system.wait_until("time passes", |_| {
             self.poll();
             monotonic_ns() >= until_ns

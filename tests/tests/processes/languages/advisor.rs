@@ -4,7 +4,7 @@ use scanloop_tests::machine::repeat_when_late;
 use std::process::Command;
 
 use emulator::Outcome;
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 
 use super::tools::{EXECUTABLE, compile, examples, python};
 
@@ -17,7 +17,7 @@ fn a_controller_of_ones_own_obeys_the_advisor() {
     repeat_when_late(|| {
         let Some(python) = python("the advisor in Python") else { return };
         let folder = examples("python").join("speed-limit");
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let file = folder.join("system.toml");
         let command = |name: &str, program: &str| {
             let words = [python.to_str().unwrap(), folder.join(program).to_str().unwrap()].map(str::to_owned);
@@ -105,8 +105,8 @@ int main(void) {
 "#;
 
 /// A system with the advisor in C, compiled against the header of `limit` with this change.
-fn advisor_in_c(from: &str, to: &str) -> System {
-    let system = System::new(EXECUTABLE);
+fn advisor_in_c(from: &str, to: &str) -> TestSystem {
+    let system = TestSystem::new(EXECUTABLE);
     let folder = system.folder();
     std::fs::copy(examples("python").join("speed-limit/limit.toml"), folder.join("limit.toml")).unwrap();
     let header = system.run(&["types", "--c", "--layout", "limit.toml"]);
@@ -142,7 +142,7 @@ fn a_companion_in_c_answers_every_sample() {
 #[test]
 fn companions_in_c_and_python_that_were_built_against_another_layout_are_refused_with_the_field() {
     repeat_when_late(|| {
-        let assert_refused = |system: &System, arguments: &[&str], message: &str| {
+        let assert_refused = |system: &TestSystem, arguments: &[&str], message: &str| {
             let report = system.lockstep(&[&["free", "--set", "goal.x_m=4"], arguments].concat());
             assert_eq!(report.outcome, Outcome::Reached, "{}", report.reason);
             assert_eq!((report.companions[0].published, report.companions[0].state.as_str()), (0, "failed"));
@@ -153,7 +153,7 @@ fn companions_in_c_and_python_that_were_built_against_another_layout_are_refused
         let message = "topic limit: field speed_mps is of type u64 in this process, f64 in the system";
         assert_refused(&in_c, &["--system", "lab.toml"], message);
         let Some(python) = python("an advisor in Python of another layout") else { return };
-        let (folder, system) = (examples("python").join("speed-limit"), System::new(EXECUTABLE));
+        let (folder, system) = (examples("python").join("speed-limit"), TestSystem::new(EXECUTABLE));
         let mine = system.folder().join("speed-limit");
         std::fs::create_dir_all(&mine).unwrap();
         for name in ["limit.toml", "advisor.py"] {

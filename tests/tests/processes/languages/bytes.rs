@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::process::Command;
 
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 use shared_types::{Field, Kind, TOPICS, Topic};
 
 use super::tools::{EXECUTABLE, compile, examples, python};
@@ -135,7 +135,7 @@ fn struct_of(topic: Topic) -> String {
 #[test]
 fn every_sample_is_the_same_bytes_in_c() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let mut program = String::from(
             "#include <inttypes.h>\n#include <stdio.h>\n#include <string.h>\n#include \"scanloop_types.h\"\n\
          #define FIELD(topic, path, place, format, value) do { \\\n\
@@ -212,7 +212,7 @@ for topic, sample in samples.items():
 fn every_sample_is_the_same_bytes_in_python() {
     repeat_when_late(|| {
         let Some(python) = python("every_sample_is_the_same_bytes_in_python") else { return };
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let mut values = String::new();
         for topic in TOPICS {
             for (number, leaf) in leaves(topic).iter().enumerate() {

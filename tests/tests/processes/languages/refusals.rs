@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use handover::swap::{Certificate, SwapOutcome};
-use scanloop_tests::{SHORT_FREE, System};
+use scanloop_tests::{SHORT_FREE, TestSystem};
 use shared_types::{LayoutRow, Layouts, Role, TOPICS, difference};
 
 use super::tools::{DEAD_RECKONING, EXECUTABLE, MY_CONTROLLER, compile, examples, python};
@@ -107,7 +107,7 @@ impl Version {
     }
 }
 
-fn refused(system: &System, arguments: &[&str], message: &str) {
+fn refused(system: &TestSystem, arguments: &[&str], message: &str) {
     let output = system.run(&[&["swap", "--json"], arguments].concat());
     let certificate: Certificate = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(certificate.outcome, SwapOutcome::Refused, "{certificate:?}");
@@ -119,7 +119,7 @@ fn refused(system: &System, arguments: &[&str], message: &str) {
 #[test]
 fn a_c_program_of_another_version_is_refused_with_the_field_in_the_certificate() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let header = std::fs::read_to_string(examples("c").join("scanloop_types.h")).unwrap();
         let source = system.folder().join("joins.c");
         std::fs::write(&source, JOINS).unwrap();
@@ -151,7 +151,7 @@ fn a_c_program_of_another_version_is_refused_with_the_field_in_the_certificate()
 fn a_python_program_of_another_version_is_refused_with_the_field_in_the_certificate() {
     repeat_when_late(|| {
         let Some(python) = python("a_python_program_of_another_version_is_refused") else { return };
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&SHORT_FREE);
         for (index, (old, new, message)) in [
             (
@@ -202,7 +202,7 @@ fn copy(from: &Path, to: &Path) {
 #[test]
 fn a_program_that_is_started_by_hand_says_what_starts_it() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let (source, program) = (system.folder().join("joins.c"), system.folder().join("joins"));
         std::fs::write(&source, JOINS).unwrap();
         compile(&source, &examples("c"), &program);
@@ -265,7 +265,7 @@ fn mutations() -> Vec<Layouts> {
 fn python_describes_a_difference_of_layouts_like_rust() {
     repeat_when_late(|| {
         let Some(python) = python("python_describes_a_difference_of_layouts_like_rust") else { return };
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let theirs = Layouts::built_in();
         let (mut tables, mut expected) = (Vec::new(), String::new());
         for mine in mutations() {

@@ -4,9 +4,9 @@ use scanloop_tests::machine::repeat_when_late;
 use std::path::PathBuf;
 use std::process::Output;
 
-use conformance::{Outcome as CaseOutcome, Report as Suite};
+use conformance::{CaseOutcome, SuiteReport};
 use emulator::{JudgedBy, Outcome};
-use scanloop_tests::System;
+use scanloop_tests::TestSystem;
 
 use super::swaps::system_with;
 use super::tools::{EXECUTABLE, MY_ROBOT, compile, examples, python, root};
@@ -19,7 +19,7 @@ fn template(language: &str) -> PathBuf {
 }
 
 /// Language, command, and the rate at which it is tested: lower for an interpreter on a busy machine [Hz].
-fn drivers(system: &System, test: &str) -> Vec<(&'static str, Vec<String>, &'static str)> {
+fn drivers(system: &TestSystem, test: &str) -> Vec<(&'static str, Vec<String>, &'static str)> {
     let program = system.folder().join("robot");
     compile(&template("c").join("robot.c"), &examples("c"), &program);
     let mut all = vec![
@@ -37,7 +37,7 @@ fn drivers(system: &System, test: &str) -> Vec<(&'static str, Vec<String>, &'sta
 #[test]
 fn drivers_to_be_copied_honour_all_that_is_asked_of_a_real_robot() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let drivers = drivers(&system, "drivers_to_be_copied_honour_all, the driver");
         std::thread::scope(|scope| {
             for (language, command, rate_hz) in &drivers {
@@ -52,7 +52,7 @@ fn drivers_to_be_copied_honour_all_that_is_asked_of_a_real_robot() {
 fn honours_all(language: &str, output: &Output) {
     let text = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(0), "{language}: {text}");
-    let suite: Suite = serde_json::from_slice(&output.stdout).unwrap();
+    let suite: SuiteReport = serde_json::from_slice(&output.stdout).unwrap();
     let failed = suite.cases.iter().filter(|case| case.outcome != CaseOutcome::Passed);
     let failed: Vec<&str> = failed.map(|case| case.name.as_str()).collect();
     assert_eq!(failed, NOT_FOR_REAL_ROBOTS, "{language}: {text}");
@@ -65,8 +65,8 @@ fn honours_all(language: &str, output: &Output) {
 fn drivers_to_be_copied_drive_to_the_goal_by_the_estimate() {
     repeat_when_late(|| {
         let test = "drivers_to_be_copied_drive_to_the_goal, the driver";
-        for (language, command, _) in drivers(&System::new(EXECUTABLE), test) {
-            let mut system = System::new(EXECUTABLE);
+        for (language, command, _) in drivers(&TestSystem::new(EXECUTABLE), test) {
+            let mut system = TestSystem::new(EXECUTABLE);
             let program = system.folder().join("robot");
             if language == "c" {
                 compile(&template("c").join("robot.c"), &examples("c"), &program);
@@ -186,7 +186,7 @@ fn overtaken(language: &str, folder: &std::path::Path, truth: &str) -> Option<Ve
 fn messages_that_overtake_each_other_do_not_move_a_driver_to_be_copied() {
     repeat_when_late(|| {
         for language in ["c", "python"] {
-            let mut system = System::new(EXECUTABLE);
+            let mut system = TestSystem::new(EXECUTABLE);
             let truth = system.folder().join("truth");
             let Some(command) = overtaken(language, system.folder(), truth.to_str().unwrap()) else {
                 continue;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use emulator::Outcome;
 use handover::swap::{Certificate, SwapOutcome};
-use scanloop_tests::{SHORTENED_LONG, System};
+use scanloop_tests::{SHORTENED_LONG, TestSystem};
 
 use super::tools::{DEAD_RECKONING, EXECUTABLE, MY_CONTROLLER, compile, examples, python};
 
@@ -13,7 +13,7 @@ use super::tools::{DEAD_RECKONING, EXECUTABLE, MY_CONTROLLER, compile, examples,
 const TRIES: usize = 4;
 
 /// Swaps a process, and adds the certificates of all tries.
-fn swap(system: &System, role: &str, command: &[&str], certificates: &mut Vec<Certificate>) {
+fn swap(system: &TestSystem, role: &str, command: &[&str], certificates: &mut Vec<Certificate>) {
     for _ in 0..TRIES {
         let output = system.run(&[&["swap", "--json", role, "--"], command].concat());
         let certificate: Certificate = serde_json::from_slice(&output.stdout)
@@ -31,7 +31,7 @@ fn swap(system: &System, role: &str, command: &[&str], certificates: &mut Vec<Ce
 }
 
 /// That the run reached its goal and lost no scan, with the new processes to the end.
-fn reached(mut system: System, certificates: &[Certificate]) {
+fn reached(mut system: TestSystem, certificates: &[Certificate]) {
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
     let report = system.report();
     assert_eq!(report.outcome, Outcome::Reached);
@@ -44,7 +44,7 @@ fn reached(mut system: System, certificates: &[Certificate]) {
     system.assert_nothing_left();
 }
 
-fn c_obstacles(system: &System) -> PathBuf {
+fn c_obstacles(system: &TestSystem) -> PathBuf {
     let program = system.folder().join("obstacles");
     compile(&examples("c").join("obstacles.c"), &examples("c"), &program);
     program
@@ -77,7 +77,7 @@ pub(crate) fn system_with(folder: &Path, role: &str, command: &[&str]) -> String
 #[test]
 fn obstacles_in_c_and_an_estimator_in_rust_take_over_from_the_built_in_ones() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let program = c_obstacles(&system);
         let program = program.to_str().unwrap();
         system.start(&[&SHORTENED_LONG[..], &["--set", "robot.odometry_longitudinal=0"]].concat());
@@ -95,7 +95,7 @@ fn obstacles_in_c_and_an_estimator_in_rust_take_over_from_the_built_in_ones() {
 fn controllers_in_python_take_over_from_the_built_in_one_and_from_each_other() {
     repeat_when_late(|| {
         let Some(python) = python("controllers_in_python_take_over") else { return };
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["free", "--set", "goal.x_m=21", "--set", "rate_hz=5"]);
         let mut certificates = Vec::new();
         for program in ["pure_pursuit.py", "casadi_controller.py"] {
@@ -112,7 +112,7 @@ fn controllers_in_python_take_over_from_the_built_in_one_and_from_each_other() {
 fn a_swap_to_python_and_back_loses_no_sample() {
     repeat_when_late(|| {
         let Some(python) = python("a_swap_to_python_and_back") else { return };
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["free", "--set", "goal.x_m=21", "--set", "rate_hz=5"]);
         let mut certificates = Vec::new();
         let program = examples("python").join("pure_pursuit.py");
@@ -141,7 +141,7 @@ fn a_swap_to_python_and_back_loses_no_sample() {
 #[test]
 fn the_examples_honour_all_that_is_asked_of_their_roles() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let obstacles = c_obstacles(&system);
         let mut commands = vec![
             ("obstacles", "10", vec![obstacles.to_str().unwrap().to_owned()]),
@@ -168,7 +168,7 @@ fn the_examples_honour_all_that_is_asked_of_their_roles() {
 #[test]
 fn every_example_drives_the_whole_way_in_lock_step() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let program = c_obstacles(&system);
         for (role, program) in [("obstacles", program.to_str().unwrap()), ("controller", MY_CONTROLLER)] {
             let file = system_with(system.folder(), role, &[program]);

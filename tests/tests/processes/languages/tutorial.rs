@@ -9,7 +9,7 @@ use emulator::Outcome;
 use handover::swap::SwapOutcome;
 use scanloop_tests::machine::repeat_when_late;
 use scanloop_tests::pages::{compare_or_write, without_numbers};
-use scanloop_tests::{DEADLINE, System};
+use scanloop_tests::{DEADLINE, TestSystem};
 
 use super::tools::{EXECUTABLE, MY_CONTROLLER, python, root};
 
@@ -100,7 +100,7 @@ struct Shell {
 }
 
 impl Shell {
-    fn new(system: &System) -> Self {
+    fn new(system: &TestSystem) -> Self {
         let mut command = Command::new("bash");
         command.current_dir(system.folder()).env("SCANLOOP_SYSTEM_ID", system.id());
         let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
@@ -115,7 +115,7 @@ impl Shell {
     }
 
     /// What commands print; a line that starts with `FAILED` for each one that fails.
-    fn run(&mut self, system: &System, commands: &str) -> String {
+    fn run(&mut self, system: &TestSystem, commands: &str) -> String {
         std::fs::write(system.folder().join("step.sh"), format!("{commands}\n")).unwrap();
         // Commands must not read the script of the shell.
         writeln!(self.input, ". ./step.sh < /dev/null; echo; echo STEP DONE").unwrap();
@@ -143,7 +143,7 @@ impl Drop for Shell {
 }
 
 /// Runs a step until it prints what the page shows; again only when a candidate was too slow.
-fn play(shell: &mut Shell, system: &System, step: &Step) {
+fn play(shell: &mut Shell, system: &TestSystem, step: &Step) {
     for attempt in 1..=TRIES {
         let printed = shell.run(system, &step.commands);
         let missing = missing(&step.shown, &printed);
@@ -161,7 +161,7 @@ fn play(shell: &mut Shell, system: &System, step: &Step) {
 }
 
 /// The repository as a clone named `scanloop`, without what was built in it.
-fn clone(system: &System) {
+fn clone(system: &TestSystem) {
     let clone = system.folder().join("scanloop");
     std::fs::create_dir(&clone).unwrap();
     for entry in std::fs::read_dir(root()).unwrap().flatten() {
@@ -182,7 +182,7 @@ fn the_commands_of_the_tutorial_run_as_they_stand_and_print_what_it_shows() {
             assert_eq!(page.matches(&format!("\n{command}\n")).count(), 1, "{command}");
             page = page.replace(&format!("\n{command}\n"), &format!("\n{instead}\n"));
         }
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         clone(&system);
         let mut shell = Shell::new(&system);
         let steps = parse(&page).0;

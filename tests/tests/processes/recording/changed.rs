@@ -1,14 +1,14 @@
 //! Recorded drives whose settings change.
 
 use scanloop_tests::machine::repeat_when_late;
-use scanloop_tests::{SHORT_CORRIDOR, System};
+use scanloop_tests::{SHORT_CORRIDOR, TestSystem};
 
 use super::{EXECUTABLE, json, replayed, text};
 
 #[test]
 fn a_drive_whose_settings_were_changed_refused_and_kept_over_a_restart_is_replayed_to_the_bit() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&[&SHORT_CORRIDOR[..], &["--record"]].concat());
         system.wait_until("a second is driven", |system| {
             system.status().is_some_and(|status| status.scan > 10)

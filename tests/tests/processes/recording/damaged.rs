@@ -5,8 +5,8 @@ use std::fs::File;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use recording::mcap::Reader;
-use scanloop_tests::{SHORT_FREE, System};
+use recording::mcap::McapReader;
+use scanloop_tests::{SHORT_FREE, TestSystem};
 use serde_json::Value;
 
 use super::{json, recorded, replayed, text};
@@ -31,7 +31,7 @@ const DATA_END: u8 = 15;
 
 /// How many poses each chunk of a recording holds.
 fn poses_of_chunks(file: &Path, chunks: &[Range<usize>]) -> Vec<u64> {
-    let mut reader = Reader::new(File::open(file).expect("of a test")).expect("a recording");
+    let mut reader = McapReader::new(File::open(file).expect("of a test")).expect("a recording");
     let mut counts = vec![0; chunks.len()];
     while let Some(channel) = reader.next_message().expect("a whole recording").map(|message| message.channel)
     {
@@ -49,7 +49,7 @@ fn seconds(message: &str) -> Vec<f64> {
 }
 
 /// A copy of a recording with these bytes zero.
-fn with_zeros(system: &System, name: &str, whole: &[u8], zeros: Range<usize>) -> PathBuf {
+fn with_zeros(system: &TestSystem, name: &str, whole: &[u8], zeros: Range<usize>) -> PathBuf {
     let mut bytes = whole.to_vec();
     bytes[zeros].fill(0);
     let path = system.folder().join(name);
@@ -57,12 +57,12 @@ fn with_zeros(system: &System, name: &str, whole: &[u8], zeros: Range<usize>) ->
     path
 }
 
-fn info(system: &System, file: &Path) -> Value {
+fn info(system: &TestSystem, file: &Path) -> Value {
     json(&system.run(&["recording", "info", text(file), "--json"]))
 }
 
 /// Repairs a file; returns the path of the new one, the exit code and what was said.
-fn repair(system: &System, file: &Path) -> (PathBuf, i32, String) {
+fn repair(system: &TestSystem, file: &Path) -> (PathBuf, i32, String) {
     let new = file.with_extension("new.mcap");
     let output = system.run(&["recording", "repair", text(file), "--out", text(&new)]);
     let message = scanloop_tests::printed(&output);
@@ -74,7 +74,7 @@ fn poses(info: &Value) -> u64 {
 }
 
 /// All commands that read a recording refuse the file and name the one that repairs it.
-fn assert_refused(system: &System, file: &Path) {
+fn assert_refused(system: &TestSystem, file: &Path) {
     for command in [&["recording", "info"][..], &["replay"], &["view"]] {
         let output = system.run(&[command, &[text(file)]].concat());
         let message = scanloop_tests::printed(&output);

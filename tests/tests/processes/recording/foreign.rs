@@ -4,7 +4,7 @@ use scanloop_tests::machine::repeat_when_late;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use scanloop_tests::{SHORT_FREE, System};
+use scanloop_tests::{SHORT_FREE, TestSystem};
 
 use super::{json, recorded, recorded_in, replayed, text};
 use crate::languages::tools;
@@ -36,7 +36,7 @@ with open(source, "rb") as file, open(target, "wb") as out:
     writer.finish()
 "#;
 
-fn repaired(system: &System, file: &Path) -> PathBuf {
+fn repaired(system: &TestSystem, file: &Path) -> PathBuf {
     let new = file.with_extension("new.mcap");
     let output = system.run(&["recording", "repair", text(file), "--out", text(&new)]);
     let message = scanloop_tests::printed(&output);
@@ -97,7 +97,7 @@ fn a_recording_that_another_program_has_written_anew_is_read_by_every_command() 
 fn joined_recordings_are_read_as_a_whole_and_repaired_to_one_file_for_each_run() {
     repeat_when_late(|| {
         let (system, one) = recorded(&SHORT_FREE);
-        let other_system = System::new(super::EXECUTABLE);
+        let other_system = TestSystem::new(super::EXECUTABLE);
         let other = recorded_in(&other_system, &[&SHORT_FREE[..], &["--seed", "7"]].concat());
         let joined = system.folder().join("joined.mcap");
         let bytes = [&one, &other].map(|file| std::fs::read(file).expect("of a test")).concat();

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use report::Outcome;
 use rustix::process::Signal;
-use scanloop_tests::{SHORT_CORRIDOR, SHORT_FREE, System};
+use scanloop_tests::{SHORT_CORRIDOR, SHORT_FREE, TestSystem};
 use shared_types::Role;
 
 use super::{EXECUTABLE, json, recorder_of, replayed, text};
@@ -16,7 +16,7 @@ const RING: [&str; 2] = ["--set", "recording.ring_s=60"];
 #[test]
 fn a_kill_leaves_one_file_with_the_seconds_before_it_and_the_restart_and_it_is_replayed_to_the_bit() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&[&SHORT_CORRIDOR[..], &RING].concat());
         system.wait_until("two seconds are driven", |system| {
             system.status().is_some_and(|status| status.scan > 20)
@@ -48,7 +48,7 @@ fn a_kill_leaves_one_file_with_the_seconds_before_it_and_the_restart_and_it_is_r
 #[test]
 fn a_recording_that_is_being_written_is_not_replaced() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&[&SHORT_FREE[..], &["--record=drive.mcap"]].concat());
         system.wait_until("the recording is there", |system| system.folder().join("drive.mcap").exists());
         system.wait_until_driving();
@@ -69,13 +69,13 @@ fn a_collision_and_a_stop_in_mid_drive_leave_a_file_that_is_replayed_to_the_bit(
     repeat_when_late(|| {
         // It appears where no stop is possible.
         let sudden = ["sudden", "--set", "obstacle.0.appears_ahead_m=0.1"];
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&[&sudden[..], &RING].concat());
         assert_eq!(system.wait().code(), Some(3), "{}", system.stderr());
         assert_eq!(system.report().outcome, Outcome::Collision);
         assert_last_is_replayed(&system);
 
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&[&SHORT_CORRIDOR[..], &RING].concat());
         system.wait_until("two seconds are driven", |system| {
             system.status().is_some_and(|status| status.scan > 20)
@@ -90,7 +90,7 @@ fn a_collision_and_a_stop_in_mid_drive_leave_a_file_that_is_replayed_to_the_bit(
 #[test]
 fn a_rollback_leaves_a_file_that_is_replayed_but_for_the_other_program() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&[&SHORT_CORRIDOR[..], &RING].concat());
         let hangs = [
             "swap",
@@ -116,7 +116,7 @@ fn a_rollback_leaves_a_file_that_is_replayed_but_for_the_other_program() {
 }
 
 /// The newest file of an incident: each output that can be recomputed is identical, and only those of other programs can't.
-fn assert_last_is_replayed(system: &System) -> serde_json::Value {
+fn assert_last_is_replayed(system: &TestSystem) -> serde_json::Value {
     let named = system.report().incidents;
     let file = named.last().unwrap_or_else(|| panic!("no incident: {}", system.stderr()));
     let (replay, code) = replayed(system, file, &[]);
@@ -136,7 +136,7 @@ fn assert_last_is_replayed(system: &System) -> serde_json::Value {
 #[test]
 fn a_drive_that_lands_leaves_no_file_of_an_incident() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&[&SHORT_FREE[..], &RING].concat());
         assert!(recorder_of(&system).is_some());
         assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
@@ -148,7 +148,7 @@ fn a_drive_that_lands_leaves_no_file_of_an_incident() {
 #[test]
 fn an_adopted_system_is_recorded_and_the_death_of_its_orchestrator_leaves_a_file() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["free", "--set", "goal.x_m=20", "--set", "recording.ring_s=60"]);
         system.wait_until("two seconds are driven", |system| {
             system.status().is_some_and(|status| status.scan > 20)
@@ -174,7 +174,7 @@ fn an_adopted_system_is_recorded_and_the_death_of_its_orchestrator_leaves_a_file
 }
 
 /// The files of incidents of a system.
-fn incidents_of(system: &System) -> Vec<PathBuf> {
+fn incidents_of(system: &TestSystem) -> Vec<PathBuf> {
     let files = std::fs::read_dir(system.folder().join("out")).expect("of a test").flatten();
     let is_incident = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "mcap");
     files.map(|entry| entry.path()).filter(is_incident).collect()

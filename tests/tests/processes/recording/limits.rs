@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use recording::mcap::{Channel, MAGIC, OpenChunk, Schema, Writer};
-use scanloop_tests::{SHORT_FREE, System};
+use scanloop_tests::{SHORT_FREE, TestSystem};
 use shared_types::Topic;
 
 use super::damaged::{CHUNK, records};
@@ -17,7 +17,7 @@ use super::{EXECUTABLE, recorded, text};
 const MEMORY_KIB: u64 = 900 << 10;
 
 /// Runs a command on a file with little memory.
-fn limited(system: &System, arguments: &[&str]) -> Output {
+fn limited(system: &TestSystem, arguments: &[&str]) -> Output {
     let script = format!("ulimit -v {MEMORY_KIB}; exec \"$0\" \"$@\"");
     let mut command = Command::new("sh");
     command.args(["-c", &script, EXECUTABLE]).args(arguments).current_dir(system.folder());
@@ -44,7 +44,7 @@ fn bomb(folder: &Path, chunks: u32) -> PathBuf {
 #[test]
 fn large_chunks_are_read_one_after_the_other_in_bounded_memory() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let file = bomb(system.folder(), 16);
         assert!(file.metadata().expect("of a test").len() < 6 << 20);
         let [bag, csv] = ["bag", "csv"].map(|name| system.folder().join(name));
@@ -108,7 +108,7 @@ fn sizes_in_a_file_beyond_the_limits_are_refused_with_the_number() {
 #[test]
 fn a_small_file_with_many_samples_is_refused_before_they_fill_the_memory() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let path = system.folder().join("many.mcap");
         let mut writer = recording::writer(File::create(&path).expect("of a test")).expect("of a test");
         let (mut open, size) = (OpenChunk::default(), Topic::Checkpoint.size());
@@ -163,7 +163,7 @@ fn message(channel: u16) -> Vec<u8> {
 #[test]
 fn a_large_schema_of_many_channels_is_held_once() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let (file, out) = (system.folder().join("channels.mcap"), system.folder().join("out.mcap"));
         let fields = sized(&vec![b'\n'; (4 << 20) - 100]);
         let schema =
@@ -185,7 +185,7 @@ fn a_large_schema_of_many_channels_is_held_once() {
 #[test]
 fn large_names_of_attached_files_are_refused_before_they_fill_the_memory() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let (file, out) = (system.folder().join("names.mcap"), system.folder().join("out.mcap"));
         let name = vec![0; 120 << 20];
         let attached = record(9, &[&[0; 16][..], &sized(&name), &[0; 4 + 8 + 4]].concat());

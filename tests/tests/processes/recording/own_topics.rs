@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::Command;
 
 use rustix::process::Signal;
-use scanloop_tests::{SHORT_CORRIDOR, SHORT_FREE, System};
+use scanloop_tests::{SHORT_CORRIDOR, SHORT_FREE, TestSystem};
 use serde_json::Value;
 
 use super::{EXECUTABLE, json, recorded_in, text};
@@ -15,8 +15,8 @@ const COMPANION: &str = env!("CARGO_BIN_EXE_faulty-companion");
 const SYSTEM: [&str; 2] = ["--system", "lab.toml"];
 
 /// The built-in system with a companion that writes the number of each scan on the topic `echo`.
-fn system() -> System {
-    let system = System::new(EXECUTABLE);
+fn system() -> TestSystem {
+    let system = TestSystem::new(EXECUTABLE);
     let built_in = include_str!("../../../../orchestrator/systems/default.toml");
     let text = format!(
         "{built_in}\n[[topic]]\nname = \"echo\"\nlayout = \"echo.toml\"\n[[process]]\nrole = \"companion\"\nname = \
@@ -29,12 +29,12 @@ fn system() -> System {
     system
 }
 
-fn info(system: &System, file: &Path) -> Value {
+fn info(system: &TestSystem, file: &Path) -> Value {
     json(&system.run(&["recording", "info", text(file), "--json"]))
 }
 
 /// The table of the topic: scan of each sample by its header, and the value.
-fn rows(system: &System, file: &Path) -> Vec<(f64, f64)> {
+fn rows(system: &TestSystem, file: &Path) -> Vec<(f64, f64)> {
     let folder = file.with_extension("csv");
     let exported = system.run(&["recording", "export", text(file), "--csv", text(&folder)]);
     assert_eq!(exported.status.code(), Some(0), "{}", String::from_utf8_lossy(&exported.stderr));

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use recording::Recording;
 use rustix::process::Signal;
 use scanloop_tests::machine::repeat_when_late;
-use scanloop_tests::{SHORT_CORRIDOR, System};
+use scanloop_tests::{SHORT_CORRIDOR, TestSystem};
 use serde_json::Value;
 use shared_types::{
     Command, Header, Journal, JournalKind, Obstacles, Pose, Role, Sample, Scan, StageStamps, Topic,
@@ -24,19 +24,19 @@ fn pure_pursuit(python: &Path) -> Vec<String> {
     [text(python), "-B", text(&program)].map(str::to_owned).to_vec()
 }
 
-fn c_obstacles(system: &System) -> Vec<String> {
+fn c_obstacles(system: &TestSystem) -> Vec<String> {
     let program = system.folder().join("obstacles");
     compile(&examples("c").join("obstacles.c"), &examples("c"), &program);
     vec![text(&program).to_owned()]
 }
 
-fn system_file(system: &System, role: Role, command: &[String]) -> String {
+fn system_file(system: &TestSystem, role: Role, command: &[String]) -> String {
     let words: Vec<&str> = command.iter().map(String::as_str).collect();
     system_with(system.folder(), role.name(), &words)
 }
 
 /// A recorded drive in real time, whose process of the role is killed once.
-fn recorded_with_a_kill(system: &mut System, role: Role, arguments: &[&str]) -> PathBuf {
+fn recorded_with_a_kill(system: &mut TestSystem, role: Role, arguments: &[&str]) -> PathBuf {
     system.start(&[arguments, &["--record"]].concat());
     system.wait_until("two seconds are driven", |system| {
         system.status().is_some_and(|status| status.scan > 12)
@@ -149,7 +149,7 @@ fn left_out(report: &Value) -> &Value {
 fn each_output_of_a_controller_in_python_has_a_journal_of_what_it_took() {
     repeat_when_late(|| {
         let Some(python) = python("each_output_of_a_controller_in_python_has_a_journal") else { return };
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let file = system_file(&system, Role::Controller, &pure_pursuit(&python));
         let arguments = [&["free", "--set", "goal.x_m=6", "--system", &file], &SLOW[..]].concat();
         let file = recorded_with_a_kill(&mut system, Role::Controller, &arguments);
@@ -167,7 +167,7 @@ fn each_output_of_a_controller_in_python_has_a_journal_of_what_it_took() {
 #[test]
 fn each_output_of_obstacles_in_c_has_a_journal_of_what_it_took() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let command = c_obstacles(&system);
         let file = system_file(&system, Role::Obstacles, &command);
         let arguments = [&SHORT_CORRIDOR[..], &["--system", &file]].concat();
@@ -182,7 +182,7 @@ fn each_output_of_obstacles_in_c_has_a_journal_of_what_it_took() {
 #[test]
 fn programs_in_c_and_python_are_replayed_to_the_bit_by_the_option_that_the_replay_names() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let mut programs = vec![(Role::Obstacles, c_obstacles(&system), &[][..])];
         if let Some(python) = python("programs_in_c_and_python_are_replayed_to_the_bit, the controller") {
             programs.push((Role::Controller, pure_pursuit(&python), &SLOW[..]));
@@ -218,7 +218,7 @@ fn programs_in_c_and_python_are_replayed_to_the_bit_by_the_option_that_the_repla
 #[test]
 fn a_program_in_place_of_a_stage_with_two_processes_gets_the_inputs_of_both() {
     repeat_when_late(|| {
-        let mut system = System::new(EXECUTABLE);
+        let mut system = TestSystem::new(EXECUTABLE);
         let command = c_obstacles(&system);
         system.start(&[&SHORT_CORRIDOR[..], &["--record"]].concat());
         system.wait_until("a second is driven", |system| {

@@ -4,7 +4,7 @@ use scanloop_tests::machine::repeat_when_late;
 use std::fs::File;
 
 use recording::mcap::{Channel, Schema, Writer};
-use scanloop_tests::{SHORT_FREE, System};
+use scanloop_tests::{SHORT_FREE, TestSystem};
 
 use super::{EXECUTABLE, recorded, replayed, rewrite_with, text};
 
@@ -68,7 +68,7 @@ fn recordings_that_are_newer_or_damaged_are_refused() {
         writer.message(0, 1, 1, &[&[0; 8]]);
         writer.finish().unwrap();
         for (file, reason) in [(&damaged, "damaged"), (&newer, "version 2 of the recording is not 1")] {
-            let output = System::new(EXECUTABLE).run(&["replay", text(file)]);
+            let output = TestSystem::new(EXECUTABLE).run(&["replay", text(file)]);
             let message = scanloop_tests::printed(&output);
             assert!(output.status.code() == Some(2) && message.contains(reason), "{message}");
         }
@@ -78,7 +78,7 @@ fn recordings_that_are_newer_or_damaged_are_refused() {
 #[test]
 fn files_that_are_no_recordings_are_refused_and_none_is_replaced() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let file = |name: &str, bytes: &[u8]| {
             let path = system.folder().join(name);
             std::fs::write(&path, bytes).unwrap();

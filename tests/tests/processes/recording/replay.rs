@@ -3,8 +3,8 @@
 use scanloop_tests::machine::repeat_when_late;
 use std::path::Path;
 
-use scanloop_tests::recordings::{self, Kind};
-use scanloop_tests::{SHORT_CORRIDOR, SHORT_FREE, System};
+use scanloop_tests::recordings::{self, RecordingKind};
+use scanloop_tests::{SHORT_CORRIDOR, SHORT_FREE, TestSystem};
 
 use super::{EXECUTABLE, recorded, replayed, rewrite_with, text};
 use crate::languages::tools;
@@ -32,11 +32,11 @@ fn another_setting_is_judged_by_the_bounds_of_a_swap() {
 fn drives_with_a_kill_a_hang_late_samples_and_200_scans_a_second_are_replayed_to_the_bit() {
     repeat_when_late(|| {
         let kinds = [
-            (Kind::Kill, 3),
-            (Kind::Hang, 5),
-            (Kind::Late, 7),
-            (Kind::ScannerInLockstep, 9),
-            (Kind::Fast, 11),
+            (RecordingKind::Kill, 3),
+            (RecordingKind::Hang, 5),
+            (RecordingKind::Late, 7),
+            (RecordingKind::ScannerInLockstep, 9),
+            (RecordingKind::Fast, 11),
         ];
         std::thread::scope(|scope| {
             for (kind, seed) in kinds {
@@ -114,7 +114,7 @@ fn a_program_in_place_of_a_stage_gets_the_recorded_inputs() {
 #[test]
 fn the_regression_test_of_the_examples_passes_and_fails() {
     repeat_when_late(|| {
-        let system = System::new(EXECUTABLE);
+        let system = TestSystem::new(EXECUTABLE);
         let script = tools::root().join("examples/regression-test.sh");
         let folder = Path::new(EXECUTABLE).parent().expect("of a test");
         std::os::unix::fs::symlink(EXECUTABLE, system.folder().join("scanloop")).expect("of a test");

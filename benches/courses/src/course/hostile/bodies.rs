@@ -1,7 +1,7 @@
 //! Bodies that move, and obstacles that appear.
 
-use emulator::noise::Stream;
-use emulator::scenario::{Obstacle, Scenario, Shape};
+use emulator::noise::NoiseStream;
+use emulator::scenario::{Scenario, ScenarioObstacle, Shape};
 
 /// Bodies that move along the track are at most this far from its middle [m].
 const ASIDE_M: f64 = 1.2;
@@ -22,7 +22,7 @@ pub(super) enum Motion {
 }
 
 /// A body that moves, up to 0.5 m/s.
-pub(super) fn mover(motion: Motion, scenario: &Scenario, stream: &mut Stream) -> Obstacle {
+pub(super) fn mover(motion: Motion, scenario: &Scenario, stream: &mut NoiseStream) -> ScenarioObstacle {
     let shape = if stream.chance(0.6) {
         Shape::Circle { radius_m: stream.between(0.1, 0.3) }
     } else {
@@ -33,7 +33,7 @@ pub(super) fn mover(motion: Motion, scenario: &Scenario, stream: &mut Stream) ->
     // The robot is there about then.
     let meeting_s = way_m * stream.between(0.9, 1.7);
     let (meeting_m, speed) = (start.x_m + way_m, stream.between(0.1, 0.5));
-    let mut mover = Obstacle::fixed(shape, meeting_m, stream.between(-ASIDE_M, ASIDE_M));
+    let mut mover = ScenarioObstacle::fixed(shape, meeting_m, stream.between(-ASIDE_M, ASIDE_M));
     match motion {
         Motion::HeadOn => {
             mover.velocity_x_mps = -speed;
@@ -55,7 +55,7 @@ pub(super) fn mover(motion: Motion, scenario: &Scenario, stream: &mut Stream) ->
 }
 
 /// Lets each obstacle appear when the robot is near; they may be wider.
-pub(super) fn appear(scenario: &mut Scenario, stream: &mut Stream) {
+pub(super) fn appear(scenario: &mut Scenario, stream: &mut NoiseStream) {
     for obstacle in &mut scenario.obstacles {
         // An obstacle nearer to the start would appear nearer than the described distance.
         if obstacle.x_m - obstacle.reach() > scenario.start.x_m + SUDDEN_M + 1.0 {

@@ -1,6 +1,6 @@
 //! A fault of the scanner for a course: either mild and lasting, or severe and short.
 
-use emulator::noise::Stream;
+use emulator::noise::NoiseStream;
 use emulator::scenario::{Scanner, Scenario};
 
 /// Kinds of faults that [`add`] draws.
@@ -9,7 +9,7 @@ const KINDS: usize = 12;
 const VIEW_RAD: f64 = 2.09;
 
 /// Adds one fault.
-pub(super) fn add(scenario: &mut Scenario, stream: &mut Stream) {
+pub(super) fn add(scenario: &mut Scenario, stream: &mut NoiseStream) {
     let mut scanner = Scanner::default();
     let kind = stream.count(0, KINDS - 1);
     let from_s = stream.between(1.0, 8.0);

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use crate::course::random_obstacle::obstacle;
-use emulator::noise::Stream;
+use emulator::noise::NoiseStream;
 use emulator::scenario::{Scenario, Start};
 
 /// Shortest wave of the lane [m].
@@ -22,7 +22,7 @@ pub(super) struct Lane {
 
 impl Lane {
     /// A lane from the start to the goal of a scenario.
-    pub(super) fn new(scenario: &Scenario, stream: &mut Stream) -> Self {
+    pub(super) fn new(scenario: &Scenario, stream: &mut NoiseStream) -> Self {
         let goal = [scenario.goal.x_m, scenario.goal.y_m];
         let most = ((goal[0] - scenario.start.x_m) / WAVE_M).max(0.5);
         Self {
@@ -38,7 +38,7 @@ impl Lane {
     pub(super) fn fill(
         &self,
         scenario: &mut Scenario,
-        stream: &mut Stream,
+        stream: &mut NoiseStream,
         [from, to]: [f64; 2],
         count: usize,
     ) {

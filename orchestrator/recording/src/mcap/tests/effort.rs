@@ -49,7 +49,7 @@ fn a_file_full_of_heads_that_cover_each_other_is_searched_with_bounded_effort() 
         }
         bytes.extend([&[6, 0], &one[..]].concat());
         let read = Cell::new(0);
-        let mut reader = Reader::salvage(Metered(Cursor::new(&bytes), &read)).unwrap();
+        let mut reader = McapReader::salvage(Metered(Cursor::new(&bytes), &read)).unwrap();
         let mut messages = 0;
         while reader.next_message().unwrap().is_some() {
             messages += 1;

@@ -2,7 +2,7 @@
 
 use plotters::prelude::*;
 
-use super::super::{Axes, OBSTACLE, Place, Result, TRUE_PATH, fine, font};
+use super::super::{Axes, OBSTACLE, Result, TRUE_PATH, TimedOffset, fine, font};
 use super::{Strip, View, trim};
 
 /// Least distance of the robot between two labels of its time [m].
@@ -14,7 +14,7 @@ impl Strip<'_> {
         &self,
         chart: &mut Axes<'_, '_>,
         points: &[[f64; 2]],
-        places: &[Place],
+        places: &[TimedOffset],
     ) -> Result<()> {
         let count = points.len().max(1) as f64;
         let [x_m, y_m] = [0, 1].map(|axis| points.iter().map(|point| point[axis]).sum::<f64>() / count);

@@ -57,14 +57,14 @@ fn driving() -> Model {
         (Role::Actuator, "actuation"),
     ];
     let processes = processes.map(|(role, name)| process(role, name, VisibleState::Ready)).to_vec();
-    let status = Status {
+    let status = SystemStatus {
         system_id: "lab".to_owned(),
         state: "driving".to_owned(),
         scenario: "corridor".to_owned(),
         scan: 37,
         processes,
         events: vec![event(1, 0.0, false, "controller: started")],
-        ..Status::default()
+        ..SystemStatus::default()
     };
     let pose = Pose { x_m: 2.0, y_m: 0.1, yaw_rad: 0.2, speed_mps: 0.98, ..Pose::default() };
     let item = Obstacle {

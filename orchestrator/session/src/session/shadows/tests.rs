@@ -36,7 +36,7 @@ fn begun() -> Shadows {
 }
 
 fn output(shadows: &mut Shadows, now_ns: u64, party: Party) {
-    let output = Output {
+    let output = SwapOutput {
         scan: now_ns / PERIOD_NS,
         sequence: 0,
         scan_published_ns: now_ns,

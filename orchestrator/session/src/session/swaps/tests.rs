@@ -1,6 +1,6 @@
 //! Swaps without a session, a process or a bus: requests and events in, orders out.
 
-use handover::swap::{Meant, Output, OutputSummary, SwapOutcome};
+use handover::swap::{Meant, OutputSummary, SwapOutcome, SwapOutput};
 use shared_types::{Actuation, Authority, Command, CommandKind, Header};
 use supervision::entry::ProcessEntry;
 
@@ -53,7 +53,7 @@ fn good_scan(swaps: &mut Swaps, scan: u64) -> Vec<Order> {
     let command = Command { kind: CommandKind::Drive.wire(), velocity_mps: 1.0, ..Command::default() };
     let mut orders = swaps.handle(now_ns, SwapEvent::Scans { newest: scan, answered: scan - 1 });
     for party in [Party::Old, Party::New] {
-        let output = Output {
+        let output = SwapOutput {
             scan,
             sequence: scan,
             scan_published_ns: now_ns,

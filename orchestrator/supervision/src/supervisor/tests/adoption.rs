@@ -4,7 +4,7 @@ use shared_types::{Phase, ProcessState, Role};
 
 use super::{assert_robot_is_left_running, state, terminated};
 use crate::supervisor::world::{Found, World, policies};
-use crate::supervisor::{Action, Event, Exit, Supervisor, VisibleState};
+use crate::supervisor::{Action, Event, ProcessExit, Supervisor, VisibleState};
 
 #[test]
 fn an_adopted_run_continues_where_it_was() {
@@ -21,7 +21,7 @@ fn an_adopted_run_continues_where_it_was() {
     assert_eq!((view.state, view.restarts, view.pid), (VisibleState::Ready, 2, Some(1013)));
     world.clean(Role::Obstacles);
     assert_eq!(world.place(Role::Obstacles).pending, Some(100), "numbers continue");
-    world.die(Role::Controller, Exit::Unknown);
+    world.die(Role::Controller, ProcessExit::Unknown);
     world.clean(Role::Controller);
     assert_eq!(world.place(Role::Controller).pending, Some(101));
     world.bring_up();

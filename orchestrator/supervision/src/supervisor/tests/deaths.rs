@@ -4,7 +4,7 @@ use shared_types::{Phase, ProcessState, Role};
 
 use super::{KILLED, state, terminated};
 use crate::supervisor::world::{World, policies};
-use crate::supervisor::{Action, Event, Exit, Restart, VisibleState};
+use crate::supervisor::{Action, Event, ProcessExit, Restart, VisibleState};
 
 #[test]
 fn a_process_that_dies_while_driving_is_cleaned_up_and_back_at_once() {
@@ -63,7 +63,7 @@ fn three_deaths_before_the_first_output_end_the_run() {
     for attempt in 1..=3 {
         world.answer(Role::Obstacles, true);
         world.report(Role::Obstacles, ProcessState::Attached);
-        world.die(Role::Obstacles, Exit::Code(2));
+        world.die(Role::Obstacles, ProcessExit::Code(2));
         assert_eq!(world.failure.is_some(), attempt == 3);
         world.clean(Role::Obstacles);
         world.advance(1_000);
@@ -157,7 +157,7 @@ fn the_death_of_the_robot_ends_the_run_whatever_its_policy() {
     let mut world = World::new(policies, false);
     world.send(Event::Start);
     world.bring_up();
-    world.die(Role::Robot, Exit::Signal(11));
+    world.die(Role::Robot, ProcessExit::Signal(11));
     assert_eq!(world.failure, Some((Role::Robot, "killed by signal 11 (SIGSEGV)".to_owned())));
     world.bring_down(true);
 }
@@ -165,14 +165,14 @@ fn the_death_of_the_robot_ends_the_run_whatever_its_policy() {
 #[test]
 fn a_process_that_leaves_by_itself_ends_the_run_unless_it_is_always_restarted() {
     let mut world = World::driving();
-    world.die(Role::Controller, Exit::Code(0));
+    world.die(Role::Controller, ProcessExit::Code(0));
     assert_eq!(world.failure, Some((Role::Controller, "ended by itself with exit code 0".to_owned())));
     let mut policies = policies();
     policies[Role::Controller.index()].restart = Restart::Always;
     let mut world = World::new(policies, false);
     world.send(Event::Start);
     world.bring_up();
-    world.die(Role::Controller, Exit::Code(0));
+    world.die(Role::Controller, ProcessExit::Code(0));
     assert_eq!(world.failure, None);
 }
 
@@ -216,7 +216,7 @@ fn a_requested_restart_is_no_death_and_has_no_pause() {
     world.send(Event::RestartRequested { role: Role::Controller });
     world.send(Event::RestartRequested { role: Role::Controller });
     assert_eq!(world.actions, [Action::Terminate { role: Role::Controller }], "the robot is not restarted");
-    world.die(Role::Controller, Exit::Code(0));
+    world.die(Role::Controller, ProcessExit::Code(0));
     world.clean(Role::Controller);
     assert_eq!(world.place(Role::Controller).pending, Some(6));
     assert_eq!(world.failure, None);

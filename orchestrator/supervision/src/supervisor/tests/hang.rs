@@ -4,7 +4,7 @@ use shared_types::{Phase, ProcessState, Role};
 
 use super::{KILLED, assert_robot_is_left_running, state};
 use crate::supervisor::world::{World, policies};
-use crate::supervisor::{Action, Event, Exit, VisibleState};
+use crate::supervisor::{Action, Event, ProcessExit, VisibleState};
 
 #[test]
 fn progress_without_an_output_ends_in_a_kill_and_a_failed_start() {
@@ -178,10 +178,10 @@ fn a_robot_that_hangs_is_asked_to_end_with_the_others() {
     world.actions.clear();
     world.send(Event::StopRequested);
     for role in [Role::Controller, Role::Obstacles, Role::Estimator, Role::Actuator] {
-        world.die(role, Exit::Code(0));
+        world.die(role, ProcessExit::Code(0));
     }
     assert!(world.actions.contains(&Action::Terminate { role: Role::Robot }), "{:?}", world.actions);
-    world.die(Role::Robot, Exit::Code(0));
+    world.die(Role::Robot, ProcessExit::Code(0));
     assert!(world.supervisor.is_finished());
 }
 

@@ -4,7 +4,7 @@ use shared_types::Role;
 
 use super::{KILLED, state, watch, with_a_new_reader};
 use crate::supervisor::world::{World, policies};
-use crate::supervisor::{Event, Exit, Severity, Supervisor, VisibleState};
+use crate::supervisor::{Event, ProcessExit, Severity, Supervisor, VisibleState};
 
 fn said(world: &World, severity: Severity, text: &str) -> bool {
     world.log.iter().any(|(found, line)| *found == severity && line == text)
@@ -90,5 +90,5 @@ fn states_have_names_and_numbers_of_processes_go_on() {
     supervisor.handle(0, Event::Start);
     assert_eq!((supervisor.last_incarnation(), supervisor.next_incarnation()), (5, 6));
     assert_eq!(supervisor.last_incarnation(), 6);
-    assert_eq!(Exit::Code(0).to_string(), "exit code 0");
+    assert_eq!(ProcessExit::Code(0).to_string(), "exit code 0");
 }

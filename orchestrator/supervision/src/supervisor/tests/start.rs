@@ -4,7 +4,7 @@ use shared_types::{Phase, ProcessState, Role};
 
 use super::{KILLED, state};
 use crate::supervisor::world::{World, policies};
-use crate::supervisor::{Action, Event, Exit, Supervisor, VisibleState};
+use crate::supervisor::{Action, Event, ProcessExit, Supervisor, VisibleState};
 
 #[test]
 fn all_processes_are_started_at_once_with_authority_and_the_robot_last() {
@@ -135,7 +135,7 @@ fn a_process_that_is_ending_does_not_count_as_attached() {
     world.report(Role::Robot, ProcessState::Ending);
     world.report(Role::Robot, ProcessState::Attached);
     assert_eq!(world.supervisor.phase(), Phase::Starting, "the estimator is being restarted");
-    world.die(Role::Estimator, Exit::Code(0));
+    world.die(Role::Estimator, ProcessExit::Code(0));
     world.clean(Role::Estimator);
     world.answer(Role::Estimator, true);
     world.report(Role::Estimator, ProcessState::Ending);

@@ -4,13 +4,13 @@ use shared_types::{Phase, Role};
 
 use super::{KILLED, state, terminated};
 use crate::supervisor::world::{World, policies};
-use crate::supervisor::{Action, Event, Exit, ProcessPolicy, Supervisor, VisibleState};
+use crate::supervisor::{Action, Event, ProcessExit, ProcessPolicy, Supervisor, VisibleState};
 
 #[test]
 fn a_run_that_fails_while_it_drives_waits_until_the_robot_rests_but_not_for_ever() {
     let fail = |world: &mut World| {
         world.die(Role::Estimator, KILLED);
-        world.die(Role::Controller, Exit::Code(0));
+        world.die(Role::Controller, ProcessExit::Code(0));
         assert_eq!(world.failure.as_ref().map(|(role, _)| *role), Some(Role::Controller));
         world.clean(Role::Estimator);
         world.send(Event::RestartRequested { role: Role::Obstacles });
@@ -58,15 +58,15 @@ fn the_run_is_stopped_in_three_waves() {
     assert_eq!(world.actions[0], Action::Announce(Phase::Stopping));
     let first = [Role::Controller, Role::Obstacles, Role::Estimator];
     assert_eq!(terminated(&world), first);
-    world.die(Role::Controller, Exit::Signal(15));
-    world.die(Role::Obstacles, Exit::Signal(15));
+    world.die(Role::Controller, ProcessExit::Signal(15));
+    world.die(Role::Obstacles, ProcessExit::Signal(15));
     assert_eq!(terminated(&world).len(), 3, "the estimator is still there");
-    world.die(Role::Estimator, Exit::Signal(15));
+    world.die(Role::Estimator, ProcessExit::Signal(15));
     assert_eq!(terminated(&world)[3..], [Role::Actuator]);
-    world.die(Role::Actuator, Exit::Code(0));
+    world.die(Role::Actuator, ProcessExit::Code(0));
     assert_eq!(terminated(&world)[4..], [Role::Robot]);
     assert!(!world.supervisor.is_finished());
-    world.die(Role::Robot, Exit::Code(0));
+    world.die(Role::Robot, ProcessExit::Code(0));
     assert_eq!(world.actions.last(), Some(&Action::AllStopped));
     assert!(world.supervisor.is_finished());
     assert!(world.supervisor.processes().all(|view| view.state == VisibleState::Stopped));

@@ -47,7 +47,7 @@ fn distance_squared(covariance: &[f64; 9], dx: f64, dy: f64) -> f64 {
 }
 
 /// Share of the scans of `seconds` whose 95 % ellipse contains the true place, over 100 robots.
-fn coverage(config: &Config, seconds: u64) -> f64 {
+fn coverage(config: &EstimatorConfig, seconds: u64) -> f64 {
     let (mut inside, mut count) = (0_u32, 0_u32);
     for seed in 1..=100 {
         let (mut estimator, _) = straight(config, 0);
@@ -96,12 +96,12 @@ fn innovations_larger_than_expected_inflate_the_local_covariance() {
 #[test]
 fn the_ellipses_contain_the_truth_in_95_percent_of_scans() {
     for seconds in [20, 40] {
-        let share = coverage(&Config::default(), seconds);
+        let share = coverage(&EstimatorConfig::default(), seconds);
         // Errors within a drive are alike, so 100 drives give the share to 2 %. Before 20 s the covariance of the filter
         // outweighs the drift, and the ellipses are wider than they need to be on a straight line.
         assert!((0.92..=0.98).contains(&share), "{seconds} s: {share}");
     }
-    let without = coverage(&Config { drift_scale: 0.0, ..Config::default() }, 30);
+    let without = coverage(&EstimatorConfig { drift_scale: 0.0, ..EstimatorConfig::default() }, 30);
     assert!(without < 0.5, "the filter alone knows nothing of the drift: {without}");
 }
 

@@ -72,7 +72,13 @@ pub(super) fn normal(generator: &mut Pcg64) -> f64 {
 }
 
 /// Drives a robot for `seconds` with the desired control at each scan and compares estimate and truth.
-fn run(config: &Config, robot: Robot, seconds: u64, seed: u64, desired: impl Fn(f64) -> Control) -> Errors {
+fn run(
+    config: &EstimatorConfig,
+    robot: Robot,
+    seconds: u64,
+    seed: u64,
+    desired: impl Fn(f64) -> Control,
+) -> Errors {
     let mut estimator = Estimator::new(config).unwrap();
     let mut generator = Pcg64::seed_from_u64(seed);
     let parameters = Parameters::default();
@@ -240,14 +246,18 @@ fn the_scaled_profile_keeps_a_noisy_estimate_within_3_cm_and_1_cm_on_average_and
 fn the_turning_drift_follows_a_steering_offset_for_longer_than_the_printed_one() {
     let robot =
         Robot { steering_offset: 0.0098, blind_to_offset: true, odometry_longitudinal: 0.01, ..PERFECT };
-    let turning = Config { correction: Some(Mode::Yaw), odometry_lateral_rate: Some(0.053), ..source() };
+    let turning = EstimatorConfig {
+        correction: Some(CorrectionMode::Yaw),
+        odometry_lateral_rate: Some(0.053),
+        ..source()
+    };
     let (printed, turned) = (run(&source(), robot, 20, 1, sine), run(&turning, robot, 20, 1, sine));
     assert!(turned.max < 0.2 && printed.max > 1.0, "{} {}", turned.max, printed.max);
 }
 
 #[test]
 fn position_alone_determines_yaw_while_driving() {
-    let config = Config { measure: vec![Measured::X, Measured::Y], ..at_once() };
+    let config = EstimatorConfig { measure: vec![Measured::X, Measured::Y], ..at_once() };
     let robot = Robot { odometry_longitudinal: 0.01, noise_m: 0.02, noise_rad: 0.5, ..PERFECT };
     let errors = run(&config, robot, 40, 3, sine);
     assert!(errors.end < 0.06, "{errors:?}");
@@ -255,7 +265,7 @@ fn position_alone_determines_yaw_while_driving() {
 
 #[test]
 fn yaw_alone_is_refused() {
-    let config = Config { measure: vec![Measured::Yaw], ..at_once() };
+    let config = EstimatorConfig { measure: vec![Measured::Yaw], ..at_once() };
     assert!(Estimator::new(&config).unwrap_err().to_string().contains("rank 1 of 3"));
 }
 
