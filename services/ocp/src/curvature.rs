@@ -11,7 +11,7 @@
 #![expect(clippy::needless_range_loop, reason = "small matrices read best by their indices")]
 
 use crate::collocation::MAX_STAGES;
-use crate::interval::{Interval, Linearisation, Stages};
+use crate::interval::{Interval, Linearisation, StageValues};
 use crate::model::LateralSlope;
 use crate::trig::sin_cos;
 
@@ -23,7 +23,7 @@ pub(crate) fn curvature(
     interval: &Interval,
     start: &[f64; 5],
     control: &[f64; 2],
-    stages: &Stages,
+    stages: &StageValues,
     linearisation: &Linearisation,
     costate: &[f64; 5],
 ) -> Curvature {
@@ -39,7 +39,7 @@ fn curvature_stages<const S: usize>(
     interval: &Interval,
     start: &[f64; 5],
     control: &[f64; 2],
-    stages: &Stages,
+    stages: &StageValues,
     linearisation: &Linearisation,
     costate: &[f64; 5],
 ) -> Curvature {

@@ -16,7 +16,7 @@ use crate::model::{LateralModel, LateralSlope};
 use crate::trig::sin_cos;
 
 /// (sideslip, yaw rate) at the stages; entries beyond the stages of the scheme are not used.
-pub type Stages = [[f64; 2]; MAX_STAGES];
+pub type StageValues = [[f64; 2]; MAX_STAGES];
 
 /// The end of an interval, linearised at the present values.
 #[derive(Debug, Clone, Copy, Default)]
@@ -51,7 +51,7 @@ pub(crate) fn linearise(
     interval: &Interval,
     start: &[f64; 5],
     control: &[f64; 2],
-    stages: &Stages,
+    stages: &StageValues,
 ) -> Linearisation {
     match interval.collocation.stages {
         1 => linearise_stages::<1>(interval, start, control, stages),
@@ -70,7 +70,7 @@ pub(crate) fn settle(
     interval: &Interval,
     start: &[f64; 5],
     control: &[f64; 2],
-    stages: &mut Stages,
+    stages: &mut StageValues,
     steps: usize,
     tolerance: f64,
     mut is_far: bool,
@@ -145,7 +145,7 @@ impl Linearisation {
 }
 
 /// One Newton step of the collocation equations without sensitivities; the largest change of a stage.
-fn correct(interval: &Interval, start: &[f64; 5], control: &[f64; 2], stages: &mut Stages) -> f64 {
+fn correct(interval: &Interval, start: &[f64; 5], control: &[f64; 2], stages: &mut StageValues) -> f64 {
     match interval.collocation.stages {
         1 => correct_stages::<1>(interval, start, control, stages),
         2 => correct_stages::<2>(interval, start, control, stages),
@@ -158,7 +158,7 @@ fn correct_stages<const S: usize>(
     interval: &Interval,
     start: &[f64; 5],
     control: &[f64; 2],
-    stages: &mut Stages,
+    stages: &mut StageValues,
 ) -> f64 {
     let Interval { model, collocation, length } = *interval;
     let mut slopes = [LateralSlope::default(); S];
@@ -194,7 +194,7 @@ fn linearise_stages<const S: usize>(
     interval: &Interval,
     start: &[f64; 5],
     control: &[f64; 2],
-    stages: &Stages,
+    stages: &StageValues,
 ) -> Linearisation {
     let Interval { model, collocation, length } = *interval;
     let mut slopes = [LateralSlope::default(); S];

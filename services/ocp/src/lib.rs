@@ -99,7 +99,7 @@ mod walk;
 
 pub use collocation::{Collocation, MAX_STAGES, Scheme};
 pub use hessian::Hessian;
-pub use interval::{Interval, Linearisation, Stages};
+pub use interval::{Interval, Linearisation, StageValues};
 pub use model::{LateralModel, LateralSlope};
 pub use problem::{Budget, EllipsePath, Problem, Solution, Status, Trajectory, Weights};
 pub use propagate::{Propagation, converge, propagate, roll_out};

@@ -3,7 +3,7 @@
 use vehicle::{Control, State};
 
 use crate::collocation::{Collocation, MAX_STAGES};
-use crate::interval::{Interval, Linearisation, Stages, settle};
+use crate::interval::{Interval, Linearisation, StageValues, settle};
 use crate::model::LateralModel;
 use crate::problem::Trajectory;
 
@@ -57,7 +57,11 @@ pub fn propagate(
 ///
 /// Newton starts from the start's values at all stages. The equations are nearly linear in (sideslip, yaw rate):
 /// three to five steps are usual.
-pub fn converge(interval: &Interval, start: &State, control: &Control) -> Option<(Linearisation, Stages)> {
+pub fn converge(
+    interval: &Interval,
+    start: &State,
+    control: &Control,
+) -> Option<(Linearisation, StageValues)> {
     /// Many times the usual count.
     const NEWTON_STEPS: usize = 30;
     /// Rounding level of values of order one, with room for h times the stiff Jacobian.

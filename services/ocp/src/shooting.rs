@@ -2,7 +2,7 @@
 
 use crate::collocation::{Collocation, MAX_STAGES};
 use crate::dense::fill;
-use crate::interval::{Interval, Linearisation, Stages, settle};
+use crate::interval::{Interval, Linearisation, StageValues, settle};
 use crate::problem::{Problem, Trajectory};
 
 /// The variables of the nonlinear program: states at nodes 0 to N, controls and stage values of the intervals.
@@ -13,7 +13,7 @@ pub(crate) struct Iterate {
     /// (velocity, steering) of the intervals.
     pub controls: Vec<[f64; 2]>,
     /// (sideslip, yaw rate) at the stages of the intervals.
-    pub stages: Vec<Stages>,
+    pub stages: Vec<StageValues>,
 }
 
 impl Iterate {
