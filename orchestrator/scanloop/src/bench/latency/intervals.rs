@@ -1,6 +1,6 @@
 //! Histograms of consecutive stretches of a run, as lines of a HdrHistogram log.
 //!
-//! A run is cut into about [`INTERVALS`] stretches of equal numbers of scans. Each has one histogram per series, in
+//! A run is cut into about 24 stretches of equal numbers of scans. Each has one histogram per series, in
 //! nanoseconds with three significant digits, written as a line of the log format V2 with the name of the series as
 //! its tag. The lines are part of the JSON and of the `.hlog` file, so every tool for such logs reads them, and
 //! `bench compare` needs no file of its own.
