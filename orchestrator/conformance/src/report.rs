@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::case::{Case, Level, Outcome, Trouble, Verdict};
+use super::case::{Entry, Level, Outcome, Trouble, Verdict};
 
 /// The result of one suite.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -62,7 +62,7 @@ impl Report {
     ///
     /// # Errors
     /// When the suite itself could not continue.
-    pub(crate) fn add(&mut self, case: &Case, verdict: Verdict) -> anyhow::Result<&CaseReport> {
+    pub(crate) fn add(&mut self, entry: &Entry, verdict: Verdict) -> anyhow::Result<&CaseReport> {
         let (outcome, reason) = match verdict {
             Ok(reason) => (Outcome::Passed, reason),
             Err(Trouble::Failed(reason)) => (Outcome::Failed, reason),
@@ -70,7 +70,7 @@ impl Report {
             Err(Trouble::Skipped(reason)) => (Outcome::Skipped, reason),
             Err(Trouble::Broken(error)) => return Err(error),
         };
-        match (outcome, case.level) {
+        match (outcome, entry.level) {
             (Outcome::Passed, _) => self.passed += 1,
             (Outcome::Skipped, _) => self.skipped += 1,
             (Outcome::NotObserved, _) => self.not_observed += 1,
@@ -78,11 +78,11 @@ impl Report {
             (Outcome::Failed, Level::Recommended) => self.not_recommended += 1,
         }
         self.cases.push(CaseReport {
-            name: case.name.to_owned(),
-            level: case.level,
+            name: entry.name.clone(),
+            level: entry.level,
             outcome,
             reason,
-            requirement: case.requirement.to_owned(),
+            requirement: entry.requirement.clone(),
         });
         Ok(&self.cases[self.cases.len() - 1])
     }
