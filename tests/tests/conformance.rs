@@ -217,9 +217,8 @@ fn the_table_of_faults_has_every_case_of_every_role() {
     let common: BTreeSet<&str> =
         tried.iter().filter(|(role, _)| *role == "estimator").map(|(_, case)| *case).collect();
     for (role, _) in BUILT_IN {
-        let list = String::from_utf8(run(&[role, "--list"]).stdout).unwrap();
-        for line in list.lines().filter_map(|line| line.strip_prefix("| `")) {
-            let case = line.split('`').next().unwrap();
+        for line in rows(&list(&[role, "--list"])) {
+            let case = line.split('`').nth(1).unwrap();
             // The cases that all roles share are tried with estimators.
             assert!(tried.contains(&(role, case)) || common.contains(case), "{role}: no fault for `{case}`");
         }
@@ -253,11 +252,39 @@ fn wrong_usage_names_what_is_allowed() {
 }
 
 #[test]
-fn the_page_lists_what_the_executable_prints() {
-    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/conformance.md");
-    let page = std::fs::read_to_string(page).unwrap();
-    let list = String::from_utf8(run(&["--list"]).stdout).unwrap();
-    assert!(page.ends_with(&list), "put the output of `scanloop conformance --list` at the end of the page");
+fn the_page_lists_each_case_once_with_its_roles() {
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/conformance-cases.md");
+    let all = list(&["--list"]);
+    assert!(std::fs::read_to_string(page).unwrap().ends_with(&all), "docs/conformance-cases.md is old");
+    let every: BTreeSet<&str> = rows(&all).collect();
+    assert_eq!(every.len(), rows(&all).count(), "a case is listed twice");
+    let mut of_roles = BTreeSet::new();
+    for (role, _) in BUILT_IN {
+        let of_role = list(&[role, "--list"]);
+        let sections = all.split("## ").filter(|section| roles(section).any(|name| name == role));
+        let expected: Vec<&str> = sections.flat_map(rows).collect();
+        assert_eq!(rows(&of_role).collect::<Vec<_>>(), expected, "{role}");
+        of_roles.extend(rows(&of_role).map(str::to_owned));
+    }
+    assert!(every.iter().copied().eq(&of_roles), "a case of no role");
+}
+
+/// What a list prints.
+fn list(arguments: &[&str]) -> String {
+    let output = run(arguments);
+    assert_eq!(output.status.code(), Some(0), "{arguments:?}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// The lines of a list that are cases.
+fn rows(list: &str) -> impl Iterator<Item = &str> {
+    list.lines().filter(|line| line.starts_with("| `"))
+}
+
+/// The roles of a section: its title, or what stands below that.
+fn roles(section: &str) -> impl Iterator<Item = &str> {
+    let below = section.lines().find_map(|line| line.strip_prefix("For ")?.strip_suffix('.'));
+    below.or(section.lines().next()).unwrap_or_default().split(", ")
 }
 
 /// Plays a suite and checks that it leaves nothing.

@@ -5,7 +5,7 @@ use vehicle::Control;
 use vehicle::bounds::ROUNDING;
 use vehicle::correction::{Correction, Linkage};
 
-use super::case::{Case, Trouble, Verdict, failed, passed_if, require};
+use super::case::{Play, Trouble, Verdict, failed, passed_if, require};
 use super::drive::Course;
 use super::lifecycle::end;
 use super::message::Received;
@@ -20,43 +20,18 @@ const SCANS: usize = 10;
 const MISSED_SCANS: u64 = 2;
 
 /// The cases of actuators alone.
-pub(crate) const CASES: [Case; 11] = [
-    Case::required("limits", limits)
-        .demands("A command to drive outside the limits (7.41) blocks the wheels.")
-        .because("The controller that sent it is faulty."),
-    Case::required("sends-what-is-desired", sends_what_is_desired)
-        .demands("With the calibration `identity` it sends velocity and angle of the command.")
-        .because("The plan was verified for these."),
-    Case::recommended("calibration", calibration)
-        .demands("With the calibration of the settings it corrects velocity factor and steering map.")
-        .because("Otherwise the robot drives 1.4 times slower, and steers by another angle."),
-    Case::required("obeys-stop", obeys_stop)
-        .demands("A command `stop` or `land` blocks the wheels in answer to its scan, with its reason.")
-        .because("It is the controller's only way to stop."),
-    Case::required("stop-wins", stop_wins)
-        .demands("While the directive says stop, the wheels are blocked; one command may be on its way.")
-        .because("It is the user's only way to stop."),
-    Case::required("silence", silence)
-        .demands("Without a command it blocks the wheels by itself after 1.5 periods, and before 2.")
-        .because("Otherwise the robot follows its last command for ever."),
-    Case::required("two-after-silence", two_after_silence)
-        .demands("After a time without commands it drives again with the second valid command in a row.")
-        .because("A single command may be the last of a process that is about to die."),
-    Case::recommended("gap", gap)
-        .demands("When the scanner took no scan for a while, it drives again with the first valid command.")
-        .because("Real scanners have single periods of a quarter of a second."),
-    Case::required("future", future)
-        .demands("A command of a scan that lies in the future is not driven.")
-        .because("If its header is wrong, nothing in it can be trusted."),
-    Case::required("last-word", last_message)
-        .demands("Asked to end (SIGTERM), it blocks the wheels with its last message.")
-        .because("Otherwise they turn until the robot's own dead man acts."),
-    Case::required("first-word", first_message)
-        .demands(
-            "Restarted without a state, it blocks the wheels with its first message, and does not wait for \
-             a command.",
-        )
-        .because("The robot may still follow the last message of the process before."),
+pub(crate) const CASES: [(&str, Play); 11] = [
+    ("limits", limits),
+    ("sends-what-is-desired", sends_what_is_desired),
+    ("calibration", calibration),
+    ("obeys-stop", obeys_stop),
+    ("stop-wins", stop_wins),
+    ("silence", silence),
+    ("two-after-silence", two_after_silence),
+    ("gap", gap),
+    ("future", future),
+    ("last-word", last_message),
+    ("first-word", first_message),
 ];
 
 fn limits(suite: &Suite) -> Verdict {

@@ -7,48 +7,38 @@ use super::suite::Suite;
 pub(crate) use super::trouble::{Trouble, Verdict, failed, observed, passed_if, require, skipped};
 
 /// One requirement and the function that finds out whether it is met.
-#[derive(Clone, Copy)]
 pub(crate) struct Case {
-    /// Name, unique within the suite of a role.
-    pub name: &'static str,
-    /// Whether an implementation without it may be used.
-    pub level: RequirementLevel,
-    /// What is required, in one sentence.
-    pub requirement: &'static str,
-    /// What would happen to the robot or its user otherwise.
-    pub why: &'static str,
-    /// How often the case may be tried.
-    pub tries: u32,
-    /// Plays it.
-    pub play: fn(&Suite) -> Verdict,
+    pub(crate) entry: Entry,
+    pub(crate) play: Play,
 }
 
-impl Case {
-    /// A case in real time without which an implementation may not be used.
+/// Plays a case.
+pub(crate) type Play = fn(&Suite) -> Verdict;
+
+/// A case as `cases.toml` describes it.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Entry {
+    /// Name, unique within the suite of a role.
+    pub(crate) name: String,
+    /// Whether an implementation without it may be used.
+    pub(crate) level: RequirementLevel,
+    /// Whether it is played in lock-step only.
+    #[serde(default)]
+    pub(crate) lockstep: bool,
+    /// What is required, in one sentence.
+    pub(crate) requirement: String,
+    /// What would happen to the robot or its user otherwise.
+    pub(crate) because: String,
+}
+
+impl Entry {
+    /// How often the case may be tried.
     ///
-    /// It may be tried three times: a machine too busy to run a process within three periods spoils it.
-    pub(crate) const fn required(name: &'static str, play: fn(&Suite) -> Verdict) -> Self {
-        Self { name, level: RequirementLevel::Required, requirement: "", why: "", tries: 3, play }
-    }
-
-    /// A case in real time without which an implementation may be used.
-    pub(crate) const fn recommended(name: &'static str, play: fn(&Suite) -> Verdict) -> Self {
-        Self { level: RequirementLevel::Recommended, ..Self::required(name, play) }
-    }
-
-    /// The case in lock-step: it is tried once, because nothing depends on the machine.
-    pub(crate) const fn in_lockstep(self) -> Self {
-        Self { tries: 1, ..self }
-    }
-
-    /// The case with its requirement.
-    pub(crate) const fn demands(self, requirement: &'static str) -> Self {
-        Self { requirement, ..self }
-    }
-
-    /// The case with its reason.
-    pub(crate) const fn because(self, why: &'static str) -> Self {
-        Self { why, ..self }
+    /// A machine that is too busy to run a process within three periods spoils a case in real time. In lock-step
+    /// nothing depends on the machine.
+    pub(crate) fn tries(&self) -> u32 {
+        if self.lockstep { 1 } else { 3 }
     }
 }
 

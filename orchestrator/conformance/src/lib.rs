@@ -14,6 +14,7 @@
 mod actuator;
 mod answers;
 mod case;
+mod cases;
 mod controller;
 mod drive;
 mod estimator;
@@ -39,6 +40,7 @@ use plan::System;
 use shared_types::{Role, did_you_mean};
 
 pub use case::{CaseOutcome, RequirementLevel};
+pub use cases::list;
 pub use report::{CaseReport, SuiteReport};
 
 use console::answer;
@@ -48,6 +50,7 @@ use supervision::child::require_script;
 use supervision::entry::IMPLEMENTATIONS;
 
 use case::Case;
+use cases::chosen;
 use suite::Suite;
 use trouble::{Trouble, Verdict};
 
@@ -94,7 +97,7 @@ pub struct ConformanceArguments {
 pub fn conformance(arguments: &ConformanceArguments) -> anyhow::Result<Exit> {
     let role = arguments.role.as_deref().map(str::parse::<Role>).transpose().map_err(Failure::bad_input)?;
     if arguments.list {
-        data(&list(role))?;
+        data(&list(role)?)?;
         return Ok(Exit::Done);
     }
     let role = role.context("a role")?;
@@ -111,57 +114,13 @@ pub fn conformance(arguments: &ConformanceArguments) -> anyhow::Result<Exit> {
     let verdicts = play_all(&cases, &suite, arguments)?;
     let mut report = SuiteReport::new(role.name(), &label);
     for (case, verdict) in cases.iter().zip(verdicts) {
-        answer!(arguments.json, "{}", report.add(case, verdict)?)?;
+        answer!(arguments.json, "{}", report.add(&case.entry, verdict)?)?;
     }
     answer!(arguments.json, "{}", report.summary())?;
     if arguments.json {
         data(&serde_json::to_string_pretty(&report)?)?;
     }
     Ok(if report.is_met() { Exit::Done } else { Exit::NotReached })
-}
-
-/// The cases of a role in the order in which they are played.
-fn cases(role: Role) -> Vec<Case> {
-    let mut all = lifecycle::CASES.to_vec();
-    if role != Role::Robot {
-        all.extend(answers::CASES);
-        all.extend(intake::CASES);
-    }
-    if matches!(role, Role::Estimator | Role::Obstacles | Role::Controller) {
-        all.push(intake::MISSING_INPUT);
-    }
-    if matches!(role, Role::Estimator | Role::Obstacles) {
-        all.push(answers::LOST_STATE);
-    }
-    match role {
-        Role::Robot => {
-            all.extend(robot::CASES);
-            all.extend(robot::device::CASES);
-        }
-        Role::Estimator => all.extend(estimator::CASES),
-        Role::Obstacles => {
-            all.extend(obstacles::CASES);
-            all.extend(obstacles::scanner::CASES);
-        }
-        Role::Controller => all.extend(controller::CASES),
-        Role::Actuator => all.extend(actuator::CASES),
-    }
-    all
-}
-
-/// The cases that were asked for.
-fn chosen(role: Role, only: &[String]) -> anyhow::Result<Vec<Case>> {
-    let all = cases(role);
-    if let Some(unknown) = only.iter().find(|name| all.iter().all(|case| case.name != **name)) {
-        let names: Vec<&str> = all.iter().map(|case| case.name).collect();
-        let known = names.join(", ");
-        let meant = did_you_mean(unknown, names);
-        return Err(Failure::bad_input(format!(
-            "--only {unknown}: role {role} has no such case, it has {known}.{meant}"
-        )));
-    }
-    let wanted = |case: &Case| only.is_empty() || only.iter().any(|name| name == case.name);
-    Ok(all.into_iter().filter(wanted).collect())
 }
 
 /// Program and arguments of the candidate, and its name in reports.
@@ -230,52 +189,11 @@ fn play_all(cases: &[Case], suite: &Suite, arguments: &ConformanceArguments) -> 
 
 /// Plays a case that failed or observed nothing again, as often as it may be tried.
 fn play_again(case: &Case, suite: &Suite, mut verdict: Verdict, tries: u32) -> Verdict {
-    for _ in 1..case.tries.min(tries) {
+    for _ in 1..case.entry.tries().min(tries) {
         if !matches!(verdict, Err(Trouble::Failed(_) | Trouble::NotObserved(_))) {
             break;
         }
         verdict = (case.play)(suite);
     }
     verdict
-}
-
-/// The requirements as Markdown, of one role or of all.
-fn list(role: Option<Role>) -> String {
-    let mut text = String::new();
-    for role in Role::ALL.iter().filter(|known| role.is_none_or(|role| role == **known)) {
-        text += &format!("## {role}\n\n| case | level | requirement | because |\n|---|---|---|---|\n");
-        for Case { name, level, requirement, why, .. } in cases(*role) {
-            text += &format!("| `{name}` | {} | {requirement} | {why} |\n", level.name());
-        }
-        text.push('\n');
-    }
-    text.truncate(text.trim_end().len());
-    text.push('\n');
-    text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn names_of_cases_are_unique_within_a_role() {
-        for role in Role::ALL {
-            let all = cases(*role);
-            for (index, case) in all.iter().enumerate() {
-                assert!(all[..index].iter().all(|other| other.name != case.name), "{role}: {}", case.name);
-                assert!(
-                    case.tries > 0 && case.requirement.ends_with('.') && case.why.ends_with('.'),
-                    "{}",
-                    case.name
-                );
-            }
-        }
-    }
-
-    #[test]
-    fn an_unknown_case_is_refused_with_the_known_ones() {
-        let Err(error) = chosen(Role::Robot, &["sings".to_owned()]) else { panic!("chosen") };
-        assert!(error.to_string().contains("has no such case, it has states,"), "{error}");
-    }
 }

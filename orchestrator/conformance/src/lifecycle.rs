@@ -7,7 +7,7 @@ use rustix::process::{Pid, Signal, getpgid, kill_process_group};
 use shared_types::{Phase, ProcessState, Role};
 use supervision::supervisor::ProcessExit;
 
-use super::case::{Case, Trouble, Verdict, failed, observed, require};
+use super::case::{Play, Trouble, Verdict, failed, observed, require};
 use super::suite::{Setup, Suite};
 use super::test_bench::{ANSWER_NS, TestBench};
 
@@ -21,46 +21,15 @@ const PAUSE_S: f64 = 1.0;
 const BEATS: usize = 10;
 
 /// The cases of all roles.
-pub(crate) const CASES: [Case; 8] = [
-    Case::required("states", states)
-        .demands(
-            "It reports `attached`, `connected` when the phase is `connecting`, and `ready` after its \
-             first output, in this order, with its role, incarnation and process id; it publishes nothing \
-             before the phase `driving`.",
-        )
-        .because("Samples that are sent before all connections are made are lost without an error."),
-    Case::required("heartbeats", heartbeats)
-        .demands(
-            "Without input it publishes ten heartbeats a second, each with a higher count of activations.",
-        )
-        .because("A process whose count of activations does not rise is treated as hung and killed."),
-    Case::required("joins-late", joins_late)
-        .demands("Started while the loop runs, it connects by itself and takes part from the next scan on.")
-        .because("A process that died or was replaced comes back in this way."),
-    Case::required("pause", pause)
-        .demands(
-            "Suspended for one second (SIGSTOP) and resumed, it takes part again with the next scans; its \
-             samples of scans older than three periods do not move the robot.",
-        )
-        .because("Otherwise the robot acts on old data as if it were new."),
-    Case::required("ends-on-request", ends_on_request)
-        .demands("It ends by itself within one second after SIGTERM.")
-        .because("After that time it is killed, and an actuator that is killed cannot block the wheels."),
-    Case::required("ends-as-orphan", ends_as_orphan)
-        .demands("It ends by itself after the set time without directives, and not before.")
-        .because("No process may be left when there is no orchestrator to end it."),
-    Case::required("survives-a-new-orchestrator", survives_a_new_orchestrator)
-        .demands(
-            "A shorter pause of directives, after which another orchestrator publishes them, changes \
-             nothing.",
-        )
-        .because("The loop drives on when its orchestrator dies, until another one adopts it."),
-    Case::required("leaves-nothing", leaves_nothing)
-        .demands(
-            "Killed (SIGKILL) in the middle of the drive, it leaves no process, and after the clean-up no \
-             file in shared memory.",
-        )
-        .because("Otherwise each death takes memory, until it is full."),
+pub(crate) const CASES: [(&str, Play); 8] = [
+    ("states", states),
+    ("heartbeats", heartbeats),
+    ("joins-late", joins_late),
+    ("pause", pause),
+    ("ends-on-request", ends_on_request),
+    ("ends-as-orphan", ends_as_orphan),
+    ("survives-a-new-orchestrator", survives_a_new_orchestrator),
+    ("leaves-nothing", leaves_nothing),
 ];
 
 fn states(suite: &Suite) -> Verdict {

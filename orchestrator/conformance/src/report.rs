@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::case::{Case, CaseOutcome, RequirementLevel, Trouble, Verdict};
+use super::case::{CaseOutcome, Entry, RequirementLevel, Trouble, Verdict};
 
 /// The result of one suite.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -62,7 +62,7 @@ impl SuiteReport {
     ///
     /// # Errors
     /// When the suite itself could not continue.
-    pub(crate) fn add(&mut self, case: &Case, verdict: Verdict) -> anyhow::Result<&CaseReport> {
+    pub(crate) fn add(&mut self, entry: &Entry, verdict: Verdict) -> anyhow::Result<&CaseReport> {
         let (outcome, reason) = match verdict {
             Ok(reason) => (CaseOutcome::Passed, reason),
             Err(Trouble::Failed(reason)) => (CaseOutcome::Failed, reason),
@@ -70,7 +70,7 @@ impl SuiteReport {
             Err(Trouble::Skipped(reason)) => (CaseOutcome::Skipped, reason),
             Err(Trouble::Broken(error)) => return Err(error),
         };
-        match (outcome, case.level) {
+        match (outcome, entry.level) {
             (CaseOutcome::Passed, _) => self.passed += 1,
             (CaseOutcome::Skipped, _) => self.skipped += 1,
             (CaseOutcome::NotObserved, _) => self.not_observed += 1,
@@ -78,11 +78,11 @@ impl SuiteReport {
             (CaseOutcome::Failed, RequirementLevel::Recommended) => self.not_recommended += 1,
         }
         self.cases.push(CaseReport {
-            name: case.name.to_owned(),
-            level: case.level,
+            name: entry.name.clone(),
+            level: entry.level,
             outcome,
             reason,
-            requirement: case.requirement.to_owned(),
+            requirement: entry.requirement.clone(),
         });
         Ok(&self.cases[self.cases.len() - 1])
     }

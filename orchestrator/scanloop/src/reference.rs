@@ -21,6 +21,8 @@ pub enum Page {
     Commands,
     /// The faults of `scanloop faults`: docs/faults.md.
     Faults,
+    /// The cases of `scanloop conformance`: docs/conformance-cases.md.
+    Conformance,
 }
 
 /// Arguments of `reference`.
@@ -44,6 +46,9 @@ pub(crate) fn text(arguments: &ReferenceArguments, root: Command) -> anyhow::Res
         Some(Page::System) => Ok(system_page()),
         Some(Page::Commands) => Ok(commands_page(root)),
         Some(Page::Faults) => Ok(faults::faults_page(&::faults::all()?)),
+        Some(Page::Conformance) => {
+            Ok(include_str!("reference/conformance.md").to_owned() + &conformance::list(None)?)
+        }
         None => match find(&arguments.text) {
             found if found.is_empty() => {
                 let text = &arguments.text;

@@ -16,6 +16,7 @@ fn the_pages_are_what_the_executable_prints() {
         ("system", "system-file.md"),
         ("commands", "commands.md"),
         ("faults", "faults.md"),
+        ("conformance", "conformance-cases.md"),
     ];
     for (page, file) in pages {
         let output = system.run(&["reference", "--page", page]);
