@@ -45,7 +45,7 @@ use transport::TransportArguments;
 
 /// What studies Scanloop: campaigns of random courses, the matrix of faults, prices, benches, design analyses.
 #[derive(Debug, Parser)]
-#[command(name = "scanloop-lab", version, max_term_width = 100)]
+#[command(name = "scanloop-lab", bin_name = "scanloop-lab", version, max_term_width = 100)]
 struct Cli {
     /// Which system on this machine is meant; studies have systems of their own.
     #[arg(long, global = true, value_name = "NAME", env = runtime::SYSTEM_ID_VARIABLE, hide = true)]
