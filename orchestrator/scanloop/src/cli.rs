@@ -45,7 +45,7 @@ Usage: scanloop [OPTIONS] COMMAND [ARGUMENTS]...
 Drive   run        drive a scenario         check       files; --live: a robot
         demo       watch promises be kept   adopt       take over orphans
         stop       block wheels, end all
-Change  restart    start a process anew     set         settings, while it drives
+Change  restart    start a process anew     set         settings as it drives
         swap       put in another program   shadow      compare without driving
         inject     cause a fault
 Look    status     processes and state      latency     where the time goes
@@ -53,10 +53,10 @@ Look    status     processes and state      latency     where the time goes
         view       in a browser
 Record  record     every sample to a file   replay      compute a drive again
         recording  show, cut, export, repair
-Build   conformance  test your program      types       fields for other languages
+Build   conformance  test your program      types       for other languages
         reference  keys of the files        agent       processes of this host
         calibrate  fit a robot              urg         try a Hokuyo scanner
-Study   bench      measure, compare builds  faults      every fault in every phase
+Study   bench      measure, compare builds  faults      every fault, each phase
         campaign   random courses           analyse     design questions
         price      latency in centimetres
 
