@@ -133,6 +133,10 @@ fn matches(pattern: &str, name: &str) -> bool {
 
 fn drive(chosen: &[(&InjectedFault, DrivePhase)]) -> anyhow::Result<Matrix> {
     let (live, simulated): (Vec<_>, Vec<_>) = chosen.iter().copied().partition(|(fault, _)| fault.is_live());
+    // Before the simulated cells, whose results an error would lose.
+    if !live.is_empty() {
+        system::product()?;
+    }
     let mut steps = Steps::new(chosen.len() as u64, "cells");
     let mut driven = Vec::new();
     if !simulated.is_empty() {

@@ -1,7 +1,7 @@
 //! `scanloop-lab ride`: how well scenarios and random courses are driven, compared with the optimum.
 //!
-//! Each course is driven through the pipeline in one process, in simulated time. [`report::ride`] measures the drive
-//! and computes the optimum over the same course, with what the robot saw. Courses are driven on all cores.
+//! Each course is driven through the pipeline in one process, in simulated time. [`report::ride`] measures the drive,
+//! and `optimum` computes the best drive over the same course with what the robot saw. Courses are driven on all cores.
 
 mod course;
 mod problems;

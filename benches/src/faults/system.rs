@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use commands::laboratory::{SUFFIX, build_command};
+use commands::laboratory::{PRODUCT_VARIABLE, SUFFIX, build_command};
 use console::exit::Failure;
 use console::new_file::{self, Scratch};
 use emulator::Scenario;
@@ -152,8 +152,15 @@ fn command_of(id: &str, folder: &Path) -> anyhow::Result<Command> {
     Ok(command)
 }
 
-/// The product of this laboratory: the executable beside it.
-fn product() -> anyhow::Result<PathBuf> {
+/// The product whose processes are started: the executable that has handed the command over, else that in the folder of
+/// the laboratory.
+///
+/// # Errors
+/// A missing product, with the command that builds it; exit code 4.
+pub(super) fn product() -> anyhow::Result<PathBuf> {
+    if let Some(product) = std::env::var_os(PRODUCT_VARIABLE) {
+        return Ok(PathBuf::from(product));
+    }
     let own = std::env::current_exe().context("path of this executable")?;
     let name = own.file_name().unwrap_or_default().to_string_lossy();
     let product = own.with_file_name(name.strip_suffix(SUFFIX).unwrap_or_default());

@@ -21,6 +21,9 @@ use crate::FLUSH_TIMEOUT;
 /// Added to the name of an executable, this is the name of its laboratory.
 pub const SUFFIX: &str = "-lab";
 
+/// Names to the laboratory the executable that has handed a command over: the product whose processes it starts.
+pub const PRODUCT_VARIABLE: &str = "SCANLOOP_PRODUCT";
+
 /// Arguments of a command that the laboratory runs; `scanloop-lab COMMAND --help` tells what they are.
 #[derive(Debug, Args)]
 pub struct StudyArguments {
@@ -65,6 +68,9 @@ pub(crate) fn hand_over(system_id: &str, command: &str, study: &StudyArguments) 
     runtime::flush_terminal(FLUSH_TIMEOUT);
     let mut process = Command::new(&laboratory);
     process.arg(command).args(&study.arguments).env(runtime::SYSTEM_ID_VARIABLE, system_id);
+    if let Ok(own) = std::env::current_exe() {
+        process.env(PRODUCT_VARIABLE, own);
+    }
     Failure::process(format!("{}: {}", laboratory.display(), process.exec()))
 }
 

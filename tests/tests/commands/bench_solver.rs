@@ -80,6 +80,19 @@ fn an_executable_without_its_laboratory_names_the_command_that_builds_it() {
 }
 
 #[test]
+fn a_laboratory_without_its_product_names_the_command_that_builds_it() {
+    let system = TestSystem::new(EXECUTABLE);
+    let laboratory = system.folder().join("scanloop-lab");
+    std::fs::copy(env!("CARGO_BIN_EXE_scanloop-under-test-lab"), &laboratory).unwrap();
+    let faults = ["faults", "--only", "process-actuator-dies/start"];
+    let mut command = std::process::Command::new(&laboratory);
+    let output = command.args(faults).current_dir(system.folder()).output().unwrap();
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(4), "{message}");
+    assert!(message.contains("`cargo build") && message.contains("-p scanloop`"), "{message}");
+}
+
+#[test]
 fn consecutive_cases_of_a_lap_start_from_the_solution_before() {
     let laps = "lap,x1,x2,x3,x4,x5\n1,0,0,0,0.5,0.1\n1,0,0,0,0.59,0.1\n1,0,0,0,0.68,0.1\n";
     let (results, text) = bench(laps, &["--intervals", "6"]);

@@ -33,3 +33,59 @@ impl Starvation {
         self.0 = None;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::process::{Child, Command, Stdio};
+    use std::time::{Duration, Instant};
+
+    use super::*;
+
+    /// A child that is killed when the test ends.
+    struct Killed(Child);
+
+    impl Drop for Killed {
+        fn drop(&mut self) {
+            let _ = self.0.kill();
+            let _ = self.0.wait();
+        }
+    }
+
+    fn child(script: &str) -> Killed {
+        let mut command = Command::new("sh");
+        Killed(command.args(["-c", script]).stdin(Stdio::piped()).spawn().expect("a shell"))
+    }
+
+    /// Waits until a process is as it should be.
+    fn wait_for(pid: u32, condition: impl Fn(bool, f64) -> bool) {
+        let begun = Instant::now();
+        while !is_runnable(pid).is_some_and(|(runnable, cpu_s)| condition(runnable, cpu_s)) {
+            assert!(begun.elapsed() < Duration::from_secs(30), "{:?}", is_runnable(pid));
+            std::thread::yield_now();
+        }
+    }
+
+    #[test]
+    fn one_that_works_without_progress_hangs_and_one_that_gets_no_processor_does_not() {
+        let busy = child("while :; do :; done");
+        let pid = busy.0.id();
+        wait_for(pid, |_, cpu_s| cpu_s > 0.02);
+        let mut starvation = Starvation::default();
+        assert!(starvation.is_starved(7, pid), "it is runnable, and its time counts from now on");
+        let (_, before_s) = is_runnable(pid).expect("a process");
+        wait_for(pid, |_, cpu_s| cpu_s - before_s > STARVED_CPU_S);
+        assert!(!starvation.is_starved(7, pid), "it had a processor for long enough");
+        assert!(starvation.is_starved(8, pid), "the time of another incarnation counts anew");
+        starvation.clear();
+        assert!(starvation.is_starved(8, pid), "so does that after progress");
+    }
+
+    #[test]
+    fn one_that_sleeps_or_is_gone_is_not_starved() {
+        let asleep = child("read line");
+        wait_for(asleep.0.id(), |runnable, _| !runnable);
+        let mut starvation = Starvation::default();
+        assert!(!starvation.is_starved(7, asleep.0.id()) && !starvation.is_starved(7, asleep.0.id()));
+        assert!(!starvation.is_starved(7, u32::MAX));
+    }
+}
