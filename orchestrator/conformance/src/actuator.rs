@@ -5,11 +5,11 @@ use vehicle::Control;
 use vehicle::bounds::ROUNDING;
 use vehicle::correction::{Correction, Linkage};
 
-use super::case::{Play, Trouble, Verdict, failed, passed_if, require};
+use super::case::{Tried, Verdict, failed, passed_if, require};
 use super::drive::Course;
 use super::lifecycle::end;
-use super::message::Received;
-use super::suite::{Setup, Suite};
+use super::message::Message;
+use super::suite::Suite;
 use super::test_bench::{ANSWER_NS, TestBench};
 
 /// The first scan of the cases: here the recorded commands drive.
@@ -18,50 +18,25 @@ const FIRST_SCAN: u64 = 20;
 const SCANS: usize = 10;
 /// Scans that nothing answers during a silence.
 const MISSED_SCANS: u64 = 2;
+/// Velocities [m/s] and steering angles [rad] outside the limits (7.41).
+const OUTSIDE: [(f64, f64); 4] = [(0.5, 0.2), (0.5, -0.2), (3.0, 0.0), (-0.5, 0.0)];
 
-/// The cases of actuators alone.
-pub(crate) const CASES: [(&str, Play); 11] = [
-    ("limits", limits),
-    ("sends-what-is-desired", sends_what_is_desired),
-    ("calibration", calibration),
-    ("obeys-stop", obeys_stop),
-    ("stop-wins", stop_wins),
-    ("silence", silence),
-    ("two-after-silence", two_after_silence),
-    ("gap", gap),
-    ("future", future),
-    ("last-word", last_message),
-    ("first-word", first_message),
-];
-
-fn limits(suite: &Suite) -> Verdict {
-    let mut bench = driving(suite)?;
-    let bad = [(0.5, 0.2), (0.5, -0.2), (3.0, 0.0), (-0.5, 0.0)];
-    for (velocity, steering) in bad {
+pub(crate) fn limits(bench: &mut TestBench<'_>) -> Verdict {
+    for (velocity, steering) in OUTSIDE {
         let what = format!("a command of {velocity} m/s and {steering} rad");
-        not_driven(&mut bench, &what, |command| {
-            (command.velocity_mps, command.steering_rad) = (velocity, steering);
-        })?;
+        let set = |command: &mut Command| (command.velocity_mps, command.steering_rad) = (velocity, steering);
+        not_driven(bench, &what, set)?;
     }
-    Ok(format!("{} commands outside the limits", bad.len()))
+    Ok(format!("{} commands outside the limits", OUTSIDE.len()))
 }
 
-fn sends_what_is_desired(suite: &Suite) -> Verdict {
-    sends(suite, Course::Exact)
-}
-
-fn calibration(suite: &Suite) -> Verdict {
-    sends(suite, Course::Corridor)
-}
-
-fn sends(suite: &Suite, course: Course) -> Verdict {
-    let mut bench = suite.started(Setup { course, first_scan: FIRST_SCAN, ..Setup::default() })?;
+/// Passes when the robot is sent what is right for what is commanded, with the calibration of the course.
+pub(crate) fn sends(bench: &mut TestBench<'_>) -> Verdict {
     let correction = bench.drive.settings.tuning.actuator.calibration.correction();
     let mut driven = 0;
-    for received in bench.rounds(SCANS)? {
-        let actuation = received.message.sample::<Actuation>()?;
+    for actuation in bench.samples::<Actuation>(SCANS)? {
         let Some(command) = bench.drive.step(actuation.header.scan_id).command else { continue };
-        if received.message.is_harmless() || command.kind != CommandKind::Drive.wire() {
+        if !actuation.drives() || command.kind != CommandKind::Drive.wire() {
             continue;
         }
         driven += 1;
@@ -70,147 +45,130 @@ fn sends(suite: &Suite, course: Course) -> Verdict {
         let Correction { velocity, steering, .. } = correction.correct(desired, Linkage::default());
         let sent = (actuation.sent_velocity_mps, actuation.sent_steering_rad);
         let off = (sent.0 - velocity).abs().max((sent.1 - steering).abs());
+        let text = |velocity: f64, steering: f64| format!("{velocity:.4} m/s and {steering:.5} rad");
+        let (right, desired) = (text(velocity, steering), text(desired.velocity, desired.steering));
         require(off <= ROUNDING, || {
-            format!(
-                "sent {:.4} m/s and {:.5} rad for {:.4} m/s and {:.5} rad; {velocity:.4} m/s and {steering:.5} rad is right",
-                sent.0, sent.1, desired.velocity, desired.steering
-            )
+            format!("sent {} for {desired}; {right} is right", text(sent.0, sent.1))
         })?;
     }
     require(driven * 2 >= SCANS, || format!("{driven} of {SCANS} commands to drive were driven"))?;
     Ok(format!("{driven} commands"))
 }
 
-fn obeys_stop(suite: &Suite) -> Verdict {
+pub(crate) fn obeys_stop(suite: &Suite) -> Verdict {
     for (kind, reason) in [(CommandKind::Stop, StopReason::Blocked), (CommandKind::Land, StopReason::Landed)]
     {
-        let mut bench = driving(suite)?;
-        let answer = with_command(&mut bench, |command| {
-            command.kind = kind.wire();
-            command.level = Level::Stop.wire();
-            command.reason = reason.wire();
-            command.verified = 0;
+        let mut bench = suite.started_on(Course::Corridor, FIRST_SCAN)?;
+        driving(&mut bench)?;
+        let scan_id = with_command(&mut bench, |command| {
+            (command.kind, command.level) = (kind.wire(), Level::Stop.wire());
+            (command.reason, command.verified) = (reason.wire(), 0);
             (command.velocity_mps, command.steering_rad) = (0.0, 0.0);
-        })
-        .and_then(|scan_id| bench.answer(scan_id))?;
-        let answer = answer.message.sample::<Actuation>()?;
-        require(answer.kind == ActuationKind::Block.wire(), || format!("it drives after `{kind}`"))?;
-        require(answer.stop_reason == reason.wire(), || {
-            format!("stop reason {} after `{kind}` because of `{reason}`", answer.stop_reason)
         })?;
+        let answer = bench.answer(scan_id)?;
+        let Actuation { kind: answered, stop_reason, .. } = answer.sample()?;
+        require(*answered == ActuationKind::Block.wire(), || format!("it drives after `{kind}`"))?;
+        let other = || format!("stop reason {stop_reason} after `{kind}` because of `{reason}`");
+        require(*stop_reason == reason.wire(), other)?;
     }
     Ok("`stop` and `land` block the wheels".to_owned())
 }
 
-fn stop_wins(suite: &Suite) -> Verdict {
-    let mut bench = driving(suite)?;
+pub(crate) fn stop_wins(bench: &mut TestBench<'_>) -> Verdict {
     let before = bench.scan_id;
     bench.direct(|directive| directive.stop = 1)?;
     bench.rounds(6)?;
-    let from = |first| bench.received.iter().filter(move |received| received.message.scan_id() >= first);
-    if let Some(driven) = from(before + 1).find(|received| drives(received)) {
-        let scan_id = driven.message.scan_id();
-        return failed(format!("it drives by scan {scan_id}, {} scans after the stop", scan_id - before));
-    }
+    let from = |first| bench.received.iter().filter(move |received| received.scan_id() >= first);
+    let driven = from(before + 1).find(|received| drives(received));
+    let scan_id = driven.map_or(before, |received| received.scan_id());
+    let drives_on = || format!("it drives by scan {scan_id}, {} scans after the stop", scan_id - before);
+    require(driven.is_none(), drives_on)?;
     let blocked = from(before).any(|received| !drives(received));
-    require(blocked, || "it publishes nothing that blocks the wheels".to_owned())?;
+    require(blocked, || "it publishes nothing that blocks the wheels")?;
     bench.direct(|directive| directive.stop = 0)?;
-    require(bench.rounds(4)?.last().is_some_and(drives), || {
-        "it does not drive again when the stop is over".to_owned()
-    })?;
+    let drives = bench.rounds(4)?.last().is_some_and(drives);
+    require(drives, || "it does not drive again when the stop is over")?;
     Ok("blocked while the directive says stop".to_owned())
 }
 
-fn silence(suite: &Suite) -> Verdict {
-    let mut bench = driving(suite)?;
-    let published_ns = |received: &Received| received.message.header().stage(suite.role).published_ns;
+pub(crate) fn silence(bench: &mut TestBench<'_>) -> Verdict {
+    let published_ns = |received: &Message| received.header().stage(bench.suite.role).published_ns;
     let from_ns = published_ns(&bench.round()?);
-    let block = wait_for_block(&mut bench)?;
-    let periods = published_ns(&block).saturating_sub(from_ns) as f64 / suite.period_ns as f64;
+    let block = wait_for_block(bench)?;
+    let periods = published_ns(&block).saturating_sub(from_ns) as f64 / bench.suite.period_ns as f64;
     passed_if((1.0..2.0).contains(&periods), format!("blocked {periods:.2} periods after the last command"))
 }
 
-fn two_after_silence(suite: &Suite) -> Verdict {
-    let mut bench = driving(suite)?;
-    wait_for_block(&mut bench)?;
-    // Scans came meanwhile and were not answered.
-    bench.scan_id += MISSED_SCANS;
-    bench.begin();
-    let kinds: Vec<bool> = bench.rounds(3)?.iter().map(drives).collect();
-    require(kinds == [false, true, true], || {
-        let names = kinds.iter().map(|drives| if *drives { "drive" } else { "block" });
-        format!("{} after the silence", names.collect::<Vec<_>>().join(", "))
-    })?;
+pub(crate) fn two_after_silence(bench: &mut TestBench<'_>) -> Verdict {
+    let kinds = after_silence(bench, MISSED_SCANS, 3)?;
+    require(kinds == ["block", "drive", "drive"], || format!("{} after the silence", kinds.join(", ")))?;
     Ok("block, drive, drive".to_owned())
 }
 
-fn gap(suite: &Suite) -> Verdict {
-    let mut bench = driving(suite)?;
-    wait_for_block(&mut bench)?;
-    bench.begin();
-    let answers = bench.rounds(2)?;
-    require(answers.iter().all(drives), || "it waits for a second command after a gap".to_owned())?;
+pub(crate) fn gap(bench: &mut TestBench<'_>) -> Verdict {
+    let kinds = after_silence(bench, 0, 2)?;
+    require(kinds == ["drive", "drive"], || "it waits for a second command after a gap")?;
     Ok("drives with the first command after the gap".to_owned())
 }
 
-/// Waits until the actuator blocks the wheels without a command.
-fn wait_for_block(bench: &mut TestBench<'_>) -> Result<Received, Trouble> {
-    let count = bench.received.len();
-    let block =
-        |bench: &TestBench<'_>| bench.received[count..].iter().find(|received| !drives(received)).cloned();
-    bench.until(ANSWER_NS, |bench| block(bench).is_some())?;
-    block(bench).map_or_else(|| failed("it drives on without a command"), Ok)
+/// The answers to commands after a time without, in which scans came that were not answered.
+fn after_silence(bench: &mut TestBench<'_>, missed: u64, count: usize) -> Tried<Vec<&'static str>> {
+    wait_for_block(bench)?;
+    bench.scan_id += missed;
+    bench.begin();
+    let answers = bench.rounds(count)?;
+    Ok(answers.iter().map(|answer| if drives(answer) { "drive" } else { "block" }).collect())
 }
 
-fn future(suite: &Suite) -> Verdict {
-    let mut bench = driving(suite)?;
-    let period_ns = suite.period_ns;
-    not_driven(&mut bench, "a command five periods ahead", |command| {
-        command.header.acquired_ns += 5 * period_ns;
+/// Waits until the actuator blocks the wheels without a command.
+fn wait_for_block(bench: &mut TestBench<'_>) -> Tried<Message> {
+    let count = bench.received.len();
+    let block = bench.find(ANSWER_NS, |bench| {
+        bench.received[count..].iter().find(|received| !drives(received)).cloned()
     })?;
+    block.map_or_else(|| failed("it drives on without a command"), Ok)
+}
+
+pub(crate) fn future(bench: &mut TestBench<'_>) -> Verdict {
+    let ahead_ns = 5 * bench.suite.period_ns;
+    not_driven(bench, "a command five periods ahead", |command| command.header.acquired_ns += ahead_ns)?;
     Ok("1 command five periods ahead".to_owned())
 }
 
-fn last_message(suite: &Suite) -> Verdict {
-    let mut bench = driving(suite)?;
+pub(crate) fn last_message(bench: &mut TestBench<'_>) -> Verdict {
     bench.may_end = true;
-    end(&mut bench)?;
+    end(bench)?;
     let blocks = bench.received.last().is_some_and(|received| !drives(received));
-    require(blocks, || "its last message drives".to_owned())?;
+    require(blocks, || "its last message drives")?;
     Ok("its last message blocks the wheels".to_owned())
 }
 
-fn first_message(suite: &Suite) -> Verdict {
-    let mut bench = driving(suite)?;
+pub(crate) fn first_message(bench: &mut TestBench<'_>) -> Verdict {
     bench.replace(true, None)?;
-    if !bench.until(ANSWER_NS, |bench| !bench.received.is_empty())? {
-        return failed("it publishes nothing without a command");
-    }
-    require(!drives(&bench.received[0]), || "its first message drives".to_owned())?;
+    let publishes = bench.until(ANSWER_NS, |bench| !bench.received.is_empty())?;
+    require(publishes, || "it publishes nothing without a command")?;
+    require(!drives(&bench.received[0]), || "its first message drives")?;
     Ok("its first message blocks the wheels".to_owned())
 }
 
-/// A candidate that has been commanded to drive, and does.
-fn driving(suite: &Suite) -> Result<TestBench<'_>, Trouble> {
-    let mut bench = suite.started_at(FIRST_SCAN)?;
-    require(bench.rounds(5)?.last().is_some_and(drives), || {
-        "it blocks the wheels after five commands to drive".to_owned()
-    })?;
-    Ok(bench)
+/// Requires that a candidate that is commanded to drive does.
+pub(crate) fn driving(bench: &mut TestBench<'_>) -> Tried {
+    let drives = bench.rounds(5)?.last().is_some_and(drives);
+    require(drives, || "it blocks the wheels after five commands to drive")
 }
 
-fn drives(received: &Received) -> bool {
-    !received.message.is_harmless()
+fn drives(received: &Message) -> bool {
+    !received.is_harmless()
 }
 
 /// Publishes the next command, changed; returns its scan.
-fn with_command(bench: &mut TestBench<'_>, change: impl Fn(&mut Command)) -> Result<u64, Trouble> {
+fn with_command(bench: &mut TestBench<'_>, change: impl Fn(&mut Command)) -> Tried<u64> {
     bench.ask_with(|message| message.change(&change))?;
     Ok(bench.scan_id - 1)
 }
 
 /// Requires that a changed command does not drive.
-fn not_driven(bench: &mut TestBench<'_>, what: &str, change: impl Fn(&mut Command)) -> Result<(), Trouble> {
+fn not_driven(bench: &mut TestBench<'_>, what: &str, change: impl Fn(&mut Command)) -> Tried {
     let scan_id = with_command(bench, change)?;
     bench.rounds(2)?;
     bench.require_no_answer(scan_id, what)

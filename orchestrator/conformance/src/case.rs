@@ -2,9 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::suite::Suite;
+use super::suite::{Setup, Suite};
+use super::test_bench::TestBench;
 
-pub(crate) use super::trouble::{Trouble, Verdict, failed, observed, passed_if, require, skipped};
+pub(crate) use self::Play::{After, Own, Started};
+pub(crate) use super::trouble::{Tried, Trouble, Verdict, failed, observed, passed_if, require};
 
 /// One requirement and the function that finds out whether it is met.
 pub(crate) struct Case {
@@ -12,8 +14,19 @@ pub(crate) struct Case {
     pub(crate) play: Play,
 }
 
-/// Plays a case.
-pub(crate) type Play = fn(&Suite) -> Verdict;
+/// Plays a case on a test bench.
+type OnBench = fn(&mut TestBench<'_>) -> Verdict;
+
+/// How a case is played.
+#[derive(Clone, Copy)]
+pub(crate) enum Play {
+    /// On a test bench whose candidate was started with the setup of the case.
+    Started(OnBench),
+    /// The same, after something that must succeed before.
+    After(fn(&mut TestBench<'_>) -> Tried, OnBench),
+    /// On test benches of its own.
+    Own(fn(&Suite) -> Verdict),
+}
 
 /// A case as `cases.toml` describes it.
 #[derive(Debug, Deserialize)]
@@ -23,22 +36,35 @@ pub(crate) struct Entry {
     pub(crate) name: String,
     /// Whether an implementation without it may be used.
     pub(crate) level: RequirementLevel,
-    /// Whether it is played in lock-step only.
+    /// How its test bench is set up.
     #[serde(default)]
-    pub(crate) lockstep: bool,
+    pub(crate) setup: Setup,
     /// What is required, in one sentence.
     pub(crate) requirement: String,
     /// What would happen to the robot or its user otherwise.
     pub(crate) because: String,
 }
 
-impl Entry {
-    /// How often the case may be tried.
+impl Case {
+    /// Plays it.
+    pub(crate) fn play(&self, suite: &Suite) -> Verdict {
+        let started = || suite.started(self.entry.setup);
+        match self.play {
+            Started(play) => play(&mut started()?),
+            After(before, play) => started().and_then(|mut bench| {
+                before(&mut bench)?;
+                play(&mut bench)
+            }),
+            Own(play) => play(suite),
+        }
+    }
+
+    /// How often it may be tried.
     ///
     /// A machine that is too busy to run a process within three periods spoils a case in real time. In lock-step
     /// nothing depends on the machine.
     pub(crate) fn tries(&self) -> u32 {
-        if self.lockstep { 1 } else { 3 }
+        if self.entry.setup.lockstep { 1 } else { 3 }
     }
 }
 

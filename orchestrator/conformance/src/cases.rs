@@ -1,5 +1,6 @@
 //! The cases of all roles: what `cases.toml` requires, and the functions that play them.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use anyhow::Context;
@@ -7,33 +8,99 @@ use console::exit::Failure;
 use serde::Deserialize;
 use shared_types::{Role, did_you_mean};
 
-use super::case::{Case, Entry, Play};
-use super::robot::device;
+use super::case::{After, Case, Entry, Own, Play, Started};
+use super::controller::not_driven_on;
+use super::obstacles::scanner;
+use super::robot::{device, motion};
 use super::{actuator, answers, controller, estimator, intake, lifecycle, obstacles, robot};
 
-/// The functions of the cases, by group and name.
-const FUNCTIONS: [(&str, &[(&str, Play)]); 12] = [
-    ("every role", &lifecycle::CASES),
-    ("every stage", &answers::CASES),
-    ("every stage", &intake::CASES),
-    ("estimator, obstacles, controller", &[("missing-input", intake::missing_input)]),
-    ("estimator, obstacles", &[("lost-state", answers::lost_state)]),
-    ("robot", &robot::CASES),
-    ("robot", &device::CASES),
-    ("estimator", &estimator::CASES),
-    ("obstacles", &obstacles::CASES),
-    ("obstacles", &obstacles::scanner::CASES),
-    ("controller", &controller::CASES),
-    ("actuator", &actuator::CASES),
+/// How each case is played, by group and name.
+const FUNCTIONS: [(&str, &str, Play); 84] = [
+    ("every role", "states", Own(lifecycle::states)),
+    ("every role", "heartbeats", Started(lifecycle::heartbeats)),
+    ("every role", "joins-late", Started(lifecycle::joins_late)),
+    ("every role", "pause", Started(lifecycle::pause)),
+    ("every role", "ends-on-request", Started(lifecycle::ends_on_request)),
+    ("every role", "ends-as-orphan", Started(lifecycle::ends_as_orphan)),
+    ("every role", "survives-a-new-orchestrator", Started(lifecycle::survives_a_new_orchestrator)),
+    ("every role", "leaves-nothing", Own(lifecycle::leaves_nothing)),
+    ("every stage", "every-scan", Started(answers::every_scan)),
+    ("every stage", "in-time", Started(answers::in_time)),
+    ("every stage", "header", Started(answers::header)),
+    ("every stage", "valid-values", Own(answers::valid_values)),
+    ("every stage", "repeatable", Own(answers::repeatable)),
+    ("every stage", "state", Started(answers::state)),
+    ("every stage", "resume", Own(answers::resume)),
+    ("every stage", "authority", After(intake::mid_drive, intake::authority)),
+    ("every stage", "exchange", After(intake::mid_drive, intake::swap)),
+    ("every stage", "repeated", After(intake::mid_drive, intake::repeated)),
+    ("every stage", "stale", After(intake::mid_drive, intake::stale)),
+    ("every stage", "garbage", After(intake::mid_drive, intake::garbage)),
+    ("every stage", "counts", After(intake::mid_drive, intake::counts)),
+    ("estimator, obstacles, controller", "missing-input", After(intake::mid_drive, intake::missing_input)),
+    ("estimator, obstacles", "lost-state", Started(answers::lost_state)),
+    ("robot", "scans", Started(robot::scans)),
+    ("robot", "header", Started(robot::header)),
+    ("robot", "valid-values", Started(robot::valid_values)),
+    ("robot", "increments", Started(robot::increments)),
+    ("robot", "drives", Started(motion::drives)),
+    ("robot", "blocks", After(motion::driving, motion::blocks)),
+    ("robot", "dead-man", After(motion::driving, motion::dead_man)),
+    ("robot", "authority", After(motion::standing, motion::authority)),
+    ("robot", "nonsense", After(motion::standing, motion::nonsense)),
+    ("robot", "repeated", After(motion::driving, motion::repeated)),
+    ("robot", "stopping", After(motion::driving, robot::stopping)),
+    ("robot", "truth", Started(robot::truth)),
+    ("robot", "grants", Started(robot::grants)),
+    ("robot", "repeatable", Own(robot::repeatable)),
+    ("robot", "foreign-clock", Started(device::foreign_clock)),
+    ("robot", "jitter", Started(device::jitter)),
+    ("robot", "gaps", Started(device::gaps)),
+    ("robot", "device-restart", Started(device::device_restart)),
+    ("robot", "half-a-scan", Started(device::half_a_scan)),
+    ("robot", "counts-up", Started(device::counts_up)),
+    ("estimator", "near-the-truth", Started(estimator::follow)),
+    ("estimator", "looks-ahead", Started(estimator::looks_ahead)),
+    ("estimator", "corrects-odometry", Started(estimator::follow)),
+    ("estimator", "outlier", Started(estimator::outlier)),
+    ("estimator", "covariance", Started(estimator::covariance)),
+    ("obstacles", "sees-a-box", Own(obstacles::sees_a_box)),
+    ("obstacles", "no-phantoms", Own(obstacles::no_phantoms)),
+    ("obstacles", "nearest-first", Own(obstacles::nearest_first)),
+    ("obstacles", "keeps-identity", Own(obstacles::keeps_identity)),
+    ("obstacles", "no-returns", Own(scanner::no_returns)),
+    ("obstacles", "covered-sector", Own(scanner::covered_sector)),
+    ("obstacles", "stuck", Own(scanner::stuck)),
+    ("obstacles", "range-factor", Own(|suite| scanner::contradicts_motion(suite, scanner::TOO_LONG))),
+    ("obstacles", "mounting-angle", Own(|suite| scanner::contradicts_motion(suite, scanner::TURNED))),
+    ("obstacles", "random-ranges", Own(scanner::random_ranges)),
+    ("obstacles", "noisy-scanner", Own(scanner::noisy_scanner)),
+    ("obstacles", "missing-scan", Own(scanner::missing_scan)),
+    ("obstacles", "silent-body", Own(scanner::silent_body)),
+    ("obstacles", "seen-free", Own(scanner::seen_free)),
+    ("controller", "drives", Started(controller::drives)),
+    ("controller", "stops-before-a-barrier", Own(controller::stops_before_a_barrier)),
+    ("controller", "lands", Own(controller::lands)),
+    ("controller", "off-the-track", Own(|suite| not_driven_on(suite, &controller::OFF_THE_TRACK))),
+    ("controller", "obstacle-inside", Own(|suite| not_driven_on(suite, &controller::OBSTACLE_INSIDE))),
+    ("controller", "verified", Started(controller::verified)),
+    ("controller", "obeys-alarm", Own(|suite| not_driven_on(suite, &controller::ALARM))),
+    ("controller", "obeys-the-scanner", Own(|suite| not_driven_on(suite, &controller::BAD_SCANNERS))),
+    ("controller", "degraded-scanner", Started(controller::degraded_scanner)),
+    ("controller", "names-its-reason", Own(controller::names_its_reason)),
+    ("controller", "plan", Started(controller::plan)),
+    ("actuator", "limits", After(actuator::driving, actuator::limits)),
+    ("actuator", "sends-what-is-desired", Started(actuator::sends)),
+    ("actuator", "calibration", Started(actuator::sends)),
+    ("actuator", "obeys-stop", Own(actuator::obeys_stop)),
+    ("actuator", "stop-wins", After(actuator::driving, actuator::stop_wins)),
+    ("actuator", "silence", After(actuator::driving, actuator::silence)),
+    ("actuator", "two-after-silence", After(actuator::driving, actuator::two_after_silence)),
+    ("actuator", "gap", After(actuator::driving, actuator::gap)),
+    ("actuator", "future", After(actuator::driving, actuator::future)),
+    ("actuator", "last-word", After(actuator::driving, actuator::last_message)),
+    ("actuator", "first-word", After(actuator::driving, actuator::first_message)),
 ];
-
-/// The file of all cases.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Cases {
-    #[serde(rename = "group")]
-    groups: Vec<Group>,
-}
 
 /// Cases of the same roles.
 #[derive(Deserialize)]
@@ -45,34 +112,30 @@ struct Group {
     entries: Vec<Entry>,
 }
 
-impl Cases {
-    fn read() -> anyhow::Result<Self> {
-        toml::from_str(include_str!("cases.toml")).context("cases.toml")
-    }
+/// The groups of the file.
+fn groups() -> anyhow::Result<Vec<Group>> {
+    let mut file: BTreeMap<String, Vec<Group>> = toml::from_str(include_str!("cases.toml"))?;
+    file.remove("group").context("cases.toml has no group")
+}
 
-    /// The groups of a role.
-    fn of(self, role: Role) -> impl Iterator<Item = Group> {
-        self.groups.into_iter().filter(move |group| group.roles.iter().any(|name| name == role.name()))
-    }
+/// The groups of a role.
+fn groups_of(role: Role) -> anyhow::Result<impl Iterator<Item = Group>> {
+    let is_its = move |group: &Group| group.roles.iter().any(|name| name == role.name());
+    Ok(groups()?.into_iter().filter(is_its))
 }
 
 /// The cases of a role in the order in which they are played.
 fn cases(role: Role) -> anyhow::Result<Vec<Case>> {
     let mut cases = Vec::new();
-    for Group { name, entries, .. } in Cases::read()?.of(role) {
+    for Group { name, entries, .. } in groups_of(role)? {
         for entry in entries {
-            let play = function(&name, &entry.name);
-            let play = play.with_context(|| format!("case {} of {name} has no function", entry.name))?;
-            cases.push(Case { entry, play });
+            let function = FUNCTIONS.iter().find(|(group, case, _)| *group == name && *case == entry.name);
+            let (_, _, play) =
+                function.with_context(|| format!("case {} of {name} has no function", entry.name))?;
+            cases.push(Case { entry, play: *play });
         }
     }
     Ok(cases)
-}
-
-/// The function that plays a case of a group.
-fn function(group: &str, case: &str) -> Option<Play> {
-    let functions = FUNCTIONS.iter().filter(|(name, _)| *name == group).flat_map(|(_, functions)| *functions);
-    functions.clone().find(|(name, _)| *name == case).map(|(_, play)| *play)
 }
 
 /// The cases that were asked for.
@@ -98,11 +161,10 @@ pub(crate) fn chosen(role: Role, only: &[String]) -> anyhow::Result<Vec<Case>> {
 /// # Errors
 /// A mistake in the file of the cases, which is a part of the program.
 pub fn list(role: Option<Role>) -> anyhow::Result<String> {
-    let cases = Cases::read()?;
     let Some(role) = role else {
-        return Ok(cases.groups.iter().map(Group::section).collect::<Vec<_>>().join("\n"));
+        return Ok(groups()?.iter().map(Group::section).collect::<Vec<_>>().join("\n"));
     };
-    let entries = cases.of(role).flat_map(|group| group.entries).collect();
+    let entries = groups_of(role)?.flat_map(|group| group.entries).collect();
     Ok(Group { name: role.to_string(), roles: vec![role.to_string()], entries }.section())
 }
 
@@ -131,19 +193,32 @@ mod tests {
 
     #[test]
     fn every_case_has_a_function_and_every_function_a_case() {
-        let groups = Cases::read().unwrap().groups;
-        for (group, functions) in FUNCTIONS {
-            let group = groups.iter().find(|known| known.name == group).expect(group);
-            for (name, _) in functions {
-                assert!(group.entries.iter().any(|entry| entry.name == *name), "{}: {name}", group.name);
-            }
+        let groups = groups().unwrap();
+        let in_file = |(group, case, _): &(&str, &str, Play)| {
+            let of_group =
+                groups.iter().filter(|known| known.name == *group).flat_map(|group| &group.entries);
+            of_group.filter(|entry| entry.name == *case).count() == 1
+        };
+        for function in &FUNCTIONS {
+            assert!(in_file(function), "{}: {}", function.0, function.1);
         }
-        // No case stands twice, so equal numbers leave none without a function.
-        let functions: usize = FUNCTIONS.iter().map(|(_, functions)| functions.len()).sum();
-        assert_eq!(functions, groups.iter().map(|group| group.entries.len()).sum::<usize>());
+        // Each case of a role has a function, or this fails.
+        let played: BTreeSet<String> = Role::ALL
+            .iter()
+            .flat_map(|role| cases(*role).unwrap())
+            .map(|case| case.entry.requirement)
+            .collect();
+        assert_eq!(played.len(), FUNCTIONS.len(), "two functions of one case, or a case of no role");
+        let of_every_role = FUNCTIONS.iter().filter(|(group, ..)| *group == "every role").count();
         for role in Role::ALL {
-            assert!(cases(*role).unwrap().len() > lifecycle::CASES.len(), "{role}");
+            assert!(cases(*role).unwrap().len() > of_every_role, "{role}");
         }
+    }
+
+    #[test]
+    fn the_file_of_the_cases_has_groups_alone() {
+        let file: toml::Table = include_str!("cases.toml").parse().unwrap();
+        assert_eq!(file.keys().collect::<Vec<_>>(), ["group"]);
     }
 
     #[test]
@@ -158,7 +233,7 @@ mod tests {
     #[test]
     fn a_case_of_several_roles_stands_once_with_all_its_roles() {
         let (mut names, mut requirements) = (BTreeSet::new(), BTreeSet::new());
-        for Group { name, roles, entries } in Cases::read().unwrap().groups {
+        for Group { name, roles, entries } in groups().unwrap() {
             let known: Vec<&str> = Role::ALL.iter().map(|role| role.name()).collect();
             let in_order = known.iter().filter(|role| roles.iter().any(|name| name == *role));
             assert!(

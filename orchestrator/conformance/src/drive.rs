@@ -5,7 +5,8 @@ use emulator::scenario::{ScenarioObstacle, Shape};
 use emulator::steering_map::SteeringMap;
 use emulator::{Emulator, Referee, Scenario};
 use pipeline::{Pipeline, PipelineSettings, Step, Tuning};
-use shared_types::{BEAMS, Odometry, Role, Scan, Topic, Truth};
+use serde::Deserialize;
+use shared_types::{Odometry, Role, Scan, Topic, Truth};
 use vehicle::Description;
 use vehicle::correction::Calibration;
 
@@ -17,7 +18,8 @@ const AFTER_THE_END: usize = 12;
 const MAX_SCANS: usize = 4_000;
 
 /// What is driven.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub(crate) enum Course {
     /// The default: one box in the way, default noise, default robot.
     Corridor,
@@ -47,9 +49,7 @@ impl Course {
             Self::Two => vec![solid(4.5, 0.9, 0.1, 0.4), solid(6.0, -0.9, 0.1, 0.4)],
         };
         // The robot of the courses follows at once, and the stages know.
-        let tuning = Tuning::of(Description::default().without_lag());
-        let mut settings = PipelineSettings { scenario, tuning, period_ns };
-        let PipelineSettings { scenario, tuning, .. } = &mut settings;
+        let mut tuning = Tuning::of(Description::default().without_lag());
         if matches!(self, Self::Exact | Self::Drifting) {
             scenario.noise.range_m = 0.0;
             scenario.robot.velocity_factor = Some(1.0);
@@ -60,7 +60,7 @@ impl Course {
             tuning.estimator.odometry_longitudinal = Some(missed);
         }
         tuning.controller.period_s = period_ns as f64 * 1e-9;
-        settings
+        PipelineSettings { scenario, tuning, period_ns }
     }
 }
 
@@ -94,25 +94,26 @@ impl Drive {
         Ok(Self { settings, ended: ended.unwrap_or(steps.len()), steps })
     }
 
-    /// The ranges that the robot would measure on its way in another scenario, scan 1 first [mm].
+    /// The drive with the ranges that the robot would measure on its way in another scenario.
     ///
     /// The robot gets the same actuations, so it moves as recorded. The world and the scanner are those of the changed
     /// scenario.
-    pub(crate) fn rescan(&self, change: impl FnOnce(&mut Scenario)) -> Vec<[u16; BEAMS]> {
+    pub(crate) fn rescanned(&self, change: impl FnOnce(&mut Scenario)) -> Self {
         let mut scenario = self.settings.scenario.clone();
         change(&mut scenario);
         let mut emulator = Emulator::new(&scenario, self.settings.period_ns);
         let (mut scan, mut odometry, mut truth) = (Scan::default(), Odometry::default(), Truth::default());
-        let measured = self.steps.iter().map(|step| {
+        let mut drive = self.starting_at(1);
+        for step in &mut drive.steps {
             let scan_id = step.scan.header.scan_id;
             emulator.advance_to(emulator.scan_ready_ns(scan_id));
             emulator.measure(scan_id, &mut scan, &mut odometry, &mut truth);
             if let Some(actuation) = &step.actuation {
                 emulator.actuate(actuation);
             }
-            scan.ranges_mm
-        });
-        measured.collect()
+            step.scan.ranges_mm = scan.ranges_mm;
+        }
+        drive
     }
 
     /// The drive from a scan on, which becomes scan 1: a run begins with that.
@@ -131,23 +132,19 @@ impl Drive {
     pub(crate) fn message(&self, topic: Topic, scan_id: u64) -> Option<Message> {
         let step = self.step(scan_id);
         Some(match topic {
-            Topic::Scan => Message::Scan(Box::new(step.scan)),
-            Topic::Odometry => Message::Odometry(Box::new(step.odometry)),
-            Topic::Pose => Message::Pose(Box::new(step.pose?)),
-            Topic::Obstacles => Message::Obstacles(Box::new(step.obstacles?)),
-            Topic::Command => Message::Command(Box::new(step.command?)),
-            Topic::Actuation => Message::Actuation(Box::new(step.actuation?)),
-            Topic::Truth => Message::Truth(Box::new(step.truth)),
-            Topic::Heartbeat | Topic::Directive | Topic::Checkpoint | Topic::Journal | Topic::Clock => {
-                return None;
-            }
+            Topic::Scan => Message::new(&step.scan),
+            Topic::Odometry => Message::new(&step.odometry),
+            Topic::Pose => Message::new(&step.pose?),
+            Topic::Obstacles => Message::new(&step.obstacles?),
+            Topic::Command => Message::new(&step.command?),
+            Topic::Actuation => Message::new(&step.actuation?),
+            _ => return None,
         })
     }
 
     /// When a scan is published, in the drive's own time [ns].
     pub(crate) fn ready_ns(&self, scan_id: u64) -> u64 {
-        let step = self.step(scan_id);
-        step.scan.header.stage(Role::Robot).published_ns
+        self.step(scan_id).scan.header.stage(Role::Robot).published_ns
     }
 
     /// The first scan with the robot's centre beyond `x_m`.

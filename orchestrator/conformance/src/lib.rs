@@ -125,27 +125,25 @@ pub fn conformance(arguments: &ConformanceArguments) -> anyhow::Result<Exit> {
 
 /// Program and arguments of the candidate, and its name in reports.
 fn candidate(role: Role, arguments: &ConformanceArguments) -> anyhow::Result<(Vec<OsString>, String)> {
-    let of_role = IMPLEMENTATIONS.iter().filter(|(_, of)| *of == role).map(|(name, _)| *name);
-    match (&arguments.to, arguments.command.is_empty()) {
-        (Some(name), _) if of_role.clone().any(|known| known == name) => {
-            let this = std::env::current_exe().context("path of this executable")?;
-            Ok((vec![this.into_os_string(), "service".into(), name.into()], name.clone()))
-        }
-        (Some(name), _) => {
-            let known: Vec<&str> = of_role.collect();
-            Err(Failure::bad_input(format!(
-                "--to {name} is not allowed for role {role}: {}.{}",
-                known.join(", "),
-                did_you_mean(name, known.iter().copied())
-            )))
-        }
-        (None, false) => {
-            require_script(Path::new(&arguments.command[0])).map_err(Failure::bad_input)?;
-            let label: Vec<_> = arguments.command.iter().map(|argument| argument.to_string_lossy()).collect();
-            Ok((arguments.command.clone(), label.join(" ")))
-        }
-        (None, true) => Err(Failure::bad_input("expected `--to IMPLEMENTATION` or `-- COMMAND...`")),
+    let Some(name) = &arguments.to else {
+        let Some(program) = arguments.command.first() else {
+            return Err(Failure::bad_input("expected `--to IMPLEMENTATION` or `-- COMMAND...`"));
+        };
+        require_script(Path::new(program)).map_err(Failure::bad_input)?;
+        let label: Vec<_> = arguments.command.iter().map(|argument| argument.to_string_lossy()).collect();
+        return Ok((arguments.command.clone(), label.join(" ")));
+    };
+    let of_role = IMPLEMENTATIONS.iter().filter(|(_, of)| *of == role);
+    let known: Vec<&str> = of_role.map(|(name, _)| *name).collect();
+    if !known.contains(&name.as_str()) {
+        let allowed = known.join(", ");
+        let meant = did_you_mean(name, known);
+        return Err(Failure::bad_input(format!(
+            "--to {name} is not allowed for role {role}: {allowed}.{meant}"
+        )));
     }
+    let this = std::env::current_exe().context("path of this executable")?;
+    Ok((vec![this.into_os_string(), "service".into(), name.into()], name.clone()))
 }
 
 /// Plays all cases, some at a time; those that failed in real time again, alone.
@@ -160,7 +158,7 @@ fn play_all(cases: &[Case], suite: &Suite, arguments: &ConformanceArguments) -> 
             loop {
                 let index = next.fetch_add(1, Ordering::Relaxed);
                 let Some(case) = cases.get(index) else { break mine };
-                let verdict = (case.play)(suite);
+                let verdict = case.play(suite);
                 if matches!(verdict, Err(Trouble::Broken(_))) {
                     next.store(cases.len(), Ordering::Relaxed);
                 }
@@ -189,11 +187,11 @@ fn play_all(cases: &[Case], suite: &Suite, arguments: &ConformanceArguments) -> 
 
 /// Plays a case that failed or observed nothing again, as often as it may be tried.
 fn play_again(case: &Case, suite: &Suite, mut verdict: Verdict, tries: u32) -> Verdict {
-    for _ in 1..case.entry.tries().min(tries) {
+    for _ in 1..case.tries().min(tries) {
         if !matches!(verdict, Err(Trouble::Failed(_) | Trouble::NotObserved(_))) {
             break;
         }
-        verdict = (case.play)(suite);
+        verdict = case.play(suite);
     }
     verdict
 }

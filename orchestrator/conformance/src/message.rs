@@ -1,59 +1,57 @@
 //! A sample of any topic of the loop.
 
-use std::any::Any;
-
+use bytemuck::{cast_slice, cast_slice_mut, from_bytes, from_bytes_mut};
 use shared_types::{
-    Actuation, ActuationKind, Command, CommandKind, Fault, Header, Obstacles, Odometry, Pose, Sample, Scan,
-    Topic, Truth,
+    Actuation, Command, CommandKind, Fault, Header, Obstacles, Odometry, Pose, Sample, SampleType, Scan,
+    Topic, shift_times,
 };
 
-use super::trouble::{Trouble, failed};
-
-/// Something that the candidate published.
-#[derive(Debug, Clone)]
-pub(crate) struct Received {
-    pub(crate) message: Message,
-    /// When the test bench received it [ns].
-    pub(crate) at_ns: u64,
-}
+use super::trouble::{Tried, failed};
 
 /// A sample of one of the topics of the loop.
 #[derive(Debug, Clone)]
-pub(crate) enum Message {
-    Scan(Box<Scan>),
-    Odometry(Box<Odometry>),
-    Pose(Box<Pose>),
-    Obstacles(Box<Obstacles>),
-    Command(Box<Command>),
-    Actuation(Box<Actuation>),
-    Truth(Box<Truth>),
-}
-
-/// Runs the same expression on the sample of any message.
-macro_rules! any {
-    ($message:expr, $sample:ident => $value:expr) => {
-        match $message {
-            Message::Scan($sample) => $value,
-            Message::Odometry($sample) => $value,
-            Message::Pose($sample) => $value,
-            Message::Obstacles($sample) => $value,
-            Message::Command($sample) => $value,
-            Message::Actuation($sample) => $value,
-            Message::Truth($sample) => $value,
-        }
-    };
+pub(crate) struct Message {
+    of: &'static SampleType,
+    /// Its bytes, aligned as those of all samples.
+    words: Vec<u64>,
+    /// When the test bench received it [ns]; 0 for its own ones.
+    pub(crate) received_ns: u64,
 }
 
 impl Message {
+    pub(crate) fn new<S: Sample>(sample: &S) -> Self {
+        Self::from_bytes(S::TOPIC, bytemuck::bytes_of(sample), 0)
+    }
+
+    /// The sample of a topic with these bytes, received at a time [ns].
+    pub(crate) fn from_bytes(topic: Topic, bytes: &[u8], received_ns: u64) -> Self {
+        let words = vec![0; topic.size() / size_of::<u64>()];
+        let mut message = Self { of: topic.sample_type(), words, received_ns };
+        message.bytes_mut().copy_from_slice(bytes);
+        message
+    }
+
+    fn bytes(&self) -> &[u8] {
+        cast_slice(&self.words)
+    }
+
+    fn bytes_mut(&mut self) -> &mut [u8] {
+        cast_slice_mut(&mut self.words)
+    }
+
+    /// The sample if it is of this type.
+    pub(crate) fn get<S: Sample>(&self) -> Option<&S> {
+        (S::TOPIC == self.topic()).then(|| from_bytes(self.bytes()))
+    }
+
     /// The sample, which must be of this type.
-    pub(crate) fn sample<S: Sample>(&self) -> Result<&S, Trouble> {
-        let sample = any!(self, sample => (&**sample as &dyn Any).downcast_ref());
-        sample.map_or_else(|| failed(format!("{} where {} was expected", self.topic(), S::TOPIC)), Ok)
+    pub(crate) fn sample<S: Sample>(&self) -> Tried<&S> {
+        self.get().map_or_else(|| failed(format!("{} where {} was expected", self.topic(), S::TOPIC)), Ok)
     }
 
     /// The sample if it is of this type, to change it.
     pub(crate) fn sample_mut<S: Sample>(&mut self) -> Option<&mut S> {
-        any!(self, sample => (&mut **sample as &mut dyn Any).downcast_mut())
+        (S::TOPIC == self.topic()).then(|| from_bytes_mut(self.bytes_mut()))
     }
 
     /// Changes the sample if it is of this type.
@@ -64,18 +62,15 @@ impl Message {
     }
 
     pub(crate) fn topic(&self) -> Topic {
-        fn of<S: Sample>(_: &S) -> Topic {
-            S::TOPIC
-        }
-        any!(self, sample => of(&**sample))
+        self.of.topic
     }
 
     pub(crate) fn header(&self) -> &Header {
-        any!(self, sample => &sample.header)
+        (self.of.header)(self.bytes())
     }
 
     pub(crate) fn header_mut(&mut self) -> &mut Header {
-        any!(self, sample => &mut sample.header)
+        (self.of.header_mut)(self.bytes_mut())
     }
 
     pub(crate) fn scan_id(&self) -> u64 {
@@ -84,79 +79,52 @@ impl Message {
 
     /// What every subscriber checks.
     pub(crate) fn check(&self) -> Result<(), Fault> {
-        any!(self, sample => sample.check())
+        (self.of.check)(self.bytes())
     }
 
     /// The bytes without incarnation and sequence: two runs with the same input have them in common.
-    pub(crate) fn content(&self) -> Vec<u8> {
+    pub(crate) fn content(&self) -> Vec<u64> {
         let mut same = self.clone();
         let header = same.header_mut();
         (header.incarnation, header.sequence) = (0, 0);
-        any!(&same, sample => bytemuck::bytes_of(&**sample).to_vec())
+        same.words
     }
 
     /// Whether it answers a scan; an actuator also publishes without a command.
     pub(crate) fn is_answer(&self) -> bool {
-        any!(self, sample => sample.is_answer())
+        (self.of.is_answer)(self.bytes())
     }
 
     /// Whether it moves nothing: a stop, a block.
     pub(crate) fn is_harmless(&self) -> bool {
-        match self {
-            Self::Command(command) => command.kind != CommandKind::Drive.wire(),
-            Self::Actuation(actuation) => actuation.kind == ActuationKind::Block.wire(),
-            _ => false,
-        }
+        let stops = |command: &Command| command.kind != CommandKind::Drive.wire();
+        self.get().is_some_and(stops) || self.get().is_some_and(|actuation: &Actuation| !actuation.drives())
     }
 
     /// Moves all stamps of the machine's clock by `offset_ns`.
     pub(crate) fn shift(&mut self, offset_ns: u64) {
-        let header = self.header_mut();
-        header.acquired_ns += offset_ns;
-        for stamps in header.chain.iter_mut().filter(|stamps| stamps.published_ns > 0) {
-            stamps.woken_ns += offset_ns;
-            stamps.taken_ns += offset_ns;
-            stamps.computed_ns += offset_ns;
-            stamps.published_ns += offset_ns;
-        }
-        match self {
-            Self::Pose(pose) => pose.predicted_ns += offset_ns,
-            Self::Command(command) => command.plan_start_ns += offset_ns,
-            _ => {}
-        }
+        shift_times(self.of, self.bytes_mut(), offset_ns.cast_signed());
     }
 
-    /// The sample spoilt in several ways; a subscriber must drop each.
+    /// An input spoilt in several ways; a subscriber must drop each.
     pub(crate) fn spoilt(&self) -> Vec<Self> {
-        let mut all = vec![self.clone()];
+        let mut all = vec![self.clone(); 5];
         all[0].header_mut().layout ^= 1;
-        for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-            let mut message = self.clone();
-            match &mut message {
-                Self::Scan(scan) => (scan.sweep_ns, scan.period_ns) = (u64::MAX, 1),
-                Self::Odometry(odometry) => odometry.x_m = bad,
-                Self::Pose(pose) => pose.predicted_yaw_rad = bad,
-                Self::Obstacles(obstacles) => {
-                    obstacles.count = obstacles.count.max(1);
-                    obstacles.items[0].x_m = bad;
-                }
-                Self::Command(command) => command.steering_rad = bad,
-                Self::Actuation(actuation) => actuation.sent_velocity_mps = bad,
-                Self::Truth(truth) => truth.x_m = bad,
-            }
-            all.push(message);
+        for (message, bad) in all[1..4].iter_mut().zip([f64::NAN, f64::INFINITY, f64::NEG_INFINITY]) {
+            message.change(|scan: &mut Scan| (scan.sweep_ns, scan.period_ns) = (u64::MAX, 1));
+            message.change(|odometry: &mut Odometry| odometry.x_m = bad);
+            message.change(|pose: &mut Pose| pose.predicted_yaw_rad = bad);
+            message.change(|obstacles: &mut Obstacles| {
+                obstacles.count = obstacles.count.max(1);
+                obstacles.items[0].x_m = bad;
+            });
+            message.change(|command: &mut Command| command.steering_rad = bad);
         }
-        let mut message = self.clone();
-        match &mut message {
-            Self::Scan(scan) => scan.sweep_ns = 0,
-            Self::Odometry(odometry) => odometry.yaw_rad = f64::NAN,
-            Self::Pose(pose) => pose.y_m = f64::NAN,
-            Self::Obstacles(obstacles) => obstacles.count = 1000,
-            Self::Command(command) => command.kind = 77,
-            Self::Actuation(actuation) => actuation.kind = 77,
-            Self::Truth(truth) => truth.yaw_rad = f64::NAN,
-        }
-        all.push(message);
+        all[4].change(|scan: &mut Scan| scan.sweep_ns = 0);
+        all[4].change(|odometry: &mut Odometry| odometry.yaw_rad = f64::NAN);
+        all[4].change(|pose: &mut Pose| pose.y_m = f64::NAN);
+        all[4].change(|obstacles: &mut Obstacles| obstacles.count = 1000);
+        all[4].change(|command: &mut Command| command.kind = 77);
         all
     }
 }

@@ -1,13 +1,13 @@
 //! What a list of obstacles must contain: all that is there, and nothing else.
 
+mod failing;
 pub(crate) mod scanner;
 
 use shared_types::{Obstacle, Obstacles};
 
-use super::case::{Play, Trouble, Verdict, observed, require};
+use super::case::{Tried, Verdict, observed, require};
 use super::drive::Course;
-use super::suite::{Setup, Suite};
-use super::test_bench::TestBench;
+use super::suite::Suite;
 
 /// The box of the default drive: centre, length and width [m].
 const BOX_M: [f64; 4] = [5.0, 0.0, 0.1, 0.4];
@@ -18,34 +18,23 @@ const SCANS: usize = 12;
 /// An obstacle may need some scans before it is reported.
 const FIRST_SIGHTINGS: usize = 4;
 
-/// The cases of obstacle detectors alone.
-pub(crate) const CASES: [(&str, Play); 4] = [
-    ("sees-a-box", sees_a_box),
-    ("no-phantoms", no_phantoms),
-    ("nearest-first", nearest_first),
-    ("keeps-identity", keeps_identity),
-];
-
-fn sees_a_box(suite: &Suite) -> Verdict {
-    for received in before_the_box(suite)?.rounds(SCANS)?.iter().skip(FIRST_SIGHTINGS) {
-        let obstacles = received.message.sample::<Obstacles>()?;
+pub(crate) fn sees_a_box(suite: &Suite) -> Verdict {
+    for obstacles in before_the_box(suite)? {
         require(obstacles.list().iter().any(covers_the_box), || {
             let near = obstacles.list().iter().map(|item| {
                 format!("({:.2}, {:.2}) with {:.2} m x {:.2} m", item.x_m, item.y_m, item.a_m, item.b_m)
             });
-            format!(
-                "scan {}: no ellipse around the box at (5, 0); there are: {}",
-                obstacles.header.scan_id,
-                near.collect::<Vec<_>>().join("; ")
-            )
+            let (scan_id, near) = (obstacles.header.scan_id, near.collect::<Vec<_>>().join("; "));
+            format!("scan {scan_id}: no ellipse around the box at (5, 0); there are: {near}")
         })?;
     }
     Ok(format!("{} scans, the box lies within an ellipse", SCANS - FIRST_SIGHTINGS))
 }
 
-/// A test bench whose next scans have the box 2.5 m ahead and nearer.
-fn before_the_box(suite: &Suite) -> Result<TestBench<'_>, Trouble> {
-    suite.started_at(suite.drive(Course::Corridor)?.scan_at(BOX_M[0] - 2.5))
+/// The answers to scans that have the box 2.5 m ahead and nearer, without those to the first scans.
+fn before_the_box(suite: &Suite) -> Tried<Vec<Obstacles>> {
+    let first_scan = suite.drive(Course::Corridor)?.scan_at(BOX_M[0] - 2.5);
+    Ok(suite.started_on(Course::Corridor, first_scan)?.samples(SCANS)?.split_off(FIRST_SIGHTINGS))
 }
 
 /// Whether the front of the box lies within the ellipse.
@@ -57,44 +46,41 @@ fn covers_the_box(item: &Obstacle) -> bool {
     })
 }
 
-fn no_phantoms(suite: &Suite) -> Verdict {
-    let mut bench = suite.started(Setup { course: Course::Free, ..Setup::default() })?;
-    for received in bench.rounds(2 * SCANS)? {
-        let Obstacles { header, count, .. } = received.message.sample()?;
-        require(*count == 0, || format!("scan {}: {count} ellipses on an empty track", header.scan_id))?;
+/// Index of the first ellipse near a place.
+fn position_at(described: &Obstacles, x_m: f64, y_m: f64) -> Option<usize> {
+    described.list().iter().position(|item| (item.x_m - x_m).hypot(item.y_m - y_m) < 0.6)
+}
+
+pub(crate) fn no_phantoms(suite: &Suite) -> Verdict {
+    for Obstacles { header, count, .. } in suite.started_on(Course::Free, 1)?.samples(2 * SCANS)? {
+        require(count == 0, || format!("scan {}: {count} ellipses on an empty track", header.scan_id))?;
     }
-    drop(bench);
-    let with_a_box = before_the_box(suite)?.rounds(SCANS)?;
-    let last = with_a_box[SCANS - 1].message.sample::<Obstacles>()?;
-    observed(last.count > 0, || "it reports no obstacle where there is one either".to_owned())?;
+    let reports = before_the_box(suite)?.last().is_some_and(|described| described.count > 0);
+    observed(reports, || "it reports no obstacle where there is one either")?;
     Ok(format!("{} scans of an empty track", 2 * SCANS))
 }
 
-fn nearest_first(suite: &Suite) -> Verdict {
+pub(crate) fn nearest_first(suite: &Suite) -> Verdict {
     let first_scan = suite.drive(Course::Two)?.scan_at(1.5);
-    let mut bench = suite.started(Setup { course: Course::Two, first_scan, ..Setup::default() })?;
+    let described: Vec<Obstacles> = suite.started_on(Course::Two, first_scan)?.samples(2 * SCANS)?;
     let mut both = 0;
-    for received in bench.rounds(2 * SCANS)?.iter().skip(FIRST_SIGHTINGS) {
-        let obstacles = received.message.sample::<Obstacles>()?;
-        let at = |x_m: f64, y_m: f64| {
-            obstacles.list().iter().position(|item| (item.x_m - x_m).hypot(item.y_m - y_m) < 0.6)
-        };
-        if let (Some(near), Some(far)) = (at(4.5, 0.9), at(6.0, -0.9)) {
+    for described in &described[FIRST_SIGHTINGS..] {
+        let places = (position_at(described, 4.5, 0.9), position_at(described, 6.0, -0.9));
+        if let (Some(near), Some(far)) = places {
             both += 1;
-            let scan_id = obstacles.header.scan_id;
+            let scan_id = described.header.scan_id;
             require(near < far, || format!("scan {scan_id}: the farther box is listed first"))?;
         }
     }
-    observed(both > 0, || "it never reported both boxes".to_owned())?;
+    observed(both > 0, || "it never reported both boxes")?;
     Ok(format!("{both} scans with both boxes"))
 }
 
-fn keeps_identity(suite: &Suite) -> Verdict {
-    let mut ids = Vec::new();
-    for received in before_the_box(suite)?.rounds(SCANS)?.iter().skip(FIRST_SIGHTINGS) {
-        let obstacles = received.message.sample::<Obstacles>()?;
-        ids.extend(obstacles.list().iter().find(|item| covers_the_box(item)).map(|item| item.id));
-    }
+pub(crate) fn keeps_identity(suite: &Suite) -> Verdict {
+    let described = before_the_box(suite)?;
+    let its =
+        described.iter().filter_map(|described| described.list().iter().find(|item| covers_the_box(item)));
+    let mut ids: Vec<u32> = its.map(|item| item.id).collect();
     let scans = ids.len();
     observed(scans > 1, || format!("it reported the box in {scans} scans"))?;
     ids.dedup();

@@ -1,5 +1,7 @@
 //! Ranges in which the numbers of each topic lie.
 
+use std::ops::RangeInclusive;
+
 use shared_types::{
     Actuation, ActuationKind, Command, CommandKind, Obstacle, Obstacles, Odometry, Pose, Scan,
 };
@@ -7,21 +9,13 @@ use vehicle::Bounds;
 use vehicle::bounds::ROUNDING;
 use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 
-use super::message::{Message, Received};
+use super::message::Message;
 use super::trouble::{Verdict, failed};
 
 /// Passes when every sample passes the check of its type and the ranges of its topic.
-pub(crate) fn valid(received: &[Received]) -> Verdict {
-    for Received { message, .. } in received {
-        let ranges = message.check().map_err(|fault| fault.to_string()).and_then(|()| match message {
-            Message::Pose(sample) => pose(sample),
-            Message::Obstacles(sample) => obstacles(sample),
-            Message::Command(sample) => command(sample),
-            Message::Actuation(sample) => actuation(sample),
-            Message::Scan(sample) => scan(sample),
-            Message::Odometry(sample) => odometry(sample),
-            Message::Truth(_) => Ok(()),
-        });
+pub(crate) fn valid(received: &[Message]) -> Verdict {
+    for message in received {
+        let ranges = message.check().map_err(|fault| fault.to_string()).and_then(|()| in_range(message));
         if let Err(reason) = ranges {
             return failed(format!("{} of scan {}: {reason}", message.topic(), message.scan_id()));
         }
@@ -29,30 +23,37 @@ pub(crate) fn valid(received: &[Received]) -> Verdict {
     Ok(format!("{} samples", received.len()))
 }
 
-/// Fails with the name, the value and the range of the first number that is outside.
-fn within(numbers: &[(&str, f64, std::ops::RangeInclusive<f64>)]) -> Result<(), String> {
-    for (name, value, range) in numbers {
-        if !range.contains(value) {
-            return Err(format!("{name} = {value} is outside {} to {}", range.start(), range.end()));
-        }
-    }
-    Ok(())
+/// Fails with the first number of the sample that is outside of its range.
+fn in_range(message: &Message) -> Result<(), String> {
+    message.get().map_or(Ok(()), pose)?;
+    message.get().map_or(Ok(()), obstacles)?;
+    message.get().map_or(Ok(()), command)?;
+    message.get().map_or(Ok(()), actuation)?;
+    message.get().map_or(Ok(()), scan)?;
+    message.get().map_or(Ok(()), odometry)
+}
+
+/// Returns the name, the value and the range of the first of these fields that is outside.
+macro_rules! within {
+    ($range:expr, $sample:ident: $($field:ident),+) => {
+        $(inside(stringify!($field), $sample.$field, $range)?;)+
+    };
+}
+
+fn inside(name: &str, value: f64, range: RangeInclusive<f64>) -> Result<(), String> {
+    let is_inside = range.contains(&value);
+    let outside = || format!("{name} = {value} is outside {} to {}", range.start(), range.end());
+    if is_inside { Ok(()) } else { Err(outside()) }
 }
 
 /// The ranges of a pose.
 fn pose(pose: &Pose) -> Result<(), String> {
-    let far = -1e6..=1e6;
-    within(&[
-        ("x_m", pose.x_m, far.clone()),
-        ("y_m", pose.y_m, far.clone()),
-        ("predicted_x_m", pose.predicted_x_m, far.clone()),
-        ("predicted_y_m", pose.predicted_y_m, far),
-        ("yaw_rad", pose.yaw_rad, -3.2..=3.2),
-        ("speed_mps", pose.speed_mps, -10.0..=10.0),
-        ("predicted_speed_mps", pose.predicted_speed_mps, -10.0..=10.0),
-        ("sideslip_rad", pose.sideslip_rad, -1.0..=1.0),
-        ("yaw_rate_radps", pose.yaw_rate_radps, -10.0..=10.0),
-    ])
+    within!(-1e6..=1e6, pose: x_m, y_m, predicted_x_m, predicted_y_m);
+    within!(-3.2..=3.2, pose: yaw_rad);
+    within!(-10.0..=10.0, pose: speed_mps, predicted_speed_mps);
+    within!(-1.0..=1.0, pose: sideslip_rad);
+    within!(-10.0..=10.0, pose: yaw_rate_radps);
+    Ok(())
 }
 
 /// The ranges of a list of obstacles.
@@ -62,13 +63,9 @@ fn obstacles(obstacles: &Obstacles) -> Result<(), String> {
         if item.id == 0 || list[..index].iter().any(|other| other.id == item.id) {
             return Err(format!("id {} of ellipse {index} is zero or not its own", item.id));
         }
-        within(&[
-            ("a_m", item.a_m, 0.01..=20.0),
-            ("b_m", item.b_m, 0.01..=20.0),
-            ("velocity_x_mps", item.velocity_x_mps, -20.0..=20.0),
-            ("velocity_y_mps", item.velocity_y_mps, -20.0..=20.0),
-            ("unseen_s", item.unseen_s, 0.0..=3600.0),
-        ])?;
+        within!(0.01..=20.0, item: a_m, b_m);
+        within!(-20.0..=20.0, item: velocity_x_mps, velocity_y_mps);
+        within!(0.0..=3600.0, item: unseen_s);
     }
     let rest = &obstacles.items[list.len()..];
     if rest.iter().any(|item| *item != Obstacle::default()) {
@@ -83,47 +80,38 @@ fn command(command: &Command) -> Result<(), String> {
         return Ok(());
     }
     let bounds = Bounds::default();
-    let steering = bounds.steering_max_rad + ROUNDING;
-    within(&[
-        (
-            "velocity_mps",
-            command.velocity_mps,
-            bounds.velocity_min_mps - ROUNDING..=bounds.velocity_max_mps + ROUNDING,
-        ),
-        ("steering_rad", command.steering_rad, -steering..=steering),
-        ("verified", f64::from(command.verified), 1.0..=1.0),
-    ])
+    let steering_rad = bounds.steering_max_rad + ROUNDING;
+    within!(bounds.velocity_min_mps - ROUNDING..=bounds.velocity_max_mps + ROUNDING, command: velocity_mps);
+    within!(-steering_rad..=steering_rad, command: steering_rad);
+    inside("verified", command.verified.into(), 1.0..=1.0)
 }
 
 /// The ranges of an actuation: limits (7.41), limits of what is sent, no velocity with blocked wheels.
 fn actuation(actuation: &Actuation) -> Result<(), String> {
     if actuation.kind != ActuationKind::Drive.wire() {
-        return within(&[("sent_velocity_mps of blocked wheels", actuation.sent_velocity_mps, 0.0..=0.0)]);
+        return inside("sent_velocity_mps of blocked wheels", actuation.sent_velocity_mps, 0.0..=0.0);
     }
     let bounds = Bounds::default();
-    let (desired, sent) = (bounds.steering_max_rad + ROUNDING, SENT_STEERING_MAX_RAD + ROUNDING);
-    within(&[
-        ("desired_velocity_mps", actuation.desired_velocity_mps, 0.0..=bounds.velocity_max_mps + ROUNDING),
-        ("desired_steering_rad", actuation.desired_steering_rad, -desired..=desired),
-        ("sent_velocity_mps", actuation.sent_velocity_mps, 0.0..=SENT_VELOCITY_MAX_MPS + ROUNDING),
-        ("sent_steering_rad", actuation.sent_steering_rad, -sent..=sent),
-    ])
+    let (desired_rad, sent_rad) = (bounds.steering_max_rad + ROUNDING, SENT_STEERING_MAX_RAD + ROUNDING);
+    within!(0.0..=bounds.velocity_max_mps + ROUNDING, actuation: desired_velocity_mps);
+    within!(-desired_rad..=desired_rad, actuation: desired_steering_rad);
+    within!(0.0..=SENT_VELOCITY_MAX_MPS + ROUNDING, actuation: sent_velocity_mps);
+    within!(-sent_rad..=sent_rad, actuation: sent_steering_rad);
+    Ok(())
 }
 
 /// The ranges of a scan, beyond its check.
 fn scan(scan: &Scan) -> Result<(), String> {
     let returns = (0..scan.ranges_mm.len()).filter_map(|beam| scan.range_m(beam));
-    let farthest = returns.fold(0.0, f64::max);
-    within(&[("range_m", farthest, 0.0..=65.0), ("period_ns", scan.period_ns as f64, 1e6..=10e9)])
+    inside("range_m", returns.fold(0.0, f64::max), 0.0..=65.0)?;
+    inside("period_ns", scan.period_ns as f64, 1e6..=10e9)
 }
 
 /// The ranges of an odometry sample.
 fn odometry(odometry: &Odometry) -> Result<(), String> {
-    within(&[
-        ("x_m", odometry.x_m, -1e6..=1e6),
-        ("y_m", odometry.y_m, -1e6..=1e6),
-        ("yaw_rad", odometry.yaw_rad, -3.2..=3.2),
-        ("speed_mps", odometry.speed_mps, -10.0..=10.0),
-        ("dt_s", odometry.dt_s, 0.0..=10.0),
-    ])
+    within!(-1e6..=1e6, odometry: x_m, y_m);
+    within!(-3.2..=3.2, odometry: yaw_rad);
+    within!(-10.0..=10.0, odometry: speed_mps);
+    within!(0.0..=10.0, odometry: dt_s);
+    Ok(())
 }

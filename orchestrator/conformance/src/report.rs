@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::case::{CaseOutcome, Entry, RequirementLevel, Trouble, Verdict};
 
 /// The result of one suite.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SuiteReport {
     /// Role that the implementation was tested in.
     pub role: String,
@@ -45,17 +45,7 @@ pub struct CaseReport {
 impl SuiteReport {
     /// A report without cases.
     pub(crate) fn new(role: &str, command: &str) -> Self {
-        let (role, command) = (role.to_owned(), command.to_owned());
-        Self {
-            role,
-            command,
-            passed: 0,
-            failed: 0,
-            not_recommended: 0,
-            not_observed: 0,
-            skipped: 0,
-            cases: Vec::new(),
-        }
+        Self { role: role.to_owned(), command: command.to_owned(), ..Self::default() }
     }
 
     /// Adds a case.
@@ -77,13 +67,8 @@ impl SuiteReport {
             (CaseOutcome::Failed, RequirementLevel::Required) => self.failed += 1,
             (CaseOutcome::Failed, RequirementLevel::Recommended) => self.not_recommended += 1,
         }
-        self.cases.push(CaseReport {
-            name: entry.name.clone(),
-            level: entry.level,
-            outcome,
-            reason,
-            requirement: entry.requirement.clone(),
-        });
+        let (name, requirement) = (entry.name.clone(), entry.requirement.clone());
+        self.cases.push(CaseReport { name, level: entry.level, outcome, reason, requirement });
         Ok(&self.cases[self.cases.len() - 1])
     }
 

@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex};
 
 use plan::settings;
 use runtime::{ClockKind, Domain, Realtime, RunSettings, Shutdown};
+use serde::Deserialize;
 use shared_types::Role;
 use supervision::lock::{SystemLock, clear};
 
@@ -30,7 +31,8 @@ pub(crate) struct Suite {
 }
 
 /// How a test bench is set up.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub(crate) struct Setup {
     /// The drive that is played.
     pub(crate) course: Course,
@@ -67,24 +69,19 @@ impl Suite {
         drives.insert(course, Arc::clone(&drive));
         Ok(drive)
     }
-}
 
-/// Writes the settings that a candidate finds.
-pub(super) fn write_settings(
-    domain: &Domain,
-    drive: &Drive,
-    setup: Setup,
-    player: Option<&player::PlayerConfig>,
-) -> anyhow::Result<()> {
-    let pipeline::PipelineSettings { scenario, tuning, period_ns } = &drive.settings;
-    let run = RunSettings {
-        period_ns: *period_ns,
-        clock: if setup.lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },
-        orphan_stop_ns: setup.orphan_ns,
-        orphan_timeout_ns: setup.orphan_ns,
-    };
-    let tuning = tuning.clone().for_scenario(scenario);
-    settings::write(domain, &run, &Realtime::default(), scenario, &tuning, player)
+    /// Writes the settings that a candidate finds.
+    pub(crate) fn write_settings(&self, domain: &Domain, drive: &Drive, setup: Setup) -> anyhow::Result<()> {
+        let pipeline::PipelineSettings { scenario, tuning, period_ns } = &drive.settings;
+        let run = RunSettings {
+            period_ns: *period_ns,
+            clock: if setup.lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },
+            orphan_stop_ns: setup.orphan_ns,
+            orphan_timeout_ns: setup.orphan_ns,
+        };
+        let tuning = tuning.clone().for_scenario(scenario);
+        settings::write(domain, &run, &Realtime::default(), scenario, &tuning, self.player.as_ref())
+    }
 }
 
 /// Removes what suites that were killed have left: systems that are named after a process which is gone.

@@ -21,11 +21,11 @@ use supervision::child::Child;
 use supervision::child_log::ChildLog;
 use supervision::lock::{Claim, SystemLock};
 
-use super::case::{Trouble, failed};
-use super::drive::Drive;
-use super::message::{Message, Received};
+use super::case::{Tried, Trouble, failed};
+use super::drive::{Course, Drive};
+use super::message::Message;
 use super::ports::{Publishers, Subscribers};
-use super::suite::{Setup, Suite, write_settings};
+use super::suite::{Setup, Suite};
 
 pub(crate) use robot::Order;
 
@@ -59,7 +59,7 @@ pub(crate) struct TestBench<'a> {
     /// What a robot was told last.
     pub(crate) last_actuation: Option<Message>,
     /// All that was received, oldest first.
-    pub(crate) received: Vec<Received>,
+    pub(crate) received: Vec<Message>,
     pub(crate) heartbeats: Vec<Heartbeat>,
     pub(crate) checkpoints: Vec<Checkpoint>,
     /// The scan that is played next.
@@ -87,31 +87,31 @@ pub(crate) struct TestBench<'a> {
 
 impl Suite {
     /// A test bench without a candidate yet.
-    pub(crate) fn bench(&self, setup: Setup) -> Result<TestBench<'_>, Trouble> {
-        let number = self.benches.fetch_add(1, Ordering::Relaxed);
-        Ok(TestBench::new(self, setup, number)?)
+    pub(crate) fn bench(&self, setup: Setup) -> Tried<TestBench<'_>> {
+        Ok(TestBench::new(self, setup)?)
     }
 
     /// A test bench whose candidate has started and waits for its first scan.
-    pub(crate) fn started(&self, setup: Setup) -> Result<TestBench<'_>, Trouble> {
+    pub(crate) fn started(&self, setup: Setup) -> Tried<TestBench<'_>> {
         let mut bench = self.bench(setup)?;
         bench.start()?;
         Ok(bench)
     }
 
-    /// A started test bench with a default setup that begins at this scan.
-    pub(crate) fn started_at(&self, first_scan: u64) -> Result<TestBench<'_>, Trouble> {
-        self.started(Setup { first_scan, ..Setup::default() })
+    /// A started test bench in real time that begins at this scan of a course.
+    pub(crate) fn started_on(&self, course: Course, first_scan: u64) -> Tried<TestBench<'_>> {
+        self.started(Setup { course, first_scan, ..Setup::default() })
     }
 }
 
 impl<'a> TestBench<'a> {
-    fn new(suite: &'a Suite, setup: Setup, number: u32) -> anyhow::Result<Self> {
+    fn new(suite: &'a Suite, setup: Setup) -> anyhow::Result<Self> {
+        let number = suite.benches.fetch_add(1, Ordering::Relaxed);
         let drive = Arc::new(suite.drive(setup.course)?.starting_at(setup.first_scan));
         let (domain, lock) = Claim::take_new(&format!("c{}-{number}", std::process::id()))?;
         let stop_word = StopWord::create(domain.run_id(), suite.period_ns)?;
         stop_word.hand_down()?;
-        write_settings(&domain, &drive, setup, suite.player.as_ref())?;
+        suite.write_settings(&domain, &drive, setup)?;
         let bus = Bus::create(&domain, suite.period_ns)?;
         let mut directive =
             Directive { orchestrator_pid: u64::from(std::process::id()), ..Directive::default() };
@@ -151,7 +151,7 @@ impl<'a> TestBench<'a> {
     }
 
     /// Publishes in which phase the system is.
-    pub(crate) fn announce(&mut self, phase: Phase) -> Result<(), Trouble> {
+    pub(crate) fn announce(&mut self, phase: Phase) -> Tried {
         if phase == Phase::Driving {
             self.begin();
         }
@@ -159,14 +159,14 @@ impl<'a> TestBench<'a> {
     }
 
     /// Changes the directive and publishes it at once.
-    pub(crate) fn direct(&mut self, change: impl FnOnce(&mut Directive)) -> Result<(), Trouble> {
+    pub(crate) fn direct(&mut self, change: impl FnOnce(&mut Directive)) -> Tried {
         change(&mut self.directive);
         self.dirty = true;
         self.turn()
     }
 
     /// Publishes the directive from now on as another orchestrator does: the sequence counts from 1 again.
-    pub(crate) fn renew_publisher(&mut self) -> Result<(), Trouble> {
+    pub(crate) fn renew_publisher(&mut self) -> Tried {
         self.directive_publisher = Publisher::new(&self.bus)?;
         self.direct(|directive| {
             directive.orchestrator_pid = u64::from(u32::MAX);
@@ -175,32 +175,30 @@ impl<'a> TestBench<'a> {
     }
 
     /// Receives for a number of scan periods.
-    pub(crate) fn receive_for(&mut self, periods: f64) -> Result<(), Trouble> {
+    pub(crate) fn receive_for(&mut self, periods: f64) -> Tried {
         self.until((periods * self.suite.period_ns as f64) as u64, |_| false).map(|_| ())
     }
 
     /// Receives until something holds, or for `limit_ns`; returns whether it holds.
-    pub(crate) fn until(
-        &mut self,
-        limit_ns: u64,
-        mut done: impl FnMut(&Self) -> bool,
-    ) -> Result<bool, Trouble> {
+    pub(crate) fn until(&mut self, limit_ns: u64, done: impl Fn(&Self) -> bool) -> Tried<bool> {
+        Ok(self.find(limit_ns, |bench| done(bench).then_some(()))?.is_some())
+    }
+
+    /// Receives until something is found, or for `limit_ns`.
+    pub(crate) fn find<T>(&mut self, limit_ns: u64, found: impl Fn(&Self) -> Option<T>) -> Tried<Option<T>> {
         let end_ns = monotonic_ns().saturating_add(limit_ns);
         loop {
             self.turn()?;
-            if done(self) {
-                return Ok(true);
-            }
-            let left_ns = end_ns.saturating_sub(monotonic_ns());
-            if left_ns == 0 {
-                return Ok(false);
+            let (found, left_ns) = (found(self), end_ns.saturating_sub(monotonic_ns()));
+            if found.is_some() || left_ns == 0 {
+                return Ok(found);
             }
             self.subscribers.wait(left_ns.min(POLL_NS));
         }
     }
 
     /// Publishes the directive when it is time, and takes all that was received.
-    pub(crate) fn turn(&mut self) -> Result<(), Trouble> {
+    pub(crate) fn turn(&mut self) -> Tried {
         if self.suite.shutdown.requested() {
             let message = "interrupted by a signal".to_owned();
             return Err(Trouble::Broken(Failure { exit: Exit::NotReached, message }.into()));
@@ -212,8 +210,7 @@ impl<'a> TestBench<'a> {
             self.directive_publisher.publish(&mut self.directive, self.dirty)?;
             (self.dirty, self.directive_ns) = (false, now);
         }
-        let received = &mut self.received;
-        self.subscribers.receive(|message| received.push(Received { message, at_ns: monotonic_ns() }))?;
+        self.subscribers.receive(|message| self.received.push(message))?;
         let own = |beat: &Heartbeat| beat.header.incarnation == self.incarnation;
         self.heartbeat_observer.poll(|beat| self.heartbeats.extend(own(beat).then_some(*beat)))?;
         self.checkpoint_observer.poll(|checkpoint| self.checkpoints.push(*checkpoint))?;
@@ -226,11 +223,8 @@ impl<'a> TestBench<'a> {
 
 /// Topics whose samples make a role answer a scan.
 pub(crate) fn inputs_of(role: Role) -> &'static [Topic] {
-    match role {
-        // It also reads what was sent to the robot, but does not answer that.
-        Role::Estimator => &[Topic::Odometry],
-        _ => role.reads(),
-    }
+    // An estimator also reads what was sent to the robot, but does not answer that.
+    if role == Role::Estimator { &[Topic::Odometry] } else { role.reads() }
 }
 
 /// The incarnation that the bench publishes as in place of a role.

@@ -2,10 +2,10 @@
 
 use std::fmt::Display;
 
-use runtime::RuntimeError;
-
 /// What was measured when the requirement is met, else why it is not.
-pub(crate) type Verdict = Result<String, Trouble>;
+pub(crate) type Verdict = Tried<String>;
+/// The result of a step of a case.
+pub(crate) type Tried<T = ()> = Result<T, Trouble>;
 
 /// Why a case did not pass.
 #[derive(Debug)]
@@ -20,32 +20,20 @@ pub(crate) enum Trouble {
     Broken(anyhow::Error),
 }
 
-impl From<anyhow::Error> for Trouble {
-    fn from(error: anyhow::Error) -> Self {
-        Self::Broken(error)
-    }
-}
-
-impl From<RuntimeError> for Trouble {
-    fn from(error: RuntimeError) -> Self {
-        Self::Broken(error.into())
-    }
-}
-
-impl From<std::io::Error> for Trouble {
-    fn from(error: std::io::Error) -> Self {
+impl<E: Into<anyhow::Error>> From<E> for Trouble {
+    fn from(error: E) -> Self {
         Self::Broken(error.into())
     }
 }
 
 /// Fails the case with `reason` unless `holds`.
-pub(crate) fn require(holds: bool, reason: impl FnOnce() -> String) -> Result<(), Trouble> {
+pub(crate) fn require<R: Display>(holds: bool, reason: impl FnOnce() -> R) -> Tried {
     if holds { Ok(()) } else { failed(reason()) }
 }
 
 /// Proves nothing, for `reason`, unless the case has `seen` what it is about.
-pub(crate) fn observed(seen: bool, reason: impl FnOnce() -> String) -> Result<(), Trouble> {
-    if seen { Ok(()) } else { Err(Trouble::NotObserved(reason())) }
+pub(crate) fn observed<R: Display>(seen: bool, reason: impl FnOnce() -> R) -> Tried {
+    if seen { Ok(()) } else { Err(Trouble::NotObserved(reason().to_string())) }
 }
 
 /// What was measured: the case passes with it if the requirement `holds`, else it fails with it.
@@ -54,11 +42,6 @@ pub(crate) fn passed_if(holds: bool, measured: String) -> Verdict {
 }
 
 /// Fails the case.
-pub(crate) fn failed<T>(reason: impl Display) -> Result<T, Trouble> {
+pub(crate) fn failed<T>(reason: impl Display) -> Tried<T> {
     Err(Trouble::Failed(reason.to_string()))
-}
-
-/// Leaves the case out.
-pub(crate) fn skipped<T>(reason: impl Display) -> Result<T, Trouble> {
-    Err(Trouble::Skipped(reason.to_string()))
 }

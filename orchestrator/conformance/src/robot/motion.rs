@@ -1,10 +1,11 @@
 //! How a robot obeys actuations: which move it, and what it does without one.
 
+use std::iter::repeat_n;
+
 use shared_types::{Actuation, Odometry};
 
-use super::{SCANS, next, odometry};
-use crate::case::{Trouble, Verdict, failed, passed_if, require};
-use crate::suite::{Setup, Suite};
+use super::SCANS;
+use crate::case::{Tried, Verdict, passed_if, require};
 use crate::test_bench::{FOREIGN, Order, TestBench};
 
 /// Below this speed the robot is at rest [m/s].
@@ -13,127 +14,105 @@ const STANDSTILL_MPS: f64 = 1e-3;
 const STOPPING_NS: u64 = 500_000_000;
 /// Straight on.
 pub(super) const FORWARD: Order = Order::Drive(0.7, 0.0);
+/// Plays a scan.
+type Round<'a> = dyn FnMut(&mut TestBench<'_>) -> Tried<Odometry> + 'a;
 
-pub(super) fn drives(suite: &Suite) -> Verdict {
-    let mut bench = suite.started(Setup::default())?;
+/// Changes that make nonsense of an actuation.
+const NONSENSE: [fn(&mut Actuation); 5] = [
+    |actuation| actuation.sent_velocity_mps = f64::NAN,
+    |actuation| actuation.sent_velocity_mps = 50.0,
+    |actuation| actuation.sent_velocity_mps = -1.0,
+    |actuation| actuation.sent_steering_rad = 3.0,
+    |actuation| actuation.kind = 77,
+];
+
+pub(crate) fn drives(bench: &mut TestBench<'_>) -> Verdict {
     bench.order = Order::Drive(0.7, 0.05);
-    let all = odometry(&mut bench, 2 * SCANS)?;
+    let all: Vec<Odometry> = bench.samples(2 * SCANS)?;
     let (first, last) = (&all[0], &all[all.len() - 1]);
     let (x_m, yaw_rad) = (last.x_m - first.x_m, last.yaw_rad - first.yaw_rad);
-    passed_if(
-        last.speed_mps > 0.1 && x_m > 0.0 && yaw_rad > 0.0,
-        format!("{:.2} m/s, {x_m:.2} m forward, {yaw_rad:.3} rad to the left", last.speed_mps),
-    )
+    let way = format!("{x_m:.2} m forward, {yaw_rad:.3} rad to the left");
+    let is_right = last.speed_mps > 0.1 && x_m > 0.0 && yaw_rad > 0.0;
+    passed_if(is_right, format!("{:.2} m/s, {way}", last.speed_mps))
 }
 
-pub(super) fn blocks(suite: &Suite) -> Verdict {
-    let mut bench = driving(suite)?;
+pub(crate) fn blocks(bench: &mut TestBench<'_>) -> Verdict {
     bench.order = Order::Block;
-    let speeds = speeds_for(&mut bench, STOPPING_NS, next)?;
-    let rising = speeds.windows(2).any(|pair| pair[1] > pair[0] + STANDSTILL_MPS);
+    let speeds = speeds_for(bench, STOPPING_NS, &mut next)?;
+    let rising = speeds.array_windows().any(|[before, now]| *now > before + STANDSTILL_MPS);
     require(!rising, || format!("its speed rises with blocked wheels: {speeds:?}"))?;
     is_at_rest(&speeds, "after blocking the wheels")
 }
 
-pub(super) fn dead_man(suite: &Suite) -> Verdict {
-    let mut bench = driving(suite)?;
-    stops_without_orders(&mut bench, "after two periods without an actuation", next)
+pub(crate) fn dead_man(bench: &mut TestBench<'_>) -> Verdict {
+    stops_without_orders(bench, "after two periods without an actuation", &mut next)
 }
 
-pub(super) fn authority(suite: &Suite) -> Verdict {
-    let mut bench = standing(suite)?;
-    for _ in 0..8 {
-        publish_changed(&mut bench, |actuation| actuation.header.incarnation = FOREIGN)?;
-    }
-    has_not_moved(&mut bench, "an actuation without authority")?;
-    moves_when_told(&mut bench)
+pub(crate) fn authority(bench: &mut TestBench<'_>) -> Verdict {
+    let disown = |actuation: &mut Actuation| actuation.header.incarnation = FOREIGN;
+    ignores(bench, "an actuation without authority", 8, &[disown])
 }
 
-pub(super) fn nonsense(suite: &Suite) -> Verdict {
-    let mut bench = standing(suite)?;
-    let kinds: [fn(&mut Actuation); 5] = [
-        |actuation| actuation.sent_velocity_mps = f64::NAN,
-        |actuation| actuation.sent_velocity_mps = 50.0,
-        |actuation| actuation.sent_velocity_mps = -1.0,
-        |actuation| actuation.sent_steering_rad = 3.0,
-        |actuation| actuation.kind = 77,
-    ];
-    for kind in kinds {
-        publish_changed(&mut bench, kind)?;
-        publish_changed(&mut bench, kind)?;
-    }
-    has_not_moved(&mut bench, "nonsense")?;
-    moves_when_told(&mut bench)?;
-    let mut kinds = kinds.iter().cycle();
-    stops_without_orders(&mut bench, "with nothing but nonsense for two periods", |bench| {
-        kinds.next().map_or_else(|| failed("no nonsense"), |kind| publish_changed(bench, kind))
+pub(crate) fn nonsense(bench: &mut TestBench<'_>) -> Verdict {
+    ignores(bench, "nonsense", 2, &NONSENSE)?;
+    let mut scans = 0;
+    stops_without_orders(bench, "with nothing but nonsense for two periods", &mut |bench| {
+        scans += 1;
+        publish_changed(bench, NONSENSE[(scans - 1) % NONSENSE.len()])
     })
 }
 
-pub(super) fn repeated(suite: &Suite) -> Verdict {
-    let mut bench = driving(suite)?;
+pub(crate) fn repeated(bench: &mut TestBench<'_>) -> Verdict {
     let again = bench.last_actuation.clone();
-    stops_without_orders(&mut bench, "with nothing but the same actuation for two periods", |bench| {
+    stops_without_orders(bench, "with nothing but the same actuation for two periods", &mut |bench| {
         let odometry = next(bench)?;
         again.iter().try_for_each(|again| bench.publish_exactly(again))?;
         Ok(odometry)
     })?;
-    let old_ns = 5 * suite.period_ns;
-    for _ in 0..5 {
-        publish_changed(&mut bench, |actuation| actuation.header.acquired_ns -= old_ns)?;
-    }
-    has_not_moved(&mut bench, "an actuation five periods old")?;
-    moves_when_told(&mut bench)
+    let age = |actuation: &mut Actuation| actuation.header.acquired_ns -= 5 * bench.suite.period_ns;
+    ignores(bench, "an actuation five periods old", 5, &[age])
 }
 
-/// A robot that drives.
-pub(super) fn driving(suite: &Suite) -> Result<TestBench<'_>, Trouble> {
-    let mut bench = suite.started(Setup::default())?;
-    moves_when_told(&mut bench)?;
-    Ok(bench)
+/// Requires that the robot drives as it is told to.
+pub(crate) fn driving(bench: &mut TestBench<'_>) -> Tried {
+    moves_when_told(bench).map(|_| ())
 }
 
-/// A robot that has not received any actuation yet.
-fn standing(suite: &Suite) -> Result<TestBench<'_>, Trouble> {
-    let mut bench = suite.started(Setup::default())?;
+/// Waits for the first scan of a robot that has not received any actuation yet.
+pub(crate) fn standing(bench: &mut TestBench<'_>) -> Tried {
     bench.order = Order::Silence;
-    bench.round()?;
-    Ok(bench)
+    bench.round().map(|_| ())
+}
+
+/// Passes when a robot at rest does not move because of changed actuations to drive, but because of good ones.
+fn ignores(bench: &mut TestBench<'_>, what: &str, times: usize, bad: &[impl Fn(&mut Actuation)]) -> Verdict {
+    for change in bad.iter().flat_map(|change| repeat_n(change, times)) {
+        publish_changed(bench, change)?;
+    }
+    bench.order = Order::Silence;
+    let speed = bench.samples::<Odometry>(2)?[1].speed_mps;
+    require(speed.abs() <= STANDSTILL_MPS, || format!("{speed:.3} m/s after {what}"))?;
+    moves_when_told(bench)
 }
 
 /// Passes when the robot drives as it is told to.
 fn moves_when_told(bench: &mut TestBench<'_>) -> Verdict {
     bench.order = FORWARD;
-    let speed = odometry(bench, 8)?[7].speed_mps;
+    let speed = bench.samples::<Odometry>(8)?[7].speed_mps;
     require(speed > 0.1, || format!("{speed:.3} m/s after eight actuations to drive"))?;
     Ok(format!("{speed:.2} m/s"))
 }
 
-/// Requires that the robot has not moved.
-fn has_not_moved(bench: &mut TestBench<'_>, what: &str) -> Result<(), Trouble> {
-    bench.order = Order::Silence;
-    let speed = odometry(bench, 2)?[1].speed_mps;
-    require(speed.abs() <= STANDSTILL_MPS, || format!("{speed:.3} m/s after {what}"))
-}
-
 /// Passes when the robot, without an actuation that counts, blocks its wheels after two periods.
-fn stops_without_orders(
-    bench: &mut TestBench<'_>,
-    when: &str,
-    round: impl FnMut(&mut TestBench<'_>) -> Result<Odometry, Trouble>,
-) -> Verdict {
+fn stops_without_orders(bench: &mut TestBench<'_>, when: &str, round: &mut Round<'_>) -> Verdict {
     bench.order = Order::Silence;
     let after_ns = 2 * bench.suite.period_ns + STOPPING_NS;
     is_at_rest(&speeds_for(bench, after_ns, round)?, when)
 }
 
 /// Speeds of rounds until `duration_ns` after the next scan [m/s].
-fn speeds_for(
-    bench: &mut TestBench<'_>,
-    duration_ns: u64,
-    mut round: impl FnMut(&mut TestBench<'_>) -> Result<Odometry, Trouble>,
-) -> Result<Vec<f64>, Trouble> {
-    let until_ns = bench.round()?.at_ns + duration_ns;
+fn speeds_for(bench: &mut TestBench<'_>, duration_ns: u64, round: &mut Round<'_>) -> Tried<Vec<f64>> {
+    let until_ns = bench.round()?.received_ns + duration_ns;
     let mut speeds = Vec::new();
     loop {
         let odometry = round(bench)?;
@@ -144,6 +123,11 @@ fn speeds_for(
     }
 }
 
+/// The odometry of the next round.
+fn next(bench: &mut TestBench<'_>) -> Tried<Odometry> {
+    bench.round()?.sample().copied()
+}
+
 /// Passes when the last of the speeds is standstill.
 fn is_at_rest(speeds: &[f64], when: &str) -> Verdict {
     let (first, last) = (speeds[0], speeds[speeds.len() - 1]);
@@ -151,12 +135,12 @@ fn is_at_rest(speeds: &[f64], when: &str) -> Verdict {
 }
 
 /// One scan, answered by a changed actuation to drive.
-fn publish_changed(bench: &mut TestBench<'_>, change: impl Fn(&mut Actuation)) -> Result<Odometry, Trouble> {
+fn publish_changed(bench: &mut TestBench<'_>, change: impl Fn(&mut Actuation)) -> Tried<Odometry> {
     bench.order = Order::Silence;
     let received = bench.round()?;
-    if let Some(mut message) = bench.actuation(&received.message, FORWARD) {
+    if let Some(mut message) = bench.actuation(&received, FORWARD) {
         message.change(change);
         bench.publish(&mut message)?;
     }
-    received.message.sample().copied()
+    received.sample().copied()
 }

@@ -1,10 +1,10 @@
 //! Rounds of a robot: it publishes a scan and is told what to do.
 
 use runtime::monotonic_ns;
-use shared_types::{Actuation, ActuationKind, Role};
+use shared_types::{Actuation, ActuationKind, Role, Topic};
 
 use super::play::stamps_at;
-use super::{ANSWER_NS, Message, Received, TestBench, Trouble, incarnation_of};
+use super::{ANSWER_NS, Message, TestBench, Tried, incarnation_of};
 
 /// What the test bench tells a robot after each scan.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,21 +19,19 @@ pub(crate) enum Order {
 
 impl TestBench<'_> {
     /// Waits for the next odometry, which is returned, and answers it with the order.
-    pub(super) fn robot_round(&mut self) -> Result<Received, Trouble> {
+    pub(super) fn robot_round(&mut self) -> Tried<Message> {
         let last = self.scan_id - 1;
-        let is_new = |received: &&Received| {
-            matches!(received.message, Message::Odometry(_)) && received.message.scan_id() > last
-        };
+        let is_new = |received: &&Message| received.topic() == Topic::Odometry && received.scan_id() > last;
         if self.setup.lockstep {
             self.directive.granted_scan = self.scan_id;
             self.dirty = true;
         }
-        self.until(ANSWER_NS, |bench| bench.received.iter().any(|received| is_new(&received)))?;
-        let Some(odometry) = self.received.iter().rev().find(is_new).cloned() else {
+        let odometry = self.find(ANSWER_NS, |bench| bench.received.iter().rev().find(is_new).cloned())?;
+        let Some(odometry) = odometry else {
             return self.no_answer(&format!("scan after scan {last}"));
         };
-        self.scan_id = odometry.message.scan_id() + 1;
-        if let Some(mut actuation) = self.actuation(&odometry.message, self.order) {
+        self.scan_id = odometry.scan_id() + 1;
+        if let Some(mut actuation) = self.actuation(&odometry, self.order) {
             self.publish(&mut actuation)?;
             self.last_actuation = Some(actuation);
         }
@@ -53,15 +51,9 @@ impl TestBench<'_> {
         for role in [Role::Estimator, Role::Obstacles, Role::Controller, Role::Actuator] {
             *header.stage_mut(role) = stamps_at(now);
         }
-        Some(Message::Actuation(Box::new(Actuation {
-            header,
-            kind: kind.wire(),
-            answers: 1,
-            desired_velocity_mps: velocity,
-            desired_steering_rad: steering,
-            sent_velocity_mps: velocity,
-            sent_steering_rad: steering,
-            ..Actuation::default()
-        })))
+        let mut actuation = Actuation { header, kind: kind.wire(), answers: 1, ..Actuation::default() };
+        (actuation.desired_velocity_mps, actuation.desired_steering_rad) = (velocity, steering);
+        (actuation.sent_velocity_mps, actuation.sent_steering_rad) = (velocity, steering);
+        Some(Message::new(&actuation))
     }
 }
