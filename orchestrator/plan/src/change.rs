@@ -6,7 +6,6 @@ use console::exit::Failure;
 use emulator::Scenario;
 use runtime::{Domain, RuntimeError, own_settings_file, settings_file, settings_table};
 use serde::Serialize;
-use serde::de::DeserializeOwned;
 use shared_types::{Role, did_you_mean};
 use toml::{Table, Value};
 use vehicle::{Invalid, Setting, read};
@@ -174,7 +173,7 @@ fn checked(role: Role, file: &Table, rate_hz: f64) -> anyhow::Result<Value> {
 }
 
 /// The table as its struct writes it, checked.
-fn reread<T: DeserializeOwned + Serialize>(
+fn reread<T: Setting + Serialize>(
     name: &str,
     table: Table,
     validate: impl Fn(&T) -> Result<(), Invalid>,

@@ -94,6 +94,12 @@ impl System {
         Ok(system)
     }
 
+    /// The table that reads back as this system.
+    pub fn to_table(&self) -> Table {
+        // Numbers, texts and tables with text keys can always be written.
+        Table::try_from(self).unwrap_or_default()
+    }
+
     /// Whether the built-in emulator is the robot, so that the scenario describes it.
     pub fn emulates_robot(&self) -> bool {
         let mut robots = self.roles().filter(|entry| entry.role() == Role::Robot);

@@ -6,6 +6,7 @@ use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use console::exit::Failure;
+use runtime::OwnTopics;
 use shared_types::{Difference, Field, Layouts, NotALayout, Role, TOPICS, Topic};
 
 use crate::foxglove::{CHANNELS, LOG, LogLine, log_line};
@@ -287,7 +288,7 @@ impl Recording {
 
 /// The topics that the recorded system has added to those of the loop.
 fn own_topics(contents: &Contents) -> Vec<OwnTopic> {
-    let table = attachment(contents, runtime::TOPICS_FILE).and_then(|text| toml::from_str(text).ok());
+    let table = attachment(contents, runtime::TOPICS_FILE).and_then(|text| OwnTopics::recorded(text));
     table.as_ref().map_or_else(Vec::new, OwnTopic::all)
 }
 

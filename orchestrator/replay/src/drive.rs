@@ -15,13 +15,13 @@ use recording::Recording;
 use recording::mcap::Contents;
 use recording::read::{attachment, metadata, settings_of};
 use runtime::{monotonic_ns, settings_file, wait_for};
-use serde::Deserialize;
+
 use serde::de::DeserializeOwned;
 use shared_types::{
     Actuation, Authority, Checkpoint, ClockOffset, Command, Directive, Header, Journal, JournalEntry,
     JournalKind, Obstacles, Odometry, Pose, ROLES, Role, Sample, Scan, Topic, Truth, topics_of,
 };
-use supervision::entry::{ProcessEntry, ProcessRow};
+use supervision::entry::{ProcessEntry, ProcessRow, recorded_processes};
 use toml::Table;
 
 pub(crate) use self::clocks::{Clocks, moved};
@@ -61,12 +61,6 @@ pub struct ReplayDrive {
     other_layouts: Vec<shared_types::Difference>,
     /// When the first scan was replayed, and when it was acquired, in a replay in real time [ns].
     pace_ns: Option<[u64; 2]>,
-}
-
-#[derive(Debug, Deserialize)]
-struct Processes {
-    #[serde(default)]
-    process: Vec<ProcessRow>,
 }
 
 impl ReplayDrive {
@@ -123,9 +117,9 @@ impl ReplayDrive {
         drive.last_scan = last_scan.filter(|scan| drive.simulated && *scan > 0);
         for attached in contents.attachments.iter().filter(|attached| attached.name.starts_with("processes-"))
         {
-            let processes = toml::from_slice::<Processes>(&attached.data)
+            let processes = recorded_processes(&attached.data)
                 .map_err(|error| refuse(format!("{}: {error}", attached.name)))?;
-            drive.note_processes(processes.process);
+            drive.note_processes(processes);
         }
         Ok(())
     }

@@ -15,18 +15,20 @@ use runtime::{Domain, OwnTopics, PROCESSES_FILE};
 use serde::{Deserialize, Serialize};
 use shared_types::{Authority, ROLES, Role};
 use supervision::entry::{ProcessEntry, ProcessRow, role_name};
+use toml::{Table, Value};
+use vehicle::{of_text, text_of};
 
 const RUN_FILE: &str = "run.toml";
 
 /// The run: scenario, system and options.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 pub(crate) struct RunFile {
     /// Where the results are written.
     pub out: PathBuf,
     /// Whether time is simulated.
     pub lockstep: bool,
     /// Driven time after which the run ends [s].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default)]
     pub duration_s: Option<f64>,
     /// The process table with all settings.
     pub system: System,
@@ -108,7 +110,7 @@ impl ProcessRegistry {
     /// # Errors
     /// Those of the file system.
     pub(crate) fn write(&self, domain: &Domain) -> anyhow::Result<()> {
-        write(domain, PROCESSES_FILE, self)
+        Ok(domain.folder().write(PROCESSES_FILE, text_of(self)?.as_bytes())?)
     }
 
     /// Whose samples count.
@@ -141,7 +143,14 @@ impl RunFile {
     /// # Errors
     /// Those of the file system.
     pub(crate) fn write(&self, domain: &Domain) -> anyhow::Result<()> {
-        write(domain, RUN_FILE, self)
+        let Self { out, lockstep, duration_s, system, scenario } = self;
+        let mut table = Table::new();
+        table.insert("out".to_owned(), Value::try_from(out)?);
+        table.insert("lockstep".to_owned(), (*lockstep).into());
+        table.extend(duration_s.map(|time_s| ("duration_s".to_owned(), time_s.into())));
+        table.insert("system".to_owned(), system.to_table().into());
+        table.insert("scenario".to_owned(), scenario.to_table().into());
+        Ok(domain.folder().write(RUN_FILE, table.to_string().as_bytes())?)
     }
 
     /// Reads the options of a run, and its plan.
@@ -174,11 +183,7 @@ pub fn driven_system(domain: &Domain) -> anyhow::Result<(System, bool)> {
 
 fn read<T: serde::de::DeserializeOwned>(domain: &Domain, name: &str) -> anyhow::Result<T> {
     let text = domain.folder().read_text(name)?;
-    toml::from_str(&text).with_context(|| format!("{}", domain.directory().join(name).display()))
-}
-
-fn write(domain: &Domain, name: &str, content: &impl Serialize) -> anyhow::Result<()> {
-    Ok(domain.folder().write(name, toml::to_string(content)?.as_bytes())?)
+    of_text(&text).with_context(|| format!("{}", domain.directory().join(name).display()))
 }
 
 #[cfg(test)]

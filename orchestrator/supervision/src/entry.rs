@@ -3,7 +3,7 @@
 use runtime::Identity;
 use serde::{Deserialize, Serialize};
 use shared_types::{Role, did_you_mean};
-use vehicle::{Invalid, settings};
+use vehicle::{Invalid, of_text, settings};
 
 use crate::keeper::KeeperPolicy;
 use crate::supervisor::{ProcessPolicy, Restart};
@@ -76,6 +76,20 @@ pub struct ProcessRow {
     pub identity: Identity,
     /// How it was started.
     pub entry: ProcessEntry,
+}
+
+/// The processes in a file that the orchestrator has written, `processes-*.toml` of a recording.
+///
+/// # Errors
+/// What is wrong with a damaged file.
+pub fn recorded_processes(file: &[u8]) -> Result<Vec<ProcessRow>, String> {
+    #[derive(Deserialize)]
+    struct Processes {
+        #[serde(default)]
+        process: Vec<ProcessRow>,
+    }
+    let text = str::from_utf8(file).map_err(|error| error.to_string())?;
+    of_text(text).map(|file: Processes| file.process).map_err(|error| error.to_string())
 }
 
 /// Built-in implementations: name, and the role that each fills.

@@ -8,7 +8,6 @@ mod endless;
 mod obstacle;
 mod places;
 mod preset;
-mod read;
 mod robot;
 mod scanner;
 mod shipped;
@@ -98,7 +97,7 @@ impl Scenario {
     /// # Errors
     /// The first key that is not allowed.
     pub fn checked(table: toml::Table) -> Result<Self, Invalid> {
-        let scenario = read::scenario(table)?;
+        let scenario: Self = vehicle::read(table)?;
         scenario.validate()?;
         Ok(scenario)
     }
@@ -108,7 +107,7 @@ impl Scenario {
     /// # Errors
     /// One message with key, value and allowed range.
     pub fn with(&self, changes: &toml::Table) -> Result<Self, ScenarioError> {
-        let mut table = self.to_toml().parse().unwrap_or_default();
+        let mut table = self.to_table();
         merge(&mut table, changes);
         Self::from_table(table, "fault")
     }
@@ -127,6 +126,11 @@ impl Scenario {
     pub fn to_toml(&self) -> String {
         // Numbers, texts and tables with text keys can always be written.
         toml::to_string(self).unwrap_or_default()
+    }
+
+    /// [`Self::to_toml`] as a table.
+    pub fn to_table(&self) -> toml::Table {
+        toml::Table::try_from(self).unwrap_or_default()
     }
 
     /// Checks every number and that start, goal and obstacles fit together.

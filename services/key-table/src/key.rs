@@ -6,7 +6,7 @@ use serde::de::{DeserializeOwned, IntoDeserializer};
 use toml::Value;
 
 use crate::rule::number;
-use crate::{Invalid, KeyRule};
+use crate::{Invalid, KeyRule, read};
 
 /// One key of a table.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -48,6 +48,15 @@ impl Key {
 
 /// The type of a key: a value or a table.
 pub trait Setting: DeserializeOwned {
+    /// The value that a file has at the key `path`, with names and types checked, rules not yet. It is no generic function
+    /// of a reader, so that a table is compiled once, in its own crate.
+    ///
+    /// # Errors
+    /// [`Invalid`] with the first key that does not exist or has a value of another type.
+    fn from_value(path: &str, value: Value) -> Result<Self, Invalid> {
+        read::deserialize(path, value)
+    }
+
     /// Passes when all values of a table are allowed.
     ///
     /// # Errors
@@ -79,15 +88,25 @@ pub fn require_key<T: Setting>(name: &str, value: &T, rules: &[&dyn KeyRule<T>])
     rules.iter().try_for_each(|rule| rule.require(name, value))
 }
 
-impl Setting for bool {}
-impl Setting for f64 {}
-impl Setting for u32 {}
-impl Setting for u64 {}
-impl Setting for usize {}
-impl Setting for String {}
+macro_rules! plain {
+    ($($type:ty),*) => {
+        $(impl Setting for $type {
+            fn from_value(path: &str, value: Value) -> Result<Self, Invalid> {
+                read::deserialize(path, value)
+            }
+        })*
+    };
+}
+plain!(bool, f64, u32, u64, usize, String);
+
 impl<const N: usize> Setting for [f64; N] where Self: DeserializeOwned {}
 
 impl<T: Setting> Setting for Vec<T> {
+    fn from_value(path: &str, value: Value) -> Result<Self, Invalid> {
+        let values = read::elements(path, value, !T::keys().is_empty())?;
+        values.enumerate().map(|(index, value)| T::from_value(&format!("{path}[{index}]"), value)).collect()
+    }
+
     fn require_all(&self, name: &str) -> Result<(), Invalid> {
         self.iter().enumerate().try_for_each(|(index, value)| value.require_all(&format!("{name}[{index}]")))
     }
@@ -102,6 +121,10 @@ impl<T: Setting> Setting for Vec<T> {
 }
 
 impl<T: Setting> Setting for Option<T> {
+    fn from_value(path: &str, value: Value) -> Result<Self, Invalid> {
+        T::from_value(path, value).map(Some)
+    }
+
     fn require_all(&self, name: &str) -> Result<(), Invalid> {
         self.iter().try_for_each(|value| value.require_all(name))
     }

@@ -11,6 +11,10 @@ mod settings;
 
 pub use invalid::{Invalid, require};
 pub use key::{Key, Setting, require_key, toml_text};
-pub use read::{ForeignLetter, parse, read, toml_fault};
+pub use read::{ForeignLetter, of_text, parse, read, text_of, toml_fault};
+#[doc(hidden)]
+pub use read::{entries, unknown};
 pub use rule::{Ascending, KeyRule, Numeric};
 pub use shared_types::did_you_mean;
+#[doc(hidden)]
+pub use toml::Value;

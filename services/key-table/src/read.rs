@@ -2,10 +2,11 @@
 
 use std::fmt;
 
+use serde::Serialize;
 use serde::de::DeserializeOwned;
 use toml::{Table, Value};
 
-use crate::{Invalid, did_you_mean};
+use crate::{Invalid, Setting, did_you_mean};
 
 /// The table in a TOML text.
 ///
@@ -89,20 +90,88 @@ impl fmt::Display for ForeignLetter {
 ///
 /// # Errors
 /// [`Invalid`] with the first key that does not exist or has a value of another type.
-pub fn read<T: DeserializeOwned>(table: Table) -> Result<T, Invalid> {
-    let shown = table.clone();
-    serde_path_to_error::deserialize(Value::Table(table)).map_err(|error| {
-        let key = error.path().to_string();
-        let value = value_at(&shown, &key).map_or_else(String::new, ToString::to_string);
-        Invalid::new(&key, value, allowed(&key, error.inner().message()))
-    })
+pub fn read<T: Setting>(table: Table) -> Result<T, Invalid> {
+    T::from_value("", Value::Table(table))
 }
 
-/// The value at a path like `controller.weights.x` or `process[2].role`.
-fn value_at<'a>(table: &'a Table, path: &str) -> Option<&'a Value> {
-    let mut parts = path.split(['.', '[']).map(|part| part.trim_end_matches(']'));
-    let first = table.get(parts.next()?)?;
-    parts.try_fold(first, |value, part| match value {
+/// What the program itself has written by [`text_of`]. An error has no line, and no key.
+///
+/// # Errors
+/// What the parser reports.
+pub fn of_text<T: DeserializeOwned>(text: &str) -> Result<T, toml::de::Error> {
+    T::deserialize(Value::Table(text.parse()?))
+}
+
+/// A value as a file that no user writes, with sorted keys.
+///
+/// # Errors
+/// A value that is no table, and a key without a value.
+pub fn text_of(value: &impl Serialize) -> Result<String, toml::ser::Error> {
+    Table::try_from(value).map(|table| table.to_string())
+}
+
+/// A value as serde reads it, with the key in its error.
+pub(crate) fn deserialize<T: DeserializeOwned>(path: &str, value: Value) -> Result<T, Invalid> {
+    let shown = value.clone();
+    serde_path_to_error::deserialize(value)
+        .map_err(|error| refuse(path, &shown, &error.path().to_string(), error.inner().message()))
+}
+
+/// What serde reports of a value at `path`, or of what stands `below` it.
+fn refuse(path: &str, value: &Value, below: &str, message: &str) -> Invalid {
+    let below = below.trim_end_matches('.');
+    let found = value_at(value, below).map_or_else(String::new, ToString::to_string);
+    let separator = if path.is_empty() || below.is_empty() || below.starts_with('[') { "" } else { "." };
+    let key = format!("{path}{separator}{below}");
+    let allowed = allowed(&key, message);
+    Invalid::new(&key, found, allowed)
+}
+
+/// The keys of a table of settings with their values, each with its whole path.
+///
+/// # Errors
+/// [`Invalid`] for a value that is no table.
+#[doc(hidden)]
+pub fn entries(path: &str, value: Value) -> Result<impl Iterator<Item = (String, String, Value)>, Invalid> {
+    let Value::Table(table) = value else {
+        return Err(Invalid::new(path, &value, format!("a table [{path}]")));
+    };
+    let separator = if path.is_empty() { "" } else { "." };
+    let at = format!("{path}{separator}");
+    Ok(table.into_iter().map(move |(key, value)| (format!("{at}{key}"), key, value)))
+}
+
+/// The elements of a list.
+pub(crate) fn elements(
+    path: &str,
+    value: Value,
+    has_tables: bool,
+) -> Result<impl Iterator<Item = Value>, Invalid> {
+    match value {
+        Value::Array(values) => Ok(values.into_iter()),
+        value if has_tables => Err(Invalid::new(path, &value, format!("tables [[{path}]]"))),
+        value => Err(Invalid::new(path, &value, "a sequence")),
+    }
+}
+
+/// The error for a key that a table of settings does not have.
+#[doc(hidden)]
+pub fn unknown(path: &str, key: &str, value: &Value, names: &[&str]) -> Invalid {
+    let quoted: Vec<String> = names.iter().map(|name| format!("`{name}`")).collect();
+    let expected = match quoted.as_slice() {
+        [one] => one.clone(),
+        [one, other] => format!("{one} or {other}"),
+        several => format!("one of {}", several.join(", ")),
+    };
+    let meant = did_you_mean(key, names.iter().copied());
+    Invalid::new(path, value, format!("the key is unknown.{meant} Expected {expected}"))
+}
+
+/// The value at a path like `weights.x` or `[2].role`.
+fn value_at<'a>(value: &'a Value, path: &str) -> Option<&'a Value> {
+    let mut parts =
+        path.split(['.', '[']).map(|part| part.trim_end_matches(']')).filter(|part| !part.is_empty());
+    parts.try_fold(value, |value, part| match value {
         Value::Array(items) => items.get(part.parse::<usize>().ok()?),
         value => value.get(part),
     })

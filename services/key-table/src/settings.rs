@@ -20,8 +20,7 @@ macro_rules! settings {
         }
     ) => {
         $(#[$meta])*
-        #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
-        #[serde(default, deny_unknown_fields)]
+        #[derive(Debug, Clone, PartialEq, serde::Serialize)]
         $vis struct $name {
             $($(#[doc = $doc])* $(#[serde(rename = $rename)])? $key_vis $key: $type,)*
         }
@@ -47,7 +46,28 @@ macro_rules! settings {
             }
         }
 
+        impl<'de> serde::Deserialize<'de> for $name {
+            fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+                let value = <$crate::Value as serde::Deserialize>::deserialize(deserializer)?;
+                <Self as $crate::Setting>::from_value("", value).map_err(serde::de::Error::custom)
+            }
+        }
+
         impl $crate::Setting for $name {
+            fn from_value(path: &str, value: $crate::Value) -> Result<Self, $crate::Invalid> {
+                const NAMES: &[&str] = &[$([$($rename,)? stringify!($key)][0]),*];
+                let mut settings = Self::default();
+                for (path, key, value) in $crate::entries(path, value)? {
+                    match key.as_str() {
+                        $(name if name == [$($rename,)? stringify!($key)][0] => {
+                            settings.$key = <$type as $crate::Setting>::from_value(&path, value)?;
+                        })*
+                        _ => return Err($crate::unknown(&path, &key, &value, NAMES)),
+                    }
+                }
+                Ok(settings)
+            }
+
             fn require_all(&self, name: &str) -> Result<(), $crate::Invalid> {
                 self.require_ranges().map_err(|error| error.within(name))
             }

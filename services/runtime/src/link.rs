@@ -3,6 +3,7 @@
 //! Two files in the directory of the system: the table says what the link does, the status what it finds. Between the
 //! processes of a host and its link messages travel over datagram sockets in the same directory.
 
+use key_table::{of_text, text_of};
 use serde::{Deserialize, Serialize};
 
 use crate::domain::LINK_STATUS_FILE;
@@ -227,7 +228,7 @@ impl LinkedHost {
 
     /// What another host has written; `None` when it is damaged.
     pub fn of_text(text: &str) -> Option<Self> {
-        toml::from_str(text).ok()
+        of_text(text).ok()
     }
 }
 
@@ -247,12 +248,12 @@ pub fn reply_socket(incarnation: u32) -> String {
 
 fn text(value: &impl Serialize) -> String {
     // Tables of texts, numbers and lists: TOML can write all of them.
-    toml::to_string(value).unwrap_or_default()
+    text_of(value).unwrap_or_default()
 }
 
 fn read<T: serde::de::DeserializeOwned>(domain: &Domain, name: &str) -> Result<T, RuntimeError> {
     let text = domain.folder().read_text(name)?;
-    toml::from_str(&text).map_err(|error| RuntimeError::settings(domain.directory().join(name), error))
+    of_text(&text).map_err(|error| RuntimeError::settings(domain.directory().join(name), error))
 }
 
 #[cfg(test)]

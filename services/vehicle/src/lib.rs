@@ -19,8 +19,8 @@ pub mod tyre;
 pub use bounds::Bounds;
 pub use description::Description;
 pub use key_table::{
-    Ascending, Invalid, Key, KeyRule, Setting, did_you_mean, parse, read, require, settings, toml_fault,
-    toml_text,
+    Ascending, Invalid, Key, KeyRule, Setting, did_you_mean, of_text, parse, read, require, settings,
+    text_of, toml_fault, toml_text,
 };
 pub use parameters::Parameters;
 pub use state::{Control, State};

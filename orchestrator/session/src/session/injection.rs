@@ -3,6 +3,7 @@
 use faults::{ActiveFault, PERMIT_FILE, fault_file, live_names};
 use runtime::{Domain, monotonic_ns};
 use shared_types::{Role, did_you_mean};
+use vehicle::text_of;
 
 use super::candidates::Live;
 use crate::control::Reply;
@@ -56,7 +57,7 @@ pub(super) fn inject<'a>(
             return Err(format!("{name}: {role} is a program of your own, which does not take this fault"));
         }
         let until_ns = monotonic_ns() + (for_s * 1e9) as u64;
-        let text = toml::to_string(&ActiveFault { name: name.to_owned(), until_ns });
+        let text = text_of(&ActiveFault { name: name.to_owned(), until_ns });
         let text = text.map_err(|error| error.to_string())?;
         let written = domain.folder().write(&fault_file(role), text.as_bytes());
         written.map_err(|error| error.to_string())?;

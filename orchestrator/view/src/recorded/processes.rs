@@ -3,10 +3,9 @@
 use std::collections::BTreeMap;
 
 use recording::mcap::Contents;
-use serde::Deserialize;
 use serde_json::{Value, json};
 use shared_types::{Directive, Phase, Role, Topic};
-use supervision::entry::ProcessRow;
+use supervision::entry::recorded_processes;
 
 use super::samples::{Key, OwnedSample};
 
@@ -18,15 +17,8 @@ pub(super) struct Processes(BTreeMap<u32, (String, u32)>);
 
 impl Processes {
     pub(super) fn new(contents: &Contents) -> Self {
-        #[derive(Deserialize)]
-        struct File {
-            #[serde(default)]
-            process: Vec<ProcessRow>,
-        }
         let files = contents.attachments.iter().filter(|attached| attached.name.starts_with("processes-"));
-        let rows = files
-            .filter_map(|attached| toml::from_slice(&attached.data).ok())
-            .flat_map(|file: File| file.process);
+        let rows = files.filter_map(|attached| recorded_processes(&attached.data).ok()).flatten();
         Self(rows.map(|row| (row.identity.incarnation, (row.entry.label(), row.identity.pid))).collect())
     }
 

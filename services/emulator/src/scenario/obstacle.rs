@@ -7,6 +7,7 @@ use std::f64::consts::PI;
 
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
+use toml::Value;
 use vehicle::geometry::Rectangle;
 use vehicle::{Invalid, Key, Setting, require, settings};
 
@@ -110,6 +111,11 @@ impl ScenarioObstacle {
 }
 
 impl Setting for ScenarioObstacle {
+    fn from_value(path: &str, value: Value) -> Result<Self, Invalid> {
+        let file = ObstacleFile::from_value(path, value)?;
+        Self::try_from(file).map_err(|error| error.within(path))
+    }
+
     fn require_all(&self, name: &str) -> Result<(), Invalid> {
         let allowed = ObstacleFile::from(*self).require_ranges().and_then(|()| self.require_order());
         allowed.map_err(|error| error.within(name))

@@ -2,6 +2,7 @@
 
 use std::str::FromStr;
 
+use key_table::{of_text, text_of};
 use serde::{Deserialize, Serialize};
 use shared_types::{Described, Field, Kind, LayoutFault, LayoutRow, OwnField, OwnType, Role, TOPICS};
 
@@ -201,7 +202,12 @@ impl OwnTopics {
         let text = domain.folder().read_text(TOPICS_FILE)?;
         let refuse =
             |error: toml::de::Error| RuntimeError::settings(domain.directory().join(TOPICS_FILE), error);
-        toml::from_str(&text).map(Some).map_err(refuse)
+        of_text(&text).map(Some).map_err(refuse)
+    }
+
+    /// The table in a recording; `None` for a text that is none.
+    pub fn recorded(text: &str) -> Option<Self> {
+        of_text(text).ok()
     }
 
     /// Writes the table; one without topics and companions is not written.
@@ -213,7 +219,7 @@ impl OwnTopics {
             return Ok(());
         }
         let path = domain.directory().join(TOPICS_FILE);
-        let text = toml::to_string(self).map_err(|error| RuntimeError::settings(path, error))?;
+        let text = text_of(self).map_err(|error| RuntimeError::settings(path, error))?;
         domain.folder().write(TOPICS_FILE, text.as_bytes())
     }
 
