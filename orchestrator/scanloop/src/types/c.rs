@@ -6,56 +6,11 @@ use shared_types::{CONSTANTS, ENUMERATIONS, Field, Kind, OwnType, TOPICS};
 
 use super::{element, snake, struct_name, structs};
 
-const HEAD: &str = "\
-/* The samples of Scanloop. Made by `scanloop types --c`: do not edit, make it again.
- *
- * C11, fixed layout, no padding; lengths in metres, angles in radians counter-clockwise, x along the track, y to the
- * left. The assertions hold each struct to the layout it was made from; the table at the end is computed by your
- * compiler, and a process whose table differs from that of the system is refused with the field that differs. */
-#ifndef SCANLOOP_TYPES_H
-#define SCANLOOP_TYPES_H
+const HEAD: &str = include_str!("head.h");
 
-#include <stddef.h>
-#include <stdint.h>
-";
+const TABLE: &str = include_str!("table.h");
 
-const TABLE: &str = r##"
-/* One field of one sample, as the compiler laid it out. */
-typedef struct scanloop_layout_row {
-    const char *topic;
-    const char *field; /* with the structs around it; "." is the sample as a whole */
-    const char *kind;
-    uint32_t count;  /* elements of an array, else 1 */
-    uint32_t size;   /* of one element [bytes] */
-    uint32_t offset; /* from the beginning of the sample [bytes] */
-} scanloop_layout_row;
-
-#define SCANLOOP_AT(type, field) (((type *)0)->field)
-#define SCANLOOP_KIND(value) \
-    _Generic((value), uint8_t: "u8", uint16_t: "u16", uint32_t: "u32", uint64_t: "u64", int32_t: "i32", \
-        double: "f64", default: "another")
-#define SCANLOOP_SAMPLE(topic, type, kind) {topic, ".", kind, 1, sizeof(type), 0}
-#define SCANLOOP_STRUCT(topic, type, name, kind, field) \
-    {topic, name, kind, 1, sizeof SCANLOOP_AT(type, field), offsetof(type, field)}
-#define SCANLOOP_STRUCTS(topic, type, name, kind, field) \
-    {topic, name, kind, sizeof SCANLOOP_AT(type, field) / sizeof SCANLOOP_AT(type, field[0]), \
-        sizeof SCANLOOP_AT(type, field[0]), offsetof(type, field)}
-#define SCANLOOP_VALUE(topic, type, name, field) \
-    SCANLOOP_STRUCT(topic, type, name, SCANLOOP_KIND(SCANLOOP_AT(type, field)), field)
-#define SCANLOOP_VALUES(topic, type, name, field) \
-    SCANLOOP_STRUCTS(topic, type, name, SCANLOOP_KIND(SCANLOOP_AT(type, field[0])), field)
-
-static const scanloop_layout_row scanloop_layouts[] = {
-"##;
-
-const FOOT: &str = "\
-};
-
-/* The table and its length, the way `scanloop_open` takes them. */
-#define SCANLOOP_LAYOUTS scanloop_layouts, (sizeof scanloop_layouts / sizeof scanloop_layouts[0])
-
-#endif
-";
+const FOOT: &str = include_str!("foot.h");
 
 /// The header.
 pub(super) fn header() -> String {
