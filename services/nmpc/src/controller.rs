@@ -200,6 +200,8 @@ impl Controller {
             Err(reason) => self.escape(&unhurried, pose, budget, command).ok_or(reason)?,
         };
         command.margin = margin.at(0.0, self.planner.controls[0].velocity);
+        // The solver may have chosen another side than the search.
+        command.side = self.nearest_side(&initial);
         Ok(choice)
     }
 
