@@ -27,42 +27,10 @@ use view::ViewArguments;
 pub(crate) const DEFAULT_SYSTEM_ID: &str = "default";
 
 /// Exit codes, below the help of the program and on the page of the commands.
-const EXIT_CODES: &str = "\
-Exit codes:
-  0  the command did what it was asked to do; for `run`: the goal was reached
-  1  the run ended without reaching the goal (missed, timeout, stopped, interrupted), or a check failed
-  2  wrong usage or a bad file; the message names file, key, value and what is allowed
-  3  collision
-  4  a process could not be started or kept running, or shared memory does not suffice
-  5  internal error";
+const EXIT_CODES: &str = include_str!("exit-codes.txt");
 
 /// The help of the program: its commands by what one wants to do.
-const HELP: &str = "\
-Autonomous driving that closes the loop within one laser scan.
-
-Usage: scanloop [OPTIONS] COMMAND [ARGUMENTS]...
-
-Drive   run        drive a scenario         check       files; --live: a robot
-        demo       watch promises be kept   adopt       take over orphans
-        stop       block wheels, end all
-Change  restart    start a process anew     set         settings as it drives
-        swap       put in another program   shadow      compare without driving
-        inject     cause a fault
-Look    status     processes and state      latency     where the time goes
-        top        on one terminal screen   topic       the samples on the bus
-        view       in a browser
-Record  record     every sample to a file   replay      compute a drive again
-        recording  show, cut, export, repair
-Build   conformance  test your program      types       for other languages
-        reference  keys of the files        agent       processes of this host
-        calibrate  fit a robot              urg         try a Hokuyo scanner
-Study   bench      measure, compare builds  faults      every fault, each phase
-        campaign   random courses           analyse     design questions
-        price      latency in centimetres
-
-scanloop COMMAND --help tells the rest; --system-id NAME names one of several.
-Exit codes: 0 done, 1 not reached, 2 usage, 3 collision, 4 process, 5 internal.
-";
+const HELP: &str = include_str!("help.txt");
 
 /// Autonomous driving that closes the loop within one laser scan.
 #[derive(Debug, Parser)]

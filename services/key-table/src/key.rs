@@ -3,10 +3,11 @@
 use serde::Serialize;
 use serde::de::value::Error;
 use serde::de::{DeserializeOwned, IntoDeserializer};
-use toml::Value;
+use toml::{Table, Value};
 
+use crate::read::{deserialize, elements};
 use crate::rule::number;
-use crate::{Invalid, KeyRule, read};
+use crate::{Invalid, KeyRule};
 
 /// One key of a table.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -54,7 +55,7 @@ pub trait Setting: DeserializeOwned {
     /// # Errors
     /// [`Invalid`] with the first key that does not exist or has a value of another type.
     fn from_value(path: &str, value: Value) -> Result<Self, Invalid> {
-        read::deserialize(path, value)
+        deserialize(path, value)
     }
 
     /// Passes when all values of a table are allowed.
@@ -77,6 +78,14 @@ pub trait Setting: DeserializeOwned {
     }
 }
 
+/// The struct in a table, with names and types of its keys checked, rules not yet.
+///
+/// # Errors
+/// [`Invalid`] with the first key that does not exist or has a value of another type.
+pub fn read<T: Setting>(table: Table) -> Result<T, Invalid> {
+    T::from_value("", Value::Table(table))
+}
+
 /// Passes when a key's rules are kept; a table without a rule has those of its own keys.
 ///
 /// # Errors
@@ -88,22 +97,22 @@ pub fn require_key<T: Setting>(name: &str, value: &T, rules: &[&dyn KeyRule<T>])
     rules.iter().try_for_each(|rule| rule.require(name, value))
 }
 
-macro_rules! plain {
+macro_rules! plain_settings {
     ($($type:ty),*) => {
         $(impl Setting for $type {
             fn from_value(path: &str, value: Value) -> Result<Self, Invalid> {
-                read::deserialize(path, value)
+                deserialize(path, value)
             }
         })*
     };
 }
-plain!(bool, f64, u32, u64, usize, String);
+plain_settings!(bool, f64, u32, u64, usize, String);
 
 impl<const N: usize> Setting for [f64; N] where Self: DeserializeOwned {}
 
 impl<T: Setting> Setting for Vec<T> {
     fn from_value(path: &str, value: Value) -> Result<Self, Invalid> {
-        let values = read::elements(path, value, !T::keys().is_empty())?;
+        let values = elements(path, value, !T::keys().is_empty())?;
         values.enumerate().map(|(index, value)| T::from_value(&format!("{path}[{index}]"), value)).collect()
     }
 

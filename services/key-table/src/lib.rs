@@ -10,8 +10,8 @@ mod rule;
 mod settings;
 
 pub use invalid::{Invalid, require};
-pub use key::{Key, Setting, require_key, toml_text};
-pub use read::{ForeignLetter, of_text, parse, read, text_of, toml_fault};
+pub use key::{Key, Setting, read, require_key, toml_text};
+pub use read::{ForeignLetter, of_text, parse, text_of, toml_fault};
 #[doc(hidden)]
 pub use read::{entries, unknown};
 pub use rule::{Ascending, KeyRule, Numeric};

@@ -6,7 +6,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use toml::{Table, Value};
 
-use crate::{Invalid, Setting, did_you_mean};
+use crate::{Invalid, did_you_mean};
 
 /// The table in a TOML text.
 ///
@@ -84,14 +84,6 @@ impl fmt::Display for ForeignLetter {
             (found, Some(plain)) => write!(formatter, "{found} (U+{code:04X}), write {plain}"),
         }
     }
-}
-
-/// The struct in a table, with names and types of its keys checked, rules not yet.
-///
-/// # Errors
-/// [`Invalid`] with the first key that does not exist or has a value of another type.
-pub fn read<T: Setting>(table: Table) -> Result<T, Invalid> {
-    T::from_value("", Value::Table(table))
 }
 
 /// What the program itself has written by [`text_of`]. An error has no line, and no key.

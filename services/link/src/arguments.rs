@@ -1,6 +1,5 @@
 //! The command line: `scanloop-link hub SYSTEM_ID`, `scanloop-link agent NAME ENDPOINT [CREDENTIALS]`,
-//! `scanloop-link pair FOLDER HOST ADDRESS DAYS [--force]`, and `scanloop-link check CREDENTIALS HOST`. By hand, to measure a network:
-//! `scanloop-link echo ADDRESS [CREDENTIALS]` on one host, `scanloop-link ping ADDRESS COUNT [CREDENTIALS]` on another.
+//! `scanloop-link pair FOLDER HOST ADDRESS DAYS [--force]`, and `scanloop-link check CREDENTIALS HOST`.
 
 use std::path::Path;
 
@@ -8,7 +7,7 @@ use anyhow::bail;
 use runtime::{Domain, LinkTable};
 
 use crate::threads::run_by;
-use crate::{bridge, control, credentials, ping};
+use crate::{bridge, control, credentials};
 
 /// Runs the link until its system ends, or its agent does.
 ///
@@ -34,14 +33,6 @@ pub(crate) fn run() -> anyhow::Result<()> {
             let force = !rest.is_empty();
             credentials::pair(Path::new(folder), host, address.parse()?, days.parse()?, force)
         }
-        ["echo", address] => ping::echo(address.parse()?, None),
-        ["echo", address, credentials] => ping::echo(address.parse()?, Some(credentials)),
-        ["ping", address, count] => ping::ping(address.parse()?, None, count.parse()?),
-        ["ping", address, count, credentials] => {
-            ping::ping(address.parse()?, Some(credentials), count.parse()?)
-        }
-        _ => bail!(
-            "it is started by `scanloop run` and `scanloop agent`, not by hand; `echo` and `ping` measure"
-        ),
+        _ => bail!("it is started by `scanloop run` and `scanloop agent`, not by hand"),
     }
 }

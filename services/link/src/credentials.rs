@@ -21,10 +21,8 @@ use time::{Duration, OffsetDateTime};
 use x509_parser::certificate::X509Certificate;
 use x509_parser::pem::Pem;
 
-/// Files of a host.
-pub(crate) const AUTHORITY: &str = "authority.pem";
-pub(crate) const CERTIFICATE: &str = "certificate.pem";
-pub(crate) const KEY: &str = "key.pem";
+use crate::network::{AUTHORITY, CERTIFICATE, KEY};
+
 /// File of the key that signs certificates; it is not copied to hosts.
 const AUTHORITY_KEY: &str = "authority-key.pem";
 /// Clocks of hosts may differ by this.

@@ -22,7 +22,6 @@ mod losses;
 mod network;
 mod newest;
 mod offsets;
-mod ping;
 mod receiver;
 mod refusals;
 mod repeats;
@@ -31,19 +30,12 @@ mod standstill;
 mod threads;
 mod zeros;
 
-use std::ffi::OsStr;
-use std::os::unix::process::CommandExt;
-use std::process::{Command, ExitCode};
-
-/// Name and value of the variable from which Zenoh takes its threads, at the start of a process only. By default a sample
-/// that arrives passes through three of them; with one for all of reading it wakes a stage without another switch. Writing has
-/// its own: a reader that writes would wait for itself.
-const THREADS: (&str, &str) = ("ZENOH_RUNTIME", "(rx: (handover: acc), app: (handover: acc))");
+use std::process::ExitCode;
 
 fn main() -> ExitCode {
     refusals::watch();
     end_at_a_panic();
-    match set_threads().and_then(|()| arguments::run()) {
+    match network::set_threads().and_then(|()| arguments::run()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             // What a user has to change in files or arguments has exit code 2, as everywhere.
@@ -63,15 +55,4 @@ fn end_at_a_panic() {
         print(panic);
         std::process::abort();
     }));
-}
-
-/// Starts this program again in place, with the variable set, unless someone has set it.
-fn set_threads() -> anyhow::Result<()> {
-    if std::env::var_os(THREADS.0).is_some() {
-        return Ok(());
-    }
-    let mut arguments = std::env::args_os();
-    let mut again = Command::new(std::env::current_exe()?);
-    again.arg0(arguments.next().as_deref().unwrap_or(OsStr::new(env!("CARGO_PKG_NAME"))));
-    Err(again.args(arguments).env(THREADS.0, THREADS.1).exec().into())
 }

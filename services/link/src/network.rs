@@ -1,5 +1,8 @@
 //! Zenoh as the link uses it: its configuration, and the names under which things travel.
 
+use std::ffi::OsStr;
+use std::os::unix::process::CommandExt;
+use std::process::Command;
 use std::sync::Arc;
 
 use anyhow::anyhow;
@@ -11,7 +14,15 @@ use zenoh::{Config, Session, Wait};
 
 use crate::inbox::{Inbox, Registration};
 
-use crate::credentials::{AUTHORITY, CERTIFICATE, KEY};
+/// Files of a host.
+pub(crate) const AUTHORITY: &str = "authority.pem";
+pub(crate) const CERTIFICATE: &str = "certificate.pem";
+pub(crate) const KEY: &str = "key.pem";
+
+/// Name and value of the variable from which Zenoh takes its threads, at the start of a process only. By default a sample
+/// that arrives passes through three of them; with one for all of reading it wakes a stage without another switch. Writing has
+/// its own: a reader that writes would wait for itself.
+const THREADS: (&str, &str) = ("ZENOH_RUNTIME", "(rx: (handover: acc), app: (handover: acc))");
 
 /// A peer that has sent nothing for this long is gone [ms]. Until then the other end of a connection that has failed refuses
 /// a new one, so that an outage costs this time at least.
@@ -43,6 +54,20 @@ pub(crate) struct Network {
     inbox: Inbox,
     // Held until the end.
     _subscriber: Arc<Subscriber<()>>,
+}
+
+/// Starts this program again in place, with the variable of Zenoh's threads set, unless someone has set it.
+///
+/// # Errors
+/// Those of the kernel.
+pub(crate) fn set_threads() -> anyhow::Result<()> {
+    if std::env::var_os(THREADS.0).is_some() {
+        return Ok(());
+    }
+    let mut arguments = std::env::args_os();
+    let mut again = Command::new(std::env::current_exe()?);
+    again.arg0(arguments.next().as_deref().unwrap_or(OsStr::new(env!("CARGO_PKG_NAME"))));
+    Err(again.args(arguments).env(THREADS.0, THREADS.1).exec().into())
 }
 
 /// Joins the network. A hub retries for ever; an agent fails if its address is not one of this machine.

@@ -38,7 +38,7 @@ unsafe impl Sync for Before {}
 
 /// From now on a crash of this process writes a line to standard error. Acts once per process; where the kernel
 /// refuses, nothing changes.
-pub fn report_crashes() {
+pub(crate) fn report_crashes() {
     INSTALLED.call_once(|| {
         // The main thread has a stack for stack overflows already, but a small one.
         let stack = Box::leak(vec![0_u8; STACK].into_boxed_slice());

@@ -73,7 +73,7 @@ mod waker;
 
 pub use bus::Bus;
 pub use clock::{Clock, boottime_ns, monotonic_ns};
-pub use crash::{latch_on_crash, report_crashes};
+pub use crash::latch_on_crash;
 pub use domain::{Domain, LOCK_FILE, remove_bus_files_of};
 pub use environment::{
     CANDIDATE_VARIABLE, COMPANION_VARIABLE, DIRECTORY_VARIABLE, INCARNATION_VARIABLE, REPORT_VARIABLE,
@@ -99,12 +99,12 @@ pub use orphan::LEAVING;
 pub use output::Output;
 pub use own::{
     AlsoReads, ByteTopic, Companion, CompanionPage, CompanionRow, CompanionSelfReport, Delays, LayoutField,
-    LayoutFile, LoopTopic, MAX_COMPANIONS, MAX_PORTS, NamedTopic, OPERATOR, OwnObserver, OwnPublisher,
-    OwnTaken, OwnTopics, PortCount, PortTable, TOPICS_FILE, TakenBytes, TopicRow, memory_limit,
+    LayoutFile, LoopTopic, MAX_COMPANIONS, NamedTopic, OPERATOR, OwnObserver, OwnPublisher, OwnTaken,
+    OwnTopics, PortCount, PortTable, TOPICS_FILE, TakenBytes, TopicRow, memory_limit,
 };
 pub use peer::peer_uid;
 pub use process::Process;
-pub use qos::{MAX_READERS, PROCESS_QUEUE, observer_queue};
+pub use qos::{PROCESS_QUEUE, observer_queue};
 pub use realtime::{Realtime, Scheduler};
 pub use reserve::Reserve;
 pub use settings::{

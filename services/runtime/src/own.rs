@@ -22,7 +22,7 @@ mod writer;
 pub use builtin::LoopTopic;
 pub use companion::Companion;
 pub use page::{CompanionPage, CompanionSelfReport, MAX_COMPANIONS};
-pub use ports::{Delays, MAX_PORTS, PortCount, PortTable};
+pub use ports::{Delays, PortCount, PortTable};
 pub use table::{
     AlsoReads, CompanionRow, LayoutField, LayoutFile, OPERATOR, OwnTopics, TOPICS_FILE, TopicRow,
     memory_limit,

@@ -58,7 +58,7 @@ fn whole_pages(bytes: usize) -> u64 {
 }
 
 /// Readers of a topic of the loop at a time: its processes, their successors, the orchestrator and observers.
-pub const MAX_READERS: usize = 24;
+pub(crate) const MAX_READERS: usize = 24;
 /// Samples of one publisher that wait at a process of the loop, and at least so many at an observer.
 pub const PROCESS_QUEUE: usize = 16;
 /// Memory for the samples that wait at all observers of one topic, for each publisher [bytes].

@@ -6,7 +6,7 @@
 //! orchestrator holds a [`Reserve`] for one more process, which it frees right before it starts one.
 //!
 //! Limits: between check and allocation other programs may take the room; then SIGBUS may end the process that joins,
-//! which logs it, see [`crate::report_crashes`]. A memory limit of a control group is not the size of the file system:
+//! which logs it, see `crash.rs`. A memory limit of a control group is not the size of the file system:
 //! the kernel kills the process that exceeds it.
 
 use std::fs::OpenOptions;

@@ -15,7 +15,7 @@ use crate::shared_memory::Mapped;
 use crate::{Domain, RuntimeError, monotonic_ns};
 
 /// Ports that are counted at a time, at most.
-pub const MAX_PORTS: usize = 512;
+pub(crate) const MAX_PORTS: usize = 512;
 /// Name of the file in the directory of the bus, with the version of its layout.
 const FILE: &str = "ports.v1";
 /// Words of an account.

@@ -5,7 +5,8 @@ use shared_types::{Odometry, Pose, Role};
 use super::{Lab, PERIOD_NS, pose};
 use crate::input::Input;
 use crate::output::Output;
-use crate::{Bus, Domain, MAX_READERS, Observer, PROCESS_QUEUE, RuntimeError, observer_queue};
+use crate::qos::MAX_READERS;
+use crate::{Bus, Domain, Observer, PROCESS_QUEUE, RuntimeError, observer_queue};
 
 #[test]
 fn a_topic_of_the_loop_has_24_readers_and_the_next_one_is_refused() {

@@ -1,9 +1,16 @@
 //! The bare round trip between two hosts: plain UDP and TCP, and Zenoh as the link uses it. It tells what the network
 //! costs from what the link adds.
 //!
-//! `scanloop-link echo ADDRESS [CREDENTIALS]` answers on the other host until it is ended, `scanloop-link ping ADDRESS
+//! `round-trip echo ADDRESS [CREDENTIALS]` answers on the other host until it is ended, `round-trip ping ADDRESS COUNT
 //! [CREDENTIALS]` measures. The transports take turns, so that what disturbs the machine disturbs all of them. Ports:
 //! that of the address for UDP and TCP, the next one for Zenoh over UDP, the one after it for Zenoh over QUIC.
+
+#![allow(unreachable_pub, dead_code, reason = "modules of the link, of which this needs a part")]
+
+#[path = "../src/inbox.rs"]
+mod inbox;
+#[path = "../src/network.rs"]
+mod network;
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
@@ -16,8 +23,8 @@ use zenoh::Wait;
 use zenoh::pubsub::Publisher;
 use zenoh::qos::Priority;
 
-use crate::inbox::Registration;
-use crate::network::{Network, Place, join};
+use inbox::Registration;
+use network::{Network, Place, join};
 
 /// Bytes of a message: the mean of scan and command.
 const BYTES: usize = 1_704;
@@ -33,11 +40,23 @@ const WARM_UP: usize = 10;
 const ASK: &str = "scanloop/ping/ask";
 const ANSWER: &str = "scanloop/ping/answer";
 
+fn main() -> anyhow::Result<()> {
+    network::set_threads()?;
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    match arguments.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
+        ["echo", address] => echo(address.parse()?, None),
+        ["echo", address, credentials] => echo(address.parse()?, Some(credentials)),
+        ["ping", address, count] => ping(address.parse()?, None, count.parse()?),
+        ["ping", address, count, credentials] => ping(address.parse()?, Some(credentials), count.parse()?),
+        _ => bail!("usage: round-trip echo ADDRESS [CREDENTIALS] | ping ADDRESS COUNT [CREDENTIALS]"),
+    }
+}
+
 /// Answers on all transports until the process is ended.
 ///
 /// # Errors
 /// An address that is not of this machine, and what Zenoh refuses.
-pub(crate) fn echo(address: SocketAddr, credentials: Option<&str>) -> anyhow::Result<()> {
+fn echo(address: SocketAddr, credentials: Option<&str>) -> anyhow::Result<()> {
     let udp = UdpSocket::bind(address).context("UDP")?;
     let tcp = TcpListener::bind(address).context("TCP")?;
     let mut sessions = Vec::new();
@@ -66,7 +85,7 @@ pub(crate) fn echo(address: SocketAddr, credentials: Option<&str>) -> anyhow::Re
 ///
 /// # Errors
 /// Another end that does not answer.
-pub(crate) fn ping(address: SocketAddr, credentials: Option<&str>, count: usize) -> anyhow::Result<()> {
+fn ping(address: SocketAddr, credentials: Option<&str>, count: usize) -> anyhow::Result<()> {
     let mut ways: Vec<(&str, Box<dyn Way>)> =
         vec![("udp", Box::new(Udp::new(address)?)), ("tcp", Box::new(Tcp::new(address)?))];
     for (name, endpoint, trusted) in zenoh_places(address, credentials) {
@@ -157,7 +176,7 @@ struct Tcp(TcpStream);
 impl Tcp {
     fn new(address: SocketAddr) -> anyhow::Result<Self> {
         let stream = TcpStream::connect_timeout(&address, CONNECT)
-            .with_context(|| format!("no `scanloop-link echo` answers at {address}"))?;
+            .with_context(|| format!("no `round-trip echo` answers at {address}"))?;
         stream.set_nodelay(true)?;
         Ok(Self(stream))
     }
@@ -197,7 +216,7 @@ impl Zenoh {
         let started = Instant::now();
         while way.trip()?.is_none() {
             if started.elapsed() > CONNECT {
-                bail!("no `scanloop-link echo` answers at {endpoint}");
+                bail!("no `round-trip echo` answers at {endpoint}");
             }
         }
         Ok(way)
