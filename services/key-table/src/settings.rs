@@ -148,6 +148,32 @@ mod tests {
     }
 
     #[test]
+    fn what_has_another_type_is_named_with_the_tables_around_it() {
+        let refused = |text: &str| crate::read::<Outer>(crate::parse(text).unwrap()).unwrap_err().to_string();
+        for (text, message) in [
+            ("inner = [1.0]", "inner = [1.0] is not allowed: a table [inner]"),
+            ("inner.enabled = 1", "inner.enabled = 1 is not allowed: a boolean"),
+            ("inner.pair = [1.0, \"a\"]", "inner.pair[1] = \"a\" is not allowed: a number"),
+            ("row = 3", "row = 3 is not allowed: tables [[row]]"),
+            (
+                "row = [{ count = 1 }, { count = 1.5 }]",
+                "row[1].count = 1.5 is not allowed: a whole number from 0",
+            ),
+            (
+                "[[row]]\ncoun = 1",
+                "row[0].coun = 1 is not allowed: the key is unknown. Did you mean `count`? \
+                 Expected one of `range_m`, `pair`, `count`, `enabled`",
+            ),
+        ] {
+            assert_eq!(refused(text), message);
+        }
+        let text = "kind = \"round\"\nrow = [{ pair = [0.0, 0.5] }]";
+        let read: Outer = crate::read(crate::parse(text).unwrap()).unwrap();
+        assert_eq!((read.kind, read.rows[0].pair), (Kind::Round, Some([0.0, 0.5])));
+        assert_eq!(crate::of_text::<Outer>(&crate::text_of(&read).unwrap()).unwrap(), read);
+    }
+
+    #[test]
     fn a_key_of_a_table_is_named_with_the_tables_around_it() {
         let bad = Example { count: 6, ..Example::default() };
         let key = |outer: Outer| outer.require_ranges().unwrap_err().key;
