@@ -34,6 +34,9 @@ pub(crate) struct FaultsArguments {
     /// So many cells, spread evenly over the chosen ones.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000).map(|count| count as usize))]
     pub(crate) sample: Option<usize>,
+    /// Only cells that are driven in simulated time: those with real processes take most of an hour.
+    #[arg(long)]
+    pub(crate) simulated: bool,
     /// Print the names of the cells to standard output, and drive none.
     #[arg(long)]
     pub(crate) list: bool,
@@ -102,6 +105,7 @@ fn chosen<'a>(
     let cells = all.iter().flat_map(|fault| fault.phases().map(move |phase| (fault, phase)));
     let mut chosen: Vec<(&InjectedFault, DrivePhase)> =
         cells.filter(|(fault, phase)| matches(pattern, &name(&fault.name, *phase))).collect();
+    chosen.retain(|(fault, _)| !(arguments.simulated && fault.is_live()));
     if chosen.is_empty() {
         let meant = did_you_mean(pattern, all.iter().map(|fault| fault.name.as_str()));
         return Err(Failure::bad_input(format!(

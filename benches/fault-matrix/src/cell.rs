@@ -45,6 +45,9 @@ pub struct Cell {
     pub min_clearance_m: f64,
     /// How the drive ended.
     pub outcome: String,
+    /// Digest of the truth, from the beginning of the phase; empty for one with real processes.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub digest: String,
     /// Whether all is as expected.
     pub verdict: CellVerdict,
     /// Why it fails; empty when it passes.
@@ -64,6 +67,8 @@ pub struct Observed {
     pub unaffected: Course,
     /// How the drive ended.
     pub outcome: String,
+    /// [`Cell::digest`].
+    pub digest: String,
     /// Whether it was driven to its end, and not only for some seconds.
     pub ended: bool,
     /// Whether the body touched something.
@@ -206,6 +211,7 @@ pub fn judge(
         deviation_m,
         min_clearance_m: observed.min_clearance_m,
         outcome: observed.outcome.clone(),
+        digest: observed.digest.clone(),
         verdict: if reason.is_empty() { CellVerdict::Pass } else { CellVerdict::Fail },
         reason,
     }
@@ -275,6 +281,7 @@ mod tests {
             course: course(y_m),
             unaffected: course(0.0),
             outcome: "reached".to_owned(),
+            digest: String::new(),
             ended: true,
             touched: false,
             min_clearance_m: 0.3,

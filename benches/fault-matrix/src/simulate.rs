@@ -1,5 +1,6 @@
 //! Drives cells in simulated time: from the place where a phase begins, once without a fault and once with each.
 
+use audit::digest::Digests;
 use emulator::{Outcome, Scenario};
 use faults::{DrivePhase, InjectedFault};
 use pipeline::PipelineSettings;
@@ -57,7 +58,7 @@ impl Simulation {
         let (_, start, twin) = self.phases.iter().find(|(of, ..)| *of == phase)?;
         let mut rig = start.clone();
         let from_ns = rig.inject(&fault.inject)?;
-        let (course, outcome) = finish(&mut rig);
+        let (course, outcome, digest) = finish(&mut rig);
         if outcome == Outcome::Stopped {
             rig.findings.note("orchestrator", "stopped", rig.place());
         }
@@ -69,6 +70,7 @@ impl Simulation {
             course,
             unaffected: twin.course.clone(),
             outcome: outcome.name().to_owned(),
+            digest,
             ended: true,
             touched: truth.collided == 1,
             min_clearance_m: truth.min_clearance_m,
@@ -89,14 +91,15 @@ fn lead_to(phase: DrivePhase, rig: &mut Rig, scenario: &Scenario) {
     }
 }
 
-/// Drives to the end: where the robot was at each scan, and how the drive ended.
-fn finish(rig: &mut Rig) -> (Course, Outcome) {
-    let mut course = Course(vec![passed(rig)]);
+/// Drives to the end: where the robot was at each scan, how the drive ended, and the digest of the truth.
+fn finish(rig: &mut Rig) -> (Course, Outcome, String) {
+    let (mut course, mut digests) = (Course(vec![passed(rig)]), Digests::default());
     loop {
         let outcome = rig.scan();
         course.0.push(passed(rig));
+        digests.add(rig.truth());
         if let Some(outcome) = outcome {
-            return (course, outcome);
+            return (course, outcome, digests.whole());
         }
     }
 }

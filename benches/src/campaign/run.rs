@@ -1,8 +1,9 @@
 //! One course, driven and judged.
 
+use audit::digest::Digests;
 use courses::judge::{Judge, Judgement};
 use emulator::Outcome;
-use pipeline::{PipelineSettings, WayToRest};
+use pipeline::{PipelineSettings, Step, WayToRest};
 use report::NO_OBSTACLE_M;
 
 use super::arguments::CampaignArguments;
@@ -22,6 +23,8 @@ pub(super) struct CourseRun {
     pub(super) min_rest_clearance_m: f64,
     /// Scans without a way to rest that keeps clear.
     pub(super) without_rest: u64,
+    /// Digest of all samples.
+    pub(super) digest: String,
 }
 
 impl CourseRun {
@@ -33,6 +36,7 @@ impl CourseRun {
         let Drive { plan, gap_m } = course.drive(arguments)?;
         let (tuning, period_ns) = (plan.system.tuning(), plan.system.period_ns());
         let settings = PipelineSettings { scenario: plan.scenario, tuning, period_ns };
+        let mut digests = Digests::default();
         let mut judge = Judge::new(&settings.scenario, period_ns);
         let (mut time_s, mut min_clearance_m) = (0.0, NO_OBSTACLE_M);
         let (mut rest, mut min_rest_clearance_m, mut without_rest) =
@@ -42,7 +46,13 @@ impl CourseRun {
             let clearance_m = rest.clearance(&step.truth);
             min_rest_clearance_m = min_rest_clearance_m.min(clearance_m);
             without_rest += u64::from(clearance_m <= 0.0);
-            judge.observe(&step.truth, step.pose.as_ref(), step.actuation.as_ref());
+            let Step { truth, pose, obstacles, command, actuation, .. } = step;
+            digests.add(truth);
+            pose.iter().for_each(|sample| digests.add(sample));
+            obstacles.iter().for_each(|sample| digests.add(sample));
+            command.iter().for_each(|sample| digests.add(sample));
+            actuation.iter().for_each(|sample| digests.add(sample));
+            judge.observe(truth, pose.as_ref(), actuation.as_ref());
         })?;
         let judgement = judge.judge(drive.outcome, &drive.reason);
         let (outcome, reason) = (drive.outcome, drive.reason);
@@ -56,6 +66,7 @@ impl CourseRun {
             min_clearance_m,
             min_rest_clearance_m,
             without_rest,
+            digest: digests.whole(),
         })
     }
 

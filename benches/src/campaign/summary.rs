@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use audit::digest::digest_of_texts;
 use courses::course::Family;
 use courses::judge::Verdict;
 use emulator::Outcome;
@@ -34,6 +35,8 @@ pub(super) struct Summary {
     pub(super) min_clearance_m: f64,
     pub(super) min_rest_clearance_m: f64,
     pub(super) without_rest: u64,
+    /// Of the digests of all courses in their order.
+    pub(super) digest: String,
     pub(super) time_to_goal_s: BTreeMap<&'static str, f64>,
     pub(super) families: Vec<FamilySummary>,
     /// Number of bad courses per cause.
@@ -81,6 +84,7 @@ impl Summary {
             min_clearance_m: NO_OBSTACLE_M,
             min_rest_clearance_m: NO_OBSTACLE_M,
             families: families(runs),
+            digest: digest_of_texts(runs.iter().map(|run| run.digest.as_str())),
             ..Self::default()
         };
         runs.iter().for_each(|run| summary.add(run));
@@ -197,6 +201,7 @@ mod tests {
             min_clearance_m: gap_m / 4.0,
             min_rest_clearance_m: 0.1,
             without_rest: 0,
+            digest: String::new(),
         }
     }
 

@@ -117,6 +117,7 @@ fn drive(fault: &ProcessFault, phase: DrivePhase, settings: &PipelineSettings) -
         findings: with_ways(watch.findings(), &course, ends_as_planned),
         unaffected: Course::default(),
         outcome: outcome.to_owned(),
+        digest: String::new(),
         ended: false,
         touched: watch.newest.collided == 1 || outcome == "collision",
         min_clearance_m: watch.newest.min_clearance_m,

@@ -288,7 +288,7 @@ impl Recording {
 
 /// The topics that the recorded system has added to those of the loop.
 fn own_topics(contents: &Contents) -> Vec<OwnTopic> {
-    let table = attachment(contents, runtime::TOPICS_FILE).and_then(|text| OwnTopics::recorded(text));
+    let table = attachment(contents, runtime::TOPICS_FILE).and_then(OwnTopics::recorded);
     table.as_ref().map_or_else(Vec::new, OwnTopic::all)
 }
 

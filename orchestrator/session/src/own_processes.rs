@@ -134,8 +134,8 @@ impl OwnProcesses {
                 }
             }
             while waiting.front().is_some_and(|sample| scan_of(sample) <= recorded_scan) {
-                if let Some(mut sample) = waiting.pop_front() {
-                    digests.add_bytes(topic, &mut sample);
+                if let Some(sample) = waiting.pop_front() {
+                    digests.add_bytes(topic, observer.own_type().fields(), &sample);
                 }
             }
         }
