@@ -10,7 +10,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::swap::{Certificate, SwapOutcome, WARM_UP};
+use crate::swap::{Certificate, Party, SwapOutcome, WARM_UP};
 
 /// Scans whose samples of one process wait for those of the other, at most.
 const MAX_WAITING: usize = 64;
@@ -24,15 +24,6 @@ pub struct FieldBound {
     pub field: String,
     /// Largest difference of any of its numbers, in their unit.
     pub bound: f64,
-}
-
-/// Which process has published a sample.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum CompanionSide {
-    /// The one in charge.
-    Old,
-    /// The one that is to take over.
-    New,
 }
 
 /// What is to be done.
@@ -94,7 +85,7 @@ impl CompanionSwap {
     }
 
     /// A sample of a topic has come: the numbers of each bounded field, in the order of the bounds of that topic.
-    pub fn see(&mut self, topic: &str, side: CompanionSide, scan: u64, numbers: Vec<Vec<f64>>) {
+    pub fn see(&mut self, topic: &str, side: Party, scan: u64, numbers: Vec<Vec<f64>>) {
         let key = (scan, topic.to_owned());
         let pair = self.waiting.entry(key.clone()).or_default();
         pair[side as usize].get_or_insert(numbers);
@@ -197,8 +188,8 @@ mod tests {
 
     /// Both processes publish for a scan; the new one's rate is off by so much.
     fn scan(swap: &mut CompanionSwap, scan: u64, off: f64) {
-        swap.see("imu", CompanionSide::Old, scan, vec![vec![0.5], vec![1.0, 2.0]]);
-        swap.see("imu", CompanionSide::New, scan, vec![vec![0.5 + off], vec![1.5, 2.5]]);
+        swap.see("imu", Party::Old, scan, vec![vec![0.5], vec![1.0, 2.0]]);
+        swap.see("imu", Party::New, scan, vec![vec![0.5 + off], vec![1.5, 2.5]]);
     }
 
     #[test]
@@ -206,7 +197,7 @@ mod tests {
         assert_eq!(CompanionSwap::new("sensor", "a", "b", Vec::new(), 10).step(), CompanionStep::TakeOver);
         let mut swap = swap(3);
         (1..=2).for_each(|id| scan(&mut swap, id, 0.09));
-        swap.see("imu", CompanionSide::New, 3, vec![vec![0.5], vec![1.0, 2.0]]);
+        swap.see("imu", Party::New, 3, vec![vec![0.5], vec![1.0, 2.0]]);
         assert_eq!(swap.step(), CompanionStep::Wait, "the old one has not answered");
         scan(&mut swap, 3, 0.0);
         assert_eq!(swap.step(), CompanionStep::TakeOver);

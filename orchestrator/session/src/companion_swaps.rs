@@ -1,7 +1,7 @@
 //! Swaps of companions: requested, watched on the bus, and certified.
 
-use handover::companion::{CompanionSide, CompanionStep, CompanionSwap, FieldBound};
-use handover::swap::Certificate;
+use handover::companion::{CompanionStep, CompanionSwap, FieldBound};
+use handover::swap::{Certificate, Party};
 use runtime::{Bus, Domain, OwnObserver, OwnTopics, RuntimeError, TopicRow, monotonic_ns};
 use shared_types::Header;
 use supervision::fleet::companions::{CompanionEvent, Companions};
@@ -177,8 +177,8 @@ impl Current {
             while let Some(sample) = observer.next()? {
                 let header: Header = bytemuck::pod_read_unaligned(&sample[..size_of::<Header>()]);
                 let side = match incarnations {
-                    Some((old, _)) if header.incarnation == old => Some(CompanionSide::Old),
-                    Some((_, new)) if header.incarnation == new => Some(CompanionSide::New),
+                    Some((old, _)) if header.incarnation == old => Some(Party::Old),
+                    Some((_, new)) if header.incarnation == new => Some(Party::New),
                     _ => None,
                 };
                 if let Some(side) = side.filter(|_| is_compared && !fields.is_empty()) {
