@@ -18,16 +18,16 @@ use scanloop_tests::page_hours::watch;
 use scanloop_tests::recordings::{self, KINDS, RecordingKind, ReplayTally};
 use scanloop_tests::soak::{Tally, faults, swap_in_lockstep, swap_live};
 
-/// Exchanges, kills and stops processes at random moments, and checks what must hold after each.
+/// Swaps, kills and stops processes at random moments, and checks what must hold after each.
 #[derive(Debug, Parser)]
 struct Arguments {
     /// Everything that is done: of 100 events 80 are swaps in lock-step, 10 in real time, 7 kills, 3 stops.
     #[arg(long, value_name = "N", default_value_t = 10_000)]
     events: usize,
-    /// Exchanges in lock-step, instead of their share.
+    /// Swaps in lock-step, instead of their share.
     #[arg(long, value_name = "N")]
     lockstep_swaps: Option<usize>,
-    /// Exchanges in real time, instead of their share.
+    /// Swaps in real time, instead of their share.
     #[arg(long, value_name = "N")]
     live_swaps: Option<usize>,
     /// Kills, instead of their share.

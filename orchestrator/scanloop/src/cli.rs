@@ -84,7 +84,7 @@ pub enum CliCommand {
     /// Show a running system on one screen of a terminal, with keys for stop, restart and swap.
     ///
     /// Processes, motion, a map with scan, obstacles and plan, the time from scan to actuation, and the last events. `?`
-    /// lists the keys. 80 columns and 24 rows are enough, also over ssh. The terminal is restored after any end.
+    /// lists the keys. 72 columns and 20 rows are enough, also over ssh. The terminal is restored after any end.
     Top(TopArguments),
     /// Serve a live page of a running system to browsers: map, processes, latency, events and the last five minutes.
     /// With a file it plays a recording.
