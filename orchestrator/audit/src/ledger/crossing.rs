@@ -153,7 +153,7 @@ impl Crossing {
         }
         let key = (topic.clone(), noticed_by.clone());
         let known = self.explained.get(&key);
-        if known.is_some_and(|known| *sequence > 0 && known.contains(&(*incarnation, *sequence))) {
+        if known.is_some_and(|known| known.contains(&(*incarnation, *sequence))) {
             return true;
         }
         let is_new = |number: &(u32, u64)| known.is_none_or(|known| !known.contains(number));
@@ -168,9 +168,7 @@ impl Crossing {
         if known.len() > EXPLAINED {
             known.pop_first();
         }
-        if *scan_id > 0 {
-            self.scans.insert((topic.clone(), *scan_id));
-        }
+        self.scans.insert((topic.clone(), *scan_id));
         *self.counts.entry((topic.clone(), noticed_by.clone(), reason)).or_default() += 1;
         true
     }
@@ -226,6 +224,24 @@ mod tests {
             .sequence(sequence)
             .scan(scan_id)
             .noticed_by(noticed_by)
+    }
+
+    #[test]
+    fn each_number_counts_once_as_long_as_it_is_stored() {
+        let mut crossing = Crossing::default();
+        crossing.link();
+        let all = EXPLAINED as u64 + 1;
+        crossing.note(&loss(1, all, LossReason::Link));
+        let counted =
+            |crossing: &Crossing| crossing.counts("scan", "obstacles").map(|(_, count)| count).sum::<u64>();
+        let found = (1..=all).map(|number| missing(number, 0, "obstacles")).collect();
+        assert_eq!(crossing.filter(found, 10, false), []);
+        assert_eq!(counted(&crossing), all);
+        // The first one had to go for the last one; the second is still there.
+        assert_eq!(crossing.filter(vec![missing(2, 0, "obstacles")], 20, false), []);
+        assert_eq!(counted(&crossing), all);
+        assert_eq!(crossing.filter(vec![missing(1, 0, "obstacles")], 30, false), []);
+        assert_eq!(counted(&crossing), all + 1);
     }
 
     #[test]
