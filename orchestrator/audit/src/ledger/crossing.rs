@@ -194,20 +194,18 @@ impl Crossing {
 
 /// The samples of a fault, because a link reports each by its number. Of very many, the first stay one fault.
 fn one_by_one(fault: DeliveryFault) -> Vec<DeliveryFault> {
-    let single = fault.count.min(EXPLAINED as u64);
-    if fault.count == 1 || fault.sequence == 0 {
-        let count = if fault.count == 1 { 1 } else { single };
-        let rest = fault.count - count;
-        let mut faults = vec![fault.clone().count(1); count as usize];
-        faults.extend((rest > 0).then(|| fault.count(rest)));
-        return faults;
+    let rest = fault.count.saturating_sub(EXPLAINED as u64);
+    let numbered = |number: u64, ahead: u64| if number == 0 { 0 } else { number.saturating_add(ahead) };
+    let single = |ahead| {
+        let (sequence, scan_id) = (numbered(fault.sequence, ahead), numbered(fault.scan_id, ahead));
+        // Without a number it is not known either which scan each belongs to.
+        let scan_id = if sequence == 0 { fault.scan_id } else { scan_id };
+        fault.clone().count(1).sequence(sequence).scan(scan_id)
+    };
+    let mut faults: Vec<DeliveryFault> = (rest..fault.count).map(single).collect();
+    if rest > 0 {
+        faults.push(fault.count(rest));
     }
-    let rest = fault.count - single;
-    let scan = |ahead: u64| if fault.scan_id == 0 { 0 } else { fault.scan_id.saturating_add(ahead) };
-    let mut faults: Vec<DeliveryFault> = (rest..fault.count)
-        .map(|ahead| fault.clone().count(1).sequence(fault.sequence.saturating_add(ahead)).scan(scan(ahead)))
-        .collect();
-    faults.extend((rest > 0).then(|| fault.clone().count(rest)));
     faults
 }
 
@@ -242,6 +240,23 @@ mod tests {
         assert_eq!(counted(&crossing), all);
         assert_eq!(crossing.filter(vec![missing(1, 0, "obstacles")], 30, false), []);
         assert_eq!(counted(&crossing), all + 1);
+    }
+
+    #[test]
+    fn a_gap_becomes_its_samples_and_of_a_very_long_one_the_first_stay_together() {
+        let numbers = |faults: &[DeliveryFault]| -> Vec<[u64; 3]> {
+            faults.iter().map(|fault| [fault.sequence, fault.scan_id, fault.count]).collect()
+        };
+        assert_eq!(numbers(&one_by_one(missing(6, 8, "bus"))), [[6, 8, 1]]);
+        assert_eq!(numbers(&one_by_one(missing(6, 8, "bus").count(2))), [[6, 8, 1], [7, 9, 1]]);
+        assert_eq!(numbers(&one_by_one(missing(6, 0, "bus").count(2))), [[6, 0, 1], [7, 0, 1]]);
+        assert_eq!(numbers(&one_by_one(missing(0, 8, "bus").count(2))), [[0, 8, 1], [0, 8, 1]]);
+        let all = EXPLAINED as u64;
+        for (sequence, last) in [(6, 6 + all + 2), (0, 0)] {
+            let many = numbers(&one_by_one(missing(sequence, 0, "bus").count(all + 3)));
+            assert_eq!(many.len(), EXPLAINED + 1);
+            assert_eq!(many[EXPLAINED - 1..], [[last, 0, 1], [sequence, 0, 3]]);
+        }
     }
 
     #[test]

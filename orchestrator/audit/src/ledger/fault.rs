@@ -168,6 +168,20 @@ mod tests {
         assert!(known.is_same(&fault(19, 1)) && !known.is_same(&fault(20, 1)));
         assert_eq!((known.merge(&fault(18, 1)), known.merge(&fault(18, 9))), (0, 7));
         assert_eq!((known.sequence, known.count), (17, 10));
+        // Without numbers only the scan tells.
+        assert!(!fault(0, 20).is_same(&fault(5, 1)) && !fault(5, 1).is_same(&fault(0, 20)));
+        let mut unnumbered = fault(0, 5);
+        assert_eq!(unnumbered.merge(&fault(7, 2)), 0);
+        assert_eq!((unnumbered.sequence, unnumbered.count), (7, 5));
+    }
+
+    #[test]
+    fn a_fault_of_a_report_without_a_count_is_one_sample() {
+        let fault = DeliveryFault::new(Topic::Pose, DeliveryFaultKind::Missing, 2).sequence(17).count(3);
+        let mut json = serde_json::to_value(&fault).unwrap();
+        assert_eq!(serde_json::from_value::<DeliveryFault>(json.clone()).unwrap(), fault);
+        json.as_object_mut().unwrap().remove("count");
+        assert_eq!(serde_json::from_value::<DeliveryFault>(json).unwrap(), fault.count(1));
     }
 
     #[test]
