@@ -5,9 +5,11 @@
 //! testable alone: the [`Supervisor`], the swap in progress, the shadows, the sample audit, the recording, the end.
 //! The drive does not depend on the loop: the processes talk to each other, and drive on when it hangs or dies.
 
+mod actions;
 mod candidates;
 mod companions;
 mod conclusion;
+mod ending;
 mod events;
 mod incidents;
 mod injection;
@@ -28,16 +30,16 @@ use std::path::Path;
 use agent::link::HubLink;
 use audit::digest::Digests;
 use audit::ledger::{LedgerReport, PROCESS_RESTARTED, SampleAudit};
-use audit::samples::{MAX_DEVIATING, Samples, ScanRecord};
+use audit::samples::Samples;
 use console::progress::Progress;
 use emulator::JudgedBy;
 use plan::Plan;
 use report::recorder::{Recorder, RunResult};
 use report::{Outcome, ProcessReport};
-use runtime::{Bus, Domain, Shutdown, StopWord, Wheels, monotonic_ns, wait_for};
-use shared_types::{Authority, Phase, ProcessState, Role, StopReason};
+use runtime::{Bus, Domain, Shutdown, StopWord, monotonic_ns, wait_for};
+use shared_types::{Phase, ProcessState, Role};
 use supervision::fleet::{Fleet, Reaped};
-use supervision::supervisor::{Action, Event, ProcessExit, Severity, Supervisor, VisibleState};
+use supervision::supervisor::{Event, Supervisor, VisibleState};
 
 use crate::control::ControlSocket;
 use crate::directives::Directives;
@@ -48,7 +50,7 @@ use crate::startup::{RunOptions, Startup};
 use crate::vitals::Vitals;
 
 use candidates::Watches;
-use conclusion::{Conclusion, Step};
+use conclusion::Conclusion;
 use events::Events;
 use incidents::Noticed;
 use memory::MemoryWatch;
@@ -411,51 +413,9 @@ impl Session {
         Ok(())
     }
 
-    /// Ends a run in real time by the clock of this computer, where no stamps of scans do.
-    fn end_by_clock(&mut self) {
-        if !self.run.lockstep
-            && self.drives()
-            && let Some((outcome, reason)) = self.limits.count(monotonic_ns())
-        {
-            self.decide(outcome, &reason);
-        }
-    }
-
-    /// Blocks the wheels by the stop word and ends the run when the actuator turns them against a command to block them,
-    /// or several times otherwise than commanded: it would not obey a directive either.
-    fn require_obedience(&mut self, scan: &ScanRecord) {
-        self.deviating = if scan.deviates() { self.deviating + 1 } else { 0 };
-        if self.conclusion.is_open() && (scan.is_disobeyed() || self.deviating > MAX_DEVIATING) {
-            let (label, scan_id) = (self.fleet.label(Role::Actuator), scan.header.scan_id);
-            let what = match scan.is_disobeyed() {
-                true => "it drives although the command blocks the wheels",
-                false => "it drives otherwise than commanded",
-            };
-            self.decide(Outcome::Failed, &format!("actuator ({label}): {what}, scan {scan_id}"));
-            self.run.stop_word.latch();
-        }
-    }
-
     /// In lock-step no scan after the one that decided the outcome belongs to the run.
     fn is_recorded(&self) -> bool {
         !self.run.lockstep || self.conclusion.is_open()
-    }
-
-    fn decide(&mut self, outcome: Outcome, reason: &str) {
-        if self.conclusion.is_open() {
-            let is_explained = !matches!(outcome, Outcome::Stopped | Outcome::Timeout);
-            let reason = match is_explained {
-                true => reason.to_owned(),
-                false => reason.to_owned() + &self.named_cause(reason) + &self.blame(),
-            };
-            let text = format!("{}: {reason}", outcome.name());
-            self.keep(outcome != Outcome::Reached, &text);
-            self.conclusion.decide(monotonic_ns(), outcome, reason);
-            self.directives.stop();
-            if outcome != Outcome::Reached {
-                self.incident();
-            }
-        }
     }
 
     /// Prints a line for the user, and keeps it as an event.
@@ -476,159 +436,6 @@ impl Session {
             recorder.event(is_warning, text);
         }
         self.events.push(self.recording.recorder.view().time_s, is_warning, text.to_owned());
-    }
-
-    /// The obstacle or the scanner that the wheels are blocked for now, as a continuation of the reason for the end.
-    fn named_cause(&self, reason: &str) -> String {
-        if let Some(scanner) = self.recording.recorder.stopped_for_scanner() {
-            let start = if reason.ends_with(StopReason::Scanner.name()) { "" } else { "; scanner" };
-            return format!("{start} {scanner}");
-        }
-        let start = if reason.ends_with(StopReason::Blocked.name()) { " by" } else { "; blocked by" };
-        let blocking = self.recording.recorder.stopped_for();
-        blocking.map_or_else(String::new, |blocking| format!("{start} {blocking}"))
-    }
-
-    /// Ends the run when it was stopped from outside, or this process was asked to end.
-    fn heed_stop(&mut self) {
-        if self.shutdown.requested() {
-            self.decide(Outcome::Interrupted, "interrupted by a signal");
-        }
-        if !self.run.stop_word.is_armed() {
-            self.decide(Outcome::Interrupted, "stopped by command");
-        }
-    }
-
-    /// Moves the end of the run on: wheels at rest, scans answered, processes ended.
-    fn advance_end(&mut self) -> anyhow::Result<()> {
-        self.heed_stop();
-        let drives = self.supervisor.phase() == Phase::Driving;
-        let is_answered = self.samples.answered_scan() >= self.samples.newest_scan();
-        match self.conclusion.advance(monotonic_ns(), drives, self.rests(), is_answered) {
-            Some(Step::EndScans) => self.directives.enter(Phase::Stopping),
-            Some(Step::EndProcesses) => {
-                self.end_counting();
-                self.handle(Event::StopRequested)?;
-            }
-            None => {}
-        }
-        Ok(())
-    }
-
-    /// From now on a process that ends has not died, and a scan without an answer is not lost.
-    fn end_counting(&mut self) {
-        self.recording.recorder.run_ended();
-        self.audit.samples.run_ended();
-    }
-
-    fn handle(&mut self, event: Event) -> anyhow::Result<()> {
-        let mut events = vec![event];
-        while let Some(event) = events.pop() {
-            for action in self.supervisor.handle(monotonic_ns(), event) {
-                if let Some(answer) = self.carry_out(action)? {
-                    events.insert(0, answer);
-                }
-            }
-        }
-        Ok(())
-    }
-
-    /// Carries out an action of the supervisor; returns the event that answers it.
-    fn carry_out(&mut self, action: Action) -> anyhow::Result<Option<Event>> {
-        match action {
-            Action::Grant { role, incarnation } => {
-                let authority = &mut self.directives.current.authority[role.index()];
-                *authority = Authority { incarnation, ..Authority::default() };
-                self.directives.changed = true;
-                self.publish_directive()?;
-            }
-            Action::Spawn { role, .. } if !self.run.stop_word.is_armed() => {
-                self.heed_stop();
-                if self.supervisor.phase() != Phase::Driving {
-                    self.handle(Event::StopRequested)?;
-                }
-                return Ok(Some(Event::SpawnFailed { role, error: "the run was stopped".to_owned() }));
-            }
-            Action::Spawn { role, incarnation } => {
-                self.recording.recorder.outage_ended(role);
-                let answer = self.fleet.spawn(role, incarnation, self.left_behind(role).as_ref());
-                self.update_registry();
-                return Ok(Some(answer));
-            }
-            Action::Terminate { role } => self.fleet.signal(role, false),
-            Action::Kill { role: Role::Robot } if !self.robot_rests() => return Ok(self.leave_robot()),
-            Action::Kill { role } => self.fleet.signal(role, true),
-            Action::CleanUp { role } => {
-                self.bus.clean_up_dead_processes();
-                return Ok(Some(Event::CleanedUp { role }));
-            }
-            Action::Announce(phase) => {
-                if phase == Phase::Connecting {
-                    self.await_companions(ProcessState::Attached)?;
-                    self.samples.connect();
-                }
-                if phase == Phase::Driving {
-                    self.await_companions(ProcessState::Connected)?;
-                    if self.recorder.as_mut().is_some_and(|recorder| !recorder.connect()) {
-                        self.progress
-                            .warn("the recorder did not connect in time: the first samples may be missing");
-                    }
-                    self.find_judge()?;
-                    self.audit.samples.driving();
-                    self.directives.grant(GRANT_AHEAD.min(self.companions.granted_scan(GRANT_AHEAD)));
-                    self.audit.moved(monotonic_ns());
-                }
-                self.directives.enter(phase);
-                self.publish_directive()?;
-            }
-            Action::RunFailed { role, reason } => {
-                let reason = format!("{role} ({}): {reason}", self.fleet.label(role));
-                if self.supervisor.phase() == Phase::Driving {
-                    self.decide(Outcome::Failed, &reason);
-                } else if self.conclusion.fail(reason) {
-                    self.end_counting();
-                    self.directives.stop();
-                }
-                self.publish_directive()?;
-            }
-            Action::AllStopped => {}
-            Action::Log(severity, text) => match severity {
-                Severity::Info => {
-                    tracing::debug!("{text}");
-                    self.keep(false, &text);
-                }
-                Severity::Warn if self.conclusion.is_open() => self.warn(&text),
-                Severity::Error => self.warn(&text),
-                Severity::Warn => self.recorder.iter_mut().for_each(|recorder| recorder.note(&text)),
-            },
-        }
-        Ok(None)
-    }
-
-    /// Whether the robot is known to rest: by its own report, or by the truth of an emulated one that does not report.
-    fn robot_rests(&self) -> bool {
-        let (wheels, _) = self.run.stop_word.wheels(Role::Robot);
-        let newest = self.samples.newest_truth().or(self.recording.recorder.last_truth());
-        match wheels {
-            Wheels::Resting => true,
-            // Without a report and without a truth only a robot without any actuation is known to rest.
-            Wheels::Unknown => newest.map_or_else(
-                || self.samples.recent_actuations().next().is_none(),
-                |truth| truth.speed_mps <= 0.0,
-            ),
-            Wheels::Turning | Wheels::Blocked => false,
-        }
-    }
-
-    /// A robot that does not end and is not known to rest is left: no other process could stop it.
-    fn leave_robot(&mut self) -> Option<Event> {
-        let role = Role::Robot;
-        let incarnation = self.fleet.incarnation(role);
-        let pid = self.fleet.leave(role)?;
-        let text = format!("robot {pid} does not end, and is not known to rest: it is left");
-        self.warn(&text);
-        self.conclusion.correct(text);
-        Some(Event::Exited { role, incarnation, exit: ProcessExit::Unknown })
     }
 
     /// Publishes the directive when it has changed, and from time to time for processes that missed it.
