@@ -575,8 +575,11 @@ fn a_number_that_can_not_be_is_dropped_counted_and_named_and_what_follows_counts
     let output = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
     let input = Input::<Pose>::new(lab.bus(), lab.shared(Role::Controller, 9)).unwrap();
     input.reader().drain().unwrap();
+    assert!(!input.reader().is_rung());
     output.publish(&mut pose(1, 0.0)).unwrap();
+    assert!(input.reader().is_rung());
     assert_eq!(taken(&input), [(1, 7)]);
+    assert!(!input.reader().is_rung());
     for (index, wrong) in [1 << 63, u64::MAX, 1 << 40, 1_001].into_iter().enumerate() {
         let scan_id = 2 + 2 * index as u64;
         let fields: [fn(&mut Header) -> &mut u64; 2] =
