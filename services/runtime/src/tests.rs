@@ -107,7 +107,10 @@ fn a_published_sample_wakes_its_reader_and_carries_the_stamps_of_its_stage() {
     output.publish(&mut pose(3, 1.5)).unwrap();
     assert!(lab.bus().bells().role(Role::Controller).poll() != 0);
     input.reader().drain().unwrap();
+    let waiting = input.reader().account();
+    assert_eq!((waiting.waiting, waiting.waiting_sum, waiting.open), (1, 1, 1));
     let taken = input.take().unwrap();
+    assert_eq!(input.reader().account().waiting, 0);
     assert_eq!((taken.x_m, taken.header.scan_id, taken.header.sequence), (1.5, 3, 1));
     assert_eq!((taken.header.layout, taken.header.incarnation), (Pose::LAYOUT, 7));
     assert_eq!(taken.header.stage(Role::Estimator).published_ns, 42);
