@@ -48,6 +48,7 @@ const RULES: &[(&str, How)] = &[
     // Other machines and devices.
     ("scp ", Not(HOSTS)),
     ("cp services/link", Not(BUILD)),
+    ("services/link/target/release/examples/round-trip", Not(HOSTS)),
     ("chmod 600 agent.toml", Not(HOSTS)),
     ("ip ", Not(HOSTS)),
     ("nsenter ", Not(HOSTS)),

@@ -225,12 +225,12 @@ fn a_stranger_under_the_number_of_a_process_is_named_and_left_alone() {
         stranger.arg("600").env("SCANLOOP_RUN_ID", "anotherrun").env("SCANLOOP_INCARNATION", "4");
         let mut stranger = stranger.stdin(Stdio::null()).spawn().unwrap();
         let list = system.domain().directory().join(runtime::PROCESSES_FILE);
-        let text = std::fs::read_to_string(&list).unwrap();
-        let (before, after) = text.split_once(&format!("pid = {controller}\n")).unwrap();
-        let after = after.split_once('\n').unwrap().1;
-        let ticks = runtime::start_ticks(stranger.id()).unwrap();
-        std::fs::write(&list, format!("{before}pid = {}\nstart_ticks = {ticks}\n{after}", stranger.id()))
-            .unwrap();
+        let mut table: toml::Table = std::fs::read_to_string(&list).unwrap().parse().unwrap();
+        let mut rows = table["process"].as_array_mut().unwrap().iter_mut().map(|row| &mut row["identity"]);
+        let row = rows.find(|row| row["pid"].as_integer() == Some(controller.into())).unwrap();
+        row["pid"] = i64::from(stranger.id()).into();
+        row["start_ticks"] = runtime::start_ticks(stranger.id()).unwrap().cast_signed().into();
+        std::fs::write(&list, table.to_string()).unwrap();
         system.adopt(&[]);
         let printed = system.stderr();
         let name = format!("controller: process {} is a stranger: its SCANLOOP_RUN_ID is", stranger.id());
