@@ -156,6 +156,10 @@ mod tests {
             ("inner.pair = [1.0, \"a\"]", "inner.pair[1] = \"a\" is not allowed: a number"),
             ("row = 3", "row = 3 is not allowed: tables [[row]]"),
             (
+                "rows = 3",
+                "rows = 3 is not allowed: the key is unknown. Did you mean `row`? Expected one of `kind`, `inner`, `row`",
+            ),
+            (
                 "row = [{ count = 1 }, { count = 1.5 }]",
                 "row[1].count = 1.5 is not allowed: a whole number from 0",
             ),
