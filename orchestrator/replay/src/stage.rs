@@ -1,23 +1,19 @@
 //! One stage: what is found in the outputs of its processes.
 
-mod actuator;
-mod controller;
-mod estimator;
 mod journal;
-mod obstacles;
 mod robot;
 
 use std::collections::BTreeMap;
 
+use actuation::ActuatorStage;
+use estimator::EstimatorStage;
 use handover::shadow::Study;
 use handover::swap::agreement::{OutputSummary, disagreement};
 use handover::swap::{Meant, Party, SwapOutput};
+use nmpc::ControllerStage;
+use obstacles::DetectorStage;
 use shared_types::{Actuation, Command, Header, Obstacles, Pose, Role, Sample, Topic};
 
-use self::actuator::Actuator;
-use self::controller::Controller;
-use self::estimator::Estimator;
-use self::obstacles::Detector;
 use self::robot::Robot;
 use crate::compare::{FieldDifference, difference, take_over};
 use crate::{
@@ -203,10 +199,12 @@ pub(crate) fn replay(role: Role, drive: &ReplayDrive, options: &ReplayOptions) -
     let mut findings = Findings::new(role, drive);
     match role {
         Role::Robot => journal::replay::<Robot>(&drive.scans, drive, options, &mut findings)?,
-        Role::Estimator => journal::replay::<Estimator>(&drive.poses, drive, options, &mut findings)?,
-        Role::Obstacles => journal::replay::<Detector>(&drive.obstacles, drive, options, &mut findings)?,
-        Role::Controller => journal::replay::<Controller>(&drive.commands, drive, options, &mut findings)?,
-        Role::Actuator => journal::replay::<Actuator>(&drive.actuations, drive, options, &mut findings)?,
+        Role::Estimator => journal::replay::<EstimatorStage>(&drive.poses, drive, options, &mut findings)?,
+        Role::Obstacles => journal::replay::<DetectorStage>(&drive.obstacles, drive, options, &mut findings)?,
+        Role::Controller => {
+            journal::replay::<ControllerStage>(&drive.commands, drive, options, &mut findings)?
+        }
+        Role::Actuator => journal::replay::<ActuatorStage>(&drive.actuations, drive, options, &mut findings)?,
     }
     Ok(findings)
 }

@@ -2,7 +2,12 @@
 
 mod injection;
 
+use actuation::ActuatorStage;
 use console::exit::{Exit, Failure};
+use estimator::EstimatorStage;
+use nmpc::ControllerStage;
+use obstacles::DetectorStage;
+use runtime::stage;
 use shared_types::did_you_mean;
 use supervision::entry::IMPLEMENTATIONS;
 
@@ -27,10 +32,10 @@ pub(crate) fn run(name: &str) -> anyhow::Result<Exit> {
         "player" => player::service::run()?,
         // Started by `player`, and no process of the system.
         "player-guard" => player::guard::run()?,
-        "ekf" => estimator::service::run()?,
-        "ellipses" => obstacles::service::run()?,
-        "nmpc" => nmpc::service::run()?,
-        "actuation" => actuation::service::run()?,
+        "ekf" => stage::main::<EstimatorStage>()?,
+        "ellipses" => stage::main::<DetectorStage>()?,
+        "nmpc" => stage::main::<ControllerStage>()?,
+        "actuation" => stage::main::<ActuatorStage>()?,
         _ => {
             let known = IMPLEMENTATIONS.map(|(name, _)| name).join(", ");
             let meant = did_you_mean(name, IMPLEMENTATIONS.map(|(name, _)| name));

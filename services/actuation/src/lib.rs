@@ -5,10 +5,11 @@
 
 mod actuator;
 mod config;
-pub mod service;
+mod stage;
 mod state;
 mod verdict;
 
 pub use actuator::Actuator;
 pub use config::ActuatorConfig;
+pub use stage::ActuatorStage;
 pub use state::ActuatorState;

@@ -12,10 +12,11 @@ mod estimator;
 pub mod motion;
 pub mod observability;
 pub mod self_check;
-pub mod service;
+mod stage;
 mod state;
 
 pub use config::{EstimatorConfig, FilterSettings, NoiseProfile};
 pub use estimator::Estimator;
 pub use observability::Measured;
+pub use stage::EstimatorStage;
 pub use state::EstimatorState;

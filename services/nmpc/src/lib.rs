@@ -3,7 +3,7 @@
 //! A lattice search proposes on which side each obstacle is passed. The crate `ocp` solves the optimal control problem,
 //! which keeps the plan outside of the ellipses, (7.34), and near the line to the goal. Every plan is verified before it
 //! is driven. [`Controller`] holds the order of these decisions;
-//! [`service`] is the process around it.
+//! [`ControllerStage`] is the stage of the loop around it.
 
 mod blocking;
 mod braking;
@@ -31,9 +31,9 @@ mod rehearsal;
 mod rollout;
 mod sampled;
 mod scene;
-pub mod service;
 mod side;
 mod smoothing;
+mod stage;
 mod start;
 mod state;
 mod stop_rule;
@@ -46,8 +46,8 @@ pub use config::{ControllerConfig, ControllerProfile, MarginSettings, SideRule, 
 pub use controller::Controller;
 pub use ocp::Budget;
 pub use reference_path::LatticeSettings;
-pub use rehearsal::Rehearsal;
 pub use side::Side;
+pub use stage::ControllerStage;
 pub use state::ControllerState;
 pub use warm::shift;
 pub use weights::WeightSettings;

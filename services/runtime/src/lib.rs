@@ -61,6 +61,7 @@ mod shared;
 mod shared_memory;
 mod shutdown;
 mod silence;
+pub mod stage;
 mod stop;
 mod tamper;
 mod terminal;
@@ -87,7 +88,7 @@ pub use identity::{
     Identified, Identity, NotOurs, PROCESSES_FILE, Seen, identify, pid_namespace, processes, processes_of,
     start_ticks, started_processes, started_processes_of_others, uid_of,
 };
-pub use input::{Input, QUEUE_DEPTH, Taken, join};
+pub use input::{Input, Taken, join};
 pub use layouts::{LAYOUTS_FILE, verify_layouts};
 pub use link::{
     HUB, LINK_SOCKET, LinkCounts, LinkLoss, LinkPeer, LinkStatus, LinkTable, LinkedHost, LossReason,

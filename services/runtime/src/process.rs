@@ -4,6 +4,7 @@ mod state;
 mod waiting;
 
 use std::cell::{Cell, RefCell};
+use std::fmt::Display;
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -179,6 +180,12 @@ impl Process {
         settings::table(&self.domain, self.shared.role, &self.settings, name)
     }
 
+    /// The error for a table of settings that is not allowed.
+    pub(crate) fn refuse_settings(&self, table: &str, reason: &dyn Display) -> RuntimeError {
+        let path = self.domain.directory().join(settings::settings_file(self.shared.role));
+        RuntimeError::settings(path, format_args!("{table}: {reason}"))
+    }
+
     /// Scan period [ns].
     pub fn period_ns(&self) -> u64 {
         self.run.period_ns
@@ -253,7 +260,10 @@ impl Process {
         self.open_input(S::TYPE).map(Input::of)
     }
 
-    fn open_input(&mut self, of: &'static SampleType) -> Result<Enclosed<Rc<Reader>>, RuntimeError> {
+    pub(crate) fn open_input(
+        &mut self,
+        of: &'static SampleType,
+    ) -> Result<Enclosed<Rc<Reader>>, RuntimeError> {
         let role = self.shared.role;
         if !role.reads().contains(&of.topic) {
             return Err(RuntimeError::NotYourTopic { role, verb: "read", topic: of.topic });
@@ -272,7 +282,10 @@ impl Process {
         self.open_output(S::TYPE).map(|writer| Rc::new(Output::of(writer)))
     }
 
-    fn open_output(&mut self, of: &'static SampleType) -> Result<Enclosed<Rc<Writer>>, RuntimeError> {
+    pub(crate) fn open_output(
+        &mut self,
+        of: &'static SampleType,
+    ) -> Result<Enclosed<Rc<Writer>>, RuntimeError> {
         let role = self.shared.role;
         if !may_write(role, of.topic) {
             return Err(RuntimeError::NotYourTopic { role, verb: "write", topic: of.topic });

@@ -5,8 +5,17 @@
 
 use std::collections::BTreeSet;
 
-use bytemuck::Pod;
-use shared_types::{Checkpoint, Described, Journal, JournalEntry, JournalKind, Role, Sample, shift_state};
+use actuation::ActuatorStage;
+use console::exit::Failure;
+use estimator::EstimatorStage;
+use nmpc::ControllerStage;
+use obstacles::DetectorStage;
+use runtime::{settings_file, settings_table};
+use serde::de::DeserializeOwned;
+use shared_types::{
+    Actuation, AnySample, Checkpoint, Described, Journal, JournalEntry, JournalKind, Sample, Stage,
+    StageEvent, Stopwatch, TOPICS, Topic, shift_state,
+};
 
 use super::{Findings, Window};
 use crate::drive::{Lane, moved};
@@ -24,7 +33,7 @@ const FOREIGN: &str = "not_compared: the process is no implementation of this pr
 
 /// What was not recorded although a process had it.
 #[derive(Debug, Clone, Copy)]
-pub(super) enum Missing {
+enum Missing {
     /// A sample.
     Input,
     /// The clock of its host in the scan of a sample.
@@ -40,45 +49,53 @@ impl Missing {
     }
 }
 
-/// How a process has taken samples.
-pub(super) struct Taking<'d> {
-    /// The samples.
-    pub(super) drive: &'d ReplayDrive,
-    incarnation: u32,
-    /// The next one was handed over, with its times moved by this [ns].
+/// A sample that a process has taken and not used yet.
+#[derive(Clone, Copy)]
+struct Waiting {
+    entry: JournalEntry,
+    /// It was handed over, with its times moved by this [ns].
     moved_ns: Option<i64>,
 }
 
+/// Hands samples to a stage as its process had them.
+struct Taking<'d> {
+    drive: &'d ReplayDrive,
+    incarnation: u32,
+}
+
 impl Taking<'_> {
-    /// A sample as the process had it.
-    pub(super) fn sample<S: Sample>(&self, lane: &Lane<S>, entry: &JournalEntry) -> Result<S, Missing> {
-        let recorded = lane.of_number(entry.incarnation, entry.value).ok_or(Missing::Input)?;
-        match self.moved_ns {
-            Some(by_ns) => Ok(moved(recorded, by_ns)),
-            None => self.drive.clocks.to_local(self.incarnation, recorded).ok_or(Missing::Clock),
+    fn give(&self, waiting: &Waiting, now_ns: u64, stage: &mut impl Stage) -> Result<(), Missing> {
+        let drive = self.drive;
+        match TOPICS.get(usize::from(waiting.entry.topic)) {
+            Some(Topic::Scan) => self.give_from(&drive.scans, waiting, now_ns, stage),
+            Some(Topic::Odometry) => self.give_from(&drive.odometries, waiting, now_ns, stage),
+            Some(Topic::Pose) => self.give_from(&drive.poses, waiting, now_ns, stage),
+            Some(Topic::Obstacles) => self.give_from(&drive.obstacles, waiting, now_ns, stage),
+            Some(Topic::Command) => self.give_from(&drive.commands, waiting, now_ns, stage),
+            Some(Topic::Actuation) => self.give_from(&drive.actuations, waiting, now_ns, stage),
+            _ => Err(Missing::Input),
         }
+    }
+
+    fn give_from<S: Sample>(
+        &self,
+        lane: &Lane<S>,
+        Waiting { entry, moved_ns }: &Waiting,
+        now_ns: u64,
+        stage: &mut impl Stage,
+    ) -> Result<(), Missing> {
+        let recorded = lane.of_number(entry.incarnation, entry.value).ok_or(Missing::Input)?;
+        let sample = match *moved_ns {
+            Some(by_ns) => moved(recorded, by_ns),
+            None => self.drive.clocks.to_local(self.incarnation, recorded).ok_or(Missing::Clock)?,
+        };
+        stage.take(AnySample::of(&sample), now_ns);
+        Ok(())
     }
 }
 
-/// The algorithm of one role, as its process calls it.
-pub(super) trait Stage: Sized {
-    /// The first output of the role.
-    type Output: Sample;
-    /// What its checkpoints hold.
-    type State: Pod + Described;
-    /// The role.
-    const ROLE: Role;
-
-    /// A process that begins without a state, with the settings of the recorded one.
-    fn begin(drive: &ReplayDrive, incarnation: u32) -> anyhow::Result<Self>;
-    /// Continues from a state; false when it can't be used.
-    fn resume(&mut self, state: &Self::State) -> bool;
-    /// Remembers a sample that the process has taken.
-    fn take(&mut self, entry: &JournalEntry, taking: &Taking<'_>);
-    /// Does what the process did: any kind of entry but those about samples and checkpoints.
-    fn follow(&mut self, kind: JournalKind, value: u64) -> Result<(), Missing>;
-    /// The output for a scan.
-    fn output(&mut self, scan_id: u64) -> Result<Self::Output, Missing>;
+/// A stage that is replayed.
+pub(super) trait Recomputed: Stage {
     /// Compares what else the process has published for the scan of `recorded`.
     fn compare_others(
         &mut self,
@@ -90,13 +107,21 @@ pub(super) trait Stage: Sized {
     }
 }
 
+impl Recomputed for EstimatorStage {}
+impl Recomputed for DetectorStage {}
+impl Recomputed for ControllerStage {}
+impl Recomputed for ActuatorStage {}
+
 /// Replays all processes of a role.
-pub(super) fn replay<T: Stage>(
+pub(super) fn replay<T: Recomputed>(
     lane: &Lane<T::Output>,
     drive: &ReplayDrive,
     options: &ReplayOptions,
     findings: &mut Findings,
-) -> anyhow::Result<()> {
+) -> anyhow::Result<()>
+where
+    T::Settings: DeserializeOwned,
+{
     let processes: BTreeSet<u32> = lane.samples.iter().map(|sample| sample.header().incarnation).collect();
     let window = Window::of(drive, options);
     for incarnation in processes {
@@ -139,19 +164,28 @@ impl Default for Skipped {
 }
 
 /// Replays one process from its start, or from the first recorded state behind each gap.
-fn replay_process<T: Stage>(
+fn replay_process<T: Recomputed>(
     (incarnation, lane): (u32, &Lane<T::Output>),
     drive: &ReplayDrive,
     options: &ReplayOptions,
     window: &Window,
     findings: &mut Findings,
     skipped: &mut Skipped,
-) -> anyhow::Result<()> {
+) -> anyhow::Result<()>
+where
+    T::Settings: DeserializeOwned,
+{
     let nearest = nearest_state(incarnation, drive, options);
-    let taking = Taking { drive, incarnation, moved_ns: None };
+    let settings = drive.table_of(incarnation, T::ROLE, settings_table(T::ROLE))?;
+    let stage = T::begin(settings, drive.period_ns)
+        .map_err(|invalid| Failure::bad_input(format!("{}: {invalid}", settings_file(T::ROLE))))?;
     let mut process = Replayed {
-        stage: T::begin(drive, incarnation)?,
-        taking,
+        stage,
+        taking: Taking { drive, incarnation },
+        waiting: Vec::new(),
+        moved_ns: None,
+        readings: None,
+        is_held_back: false,
         nearest,
         unknown: nearest.map(|_| NO_STATE),
     };
@@ -180,27 +214,35 @@ fn replay_process<T: Stage>(
 struct Replayed<'d, T> {
     stage: T,
     taking: Taking<'d>,
+    /// What it has taken and not used yet.
+    waiting: Vec<Waiting>,
+    /// By how much the times of what it takes next were moved [ns].
+    moved_ns: Option<i64>,
+    /// After how many readings of its clock the time for the next output is over.
+    readings: Option<u64>,
+    /// The port makes the next output a block.
+    is_held_back: bool,
     /// Number of the state that it begins with, if it does not begin with its start.
     nearest: Option<u64>,
     /// Why the state of the stage is not that of the process.
     unknown: Option<&'static str>,
 }
 
-impl<T: Stage> Replayed<'_, T> {
+impl<T: Recomputed> Replayed<'_, T> {
     /// Does what one entry states.
     fn follow(&mut self, entry: &JournalEntry) {
-        match JournalKind::try_from(u32::from(entry.kind)) {
-            Ok(JournalKind::Moved) => self.taking.moved_ns = Some(entry.value.cast_signed()),
-            Ok(JournalKind::Taken) => {
-                self.stage.take(entry, &self.taking);
-                self.taking.moved_ns = None;
+        let Ok(kind) = JournalKind::try_from(u32::from(entry.kind)) else { return };
+        match kind {
+            JournalKind::Moved => self.moved_ns = Some(entry.value.cast_signed()),
+            JournalKind::Taken => {
+                self.waiting.push(Waiting { entry: *entry, moved_ns: self.moved_ns.take() });
             }
-            Ok(JournalKind::Resumed) => {
-                let moved_ns = self.taking.moved_ns.take().unwrap_or(0);
+            JournalKind::Resumed => {
+                let moved_ns = self.moved_ns.take().unwrap_or(0);
                 let is_known = self.resume(entry.incarnation, entry.value, moved_ns);
                 self.unknown = if is_known { None } else { Some(NO_STATE) };
             }
-            Ok(JournalKind::Saved) => {
+            JournalKind::Saved => {
                 let is_wanted = self.nearest.is_none_or(|nearest| entry.value >= nearest);
                 let incarnation = self.taking.incarnation;
                 let is_unknown = self.unknown.is_some_and(|reason| reason != ALTERED);
@@ -208,14 +250,47 @@ impl<T: Stage> Replayed<'_, T> {
                     self.unknown = None;
                 }
             }
-            Ok(JournalKind::Altered) => {
+            JournalKind::Altered => {
                 self.unknown = Some(if entry.value == 1 { ALTERED } else { RESTORED });
             }
-            Ok(kind) if self.unknown.is_none() => {
-                self.unknown = self.stage.follow(kind, entry.value).err().map(Missing::reason);
+            JournalKind::Used => self.give(entry.value),
+            JournalKind::Budget => self.readings = Some(entry.value),
+            JournalKind::HeldBack => self.is_held_back = true,
+            _ => {
+                let event = StageEvent::of(kind, entry.value).filter(|_| self.unknown.is_none());
+                event.map(|event| self.stage.follow(event));
             }
-            _ => {}
         }
+    }
+
+    /// Hands over what the process has taken, at the time at which it was used.
+    fn give(&mut self, now_ns: u64) {
+        for waiting in self.waiting.drain(..) {
+            if self.unknown.is_none() {
+                self.unknown = self.taking.give(&waiting, now_ns, &mut self.stage).err().map(Missing::reason);
+            }
+        }
+    }
+
+    /// The output of the stage for a scan, or why there is none.
+    fn output(&mut self, scan_id: u64) -> Result<T::Output, &'static str> {
+        // Some of their stages used no time, and earlier versions noted none.
+        self.give(0);
+        // With other settings an output takes another time, and its time does not end.
+        let readings = self.readings.take().filter(|_| !self.taking.drive.is_changed);
+        let is_held_back = std::mem::take(&mut self.is_held_back);
+        if let Some(reason) = self.unknown {
+            return Err(reason);
+        }
+        let watch = match self.taking.drive.simulated {
+            true => Stopwatch::standing(),
+            false => Stopwatch::recorded(readings),
+        };
+        let mut output = self.stage.output(scan_id, &watch).ok_or(Missing::Input.reason())?;
+        if is_held_back {
+            hold_back(&mut output);
+        }
+        Ok(output)
     }
 
     /// Continues from the state that a process has saved with this number, with its times moved; false where it was not
@@ -235,10 +310,7 @@ impl<T: Stage> Replayed<'_, T> {
         (options, window): (&ReplayOptions, &Window),
         findings: &mut Findings,
     ) {
-        let output = match self.unknown {
-            Some(reason) => Err(reason),
-            None => self.stage.output(journal.header.scan_id).map_err(Missing::reason),
-        };
+        let output = self.output(journal.header.scan_id);
         self.unknown = output.as_ref().err().copied();
         // One that was not recorded may have been removed by an injected fault.
         let Some(recorded) = recorded.filter(|recorded| window.holds(recorded.header(), findings)) else {
@@ -254,6 +326,16 @@ impl<T: Stage> Replayed<'_, T> {
             }
             Err(ALTERED | RESTORED) => findings.injected(),
             Err(reason) => findings.skip(recorded, reason),
+        }
+    }
+}
+
+/// Makes an actuation that drives a block, as the port of an actuator does.
+fn hold_back<S: Sample>(output: &mut S) {
+    if S::TOPIC == Topic::Actuation {
+        let actuation: &mut Actuation = bytemuck::from_bytes_mut(bytemuck::bytes_of_mut(output));
+        if actuation.drives() {
+            actuation.hold_back();
         }
     }
 }

@@ -1,37 +1,41 @@
 //! Recomputes what the emulated robot measured, from its seed and the recorded actuations.
 
+use std::convert::Infallible;
+
 use emulator::service::RobotState;
 use emulator::{Emulator, Scenario};
-use shared_types::{Actuation, Header, JournalEntry, JournalKind, Odometry, Role, Scan, Truth};
+use shared_types::{
+    Actuation, AnySample, Header, Odometry, Role, Sample, SampleType, Scan, Stage, StageEvent, Stopwatch,
+    Truth,
+};
 
 use super::Findings;
-use super::journal::{Missing, Stage, Taking};
+use super::journal::Recomputed;
 use crate::{ReplayDrive, ReplayOptions};
 
 /// The process of an emulated robot.
+#[derive(Clone)]
 pub(super) struct Robot {
     emulator: Emulator,
     /// When the drive began [ns].
     origin_ns: u64,
-    actuation: Result<Actuation, Missing>,
     odometry: Odometry,
     truth: Truth,
 }
 
 impl Stage for Robot {
+    type Settings = Scenario;
+    type Invalid = Infallible;
     type Output = Scan;
     type State = RobotState;
-    const ROLE: Role = Role::Robot;
 
-    fn begin(drive: &ReplayDrive, incarnation: u32) -> anyhow::Result<Self> {
-        let scenario: Scenario = drive.table_of(incarnation, Role::Robot, "scenario")?;
-        Ok(Self {
-            emulator: Emulator::new(&scenario, drive.period_ns),
-            origin_ns: 0,
-            actuation: Err(Missing::Input),
-            odometry: Odometry::default(),
-            truth: Truth::default(),
-        })
+    const ROLE: Role = Role::Robot;
+    const ANSWERS: &'static [&'static SampleType] = &[];
+    const NOTES: &'static [&'static SampleType] = &[Actuation::TYPE];
+
+    fn begin(scenario: Scenario, period_ns: u64) -> Result<Self, Infallible> {
+        let (odometry, truth) = (Odometry::default(), Truth::default());
+        Ok(Self { emulator: Emulator::new(&scenario, period_ns), origin_ns: 0, odometry, truth })
     }
 
     fn resume(&mut self, state: &RobotState) -> bool {
@@ -39,28 +43,30 @@ impl Stage for Robot {
         self.emulator.resume(&state.emulator).is_ok()
     }
 
-    fn take(&mut self, entry: &JournalEntry, taking: &Taking<'_>) {
-        self.actuation = taking.sample(&taking.drive.actuations, entry);
+    fn state(&self) -> Option<RobotState> {
+        None
     }
 
-    fn follow(&mut self, kind: JournalKind, value: u64) -> Result<(), Missing> {
-        match kind {
-            JournalKind::Begun => self.origin_ns = value,
-            JournalKind::Used => {
-                let actuation = self.actuation.as_ref().map_err(|missing| *missing)?;
-                self.emulator.advance_to(value);
-                self.emulator.actuate(actuation);
-            }
-            JournalKind::Stopped => {
-                self.emulator.advance_to(value);
+    fn take(&mut self, sample: AnySample<'_>, now_ns: u64) {
+        if let Some(actuation) = sample.get() {
+            self.emulator.advance_to(now_ns);
+            self.emulator.actuate(actuation);
+        }
+    }
+
+    fn follow(&mut self, event: StageEvent) -> bool {
+        match event {
+            StageEvent::Begun(at_ns) => self.origin_ns = at_ns,
+            StageEvent::Stopped(at_ns) => {
+                self.emulator.advance_to(at_ns);
                 self.emulator.block_at_once();
             }
-            _ => {}
+            _ => return false,
         }
-        Ok(())
+        true
     }
 
-    fn output(&mut self, scan_id: u64) -> Result<Scan, Missing> {
+    fn output(&mut self, scan_id: u64, _: &Stopwatch<'_>) -> Option<Scan> {
         let mut scan = Scan::default();
         (self.odometry, self.truth) = (Odometry::default(), Truth::default());
         self.emulator.advance_to(self.emulator.scan_ready_ns(scan_id));
@@ -69,9 +75,11 @@ impl Stage for Robot {
         for header in [&mut scan.header, &mut self.odometry.header, &mut self.truth.header] {
             *header = Header { scan_id, acquired_ns, ..Header::default() };
         }
-        Ok(scan)
+        Some(scan)
     }
+}
 
+impl Recomputed for Robot {
     fn compare_others(
         &mut self,
         recorded: &Scan,

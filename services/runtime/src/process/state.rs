@@ -118,7 +118,10 @@ impl Process {
 
     /// Hands fresh checkpoints of the running process to `accept`, until it accepts the newest of a poll or the time
     /// has passed.
-    fn join_checkpoint(&mut self, accept: &mut dyn FnMut(&Checkpoint) -> bool) -> Result<(), RuntimeError> {
+    pub(crate) fn join_checkpoint(
+        &mut self,
+        accept: &mut dyn FnMut(&Checkpoint) -> bool,
+    ) -> Result<(), RuntimeError> {
         let Some(incumbent) = environment::incumbent() else { return Ok(()) };
         if self.shared.clock.is_simulated() {
             return Ok(());

@@ -1,0 +1,277 @@
+//! Runs a [`Stage`] as a process of the loop: live, and in lock-step.
+
+use std::rc::Rc;
+
+use serde::de::DeserializeOwned;
+use shared_types::{
+    Actuation, AnySample, AnyStage, Header, JournalKind, SampleType, Stage, StageEvent, Stopwatch, Topic,
+};
+
+use crate::enclosed::Enclosed;
+use crate::handover::Handover;
+use crate::input::{Reader, join_readers};
+use crate::output::Writer;
+use crate::port::Received;
+use crate::settings::settings_table;
+use crate::{Process, RuntimeError, monotonic_ns};
+
+/// A stage that holds the wheels looks at its timeouts so often per scan: a block is late by a tenth at most.
+const POLLS: u64 = 10;
+
+/// Runs a stage as the process that the orchestrator has started, until it is asked to end.
+///
+/// # Errors
+/// Settings that are not allowed, and errors of the bus.
+pub fn main<T: Stage>() -> Result<(), RuntimeError>
+where
+    T::Settings: DeserializeOwned,
+{
+    let process = Process::attach(T::ROLE)?;
+    let table = settings_table(T::ROLE);
+    let mut stage = T::begin(process.settings(table)?, process.period_ns())
+        .map_err(|invalid| process.refuse_settings(table, &invalid))?;
+    run(process, &mut stage)
+}
+
+/// Runs any stage.
+fn run(process: Process, stage: &mut dyn AnyStage) -> Result<(), RuntimeError> {
+    let Some(mut runner) = Runner::start(process, stage)? else { return Ok(()) };
+    while runner.wait()? {
+        runner.follow_directive()?;
+        runner.answer()?;
+        runner.look_at_timeouts()?;
+    }
+    runner.end()
+}
+
+/// A stage between its ports.
+struct Runner<'s> {
+    process: Process,
+    stage: &'s mut dyn AnyStage,
+    /// Inputs that give an output together, one or two.
+    answers: Vec<Enclosed<Rc<Reader>>>,
+    /// Inputs that are handed over as they come.
+    notes: Vec<Enclosed<Rc<Reader>>>,
+    output: Enclosed<Rc<Writer>>,
+    output_type: &'static SampleType,
+    holds_wheels: bool,
+    /// The scan of what was noted last.
+    noted: u64,
+    /// The scan that was answered last.
+    answered: u64,
+    dropped: u64,
+}
+
+impl<'s> Runner<'s> {
+    /// Opens the ports, hands over what the process before has left, and waits for the loop; `None` when it was asked
+    /// to end before.
+    fn start(mut process: Process, stage: &'s mut dyn AnyStage) -> Result<Option<Self>, RuntimeError> {
+        let shape = stage.shape();
+        let mut open = |of: &[&'static SampleType]| -> Result<Vec<_>, RuntimeError> {
+            of.iter().map(|of| process.open_input(of)).collect()
+        };
+        let (answers, notes) = (open(shape.answers)?, open(shape.notes)?);
+        let output = process.open_output(shape.output)?;
+        let mut runner = Self {
+            process,
+            stage,
+            answers,
+            notes,
+            output,
+            output_type: shape.output,
+            holds_wheels: shape.holds_wheels,
+            noted: 0,
+            answered: 0,
+            dropped: 0,
+        };
+        let is_lost = match runner.process.resume_checkpoint()? {
+            Handover::FirstStart => false,
+            Handover::Lost => true,
+            Handover::State(checkpoint) => match runner.stage.resume(&checkpoint) {
+                Ok(()) => false,
+                Err(error) => {
+                    tracing::warn!(%error, "the state of the process before this one can't be used");
+                    true
+                }
+            },
+        };
+        if shape.notes.iter().any(|of| of.topic == Topic::Actuation) {
+            runner.take_handed();
+        }
+        if is_lost && runner.holds_wheels {
+            // A robot that drives is stopped first; valid inputs release it.
+            runner.follow(StageEvent::Stopped(runner.process.clock().now_ns()))?;
+        }
+        if !runner.process.start()? {
+            return Ok(None);
+        }
+        if is_lost {
+            runner.follow(StageEvent::StateLost { in_charge: runner.process.is_in_charge() })?;
+        }
+        runner.noted = runner.process.handed_scan();
+        runner.join()?;
+        Ok(Some(runner))
+    }
+
+    /// Notes actuations that the process before did not receive, such as the block that followed its silence.
+    fn take_handed(&mut self) {
+        for actuation in self.process.handed_actuations() {
+            self.stage.take(AnySample::of::<Actuation>(&actuation), self.process.now_ns());
+        }
+    }
+
+    /// In a swap, continues from the newest state of the process in charge.
+    fn join(&mut self) -> Result<(), RuntimeError> {
+        let Self { process, stage, answers, notes, .. } = self;
+        let mut joined = None;
+        process.join_checkpoint(&mut |checkpoint| {
+            if stage.resume(checkpoint).is_ok() {
+                joined = Some(checkpoint.header.scan_id);
+            }
+            joined.is_some()
+        })?;
+        let (Some(scan_id), Some(first)) = (joined, answers.first()) else { return Ok(()) };
+        match notes.is_empty() {
+            true => first.skip_to(scan_id),
+            false => first.skip(&|bytes| stage.contains(AnySample::new(first.of(), bytes))),
+        }
+        Ok(())
+    }
+
+    /// Sleeps until there is something to do; false when the process is to end.
+    fn wait(&mut self) -> Result<bool, RuntimeError> {
+        let Self { process, stage, .. } = self;
+        let mut prepare = |due_ns| stage.rehearse(due_ns, &monotonic_ns);
+        if self.answers.len() > 1 && self.notes.is_empty() {
+            return process.wait_joined_preparing(&mut prepare);
+        }
+        let poll_ns = process.period_ns() / POLLS;
+        let deadline_ns = self.holds_wheels.then(|| process.clock().now_ns() + poll_ns);
+        process.wait_preparing(deadline_ns, &mut prepare)
+    }
+
+    /// Tells the stage to stop or to go on, and that samples were dropped.
+    fn follow_directive(&mut self) -> Result<(), RuntimeError> {
+        if self.holds_wheels {
+            match (self.process.directive().stop == 1, self.stage.is_stopped()) {
+                (true, false) => self.follow(StageEvent::Stopped(self.process.clock().now_ns()))?,
+                (false, true) => self.follow(StageEvent::Released)?,
+                _ => {}
+            }
+        }
+        let dropped = self.answers.iter().map(|input| input.dropped()).sum();
+        if dropped > self.dropped {
+            self.dropped = dropped;
+            self.follow(StageEvent::Dropped)?;
+        }
+        Ok(())
+    }
+
+    /// Hands over all samples that wait, and publishes what the stage answers.
+    fn answer(&mut self) -> Result<(), RuntimeError> {
+        loop {
+            self.note()?;
+            if self.awaits_notes() {
+                return Ok(());
+            }
+            let Some(samples) = self.take() else { return Ok(()) };
+            let now_ns = self.process.now_ns();
+            let mut first: Option<Header> = None;
+            for (input, sample) in self.answers.iter().zip(samples.iter().flatten()) {
+                let sample = AnySample::new(input.of(), sample);
+                self.stage.take(sample, now_ns);
+                first.get_or_insert(*sample.header());
+            }
+            if let Some(((fault, input), header)) =
+                self.stage.refusal().zip(self.answers.first()).zip(first.as_ref())
+            {
+                input.refuse(header, fault);
+            }
+            self.answered = first.map_or(self.answered, |header| header.scan_id);
+            if let Some(header) = self.publish()? {
+                self.save(&header)?;
+            }
+        }
+    }
+
+    /// Hands over what is noted as it comes.
+    fn note(&mut self) -> Result<(), RuntimeError> {
+        for input in &self.notes {
+            while let Some(sample) = input.take() {
+                let sample = AnySample::new(input.of(), &sample);
+                self.noted = sample.header().scan_id;
+                self.stage.take(sample, self.process.now_ns());
+                self.save(sample.header())?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether something has to be noted before the next scan, in lock-step: the result must not depend on when it
+    /// arrives.
+    fn awaits_notes(&self) -> bool {
+        let next = self.answers.first().and_then(|input| input.next_scan());
+        let is_early = next.is_some_and(|scan_id| self.noted < scan_id.saturating_sub(1));
+        is_early && !self.notes.is_empty() && self.process.clock().is_simulated()
+    }
+
+    /// The samples of one scan that give an output.
+    fn take(&self) -> Option<[Option<Enclosed<Received>>; 2]> {
+        match &*self.answers {
+            [only] => only.take().map(|sample| [Some(sample), None]),
+            [one, other] => join_readers(one, other).map(|(one, other)| [Some(one), Some(other)]),
+            _ => None,
+        }
+    }
+
+    fn look_at_timeouts(&mut self) -> Result<(), RuntimeError> {
+        if !self.holds_wheels || self.process.clock().is_simulated() {
+            return Ok(());
+        }
+        self.follow(StageEvent::Timer(self.process.clock().now_ns()))
+    }
+
+    /// Hands an event to the stage, and publishes what it gives.
+    fn follow(&mut self, event: StageEvent) -> Result<(), RuntimeError> {
+        if self.stage.follow(event) {
+            let (kind, value) = event.entry();
+            self.process.note(kind, value);
+            self.publish()?;
+        }
+        Ok(())
+    }
+
+    /// Publishes the output of the stage; returns its header when there was one.
+    fn publish(&mut self) -> Result<Option<Header>, RuntimeError> {
+        let Self { process, stage, output, .. } = self;
+        let watch = match process.clock().is_simulated() {
+            true => Stopwatch::standing(),
+            false => Stopwatch::running(&monotonic_ns),
+        };
+        let (mut published, mut header) = (Ok(()), None);
+        stage.publish(self.answered, &watch, &mut |bytes| {
+            if let Some(readings) = watch.over_after() {
+                process.note(JournalKind::Budget, readings);
+            }
+            published = output.publish(bytes);
+            header = Some(*(self.output_type.header)(bytes));
+        });
+        published.map(|()| header)
+    }
+
+    /// Publishes the state after a sample of this header.
+    fn save(&self, header: &Header) -> Result<(), RuntimeError> {
+        match self.stage.checkpoint() {
+            Some(checkpoint) => self.process.save_checkpoint(header, checkpoint),
+            None => Ok(()),
+        }
+    }
+
+    /// The last output of a stage that holds the wheels blocks them.
+    fn end(mut self) -> Result<(), RuntimeError> {
+        if self.holds_wheels {
+            self.follow(StageEvent::Stopped(self.process.clock().now_ns()))?;
+        }
+        Ok(())
+    }
+}
