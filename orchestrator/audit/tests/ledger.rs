@@ -5,10 +5,10 @@ use std::collections::{BTreeMap, VecDeque};
 
 use audit::ledger::{AUDITED_TOPICS, DeliveryFault, DeliveryFaultKind, SampleAudit};
 use proptest::prelude::*;
-use runtime::{PROCESS_QUEUE, QUEUE_DEPTH};
+use runtime::PROCESS_QUEUE;
 use shared_types::{
-    Actuation, Command, Fate, Header, Heartbeat, InputAccount, Obstacles, Odometry, Pose, ProcessState, Role,
-    Sample, Scan, Topic, Truth,
+    Actuation, Command, Fate, Header, Heartbeat, InputAccount, Obstacles, Odometry, Pose, ProcessState,
+    QUEUE_DEPTH, Role, Sample, Scan, Topic, Truth,
 };
 
 const PERIOD_NS: u64 = 100_000_000;

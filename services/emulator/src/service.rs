@@ -12,9 +12,9 @@
 
 use std::rc::Rc;
 
-use runtime::{Handover, Input, Output, Process, QUEUE_DEPTH, Taken, Wheels, monotonic_ns};
+use runtime::{Handover, Input, Output, Process, Taken, Wheels, monotonic_ns};
 use shared_types::{
-    Actuation, Header, JournalKind, MAX_LATE, Odometry, Phase, Role, Scan, Truth, plain_state,
+    Actuation, Header, JournalKind, MAX_LATE, Odometry, Phase, QUEUE_DEPTH, Role, Scan, Truth, plain_state,
 };
 
 use crate::{Emulator, EmulatorState, Scenario};

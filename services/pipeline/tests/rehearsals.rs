@@ -1,106 +1,117 @@
 //! Stages that rehearse before some of their scans, and are cut short in some, give the bits of those that never do.
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
-use actuation::{Actuator, ActuatorState};
+use std::cell::Cell;
+
+use actuation::ActuatorStage;
 use bytemuck::bytes_of;
 use emulator::{Emulator, Scenario};
-use estimator::{Estimator, EstimatorState};
-use nmpc::{Budget, Controller, ControllerState, Rehearsal};
-use obstacles::{ObstacleDetector, ObstaclesState};
+use estimator::EstimatorStage;
+use nmpc::ControllerStage;
+use obstacles::DetectorStage;
 use pipeline::PipelineSettings;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use shared_types::{
-    Actuation, Command, Header, Obstacles, Odometry, Pose, Role, Sample, Scan, StageStamps, Truth,
+    Actuation, AnySample, Command, Header, Obstacles, Odometry, Pose, Role, Sample, Scan, Stage, StageStamps,
+    Stopwatch, Truth,
 };
 
 /// Scans of a drive: beyond the obstacles, and where there is a goal, up to it.
 const SCANS: u64 = 150;
-/// Iterations that a step may use.
-const ITERATIONS: u32 = 40;
+/// Readings of its clock that a rehearsal of the controller may use.
+const READINGS: u64 = 40;
 
 /// The stages of one loop.
 struct Stages {
-    estimator: Estimator,
-    detector: ObstacleDetector,
-    controller: Controller,
-    actuator: Actuator,
-    rehearsal: Rehearsal,
-    odometry: Odometry,
-    period_ns: u64,
+    estimator: EstimatorStage,
+    detector: DetectorStage,
+    controller: ControllerStage,
+    actuator: ActuatorStage,
 }
 
 /// What the stages publish for one scan, and what they save.
-#[derive(Default)]
 struct Outputs {
     pose: Pose,
     obstacles: Obstacles,
     command: Command,
     actuation: Actuation,
-    states: (EstimatorState, ObstaclesState, ControllerState, ActuatorState),
+    states: Vec<u8>,
+}
+
+/// What a stage answers to samples of one scan, completed as the bus does.
+fn answer<T: Stage>(stage: &mut T, samples: &[AnySample<'_>], now_ns: u64) -> T::Output {
+    samples.iter().for_each(|sample| stage.take(*sample, now_ns));
+    let mut output = stage.output(samples[0].header().scan_id, &Stopwatch::standing()).unwrap();
+    complete(T::ROLE, &mut output, now_ns);
+    output
+}
+
+fn state_of<T: Stage>(stage: &T) -> Vec<u8> {
+    bytes_of(&stage.state().unwrap()).to_vec()
 }
 
 impl Stages {
     fn new(settings: &PipelineSettings) -> Self {
         let tuning = settings.tuning.clone().for_scenario(&settings.scenario);
+        let period_ns = settings.period_ns;
         Self {
-            estimator: Estimator::new(&tuning.estimator).unwrap(),
-            detector: ObstacleDetector::new(tuning.obstacles).unwrap(),
-            controller: Controller::new(tuning.controller).unwrap(),
-            actuator: Actuator::new(tuning.actuator, settings.period_ns).unwrap(),
-            rehearsal: Rehearsal::new(settings.period_ns),
-            odometry: Odometry::default(),
-            period_ns: settings.period_ns,
+            estimator: EstimatorStage::begin(tuning.estimator, period_ns).unwrap(),
+            detector: DetectorStage::begin(tuning.obstacles, period_ns).unwrap(),
+            controller: ControllerStage::begin(tuning.controller, period_ns).unwrap(),
+            actuator: ActuatorStage::begin(tuning.actuator, period_ns).unwrap(),
         }
     }
 
     fn step(&mut self, odometry: &Odometry, scan: &Scan, now_ns: u64) -> Outputs {
-        let mut pose = self.estimator.step(odometry, None, now_ns).unwrap();
-        complete(Role::Estimator, &mut pose, now_ns);
-        let mut obstacles = self.detector.step(scan, &pose);
-        complete(Role::Obstacles, &mut obstacles, now_ns);
-        let mut command = self.controller.step(&pose, &obstacles, &Budget::Iterations(ITERATIONS));
-        complete(Role::Controller, &mut command, now_ns);
-        let mut actuation = self.actuator.answer(&command, now_ns);
-        complete(Role::Actuator, &mut actuation, now_ns);
-        self.estimator.note(&actuation, now_ns);
-        self.rehearsal.keep(&pose, &obstacles);
-        self.odometry = *odometry;
-        let states =
-            (self.estimator.state(), self.detector.state(), self.controller.state(), self.actuator.state());
-        Outputs { pose, obstacles, command, actuation, states }
+        let pose = answer(&mut self.estimator, &[AnySample::of(odometry)], now_ns);
+        let obstacles = answer(&mut self.detector, &[AnySample::of(scan), AnySample::of(&pose)], now_ns);
+        let command =
+            answer(&mut self.controller, &[AnySample::of(&pose), AnySample::of(&obstacles)], now_ns);
+        let actuation = answer(&mut self.actuator, &[AnySample::of(&command)], now_ns);
+        self.estimator.take(AnySample::of(&actuation), now_ns);
+        let states = [
+            state_of(&self.estimator),
+            state_of(&self.detector),
+            state_of(&self.controller),
+            state_of(&self.actuator),
+        ];
+        Outputs { pose, obstacles, command, actuation, states: states.concat() }
     }
 
-    /// Rehearses in some of the stages, each up to three times, and in the controller with any number of iterations.
-    fn rehearse(&mut self, scan: &Scan, outputs: &Outputs, due_ns: u64, random: &mut Pcg64Mcg) {
+    /// Rehearses in some of the stages, each up to three times, and in the controller for any time.
+    fn rehearse(&mut self, due_ns: u64, random: &mut Pcg64Mcg) {
         for _ in 0..random.random_range(0..4) {
-            self.estimator.rehearse(&self.odometry, self.period_ns, due_ns);
+            self.estimator.rehearse(due_ns, &|| 0);
         }
         for _ in 0..random.random_range(0..4) {
-            self.detector.rehearse(scan, &outputs.pose, self.period_ns);
+            self.detector.rehearse(due_ns, &|| 0);
         }
         for _ in 0..random.random_range(0..4) {
-            let budget = Budget::Iterations(random.random_range(0..ITERATIONS));
-            self.rehearsal.run(&mut self.controller, &budget);
+            let left = Cell::new(random.random_range(0..READINGS));
+            let now_ns = || match left.get().checked_sub(1) {
+                None => due_ns,
+                Some(fewer) => {
+                    left.set(fewer);
+                    due_ns - 1
+                }
+            };
+            self.controller.rehearse(due_ns, &now_ns);
         }
         for _ in 0..random.random_range(0..4) {
-            self.actuator.rehearse(&outputs.command, self.period_ns, due_ns);
+            self.actuator.rehearse(due_ns, &|| 0);
         }
     }
 }
 
 impl Outputs {
     fn bytes(&self) -> Vec<u8> {
-        let (estimator, obstacles, controller, actuator) = &self.states;
         [
             bytes_of(&self.pose),
             bytes_of(&self.obstacles),
             bytes_of(&self.command),
             bytes_of(&self.actuation),
-            bytes_of(estimator),
-            bytes_of(obstacles),
-            bytes_of(controller),
-            bytes_of(actuator),
+            &self.states,
         ]
         .concat()
     }
@@ -134,7 +145,7 @@ fn compare(name: &str, keys: &str, seed: u64) {
         let outputs = plain.step(&odometry, &scan, now_ns);
         let others = rehearsed.step(&odometry, &scan, now_ns);
         assert!(outputs.bytes() == others.bytes(), "{name}, {keys:?}, seed {seed}: scan {scan_id} differs");
-        rehearsed.rehearse(&scan, &others, now_ns + settings.period_ns, &mut random);
+        rehearsed.rehearse(now_ns + settings.period_ns, &mut random);
         emulator.actuate(&outputs.actuation);
     }
 }

@@ -14,8 +14,7 @@ use crate::shared::Shared;
 use crate::view::view;
 use crate::{Bus, RuntimeError};
 
-pub use self::reader::QUEUE_DEPTH;
-pub(crate) use self::reader::Reader;
+pub(crate) use self::reader::{Reader, join as join_readers};
 
 /// A sample in shared memory, read in place and returned to its producer when dropped.
 pub struct Taken<S: Sample>(Enclosed<Received>, PhantomData<S>);

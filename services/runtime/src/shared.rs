@@ -2,9 +2,7 @@
 
 use std::cell::{Cell, RefCell};
 
-use shared_types::{
-    Device, Directive, Fault, Header, JournalKind, KnownScan, Role, StageStamps, Topic, YOUNG_NS,
-};
+use shared_types::{Device, Directive, Header, JournalKind, KnownScan, Role, StageStamps, Topic, YOUNG_NS};
 
 use crate::Clock;
 use crate::counters::Counters;
@@ -65,13 +63,6 @@ impl Shared {
         if topic.writer().is_some() {
             self.notes.note_sample(JournalKind::Taken, topic, header);
         }
-    }
-
-    /// Passes when the scan of a sample can exist now.
-    pub(crate) fn judge_scan(&self, header: &Header) -> Result<(), Fault> {
-        // In lock-step the stamps are the clock.
-        let max_ahead_ns = if self.clock.is_simulated() { u64::MAX } else { self.max_age_ns() };
-        self.known_scan.get().judge(header, self.clock.now_ns(), max_ahead_ns, self.period_ns)
     }
 
     /// Notes that the scan of a sample exists.

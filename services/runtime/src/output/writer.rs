@@ -47,7 +47,7 @@ impl Writer {
         })
     }
 
-    pub(super) fn publish(&self, sample: &mut [u8]) -> Result<(), RuntimeError> {
+    pub(crate) fn publish(&self, sample: &mut [u8]) -> Result<(), RuntimeError> {
         self.publish_silently(sample)?;
         self.wake();
         Ok(())
