@@ -8,10 +8,8 @@
 mod cell;
 pub mod course;
 mod finding;
-mod reader;
 mod rig;
 mod simulate;
-mod wire;
 
 pub use cell::{Cell, CellVerdict, Course, DetectionLimits, Observed, Passed, judge};
 pub use finding::{Finding, FindingPlace, Findings};

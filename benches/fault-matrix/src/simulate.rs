@@ -12,7 +12,6 @@ use crate::finding::{Finding, Findings};
 use crate::rig::Rig;
 
 /// The drives at the beginning of all phases.
-#[derive(Debug)]
 pub struct Simulation {
     limits: DetectionLimits,
     phases: Vec<(DrivePhase, Rig, Twin)>,
@@ -40,7 +39,7 @@ impl Simulation {
             lead_to(phase, &mut rig, &settings.scenario);
             let mut without = rig.clone();
             let course = finish(&mut without).0;
-            phases.push((phase, rig, Twin { course, findings: without.findings }));
+            phases.push((phase, rig, Twin { course, findings: without.findings().clone() }));
         }
         Ok(Self { limits, phases })
     }
@@ -60,13 +59,14 @@ impl Simulation {
         let from_ns = rig.inject(&fault.inject)?;
         let (course, outcome, digest) = finish(&mut rig);
         if outcome == Outcome::Stopped {
-            rig.findings.note("orchestrator", "stopped", rig.place());
+            let place = rig.place();
+            rig.findings().note("orchestrator", "stopped", place);
         }
         let is_new = |finding: &Finding| !twin.findings.has(finding);
-        let truth = rig.truth();
+        let truth = *rig.truth();
         let observed = Observed {
             from_ns,
-            findings: rig.findings.list().into_iter().filter(is_new).collect(),
+            findings: rig.findings().list().into_iter().filter(is_new).collect(),
             course,
             unaffected: twin.course.clone(),
             outcome: outcome.name().to_owned(),

@@ -34,7 +34,7 @@ fn without_a_fault_a_swap_takes_place_and_changes_nothing() {
             break;
         }
     }
-    assert!(rig.is_swapped(), "{:?}", rig.findings.list());
+    assert!(rig.is_swapped(), "{:?}", rig.findings().list());
 }
 
 #[test]
