@@ -15,7 +15,7 @@ use crate::{Checkpoint, Described, Fault, Header, JournalKind, Role, Sample, Sam
 ///
 /// Its outputs follow from what it is handed here and from nothing else: it reads no clock and no file. What is written
 /// into header and stamps of an output is completed when it is published.
-pub trait Stage: Clone + 'static {
+pub trait Stage: Clone + Send + Sync + 'static {
     /// Its table of settings.
     type Settings;
     /// What is wrong with settings.
@@ -245,7 +245,7 @@ pub struct StageShape {
 
 /// Any [`Stage`], so that a runner is compiled once for all; the methods that are not explained are those of the stage.
 #[expect(missing_docs, reason = "explained at the trait `Stage`")]
-pub trait AnyStage: Any {
+pub trait AnyStage: Any + Send + Sync {
     fn shape(&self) -> StageShape;
     fn take(&mut self, sample: AnySample<'_>, now_ns: u64);
     fn follow(&mut self, event: StageEvent) -> bool;

@@ -58,13 +58,13 @@ pub(crate) struct SimulatedInput {
     /// When the newest sample came [ns].
     arrived_ns: u64,
     is_record: bool,
-    known_scan: Cell<KnownScan>,
+    known_scan: KnownScan,
 }
 
 impl SimulatedInput {
     pub(crate) fn new(role: Role, of: &'static SampleType) -> Self {
         let is_record = of.topic == Topic::Actuation && role != Role::Robot;
-        Self { inbox: Inbox::new(of), arrived_ns: 0, is_record, known_scan: Cell::default() }
+        Self { inbox: Inbox::new(of), arrived_ns: 0, is_record, known_scan: KnownScan::default() }
     }
 
     fn rules<'a>(
@@ -92,9 +92,9 @@ impl SimulatedInput {
         authority: Authority,
         time: LoopTime,
     ) -> Arrival<SampleBytes> {
-        let known_scan = std::mem::take(&mut self.known_scan);
+        let known_scan = Cell::new(self.known_scan);
         let arrival = self.inbox.arrive(sample, &self.rules(&known_scan, authority, time));
-        self.known_scan = known_scan;
+        self.known_scan = known_scan.get();
         if arrival.fault.is_none() || arrival.fate.is_some() {
             self.arrived_ns = time.now_ns;
         }
@@ -103,10 +103,10 @@ impl SimulatedInput {
 
     /// Looks again at what was kept aside.
     pub(crate) fn review(&mut self, authority: Authority, time: LoopTime) {
-        let known_scan = std::mem::take(&mut self.known_scan);
+        let known_scan = Cell::new(self.known_scan);
         let rules = self.rules(&known_scan, authority, time);
         self.inbox.review(&rules, |_| {});
-        self.known_scan = known_scan;
+        self.known_scan = known_scan.get();
     }
 }
 

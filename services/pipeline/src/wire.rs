@@ -1,19 +1,19 @@
 //! The way of the samples of one topic from its writer to its readers, which may have a fault.
 
 use std::ops::Deref;
-use std::rc::Rc;
+use std::sync::Arc;
 
 use faults::{Change, Changed};
 use shared_types::{Header, SampleType};
 
 /// A sample on its way, in bytes.
 #[derive(Debug, Clone)]
-pub(crate) struct SampleBytes(Rc<[u64]>);
+pub(crate) struct SampleBytes(Arc<[u64]>);
 
 impl SampleBytes {
     /// A copy of a sample. Each begins with a header, so length and place are those of 64-bit numbers.
     pub(crate) fn of(sample: &[u8]) -> Self {
-        Self(Rc::from(bytemuck::cast_slice::<u8, u64>(sample)))
+        Self(Arc::from(bytemuck::cast_slice::<u8, u64>(sample)))
     }
 }
 
