@@ -16,13 +16,15 @@ use console::answer;
 use console::exit::{Exit, Failure};
 use console::out_folder::OutFolder;
 use console::progress::Steps;
-use fault_matrix::{Cell, CellVerdict, Simulation};
+use fault_matrix::course::{settings as settings_of_course, stage_settings};
+use fault_matrix::{Cell, CellVerdict, PipedStage, Simulation};
 use faults::{DrivePhase, InjectedFault};
 use serde::{Deserialize, Serialize};
 use shared_types::did_you_mean;
 
 use crate::cores::on_all_cores;
 use commands::print_json;
+use commands::replay::program;
 use live::Live;
 
 /// Arguments of `faults`.
@@ -37,6 +39,10 @@ pub(crate) struct FaultsArguments {
     /// Only cells that are driven in simulated time: those with real processes take most of an hour.
     #[arg(long)]
     pub(crate) simulated: bool,
+    /// A program with a stage of your own in place of that of its role, in simulated time only: `controller=./mine --fast`;
+    /// may be repeated for other roles. It calls `runtime::stage::main`.
+    #[arg(long, value_name = "ROLE=COMMAND")]
+    pub(crate) with: Vec<String>,
     /// Print the names of the cells to standard output, and drive none.
     #[arg(long)]
     pub(crate) list: bool,
@@ -82,7 +88,7 @@ pub(crate) fn faults(arguments: &FaultsArguments) -> anyhow::Result<Exit> {
         return Ok(Exit::Done);
     }
     let results = OutFolder::claim(&arguments.out, &[DATA, PAGE], arguments.force)?;
-    let matrix = drive(&chosen)?;
+    let matrix = drive(&chosen, &arguments.with)?;
     answer!(arguments.json, "{}", text(&matrix))?;
     results.write(DATA, serde_json::to_string_pretty(&matrix)?.as_bytes())?;
     let page = results.write(PAGE, page::html(&matrix.cells).as_bytes())?;
@@ -105,7 +111,8 @@ fn chosen<'a>(
     let cells = all.iter().flat_map(|fault| fault.phases().map(move |phase| (fault, phase)));
     let mut chosen: Vec<(&InjectedFault, DrivePhase)> =
         cells.filter(|(fault, phase)| matches(pattern, &name(&fault.name, *phase))).collect();
-    chosen.retain(|(fault, _)| !(arguments.simulated && fault.is_live()));
+    let is_simulated = arguments.simulated || !arguments.with.is_empty();
+    chosen.retain(|(fault, _)| !(is_simulated && fault.is_live()));
     if chosen.is_empty() {
         let meant = did_you_mean(pattern, all.iter().map(|fault| fault.name.as_str()));
         return Err(Failure::bad_input(format!(
@@ -135,7 +142,23 @@ fn matches(pattern: &str, name: &str) -> bool {
     rest.ends_with(last)
 }
 
-fn drive(chosen: &[(&InjectedFault, DrivePhase)]) -> anyhow::Result<Matrix> {
+/// Starts the programs of stages.
+fn programs(with: &[String]) -> anyhow::Result<Vec<PipedStage>> {
+    let product = match with.is_empty() {
+        true => PathBuf::new(),
+        false => system::product()?,
+    };
+    let start = |text: &String| {
+        let (role, command) = program(text, &product)?;
+        let settings = stage_settings(role).ok_or(format!("{text}: the robot is emulated"))?;
+        PipedStage::start(&command, role, settings, settings_of_course().period_ns)
+            .map_err(|reason| format!("{text}: {reason}"))
+    };
+    let started: Result<_, String> = with.iter().map(start).collect();
+    started.map_err(|reason| Failure::bad_input(format!("--with {reason}")))
+}
+
+fn drive(chosen: &[(&InjectedFault, DrivePhase)], with: &[String]) -> anyhow::Result<Matrix> {
     let (live, simulated): (Vec<_>, Vec<_>) = chosen.iter().copied().partition(|(fault, _)| fault.is_live());
     // Before the simulated cells, whose results an error would lose.
     if !live.is_empty() {
@@ -144,7 +167,7 @@ fn drive(chosen: &[(&InjectedFault, DrivePhase)]) -> anyhow::Result<Matrix> {
     let mut steps = Steps::new(chosen.len() as u64, "cells");
     let mut driven = Vec::new();
     if !simulated.is_empty() {
-        let simulation = Simulation::new()?;
+        let simulation = Simulation::new(programs(with)?)?;
         let cell = |index: usize| {
             let (fault, phase): (&InjectedFault, DrivePhase) = simulated[index];
             simulation.cell(fault, phase).ok_or_else(|| {
@@ -152,6 +175,9 @@ fn drive(chosen: &[(&InjectedFault, DrivePhase)]) -> anyhow::Result<Matrix> {
             })
         };
         driven = on_all_cores(simulated.len(), cell, || steps.step(""))?;
+        if let Some((role, reason)) = simulation.failure() {
+            return Err(Failure::process(format!("{role}: {reason}")));
+        }
     }
     let mut systems = Live::default();
     for (fault, phase) in live {

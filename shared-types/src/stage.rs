@@ -22,7 +22,7 @@ pub trait Stage: Clone + Send + Sync + 'static {
     type Invalid: Display;
     /// What it publishes.
     type Output: Sample;
-    /// All that its next output depends on, besides the samples to come.
+    /// All that its next output depends on, besides the samples to come; `[u8; 0]` for nothing.
     type State: Pod + Described;
 
     /// Its role in the loop.
@@ -43,10 +43,14 @@ pub trait Stage: Clone + Send + Sync + 'static {
     fn begin(settings: Self::Settings, period_ns: u64) -> Result<Self, Self::Invalid>;
 
     /// Continues from the state of another stage; false, and unchanged, when it can't be used.
-    fn resume(&mut self, state: &Self::State) -> bool;
+    fn resume(&mut self, _state: &Self::State) -> bool {
+        false
+    }
 
     /// What a successor resumes from; `None` while there is nothing worth it.
-    fn state(&self) -> Option<Self::State>;
+    fn state(&self) -> Option<Self::State> {
+        None
+    }
 
     /// Takes a sample at `now_ns` of the loop's clock.
     fn take(&mut self, sample: AnySample<'_>, now_ns: u64);
@@ -105,6 +109,16 @@ impl<'a> AnySample<'a> {
     /// The sample, if it is one of `S`.
     pub fn get<S: Sample>(&self) -> Option<&'a S> {
         if self.of.topic == S::TOPIC { bytemuck::try_from_bytes(self.bytes).ok() } else { None }
+    }
+
+    /// Its type.
+    pub fn sample_type(&self) -> &'static SampleType {
+        self.of
+    }
+
+    /// Its bytes.
+    pub fn bytes(&self) -> &'a [u8] {
+        self.bytes
     }
 
     /// Its header.

@@ -3,7 +3,7 @@
 use emulator::Scenario;
 use faults::DrivePhase;
 use pipeline::PipelineSettings;
-use shared_types::Truth;
+use shared_types::{Role, Truth};
 
 /// The course: the shipped corridor, shortened.
 const COURSE: &str = include_str!("course.toml");
@@ -29,6 +29,19 @@ pub fn scenario() -> Scenario {
 /// Scenario and default settings of all stages.
 pub fn settings() -> PipelineSettings {
     PipelineSettings::of(scenario())
+}
+
+/// The table of settings of the stage of a role, as TOML; `None` for the robot.
+pub fn stage_settings(role: Role) -> Option<String> {
+    let PipelineSettings { scenario, tuning, .. } = settings();
+    let tuning = tuning.for_scenario(&scenario);
+    match role {
+        Role::Robot => None,
+        Role::Estimator => toml::to_string(&tuning.estimator).ok(),
+        Role::Obstacles => toml::to_string(&tuning.obstacles).ok(),
+        Role::Controller => toml::to_string(&tuning.controller).ok(),
+        Role::Actuator => toml::to_string(&tuning.actuator).ok(),
+    }
 }
 
 /// The scenario of a cell with real processes: the same course from a place just before the phase.

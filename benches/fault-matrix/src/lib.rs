@@ -8,10 +8,12 @@
 mod cell;
 pub mod course;
 mod finding;
+mod piped;
 mod rig;
 mod simulate;
 
 pub use cell::{Cell, CellVerdict, Course, DetectionLimits, Observed, Passed, judge};
 pub use finding::{Finding, FindingPlace, Findings};
+pub use piped::PipedStage;
 pub use rig::Rig;
 pub use simulate::Simulation;

@@ -12,7 +12,7 @@ mod swap;
 
 use emulator::{Outcome, Referee, Scenario};
 use pipeline::{PipelineSettings, SimulatedLoop};
-use shared_types::{Actuation, Truth};
+use shared_types::{Actuation, AnyStage, Truth};
 use vehicle::Invalid;
 
 use self::judge::Judge;
@@ -48,7 +48,7 @@ impl Rig {
         let simulation = SimulatedLoop::new(settings, false)?;
         Ok(Self {
             judge: Judge::new(*period_ns),
-            swap: ControllerSwap::new(settings),
+            swap: ControllerSwap::new(*period_ns),
             simulation,
             scenario: scenario.clone(),
             period_ns: *period_ns,
@@ -57,6 +57,13 @@ impl Rig {
             outcome: None,
             is_halted: false,
         })
+    }
+
+    /// The same with another stage in the place of the one of its role.
+    #[must_use]
+    pub fn with(mut self, stage: Box<dyn AnyStage>) -> Self {
+        self.simulation.replace_stage(stage);
+        self
     }
 
     /// Runs until the next scan was answered, as far as it is answered at once; returns the outcome once there is one.

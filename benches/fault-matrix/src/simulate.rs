@@ -4,17 +4,21 @@ use audit::digest::Digests;
 use emulator::{Outcome, Scenario};
 use faults::{DrivePhase, InjectedFault};
 use pipeline::PipelineSettings;
+use shared_types::{AnyStage, Role};
 use vehicle::Invalid;
 
 use crate::cell::{Cell, Course, DetectionLimits, Observed, Passed, judge};
 use crate::course::{SHADOWED, begins, settings};
 use crate::finding::{Finding, Findings};
+use crate::piped::PipedStage;
 use crate::rig::Rig;
 
 /// The drives at the beginning of all phases.
 pub struct Simulation {
     limits: DetectionLimits,
     phases: Vec<(DrivePhase, Rig, Twin)>,
+    /// Stages in programs of their own.
+    programs: Vec<PipedStage>,
 }
 
 /// A drive that continues without a fault.
@@ -25,23 +29,31 @@ struct Twin {
 }
 
 impl Simulation {
-    /// Drives the course once per phase without a fault.
+    /// Drives the course once per phase without a fault, with these stages in the place of those of their roles.
     ///
     /// # Errors
     /// The first setting that is not allowed.
-    pub fn new() -> Result<Self, Invalid> {
+    pub fn new(programs: Vec<PipedStage>) -> Result<Self, Invalid> {
         let settings = settings();
         let deceleration_mps2 = settings.tuning.vehicle.blocked_deceleration_mps2;
         let limits = DetectionLimits { period_s: settings.period_ns as f64 * 1e-9, deceleration_mps2 };
         let mut phases = Vec::new();
         for phase in DrivePhase::ALL {
             let mut rig = Rig::new(&settings)?;
+            for program in &programs {
+                rig = rig.with(program.copy());
+            }
             lead_to(phase, &mut rig, &settings.scenario);
             let mut without = rig.clone();
             let course = finish(&mut without).0;
             phases.push((phase, rig, Twin { course, findings: without.findings().clone() }));
         }
-        Ok(Self { limits, phases })
+        Ok(Self { limits, phases, programs })
+    }
+
+    /// Why a program of a stage has failed, with its role: then cells do not count.
+    pub fn failure(&self) -> Option<(Role, String)> {
+        self.programs.iter().find_map(|program| Some((program.shape().role, program.failure()?)))
     }
 
     /// The way of a robot on a course without a fault, by the number of the scan.

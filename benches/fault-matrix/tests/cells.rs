@@ -39,7 +39,7 @@ fn without_a_fault_a_swap_takes_place_and_changes_nothing() {
 
 #[test]
 fn every_cell_of_the_simulation_passes() {
-    let simulation = Simulation::new().unwrap();
+    let simulation = Simulation::new(Vec::new()).unwrap();
     let (mut cells, mut failed) = (0, String::new());
     for fault in faults::all().unwrap().iter().filter(|fault| !fault.is_live()) {
         for phase in fault.phases() {

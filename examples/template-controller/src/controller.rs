@@ -27,6 +27,7 @@ plain_state! {
 }
 
 /// From pose and obstacles to a command.
+#[derive(Clone)]
 pub(crate) struct Controller {
     settings: Settings,
     period_s: f64,

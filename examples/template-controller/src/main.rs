@@ -2,7 +2,7 @@
 //!
 //! Once per scan it receives the pose of the robot and the obstacles, and publishes one command.
 //!
-//! * `main.rs` is the process: ports, start, state, loop. It stays as it is.
+//! * `main.rs` says what the stage reads, writes and saves. It stays as it is.
 //! * `controller.rs` is the order of decisions for one scan: stop, land, or drive a verified plan.
 //! * `planner.rs` proposes plans. **Replace this file by your own idea.**
 //! * `verify.rs` checks a plan. Keep it: a command may have `verified = 1` only when its plan has passed.
@@ -13,43 +13,57 @@ mod planner;
 mod settings;
 mod verify;
 
+use std::convert::Infallible;
 use std::process::ExitCode;
 
-use runtime::{Handover, Process, RuntimeError, join};
-use shared_types::{Command, Obstacles, Pose, Role};
+use shared_types::{AnySample, Command, Obstacles, Pose, Role, Sample, SampleType, Stage, Stopwatch};
 
-use crate::controller::Controller;
+use crate::controller::{Controller, Memory};
+use crate::settings::Settings;
 
 fn main() -> ExitCode {
-    runtime::start_logging();
-    match run() {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error}");
-            let is_usage = matches!(error, RuntimeError::NotInASystem(_) | RuntimeError::Layout(_));
-            ExitCode::from(if is_usage { 2 } else { 1 })
-        }
-    }
+    runtime::stage::main::<MyController>()
 }
 
-fn run() -> Result<(), RuntimeError> {
-    let mut process = Process::attach(Role::Controller)?;
-    let poses = process.input::<Pose>()?;
-    let obstacles = process.input::<Obstacles>()?;
-    let commands = process.output::<Command>()?;
-    let mut controller = Controller::new(process.settings("controller")?, process.period_ns());
-    if let Handover::State(memory) = process.resume()? {
-        controller.memory = memory;
+/// The stage: the controller and the samples that it has taken.
+#[derive(Clone)]
+struct MyController {
+    controller: Controller,
+    pose: Option<Pose>,
+    obstacles: Option<Obstacles>,
+}
+
+impl Stage for MyController {
+    type Settings = Settings;
+    type Invalid = Infallible;
+    type Output = Command;
+    type State = Memory;
+
+    const ROLE: Role = Role::Controller;
+    const ANSWERS: &'static [&'static SampleType] = &[Pose::TYPE, Obstacles::TYPE];
+
+    fn begin(settings: Settings, period_ns: u64) -> Result<Self, Infallible> {
+        Ok(Self { controller: Controller::new(settings, period_ns), pose: None, obstacles: None })
     }
-    if !process.start()? {
-        return Ok(());
+
+    fn resume(&mut self, memory: &Memory) -> bool {
+        self.controller.memory = *memory;
+        true
     }
-    while process.wait_joined()? {
-        while let Some((pose, obstacles)) = join(&poses, &obstacles) {
-            let mut command = controller.step(&pose, &obstacles);
-            commands.publish(&mut command)?;
-            process.save(&command.header, &controller.memory)?;
+
+    fn state(&self) -> Option<Memory> {
+        Some(self.controller.memory)
+    }
+
+    fn take(&mut self, sample: AnySample<'_>, _now_ns: u64) {
+        if let Some(pose) = sample.get() {
+            self.pose = Some(*pose);
+        } else if let Some(obstacles) = sample.get() {
+            self.obstacles = Some(*obstacles);
         }
     }
-    Ok(())
+
+    fn output(&mut self, _scan_id: u64, _: &Stopwatch<'_>) -> Option<Command> {
+        Some(self.controller.step(self.pose.as_ref()?, self.obstacles.as_ref()?))
+    }
 }

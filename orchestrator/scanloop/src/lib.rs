@@ -11,7 +11,7 @@ pub mod live_check;
 mod live_latency;
 mod record;
 pub mod reference;
-mod replay;
+pub mod replay;
 mod service;
 pub mod shadow;
 mod status;

@@ -1,6 +1,6 @@
 //! `scanloop replay`: recomputes a recorded drive and compares it with the recording.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::Args;
@@ -58,7 +58,7 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> anyhow::Result<Exit> {
     if !(0.0..=1e6).contains(tolerance) {
         return Err(Failure::bad_input(format!("--tolerance {tolerance} is not allowed: 0 to 1000000")));
     }
-    let with = with.iter().map(|text| program(text)).collect::<Result<Vec<_>, _>>();
+    let with = with.iter().map(|text| program(text, &this_program())).collect::<Result<Vec<_>, _>>();
     let with = with.map_err(|error| Failure::bad_input(format!("--with {error}")))?;
     let is_changed = !(set.is_empty() && with.is_empty());
     let (from, to, in_real_time) = (*from, *to, speed == "1");
@@ -115,12 +115,15 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> anyhow::Result<Exit> {
     Ok(if is_good { Exit::Done } else { Exit::NotReached })
 }
 
-/// Reads `ROLE=COMMAND`: a command with its arguments, or a built-in implementation of the role.
-fn program(text: &str) -> Result<(Role, Vec<String>), String> {
+/// Reads `ROLE=COMMAND`: a command with its arguments, or a built-in implementation of the role in the executable `product`.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn program(text: &str, product: &Path) -> Result<(Role, Vec<String>), String> {
     let (role, command) = text.split_once('=').ok_or_else(|| format!("{text}: expected ROLE=COMMAND"))?;
     let role: Role = role.parse().map_err(|error| format!("{text}: {error}"))?;
     if IMPLEMENTATIONS.contains(&(command, role)) {
-        let program = this_program().to_string_lossy().into_owned();
+        let program = product.to_string_lossy().into_owned();
         return Ok((role, vec![program, "service".to_owned(), command.to_owned()]));
     }
     let words = words(command).map_err(|error| format!("{text}: {error}"))?;
@@ -157,9 +160,10 @@ mod tests {
         let expected = vec!["python3".to_owned(), "my file.py".to_owned(), String::new(), "-x".to_owned()];
         assert_eq!(words(r#"python3  'my file.py' "" -x "#), Ok(expected));
         assert!(words("a 'b").is_err());
-        assert_eq!(program("controller=./mine --fast").unwrap().1, ["./mine", "--fast"]);
-        assert_eq!(program("controller=nmpc").unwrap().1[1..], ["service", "nmpc"]);
-        assert!(program("wheels=./mine").is_err() && program("controller").is_err());
-        assert!(program("controller= ").is_err());
+        let parsed = |text| program(text, Path::new("scanloop"));
+        assert_eq!(parsed("controller=./mine --fast").unwrap().1, ["./mine", "--fast"]);
+        assert_eq!(parsed("controller=nmpc").unwrap().1, ["scanloop", "service", "nmpc"]);
+        assert!(parsed("wheels=./mine").is_err() && parsed("controller").is_err());
+        assert!(parsed("controller= ").is_err());
     }
 }

@@ -32,10 +32,10 @@ pub(crate) fn run(name: &str) -> anyhow::Result<Exit> {
         "player" => player::service::run()?,
         // Started by `player`, and no process of the system.
         "player-guard" => player::guard::run()?,
-        "ekf" => stage::main::<EstimatorStage>()?,
-        "ellipses" => stage::main::<DetectorStage>()?,
-        "nmpc" => stage::main::<ControllerStage>()?,
-        "actuation" => stage::main::<ActuatorStage>()?,
+        "ekf" => stage::run::<EstimatorStage>()?,
+        "ellipses" => stage::run::<DetectorStage>()?,
+        "nmpc" => stage::run::<ControllerStage>()?,
+        "actuation" => stage::run::<ActuatorStage>()?,
         _ => {
             let known = IMPLEMENTATIONS.map(|(name, _)| name).join(", ");
             let meant = did_you_mean(name, IMPLEMENTATIONS.map(|(name, _)| name));

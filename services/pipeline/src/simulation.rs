@@ -97,6 +97,14 @@ impl SimulatedLoop {
         })
     }
 
+    /// Puts another stage in the place of the first one of its role.
+    pub fn replace_stage(&mut self, stage: Box<dyn AnyStage>) {
+        let role = stage.shape().role;
+        if let Some(node) = self.nodes.iter_mut().find(|node| node.role() == role) {
+            *node = Node::new(stage, first_incarnation(role));
+        }
+    }
+
     /// The next scan.
     pub fn next_scan(&self) -> u64 {
         self.next_scan

@@ -1,7 +1,52 @@
-//! Runs a [`Stage`] as a process of the loop: live, and in lock-step.
+//! Runs a [`Stage`] as a process of the loop: live, in lock-step, and for a simulation.
+//!
+//! ```no_run
+//! use runtime::stage::NoSettings;
+//! use shared_types::{AnySample, Odometry, Pose, Role, Sample, SampleType, Stage, Stopwatch};
+//!
+//! /// An estimator that believes the odometer.
+//! #[derive(Clone, Default)]
+//! struct Believer(Option<Pose>);
+//!
+//! impl Stage for Believer {
+//!     type Settings = NoSettings;
+//!     type Invalid = std::convert::Infallible;
+//!     type Output = Pose;
+//!     type State = [u8; 0];
+//!     const ROLE: Role = Role::Estimator;
+//!     const ANSWERS: &'static [&'static SampleType] = &[Odometry::TYPE];
+//!
+//!     fn begin(_: NoSettings, _period_ns: u64) -> Result<Self, Self::Invalid> {
+//!         Ok(Self::default())
+//!     }
+//!
+//!     fn take(&mut self, sample: AnySample<'_>, _now_ns: u64) {
+//!         let pose_of = |measured: &Odometry| Pose {
+//!             header: measured.header.answer(),
+//!             yaw_rad: measured.yaw_rad,
+//!             x_m: measured.x_m,
+//!             y_m: measured.y_m,
+//!             ..Pose::default()
+//!         };
+//!         self.0 = sample.get().map(pose_of);
+//!     }
+//!
+//!     fn output(&mut self, _scan_id: u64, _: &Stopwatch<'_>) -> Option<Pose> {
+//!         self.0.take()
+//!     }
+//! }
+//!
+//! fn main() -> std::process::ExitCode {
+//!     runtime::stage::main::<Believer>()
+//! }
+//! ```
 
+pub mod pipe;
+
+use std::process::ExitCode;
 use std::rc::Rc;
 
+use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use shared_types::{
     Actuation, AnySample, AnyStage, Header, JournalKind, SampleType, Stage, StageEvent, Stopwatch, Topic,
@@ -18,23 +63,49 @@ use crate::{Process, RuntimeError, monotonic_ns};
 /// A stage that holds the wheels looks at its timeouts so often per scan: a block is late by a tenth at most.
 const POLLS: u64 = 10;
 
-/// Runs a stage as the process that the orchestrator has started, until it is asked to end.
+/// Settings of a stage that reads none: every table is accepted.
+#[derive(Debug, Clone, Copy, Default, Deserialize)]
+pub struct NoSettings {}
+
+/// The whole program of a stage: [`run`], with its messages and exit code.
 ///
-/// # Errors
-/// Settings that are not allowed, and errors of the bus.
-pub fn main<T: Stage>() -> Result<(), RuntimeError>
+/// Exit code 2 when it was not started by an orchestrator, or was built against other samples; 1 for other errors.
+pub fn main<T: Stage>() -> ExitCode
 where
     T::Settings: DeserializeOwned,
 {
+    crate::start_logging();
+    match run::<T>() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            crate::print(crate::Priority::Error, &format!("error: {error}"));
+            let is_usage = matches!(error, RuntimeError::NotInASystem(_) | RuntimeError::Layout(_));
+            ExitCode::from(if is_usage { 2 } else { 1 })
+        }
+    }
+}
+
+/// Runs a stage as the process that the orchestrator has started, until it is asked to end; or for a simulation, which
+/// hands it samples through standard input.
+///
+/// # Errors
+/// Settings that are not allowed, and errors of the bus.
+pub fn run<T: Stage>() -> Result<(), RuntimeError>
+where
+    T::Settings: DeserializeOwned,
+{
+    if pipe::is_wanted() {
+        return pipe::serve(&mut pipe::begin::<T>);
+    }
     let process = Process::attach(T::ROLE)?;
     let table = settings_table(T::ROLE);
     let mut stage = T::begin(process.settings(table)?, process.period_ns())
         .map_err(|invalid| process.refuse_settings(table, &invalid))?;
-    run(process, &mut stage)
+    run_any(process, &mut stage)
 }
 
 /// Runs any stage.
-fn run(process: Process, stage: &mut dyn AnyStage) -> Result<(), RuntimeError> {
+fn run_any(process: Process, stage: &mut dyn AnyStage) -> Result<(), RuntimeError> {
     let Some(mut runner) = Runner::start(process, stage)? else { return Ok(()) };
     while runner.wait()? {
         runner.follow_directive()?;

@@ -1,9 +1,7 @@
 //! What the orchestrator and an observer see of a drive.
 
-use std::any::Any;
-
 use audit::samples::{MAX_DEVIATING, deviates, is_disobedient};
-use estimator::EstimatorStage;
+use estimator::EstimatorState;
 use pipeline::LoopWatch;
 use shared_types::{
     Actuation, AnySample, AnyStage, BlockReason, Command, Obstacles, Odometry, Pose, Role, Scan,
@@ -63,8 +61,7 @@ impl Judge {
     }
 
     /// Notes what the estimator has refused since the last call.
-    fn note_refused(&mut self, stage: &EstimatorStage) {
-        let state = stage.estimator().state();
+    fn note_refused(&mut self, state: &EstimatorState) {
         let refused = [state.rejected, state.restarts, state.skipped, state.invalid];
         let names = ["gate", "restarted", "not_newer", "refused"];
         for ((now, before), name) in refused.into_iter().zip(self.refused).zip(names) {
@@ -100,8 +97,10 @@ impl LoopWatch for Judge {
     }
 
     fn stepped(&mut self, stage: &dyn AnyStage, output: Option<AnySample<'_>>) {
-        if let Some(stage) = (stage as &dyn Any).downcast_ref() {
-            self.note_refused(stage);
+        if stage.shape().role == Role::Estimator
+            && let Some(Ok(state)) = stage.checkpoint().map(|checkpoint| checkpoint.state())
+        {
+            self.note_refused(&state);
         }
         let Some(output) = output else { return };
         if let Some(pose) = output.get::<Pose>()

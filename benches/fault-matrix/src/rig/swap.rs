@@ -3,9 +3,8 @@
 use handover::swap::{
     Meant, OutputSummary, Party, RecordedScan, Swap, SwapAction, SwapEvent, SwapOutput, SwapPlan,
 };
-use nmpc::{ControllerConfig, ControllerStage};
-use pipeline::{PipelineSettings, SimulatedLoop, first_incarnation};
-use shared_types::{Actuation, AnyStage, Authority, Command, Role, Sample, Stage};
+use pipeline::{SimulatedLoop, first_incarnation};
+use shared_types::{Actuation, AnyStage, Authority, Command, Role, Sample};
 
 /// Incarnation of the process that takes over.
 const NEW: u32 = 6;
@@ -60,7 +59,6 @@ impl Seen {
 /// The swap of a drive, at most one.
 #[derive(Debug, Clone)]
 pub(super) struct ControllerSwap {
-    config: ControllerConfig,
     period_ns: u64,
     swap: Option<Swap>,
     /// Whether the new process is in charge for good.
@@ -68,20 +66,15 @@ pub(super) struct ControllerSwap {
 }
 
 impl ControllerSwap {
-    pub(super) fn new(settings: &PipelineSettings) -> Self {
-        let config = settings.tuning.clone().for_scenario(&settings.scenario).controller;
-        Self { config, period_ns: settings.period_ns, swap: None, is_swapped: false }
+    pub(super) fn new(period_ns: u64) -> Self {
+        Self { period_ns, swap: None, is_swapped: false }
     }
 
     /// Starts a new process from the state of the one in charge.
     pub(super) fn begin(&mut self, simulation: &mut SimulatedLoop) {
         let old = first_incarnation(Role::Controller);
-        // The settings are those of the process in charge, which were allowed.
-        let Ok(mut stage) = ControllerStage::begin(self.config.clone(), self.period_ns) else { return };
-        if let Some(state) = simulation.stage(old).and_then(AnyStage::checkpoint) {
-            let _ = AnyStage::resume(&mut stage, &state);
-        }
-        simulation.add(Box::new(stage), NEW, LATER_NS);
+        let Some(stage) = simulation.stage(old).map(AnyStage::copy) else { return };
+        simulation.add(stage, NEW, LATER_NS);
         let plan = SwapPlan {
             role: Role::Controller,
             from: "nmpc".to_owned(),

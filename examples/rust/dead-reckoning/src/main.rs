@@ -3,36 +3,40 @@
 //! It does not correct or filter the reported pose. The default robot's odometer does not report 1 % of the distance, so
 //! the robot misses the goal by that much. The estimator has no state, so it saves none.
 
+use std::convert::Infallible;
 use std::process::ExitCode;
 
-use runtime::{Process, RuntimeError};
-use shared_types::{Odometry, Pose, Role};
+use runtime::stage::NoSettings;
+use shared_types::{AnySample, Odometry, Pose, Role, Sample, SampleType, Stage, Stopwatch};
 
 fn main() -> ExitCode {
-    runtime::start_logging();
-    match run() {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error}");
-            let is_usage = matches!(error, RuntimeError::NotInASystem(_) | RuntimeError::Layout(_));
-            ExitCode::from(if is_usage { 2 } else { 1 })
-        }
-    }
+    runtime::stage::main::<DeadReckoning>()
 }
 
-fn run() -> Result<(), RuntimeError> {
-    let mut process = Process::attach(Role::Estimator)?;
-    let odometry = process.input::<Odometry>()?;
-    let poses = process.output::<Pose>()?;
-    if !process.start()? {
-        return Ok(());
+/// The estimator: the pose that answers the newest odometry.
+#[derive(Clone, Default)]
+struct DeadReckoning(Option<Pose>);
+
+impl Stage for DeadReckoning {
+    type Settings = NoSettings;
+    type Invalid = Infallible;
+    type Output = Pose;
+    type State = [u8; 0];
+
+    const ROLE: Role = Role::Estimator;
+    const ANSWERS: &'static [&'static SampleType] = &[Odometry::TYPE];
+
+    fn begin(_: NoSettings, _: u64) -> Result<Self, Infallible> {
+        Ok(Self::default())
     }
-    while process.wait(None)? {
-        while let Some(measured) = odometry.take() {
-            poses.publish(&mut pose_of(&measured, process.clock().now_ns()))?;
-        }
+
+    fn take(&mut self, sample: AnySample<'_>, now_ns: u64) {
+        self.0 = sample.get().map(|measured| pose_of(measured, now_ns));
     }
-    Ok(())
+
+    fn output(&mut self, _: u64, _: &Stopwatch<'_>) -> Option<Pose> {
+        self.0.take()
+    }
 }
 
 /// The reported pose, and its prediction for `now_ns`, when the answer to this scan acts.

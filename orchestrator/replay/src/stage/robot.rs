@@ -43,10 +43,6 @@ impl Stage for Robot {
         self.emulator.resume(&state.emulator).is_ok()
     }
 
-    fn state(&self) -> Option<RobotState> {
-        None
-    }
-
     fn take(&mut self, sample: AnySample<'_>, now_ns: u64) {
         if let Some(actuation) = sample.get() {
             self.emulator.advance_to(now_ns);
