@@ -35,11 +35,13 @@ impl Turns {
 pub(crate) struct Turn(ThreadId);
 
 impl Turn {
-    /// Waits while another test runs alone. A thread that has begun a turn may begin more of them.
+    /// Waits while another test runs alone. A thread that has begun a turn may begin more of them, and one without a name
+    /// need not wait: a test has started it, which is waited for or runs alone itself.
     pub(crate) fn begin() -> Self {
-        let own = current().id();
+        let (own, is_of_a_test) = (current().id(), current().name().is_none());
         let waits = |turns: &mut Turns| {
-            turns.alone.is_some_and(|it| it != own) && !turns.running().contains_key(&own)
+            let another = turns.alone.is_some_and(|it| it != own);
+            another && !is_of_a_test && !turns.running().contains_key(&own)
         };
         let mut turns = CHANGED.wait_while(turns(), waits).unwrap_or_else(PoisonError::into_inner);
         *turns.running().entry(own).or_default() += 1;
@@ -101,6 +103,8 @@ mod tests {
                 let _alone = Alone::begin();
                 is_alone.store(true, Ordering::SeqCst);
                 let _nested = Turn::begin();
+                // A thread of this test, which it waits for.
+                std::thread::scope(|scope| _ = scope.spawn(|| drop(Turn::begin())));
                 std::thread::park_timeout(Duration::from_millis(20));
                 is_alone.store(false, Ordering::SeqCst);
             });
@@ -112,10 +116,12 @@ mod tests {
             drop(second);
             assert!(!is_alone.load(Ordering::SeqCst));
             drop(first);
-            scope.spawn(|| {
+            let another = std::thread::Builder::new().name("another".to_owned());
+            let began = another.spawn_scoped(scope, || {
                 let _turn = Turn::begin();
                 assert!(!is_alone.load(Ordering::SeqCst));
             });
+            began.expect("a thread");
         });
         assert!(!turns().running().contains_key(&current().id()));
     }
