@@ -64,7 +64,7 @@ pub trait Stage: Clone + Send + Sync + 'static {
         false
     }
 
-    /// Sees an output after it was published, on the bus only: for logs.
+    /// Sees an output after it was published: for logs.
     fn published(&mut self, _output: &Self::Output) {}
 
     /// Makes the next output faster, for example by computing one on the inputs that are expected at `due_ns`; what

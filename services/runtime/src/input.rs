@@ -6,7 +6,7 @@ use std::marker::PhantomData;
 use std::ops::Deref;
 use std::rc::Rc;
 
-use shared_types::{Fault, Sample};
+use shared_types::Sample;
 
 use crate::enclosed::Enclosed;
 use crate::port::Received;
@@ -73,29 +73,9 @@ impl<S: Sample> Input<S> {
         self.0.next_scan()
     }
 
-    /// Drops waiting samples of scans up to `scan_id`, counted as replaced: a restored state contains them.
-    pub fn skip_to(&self, scan_id: u64) {
-        self.0.skip_to(scan_id);
-    }
-
-    /// Drops waiting samples that `is_old` accepts, counted as replaced.
-    pub fn skip(&self, is_old: impl Fn(&S) -> bool) {
-        self.0.skip(&|sample| is_old(view(sample)));
-    }
-
     /// The newest sample; older ones are dropped and counted as replaced.
     pub fn take_newest(&self) -> Option<Taken<S>> {
         self.0.take_newest().map(Taken::of)
-    }
-
-    /// Reports that the process refuses a sample that it has taken, in its log and its next heartbeat.
-    pub fn refuse(&self, sample: &S, fault: &Fault) {
-        self.0.refuse(sample.header(), fault);
-    }
-
-    /// How many samples of the process in charge were dropped because of their content.
-    pub fn dropped(&self) -> u64 {
-        self.0.dropped()
     }
 }
 

@@ -92,3 +92,48 @@ fn a_pattern_that_no_cell_has_is_refused() {
         assert!(message.contains("--only nothing: no cell has such a name"), "{message}");
     });
 }
+
+#[test]
+fn a_stage_in_a_program_of_its_own_gives_the_cells_of_the_built_in_one() {
+    let system = TestSystem::new(EXECUTABLE);
+    let only = ["--only", "command-too-*"];
+    let built_in = faults(&system, &[&only[..], &["--simulated"]].concat());
+    assert!(built_in.1["cells"].as_array().unwrap().len() >= 5);
+    for with in ["estimator=ekf", "obstacles=ellipses", "controller=nmpc", "actuator=actuation"] {
+        assert_eq!(faults(&system, &[&only[..], &["--with", with]].concat()), built_in, "{with}");
+    }
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_stage_of_your_own_meets_the_matrix() {
+    let system = TestSystem::new(EXECUTABLE);
+    let with = format!("estimator={}", env!("CARGO_BIN_EXE_dead-reckoning-under-test"));
+    // It trusts its odometer, so it misses what a filter finds.
+    let passed = faults(&system, &["--with", &with, "--only", "pose-frozen"]);
+    assert!(assert_passed(passed) >= 5);
+    let (code, matrix) = faults(&system, &["--with", &with, "--only", "odometry-*/straight"]);
+    assert_eq!(code, Some(1), "{matrix:#}");
+    assert!(matrix["failed"].as_u64() > Some(0));
+}
+
+#[test]
+fn a_program_that_is_no_stage_of_the_role_or_ends_is_named() {
+    let system = TestSystem::new(EXECUTABLE);
+    let dead_reckoning = env!("CARGO_BIN_EXE_dead-reckoning-under-test");
+    let dies = format!("controller=timeout -s KILL 0.2 {EXECUTABLE} service nmpc");
+    for (with, code, expected) in [
+        (&*format!("controller={dead_reckoning}"), 2, "it is a stage of the role estimator"),
+        ("controller=/bin/true", 2, "the program ended: exit status: 0"),
+        ("controller=/no/such/program", 2, "No such file or directory"),
+        ("robot=/bin/true", 2, "the robot is emulated"),
+        ("controller", 2, "expected ROLE=COMMAND"),
+        (&*dies, 4, "controller: the program"),
+    ] {
+        let output = system.run(&["faults", "--only", "pose-*", "--out", "out", "--with", with]);
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(code), "{with}: {message}");
+        assert!(message.contains(expected), "{with}: {message}");
+    }
+    system.assert_nothing_left();
+}

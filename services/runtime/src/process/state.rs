@@ -78,7 +78,7 @@ impl Process {
 
     /// The newest actuations sent before this process was started, oldest first: for a role that reads them and got a
     /// state from [`Process::resume`]. The process before this one may not have received the last of them.
-    pub fn handed_actuations(&self) -> impl Iterator<Item = Actuation> {
+    pub(crate) fn handed_actuations(&self) -> impl Iterator<Item = Actuation> {
         let notes = &self.shared.notes;
         let (handed, moved_ns) = self.handed_actuations.take();
         handed.into_iter().inspect(move |actuation| {
@@ -95,7 +95,7 @@ impl Process {
     }
 
     /// The scan after which the state from [`Process::resume`] was saved; 0 without one.
-    pub fn handed_scan(&self) -> u64 {
+    pub(crate) fn handed_scan(&self) -> u64 {
         self.handed_scan.get()
     }
 

@@ -90,7 +90,10 @@ impl Process {
     ///
     /// # Errors
     /// Errors of the bus.
-    pub fn wait_joined_preparing(&mut self, prepare: &mut dyn FnMut(u64)) -> Result<bool, RuntimeError> {
+    pub(crate) fn wait_joined_preparing(
+        &mut self,
+        prepare: &mut dyn FnMut(u64),
+    ) -> Result<bool, RuntimeError> {
         self.wait_until(None, Need::All, prepare)
     }
 
