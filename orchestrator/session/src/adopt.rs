@@ -75,7 +75,11 @@ pub(crate) fn take_over(
         ));
     }
     if survivors.registry.role.is_empty() {
-        return Err(refused("its process registry is missing or empty".to_owned()));
+        let damage = ProcessRegistry::read(domain).err();
+        return Err(refused(damage.map_or_else(
+            || "its process registry names no process".to_owned(),
+            |error| format!("its process registry: {error:#}"),
+        )));
     }
     let out = out_folder(arguments.out.clone().unwrap_or(run.out))?;
     // The run has claimed its own folder already.

@@ -251,6 +251,27 @@ fn a_stranger_under_the_number_of_a_process_is_named_and_left_alone() {
     });
 }
 
+#[test]
+fn a_damaged_list_of_processes_is_named_with_its_line_and_the_processes_can_be_stopped() {
+    repeat_when_late(|| {
+        let (system, _watch) = orphaned(&SHORT_CORRIDOR);
+        let list = system.domain().directory().join(runtime::PROCESSES_FILE);
+        let whole = std::fs::read_to_string(&list).unwrap();
+        for (text, expected) in [
+            (whole.replacen("[[role]]", "[[role", 1), "TOML parse error at line"),
+            (String::new(), "its process registry names no process"),
+        ] {
+            std::fs::write(&list, text).unwrap();
+            let output = system.run(&["adopt", "--quiet"]);
+            assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
+            assert!(stderr(&output).contains(expected), "{}", stderr(&output));
+        }
+        let output = system.run(&["stop"]);
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        system.assert_nothing_left();
+    });
+}
+
 /// Kills the orchestrator when the swap of the controller has reached this state; returns both process ids,
 /// the one in charge first.
 fn kill_within_swap(system: &mut TestSystem, state: &str) -> [i32; 2] {

@@ -207,7 +207,7 @@ fn the_programs_that_the_tutorial_shows_are_those_of_the_examples() {
     repeat_when_late(|| {
         let page = std::fs::read_to_string(root().join("docs/tutorial.md")).unwrap();
         let excerpts = parse(&page).1;
-        assert_eq!(excerpts.len(), 3);
+        assert_eq!(excerpts.len(), 4);
         for (language, excerpt) in excerpts {
             let files = match language.as_str() {
                 "rust" => ["template-controller/src/main.rs", "template-controller/src/controller.rs"],
