@@ -4,7 +4,6 @@ pub mod adopt;
 pub mod arguments;
 mod companion_swaps;
 pub mod control;
-mod directives;
 pub mod orphaned;
 mod own_processes;
 mod process_registry;

@@ -38,11 +38,11 @@ use report::recorder::{Recorder, RunResult};
 use report::{Outcome, ProcessReport};
 use runtime::{Bus, Domain, Shutdown, StopWord, monotonic_ns, wait_for};
 use shared_types::{Phase, ProcessState, Role};
+use supervision::directives::Directives;
 use supervision::fleet::{Fleet, Reaped};
 use supervision::supervisor::{Event, Supervisor, VisibleState};
 
 use crate::control::ControlSocket;
-use crate::directives::Directives;
 use crate::own_processes::OwnProcesses;
 use crate::run_recorder::RunRecorder;
 use crate::service_manager::ServiceManager;

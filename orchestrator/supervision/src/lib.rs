@@ -3,6 +3,7 @@
 pub mod background;
 pub mod child;
 pub mod child_log;
+pub mod directives;
 pub mod entry;
 pub mod environment;
 pub mod fleet;

@@ -7,35 +7,39 @@ use shared_types::{Directive, Phase};
 const REPEAT_NS: u64 = 100_000_000;
 
 /// The newest directive and its topic.
-pub(crate) struct Directives {
+pub struct Directives {
     /// The newest directive; set [`Directives::changed`] after a change.
-    pub(crate) current: Directive,
+    pub current: Directive,
     /// Whether it is to be published without delay.
-    pub(crate) changed: bool,
+    pub changed: bool,
     publisher: Publisher<Directive>,
     published_ns: u64,
 }
 
 impl Directives {
-    pub(crate) fn new(bus: &Bus, first: Directive) -> Result<Self, RuntimeError> {
+    /// The first directive, to be published as this process's.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when the topic can't be opened.
+    pub fn new(bus: &Bus, first: Directive) -> Result<Self, RuntimeError> {
         let current = Directive { orchestrator_pid: u64::from(std::process::id()), ..first };
         Ok(Self { current, changed: true, publisher: Publisher::new(bus)?, published_ns: 0 })
     }
 
     /// The wheels are to be blocked.
-    pub(crate) fn stop(&mut self) {
+    pub fn stop(&mut self) {
         self.current.stop = 1;
         self.changed = true;
     }
 
     /// The system goes into a phase, never back.
-    pub(crate) fn enter(&mut self, phase: Phase) {
+    pub fn enter(&mut self, phase: Phase) {
         self.current.phase = self.current.phase.max(phase.wire());
         self.changed = true;
     }
 
     /// In lock-step the robot may publish scans up to this one.
-    pub(crate) fn grant(&mut self, scan_id: u64) {
+    pub fn grant(&mut self, scan_id: u64) {
         if scan_id > self.current.granted_scan {
             self.current.granted_scan = scan_id;
             self.changed = true;
@@ -43,7 +47,7 @@ impl Directives {
     }
 
     /// Whether it is to be published now.
-    pub(crate) fn is_due(&self, now_ns: u64) -> bool {
+    pub fn is_due(&self, now_ns: u64) -> bool {
         self.changed || now_ns.saturating_sub(self.published_ns) >= REPEAT_NS
     }
 
@@ -51,7 +55,7 @@ impl Directives {
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
-    pub(crate) fn publish(&mut self, now_ns: u64) -> Result<(), RuntimeError> {
+    pub fn publish(&mut self, now_ns: u64) -> Result<(), RuntimeError> {
         self.current.issued_ns = now_ns;
         self.publisher.publish(&mut self.current, self.changed)?;
         self.changed = false;
