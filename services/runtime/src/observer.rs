@@ -251,8 +251,8 @@ impl<S: Sample> Publisher<S> {
     }
 }
 
-/// Publishes samples of some topics as bytes, with their headers as they are: for a bridge between buses. It may move from
-/// one thread to another.
+/// Publishes samples of some topics as bytes: for a bridge between buses, and for those who play roles. It may move from one
+/// thread to another.
 pub struct TopicPublishers {
     publishers: Vec<Enclosed<Sender>>,
     // Dropped last: the ports belong to it.
@@ -275,7 +275,7 @@ impl TopicPublishers {
         Ok(Self { publishers: publishers.collect::<Result<_, _>>()?, _bus: bus })
     }
 
-    /// Publishes on the topic of this place in the list, and wakes the readers.
+    /// Publishes a sample as it is on the topic of this place in the list, and wakes the readers.
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
@@ -284,6 +284,24 @@ impl TopicPublishers {
     /// When there is no such place, and when the bytes are not as many as the type of the topic has.
     pub fn publish(&mut self, index: usize, sample: &[u8]) -> Result<(), RuntimeError> {
         self.publishers[index].send(sample, true)
+    }
+
+    /// Publishes on a topic, and wakes the readers; nothing happens when it was not opened. Layout and sequence are
+    /// filled here, unless the sample is to go out `exactly` as it is.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when iceoryx2 refuses.
+    ///
+    /// # Panics
+    /// When the bytes are not as many as the type of the topic has.
+    pub fn publish_on(&mut self, topic: Topic, sample: &mut [u8], exactly: bool) -> Result<(), RuntimeError> {
+        let opened = self.publishers.iter().find(|publisher| publisher.of.topic == topic);
+        opened.map_or(Ok(()), |publisher| {
+            if !exactly {
+                publisher.number(sample);
+            }
+            publisher.send(sample, true)
+        })
     }
 }
 
