@@ -54,7 +54,7 @@ pub(crate) fn header(bench: &mut TestBench<'_>) -> Verdict {
         let answer = bench.finish()?;
         let first = inputs[0].header().answer();
         let expected = inputs[1..].iter().fold(first, |header, input| header.answer_both(input.header()));
-        extends(bench.suite.role, answer.header(), &expected, bench.incarnation)?;
+        extends(bench.suite.role, answer.header(), &expected, bench.incarnation())?;
     }
     Ok("10 headers".to_owned())
 }
@@ -129,7 +129,7 @@ pub(crate) fn state(bench: &mut TestBench<'_>) -> Verdict {
 fn sound(bench: &TestBench<'_>, checkpoint: &Checkpoint) -> Tried {
     let Checkpoint { header, role, length, state_layout, .. } = checkpoint;
     let incarnation = header.incarnation;
-    let is_its = *role == bench.suite.role.wire() && incarnation == bench.incarnation;
+    let is_its = *role == bench.suite.role.wire() && incarnation == bench.incarnation();
     require(is_its, || format!("state of role {role}, incarnation {incarnation}"))?;
     let is_whole = (1..=CHECKPOINT_BYTES as u32).contains(length) && *state_layout != 0;
     require(is_whole, || format!("state of {length} bytes and layout {state_layout:#x}"))

@@ -120,7 +120,9 @@ pub(crate) fn end(bench: &mut TestBench<'_>) -> Tried<Duration> {
     }
     match wait_for_exit(bench, Duration::from_millis(GRACE_MS))? {
         Some((ProcessExit::Code(_), took)) => Ok(took),
-        Some((other, _)) => failed(format!("it did not end by itself: {other}{}", bench.last_lines())),
+        Some((other, _)) => {
+            failed(format!("it did not end by itself: {other}{}", bench.log.last_lines_suffix()))
+        }
         None => failed(format!("it still ran {GRACE_MS} ms after SIGTERM")),
     }
 }
@@ -143,7 +145,7 @@ fn wait_for_exit(bench: &mut TestBench<'_>, limit: Duration) -> Tried<Option<(Pr
 
 pub(crate) fn ends_as_orphan(bench: &mut TestBench<'_>) -> Verdict {
     bench.rounds(3)?;
-    bench.withholds_directives = true;
+    bench.system.withholds_directives = true;
     bench.may_end = true;
     let orphan_ns = bench.setup.orphan_ns;
     let limit = Duration::from_nanos(orphan_ns + ANSWER_NS);
@@ -158,9 +160,9 @@ pub(crate) fn ends_as_orphan(bench: &mut TestBench<'_>) -> Verdict {
 
 pub(crate) fn survives_a_new_orchestrator(bench: &mut TestBench<'_>) -> Verdict {
     bench.rounds(3)?;
-    bench.withholds_directives = true;
+    bench.system.withholds_directives = true;
     bench.rounds(5)?;
-    bench.withholds_directives = false;
+    bench.system.withholds_directives = false;
     bench.renew_publisher()?;
     bench.rounds(5)?;
     Ok("13 scans, 5 of them without an orchestrator".to_owned())
@@ -180,7 +182,7 @@ pub(crate) fn leaves_nothing(suite: &Suite) -> Verdict {
             let mut message = bench.message(*topic, bench.scan_id)?;
             bench.publish(&mut message)?;
         }
-        bench.bus.clean_up_dead_processes();
+        bench.system.bus.clean_up_dead_processes();
         bench.receive_for(0.2)?;
         let left: Vec<_> = shared_memory(&bench)?.difference(&before).cloned().collect();
         if left.is_empty() || started.elapsed() > Duration::from_nanos(ANSWER_NS / 2) {
@@ -209,8 +211,8 @@ fn group(bench: &TestBench<'_>) -> Option<Pid> {
 fn shared_memory(bench: &TestBench<'_>) -> Tried<BTreeSet<String>> {
     let files = std::fs::read_dir("/dev/shm")?.flatten();
     let files = files.map(|entry| entry.file_name().to_string_lossy().into_owned());
-    let files = files.filter(|name| name.starts_with(bench.domain.shared_memory_prefix()));
-    Ok(files.chain(paths_below(&bench.domain.bus_directory())).collect())
+    let files = files.filter(|name| name.starts_with(bench.system.domain.shared_memory_prefix()));
+    Ok(files.chain(paths_below(&bench.system.domain.bus_directory())).collect())
 }
 
 /// The paths of all files below a directory; there are none when it is gone, because it was just removed.

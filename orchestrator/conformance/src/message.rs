@@ -35,7 +35,8 @@ impl Message {
         cast_slice(&self.words)
     }
 
-    fn bytes_mut(&mut self) -> &mut [u8] {
+    /// Its bytes, to be published.
+    pub(crate) fn bytes_mut(&mut self) -> &mut [u8] {
         cast_slice_mut(&mut self.words)
     }
 

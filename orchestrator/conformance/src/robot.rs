@@ -11,7 +11,7 @@ use super::answers::{own_stamps, same_twice};
 use super::case::{Verdict, observed, passed_if, require};
 use super::ranges::valid;
 use super::suite::Suite;
-use super::test_bench::{ANSWER_NS, Order, TestBench};
+use super::test_bench::{ANSWER_NS, TestBench};
 
 /// Scans of a case.
 const SCANS: usize = 15;
@@ -41,7 +41,7 @@ pub(crate) fn header(bench: &mut TestBench<'_>) -> Verdict {
     let mut max_age_ms = 0.0_f64;
     for received in bench.received.iter().filter(|received| received.topic() != Topic::Truth) {
         let header = received.header();
-        require(header.incarnation == bench.incarnation, || format!("incarnation {}", header.incarnation))?;
+        require(header.incarnation == bench.incarnation(), || format!("incarnation {}", header.incarnation))?;
         own_stamps(bench.suite.role, header, header.acquired_ns)?;
         let later = header.chain.iter().skip(1).any(|stamps| stamps.published_ns != 0);
         require(!later, || format!("scan {} carries stamps of stages behind it", header.scan_id))?;
@@ -101,7 +101,7 @@ pub(crate) fn grants(bench: &mut TestBench<'_>) -> Verdict {
     bench.receive_for(2.0)?;
     require(newest(bench) == 1, || format!("scan {} after scan 1 alone was granted", newest(bench)))?;
     // The second scan is granted, and its answer is withheld.
-    bench.order = Order::Silence;
+    bench.order = None;
     bench.round()?;
     bench.direct(|directive| directive.granted_scan = 10)?;
     bench.receive_for(2.0)?;

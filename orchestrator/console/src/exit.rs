@@ -43,6 +43,11 @@ impl Failure {
     pub fn process(message: impl std::fmt::Display) -> anyhow::Error {
         Self { exit: Exit::ProcessFailed, message: message.to_string() }.into()
     }
+
+    /// A signal ended a command before it was done.
+    pub fn interrupted() -> anyhow::Error {
+        Self { exit: Exit::NotReached, message: "interrupted by a signal".to_owned() }.into()
+    }
 }
 
 /// A new file that can't be written, as on a full disk: wrapped into the errors of its writes.

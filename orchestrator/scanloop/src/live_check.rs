@@ -21,15 +21,13 @@ use plan::{Choice, Plan, System};
 use runtime::{Bus, Domain, Shutdown, monotonic_ns, wait_for};
 use serde::Serialize;
 use session::driven_system;
+use supervision::private_system::POLL_NS;
 use supervision::runs;
 
 use crate::print_json;
 use bench::Bench;
 use feed::Feed;
 use finding::{Finding, Outcome};
-
-/// Longest sleep between two polls; queues last longer at 500 Hz [ns].
-const POLL_NS: u64 = 5_000_000;
 
 /// Arguments of `check --live`.
 #[derive(Debug, Args, Clone)]
@@ -142,7 +140,7 @@ fn observe(system_id: &str, arguments: &LiveArguments, shutdown: &Shutdown) -> a
     while monotonic_ns() < end_ns {
         wait_for(&[shutdown.descriptor()], POLL_NS);
         if shutdown.requested() {
-            return Err(interrupted());
+            return Err(Failure::interrupted());
         }
         feed.poll()?;
     }
@@ -176,9 +174,4 @@ fn summary(ok: usize, failed: usize, skipped: usize, deceleration_mps2: Option<f
         );
     }
     text
-}
-
-/// The error after a signal.
-fn interrupted() -> anyhow::Error {
-    Failure { exit: Exit::NotReached, message: "interrupted by a signal".to_owned() }.into()
 }

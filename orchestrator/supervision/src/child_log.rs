@@ -196,6 +196,14 @@ impl ChildLog {
         Ok(lines)
     }
 
+    /// The last three lines, to be appended to a reason; empty where there are none.
+    pub fn last_lines_suffix(&self) -> String {
+        match self.last_lines(3) {
+            Ok(lines) if !lines.is_empty() => format!("; its last log lines: {}", lines.join(" | ")),
+            _ => String::new(),
+        }
+    }
+
     fn edit(&self) -> MutexGuard<'_, File> {
         self.edit.lock().unwrap_or_else(PoisonError::into_inner)
     }

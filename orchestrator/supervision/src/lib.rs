@@ -10,6 +10,7 @@ pub mod fleet;
 pub mod halt;
 pub mod keeper;
 pub mod lock;
+pub mod private_system;
 pub mod realtime;
 pub mod replaceable;
 pub mod room;

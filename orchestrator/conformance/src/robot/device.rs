@@ -30,7 +30,7 @@ const TURN_RAD: f64 = 0.5;
 
 /// What a robot that drives straight ahead publishes per scan.
 fn measured(bench: &mut TestBench<'_>) -> Tried<Vec<(Scan, Odometry)>> {
-    bench.order = FORWARD;
+    bench.order = Some(FORWARD);
     let rounds: Vec<Odometry> = bench.samples(SCANS)?;
     bench.turn()?;
     let scans = bench.received.iter().filter_map(|received| received.get::<Scan>());

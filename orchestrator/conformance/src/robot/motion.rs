@@ -3,10 +3,11 @@
 use std::iter::repeat_n;
 
 use shared_types::{Actuation, Odometry};
+use supervision::private_system::Order;
 
 use super::SCANS;
 use crate::case::{Tried, Verdict, passed_if, require};
-use crate::test_bench::{FOREIGN, Order, TestBench};
+use crate::test_bench::{FOREIGN, TestBench};
 
 /// Below this speed the robot is at rest [m/s].
 const STANDSTILL_MPS: f64 = 1e-3;
@@ -27,7 +28,7 @@ const NONSENSE: [fn(&mut Actuation); 5] = [
 ];
 
 pub(crate) fn drives(bench: &mut TestBench<'_>) -> Verdict {
-    bench.order = Order::Drive(0.7, 0.05);
+    bench.order = Some(Order::Drive(0.7, 0.05));
     let all: Vec<Odometry> = bench.samples(2 * SCANS)?;
     let (first, last) = (&all[0], &all[all.len() - 1]);
     let (x_m, yaw_rad) = (last.x_m - first.x_m, last.yaw_rad - first.yaw_rad);
@@ -37,7 +38,7 @@ pub(crate) fn drives(bench: &mut TestBench<'_>) -> Verdict {
 }
 
 pub(crate) fn blocks(bench: &mut TestBench<'_>) -> Verdict {
-    bench.order = Order::Block;
+    bench.order = Some(Order::Block);
     let speeds = speeds_for(bench, STOPPING_NS, &mut next)?;
     let rising = speeds.array_windows().any(|[before, now]| *now > before + STANDSTILL_MPS);
     require(!rising, || format!("its speed rises with blocked wheels: {speeds:?}"))?;
@@ -80,7 +81,7 @@ pub(crate) fn driving(bench: &mut TestBench<'_>) -> Tried {
 
 /// Waits for the first scan of a robot that has not received any actuation yet.
 pub(crate) fn standing(bench: &mut TestBench<'_>) -> Tried {
-    bench.order = Order::Silence;
+    bench.order = None;
     bench.round().map(|_| ())
 }
 
@@ -89,7 +90,7 @@ fn ignores(bench: &mut TestBench<'_>, what: &str, times: usize, bad: &[impl Fn(&
     for change in bad.iter().flat_map(|change| repeat_n(change, times)) {
         publish_changed(bench, change)?;
     }
-    bench.order = Order::Silence;
+    bench.order = None;
     let speed = bench.samples::<Odometry>(2)?[1].speed_mps;
     require(speed.abs() <= STANDSTILL_MPS, || format!("{speed:.3} m/s after {what}"))?;
     moves_when_told(bench)
@@ -97,7 +98,7 @@ fn ignores(bench: &mut TestBench<'_>, what: &str, times: usize, bad: &[impl Fn(&
 
 /// Passes when the robot drives as it is told to.
 fn moves_when_told(bench: &mut TestBench<'_>) -> Verdict {
-    bench.order = FORWARD;
+    bench.order = Some(FORWARD);
     let speed = bench.samples::<Odometry>(8)?[7].speed_mps;
     require(speed > 0.1, || format!("{speed:.3} m/s after eight actuations to drive"))?;
     Ok(format!("{speed:.2} m/s"))
@@ -105,7 +106,7 @@ fn moves_when_told(bench: &mut TestBench<'_>) -> Verdict {
 
 /// Passes when the robot, without an actuation that counts, blocks its wheels after two periods.
 fn stops_without_orders(bench: &mut TestBench<'_>, when: &str, round: &mut Round<'_>) -> Verdict {
-    bench.order = Order::Silence;
+    bench.order = None;
     let after_ns = 2 * bench.suite.period_ns + STOPPING_NS;
     is_at_rest(&speeds_for(bench, after_ns, round)?, when)
 }
@@ -136,11 +137,10 @@ fn is_at_rest(speeds: &[f64], when: &str) -> Verdict {
 
 /// One scan, answered by a changed actuation to drive.
 fn publish_changed(bench: &mut TestBench<'_>, change: impl Fn(&mut Actuation)) -> Tried<Odometry> {
-    bench.order = Order::Silence;
+    bench.order = None;
     let received = bench.round()?;
-    if let Some(mut message) = bench.actuation(&received, FORWARD) {
-        message.change(change);
-        bench.publish(&mut message)?;
-    }
+    let mut message = bench.actuation(&received, FORWARD);
+    message.change(change);
+    bench.publish(&mut message)?;
     received.sample().copied()
 }

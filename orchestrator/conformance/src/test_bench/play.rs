@@ -2,7 +2,8 @@
 
 use anyhow::Context;
 use runtime::monotonic_ns;
-use shared_types::{Role, Sample, StageStamps, Topic};
+use shared_types::{Role, Sample, Topic};
+use supervision::private_system::stamps_at;
 
 use super::{ANSWER_NS, Message, TestBench, Tried, failed, incarnation_of, inputs_of};
 use crate::case::require;
@@ -63,12 +64,12 @@ impl TestBench<'_> {
 
     /// Publishes a sample; layout and sequence are filled and stay in the message.
     pub(crate) fn publish(&mut self, message: &mut Message) -> Tried {
-        Ok(self.publishers.publish(message, false)?)
+        Ok(self.publishers.publish_on(message.topic(), message.bytes_mut(), false)?)
     }
 
     /// Publishes a sample exactly as it is.
     pub(crate) fn publish_exactly(&mut self, message: &Message) -> Tried {
-        Ok(self.publishers.publish(&mut message.clone(), true)?)
+        Ok(self.publishers.publish_on(message.topic(), message.clone().bytes_mut(), true)?)
     }
 
     /// Publishes what makes the candidate answer the next scan, when it is due; returns its id.
@@ -91,7 +92,7 @@ impl TestBench<'_> {
 
     /// One scan: the candidate is asked, and its first answer is returned.
     ///
-    /// A robot publishes first, and is told its [`super::Order`].
+    /// A robot publishes first, and is told its [`Order`](supervision::private_system::Order).
     pub(crate) fn round(&mut self) -> Tried<Message> {
         if self.suite.role == Role::Robot {
             return self.robot_round();
@@ -131,7 +132,7 @@ impl TestBench<'_> {
 
     /// Fails because something was not published in time.
     pub(super) fn no_answer<T>(&self, missing: &str) -> Tried<T> {
-        failed(format!("no {missing} within {} s{}", ANSWER_NS / 1_000_000_000, self.last_lines()))
+        failed(format!("no {missing} within {} s{}", ANSWER_NS / 1_000_000_000, self.log.last_lines_suffix()))
     }
 
     /// Publishes what follows from the answer: an estimator receives what was sent to the robot.
@@ -156,9 +157,4 @@ impl TestBench<'_> {
         let topic = self.suite.role.writes()[0];
         require(!is_used, || format!("it published {topic} of scan {scan_id} after {after}"))
     }
-}
-
-/// Stamps of a stage that took no time.
-pub(super) fn stamps_at(now: u64) -> StageStamps {
-    StageStamps { woken_ns: now, taken_ns: now, computed_ns: now, published_ns: now }
 }

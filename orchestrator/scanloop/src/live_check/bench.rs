@@ -4,35 +4,21 @@
 //! actuations end and the robot's dead man blocks the wheels. Dropping the bench blocks the wheels, then ends all
 //! processes.
 
+use anyhow::Context;
 use console::exit::{Exit, Failure};
 use plan::Plan;
-use runtime::{Bus, Observer, Publisher, Shutdown, StopWord, latch_on_crash, monotonic_ns, wait_for};
-use shared_types::{
-    Actuation, ActuationKind, Authority, BlockReason, Directive, Heartbeat, Odometry, Phase, ProcessState,
-    Role, StageStamps,
-};
+use runtime::{Publisher, Shutdown, latch_on_crash, monotonic_ns, wait_for};
+use shared_types::{Actuation, BlockReason, Phase, ProcessState, Role};
 use supervision::fleet::Fleet;
-use supervision::lock::Claim;
+use supervision::private_system::{Order, PrivateSystem, poll_until};
 use supervision::supervisor::Event;
 
 use super::feed::Feed;
-use super::{POLL_NS, interrupted};
 
-/// The directive is repeated this often [ns].
-const REPEAT_NS: u64 = 100_000_000;
 /// Scans before the observation.
 const STARTING_SCANS: usize = 5;
 /// The roles that are started.
 const STARTED: [Role; 3] = [Role::Robot, Role::Estimator, Role::Obstacles];
-
-/// What the robot is told in answer to each odometry.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Order {
-    /// Block the wheels.
-    Block,
-    /// Velocity [m/s] and steering angle [rad].
-    Drive(f64, f64),
-}
 
 /// A system that this process commands.
 pub(super) struct Bench {
@@ -40,17 +26,10 @@ pub(super) struct Bench {
     order: Order,
     /// When the order was first sent [ns].
     ordered_ns: Option<u64>,
-    directive: Directive,
-    directed_ns: u64,
-    directives: Publisher<Directive>,
     actuations: Publisher<Actuation>,
-    heartbeats: Observer<Heartbeat>,
-    /// The latest state that each process has reported, by role.
-    states: [Option<u32>; shared_types::ROLES],
-    stop_word: StopWord,
     shutdown: Shutdown,
     // Dropped last, in this order: the ports above, the bus, then the processes and all files of the system.
-    _bus: Bus,
+    system: PrivateSystem,
     fleet: Fleet,
 }
 
@@ -60,36 +39,24 @@ impl Bench {
     /// # Errors
     /// A process that can't be started or does not connect in time, exit code 4; errors of the bus.
     pub(super) fn start(system_id: &str, plan: &Plan, shutdown: Shutdown) -> anyhow::Result<Self> {
-        let (domain, lock) = Claim::take_new(system_id)?;
-        let stop_word = StopWord::create(domain.run_id(), plan.system.period_ns())?;
-        latch_on_crash(&stop_word);
-        shutdown.latch_also(&stop_word)?;
-        plan.write_settings(&domain, false)?;
-        let bus = Bus::create(&domain, plan.system.period_ns())?;
+        let write_settings = |domain: &_| plan.write_settings(domain, false);
+        let period_ns = plan.system.period_ns();
+        let mut system = PrivateSystem::create(system_id, period_ns, incarnation_of, write_settings)?;
+        latch_on_crash(&system.stop_word);
+        shutdown.latch_also(&system.stop_word)?;
+        let lock = system.lock.take().context("the lock of the system")?;
         let all = plan.system.roles();
         let entries: Vec<_> = all.filter(|entry| STARTED.contains(&entry.role())).cloned().collect();
+        let (domain, stop_word) = (system.domain.clone(), system.stop_word.clone());
         let (realtime, logs) = (&plan.system.realtime, domain.directory().to_path_buf());
-        let fleet = Fleet::new(domain, lock, stop_word.clone(), realtime, &entries, logs, false)?;
-        let mut directive =
-            Directive { orchestrator_pid: u64::from(std::process::id()), ..Directive::default() };
-        directive.header.incarnation = 1;
-        for role in Role::ALL {
-            let incarnation = incarnation_of(*role);
-            directive.authority[role.index()] = Authority { incarnation, ..Authority::default() };
-        }
+        let fleet = Fleet::new(domain, lock, stop_word, realtime, &entries, logs, false)?;
         let mut bench = Self {
-            feed: Feed::open(&bus)?,
+            feed: Feed::open(&system.bus)?,
             order: Order::Block,
             ordered_ns: None,
-            directive,
-            directed_ns: 0,
-            directives: Publisher::new(&bus)?,
-            actuations: Publisher::new(&bus)?,
-            heartbeats: Observer::new(&bus)?,
-            states: Default::default(),
-            stop_word,
+            actuations: Publisher::new(&system.bus)?,
             shutdown,
-            _bus: bus,
+            system,
             fleet,
         };
         bench.start_processes(plan)?;
@@ -103,21 +70,18 @@ impl Bench {
             }
         }
         self.wait_for_state(plan, ProcessState::Attached)?;
-        self.direct(Phase::Connecting)?;
+        self.system.announce(Phase::Connecting)?;
         self.feed.connect();
         self.wait_for_state(plan, ProcessState::Connected)?;
         STARTED.iter().for_each(|role| self.fleet.connected(incarnation_of(*role)));
-        self.direct(Phase::Driving)
+        Ok(self.system.announce(Phase::Driving)?)
     }
 
     /// Waits until all processes report this state or a later one.
     fn wait_for_state(&mut self, plan: &Plan, state: ProcessState) -> anyhow::Result<()> {
         let limits = plan.system.roles().map(|entry| entry.start_timeout_s);
         let limit_s = limits.fold(0.0, f64::max);
-        let missing = |bench: &Self| {
-            let has = |role: &Role| bench.states[role.index()].is_some_and(|number| number >= state.wire());
-            STARTED.into_iter().find(|role| !has(role))
-        };
+        let missing = |bench: &Self| STARTED.into_iter().find(|role| !bench.system.has_reached(*role, state));
         if self.until((limit_s * 1e9) as u64, |bench| missing(bench).is_none())? {
             return Ok(());
         }
@@ -128,7 +92,7 @@ impl Bench {
     /// Observes with blocked wheels from now on for this long [ns].
     pub(super) fn observe(&mut self, duration_ns: u64) -> anyhow::Result<()> {
         // The first scans of processes that just started are late as a rule.
-        let start_ns = 2 * self.stop_word.period_ns();
+        let start_ns = 2 * self.system.stop_word.period_ns();
         self.until(start_ns + duration_ns, |bench| bench.feed.observed.odometries >= STARTING_SCANS)?;
         self.feed.observed = Default::default();
         self.until(duration_ns, |_| false).map(|_| ())
@@ -153,46 +117,30 @@ impl Bench {
         limit_ns: u64,
         mut done: impl FnMut(&Self) -> bool,
     ) -> anyhow::Result<bool> {
-        let end_ns = monotonic_ns().saturating_add(limit_ns);
-        loop {
-            self.turn()?;
-            if done(self) {
-                return Ok(true);
-            }
-            let left_ns = end_ns.saturating_sub(monotonic_ns());
-            if left_ns == 0 {
-                return Ok(false);
-            }
-            wait_for(&[self.shutdown.descriptor()], left_ns.min(POLL_NS));
-        }
+        let turn = |bench: &mut Self| bench.turn().map(|()| done(bench).then_some(()));
+        let sleep = |bench: &Self, left_ns| _ = wait_for(&[bench.shutdown.descriptor()], left_ns);
+        Ok(poll_until(self, limit_ns, turn, sleep)?.is_some())
     }
 
     fn turn(&mut self) -> anyhow::Result<()> {
+        self.system.turn(&self.shutdown, |_| {})?;
         self.require_life()?;
-        if monotonic_ns().saturating_sub(self.directed_ns) >= REPEAT_NS {
-            self.publish_directive(false)?;
-        }
-        let states = &mut self.states;
-        self.heartbeats.poll(|beat| {
-            if let Ok(role) = Role::try_from(beat.role) {
-                states[role.index()] = Some(beat.state);
-            }
-        })?;
         if self.feed.poll()?
             && let Some(odometry) = self.feed.newest
         {
-            self.actuations.publish(&mut actuation(&odometry, self.order), true)?;
+            let now_ns = monotonic_ns();
+            let reason = if self.order == Order::Block { BlockReason::Commanded } else { BlockReason::None };
+            let answer = self.order.answer(&odometry.header, incarnation_of(Role::Actuator), now_ns);
+            self.actuations.publish(&mut Actuation { reason: reason.wire(), ..answer }, true)?;
             self.ordered_ns.get_or_insert(monotonic_ns());
         }
         Ok(())
     }
 
-    /// Passes while no signal or stop has come and all processes live.
+    /// Passes while no stop has come and all processes live.
     fn require_life(&mut self) -> anyhow::Result<()> {
-        if self.shutdown.requested() {
-            return Err(interrupted());
-        }
-        if !self.stop_word.is_armed() {
+        // A signal latches the stop word too; the next turn tells of it.
+        if !self.system.stop_word.is_armed() && !self.shutdown.requested() {
             let message = "ended by `scanloop stop`".to_owned();
             return Err(Failure { exit: Exit::NotReached, message }.into());
         }
@@ -204,47 +152,9 @@ impl Bench {
             None => Ok(()),
         }
     }
-
-    /// Publishes in which phase the system is.
-    fn direct(&mut self, phase: Phase) -> anyhow::Result<()> {
-        self.directive.phase = phase.wire();
-        self.publish_directive(true)
-    }
-
-    fn publish_directive(&mut self, wake: bool) -> anyhow::Result<()> {
-        self.directed_ns = monotonic_ns();
-        self.directive.issued_ns = self.directed_ns;
-        Ok(self.directives.publish(&mut self.directive, wake)?)
-    }
 }
 
 /// One process fills each role; this process is the actuator.
 fn incarnation_of(role: Role) -> u32 {
     role.index() as u32 + 1
-}
-
-/// The answer to an odometry.
-fn actuation(odometry: &Odometry, order: Order) -> Actuation {
-    let (kind, reason, velocity, steering) = match order {
-        Order::Block => (ActuationKind::Block, BlockReason::Commanded, 0.0, 0.0),
-        Order::Drive(velocity, steering) => (ActuationKind::Drive, BlockReason::None, velocity, steering),
-    };
-    let mut header = odometry.header.answer();
-    header.incarnation = incarnation_of(Role::Actuator);
-    let now = monotonic_ns();
-    for role in [Role::Estimator, Role::Obstacles, Role::Controller, Role::Actuator] {
-        *header.stage_mut(role) =
-            StageStamps { woken_ns: now, taken_ns: now, computed_ns: now, published_ns: now };
-    }
-    Actuation {
-        header,
-        kind: kind.wire(),
-        reason: reason.wire(),
-        answers: 1,
-        desired_velocity_mps: velocity,
-        desired_steering_rad: steering,
-        sent_velocity_mps: velocity,
-        sent_steering_rad: steering,
-        ..Actuation::default()
-    }
 }

@@ -8,10 +8,11 @@ mod verdict;
 
 use console::{answer, note};
 use plan::System;
+use supervision::private_system::Order;
 use vehicle::Description;
 
 use super::LiveArguments;
-use super::bench::{Bench, Order};
+use super::bench::Bench;
 use super::feed::{Point, free_ahead_m};
 use super::finding::{Finding, Outcome};
 use body::{Stop, Track};
