@@ -274,8 +274,10 @@ impl<T: Recomputed> Replayed<'_, T> {
 
     /// The output of the stage for a scan, or why there is none.
     fn output(&mut self, scan_id: u64) -> Result<T::Output, &'static str> {
-        // Some of their stages used no time, and earlier versions noted none.
-        self.give(0);
+        // Detectors and controllers of earlier versions noted no time. A robot has what does not act yet.
+        if T::ANSWERS.len() > 1 {
+            self.give(0);
+        }
         // With other settings an output takes another time, and its time does not end.
         let readings = self.readings.take().filter(|_| !self.taking.drive.is_changed);
         let is_held_back = std::mem::take(&mut self.is_held_back);
