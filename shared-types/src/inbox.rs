@@ -51,7 +51,7 @@ pub struct InboxRules<'a> {
 
 /// What became of a sample that has arrived.
 #[derive(Debug)]
-pub struct Arrival<B> {
+pub struct InboxArrival<B> {
     /// What is wrong with it, if something is.
     pub fault: Option<Fault>,
     /// Its fate, if that is decided; `None` for one that waits, and for one whose number can't be read.
@@ -66,7 +66,7 @@ pub struct Arrival<B> {
     pub pushed_out: Option<B>,
 }
 
-impl<B> Arrival<B> {
+impl<B> InboxArrival<B> {
     fn kept(pushed_out: Option<B>) -> Self {
         Self { fault: None, fate: None, is_news: false, is_after_gap: false, dropped: None, pushed_out }
     }
@@ -99,7 +99,7 @@ impl<B: Deref<Target = [u8]>> Inbox<B> {
     }
 
     /// Takes in a sample from the bus.
-    pub fn arrive(&mut self, sample: B, rules: &InboxRules<'_>) -> Arrival<B> {
+    pub fn arrive(&mut self, sample: B, rules: &InboxRules<'_>) -> InboxArrival<B> {
         let header = *self.header(&sample);
         let check = (self.of.check)(&sample);
         let readable = match check {
@@ -108,7 +108,7 @@ impl<B: Deref<Target = [u8]>> Inbox<B> {
         };
         if let Err(fault) = readable {
             self.account.unreadable += 1;
-            return Arrival { fault: Some(fault), dropped: Some(sample), ..Arrival::kept(None) };
+            return InboxArrival { fault: Some(fault), dropped: Some(sample), ..InboxArrival::kept(None) };
         }
         let check = check.and_then(|()| self.judge_scan(&header, rules));
         let (missing, is_first) = (self.account.missing, self.account.from(header.incarnation).is_none());
@@ -116,14 +116,14 @@ impl<B: Deref<Target = [u8]>> Inbox<B> {
         let is_after_gap = self.account.missing > missing;
         let arrival = match (by_number, check) {
             (Some(fate), _) => self.drop(sample, fate),
-            (None, Err(fault)) => Arrival { fault: Some(fault), ..self.drop(sample, Fate::Invalid) },
+            (None, Err(fault)) => InboxArrival { fault: Some(fault), ..self.drop(sample, Fate::Invalid) },
             (None, Ok(())) => self.offer(sample, rules, false),
         };
-        Arrival { is_news: is_first || is_after_gap || by_number.is_some(), is_after_gap, ..arrival }
+        InboxArrival { is_news: is_first || is_after_gap || by_number.is_some(), is_after_gap, ..arrival }
     }
 
     /// Looks again at what was kept aside, after the authority has changed, and hands each result to `each`.
-    pub fn review(&mut self, rules: &InboxRules<'_>, mut each: impl FnMut(Arrival<B>)) {
+    pub fn review(&mut self, rules: &InboxRules<'_>, mut each: impl FnMut(InboxArrival<B>)) {
         for _ in 0..self.aside.len() {
             if let Some(sample) = self.aside.pop_front() {
                 each(self.offer(sample, rules, true));
@@ -132,24 +132,24 @@ impl<B: Deref<Target = [u8]>> Inbox<B> {
     }
 
     /// Keeps a sample that counts, keeps one aside that may count later, drops any other.
-    fn offer(&mut self, sample: B, rules: &InboxRules<'_>, was_aside: bool) -> Arrival<B> {
+    fn offer(&mut self, sample: B, rules: &InboxRules<'_>, was_aside: bool) -> InboxArrival<B> {
         let header = *self.header(&sample);
         match self.filter.admit(rules.authority.as_ref(), &header, was_aside) {
             Admission::Counts => {}
             Admission::Aside => {
                 let oldest = pushed(&mut self.aside, sample, ASIDE_DEPTH);
-                return Arrival::kept(self.settled(oldest, Fate::Foreign));
+                return InboxArrival::kept(self.settled(oldest, Fate::Foreign));
             }
             Admission::Foreign => return self.drop(sample, Fate::Foreign),
         }
         if let Some(fault) = self.wrong_time(&header, rules) {
-            return Arrival { fault: Some(fault), ..self.drop(sample, Fate::Stale) };
+            return InboxArrival { fault: Some(fault), ..self.drop(sample, Fate::Stale) };
         }
         if self.is_of_the_loop() {
             rules.known_scan.set(rules.known_scan.get().and(&header, rules.now_ns));
         }
         let oldest = pushed(&mut self.kept, sample, QUEUE_DEPTH);
-        Arrival::kept(self.settled(oldest, Fate::Replaced))
+        InboxArrival::kept(self.settled(oldest, Fate::Replaced))
     }
 
     /// Whether one process writes the topic, in answer to scans.
@@ -189,9 +189,9 @@ impl<B: Deref<Target = [u8]>> Inbox<B> {
         is_old.then_some(Fault::TooOld { age_ms: age_ns as f64 * 1e-6 })
     }
 
-    fn drop(&mut self, sample: B, fate: Fate) -> Arrival<B> {
+    fn drop(&mut self, sample: B, fate: Fate) -> InboxArrival<B> {
         self.settle(fate, &sample);
-        Arrival::dropped(sample, fate)
+        InboxArrival::dropped(sample, fate)
     }
 
     fn settled(&mut self, sample: Option<B>, fate: Fate) -> Option<B> {

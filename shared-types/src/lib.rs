@@ -54,7 +54,7 @@ pub use device::{DEVICE_REASON_BYTES, Device, DeviceState};
 pub use fault::{Fault, finite};
 pub use header::{Header, StageStamps, YOUNG_NS};
 pub use health::{SECTOR_BEAMS, SECTORS, ScannerHealth, ScannerState, TOLERATED_ERRORS};
-pub use inbox::{ASIDE_DEPTH, Arrival, Inbox, InboxRules, QUEUE_DEPTH};
+pub use inbox::{ASIDE_DEPTH, Inbox, InboxArrival, InboxRules, QUEUE_DEPTH};
 pub use journal::{JOURNAL_ENTRIES, Journal, JournalEntry, JournalKind};
 pub use layouts::{
     Both, Deviation, Difference, LayoutRow, Layouts, NotALayout, difference, difference_in, differences,

@@ -6,3 +6,6 @@
 pub mod course;
 pub mod feasible;
 pub mod judge;
+mod way_to_rest;
+
+pub use way_to_rest::WayToRest;

@@ -1,9 +1,10 @@
 //! One course, driven and judged.
 
 use audit::digest::Digests;
+use courses::WayToRest;
 use courses::judge::{Judge, Judgement};
 use emulator::Outcome;
-use pipeline::{PipelineSettings, Step, WayToRest};
+use pipeline::{PipelineSettings, Step};
 use report::NO_OBSTACLE_M;
 
 use super::arguments::CampaignArguments;
@@ -40,7 +41,7 @@ impl CourseRun {
         let mut judge = Judge::new(&settings.scenario, period_ns);
         let (mut time_s, mut min_clearance_m) = (0.0, NO_OBSTACLE_M);
         let (mut rest, mut min_rest_clearance_m, mut without_rest) =
-            (WayToRest::new(&settings), NO_OBSTACLE_M, 0);
+            (WayToRest::new(&settings.scenario, settings.tuning.vehicle, period_ns), NO_OBSTACLE_M, 0);
         let drive = pipeline::drive(&settings, |step| {
             (time_s, min_clearance_m) = (step.truth.time_s, step.truth.min_clearance_m);
             let clearance_m = rest.clearance(&step.truth);

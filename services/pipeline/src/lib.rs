@@ -15,13 +15,11 @@ mod node;
 pub mod profile;
 mod settings;
 mod simulation;
-mod way_to_rest;
 mod wire;
 
 pub use drive::{DriveResult, drive};
 pub use settings::{PipelineSettings, Tuning};
 pub use simulation::{LoopWatch, SimulatedLoop, first_incarnation};
-pub use way_to_rest::WayToRest;
 pub use wire::{ActiveChange, Wire};
 
 use std::any::Any;

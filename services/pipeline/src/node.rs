@@ -3,8 +3,8 @@
 use std::cell::Cell;
 
 use shared_types::{
-    AnySample, AnyStage, Arrival, Authority, Fate, Header, Inbox, InboxRules, KnownScan, Role, SampleType,
-    StageEvent, StageShape, StageStamps, Stopwatch, Topic, YOUNG_NS,
+    AnySample, AnyStage, Authority, Fate, Header, Inbox, InboxArrival, InboxRules, KnownScan, Role,
+    SampleType, StageEvent, StageShape, StageStamps, Stopwatch, Topic, YOUNG_NS,
 };
 
 use crate::wire::SampleBytes;
@@ -91,7 +91,7 @@ impl SimulatedInput {
         sample: SampleBytes,
         authority: Authority,
         time: LoopTime,
-    ) -> Arrival<SampleBytes> {
+    ) -> InboxArrival<SampleBytes> {
         let known_scan = Cell::new(self.known_scan);
         let arrival = self.inbox.arrive(sample, &self.rules(&known_scan, authority, time));
         self.known_scan = known_scan.get();
@@ -111,7 +111,7 @@ impl SimulatedInput {
 }
 
 /// What is found when a sample arrives, like `not_finite` or `missing`.
-pub(crate) fn finding(arrival: &Arrival<SampleBytes>) -> Option<&'static str> {
+pub(crate) fn finding(arrival: &InboxArrival<SampleBytes>) -> Option<&'static str> {
     match (&arrival.fault, arrival.fate) {
         (Some(fault), _) => Some(fault.rule().name()),
         (None, Some(Fate::Duplicate)) => Some("duplicate"),

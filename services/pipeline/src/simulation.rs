@@ -238,9 +238,9 @@ impl SimulatedLoop {
     /// Hands samples that have arrived to their readers; whether there were any.
     fn deliver(&mut self, watch: &mut dyn LoopWatch) -> bool {
         let mut any = false;
-        for topic in 0..self.wires.len() {
-            while let Some(sample) = self.wires[topic].receive(self.time.now_ns) {
-                self.hand_over(TOPICS[topic], &sample, watch);
+        for topic in TOPICS {
+            while let Some(sample) = self.wires[topic as usize].receive(self.time.now_ns) {
+                self.hand_over(topic, &sample, watch);
                 any = true;
             }
         }

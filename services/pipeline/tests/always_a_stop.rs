@@ -3,19 +3,24 @@
 
 use std::collections::BTreeMap;
 
+use courses::WayToRest;
 use courses::course::{Family, of_campaign};
 use emulator::Scenario;
 use emulator::scenario::ScenarioObstacle;
-use pipeline::{PipelineSettings, WayToRest, drive};
+use pipeline::{PipelineSettings, drive};
 use shared_types::{CommandKind, Level};
 
 fn shipped(name: &str) -> Scenario {
     Scenario::parse(Scenario::shipped(name).unwrap(), name).unwrap()
 }
 
+fn rest_of(settings: &PipelineSettings) -> WayToRest {
+    WayToRest::new(&settings.scenario, settings.tuning.vehicle, settings.period_ns)
+}
+
 /// Drives to the end; returns the smallest clearance on a way to rest [m], and the commands per level.
 fn driven(settings: &PipelineSettings) -> (f64, BTreeMap<u32, usize>) {
-    let (mut rest, mut smallest_m, mut levels) = (WayToRest::new(settings), f64::INFINITY, BTreeMap::new());
+    let (mut rest, mut smallest_m, mut levels) = (rest_of(settings), f64::INFINITY, BTreeMap::new());
     drive(settings, |step| {
         smallest_m = smallest_m.min(rest.clearance(&step.truth));
         if let Some(command) = step.command {
@@ -62,7 +67,7 @@ fn a_robot_that_drives_at_a_body_too_fast_has_no_way_to_rest() {
     let shape = of_campaign(0).1.obstacles[0].shape;
     scenario.obstacles = vec![ScenarioObstacle::fixed(shape, 2.0, 0.0)];
     let settings = PipelineSettings::of(scenario);
-    let mut rest = WayToRest::new(&settings);
+    let mut rest = rest_of(&settings);
     let mut truth = shared_types::Truth { x_m: 1.0, speed_mps: 0.3, ..shared_types::Truth::default() };
     assert!(rest.clearance(&truth) > 0.0);
     truth.speed_mps = 3.0;

@@ -221,7 +221,7 @@ impl<'s> Runner<'s> {
         process.wait_preparing(deadline_ns, &mut prepare)
     }
 
-    /// Tells the stage to stop or to go on, and that samples were dropped.
+    /// Tells the stage to stop or to continue, and that samples were dropped.
     fn follow_directive(&mut self) -> Result<(), RuntimeError> {
         if self.holds_wheels {
             match (self.process.directive().stop == 1, self.stage.is_stopped()) {

@@ -259,7 +259,7 @@ fn a_damaged_list_of_processes_is_named_with_its_line_and_the_processes_can_be_s
         let whole = std::fs::read_to_string(&list).unwrap();
         for (text, expected) in [
             (whole.replacen("[[role]]", "[[role", 1), "TOML parse error at line"),
-            (String::new(), "its process registry names no process"),
+            (String::new(), "its process registry: "),
         ] {
             std::fs::write(&list, text).unwrap();
             let output = system.run(&["adopt", "--quiet"]);

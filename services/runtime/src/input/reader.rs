@@ -5,7 +5,7 @@ use std::rc::Rc;
 use std::sync::Arc;
 
 use shared_types::{
-    ASIDE_DEPTH, Arrival, Fate, Fault, Header, Inbox, InboxRules, InputAccount, QUEUE_DEPTH, Refusal,
+    ASIDE_DEPTH, Fate, Fault, Header, Inbox, InboxArrival, InboxRules, InputAccount, QUEUE_DEPTH, Refusal,
     SampleType, Topic,
 };
 
@@ -197,8 +197,8 @@ impl Reader {
     }
 
     /// Reports what is wrong with a sample. What is dropped is returned at the end of this poll.
-    fn settle(&self, arrival: Arrival<Received>) {
-        let Arrival { fault, dropped, pushed_out, .. } = arrival;
+    fn settle(&self, arrival: InboxArrival<Received>) {
+        let InboxArrival { fault, dropped, pushed_out, .. } = arrival;
         if let Some((fault, sample)) = fault.as_ref().zip(dropped.as_deref()) {
             self.refuse((self.of.header)(sample), fault);
         }

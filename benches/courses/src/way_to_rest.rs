@@ -4,13 +4,12 @@
 //! command, then it slides with the described deceleration. What stands or moves on that way is the truth of the
 //! scenario, as far as it has appeared. A body that moves into a robot at rest does not count: the robot has stopped.
 
+use emulator::Scenario;
 use emulator::scene::Scene;
 use nalgebra::Vector2;
 use shared_types::Truth;
 use vehicle::Description;
 use vehicle::geometry::Rectangle;
-
-use crate::PipelineSettings;
 
 /// Distance between two places that are checked [m].
 const STEP_M: f64 = 0.02;
@@ -30,9 +29,9 @@ pub struct WayToRest {
 
 impl WayToRest {
     /// A watch at the start of a drive.
-    pub fn new(settings: &PipelineSettings) -> Self {
-        let (scene, vehicle) = (Scene::new(&settings.scenario), settings.tuning.vehicle);
-        let delay_s = SWEEP_SHARE * settings.period_ns as f64 * 1e-9 + vehicle.command_delay_s;
+    pub fn new(scenario: &Scenario, vehicle: Description, period_ns: u64) -> Self {
+        let scene = Scene::new(scenario);
+        let delay_s = SWEEP_SHARE * period_ns as f64 * 1e-9 + vehicle.command_delay_s;
         Self { scene, vehicle, delay_s }
     }
 
