@@ -67,6 +67,10 @@ pub trait Stage: Clone + Send + Sync + 'static {
     /// Sees an output after it was published: for logs.
     fn published(&mut self, _output: &Self::Output) {}
 
+    /// Sees a sample of [`Stage::ANSWERS`] again after the output was published, on the bus only: to copy what a rehearsal
+    /// needs, while no process waits for it.
+    fn keep(&mut self, _sample: AnySample<'_>) {}
+
     /// Makes the next output faster, for example by computing one on the inputs that are expected at `due_ns`; what
     /// follows gives the same bits as without. The clock is `now_ns`.
     fn rehearse(&mut self, _due_ns: u64, _now_ns: &dyn Fn() -> u64) {}
@@ -198,9 +202,9 @@ impl<'c> Stopwatch<'c> {
         Self::new(Runs::Not)
     }
 
-    /// One that runs from now on by a clock [ns].
-    pub fn running(now_ns: &'c dyn Fn() -> u64) -> Self {
-        Self::new(Runs::By { started_ns: now_ns(), now_ns })
+    /// One that was started at a time of a clock [ns].
+    pub fn running(started_ns: u64, now_ns: &'c dyn Fn() -> u64) -> Self {
+        Self::new(Runs::By { started_ns, now_ns })
     }
 
     /// One that repeats what another has shown: the time was over after so many readings, or never.
@@ -263,6 +267,7 @@ pub trait AnyStage: Any + Send + Sync {
     fn shape(&self) -> StageShape;
     fn take(&mut self, sample: AnySample<'_>, now_ns: u64);
     fn follow(&mut self, event: StageEvent) -> bool;
+    fn keep(&mut self, _sample: AnySample<'_>) {}
     fn rehearse(&mut self, due_ns: u64, now_ns: &dyn Fn() -> u64);
     fn refusal(&self) -> Option<&Fault>;
     fn contains(&self, sample: AnySample<'_>) -> bool;
@@ -301,6 +306,10 @@ impl<T: Stage> AnyStage for T {
 
     fn follow(&mut self, event: StageEvent) -> bool {
         Stage::follow(self, event)
+    }
+
+    fn keep(&mut self, sample: AnySample<'_>) {
+        Stage::keep(self, sample);
     }
 
     fn rehearse(&mut self, due_ns: u64, now_ns: &dyn Fn() -> u64) {
@@ -357,7 +366,7 @@ mod tests {
     fn a_watch_that_repeats_another_is_over_at_the_same_reading() {
         let now_ns = Cell::new(1_000);
         let clock = || now_ns.replace(now_ns.get() + 100);
-        let watch = Stopwatch::running(&clock);
+        let watch = Stopwatch::running(clock(), &clock);
         let shown: Vec<bool> = (0..5).map(|_| watch.is_over(300)).collect();
         assert_eq!(shown, [false, false, true, true, true]);
         assert_eq!(watch.over_after(), Some(2));

@@ -42,7 +42,6 @@ impl Stage for ActuatorStage {
     fn take(&mut self, sample: AnySample<'_>, now_ns: u64) {
         if let Some(command) = sample.get() {
             self.output = Some(self.actuator.answer(command, now_ns));
-            self.last = Some(*command);
         }
     }
 
@@ -64,6 +63,10 @@ impl Stage for ActuatorStage {
             StageEvent::StateLost { .. } | StageEvent::Begun(_) => return false,
         }
         true
+    }
+
+    fn keep(&mut self, sample: AnySample<'_>) {
+        self.last = sample.get().copied();
     }
 
     fn rehearse(&mut self, due_ns: u64, _: &dyn Fn() -> u64) {

@@ -55,9 +55,6 @@ impl Stage for EstimatorStage {
             self.estimator.note(actuation, now_ns);
         } else if let Some(odometry) = sample.get::<Odometry>().filter(|_| !self.is_lost) {
             self.pose = self.estimator.step(odometry, None, now_ns);
-            if self.pose.is_some() {
-                self.last = Some(*odometry);
-            }
         }
     }
 
@@ -71,6 +68,10 @@ impl Stage for EstimatorStage {
             self.is_lost = true;
         }
         false
+    }
+
+    fn keep(&mut self, sample: AnySample<'_>) {
+        self.last = sample.get().copied().filter(|_| !self.is_lost);
     }
 
     fn rehearse(&mut self, due_ns: u64, _: &dyn Fn() -> u64) {

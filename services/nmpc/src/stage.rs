@@ -64,9 +64,9 @@ impl Stage for ControllerStage {
 
     fn take(&mut self, sample: AnySample<'_>, _: u64) {
         if let Some(pose) = sample.get() {
-            self.pose = Some(*pose);
+            *self.pose.get_or_insert_default() = *pose;
         } else if let Some(obstacles) = sample.get() {
-            self.obstacles = Some(*obstacles);
+            *self.obstacles.get_or_insert_default() = *obstacles;
         }
     }
 

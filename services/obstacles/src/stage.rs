@@ -44,9 +44,9 @@ impl Stage for DetectorStage {
 
     fn take(&mut self, sample: AnySample<'_>, _: u64) {
         if let Some(scan) = sample.get() {
-            self.scan = Some(*scan);
+            *self.scan.get_or_insert_default() = *scan;
         } else if let Some(pose) = sample.get() {
-            self.pose = Some(*pose);
+            *self.pose.get_or_insert_default() = *pose;
         }
     }
 

@@ -43,6 +43,7 @@ struct Outputs {
 fn answer<T: Stage>(stage: &mut T, samples: &[AnySample<'_>], now_ns: u64) -> T::Output {
     samples.iter().for_each(|sample| stage.take(*sample, now_ns));
     let mut output = stage.output(samples[0].header().scan_id, &Stopwatch::standing()).unwrap();
+    samples.iter().for_each(|sample| stage.keep(*sample));
     complete(T::ROLE, &mut output, now_ns);
     output
 }

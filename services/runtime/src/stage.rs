@@ -259,8 +259,11 @@ impl<'s> Runner<'s> {
                 input.refuse(header, fault);
             }
             self.answered = first.map_or(self.answered, |header| header.scan_id);
-            if let Some(header) = self.publish()? {
+            if let Some(header) = self.publish(now_ns)? {
                 self.save(&header)?;
+            }
+            for (input, sample) in self.answers.iter().zip(samples.iter().flatten()) {
+                self.stage.keep(AnySample::new(input.of(), sample));
             }
         }
     }
@@ -307,17 +310,17 @@ impl<'s> Runner<'s> {
         if self.stage.follow(event) {
             let (kind, value) = event.entry();
             self.process.note(kind, value);
-            self.publish()?;
+            self.publish(self.process.clock().now_ns())?;
         }
         Ok(())
     }
 
-    /// Publishes the output of the stage; returns its header when there was one.
-    fn publish(&mut self) -> Result<Option<Header>, RuntimeError> {
+    /// Publishes the output of the stage, which began at `started_ns`; returns its header when there was one.
+    fn publish(&mut self, started_ns: u64) -> Result<Option<Header>, RuntimeError> {
         let Self { process, stage, output, .. } = self;
         let watch = match process.clock().is_simulated() {
             true => Stopwatch::standing(),
-            false => Stopwatch::running(&monotonic_ns),
+            false => Stopwatch::running(started_ns, &monotonic_ns),
         };
         let (mut published, mut header) = (Ok(()), None);
         stage.publish(self.answered, &watch, &mut |bytes| {
