@@ -18,13 +18,6 @@ pub struct EstimatorStage {
     pose: Option<Pose>,
 }
 
-impl EstimatorStage {
-    /// The estimator.
-    pub fn estimator(&self) -> &Estimator {
-        &self.estimator
-    }
-}
-
 impl Stage for EstimatorStage {
     type Settings = EstimatorConfig;
     type Invalid = Invalid;
