@@ -10,8 +10,8 @@ use commands::bench::latency::echo::PREFIX;
 use emulator::service::next_due;
 use runtime::{Process, join};
 use shared_types::{
-    Actuation, ActuationKind, Command, CommandKind, Obstacles, Odometry, Phase, Pose, Role, Scan, Topic,
-    Truth,
+    Actuation, ActuationKind, Command, CommandKind, Obstacles, Odometry, Phase, Pose, Role, Scan,
+    ScanGeometry, Topic, Truth,
 };
 
 use crate::payload::{Received, Sent};
@@ -75,7 +75,7 @@ fn robot(payload: Option<usize>) -> anyhow::Result<()> {
             blocked: process.directive().stop,
             ..Truth::default()
         };
-        let mut scan = Scan { period_ns, sweep_ns: period_ns / 3 * 2, ..Scan::default() };
+        let mut scan = Scan { period_ns, sweep_ns: period_ns / 3 * 2, ..Scan::of(ScanGeometry::URG_04LX) };
         let mut odometry = Odometry::default();
         for header in [&mut truth.header, &mut scan.header, &mut odometry.header] {
             header.scan_id = scan_id;

@@ -38,8 +38,7 @@ static const double ERRORS[][2] = {{1.0, 0.0},  {0.6, 0.0},  {0.7, 0.0}, {0.8, 0
 struct view {
     double x_m, y_m, yaw_rad, course_rad, speed_mps, yaw_rate_radps;
     uint64_t sweep_ns; /* 0 when there is no scan yet */
-    uint16_t ranges_mm[SCANLOOP_BEAMS];
-    uint16_t unused[2];
+    uint32_t ranges_mm[SCANLOOP_BEAMS];
 };
 
 /* What the health of the next scan depends on. */

@@ -10,13 +10,15 @@
 #include <stdint.h>
 
 #define SCANLOOP_ROLES 5 /* Number of roles */
-#define SCANLOOP_BEAMS 682 /* Number of beams of a sweep */
-#define SCANLOOP_FRONT_BEAM 340 /* Index of the beam that looks straight ahead */
-#define SCANLOOP_FIRST_ANALYSED_BEAM 170 /* First beam analysed for obstacles, 60 deg to the right */
-#define SCANLOOP_LAST_ANALYSED_BEAM 511 /* Last beam analysed for obstacles, 60 deg to the left */
+#define SCANLOOP_SLOTS 8 /* Largest number of processes in the loop */
+#define SCANLOOP_MAX_BEAMS 2048 /* Largest number of beams of a scan */
+#define SCANLOOP_BEAMS 682 /* Number of beams of the URG-04LX */
+#define SCANLOOP_FRONT_BEAM 340 /* Index of its beam that looks straight ahead */
+#define SCANLOOP_FIRST_ANALYSED_BEAM 170 /* Its first beam analysed for obstacles, 60 deg to the right */
+#define SCANLOOP_LAST_ANALYSED_BEAM 511 /* Its last beam analysed for obstacles, 60 deg to the left */
 #define SCANLOOP_MIN_RANGE_MM 20 /* Ranges below this are error codes: no return [mm] */
-#define SCANLOOP_PITCH_RAD 0.006135923151542565 /* Angle between two beams [rad] */
-#define SCANLOOP_FIRST_BEAM_YAW_RAD -2.086213871524472 /* Angle of beam 0, counter-clockwise from straight ahead [rad] */
+#define SCANLOOP_PITCH_RAD 0.006135923151542565 /* Angle between two of its beams [rad] */
+#define SCANLOOP_FIRST_BEAM_YAW_RAD -2.086213871524472 /* Angle of its beam 0, counter-clockwise from straight ahead [rad] */
 #define SCANLOOP_SECTOR_BEAMS 11 /* Beams of one sector of evidence */
 #define SCANLOOP_MAX_OBSTACLES 16 /* How many ellipses a description can hold */
 #define SCANLOOP_PLAN_NODES 25 /* How many nodes of the plan a command carries */
@@ -210,9 +212,9 @@ typedef struct scanloop_header {
     uint64_t scan_id; /* The scan that this sample belongs to; the first scan of a run is 1 */
     uint64_t sequence; /* Number of the sample among those of its producer on its topic, from 1 without gaps */
     uint64_t acquired_ns; /* When the front beam of the scan was taken [ns] */
-    scanloop_stage_stamps chain[5]; /* Stamps of all stages on the way to this sample, indexed by role */
+    scanloop_stage_stamps chain[8]; /* Stamps of all stages on the way to this sample, by slot: the five roles come first */
 } scanloop_header;
-_Static_assert(sizeof(scanloop_header) == 192, "scanloop_header");
+_Static_assert(sizeof(scanloop_header) == 288, "scanloop_header");
 _Static_assert(offsetof(scanloop_header, layout) == 0, "scanloop_header.layout");
 _Static_assert(offsetof(scanloop_header, incarnation) == 4, "scanloop_header.incarnation");
 _Static_assert(offsetof(scanloop_header, scan_id) == 8, "scanloop_header.scan_id");
@@ -461,15 +463,21 @@ typedef struct scanloop_scan {
     scanloop_header header; /* Identity and stamps; acquired is the time of the front beam */
     uint64_t sweep_ns; /* How long the sweep over all beams lasts, two thirds of the scan period [ns] */
     uint64_t period_ns; /* Time between the end of one scan and the end of the next [ns] */
-    uint16_t ranges_mm[682]; /* Range per beam, counter-clockwise from the right; below 20 is an error code: no return [mm] */
+    double first_rad; /* Angle of beam 0 from straight ahead, counter-clockwise [rad] */
+    double increment_rad; /* Angle from one beam to the next; negative where the sweep is clockwise [rad] */
+    uint32_t beams; /* How many beams there are: as many of `ranges_mm` count */
     uint32_t missing; /* 1 when the scanner gave no ranges for this scan: all of them are zero */
+    uint32_t ranges_mm[2048]; /* Range per beam in the order of the sweep; below 20 is an error code: no return [mm] */
 } scanloop_scan;
-_Static_assert(sizeof(scanloop_scan) == 1576, "scanloop_scan");
+_Static_assert(sizeof(scanloop_scan) == 8520, "scanloop_scan");
 _Static_assert(offsetof(scanloop_scan, header) == 0, "scanloop_scan.header");
-_Static_assert(offsetof(scanloop_scan, sweep_ns) == 192, "scanloop_scan.sweep_ns");
-_Static_assert(offsetof(scanloop_scan, period_ns) == 200, "scanloop_scan.period_ns");
-_Static_assert(offsetof(scanloop_scan, ranges_mm) == 208, "scanloop_scan.ranges_mm");
-_Static_assert(offsetof(scanloop_scan, missing) == 1572, "scanloop_scan.missing");
+_Static_assert(offsetof(scanloop_scan, sweep_ns) == 288, "scanloop_scan.sweep_ns");
+_Static_assert(offsetof(scanloop_scan, period_ns) == 296, "scanloop_scan.period_ns");
+_Static_assert(offsetof(scanloop_scan, first_rad) == 304, "scanloop_scan.first_rad");
+_Static_assert(offsetof(scanloop_scan, increment_rad) == 312, "scanloop_scan.increment_rad");
+_Static_assert(offsetof(scanloop_scan, beams) == 320, "scanloop_scan.beams");
+_Static_assert(offsetof(scanloop_scan, missing) == 324, "scanloop_scan.missing");
+_Static_assert(offsetof(scanloop_scan, ranges_mm) == 328, "scanloop_scan.ranges_mm");
 
 /* Topic odometry, published once per scan, at the end of the sweep. */
 typedef struct scanloop_odometry {
@@ -483,16 +491,16 @@ typedef struct scanloop_odometry {
     double dt_s; /* Time since the sample before; zero in the first sample [s] */
     double speed_mps; /* Speed over ground measured at the wheels [m/s] */
 } scanloop_odometry;
-_Static_assert(sizeof(scanloop_odometry) == 256, "scanloop_odometry");
+_Static_assert(sizeof(scanloop_odometry) == 352, "scanloop_odometry");
 _Static_assert(offsetof(scanloop_odometry, header) == 0, "scanloop_odometry.header");
-_Static_assert(offsetof(scanloop_odometry, x_m) == 192, "scanloop_odometry.x_m");
-_Static_assert(offsetof(scanloop_odometry, y_m) == 200, "scanloop_odometry.y_m");
-_Static_assert(offsetof(scanloop_odometry, yaw_rad) == 208, "scanloop_odometry.yaw_rad");
-_Static_assert(offsetof(scanloop_odometry, dx_m) == 216, "scanloop_odometry.dx_m");
-_Static_assert(offsetof(scanloop_odometry, dy_m) == 224, "scanloop_odometry.dy_m");
-_Static_assert(offsetof(scanloop_odometry, dyaw_rad) == 232, "scanloop_odometry.dyaw_rad");
-_Static_assert(offsetof(scanloop_odometry, dt_s) == 240, "scanloop_odometry.dt_s");
-_Static_assert(offsetof(scanloop_odometry, speed_mps) == 248, "scanloop_odometry.speed_mps");
+_Static_assert(offsetof(scanloop_odometry, x_m) == 288, "scanloop_odometry.x_m");
+_Static_assert(offsetof(scanloop_odometry, y_m) == 296, "scanloop_odometry.y_m");
+_Static_assert(offsetof(scanloop_odometry, yaw_rad) == 304, "scanloop_odometry.yaw_rad");
+_Static_assert(offsetof(scanloop_odometry, dx_m) == 312, "scanloop_odometry.dx_m");
+_Static_assert(offsetof(scanloop_odometry, dy_m) == 320, "scanloop_odometry.dy_m");
+_Static_assert(offsetof(scanloop_odometry, dyaw_rad) == 328, "scanloop_odometry.dyaw_rad");
+_Static_assert(offsetof(scanloop_odometry, dt_s) == 336, "scanloop_odometry.dt_s");
+_Static_assert(offsetof(scanloop_odometry, speed_mps) == 344, "scanloop_odometry.speed_mps");
 
 /* Topic pose, published once per odometry sample. */
 typedef struct scanloop_pose {
@@ -519,29 +527,29 @@ typedef struct scanloop_pose {
     uint32_t suspect; /* Part of the calibration that is suspected to be wrong, `Suspect` */
     uint32_t alarm; /* Reaction that the estimator asks for because of it, `Alarm` */
 } scanloop_pose;
-_Static_assert(sizeof(scanloop_pose) == 560, "scanloop_pose");
+_Static_assert(sizeof(scanloop_pose) == 656, "scanloop_pose");
 _Static_assert(offsetof(scanloop_pose, header) == 0, "scanloop_pose.header");
-_Static_assert(offsetof(scanloop_pose, yaw_rad) == 192, "scanloop_pose.yaw_rad");
-_Static_assert(offsetof(scanloop_pose, x_m) == 200, "scanloop_pose.x_m");
-_Static_assert(offsetof(scanloop_pose, y_m) == 208, "scanloop_pose.y_m");
-_Static_assert(offsetof(scanloop_pose, covariance) == 216, "scanloop_pose.covariance");
-_Static_assert(offsetof(scanloop_pose, local_covariance) == 288, "scanloop_pose.local_covariance");
-_Static_assert(offsetof(scanloop_pose, speed_mps) == 360, "scanloop_pose.speed_mps");
-_Static_assert(offsetof(scanloop_pose, sideslip_rad) == 368, "scanloop_pose.sideslip_rad");
-_Static_assert(offsetof(scanloop_pose, yaw_rate_radps) == 376, "scanloop_pose.yaw_rate_radps");
-_Static_assert(offsetof(scanloop_pose, predicted_ns) == 384, "scanloop_pose.predicted_ns");
-_Static_assert(offsetof(scanloop_pose, predicted_sideslip_rad) == 392, "scanloop_pose.predicted_sideslip_rad");
-_Static_assert(offsetof(scanloop_pose, predicted_yaw_rad) == 400, "scanloop_pose.predicted_yaw_rad");
-_Static_assert(offsetof(scanloop_pose, predicted_yaw_rate_radps) == 408, "scanloop_pose.predicted_yaw_rate_radps");
-_Static_assert(offsetof(scanloop_pose, predicted_x_m) == 416, "scanloop_pose.predicted_x_m");
-_Static_assert(offsetof(scanloop_pose, predicted_y_m) == 424, "scanloop_pose.predicted_y_m");
-_Static_assert(offsetof(scanloop_pose, predicted_speed_mps) == 432, "scanloop_pose.predicted_speed_mps");
-_Static_assert(offsetof(scanloop_pose, innovation) == 440, "scanloop_pose.innovation");
-_Static_assert(offsetof(scanloop_pose, gain) == 464, "scanloop_pose.gain");
-_Static_assert(offsetof(scanloop_pose, nis) == 536, "scanloop_pose.nis");
-_Static_assert(offsetof(scanloop_pose, rejected) == 544, "scanloop_pose.rejected");
-_Static_assert(offsetof(scanloop_pose, suspect) == 552, "scanloop_pose.suspect");
-_Static_assert(offsetof(scanloop_pose, alarm) == 556, "scanloop_pose.alarm");
+_Static_assert(offsetof(scanloop_pose, yaw_rad) == 288, "scanloop_pose.yaw_rad");
+_Static_assert(offsetof(scanloop_pose, x_m) == 296, "scanloop_pose.x_m");
+_Static_assert(offsetof(scanloop_pose, y_m) == 304, "scanloop_pose.y_m");
+_Static_assert(offsetof(scanloop_pose, covariance) == 312, "scanloop_pose.covariance");
+_Static_assert(offsetof(scanloop_pose, local_covariance) == 384, "scanloop_pose.local_covariance");
+_Static_assert(offsetof(scanloop_pose, speed_mps) == 456, "scanloop_pose.speed_mps");
+_Static_assert(offsetof(scanloop_pose, sideslip_rad) == 464, "scanloop_pose.sideslip_rad");
+_Static_assert(offsetof(scanloop_pose, yaw_rate_radps) == 472, "scanloop_pose.yaw_rate_radps");
+_Static_assert(offsetof(scanloop_pose, predicted_ns) == 480, "scanloop_pose.predicted_ns");
+_Static_assert(offsetof(scanloop_pose, predicted_sideslip_rad) == 488, "scanloop_pose.predicted_sideslip_rad");
+_Static_assert(offsetof(scanloop_pose, predicted_yaw_rad) == 496, "scanloop_pose.predicted_yaw_rad");
+_Static_assert(offsetof(scanloop_pose, predicted_yaw_rate_radps) == 504, "scanloop_pose.predicted_yaw_rate_radps");
+_Static_assert(offsetof(scanloop_pose, predicted_x_m) == 512, "scanloop_pose.predicted_x_m");
+_Static_assert(offsetof(scanloop_pose, predicted_y_m) == 520, "scanloop_pose.predicted_y_m");
+_Static_assert(offsetof(scanloop_pose, predicted_speed_mps) == 528, "scanloop_pose.predicted_speed_mps");
+_Static_assert(offsetof(scanloop_pose, innovation) == 536, "scanloop_pose.innovation");
+_Static_assert(offsetof(scanloop_pose, gain) == 560, "scanloop_pose.gain");
+_Static_assert(offsetof(scanloop_pose, nis) == 632, "scanloop_pose.nis");
+_Static_assert(offsetof(scanloop_pose, rejected) == 640, "scanloop_pose.rejected");
+_Static_assert(offsetof(scanloop_pose, suspect) == 648, "scanloop_pose.suspect");
+_Static_assert(offsetof(scanloop_pose, alarm) == 652, "scanloop_pose.alarm");
 
 /* Topic obstacles, published once per scan, when scan and pose are there. */
 typedef struct scanloop_obstacles {
@@ -551,12 +559,12 @@ typedef struct scanloop_obstacles {
     scanloop_scanner_health scanner; /* What the scanner can be relied on for */
     scanloop_obstacle items[16]; /* The ellipses, nearest ahead first; unused ones are zero */
 } scanloop_obstacles;
-_Static_assert(sizeof(scanloop_obstacles) == 2448, "scanloop_obstacles");
+_Static_assert(sizeof(scanloop_obstacles) == 2544, "scanloop_obstacles");
 _Static_assert(offsetof(scanloop_obstacles, header) == 0, "scanloop_obstacles.header");
-_Static_assert(offsetof(scanloop_obstacles, count) == 192, "scanloop_obstacles.count");
-_Static_assert(offsetof(scanloop_obstacles, overflow) == 196, "scanloop_obstacles.overflow");
-_Static_assert(offsetof(scanloop_obstacles, scanner) == 200, "scanloop_obstacles.scanner");
-_Static_assert(offsetof(scanloop_obstacles, items) == 272, "scanloop_obstacles.items");
+_Static_assert(offsetof(scanloop_obstacles, count) == 288, "scanloop_obstacles.count");
+_Static_assert(offsetof(scanloop_obstacles, overflow) == 292, "scanloop_obstacles.overflow");
+_Static_assert(offsetof(scanloop_obstacles, scanner) == 296, "scanloop_obstacles.scanner");
+_Static_assert(offsetof(scanloop_obstacles, items) == 368, "scanloop_obstacles.items");
 
 /* Topic command, published once per scan, when pose and obstacles are there. */
 typedef struct scanloop_command {
@@ -586,32 +594,32 @@ typedef struct scanloop_command {
     uint32_t reserved; /* Unused, zero */
     scanloop_plan_node plan[25]; /* The planned nodes */
 } scanloop_command;
-_Static_assert(sizeof(scanloop_command) == 1816, "scanloop_command");
+_Static_assert(sizeof(scanloop_command) == 1912, "scanloop_command");
 _Static_assert(offsetof(scanloop_command, header) == 0, "scanloop_command.header");
-_Static_assert(offsetof(scanloop_command, kind) == 192, "scanloop_command.kind");
-_Static_assert(offsetof(scanloop_command, level) == 196, "scanloop_command.level");
-_Static_assert(offsetof(scanloop_command, status) == 200, "scanloop_command.status");
-_Static_assert(offsetof(scanloop_command, reason) == 204, "scanloop_command.reason");
-_Static_assert(offsetof(scanloop_command, verified) == 208, "scanloop_command.verified");
-_Static_assert(offsetof(scanloop_command, side) == 212, "scanloop_command.side");
-_Static_assert(offsetof(scanloop_command, iterations) == 216, "scanloop_command.iterations");
-_Static_assert(offsetof(scanloop_command, active_constraints) == 220, "scanloop_command.active_constraints");
-_Static_assert(offsetof(scanloop_command, velocity_mps) == 224, "scanloop_command.velocity_mps");
-_Static_assert(offsetof(scanloop_command, steering_rad) == 232, "scanloop_command.steering_rad");
-_Static_assert(offsetof(scanloop_command, kkt_residual) == 240, "scanloop_command.kkt_residual");
-_Static_assert(offsetof(scanloop_command, largest_violation) == 248, "scanloop_command.largest_violation");
-_Static_assert(offsetof(scanloop_command, slack) == 256, "scanloop_command.slack");
-_Static_assert(offsetof(scanloop_command, objective) == 264, "scanloop_command.objective");
-_Static_assert(offsetof(scanloop_command, solve_ns) == 272, "scanloop_command.solve_ns");
-_Static_assert(offsetof(scanloop_command, plan_start_ns) == 280, "scanloop_command.plan_start_ns");
-_Static_assert(offsetof(scanloop_command, plan_interval_s) == 288, "scanloop_command.plan_interval_s");
-_Static_assert(offsetof(scanloop_command, speed_limit_mps) == 296, "scanloop_command.speed_limit_mps");
-_Static_assert(offsetof(scanloop_command, margin) == 304, "scanloop_command.margin");
-_Static_assert(offsetof(scanloop_command, blocking) == 344, "scanloop_command.blocking");
-_Static_assert(offsetof(scanloop_command, sides) == 384, "scanloop_command.sides");
-_Static_assert(offsetof(scanloop_command, plan_length) == 408, "scanloop_command.plan_length");
-_Static_assert(offsetof(scanloop_command, reserved) == 412, "scanloop_command.reserved");
-_Static_assert(offsetof(scanloop_command, plan) == 416, "scanloop_command.plan");
+_Static_assert(offsetof(scanloop_command, kind) == 288, "scanloop_command.kind");
+_Static_assert(offsetof(scanloop_command, level) == 292, "scanloop_command.level");
+_Static_assert(offsetof(scanloop_command, status) == 296, "scanloop_command.status");
+_Static_assert(offsetof(scanloop_command, reason) == 300, "scanloop_command.reason");
+_Static_assert(offsetof(scanloop_command, verified) == 304, "scanloop_command.verified");
+_Static_assert(offsetof(scanloop_command, side) == 308, "scanloop_command.side");
+_Static_assert(offsetof(scanloop_command, iterations) == 312, "scanloop_command.iterations");
+_Static_assert(offsetof(scanloop_command, active_constraints) == 316, "scanloop_command.active_constraints");
+_Static_assert(offsetof(scanloop_command, velocity_mps) == 320, "scanloop_command.velocity_mps");
+_Static_assert(offsetof(scanloop_command, steering_rad) == 328, "scanloop_command.steering_rad");
+_Static_assert(offsetof(scanloop_command, kkt_residual) == 336, "scanloop_command.kkt_residual");
+_Static_assert(offsetof(scanloop_command, largest_violation) == 344, "scanloop_command.largest_violation");
+_Static_assert(offsetof(scanloop_command, slack) == 352, "scanloop_command.slack");
+_Static_assert(offsetof(scanloop_command, objective) == 360, "scanloop_command.objective");
+_Static_assert(offsetof(scanloop_command, solve_ns) == 368, "scanloop_command.solve_ns");
+_Static_assert(offsetof(scanloop_command, plan_start_ns) == 376, "scanloop_command.plan_start_ns");
+_Static_assert(offsetof(scanloop_command, plan_interval_s) == 384, "scanloop_command.plan_interval_s");
+_Static_assert(offsetof(scanloop_command, speed_limit_mps) == 392, "scanloop_command.speed_limit_mps");
+_Static_assert(offsetof(scanloop_command, margin) == 400, "scanloop_command.margin");
+_Static_assert(offsetof(scanloop_command, blocking) == 440, "scanloop_command.blocking");
+_Static_assert(offsetof(scanloop_command, sides) == 480, "scanloop_command.sides");
+_Static_assert(offsetof(scanloop_command, plan_length) == 504, "scanloop_command.plan_length");
+_Static_assert(offsetof(scanloop_command, reserved) == 508, "scanloop_command.reserved");
+_Static_assert(offsetof(scanloop_command, plan) == 512, "scanloop_command.plan");
 
 /* Topic actuation, published once per command, and when the actuator blocks the wheels by itself. */
 typedef struct scanloop_actuation {
@@ -627,23 +635,23 @@ typedef struct scanloop_actuation {
     uint64_t refused; /* Commands refused since the start: not finite, not verified, stale, out of limits */
     uint64_t gaps; /* Gaps between scans since the start: the wheels were blocked, and the next valid command ended the block */
 } scanloop_actuation;
-_Static_assert(sizeof(scanloop_actuation) == 256, "scanloop_actuation");
+_Static_assert(sizeof(scanloop_actuation) == 352, "scanloop_actuation");
 _Static_assert(offsetof(scanloop_actuation, header) == 0, "scanloop_actuation.header");
-_Static_assert(offsetof(scanloop_actuation, kind) == 192, "scanloop_actuation.kind");
-_Static_assert(offsetof(scanloop_actuation, reason) == 196, "scanloop_actuation.reason");
-_Static_assert(offsetof(scanloop_actuation, stop_reason) == 200, "scanloop_actuation.stop_reason");
-_Static_assert(offsetof(scanloop_actuation, answers) == 204, "scanloop_actuation.answers");
-_Static_assert(offsetof(scanloop_actuation, desired_velocity_mps) == 208, "scanloop_actuation.desired_velocity_mps");
-_Static_assert(offsetof(scanloop_actuation, desired_steering_rad) == 216, "scanloop_actuation.desired_steering_rad");
-_Static_assert(offsetof(scanloop_actuation, sent_velocity_mps) == 224, "scanloop_actuation.sent_velocity_mps");
-_Static_assert(offsetof(scanloop_actuation, sent_steering_rad) == 232, "scanloop_actuation.sent_steering_rad");
-_Static_assert(offsetof(scanloop_actuation, refused) == 240, "scanloop_actuation.refused");
-_Static_assert(offsetof(scanloop_actuation, gaps) == 248, "scanloop_actuation.gaps");
+_Static_assert(offsetof(scanloop_actuation, kind) == 288, "scanloop_actuation.kind");
+_Static_assert(offsetof(scanloop_actuation, reason) == 292, "scanloop_actuation.reason");
+_Static_assert(offsetof(scanloop_actuation, stop_reason) == 296, "scanloop_actuation.stop_reason");
+_Static_assert(offsetof(scanloop_actuation, answers) == 300, "scanloop_actuation.answers");
+_Static_assert(offsetof(scanloop_actuation, desired_velocity_mps) == 304, "scanloop_actuation.desired_velocity_mps");
+_Static_assert(offsetof(scanloop_actuation, desired_steering_rad) == 312, "scanloop_actuation.desired_steering_rad");
+_Static_assert(offsetof(scanloop_actuation, sent_velocity_mps) == 320, "scanloop_actuation.sent_velocity_mps");
+_Static_assert(offsetof(scanloop_actuation, sent_steering_rad) == 328, "scanloop_actuation.sent_steering_rad");
+_Static_assert(offsetof(scanloop_actuation, refused) == 336, "scanloop_actuation.refused");
+_Static_assert(offsetof(scanloop_actuation, gaps) == 344, "scanloop_actuation.gaps");
 
 /* Topic heartbeat, published ten times a second by each process, and at each change of its state. */
 typedef struct scanloop_heartbeat {
     scanloop_header header; /* Identity; scan id is the last one worked on, the chain is unused */
-    uint32_t role; /* Role of the process, `Role` */
+    uint32_t role; /* Slot of the process; the first five are those of a `Role` */
     uint32_t state; /* State that the process reports, `ProcessState` */
     uint64_t pid; /* Process id */
     uint32_t obeys_stop; /* 1 when it sees the stop word of its run, and so obeys `scanloop stop` by itself */
@@ -666,40 +674,40 @@ typedef struct scanloop_heartbeat {
     uint64_t taken_scans; /* Sum of their scan ids */
     uint64_t answered; /* Answers to them */
     uint64_t answered_scans; /* Sum of the scan ids of the answers */
-    uint64_t written[2]; /* Sequence number of the newest sample per topic that the role writes, in the order of `Role::writes` */
-    scanloop_input_account inputs[2]; /* What became of the samples per topic that the role reads, in the order of `Role::reads` */
-    scanloop_refusal refused[2]; /* Samples dropped or refused because of their content, per topic that the role reads */
+    uint64_t written[4]; /* Sequence number of the newest sample per topic that the process writes, in the order of its writes */
+    scanloop_input_account inputs[4]; /* What became of the samples per topic that the process reads, in the order of its reads */
+    scanloop_refusal refused[4]; /* Samples dropped or refused because of their content, per topic that the process reads */
     scanloop_device device; /* What the devices behind the process do */
 } scanloop_heartbeat;
-_Static_assert(sizeof(scanloop_heartbeat) == 1192, "scanloop_heartbeat");
+_Static_assert(sizeof(scanloop_heartbeat) == 2008, "scanloop_heartbeat");
 _Static_assert(offsetof(scanloop_heartbeat, header) == 0, "scanloop_heartbeat.header");
-_Static_assert(offsetof(scanloop_heartbeat, role) == 192, "scanloop_heartbeat.role");
-_Static_assert(offsetof(scanloop_heartbeat, state) == 196, "scanloop_heartbeat.state");
-_Static_assert(offsetof(scanloop_heartbeat, pid) == 200, "scanloop_heartbeat.pid");
-_Static_assert(offsetof(scanloop_heartbeat, obeys_stop) == 208, "scanloop_heartbeat.obeys_stop");
-_Static_assert(offsetof(scanloop_heartbeat, reserved) == 212, "scanloop_heartbeat.reserved");
-_Static_assert(offsetof(scanloop_heartbeat, issued_ns) == 216, "scanloop_heartbeat.issued_ns");
-_Static_assert(offsetof(scanloop_heartbeat, activations) == 224, "scanloop_heartbeat.activations");
-_Static_assert(offsetof(scanloop_heartbeat, published) == 232, "scanloop_heartbeat.published");
-_Static_assert(offsetof(scanloop_heartbeat, used) == 240, "scanloop_heartbeat.used");
-_Static_assert(offsetof(scanloop_heartbeat, replaced) == 248, "scanloop_heartbeat.replaced");
-_Static_assert(offsetof(scanloop_heartbeat, invalid) == 256, "scanloop_heartbeat.invalid");
-_Static_assert(offsetof(scanloop_heartbeat, stale) == 264, "scanloop_heartbeat.stale");
-_Static_assert(offsetof(scanloop_heartbeat, duplicate) == 272, "scanloop_heartbeat.duplicate");
-_Static_assert(offsetof(scanloop_heartbeat, reordered) == 280, "scanloop_heartbeat.reordered");
-_Static_assert(offsetof(scanloop_heartbeat, foreign) == 288, "scanloop_heartbeat.foreign");
-_Static_assert(offsetof(scanloop_heartbeat, missing) == 296, "scanloop_heartbeat.missing");
-_Static_assert(offsetof(scanloop_heartbeat, undelivered) == 304, "scanloop_heartbeat.undelivered");
-_Static_assert(offsetof(scanloop_heartbeat, timeouts) == 312, "scanloop_heartbeat.timeouts");
-_Static_assert(offsetof(scanloop_heartbeat, looked_ns) == 320, "scanloop_heartbeat.looked_ns");
-_Static_assert(offsetof(scanloop_heartbeat, taken) == 328, "scanloop_heartbeat.taken");
-_Static_assert(offsetof(scanloop_heartbeat, taken_scans) == 336, "scanloop_heartbeat.taken_scans");
-_Static_assert(offsetof(scanloop_heartbeat, answered) == 344, "scanloop_heartbeat.answered");
-_Static_assert(offsetof(scanloop_heartbeat, answered_scans) == 352, "scanloop_heartbeat.answered_scans");
-_Static_assert(offsetof(scanloop_heartbeat, written) == 360, "scanloop_heartbeat.written");
-_Static_assert(offsetof(scanloop_heartbeat, inputs) == 376, "scanloop_heartbeat.inputs");
-_Static_assert(offsetof(scanloop_heartbeat, refused) == 952, "scanloop_heartbeat.refused");
-_Static_assert(offsetof(scanloop_heartbeat, device) == 1080, "scanloop_heartbeat.device");
+_Static_assert(offsetof(scanloop_heartbeat, role) == 288, "scanloop_heartbeat.role");
+_Static_assert(offsetof(scanloop_heartbeat, state) == 292, "scanloop_heartbeat.state");
+_Static_assert(offsetof(scanloop_heartbeat, pid) == 296, "scanloop_heartbeat.pid");
+_Static_assert(offsetof(scanloop_heartbeat, obeys_stop) == 304, "scanloop_heartbeat.obeys_stop");
+_Static_assert(offsetof(scanloop_heartbeat, reserved) == 308, "scanloop_heartbeat.reserved");
+_Static_assert(offsetof(scanloop_heartbeat, issued_ns) == 312, "scanloop_heartbeat.issued_ns");
+_Static_assert(offsetof(scanloop_heartbeat, activations) == 320, "scanloop_heartbeat.activations");
+_Static_assert(offsetof(scanloop_heartbeat, published) == 328, "scanloop_heartbeat.published");
+_Static_assert(offsetof(scanloop_heartbeat, used) == 336, "scanloop_heartbeat.used");
+_Static_assert(offsetof(scanloop_heartbeat, replaced) == 344, "scanloop_heartbeat.replaced");
+_Static_assert(offsetof(scanloop_heartbeat, invalid) == 352, "scanloop_heartbeat.invalid");
+_Static_assert(offsetof(scanloop_heartbeat, stale) == 360, "scanloop_heartbeat.stale");
+_Static_assert(offsetof(scanloop_heartbeat, duplicate) == 368, "scanloop_heartbeat.duplicate");
+_Static_assert(offsetof(scanloop_heartbeat, reordered) == 376, "scanloop_heartbeat.reordered");
+_Static_assert(offsetof(scanloop_heartbeat, foreign) == 384, "scanloop_heartbeat.foreign");
+_Static_assert(offsetof(scanloop_heartbeat, missing) == 392, "scanloop_heartbeat.missing");
+_Static_assert(offsetof(scanloop_heartbeat, undelivered) == 400, "scanloop_heartbeat.undelivered");
+_Static_assert(offsetof(scanloop_heartbeat, timeouts) == 408, "scanloop_heartbeat.timeouts");
+_Static_assert(offsetof(scanloop_heartbeat, looked_ns) == 416, "scanloop_heartbeat.looked_ns");
+_Static_assert(offsetof(scanloop_heartbeat, taken) == 424, "scanloop_heartbeat.taken");
+_Static_assert(offsetof(scanloop_heartbeat, taken_scans) == 432, "scanloop_heartbeat.taken_scans");
+_Static_assert(offsetof(scanloop_heartbeat, answered) == 440, "scanloop_heartbeat.answered");
+_Static_assert(offsetof(scanloop_heartbeat, answered_scans) == 448, "scanloop_heartbeat.answered_scans");
+_Static_assert(offsetof(scanloop_heartbeat, written) == 456, "scanloop_heartbeat.written");
+_Static_assert(offsetof(scanloop_heartbeat, inputs) == 488, "scanloop_heartbeat.inputs");
+_Static_assert(offsetof(scanloop_heartbeat, refused) == 1640, "scanloop_heartbeat.refused");
+_Static_assert(offsetof(scanloop_heartbeat, device) == 1896, "scanloop_heartbeat.device");
 
 /* Topic directive, published ten times a second by the orchestrator, and at each change. */
 typedef struct scanloop_directive {
@@ -709,21 +717,21 @@ typedef struct scanloop_directive {
     uint64_t granted_scan; /* In lock-step: the last scan that the robot may publish */
     uint64_t issued_ns; /* When it was published [ns of CLOCK_MONOTONIC] */
     uint64_t orchestrator_pid; /* Process id of the orchestrator */
-    scanloop_authority authority[5]; /* Whose samples count, indexed by role */
+    scanloop_authority authority[8]; /* Whose samples count, by slot */
 } scanloop_directive;
-_Static_assert(sizeof(scanloop_directive) == 304, "scanloop_directive");
+_Static_assert(sizeof(scanloop_directive) == 448, "scanloop_directive");
 _Static_assert(offsetof(scanloop_directive, header) == 0, "scanloop_directive.header");
-_Static_assert(offsetof(scanloop_directive, phase) == 192, "scanloop_directive.phase");
-_Static_assert(offsetof(scanloop_directive, stop) == 196, "scanloop_directive.stop");
-_Static_assert(offsetof(scanloop_directive, granted_scan) == 200, "scanloop_directive.granted_scan");
-_Static_assert(offsetof(scanloop_directive, issued_ns) == 208, "scanloop_directive.issued_ns");
-_Static_assert(offsetof(scanloop_directive, orchestrator_pid) == 216, "scanloop_directive.orchestrator_pid");
-_Static_assert(offsetof(scanloop_directive, authority) == 224, "scanloop_directive.authority");
+_Static_assert(offsetof(scanloop_directive, phase) == 288, "scanloop_directive.phase");
+_Static_assert(offsetof(scanloop_directive, stop) == 292, "scanloop_directive.stop");
+_Static_assert(offsetof(scanloop_directive, granted_scan) == 296, "scanloop_directive.granted_scan");
+_Static_assert(offsetof(scanloop_directive, issued_ns) == 304, "scanloop_directive.issued_ns");
+_Static_assert(offsetof(scanloop_directive, orchestrator_pid) == 312, "scanloop_directive.orchestrator_pid");
+_Static_assert(offsetof(scanloop_directive, authority) == 320, "scanloop_directive.authority");
 
 /* Topic checkpoint, published once per scan by each stateful process. */
 typedef struct scanloop_checkpoint {
     scanloop_header header; /* Identity: the scan after which the state was taken */
-    uint32_t role; /* Role of the process, `Role` */
+    uint32_t role; /* Slot of the process; the first five are those of a `Role` */
     uint32_t state_layout; /* Fingerprint of the type of the state */
     uint32_t length; /* How many of `bytes` are used */
     uint32_t reserved; /* Unused, zero */
@@ -731,15 +739,15 @@ typedef struct scanloop_checkpoint {
     uint64_t saved_ns; /* The same on the clock that the times of the state are of, also on another host; 0 when it is not known [ns] */
     uint8_t bytes[12800]; /* The state */
 } scanloop_checkpoint;
-_Static_assert(sizeof(scanloop_checkpoint) == 13024, "scanloop_checkpoint");
+_Static_assert(sizeof(scanloop_checkpoint) == 13120, "scanloop_checkpoint");
 _Static_assert(offsetof(scanloop_checkpoint, header) == 0, "scanloop_checkpoint.header");
-_Static_assert(offsetof(scanloop_checkpoint, role) == 192, "scanloop_checkpoint.role");
-_Static_assert(offsetof(scanloop_checkpoint, state_layout) == 196, "scanloop_checkpoint.state_layout");
-_Static_assert(offsetof(scanloop_checkpoint, length) == 200, "scanloop_checkpoint.length");
-_Static_assert(offsetof(scanloop_checkpoint, reserved) == 204, "scanloop_checkpoint.reserved");
-_Static_assert(offsetof(scanloop_checkpoint, issued_ns) == 208, "scanloop_checkpoint.issued_ns");
-_Static_assert(offsetof(scanloop_checkpoint, saved_ns) == 216, "scanloop_checkpoint.saved_ns");
-_Static_assert(offsetof(scanloop_checkpoint, bytes) == 224, "scanloop_checkpoint.bytes");
+_Static_assert(offsetof(scanloop_checkpoint, role) == 288, "scanloop_checkpoint.role");
+_Static_assert(offsetof(scanloop_checkpoint, state_layout) == 292, "scanloop_checkpoint.state_layout");
+_Static_assert(offsetof(scanloop_checkpoint, length) == 296, "scanloop_checkpoint.length");
+_Static_assert(offsetof(scanloop_checkpoint, reserved) == 300, "scanloop_checkpoint.reserved");
+_Static_assert(offsetof(scanloop_checkpoint, issued_ns) == 304, "scanloop_checkpoint.issued_ns");
+_Static_assert(offsetof(scanloop_checkpoint, saved_ns) == 312, "scanloop_checkpoint.saved_ns");
+_Static_assert(offsetof(scanloop_checkpoint, bytes) == 320, "scanloop_checkpoint.bytes");
 
 /* Topic truth, published once per scan by the emulated robot. */
 typedef struct scanloop_truth {
@@ -768,46 +776,46 @@ typedef struct scanloop_truth {
     uint64_t steps; /* Plant steps since the start */
     uint64_t reserved; /* Unused, zero */
 } scanloop_truth;
-_Static_assert(sizeof(scanloop_truth) == 360, "scanloop_truth");
+_Static_assert(sizeof(scanloop_truth) == 456, "scanloop_truth");
 _Static_assert(offsetof(scanloop_truth, header) == 0, "scanloop_truth.header");
-_Static_assert(offsetof(scanloop_truth, time_s) == 192, "scanloop_truth.time_s");
-_Static_assert(offsetof(scanloop_truth, x_m) == 200, "scanloop_truth.x_m");
-_Static_assert(offsetof(scanloop_truth, y_m) == 208, "scanloop_truth.y_m");
-_Static_assert(offsetof(scanloop_truth, yaw_rad) == 216, "scanloop_truth.yaw_rad");
-_Static_assert(offsetof(scanloop_truth, sideslip_rad) == 224, "scanloop_truth.sideslip_rad");
-_Static_assert(offsetof(scanloop_truth, yaw_rate_radps) == 232, "scanloop_truth.yaw_rate_radps");
-_Static_assert(offsetof(scanloop_truth, speed_mps) == 240, "scanloop_truth.speed_mps");
-_Static_assert(offsetof(scanloop_truth, steering_rad) == 248, "scanloop_truth.steering_rad");
-_Static_assert(offsetof(scanloop_truth, clearance_m) == 256, "scanloop_truth.clearance_m");
-_Static_assert(offsetof(scanloop_truth, min_clearance_m) == 264, "scanloop_truth.min_clearance_m");
-_Static_assert(offsetof(scanloop_truth, path_length_m) == 272, "scanloop_truth.path_length_m");
-_Static_assert(offsetof(scanloop_truth, max_abs_lateral_m) == 280, "scanloop_truth.max_abs_lateral_m");
-_Static_assert(offsetof(scanloop_truth, goal_distance_m) == 288, "scanloop_truth.goal_distance_m");
-_Static_assert(offsetof(scanloop_truth, longest_blind_s) == 296, "scanloop_truth.longest_blind_s");
-_Static_assert(offsetof(scanloop_truth, actuation_age_s) == 304, "scanloop_truth.actuation_age_s");
-_Static_assert(offsetof(scanloop_truth, blocked) == 312, "scanloop_truth.blocked");
-_Static_assert(offsetof(scanloop_truth, collided) == 316, "scanloop_truth.collided");
-_Static_assert(offsetof(scanloop_truth, struck) == 320, "scanloop_truth.struck");
-_Static_assert(offsetof(scanloop_truth, dead_man) == 324, "scanloop_truth.dead_man");
-_Static_assert(offsetof(scanloop_truth, actuation_scan) == 328, "scanloop_truth.actuation_scan");
-_Static_assert(offsetof(scanloop_truth, refused) == 336, "scanloop_truth.refused");
-_Static_assert(offsetof(scanloop_truth, steps) == 344, "scanloop_truth.steps");
-_Static_assert(offsetof(scanloop_truth, reserved) == 352, "scanloop_truth.reserved");
+_Static_assert(offsetof(scanloop_truth, time_s) == 288, "scanloop_truth.time_s");
+_Static_assert(offsetof(scanloop_truth, x_m) == 296, "scanloop_truth.x_m");
+_Static_assert(offsetof(scanloop_truth, y_m) == 304, "scanloop_truth.y_m");
+_Static_assert(offsetof(scanloop_truth, yaw_rad) == 312, "scanloop_truth.yaw_rad");
+_Static_assert(offsetof(scanloop_truth, sideslip_rad) == 320, "scanloop_truth.sideslip_rad");
+_Static_assert(offsetof(scanloop_truth, yaw_rate_radps) == 328, "scanloop_truth.yaw_rate_radps");
+_Static_assert(offsetof(scanloop_truth, speed_mps) == 336, "scanloop_truth.speed_mps");
+_Static_assert(offsetof(scanloop_truth, steering_rad) == 344, "scanloop_truth.steering_rad");
+_Static_assert(offsetof(scanloop_truth, clearance_m) == 352, "scanloop_truth.clearance_m");
+_Static_assert(offsetof(scanloop_truth, min_clearance_m) == 360, "scanloop_truth.min_clearance_m");
+_Static_assert(offsetof(scanloop_truth, path_length_m) == 368, "scanloop_truth.path_length_m");
+_Static_assert(offsetof(scanloop_truth, max_abs_lateral_m) == 376, "scanloop_truth.max_abs_lateral_m");
+_Static_assert(offsetof(scanloop_truth, goal_distance_m) == 384, "scanloop_truth.goal_distance_m");
+_Static_assert(offsetof(scanloop_truth, longest_blind_s) == 392, "scanloop_truth.longest_blind_s");
+_Static_assert(offsetof(scanloop_truth, actuation_age_s) == 400, "scanloop_truth.actuation_age_s");
+_Static_assert(offsetof(scanloop_truth, blocked) == 408, "scanloop_truth.blocked");
+_Static_assert(offsetof(scanloop_truth, collided) == 412, "scanloop_truth.collided");
+_Static_assert(offsetof(scanloop_truth, struck) == 416, "scanloop_truth.struck");
+_Static_assert(offsetof(scanloop_truth, dead_man) == 420, "scanloop_truth.dead_man");
+_Static_assert(offsetof(scanloop_truth, actuation_scan) == 424, "scanloop_truth.actuation_scan");
+_Static_assert(offsetof(scanloop_truth, refused) == 432, "scanloop_truth.refused");
+_Static_assert(offsetof(scanloop_truth, steps) == 440, "scanloop_truth.steps");
+_Static_assert(offsetof(scanloop_truth, reserved) == 448, "scanloop_truth.reserved");
 
 /* Topic journal, published by each process before each of its outputs. */
 typedef struct scanloop_journal {
     scanloop_header header; /* Identity, without stamps: the scan of the output that follows */
-    uint32_t role; /* Role of the process, `Role` */
+    uint32_t role; /* Slot of the process; the first five are those of a `Role` */
     uint32_t length; /* How many of `entries` are used */
     uint64_t output; /* Sequence number of the output that follows on the first topic of the role; 0 when only more entries follow */
     scanloop_journal_entry entries[20]; /* What happened */
 } scanloop_journal;
-_Static_assert(sizeof(scanloop_journal) == 528, "scanloop_journal");
+_Static_assert(sizeof(scanloop_journal) == 624, "scanloop_journal");
 _Static_assert(offsetof(scanloop_journal, header) == 0, "scanloop_journal.header");
-_Static_assert(offsetof(scanloop_journal, role) == 192, "scanloop_journal.role");
-_Static_assert(offsetof(scanloop_journal, length) == 196, "scanloop_journal.length");
-_Static_assert(offsetof(scanloop_journal, output) == 200, "scanloop_journal.output");
-_Static_assert(offsetof(scanloop_journal, entries) == 208, "scanloop_journal.entries");
+_Static_assert(offsetof(scanloop_journal, role) == 288, "scanloop_journal.role");
+_Static_assert(offsetof(scanloop_journal, length) == 292, "scanloop_journal.length");
+_Static_assert(offsetof(scanloop_journal, output) == 296, "scanloop_journal.output");
+_Static_assert(offsetof(scanloop_journal, entries) == 304, "scanloop_journal.entries");
 
 /* Topic clock, published once per scan and other host, by the link of the orchestrator's host. */
 typedef struct scanloop_clock_offset {
@@ -817,12 +825,12 @@ typedef struct scanloop_clock_offset {
     uint64_t host_ns; /* The same moment on the clock of the other host [ns] */
     uint64_t bound_ns; /* What the two may be apart by in truth [ns] */
 } scanloop_clock_offset;
-_Static_assert(sizeof(scanloop_clock_offset) == 232, "scanloop_clock_offset");
+_Static_assert(sizeof(scanloop_clock_offset) == 328, "scanloop_clock_offset");
 _Static_assert(offsetof(scanloop_clock_offset, header) == 0, "scanloop_clock_offset.header");
-_Static_assert(offsetof(scanloop_clock_offset, host) == 192, "scanloop_clock_offset.host");
-_Static_assert(offsetof(scanloop_clock_offset, common_ns) == 208, "scanloop_clock_offset.common_ns");
-_Static_assert(offsetof(scanloop_clock_offset, host_ns) == 216, "scanloop_clock_offset.host_ns");
-_Static_assert(offsetof(scanloop_clock_offset, bound_ns) == 224, "scanloop_clock_offset.bound_ns");
+_Static_assert(offsetof(scanloop_clock_offset, host) == 288, "scanloop_clock_offset.host");
+_Static_assert(offsetof(scanloop_clock_offset, common_ns) == 304, "scanloop_clock_offset.common_ns");
+_Static_assert(offsetof(scanloop_clock_offset, host_ns) == 312, "scanloop_clock_offset.host_ns");
+_Static_assert(offsetof(scanloop_clock_offset, bound_ns) == 320, "scanloop_clock_offset.bound_ns");
 
 /* One field of one sample, as the compiler laid it out. */
 typedef struct scanloop_layout_row {
@@ -850,7 +858,7 @@ typedef struct scanloop_layout_row {
     SCANLOOP_STRUCTS(topic, type, name, SCANLOOP_KIND(SCANLOOP_AT(type, field[0])), field)
 
 static const scanloop_layout_row scanloop_layouts[] = {
-    SCANLOOP_SAMPLE("scan", scanloop_scan, "scanloop.Scan.v2"),
+    SCANLOOP_SAMPLE("scan", scanloop_scan, "scanloop.Scan.v3"),
     SCANLOOP_STRUCT("scan", scanloop_scan, "header", "Header", header),
     SCANLOOP_VALUE("scan", scanloop_scan, "header.layout", header.layout),
     SCANLOOP_VALUE("scan", scanloop_scan, "header.incarnation", header.incarnation),
@@ -864,9 +872,12 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("scan", scanloop_scan, "header.chain.published_ns", header.chain[0].published_ns),
     SCANLOOP_VALUE("scan", scanloop_scan, "sweep_ns", sweep_ns),
     SCANLOOP_VALUE("scan", scanloop_scan, "period_ns", period_ns),
-    SCANLOOP_VALUES("scan", scanloop_scan, "ranges_mm", ranges_mm),
+    SCANLOOP_VALUE("scan", scanloop_scan, "first_rad", first_rad),
+    SCANLOOP_VALUE("scan", scanloop_scan, "increment_rad", increment_rad),
+    SCANLOOP_VALUE("scan", scanloop_scan, "beams", beams),
     SCANLOOP_VALUE("scan", scanloop_scan, "missing", missing),
-    SCANLOOP_SAMPLE("odometry", scanloop_odometry, "scanloop.Odometry.v1"),
+    SCANLOOP_VALUES("scan", scanloop_scan, "ranges_mm", ranges_mm),
+    SCANLOOP_SAMPLE("odometry", scanloop_odometry, "scanloop.Odometry.v2"),
     SCANLOOP_STRUCT("odometry", scanloop_odometry, "header", "Header", header),
     SCANLOOP_VALUE("odometry", scanloop_odometry, "header.layout", header.layout),
     SCANLOOP_VALUE("odometry", scanloop_odometry, "header.incarnation", header.incarnation),
@@ -886,7 +897,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("odometry", scanloop_odometry, "dyaw_rad", dyaw_rad),
     SCANLOOP_VALUE("odometry", scanloop_odometry, "dt_s", dt_s),
     SCANLOOP_VALUE("odometry", scanloop_odometry, "speed_mps", speed_mps),
-    SCANLOOP_SAMPLE("pose", scanloop_pose, "scanloop.Pose.v2"),
+    SCANLOOP_SAMPLE("pose", scanloop_pose, "scanloop.Pose.v3"),
     SCANLOOP_STRUCT("pose", scanloop_pose, "header", "Header", header),
     SCANLOOP_VALUE("pose", scanloop_pose, "header.layout", header.layout),
     SCANLOOP_VALUE("pose", scanloop_pose, "header.incarnation", header.incarnation),
@@ -919,7 +930,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("pose", scanloop_pose, "rejected", rejected),
     SCANLOOP_VALUE("pose", scanloop_pose, "suspect", suspect),
     SCANLOOP_VALUE("pose", scanloop_pose, "alarm", alarm),
-    SCANLOOP_SAMPLE("obstacles", scanloop_obstacles, "scanloop.Obstacles.v2"),
+    SCANLOOP_SAMPLE("obstacles", scanloop_obstacles, "scanloop.Obstacles.v3"),
     SCANLOOP_STRUCT("obstacles", scanloop_obstacles, "header", "Header", header),
     SCANLOOP_VALUE("obstacles", scanloop_obstacles, "header.layout", header.layout),
     SCANLOOP_VALUE("obstacles", scanloop_obstacles, "header.incarnation", header.incarnation),
@@ -961,7 +972,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.box_yaw_rad", items[0].box_yaw_rad),
     SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.unseen_s", items[0].unseen_s),
     SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.sightings", items[0].sightings),
-    SCANLOOP_SAMPLE("command", scanloop_command, "scanloop.Command.v3"),
+    SCANLOOP_SAMPLE("command", scanloop_command, "scanloop.Command.v4"),
     SCANLOOP_STRUCT("command", scanloop_command, "header", "Header", header),
     SCANLOOP_VALUE("command", scanloop_command, "header.layout", header.layout),
     SCANLOOP_VALUE("command", scanloop_command, "header.incarnation", header.incarnation),
@@ -1019,7 +1030,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("command", scanloop_command, "plan.yaw_rate_radps", plan[0].yaw_rate_radps),
     SCANLOOP_VALUE("command", scanloop_command, "plan.velocity_mps", plan[0].velocity_mps),
     SCANLOOP_VALUE("command", scanloop_command, "plan.steering_rad", plan[0].steering_rad),
-    SCANLOOP_SAMPLE("actuation", scanloop_actuation, "scanloop.Actuation.v2"),
+    SCANLOOP_SAMPLE("actuation", scanloop_actuation, "scanloop.Actuation.v3"),
     SCANLOOP_STRUCT("actuation", scanloop_actuation, "header", "Header", header),
     SCANLOOP_VALUE("actuation", scanloop_actuation, "header.layout", header.layout),
     SCANLOOP_VALUE("actuation", scanloop_actuation, "header.incarnation", header.incarnation),
@@ -1041,7 +1052,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("actuation", scanloop_actuation, "sent_steering_rad", sent_steering_rad),
     SCANLOOP_VALUE("actuation", scanloop_actuation, "refused", refused),
     SCANLOOP_VALUE("actuation", scanloop_actuation, "gaps", gaps),
-    SCANLOOP_SAMPLE("heartbeat", scanloop_heartbeat, "scanloop.Heartbeat.v4"),
+    SCANLOOP_SAMPLE("heartbeat", scanloop_heartbeat, "scanloop.Heartbeat.v5"),
     SCANLOOP_STRUCT("heartbeat", scanloop_heartbeat, "header", "Header", header),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "header.layout", header.layout),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "header.incarnation", header.incarnation),
@@ -1125,7 +1136,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "device.reserved", device.reserved),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "device.since_ns", device.since_ns),
     SCANLOOP_VALUES("heartbeat", scanloop_heartbeat, "device.reason", device.reason),
-    SCANLOOP_SAMPLE("directive", scanloop_directive, "scanloop.Directive.v1"),
+    SCANLOOP_SAMPLE("directive", scanloop_directive, "scanloop.Directive.v2"),
     SCANLOOP_STRUCT("directive", scanloop_directive, "header", "Header", header),
     SCANLOOP_VALUE("directive", scanloop_directive, "header.layout", header.layout),
     SCANLOOP_VALUE("directive", scanloop_directive, "header.incarnation", header.incarnation),
@@ -1146,7 +1157,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("directive", scanloop_directive, "authority.incarnation", authority[0].incarnation),
     SCANLOOP_VALUE("directive", scanloop_directive, "authority.previous", authority[0].previous),
     SCANLOOP_VALUE("directive", scanloop_directive, "authority.from_scan", authority[0].from_scan),
-    SCANLOOP_SAMPLE("checkpoint", scanloop_checkpoint, "scanloop.Checkpoint.v3"),
+    SCANLOOP_SAMPLE("checkpoint", scanloop_checkpoint, "scanloop.Checkpoint.v4"),
     SCANLOOP_STRUCT("checkpoint", scanloop_checkpoint, "header", "Header", header),
     SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "header.layout", header.layout),
     SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "header.incarnation", header.incarnation),
@@ -1165,7 +1176,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "issued_ns", issued_ns),
     SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "saved_ns", saved_ns),
     SCANLOOP_VALUES("checkpoint", scanloop_checkpoint, "bytes", bytes),
-    SCANLOOP_SAMPLE("truth", scanloop_truth, "scanloop.Truth.v1"),
+    SCANLOOP_SAMPLE("truth", scanloop_truth, "scanloop.Truth.v2"),
     SCANLOOP_STRUCT("truth", scanloop_truth, "header", "Header", header),
     SCANLOOP_VALUE("truth", scanloop_truth, "header.layout", header.layout),
     SCANLOOP_VALUE("truth", scanloop_truth, "header.incarnation", header.incarnation),
@@ -1200,7 +1211,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("truth", scanloop_truth, "refused", refused),
     SCANLOOP_VALUE("truth", scanloop_truth, "steps", steps),
     SCANLOOP_VALUE("truth", scanloop_truth, "reserved", reserved),
-    SCANLOOP_SAMPLE("journal", scanloop_journal, "scanloop.Journal.v1"),
+    SCANLOOP_SAMPLE("journal", scanloop_journal, "scanloop.Journal.v2"),
     SCANLOOP_STRUCT("journal", scanloop_journal, "header", "Header", header),
     SCANLOOP_VALUE("journal", scanloop_journal, "header.layout", header.layout),
     SCANLOOP_VALUE("journal", scanloop_journal, "header.incarnation", header.incarnation),
@@ -1220,7 +1231,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("journal", scanloop_journal, "entries.topic", entries[0].topic),
     SCANLOOP_VALUE("journal", scanloop_journal, "entries.incarnation", entries[0].incarnation),
     SCANLOOP_VALUE("journal", scanloop_journal, "entries.value", entries[0].value),
-    SCANLOOP_SAMPLE("clock", scanloop_clock_offset, "scanloop.ClockOffset.v1"),
+    SCANLOOP_SAMPLE("clock", scanloop_clock_offset, "scanloop.ClockOffset.v2"),
     SCANLOOP_STRUCT("clock", scanloop_clock_offset, "header", "Header", header),
     SCANLOOP_VALUE("clock", scanloop_clock_offset, "header.layout", header.layout),
     SCANLOOP_VALUE("clock", scanloop_clock_offset, "header.incarnation", header.incarnation),

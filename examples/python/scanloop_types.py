@@ -7,13 +7,15 @@ import ctypes
 import enum
 
 ROLES = 5  # Number of roles
-BEAMS = 682  # Number of beams of a sweep
-FRONT_BEAM = 340  # Index of the beam that looks straight ahead
-FIRST_ANALYSED_BEAM = 170  # First beam analysed for obstacles, 60 deg to the right
-LAST_ANALYSED_BEAM = 511  # Last beam analysed for obstacles, 60 deg to the left
+SLOTS = 8  # Largest number of processes in the loop
+MAX_BEAMS = 2048  # Largest number of beams of a scan
+BEAMS = 682  # Number of beams of the URG-04LX
+FRONT_BEAM = 340  # Index of its beam that looks straight ahead
+FIRST_ANALYSED_BEAM = 170  # Its first beam analysed for obstacles, 60 deg to the right
+LAST_ANALYSED_BEAM = 511  # Its last beam analysed for obstacles, 60 deg to the left
 MIN_RANGE_MM = 20  # Ranges below this are error codes: no return [mm]
-PITCH_RAD = 0.006135923151542565  # Angle between two beams [rad]
-FIRST_BEAM_YAW_RAD = -2.086213871524472  # Angle of beam 0, counter-clockwise from straight ahead [rad]
+PITCH_RAD = 0.006135923151542565  # Angle between two of its beams [rad]
+FIRST_BEAM_YAW_RAD = -2.086213871524472  # Angle of its beam 0, counter-clockwise from straight ahead [rad]
 SECTOR_BEAMS = 11  # Beams of one sector of evidence
 MAX_OBSTACLES = 16  # How many ellipses a description can hold
 PLAN_NODES = 25  # How many nodes of the plan a command carries
@@ -210,7 +212,7 @@ class Header(ctypes.Structure):
         ("scan_id", ctypes.c_uint64),  # The scan that this sample belongs to; the first scan of a run is 1
         ("sequence", ctypes.c_uint64),  # Number of the sample among those of its producer on its topic, from 1 without gaps
         ("acquired_ns", ctypes.c_uint64),  # When the front beam of the scan was taken [ns]
-        ("chain", StageStamps * 5),  # Stamps of all stages on the way to this sample, indexed by role
+        ("chain", StageStamps * 8),  # Stamps of all stages on the way to this sample, by slot: the five roles come first
     ]
 
 
@@ -390,25 +392,28 @@ class Scan(ctypes.Structure):
     """Topic scan, published once per scan, at the end of the sweep."""
 
     TOPIC = "scan"
-    LAYOUT = 0xc98639d1
+    LAYOUT = 0x277a4128
     _fields_ = [
         ("header", Header),  # Identity and stamps; acquired is the time of the front beam
         ("sweep_ns", ctypes.c_uint64),  # How long the sweep over all beams lasts, two thirds of the scan period [ns]
         ("period_ns", ctypes.c_uint64),  # Time between the end of one scan and the end of the next [ns]
-        ("ranges_mm", ctypes.c_uint16 * 682),  # Range per beam, counter-clockwise from the right; below 20 is an error code: no return [mm]
+        ("first_rad", ctypes.c_double),  # Angle of beam 0 from straight ahead, counter-clockwise [rad]
+        ("increment_rad", ctypes.c_double),  # Angle from one beam to the next; negative where the sweep is clockwise [rad]
+        ("beams", ctypes.c_uint32),  # How many beams there are: as many of `ranges_mm` count
         ("missing", ctypes.c_uint32),  # 1 when the scanner gave no ranges for this scan: all of them are zero
+        ("ranges_mm", ctypes.c_uint32 * 2048),  # Range per beam in the order of the sweep; below 20 is an error code: no return [mm]
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Scan.v2"
+        return "scanloop.Scan.v3"
 
 
 class Odometry(ctypes.Structure):
     """Topic odometry, published once per scan, at the end of the sweep."""
 
     TOPIC = "odometry"
-    LAYOUT = 0x7efb489b
+    LAYOUT = 0xd12d7830
     _fields_ = [
         ("header", Header),  # Identity and stamps; same scan id as the scan published with it
         ("x_m", ctypes.c_double),  # Reported position along the track [m]
@@ -423,14 +428,14 @@ class Odometry(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Odometry.v1"
+        return "scanloop.Odometry.v2"
 
 
 class Pose(ctypes.Structure):
     """Topic pose, published once per odometry sample."""
 
     TOPIC = "pose"
-    LAYOUT = 0x695f97de
+    LAYOUT = 0xa19f8064
     _fields_ = [
         ("header", Header),  # Identity and stamps
         ("yaw_rad", ctypes.c_double),  # Estimated yaw at the acquisition of the scan, x2 of (7.28) [rad]
@@ -458,14 +463,14 @@ class Pose(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Pose.v2"
+        return "scanloop.Pose.v3"
 
 
 class Obstacles(ctypes.Structure):
     """Topic obstacles, published once per scan, when scan and pose are there."""
 
     TOPIC = "obstacles"
-    LAYOUT = 0x1bdd3ff5
+    LAYOUT = 0x6cf0390d
     _fields_ = [
         ("header", Header),  # Identity and stamps
         ("count", ctypes.c_uint32),  # How many of `items` are used
@@ -476,14 +481,14 @@ class Obstacles(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Obstacles.v2"
+        return "scanloop.Obstacles.v3"
 
 
 class Command(ctypes.Structure):
     """Topic command, published once per scan, when pose and obstacles are there."""
 
     TOPIC = "command"
-    LAYOUT = 0xc97f10a6
+    LAYOUT = 0xdf01b5da
     _fields_ = [
         ("header", Header),  # Identity and stamps
         ("kind", ctypes.c_uint32),  # What the controller asks for, `CommandKind`
@@ -514,14 +519,14 @@ class Command(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Command.v3"
+        return "scanloop.Command.v4"
 
 
 class Actuation(ctypes.Structure):
     """Topic actuation, published once per command, and when the actuator blocks the wheels by itself."""
 
     TOPIC = "actuation"
-    LAYOUT = 0x7cc847eb
+    LAYOUT = 0x6aa4ccca
     _fields_ = [
         ("header", Header),  # Identity and stamps of the command answered
         ("kind", ctypes.c_uint32),  # What the robot is asked to do, `ActuationKind`
@@ -538,17 +543,17 @@ class Actuation(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Actuation.v2"
+        return "scanloop.Actuation.v3"
 
 
 class Heartbeat(ctypes.Structure):
     """Topic heartbeat, published ten times a second by each process, and at each change of its state."""
 
     TOPIC = "heartbeat"
-    LAYOUT = 0x8d1ffb80
+    LAYOUT = 0x6a10b069
     _fields_ = [
         ("header", Header),  # Identity; scan id is the last one worked on, the chain is unused
-        ("role", ctypes.c_uint32),  # Role of the process, `Role`
+        ("role", ctypes.c_uint32),  # Slot of the process; the first five are those of a `Role`
         ("state", ctypes.c_uint32),  # State that the process reports, `ProcessState`
         ("pid", ctypes.c_uint64),  # Process id
         ("obeys_stop", ctypes.c_uint32),  # 1 when it sees the stop word of its run, and so obeys `scanloop stop` by itself
@@ -571,22 +576,22 @@ class Heartbeat(ctypes.Structure):
         ("taken_scans", ctypes.c_uint64),  # Sum of their scan ids
         ("answered", ctypes.c_uint64),  # Answers to them
         ("answered_scans", ctypes.c_uint64),  # Sum of the scan ids of the answers
-        ("written", ctypes.c_uint64 * 2),  # Sequence number of the newest sample per topic that the role writes, in the order of `Role::writes`
-        ("inputs", InputAccount * 2),  # What became of the samples per topic that the role reads, in the order of `Role::reads`
-        ("refused", Refusal * 2),  # Samples dropped or refused because of their content, per topic that the role reads
+        ("written", ctypes.c_uint64 * 4),  # Sequence number of the newest sample per topic that the process writes, in the order of its writes
+        ("inputs", InputAccount * 4),  # What became of the samples per topic that the process reads, in the order of its reads
+        ("refused", Refusal * 4),  # Samples dropped or refused because of their content, per topic that the process reads
         ("device", Device),  # What the devices behind the process do
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Heartbeat.v4"
+        return "scanloop.Heartbeat.v5"
 
 
 class Directive(ctypes.Structure):
     """Topic directive, published ten times a second by the orchestrator, and at each change."""
 
     TOPIC = "directive"
-    LAYOUT = 0x54eaca76
+    LAYOUT = 0xd55a1d60
     _fields_ = [
         ("header", Header),  # Identity; the chain is unused
         ("phase", ctypes.c_uint32),  # What the system is doing, `Phase`
@@ -594,22 +599,22 @@ class Directive(ctypes.Structure):
         ("granted_scan", ctypes.c_uint64),  # In lock-step: the last scan that the robot may publish
         ("issued_ns", ctypes.c_uint64),  # When it was published [ns of CLOCK_MONOTONIC]
         ("orchestrator_pid", ctypes.c_uint64),  # Process id of the orchestrator
-        ("authority", Authority * 5),  # Whose samples count, indexed by role
+        ("authority", Authority * 8),  # Whose samples count, by slot
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Directive.v1"
+        return "scanloop.Directive.v2"
 
 
 class Checkpoint(ctypes.Structure):
     """Topic checkpoint, published once per scan by each stateful process."""
 
     TOPIC = "checkpoint"
-    LAYOUT = 0x9863c91a
+    LAYOUT = 0x8789a79e
     _fields_ = [
         ("header", Header),  # Identity: the scan after which the state was taken
-        ("role", ctypes.c_uint32),  # Role of the process, `Role`
+        ("role", ctypes.c_uint32),  # Slot of the process; the first five are those of a `Role`
         ("state_layout", ctypes.c_uint32),  # Fingerprint of the type of the state
         ("length", ctypes.c_uint32),  # How many of `bytes` are used
         ("reserved", ctypes.c_uint32),  # Unused, zero
@@ -620,14 +625,14 @@ class Checkpoint(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Checkpoint.v3"
+        return "scanloop.Checkpoint.v4"
 
 
 class Truth(ctypes.Structure):
     """Topic truth, published once per scan by the emulated robot."""
 
     TOPIC = "truth"
-    LAYOUT = 0xa3bb67db
+    LAYOUT = 0xf003defc
     _fields_ = [
         ("header", Header),  # Identity of the scan published with it
         ("time_s", ctypes.c_double),  # Time since the start of the run at the front beam [s]
@@ -657,17 +662,17 @@ class Truth(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Truth.v1"
+        return "scanloop.Truth.v2"
 
 
 class Journal(ctypes.Structure):
     """Topic journal, published by each process before each of its outputs."""
 
     TOPIC = "journal"
-    LAYOUT = 0x787f6fa1
+    LAYOUT = 0xe7bc8cba
     _fields_ = [
         ("header", Header),  # Identity, without stamps: the scan of the output that follows
-        ("role", ctypes.c_uint32),  # Role of the process, `Role`
+        ("role", ctypes.c_uint32),  # Slot of the process; the first five are those of a `Role`
         ("length", ctypes.c_uint32),  # How many of `entries` are used
         ("output", ctypes.c_uint64),  # Sequence number of the output that follows on the first topic of the role; 0 when only more entries follow
         ("entries", JournalEntry * 20),  # What happened
@@ -675,14 +680,14 @@ class Journal(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Journal.v1"
+        return "scanloop.Journal.v2"
 
 
 class ClockOffset(ctypes.Structure):
     """Topic clock, published once per scan and other host, by the link of the orchestrator's host."""
 
     TOPIC = "clock"
-    LAYOUT = 0x6b319b9e
+    LAYOUT = 0x94459935
     _fields_ = [
         ("header", Header),  # Identity: the scan; the chain is unused
         ("host", ctypes.c_uint8 * 16),  # Name of the host in ASCII, padded with zeros
@@ -693,7 +698,7 @@ class ClockOffset(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.ClockOffset.v1"
+        return "scanloop.ClockOffset.v2"
 
 
 # The sample of each topic.

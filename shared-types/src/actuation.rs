@@ -39,7 +39,7 @@ wire_enum! {
 
 sample! {
     /// One answer per command, or a block that the actuator decides by itself.
-    pub struct Actuation(256, Actuation, 0x7cc8_47eb, "scanloop.Actuation.v2", check, is_answer) {
+    pub struct Actuation(352, Actuation, 0x6aa4_ccca, "scanloop.Actuation.v3", check, is_answer) {
         /// Identity and stamps of the command answered
         pub header: Header,
         /// What the robot is asked to do, `ActuationKind`

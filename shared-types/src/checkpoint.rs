@@ -11,10 +11,10 @@ pub const CHECKPOINT_BYTES: usize = 12800;
 
 sample! {
     /// The state of one stateful process after a scan, as bytes of a type that both ends know.
-    pub struct Checkpoint(13024, Checkpoint, 0x9863_c91a, "scanloop.Checkpoint.v3", check) {
+    pub struct Checkpoint(13120, Checkpoint, 0x8789_a79e, "scanloop.Checkpoint.v4", check) {
         /// Identity: the scan after which the state was taken
         pub header: Header,
-        /// Role of the process, `Role`
+        /// Slot of the process; the first five are those of a `Role`
         pub role: u32,
         /// Fingerprint of the type of the state
         pub state_layout: u32,

@@ -8,7 +8,7 @@ pub const HOST_NAME_BYTES: usize = 16;
 
 sample! {
     /// Which offset another host has used for the times of all samples of one scan, in both directions.
-    pub struct ClockOffset(232, Clock, 0x6b31_9b9e, "scanloop.ClockOffset.v1", check) {
+    pub struct ClockOffset(328, Clock, 0x9445_9935, "scanloop.ClockOffset.v2", check) {
         /// Identity: the scan; the chain is unused
         pub header: Header,
         /// Name of the host in ASCII, padded with zeros

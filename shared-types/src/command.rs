@@ -153,7 +153,7 @@ layout! {
 
 sample! {
     /// One verified command per scan, with the plan that it begins.
-    pub struct Command(1816, Command, 0xc97f_10a6, "scanloop.Command.v3", check) {
+    pub struct Command(1912, Command, 0xdf01_b5da, "scanloop.Command.v4", check) {
         /// Identity and stamps
         pub header: Header,
         /// What the controller asks for, `CommandKind`

@@ -2,9 +2,9 @@
 
 use crate::{
     ActuationKind, Alarm, BEAMS, BlockReason, CHECKPOINT_BYTES, CommandKind, DEVICE_REASON_BYTES,
-    DeviceState, Enumeration, FIRST_BEAM_YAW_RAD, FRONT_BEAM, JOURNAL_ENTRIES, JournalKind, Level,
+    DeviceState, Enumeration, FIRST_BEAM_YAW_RAD, FRONT_BEAM, JOURNAL_ENTRIES, JournalKind, Level, MAX_BEAMS,
     MAX_OBSTACLES, MIN_RANGE_MM, PITCH_RAD, PLAN_NODES, Phase, ProcessState, ROLES, Role, Rule, SECTOR_BEAMS,
-    ScannerState, SolveStatus, StopReason, Suspect, WINDOW,
+    SLOTS, ScannerState, SolveStatus, StopReason, Suspect, WINDOW,
 };
 
 /// All enumerations of the samples.
@@ -47,17 +47,23 @@ pub enum Number {
 }
 
 /// All constants of the samples.
-pub const CONSTANTS: [Constant; 14] = [
+pub const CONSTANTS: [Constant; 16] = [
     integer("ROLES", "Number of roles", ROLES),
-    integer("BEAMS", "Number of beams of a sweep", BEAMS),
-    integer("FRONT_BEAM", "Index of the beam that looks straight ahead", FRONT_BEAM),
-    integer("FIRST_ANALYSED_BEAM", "First beam analysed for obstacles, 60 deg to the right", *WINDOW.start()),
-    integer("LAST_ANALYSED_BEAM", "Last beam analysed for obstacles, 60 deg to the left", *WINDOW.end()),
+    integer("SLOTS", "Largest number of processes in the loop", SLOTS),
+    integer("MAX_BEAMS", "Largest number of beams of a scan", MAX_BEAMS),
+    integer("BEAMS", "Number of beams of the URG-04LX", BEAMS),
+    integer("FRONT_BEAM", "Index of its beam that looks straight ahead", FRONT_BEAM),
+    integer(
+        "FIRST_ANALYSED_BEAM",
+        "Its first beam analysed for obstacles, 60 deg to the right",
+        *WINDOW.start(),
+    ),
+    integer("LAST_ANALYSED_BEAM", "Its last beam analysed for obstacles, 60 deg to the left", *WINDOW.end()),
     integer("MIN_RANGE_MM", "Ranges below this are error codes: no return [mm]", MIN_RANGE_MM as usize),
-    real("PITCH_RAD", "Angle between two beams [rad]", PITCH_RAD),
+    real("PITCH_RAD", "Angle between two of its beams [rad]", PITCH_RAD),
     real(
         "FIRST_BEAM_YAW_RAD",
-        "Angle of beam 0, counter-clockwise from straight ahead [rad]",
+        "Angle of its beam 0, counter-clockwise from straight ahead [rad]",
         FIRST_BEAM_YAW_RAD,
     ),
     integer("SECTOR_BEAMS", "Beams of one sector of evidence", SECTOR_BEAMS),

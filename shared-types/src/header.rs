@@ -1,7 +1,7 @@
 //! The header of all samples, with the stamps of a scan on its way through the stages.
 
 use crate::describe::layout;
-use crate::{ROLES, Role};
+use crate::{Role, SLOTS};
 
 /// Data younger than this is never too old, whatever the scan rate: the fastest such scanners take as long per scan
 /// [ns].
@@ -25,7 +25,7 @@ layout! {
     /// First field of every sample: identity, and stamps from the scan on.
     ///
     /// All stamps are nanoseconds of CLOCK_MONOTONIC, or of the simulated clock in lock-step.
-    pub struct Header(192) {
+    pub struct Header(288) {
         /// Layout version of the sample, `Sample::LAYOUT`
         pub layout: u32,
         /// Incarnation of the producer: one number per started process, given by the orchestrator
@@ -36,8 +36,8 @@ layout! {
         pub sequence: u64,
         /// When the front beam of the scan was taken [ns]
         pub acquired_ns: u64,
-        /// Stamps of all stages on the way to this sample, indexed by role
-        pub chain: [StageStamps; ROLES],
+        /// Stamps of all stages on the way to this sample, by slot: the five roles come first
+        pub chain: [StageStamps; SLOTS],
     }
 }
 

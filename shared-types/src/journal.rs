@@ -62,10 +62,10 @@ layout! {
 
 sample! {
     /// What one process did since its last output, in order. It comes before the output.
-    pub struct Journal(528, Journal, 0x787f_6fa1, "scanloop.Journal.v1", check) {
+    pub struct Journal(624, Journal, 0xe7bc_8cba, "scanloop.Journal.v2", check) {
         /// Identity, without stamps: the scan of the output that follows
         pub header: Header,
-        /// Role of the process, `Role`
+        /// Slot of the process; the first five are those of a `Role`
         pub role: u32,
         /// How many of `entries` are used
         pub length: u32,

@@ -68,10 +68,12 @@ pub use odometry::Odometry;
 pub use own::{LayoutFault, MAX_OWN_BYTES, OwnField, OwnType};
 pub use pose::{Alarm, Pose, Suspect};
 pub use refusal::{FIELD_NAME_BYTES, Refusal};
-pub use role::{PORTS, ROLES, Role};
+pub use role::{PORTS, ROLES, Role, SLOTS};
 pub use rule::Rule;
 pub use sample::{Sample, SampleType};
-pub use scan::{BEAMS, FIRST_BEAM_YAW_RAD, FRONT_BEAM, MIN_RANGE_MM, PITCH_RAD, Scan, WINDOW};
+pub use scan::{
+    BEAMS, FIRST_BEAM_YAW_RAD, FRONT_BEAM, MAX_BEAMS, MIN_RANGE_MM, PITCH_RAD, Scan, ScanGeometry, WINDOW,
+};
 pub use stage::{AnySample, AnyStage, Stage, StageEvent, StageShape, Stopwatch};
 pub use supervision::{Directive, Heartbeat, Phase, ProcessState};
 pub use times::{is_state_time, shift_state, shift_times};

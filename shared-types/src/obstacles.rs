@@ -50,7 +50,7 @@ layout! {
 
 sample! {
     /// All obstacles known at one scan: seen now, or remembered.
-    pub struct Obstacles(2448, Obstacles, 0x1bdd_3ff5, "scanloop.Obstacles.v2", check) {
+    pub struct Obstacles(2544, Obstacles, 0x6cf0_390d, "scanloop.Obstacles.v3", check) {
         /// Identity and stamps
         pub header: Header,
         /// How many of `items` are used

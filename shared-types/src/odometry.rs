@@ -6,7 +6,7 @@ use crate::{Fault, Header};
 
 sample! {
     /// Reported pose at the time of the front beam, and the increments since the sample before.
-    pub struct Odometry(256, Odometry, 0x7efb_489b, "scanloop.Odometry.v1", check) {
+    pub struct Odometry(352, Odometry, 0xd12d_7830, "scanloop.Odometry.v2", check) {
         /// Identity and stamps; same scan id as the scan published with it
         pub header: Header,
         /// Reported position along the track [m]

@@ -39,7 +39,7 @@ wire_enum! {
 
 sample! {
     /// Estimated state of the robot at the time of the front beam, and at the time the command will act.
-    pub struct Pose(560, Pose, 0x695f_97de, "scanloop.Pose.v2", check) {
+    pub struct Pose(656, Pose, 0xa19f_8064, "scanloop.Pose.v3", check) {
         /// Identity and stamps
         pub header: Header,
         /// Estimated yaw at the acquisition of the scan, x2 of (7.28) [rad]

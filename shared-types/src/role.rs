@@ -3,11 +3,14 @@
 use crate::Topic;
 use crate::named::{UnknownName, by_name, wire_enum};
 
-/// Largest number of topics that a role reads, and that it writes.
-pub const PORTS: usize = 2;
+/// Largest number of topics that a process of the loop reads, and that it writes.
+pub const PORTS: usize = 4;
 
 /// Number of roles.
 pub const ROLES: usize = 5;
+
+/// Largest number of processes in the loop: each has a slot, from which samples know it. The roles have the first five.
+pub const SLOTS: usize = 8;
 
 wire_enum! {
     /// The job of one process of the loop.
@@ -26,7 +29,7 @@ wire_enum! {
 }
 
 impl Role {
-    /// Index of the role in [`crate::Header::chain`].
+    /// Slot of the role: its index in [`crate::Header::chain`].
     pub const fn index(self) -> usize {
         self as usize
     }

@@ -3,8 +3,8 @@
 use crate::named::wire_enum;
 use crate::sample::sample;
 use crate::{
-    Authority, Device, DeviceState, Fault, Header, InputAccount, MAX_NUMBER, MAX_STAMP_NS, PORTS, ROLES,
-    Refusal, Role, Topic,
+    Authority, Device, DeviceState, Fault, Header, InputAccount, MAX_NUMBER, MAX_STAMP_NS, PORTS, Refusal,
+    Role, SLOTS, Topic,
 };
 
 wire_enum! {
@@ -37,7 +37,7 @@ wire_enum! {
 
 sample! {
     /// What the orchestrator tells all processes.
-    pub struct Directive(304, Directive, 0x54ea_ca76, "scanloop.Directive.v1", check) {
+    pub struct Directive(448, Directive, 0xd55a_1d60, "scanloop.Directive.v2", check) {
         /// Identity; the chain is unused
         pub header: Header,
         /// What the system is doing, `Phase`
@@ -50,8 +50,8 @@ sample! {
         pub issued_ns: u64,
         /// Process id of the orchestrator
         pub orchestrator_pid: u64,
-        /// Whose samples count, indexed by role
-        pub authority: [Authority; ROLES],
+        /// Whose samples count, by slot
+        pub authority: [Authority; SLOTS],
     }
 }
 
@@ -70,10 +70,10 @@ impl Directive {
 
 sample! {
     /// State and counters of one process.
-    pub struct Heartbeat(1192, Heartbeat, 0x8d1f_fb80, "scanloop.Heartbeat.v4", check_heartbeat) {
+    pub struct Heartbeat(2008, Heartbeat, 0x6a10_b069, "scanloop.Heartbeat.v5", check_heartbeat) {
         /// Identity; scan id is the last one worked on, the chain is unused
         pub header: Header,
-        /// Role of the process, `Role`
+        /// Slot of the process; the first five are those of a `Role`
         pub role: u32,
         /// State that the process reports, `ProcessState`
         pub state: u32,
@@ -119,11 +119,11 @@ sample! {
         pub answered: u64,
         /// Sum of the scan ids of the answers
         pub answered_scans: u64,
-        /// Sequence number of the newest sample per topic that the role writes, in the order of `Role::writes`
+        /// Sequence number of the newest sample per topic that the process writes, in the order of its writes
         pub written: [u64; PORTS],
-        /// What became of the samples per topic that the role reads, in the order of `Role::reads`
+        /// What became of the samples per topic that the process reads, in the order of its reads
         pub inputs: [InputAccount; PORTS],
-        /// Samples dropped or refused because of their content, per topic that the role reads
+        /// Samples dropped or refused because of their content, per topic that the process reads
         pub refused: [Refusal; PORTS],
         /// What the devices behind the process do
         pub device: Device,

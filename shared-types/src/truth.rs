@@ -6,7 +6,7 @@ use crate::{Fault, Header};
 
 sample! {
     /// True state at the time of the front beam, and what the referee needs to judge the drive.
-    pub struct Truth(360, Truth, 0xa3bb_67db, "scanloop.Truth.v1", check) {
+    pub struct Truth(456, Truth, 0xf003_defc, "scanloop.Truth.v2", check) {
         /// Identity of the scan published with it
         pub header: Header,
         /// Time since the start of the run at the front beam [s]

@@ -13,7 +13,9 @@ use std::thread::JoinHandle;
 use emulator::service::RobotState;
 use handover::swap::Certificate;
 use runtime::{Bus, Domain, Observer, RuntimeError, wait_for};
-use shared_types::{Actuation, Checkpoint, Command, Header, Obstacles, Odometry, Pose, Role, Sample, Scan};
+use shared_types::{
+    Actuation, Checkpoint, Command, Header, Obstacles, Odometry, Pose, Role, SLOTS, Sample, Scan,
+};
 
 /// Time between two polls of the bus [ns]; topics hold sixteen samples.
 const POLL_NS: u64 = 1_000_000;
@@ -44,7 +46,7 @@ pub struct Answer {
     /// Incarnation of the actuator.
     pub incarnation: u32,
     /// When the sample of each role was published that it rests on [ns].
-    pub stamps_ns: [u64; 5],
+    pub stamps_ns: [u64; SLOTS],
     /// Desired steering angle and velocity [rad, m/s].
     pub desired: [f64; 2],
 }

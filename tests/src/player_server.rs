@@ -102,7 +102,7 @@ impl PlayerServer {
     }
 
     /// What the Hokuyo scanner has measured so far, by beam [mm].
-    pub fn measured(&self) -> Vec<Vec<u16>> {
+    pub fn measured(&self) -> Vec<Vec<u32>> {
         locked(&self.hokuyo).shown.clone()
     }
 

@@ -27,7 +27,7 @@ struct pose {
 struct sweep {
     uint64_t stamp_ns; /* when the front beam was taken, on the clock of the scanner */
     int beams;         /* how many beams have come; less than SCANLOOP_BEAMS when the sweep broke off */
-    uint16_t ranges_mm[SCANLOOP_BEAMS];
+    uint32_t ranges_mm[SCANLOOP_BEAMS];
 };
 
 struct device {
@@ -115,7 +115,7 @@ static void measure(struct device *device) {
         double along = cos(yaw) > 0 ? (40.0 - pose->x_m) / cos(yaw) : (3.0 + pose->x_m) / -cos(yaw);
         double across = sin(yaw) > 0 ? (3.5 - pose->y_m) / sin(yaw) : (3.5 + pose->y_m) / -sin(yaw);
         double range_mm = 1e3 * fmin(along, across) + (double)random_below(device, 20) - 10.0;
-        device->sweep.ranges_mm[beam] = range_mm < 5600.0 ? (uint16_t)range_mm : 0;
+        device->sweep.ranges_mm[beam] = range_mm < 5600.0 ? (uint32_t)range_mm : 0;
     }
 }
 

@@ -276,11 +276,14 @@ static int publish(struct driver *driver, const scanloop_directive *directive) {
     }
     driver->waits = 0;
     scanloop_header header = {.scan_id = driver->last.header.scan_id + 1, .acquired_ns = driver->front_ns};
-    scanloop_scan scan = {.header = header, .sweep_ns = driver->period_ns * 2 / 3, .period_ns = driver->period_ns};
+    scanloop_scan scan = {
+        .header = header, .sweep_ns = driver->period_ns * 2 / 3, .period_ns = driver->period_ns,
+        .first_rad = SCANLOOP_FIRST_BEAM_YAW_RAD, .increment_rad = SCANLOOP_PITCH_RAD, .beams = SCANLOOP_BEAMS,
+    };
     /* A sweep that broke off is marked as missing, with zeros only. */
     scan.missing = driver->sweep.beams != SCANLOOP_BEAMS;
     if (!scan.missing) {
-        memcpy(scan.ranges_mm, driver->sweep.ranges_mm, sizeof scan.ranges_mm);
+        memcpy(scan.ranges_mm, driver->sweep.ranges_mm, sizeof driver->sweep.ranges_mm);
     }
     set_odometry(&driver->last, &header, &pose);
     int result = scanloop_begin(driver->process);

@@ -16,7 +16,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "python"))
 
 from device import Device, Pose  # noqa: E402
 from scanloop import Process, Role, Wheels  # noqa: E402
-from scanloop_types import BEAMS, Actuation, ActuationKind, DeviceState, Odometry, Phase, Scan  # noqa: E402
+from scanloop_types import (  # noqa: E402
+    BEAMS,
+    FIRST_BEAM_YAW_RAD,
+    PITCH_RAD,
+    Actuation,
+    ActuationKind,
+    DeviceState,
+    Odometry,
+    Phase,
+    Scan,
+)
 
 POLL_NS = 5_000_000  # the device is polled this often, also when no actuation comes
 END_NS = 800_000_000  # a process that is asked to end is killed after one second
@@ -217,8 +227,9 @@ class Driver:
             return
         self._waiting = None
         scan = Scan(sweep_ns=process.period_ns * 2 // 3, period_ns=process.period_ns)
+        scan.beams, scan.first_rad, scan.increment_rad = BEAMS, FIRST_BEAM_YAW_RAD, PITCH_RAD
         if len(ranges) == BEAMS:
-            scan.ranges_mm[:] = ranges
+            scan.ranges_mm[:BEAMS] = ranges
         else:
             scan.missing = 1  # a sweep that broke off: zeros only
         now = Odometry(x_m=pose.x_m, y_m=pose.y_m, yaw_rad=pose.yaw_rad, speed_mps=pose.speed_mps)

@@ -131,6 +131,10 @@ fn find(fields: &[Field], name: &str) -> Option<Values> {
                 (elements, within) = ((element.size(), length), inner);
                 count = Some(fields.iter().find(|field| field.name == by)?.offset);
             }
+            (Kind::Array(element @ Kind::Scalar(kind), length), Some(by)) => {
+                let count = Some(fields.iter().find(|field| field.name == by)?.offset);
+                return Some(Values { kind, offset, elements: (element.size(), length), length: 1, count });
+            }
             (Kind::Struct(_, inner), None) => within = inner,
             (Kind::Array(Kind::Scalar(kind), length), None) => {
                 return Some(Values { kind, offset, elements, length, count });

@@ -102,8 +102,8 @@ fn actuation(actuation: &Actuation) -> Result<(), String> {
 
 /// The ranges of a scan, beyond its check.
 fn scan(scan: &Scan) -> Result<(), String> {
-    let returns = (0..scan.ranges_mm.len()).filter_map(|beam| scan.range_m(beam));
-    inside("range_m", returns.fold(0.0, f64::max), 0.0..=65.0)?;
+    let returns = (0..scan.ranges().len()).filter_map(|beam| scan.range_m(beam));
+    inside("range_m", returns.fold(0.0, f64::max), 0.0..=100.0)?;
     inside("period_ns", scan.period_ns as f64, 1e6..=10e9)
 }
 

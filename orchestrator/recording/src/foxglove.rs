@@ -87,8 +87,8 @@ pub(crate) enum Level {
 pub(crate) fn scan(scan: &Scan) -> Vec<u8> {
     let mut cdr = Cdr::new();
     cdr.time(scan.header.acquired_ns).text(ROBOT).pose([0.0; 2], 0.0, 0.0);
-    let beams = (0..scan.ranges_mm.len()).step_by(DRAWN_BEAMS);
-    cdr.f64(Scan::beam_yaw_rad(0)).f64(Scan::beam_yaw_rad(beams.clone().next_back().unwrap_or_default()));
+    let beams = (0..scan.ranges().len()).step_by(DRAWN_BEAMS);
+    cdr.f64(scan.beam_yaw_rad(0)).f64(scan.beam_yaw_rad(beams.clone().next_back().unwrap_or_default()));
     cdr.length(beams.len());
     for beam in beams {
         let range_m = scan.range_m(beam).map(|range_m| rounded(range_m, RANGE_STEPS));

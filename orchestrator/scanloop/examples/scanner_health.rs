@@ -15,7 +15,7 @@ use obstacles::{ObstacleDetector, ObstaclesConfig};
 use pipeline::{PipelineSettings, drive};
 use plan::{Choice, Plan};
 use report::picture::panels;
-use shared_types::{BEAMS, Header, Pose, Scan, ScannerHealth, ScannerState};
+use shared_types::{BEAMS, Header, Pose, Scan, ScanGeometry, ScannerHealth, ScannerState};
 use vehicle::Description;
 
 /// Half of the distance between the wheels of the recorded rover, and radius of its wheels [m].
@@ -69,9 +69,10 @@ fn recorded(text: &str) -> anyhow::Result<Health> {
             .with_context(|| format!("line {scan_id}"))?;
         anyhow::ensure!(columns.len() >= FIRST_RANGE + BEAMS, "line {scan_id} has {} columns", columns.len());
         let header = Header { scan_id, acquired_ns: (columns[0] * 1e3) as u64, ..Header::default() };
-        let mut scan = Scan { header, sweep_ns: 66_666_667, period_ns: 100_000_000, ..Scan::default() };
+        let mut scan =
+            Scan { header, sweep_ns: 66_666_667, period_ns: 100_000_000, ..Scan::of(ScanGeometry::URG_04LX) };
         for (range, column) in scan.ranges_mm.iter_mut().zip(&columns[FIRST_RANGE..]) {
-            *range = *column as u16;
+            *range = *column as u32;
         }
         let wheels = [columns[2], columns[3]].map(|ticks| ticks * TICK_RAD * ROVER.1);
         if let Some((last, at_ns)) = before.replace((wheels, header.acquired_ns)) {

@@ -13,7 +13,7 @@ use plan::Plan;
 use plan::system::System;
 use runtime::{Domain, OwnTopics, PROCESSES_FILE};
 use serde::{Deserialize, Serialize};
-use shared_types::{Authority, ROLES, Role};
+use shared_types::{Authority, Role, SLOTS};
 use supervision::entry::{ProcessEntry, ProcessRow, role_name};
 use toml::{Table, Value};
 use vehicle::{of_text, text_of};
@@ -114,7 +114,7 @@ impl ProcessRegistry {
     }
 
     /// Whose samples count.
-    pub(crate) fn authority(&self) -> [Authority; ROLES] {
+    pub(crate) fn authority(&self) -> [Authority; SLOTS] {
         std::array::from_fn(|index| {
             self.authority.get(index).map_or_else(Authority::default, |right| Authority {
                 incarnation: right.incarnation,
@@ -201,7 +201,7 @@ mod tests {
             judged_by: Some(JudgedBy::Estimate),
             outcome: Some(Outcome::Missed),
             reason: "passed \"it\"".to_owned(),
-            authority: vec![Right { incarnation: 7, previous: 3, from_scan: 1 << 40 }; ROLES],
+            authority: vec![Right { incarnation: 7, previous: 3, from_scan: 1 << 40 }; 5],
             role: vec![RoleRow { role: Role::Controller, incarnation: 7, restarts: 1, entry: entry.clone() }],
             process: vec![ProcessRow {
                 role: Role::Controller,

@@ -121,12 +121,14 @@ fn micros(ns: u64) -> f64 {
 }
 
 fn scan(scan: &Scan) -> Value {
-    let bytes: Vec<u8> = scan.ranges_mm.iter().flat_map(|range| range.to_le_bytes()).collect();
+    // Two bytes each: further than 65 m no pixel tells.
+    let short = |range: &u32| u16::try_from(*range).unwrap_or(u16::MAX);
+    let bytes: Vec<u8> = scan.ranges().iter().flat_map(|range| short(range).to_le_bytes()).collect();
     json!({
         "scan_id": scan.header.scan_id,
         "ranges_mm_base64": STANDARD.encode(bytes),
-        "first_beam_yaw_rad": Scan::beam_yaw_rad(0),
-        "pitch_rad": shared_types::PITCH_RAD,
+        "first_beam_yaw_rad": scan.first_rad,
+        "pitch_rad": scan.increment_rad,
         "period_s": scan.period_ns as f64 * 1e-9,
         "missing": scan.missing.is_set(),
     })
@@ -237,6 +239,7 @@ fn latency(actuation: &Actuation) -> Option<Value> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use shared_types::ScanGeometry;
 
     #[test]
     fn a_frame_without_samples_has_no_figures() {
@@ -250,7 +253,7 @@ mod tests {
 
     #[test]
     fn ranges_and_plan_arrive_as_they_were_published() {
-        let mut scan = Scan::default();
+        let mut scan = Scan::of(ScanGeometry::URG_04LX);
         (scan.ranges_mm[0], scan.ranges_mm[681]) = (0x1234, 4095);
         let mut command = Command { kind: CommandKind::Drive.wire(), plan_length: 2, ..Command::default() };
         command.plan[1].x_m = 1.234_56;
@@ -269,7 +272,7 @@ mod tests {
         let mut samples = Samples::default();
         assert!(!samples.is_whole());
         let header = Header { scan_id: 5, ..Header::default() };
-        samples.scan = Some(Box::new(Scan { header, ..Scan::default() }));
+        samples.scan = Some(Box::new(Scan { header, ..Scan::of(ScanGeometry::URG_04LX) }));
         samples.act(&Actuation { header: Header { scan_id: 4, ..header }, ..Actuation::default() });
         assert!(!samples.is_whole());
         samples.act(&Actuation { header, ..Actuation::default() });

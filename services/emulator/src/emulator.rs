@@ -9,7 +9,7 @@
 //! The robot has a dead-man of its own: it blocks the wheels two scan periods after the last actuation arrived. An
 //! actuation that is not finite or beyond the limits of the drive is refused and does not feed the dead-man.
 
-use shared_types::{Actuation, ActuationKind, Odometry, Scan, Truth};
+use shared_types::{Actuation, ActuationKind, Odometry, Scan, ScanGeometry, Truth};
 use vehicle::Description;
 use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 use vehicle::frame::wrap_angle;
@@ -206,9 +206,10 @@ impl Emulator {
         let present = self.present();
         self.history.push(present);
         let sweep = Sweep { scan_id, front_ns: self.acquired_ns(scan_id), duration_ns: self.sweep_ns() };
+        scan.set_geometry(ScanGeometry::URG_04LX);
         scan.sweep_ns = sweep.duration_ns;
         scan.period_ns = self.period_ns;
-        self.laser.measure(&sweep, &self.history, &self.scene, &mut scan.ranges_mm);
+        self.laser.measure(&sweep, &self.history, &self.scene, scan.ranges_mut());
         let is_missing = self.schedule.is_missing(scan_id);
         scan.missing = is_missing.into();
         if is_missing {

@@ -18,7 +18,7 @@ mod hall;
 use std::ops::RangeInclusive;
 
 use nalgebra::Vector2;
-use shared_types::{BEAMS, FRONT_BEAM, MIN_RANGE_MM, PITCH_RAD, Scan};
+use shared_types::{BEAMS, FRONT_BEAM, MIN_RANGE_MM, PITCH_RAD, ScanGeometry};
 use vehicle::State;
 use vehicle::frame::{heading, to_track, wrap_angle};
 
@@ -32,7 +32,7 @@ use faults::{Faults, Scale};
 use hall::Hall;
 
 /// A beam without a usable return, until it gets its error code.
-const NO_RETURN: u16 = 0;
+const NO_RETURN: u32 = 0;
 
 /// Neighbouring beams whose ranges differ by more than this lie on two sides of an edge [m].
 const EDGE_M: f64 = 0.1;
@@ -101,7 +101,7 @@ impl Laser {
     }
 
     /// Ranges of one sweep past what stands around the robot [mm, or an error code below 20].
-    pub fn measure(&mut self, sweep: &Sweep, history: &History, scene: &Scene, ranges_mm: &mut [u16; BEAMS]) {
+    pub fn measure(&mut self, sweep: &Sweep, history: &History, scene: &Scene, ranges_mm: &mut [u32]) {
         self.cast(sweep, history, scene);
         let mut stream = NoiseStream::new(self.seed, Purpose::Laser, sweep.scan_id);
         self.mix_edges(&mut stream);
@@ -116,12 +116,12 @@ impl Laser {
     }
 
     /// The ranges that a stuck scanner repeats.
-    pub(crate) fn repeated(&self) -> Option<&[u16; BEAMS]> {
+    pub(crate) fn repeated(&self) -> Option<&[u32; BEAMS]> {
         self.faults.held.as_ref()
     }
 
     /// Continues with the ranges that another scanner repeats.
-    pub(crate) fn repeat(&mut self, ranges_mm: Option<[u16; BEAMS]>) {
+    pub(crate) fn repeat(&mut self, ranges_mm: Option<[u32; BEAMS]>) {
         self.faults.held = ranges_mm;
     }
 
@@ -166,7 +166,7 @@ impl Laser {
             motion.turn = motion.turn.max((yaw - motion.yaw).abs());
             self.beams.push(Beam {
                 origin,
-                direction: heading(yaw + Scan::beam_yaw_rad(index)),
+                direction: heading(yaw + ScanGeometry::URG_04LX.yaw_rad(index)),
                 time_s: time_ns as f64 * 1e-9,
             });
         }
@@ -281,7 +281,7 @@ fn wall_range(beam: &Beam, [low, high]: [f64; 2]) -> f64 {
 }
 
 /// Reading of a range, with what `scale` makes of the measured one [mm].
-fn reading_of(range: f64, noise: &Noise, scale: Scale, stream: &mut NoiseStream) -> u16 {
+fn reading_of(range: f64, noise: &Noise, scale: Scale, stream: &mut NoiseStream) -> u32 {
     if range > MAX_RANGE_M {
         return NO_RETURN;
     }
@@ -292,7 +292,7 @@ fn reading_of(range: f64, noise: &Noise, scale: Scale, stream: &mut NoiseStream)
     }
     let millimetres = (scale.applied(measured) * 1000.0).round();
     let is_range = (f64::from(MIN_RANGE_MM)..=MAX_RANGE_M * 1000.0).contains(&millimetres);
-    if is_range { millimetres as u16 } else { NO_RETURN }
+    if is_range { millimetres as u32 } else { NO_RETURN }
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-use shared_types::{BEAMS, Command, Obstacles, Pose, Role, Sample, Scan};
+use shared_types::{Command, MAX_BEAMS, Obstacles, Pose, Role, Sample, Scan, ScanGeometry};
 
 use super::*;
 
@@ -44,10 +44,10 @@ fn numbers_are_set_added_and_scaled_wherever_they_stand() {
     assert_eq!(apply(&mut to.clone(), &mut pose), Changed::Once(0));
     assert_eq!((pose.x_m, pose.predicted_x_m, pose.y_m), (2.5, 0.5, 0.0));
 
-    let mut scan = Scan { ranges_mm: [1000; BEAMS], ..Scan::default() };
+    let mut scan = Scan { ranges_mm: [1000; MAX_BEAMS], ..Scan::of(ScanGeometry::URG_04LX) };
     let mut half = change("topic = \"scan\"\naction = \"scale\"\nfields = [\"ranges_mm\"]\nvalue = 0.5");
     apply(&mut half, &mut scan);
-    assert_eq!(scan.ranges_mm, [500; BEAMS]);
+    assert_eq!(scan.ranges_mm, [500; MAX_BEAMS]);
 
     let mut command = Command { verified: 1, ..Command::default() };
     let mut unverified =

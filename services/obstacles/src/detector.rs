@@ -97,7 +97,7 @@ impl ObstacleDetector {
         let (before, silent) = (self.state(), self.evidence.silent());
         let mut scan = Scan { header: scan.header.next(period_ns), ..*scan };
         // The step does less for a scan that repeats the one before.
-        scan.ranges_mm.iter_mut().filter(|range| **range >= MIN_RANGE_MM).for_each(|range| *range ^= 1);
+        scan.ranges_mut().iter_mut().filter(|range| **range >= MIN_RANGE_MM).for_each(|range| *range ^= 1);
         black_box(self.step(&scan, pose));
         let restored = self.resume(&before);
         debug_assert!(restored.is_ok(), "tracks that are not sound have expired");

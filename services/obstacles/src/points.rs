@@ -8,7 +8,7 @@
 //! (7.32) and (7.33) have the scanner at the robot's reference point; here it may be anywhere on the body.
 
 use nalgebra::Vector2;
-use shared_types::{BEAMS, Pose, Scan};
+use shared_types::{BEAMS, Pose, Scan, ScanGeometry};
 use vehicle::Description;
 use vehicle::frame::{heading, to_track};
 
@@ -102,7 +102,7 @@ pub(crate) struct Beams {
 impl Beams {
     /// The table of directions.
     pub(crate) fn new() -> Self {
-        Self { units: (0..BEAMS).map(|beam| heading(Scan::beam_yaw_rad(beam))).collect() }
+        Self { units: (0..BEAMS).map(|beam| heading(ScanGeometry::URG_04LX.yaw_rad(beam))).collect() }
     }
 
     /// Direction of one beam in the robot's frame; `beam` is below [`BEAMS`].
@@ -136,7 +136,8 @@ mod tests {
 
     #[test]
     fn beams_of_a_moving_robot_are_placed_from_where_it_was() {
-        let mut scan = Scan { sweep_ns: 66_666_667, period_ns: 100_000_000, ..Scan::default() };
+        let mut scan =
+            Scan { sweep_ns: 66_666_667, period_ns: 100_000_000, ..Scan::of(ScanGeometry::URG_04LX) };
         scan.ranges_mm[0] = 2000;
         scan.ranges_mm[340] = 2000;
         scan.ranges_mm[5] = 19;
@@ -164,7 +165,8 @@ mod tests {
 
     #[test]
     fn returns_are_placed_from_where_the_scanner_is_mounted() {
-        let mut scan = Scan { sweep_ns: 66_666_667, period_ns: 100_000_000, ..Scan::default() };
+        let mut scan =
+            Scan { sweep_ns: 66_666_667, period_ns: 100_000_000, ..Scan::of(ScanGeometry::URG_04LX) };
         scan.ranges_mm[340] = 2000;
         let vehicle = Description {
             scanner_x_m: 0.2,

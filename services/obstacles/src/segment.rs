@@ -184,13 +184,15 @@ fn end_of(scan: &Scan, end: &Point, leftwards: bool) -> End {
 
 #[cfg(test)]
 mod tests {
+    use shared_types::ScanGeometry;
+
     use super::*;
     use crate::points::{Beams, Place};
     use nalgebra::Vector2;
 
     /// How many bodies ten returns on each side of `lost` beams without one are, 2 m away.
     fn bodies(lost: usize) -> usize {
-        let mut scan = Scan::default();
+        let mut scan = Scan::of(ScanGeometry::URG_04LX);
         scan.ranges_mm[330..350 + lost].fill(2000);
         scan.ranges_mm[340..340 + lost].fill(0);
         let mut points = Vec::new();
@@ -207,7 +209,7 @@ mod tests {
 
     #[test]
     fn a_body_continues_where_the_line_beside_the_track_cuts_it() {
-        let mut scan = Scan::default();
+        let mut scan = Scan::of(ScanGeometry::URG_04LX);
         scan.ranges_mm[300..=340].fill(2000);
         let mut points = Vec::new();
         Beams::new().place(&scan, &Place::standing(Vector2::zeros(), 0.0), &mut points);

@@ -1,7 +1,8 @@
 //! The obstacle detector as a stage of the loop: scan and pose in, ellipses out.
 
 use shared_types::{
-    AnySample, Obstacles, Pose, Role, Sample, SampleType, Scan, Stage, StageEvent, Stopwatch,
+    AnySample, Fault, Obstacles, Pose, Role, Sample, SampleType, Scan, ScanGeometry, Stage, StageEvent,
+    Stopwatch,
 };
 use vehicle::Invalid;
 
@@ -16,6 +17,8 @@ pub struct DetectorStage {
     is_lost: bool,
     scan: Option<Scan>,
     pose: Option<Pose>,
+    /// Why the newest scan is not used.
+    refusal: Option<Fault>,
 }
 
 impl Stage for DetectorStage {
@@ -29,7 +32,7 @@ impl Stage for DetectorStage {
 
     fn begin(settings: ObstaclesConfig, period_ns: u64) -> Result<Self, Invalid> {
         let detector = ObstacleDetector::new(settings)?;
-        Ok(Self { detector, period_ns, is_lost: false, scan: None, pose: None })
+        Ok(Self { detector, period_ns, is_lost: false, scan: None, pose: None, refusal: None })
     }
 
     fn resume(&mut self, state: &ObstaclesState) -> bool {
@@ -43,8 +46,12 @@ impl Stage for DetectorStage {
     }
 
     fn take(&mut self, sample: AnySample<'_>, _: u64) {
-        if let Some(scan) = sample.get() {
-            *self.scan.get_or_insert_default() = *scan;
+        if let Some(scan) = sample.get::<Scan>() {
+            self.refusal = unknown(&scan.geometry());
+            match self.refusal {
+                None => *self.scan.get_or_insert_default() = *scan,
+                Some(_) => self.scan = None,
+            }
         } else if let Some(pose) = sample.get() {
             *self.pose.get_or_insert_default() = *pose;
         }
@@ -63,9 +70,26 @@ impl Stage for DetectorStage {
         false
     }
 
+    fn refusal(&self) -> Option<&Fault> {
+        self.refusal.as_ref()
+    }
+
     fn rehearse(&mut self, _: u64, _: &dyn Fn() -> u64) {
         if let Some((scan, pose)) = self.scan.as_ref().zip(self.pose.as_ref()) {
             self.detector.rehearse(scan, pose, self.period_ns);
         }
     }
+}
+
+/// What differs between the beams of a scan and those of the URG-04LX: the detector knows no others.
+fn unknown(found: &ScanGeometry) -> Option<Fault> {
+    let ScanGeometry { count, first_rad, increment_rad } = ScanGeometry::URG_04LX;
+    let differing = [
+        ("beams", found.count as f64, count as f64),
+        ("first_rad", found.first_rad, first_rad),
+        ("increment_rad", found.increment_rad, increment_rad),
+    ];
+    let differs = |(_, found, known): &(_, f64, f64)| (found - known).abs() > 1e-9;
+    let (field, value, _) = differing.into_iter().find(differs)?;
+    Some(Fault::OutOfRange { field, value })
 }

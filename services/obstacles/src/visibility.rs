@@ -210,14 +210,16 @@ fn along(scan: &Scan, beams: &Beams, place: &Place, rectangle: &Rectangle, beam:
 
 #[cfg(test)]
 mod tests {
+    use shared_types::ScanGeometry;
+
     use super::*;
 
     /// What a robot at the origin sees at the place of a box 0.4 m wide, 1.95 m ahead, where the beams towards it have these
     /// ranges, from the right to the left.
-    fn sight_of(ranges_mm: &[(usize, u16)]) -> Sight {
+    fn sight_of(ranges_mm: &[(usize, u32)]) -> Sight {
         let body = Rectangle { centre: Vector2::new(2.0, 0.0), yaw: 0.0, length: 0.1, width: 0.4 };
         let place = Place::standing(Vector2::zeros(), 0.0);
-        let mut scan = Scan::default();
+        let mut scan = Scan::of(ScanGeometry::URG_04LX);
         let towards = beams_towards(&place, &body).unwrap();
         // The front is 0.2044 rad wide; a fifth of it is left out at each side.
         assert_eq!(towards.clone().count(), 19);
@@ -251,12 +253,12 @@ mod tests {
     }
 
     /// [`free_sides`] of a box 1 m wide, 1.95 m ahead: 81 beams, from the right to the left; as the sines of the directions.
-    fn sides_of(ranges_mm: &[(usize, u16)]) -> [Option<f64>; 2] {
+    fn sides_of(ranges_mm: &[(usize, u32)]) -> [Option<f64>; 2] {
         let body = Rectangle { centre: Vector2::new(2.0, 0.0), yaw: 0.0, length: 0.1, width: 1.0 };
         let place = Place::standing(Vector2::zeros(), 0.0);
         let towards = beams_within(&place, &body, 0.0).unwrap();
         assert_eq!(towards.clone().count(), 81);
-        let mut scan = Scan::default();
+        let mut scan = Scan::of(ScanGeometry::URG_04LX);
         let ranges = ranges_mm.iter().flat_map(|(count, range)| std::iter::repeat_n(*range, *count));
         for (beam, range) in towards.zip(ranges) {
             scan.ranges_mm[beam] = range;

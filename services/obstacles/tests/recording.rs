@@ -8,7 +8,7 @@ use std::f64::consts::PI;
 use std::io::Write;
 
 use obstacles::{ObstacleDetector, ObstaclesConfig};
-use shared_types::{BEAMS, Header, Pose, Scan};
+use shared_types::{BEAMS, Header, Pose, Scan, ScanGeometry};
 use vehicle::Description;
 
 /// Where the recording is expected, from the folder of this crate.
@@ -22,7 +22,7 @@ fn wheel_m(ticks: f64) -> f64 {
 struct Row {
     time_ns: u64,
     ticks: [f64; 2],
-    ranges_mm: [u16; BEAMS],
+    ranges_mm: [u32; BEAMS],
 }
 
 fn rows(text: &str) -> Vec<Row> {
@@ -30,7 +30,7 @@ fn rows(text: &str) -> Vec<Row> {
         let columns: Vec<f64> = line.split_ascii_whitespace().map(|column| column.parse().unwrap()).collect();
         let mut ranges_mm = [0; BEAMS];
         for (range, column) in ranges_mm.iter_mut().zip(&columns[24..24 + BEAMS]) {
-            *range = *column as u16;
+            *range = *column as u32;
         }
         Row { time_ns: (columns[0] * 1e3) as u64, ticks: [columns[2], columns[3]], ranges_mm }
     };
@@ -78,13 +78,9 @@ fn drive(rows: &[Row], factor: f64) {
             (pose.speed_mps, pose.yaw_rate_radps) = (way / elapsed, turn / elapsed);
         }
         let header = Header { scan_id: index as u64 + 1, acquired_ns: row.time_ns, ..Header::default() };
-        let scan = Scan {
-            header,
-            sweep_ns: 66_666_667,
-            period_ns: 100_000_000,
-            ranges_mm: row.ranges_mm,
-            ..Scan::default()
-        };
+        let mut scan =
+            Scan { header, sweep_ns: 66_666_667, period_ns: 100_000_000, ..Scan::of(ScanGeometry::URG_04LX) };
+        scan.ranges_mut().copy_from_slice(&row.ranges_mm);
         pose.header = header;
         let health = detector.step(&scan, &pose).scanner;
         let state = health.state();

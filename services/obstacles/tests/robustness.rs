@@ -5,7 +5,7 @@ mod scene;
 use obstacles::{ObstacleDetector, ObstaclesConfig, ObstaclesState};
 use proptest::prelude::*;
 use scene::{Robot, Scene, block, detector};
-use shared_types::{BEAMS, Header, Obstacles, Pose, Sample, Scan};
+use shared_types::{BEAMS, Header, Obstacles, Pose, Sample, Scan, ScanGeometry};
 
 fn checked(mut obstacles: Obstacles) -> Obstacles {
     obstacles.header.layout = Obstacles::LAYOUT;
@@ -40,14 +40,14 @@ fn pose() -> impl Strategy<Value = Pose> {
 }
 
 /// Plausible ranges in pieces, so that clusters of all sizes occur.
-fn ranges() -> impl Strategy<Value = Vec<u16>> {
+fn ranges() -> impl Strategy<Value = Vec<u32>> {
     let piece = prop_oneof![
-        3 => (20..5600_u16, 1..60_usize, 0..80_u16)
-            .prop_map(|(range, count, step)| (0..count).map(|at| range.saturating_add(step * at as u16)).collect()),
-        1 => proptest::collection::vec(any::<u16>(), 1..40),
+        3 => (20..5600_u32, 1..60_usize, 0..80_u32)
+            .prop_map(|(range, count, step)| (0..count).map(|at| range.saturating_add(step * at as u32)).collect()),
+        1 => proptest::collection::vec(any::<u32>(), 1..40),
         1 => (1..30_usize).prop_map(|count| vec![0; count]),
     ];
-    proptest::collection::vec(piece, 1..60).prop_map(|pieces: Vec<Vec<u16>>| pieces.concat())
+    proptest::collection::vec(piece, 1..60).prop_map(|pieces: Vec<Vec<u32>>| pieces.concat())
 }
 
 proptest! {
@@ -62,7 +62,7 @@ proptest! {
         for (ranges, mut pose, gap, tame) in steps {
             now = now.wrapping_add(if tame { 100_000_000 } else { u64::from(gap) });
             let header = Header { acquired_ns: now, ..Header::default() };
-            let mut scan = Scan { header, sweep_ns: 66_000_000, period_ns: 100_000_000, ..Scan::default() };
+            let mut scan = Scan { header, sweep_ns: 66_000_000, period_ns: 100_000_000, ..Scan::of(ScanGeometry::URG_04LX) };
             for beam in 0..BEAMS {
                 scan.ranges_mm[beam] = ranges[beam % ranges.len()];
             }
@@ -111,10 +111,10 @@ fn speckle_is_no_obstacle() {
     let mut detector = detector();
     for _ in 0..200 {
         let (mut scan, pose) = scene.scan(&Robot::default());
-        for range in &mut scan.ranges_mm {
+        for range in scan.ranges_mut() {
             // One beam in 200 returns from nowhere.
             if scene.uniform() < 0.005 {
-                *range = (300.0 + 5000.0 * scene.uniform()) as u16;
+                *range = (300.0 + 5000.0 * scene.uniform()) as u32;
             }
         }
         assert_eq!(checked(detector.step(&scan, &pose)).count, 0);

@@ -11,7 +11,7 @@ use std::f64::consts::FRAC_PI_2;
 use nalgebra::Vector2;
 use obstacles::{ObstacleDetector, ObstaclesConfig};
 use scene::{Body, Robot, Scene, block};
-use shared_types::{BEAMS, Header, Pose, Scan, WINDOW};
+use shared_types::{BEAMS, Header, Pose, Scan, ScanGeometry, WINDOW};
 
 /// Speed [m/s], yaw rate [rad/s] and time [s] of each part of the way.
 const COURSE: [[f64; 3]; 21] = [
@@ -47,7 +47,7 @@ const ODOMETRY: (f64, f64) = (1.02, 0.94);
 /// Times at which a scan comes late, with the next ones too early and repeated; the rover rests [s].
 const HICCUPS_S: [f64; 2] = [19.0, 42.5];
 /// Error codes and how many of 10,000 beams without a return carry them.
-const CODES: [(u16, u32); 8] = [(0, 9_500), (7, 370), (6, 100), (10, 6), (8, 6), (15, 6), (2, 6), (1, 6)];
+const CODES: [(u32, u32); 8] = [(0, 9_500), (7, 370), (6, 100), (10, 6), (8, 6), (15, 6), (2, 6), (1, 6)];
 
 /// Surfaces that return something up to a distance [m].
 struct Surfaces {
@@ -134,7 +134,7 @@ fn periods(random: &mut Scene) -> Vec<f64> {
     periods
 }
 
-fn code_of(uniform: f64) -> u16 {
+fn code_of(uniform: f64) -> u32 {
     let mut left = (uniform * 10_000.0) as u32;
     for (code, share) in CODES {
         if left < share {
@@ -149,7 +149,7 @@ fn code_of(uniform: f64) -> u16 {
 fn sweep(surfaces: &[Surfaces], random: &mut Scene, robot: &Robot, scan: &mut Scan) {
     for beam in 0..BEAMS {
         let seen = robot.after(scan.beam_time_s(beam));
-        let angle = seen.yaw + Scan::beam_yaw_rad(beam);
+        let angle = seen.yaw + ScanGeometry::URG_04LX.yaw_rad(beam);
         let (from, direction) = (Vector2::new(seen.x, seen.y), Vector2::new(angle.cos(), angle.sin()));
         let hits = surfaces.iter().filter_map(|surface| {
             surface.scene.cast(from, direction, 0.0).map(|range| (range, surface.reach_m))
@@ -161,7 +161,7 @@ fn sweep(surfaces: &[Surfaces], random: &mut Scene, robot: &Robot, scan: &mut Sc
         let code = code_of(random.uniform());
         scan.ranges_mm[beam] = match nearest {
             Some((range, reach_m)) if range < reach_m && !is_lost => {
-                ((range + noise).max(0.02) * 1e3).round() as u16
+                ((range + noise).max(0.02) * 1e3).round() as u32
             }
             _ => code,
         };
@@ -176,7 +176,8 @@ fn log(seed: u64) -> Vec<Row> {
         now_s += period_s;
         let acquired_ns = (now_s * 1e9) as u64;
         let header = Header { scan_id: index as u64 + 1, acquired_ns, ..Header::default() };
-        let mut scan = Scan { header, sweep_ns: 66_666_667, period_ns: 100_000_000, ..Scan::default() };
+        let mut scan =
+            Scan { header, sweep_ns: 66_666_667, period_ns: 100_000_000, ..Scan::of(ScanGeometry::URG_04LX) };
         let [robot, reported] = motion_at(now_s);
         match rows.last() {
             // The scanner has not finished another sweep.
@@ -239,9 +240,9 @@ fn the_log_has_the_statistics_of_the_recording() {
     let equal: Vec<bool> = rows.windows(2).filter(is_equal).map(|pair| pair[1].rests).collect();
     assert_eq!(equal, [true; 4]);
 
-    let codes: Vec<u16> =
-        rows.iter().flat_map(|row| row.scan.ranges_mm).filter(|range| *range < 20).collect();
-    let share = |code: u16| codes.iter().filter(|found| **found == code).count() as f64 / codes.len() as f64;
+    let codes: Vec<u32> =
+        rows.iter().flat_map(|row| row.scan.ranges()).copied().filter(|range| *range < 20).collect();
+    let share = |code: u32| codes.iter().filter(|found| **found == code).count() as f64 / codes.len() as f64;
     for (code, expected) in [(0, 0.95), (7, 0.037), (6, 0.01)] {
         assert!((share(code) - expected).abs() < 0.002, "{code}: {}", share(code));
     }

@@ -8,7 +8,7 @@ use estimator::EstimatorStage;
 use nmpc::ControllerStage;
 use obstacles::DetectorStage;
 use shared_types::{
-    Actuation, AnySample, AnyStage, Authority, Header, Odometry, ROLES, Role, Sample, Scan, Stage, TOPICS,
+    Actuation, AnySample, AnyStage, Authority, Header, Odometry, Role, SLOTS, Sample, Scan, Stage, TOPICS,
     Topic, Truth,
 };
 use vehicle::Invalid;
@@ -50,7 +50,7 @@ pub struct SimulatedLoop {
     wires: Vec<Wire>,
     /// The last part of the way of an actuation, behind the other readers.
     to_robot: Wire,
-    authority: [Authority; ROLES],
+    authority: [Authority; SLOTS],
     /// The robot blocks its wheels for good.
     is_halted: bool,
     /// Way driven, and where the robot was then.
@@ -91,7 +91,9 @@ impl SimulatedLoop {
             nodes: stages.map(node).into(),
             wires: TOPICS.map(|topic| Wire::new(topic.sample_type())).into(),
             to_robot: Wire::new(Actuation::TYPE),
-            authority: std::array::from_fn(|role| alone(Role::ALL[role])),
+            authority: std::array::from_fn(|slot| {
+                Role::ALL.get(slot).copied().map_or_else(Authority::default, alone)
+            }),
             is_halted: false,
             way_m: 0.0,
         })

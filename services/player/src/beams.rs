@@ -3,7 +3,7 @@
 //! A beam of the scan lies between two beams of the scanner. Where both hit the same surface, their ranges are
 //! interpolated; elsewhere the nearer beam counts. So an edge is never turned into a surface between two bodies.
 
-use shared_types::{BEAMS, MIN_RANGE_MM, Scan, WINDOW};
+use shared_types::{BEAMS, MIN_RANGE_MM, ScanGeometry, WINDOW};
 
 use crate::message::Fan;
 use crate::xdr::Numbers;
@@ -15,9 +15,9 @@ const MAX_RANGE_M: f64 = 5.6;
 /// Ranges this close to the longest one are no returns [m]: the resolution of a scan.
 const RESOLUTION_M: f64 = 1e-3;
 /// Error code of a scan: nothing came back.
-const NO_RETURN: u16 = 0;
+const NO_RETURN: u32 = 0;
 /// Error code of a scan: this beam is not measured.
-const NOT_MEASURED: u16 = 19;
+const NOT_MEASURED: u32 = 19;
 /// Beams may begin and end this much inside of the first and last beam of the scanner, in its steps: rounding.
 const ROUNDING: f64 = 1e-6;
 
@@ -68,7 +68,7 @@ impl Beams {
             return Err(Unusable::Impossible { count, first_deg, last_deg, max_range_m: fan.max_range_m });
         }
         let place = |beam: usize| {
-            let place = (sign * Scan::beam_yaw_rad(beam) - fan.first_rad) / step_rad;
+            let place = (sign * ScanGeometry::URG_04LX.yaw_rad(beam) - fan.first_rad) / step_rad;
             let last = (count - 1) as f64;
             let is_seen = (-0.5 - ROUNDING..=last + 0.5 + ROUNDING).contains(&place);
             let place = place.clamp(0.0, last);
@@ -88,7 +88,7 @@ impl Beams {
     }
 
     /// Fills the ranges of a scan.
-    pub fn fill(&self, ranges_m: &Numbers<'_>, ranges_mm: &mut [u16; BEAMS]) {
+    pub fn fill(&self, ranges_m: &Numbers<'_>, ranges_mm: &mut [u32]) {
         let furthest_m = self.fan.max_range_m.min(MAX_RANGE_M + RESOLUTION_M) - RESOLUTION_M;
         let nearest_m = f64::from(MIN_RANGE_MM) * 1e-3;
         let range =
@@ -104,7 +104,7 @@ impl Beams {
                         }
                         _ => nearer,
                     };
-                    range_m.map_or(NO_RETURN, |range_m| (range_m * 1e3).round() as u16)
+                    range_m.map_or(NO_RETURN, |range_m| (range_m * 1e3).round() as u32)
                 }
             };
         }
@@ -118,7 +118,7 @@ mod tests {
     use super::*;
     use crate::xdr::{XdrReader, put_f64s, put_u32};
 
-    fn filled(fan: Fan, sign: f64, ranges: &[f64]) -> Result<[u16; BEAMS], Unusable> {
+    fn filled(fan: Fan, sign: f64, ranges: &[f64]) -> Result<[u32; BEAMS], Unusable> {
         let mut bytes = Vec::new();
         put_u32(&mut bytes, ranges.len() as u32);
         put_u32(&mut bytes, ranges.len() as u32);
@@ -131,7 +131,8 @@ mod tests {
 
     /// The fan of the scan itself.
     fn own() -> Fan {
-        let (first_rad, last_rad) = (Scan::beam_yaw_rad(0), Scan::beam_yaw_rad(BEAMS - 1));
+        let (first_rad, last_rad) =
+            (ScanGeometry::URG_04LX.yaw_rad(0), ScanGeometry::URG_04LX.yaw_rad(BEAMS - 1));
         Fan { first_rad, last_rad, max_range_m: 5.6 }
     }
 
@@ -140,7 +141,7 @@ mod tests {
         let ranges: Vec<f64> = (0..BEAMS).map(|beam| 1.0 + beam as f64 * 1e-3).collect();
         let filled = filled(own(), 1.0, &ranges).unwrap();
         for (beam, range_mm) in filled.iter().enumerate() {
-            assert_eq!(usize::from(*range_mm), 1000 + beam);
+            assert_eq!(*range_mm as usize, 1000 + beam);
         }
     }
 

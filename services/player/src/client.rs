@@ -48,7 +48,7 @@ pub enum ClientEvent {
     /// A sweep.
     Sweep {
         /// Its ranges, by beam of a scan [mm].
-        ranges_mm: [u16; BEAMS],
+        ranges_mm: [u32; BEAMS],
         /// Time stamp of the server [s].
         time_s: f64,
         /// When it arrived, on CLOCK_MONOTONIC [ns].
@@ -57,7 +57,7 @@ pub enum ClientEvent {
     /// A scan of a scanner at this computer.
     Scan {
         /// Its ranges, by beam [mm].
-        ranges_mm: [u16; BEAMS],
+        ranges_mm: [u32; BEAMS],
         /// The ranges were damaged on the way, and are all zero.
         is_missing: bool,
         /// Time of the front beam, on CLOCK_MONOTONIC [ns].

@@ -25,7 +25,7 @@ const MIN_SPACING_SHARE: u64 = 4;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeasuredSweep {
     /// Ranges by beam of a scan [mm].
-    pub ranges_mm: [u16; BEAMS],
+    pub ranges_mm: [u32; BEAMS],
     /// The ranges were damaged on the way, and are all zero.
     pub is_missing: bool,
     /// The motion at the time of the front beam.
@@ -35,7 +35,7 @@ pub struct MeasuredSweep {
 /// A sweep that waits.
 #[derive(Debug, Clone, Copy)]
 struct Waiting {
-    ranges_mm: [u16; BEAMS],
+    ranges_mm: [u32; BEAMS],
     is_missing: bool,
     front_ns: u64,
     until_ns: u64,
@@ -88,7 +88,7 @@ impl Sensing {
     }
 
     /// Takes a sweep of the server.
-    pub fn sweep(&mut self, ranges_mm: [u16; BEAMS], time_s: f64, arrived_ns: u64) {
+    pub fn sweep(&mut self, ranges_mm: [u32; BEAMS], time_s: f64, arrived_ns: u64) {
         let stamped_ns = self.clock.map(time_s, arrived_ns).unwrap_or(arrived_ns);
         let offset_ns = (self.config.stamp_offset_s * 1e9) as i64;
         self.sweep_at((ranges_mm, false), stamped_ns.saturating_add_signed(-offset_ns), arrived_ns);
@@ -98,7 +98,7 @@ impl Sensing {
     /// whether they were damaged on the way.
     pub fn sweep_at(
         &mut self,
-        (ranges_mm, is_missing): ([u16; BEAMS], bool),
+        (ranges_mm, is_missing): ([u32; BEAMS], bool),
         front_ns: u64,
         arrived_ns: u64,
     ) {

@@ -8,7 +8,7 @@ use std::rc::Rc;
 
 use runtime::{CANDIDATE_VARIABLE, Input, Output, Process, Wheels, monotonic_ns};
 use serde::Deserialize;
-use shared_types::{Actuation, ActuationKind, DeviceState, Odometry, Phase, Role, Scan};
+use shared_types::{Actuation, ActuationKind, DeviceState, Odometry, Phase, Role, Scan, ScanGeometry};
 use vehicle::Description;
 use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 
@@ -145,7 +145,11 @@ impl Driver {
             ordered_mps: 0.0,
             last: None,
             first_ns: 0,
-            scan: Scan { sweep_ns: sweep_ns.clamp(1, period_ns), period_ns, ..Scan::default() },
+            scan: Scan {
+                sweep_ns: sweep_ns.clamp(1, period_ns),
+                period_ns,
+                ..Scan::of(ScanGeometry::URG_04LX)
+            },
             drives_until_ns: None,
             is_stopped: false,
             next_logged: 1,
@@ -304,7 +308,7 @@ impl Driver {
         process.begin();
         let mut odometry = self.odometry(&measured.motion);
         self.scan.header = odometry.header;
-        self.scan.ranges_mm = measured.ranges_mm;
+        self.scan.ranges_mut().copy_from_slice(&measured.ranges_mm);
         self.scan.missing = measured.is_missing.into();
         self.scans.publish(&mut self.scan)?;
         self.odometries.publish(&mut odometry)?;

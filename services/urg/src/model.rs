@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use shared_types::{BEAMS, Scan, WINDOW};
+use shared_types::{BEAMS, ScanGeometry, WINDOW};
 
 use crate::UrgError;
 use crate::coding::checksum;
@@ -84,8 +84,9 @@ impl SensorParameters {
 
     /// First and last step that the beams of a scan need and the scanner measures.
     pub fn steps_of_beams(&self) -> (u16, u16) {
-        let step =
-            |beam: usize| f64::from(self.front) + Scan::beam_yaw_rad(beam) * f64::from(self.steps) / TAU;
+        let step = |beam: usize| {
+            f64::from(self.front) + ScanGeometry::URG_04LX.yaw_rad(beam) * f64::from(self.steps) / TAU
+        };
         let first = step(0).round().max(f64::from(self.first));
         (first as u16, step(BEAMS - 1).round().min(f64::from(self.last)) as u16)
     }
@@ -97,7 +98,8 @@ impl SensorParameters {
     pub fn require_fit(&self, rate_hz: Option<f64>, skip: u8) -> Result<(), UrgError> {
         let half_step = std::f64::consts::PI / f64::from(self.steps);
         let [right, left] = [self.first, self.last].map(|step| self.yaw_rad(f64::from(step)));
-        let [window_right, window_left] = [*WINDOW.start(), *WINDOW.end()].map(Scan::beam_yaw_rad);
+        let [window_right, window_left] =
+            [*WINDOW.start(), *WINDOW.end()].map(|beam| ScanGeometry::URG_04LX.yaw_rad(beam));
         if right > window_right + half_step || left < window_left - half_step {
             return Err(UrgError::Coverage {
                 model: self.model.clone(),

@@ -4,17 +4,17 @@
 //! lost. If none of them has a return, it takes the error code of the step nearest to it. A beam that the scanner never
 //! measures has [`NOT_MEASURED`]: an error code like the others, which shows neither an obstacle nor free space.
 
-use shared_types::{BEAMS, MIN_RANGE_MM, PITCH_RAD, Scan};
+use shared_types::{BEAMS, MIN_RANGE_MM, PITCH_RAD, ScanGeometry};
 
 use crate::command::{Coding, Measurement};
 use crate::model::SensorParameters;
 
 /// Error code of beams that the scanner never measures: "not measurable" of the URG-04LX.
-pub const NOT_MEASURED: u16 = 19;
+pub const NOT_MEASURED: u32 = 19;
 /// Error code of a range beyond the reach of the scanner or of the coding.
-const BEYOND: u16 = 0;
+const BEYOND: u32 = 0;
 /// Error code of a range below the shortest one of a model that is no error code of it: "other".
-const TOO_NEAR: u16 = 6;
+const TOO_NEAR: u32 = 6;
 /// Two characters code no larger range: it stands for all that are [mm].
 const MAX_OF_TWO: u32 = 4095;
 
@@ -43,9 +43,10 @@ impl Resampling {
             Coding::Two => parameters.max_mm.min(MAX_OF_TWO - 1),
             Coding::Three => parameters.max_mm.min(u32::from(u16::MAX)),
         };
-        let sources =
-            std::array::from_fn(|beam| source_of(Scan::beam_yaw_rad(beam), parameters, measurement));
-        Self { sources, min_mm: parameters.min_mm.max(u32::from(MIN_RANGE_MM)), max_mm }
+        let sources = std::array::from_fn(|beam| {
+            source_of(ScanGeometry::URG_04LX.yaw_rad(beam), parameters, measurement)
+        });
+        Self { sources, min_mm: parameters.min_mm.max(MIN_RANGE_MM), max_mm }
     }
 
     /// Number of beams that the measurement reaches.
@@ -54,12 +55,12 @@ impl Resampling {
     }
 
     /// Fills the beams with the ranges of a scan [mm, or an error code below 20].
-    pub fn apply(&self, ranges: &[u32], beams: &mut [u16; BEAMS]) {
+    pub fn apply(&self, ranges: &[u32], beams: &mut [u32]) {
         for (beam, source) in beams.iter_mut().zip(&self.sources) {
             let group = ranges.get(usize::from(source.first)..usize::from(source.end)).unwrap_or_default();
             let valid = group.iter().filter(|range| (self.min_mm..=self.max_mm).contains(*range)).min();
             *beam = match (valid, ranges.get(usize::from(source.nearest))) {
-                (Some(range), _) => *range as u16,
+                (Some(range), _) => *range,
                 (None, Some(code)) if !group.is_empty() => self.code_of(*code),
                 _ => NOT_MEASURED,
             };
@@ -67,9 +68,9 @@ impl Resampling {
     }
 
     /// The error code of a range that is none.
-    fn code_of(&self, range: u32) -> u16 {
+    fn code_of(&self, range: u32) -> u32 {
         match range {
-            range if range < u32::from(MIN_RANGE_MM) => range as u16,
+            range if range < MIN_RANGE_MM => range,
             range if range > self.max_mm => BEYOND,
             _ => TOO_NEAR,
         }
@@ -158,7 +159,7 @@ mod tests {
             assert!(!hit.is_empty(), "step {step} is lost");
             let yaw = parameters.yaw_rad(step as f64);
             assert!(
-                hit.iter().all(|beam| (Scan::beam_yaw_rad(*beam) - yaw).abs() < PITCH_RAD),
+                hit.iter().all(|beam| (ScanGeometry::URG_04LX.yaw_rad(*beam) - yaw).abs() < PITCH_RAD),
                 "{step}: {hit:?}"
             );
         }

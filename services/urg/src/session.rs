@@ -8,7 +8,7 @@
 use std::fmt::Write as _;
 
 use device_clock::{ClockEvent, ClockSettings, DeviceClock};
-use shared_types::{BEAMS, Scan};
+use shared_types::{BEAMS, Scan, ScanGeometry};
 
 use crate::UrgError;
 use crate::command::{Measurement, ScipCommand};
@@ -224,9 +224,10 @@ impl ScannerSession {
         scan.sweep_ns = parameters.turn_ns() * BEAMS as u64 / 1024;
         scan.period_ns = parameters.turn_ns() * u64::from(self.config.skip + 1);
         scan.missing = is_missing.into();
+        scan.set_geometry(ScanGeometry::URG_04LX);
         match is_missing {
-            true => scan.ranges_mm = [0; BEAMS],
-            false => resampling.apply(self.parser.ranges(), &mut scan.ranges_mm),
+            true => scan.ranges_mut().fill(0),
+            false => resampling.apply(self.parser.ranges(), scan.ranges_mut()),
         }
         self.deadline_ns = arrived_ns.saturating_add(SILENT_PERIODS * scan.period_ns);
         self.counters.clock_jumps += u64::from(mapped.event != ClockEvent::Regular);

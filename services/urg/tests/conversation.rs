@@ -354,7 +354,7 @@ proptest! {
         prop_assert!((1..=3).contains(&found) || is_harmless && found == 0, "{found} damaged pieces");
         let readings = &pair.readings[begin..];
         for (reading, scan) in readings {
-            let expected = |beam: usize| if reading.is_missing { 0 } else { 1_000 + 3 * (44 + beam) as u16 };
+            let expected = |beam: usize| if reading.is_missing { 0 } else { 1_000 + 3 * (44 + beam) as u32 };
             prop_assert!((0..BEAMS).all(|beam| scan.ranges_mm[beam] == expected(beam)), "{reading:?}");
         }
         let whole = readings.iter().filter(|(reading, _)| !reading.is_missing).count();

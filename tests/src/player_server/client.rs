@@ -8,7 +8,7 @@ use player::command::{ClientMessage, DeliveryMode, QueueRule, access};
 use player::header::{DeviceAddress, HEADER, MessageHeader, interface, kind};
 use player::xdr::{put_f64s, put_text, put_u32};
 use rustix::net::RecvFlags;
-use shared_types::{BEAMS, Scan};
+use shared_types::{BEAMS, ScanGeometry};
 
 use super::world::{Data, MAX_RANGE_M, World};
 
@@ -233,7 +233,7 @@ fn geometry(of: DeviceAddress, payload: &mut Vec<u8>) {
 }
 
 fn configuration(of: DeviceAddress, payload: &mut Vec<u8>) {
-    let (first, last) = (Scan::beam_yaw_rad(0), Scan::beam_yaw_rad(BEAMS - 1));
+    let (first, last) = (ScanGeometry::URG_04LX.yaw_rad(0), ScanGeometry::URG_04LX.yaw_rad(BEAMS - 1));
     // Stage reports the opening by the number of beams.
     let resolution = (last - first) / BEAMS as f64;
     if of == LASER {
@@ -246,7 +246,7 @@ fn configuration(of: DeviceAddress, payload: &mut Vec<u8>) {
 }
 
 fn laser(ranges_m: &[f64]) -> Vec<u8> {
-    let (first, last) = (Scan::beam_yaw_rad(0), Scan::beam_yaw_rad(BEAMS - 1));
+    let (first, last) = (ScanGeometry::URG_04LX.yaw_rad(0), ScanGeometry::URG_04LX.yaw_rad(BEAMS - 1));
     let mut payload = Vec::new();
     put_f32s(&mut payload, &[first, last, (last - first) / BEAMS as f64, MAX_RANGE_M]);
     put_u32(&mut payload, ranges_m.len() as u32);

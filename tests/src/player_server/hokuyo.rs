@@ -17,7 +17,7 @@ const TURN_NS: u64 = 100_000_000;
 const AFTER_NS: u64 = 1_000_000;
 
 /// Error code of a beam without a return.
-const NO_RETURN: u16 = 0;
+const NO_RETURN: u32 = 0;
 
 /// The scanner.
 #[derive(Debug)]
@@ -26,7 +26,7 @@ pub(super) struct Hokuyo {
     /// What happens to scans, and to how many.
     pub(super) damage: (DeviceFault, usize),
     /// What it has measured, by beam [mm].
-    pub(super) shown: Vec<Vec<u16>>,
+    pub(super) shown: Vec<Vec<u32>>,
 }
 
 impl Hokuyo {
@@ -49,10 +49,10 @@ impl Hokuyo {
     /// Stands before these ranges, by beam [m].
     pub(super) fn show(&mut self, ranges_m: &[f64]) {
         let in_mm =
-            |range_m: &f64| if *range_m < MAX_RANGE_M { (range_m * 1e3).round() as u16 } else { NO_RETURN };
-        let ranges_mm: Vec<u16> = ranges_m.iter().map(in_mm).collect();
+            |range_m: &f64| if *range_m < MAX_RANGE_M { (range_m * 1e3).round() as u32 } else { NO_RETURN };
+        let ranges_mm: Vec<u32> = ranges_m.iter().map(in_mm).collect();
         let steps = self.port.emulator.scene().iter_mut().skip(FIRST_STEP);
-        steps.zip(&ranges_mm).for_each(|(step, range_mm)| *step = u32::from(*range_mm));
+        steps.zip(&ranges_mm).for_each(|(step, range_mm)| *step = *range_mm);
         self.shown.push(ranges_mm);
         let (fault, count) = self.damage;
         if count > 0 {

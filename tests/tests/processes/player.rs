@@ -402,12 +402,12 @@ fn survives_damage(damage: DeviceFault, reason: &str) {
     let scans = scans.into_inner();
     let (missing, whole): (Vec<&Scan>, Vec<&Scan>) = scans.iter().partition(|scan| scan.missing.is_set());
     assert!(
-        !missing.is_empty() && missing.iter().all(|scan| scan.ranges_mm == [0; BEAMS]),
+        !missing.is_empty() && missing.iter().all(|scan| scan.ranges() == [0; BEAMS]),
         "{}",
         missing.len()
     );
     let measured = server.measured();
-    let is_as_measured = |scan: &&Scan| measured.iter().any(|ranges_mm| ranges_mm[..] == scan.ranges_mm[..]);
+    let is_as_measured = |scan: &&Scan| measured.iter().any(|ranges_mm| ranges_mm[..] == *scan.ranges());
     let others = whole.iter().filter(|scan| !is_as_measured(scan)).count();
     assert!(whole.len() > 30 && others == 0, "{others} of {} scans have other ranges", whole.len());
     drop((observer, bus));

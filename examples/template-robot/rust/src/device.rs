@@ -5,7 +5,7 @@
 
 use std::f64::consts::TAU;
 
-use shared_types::{BEAMS, Scan};
+use shared_types::{BEAMS, ScanGeometry};
 
 use crate::odometry::Pose;
 
@@ -17,7 +17,7 @@ pub(crate) struct Sweep {
     /// How many beams have come; less than [`BEAMS`] when the sweep broke off.
     pub(crate) beams: usize,
     /// Range per beam, counter-clockwise from the right; below 20 is no return [mm].
-    pub(crate) ranges_mm: [u16; BEAMS],
+    pub(crate) ranges_mm: [u32; BEAMS],
 }
 
 impl Device {
@@ -134,15 +134,15 @@ impl Device {
     }
 
     /// Distances to the walls, with an error of up to a centimetre.
-    fn measure(&mut self) -> [u16; BEAMS] {
+    fn measure(&mut self) -> [u32; BEAMS] {
         let Pose { x_m, y_m, yaw_rad, .. } = self.pose;
         std::array::from_fn(|beam| {
-            let (sin, cos) = (yaw_rad + Scan::beam_yaw_rad(beam)).sin_cos();
+            let (sin, cos) = (yaw_rad + ScanGeometry::URG_04LX.yaw_rad(beam)).sin_cos();
             let along = if cos > 0.0 { (WALLS_M[1] - x_m) / cos } else { (WALLS_M[0] + x_m) / -cos };
             let across = if sin > 0.0 { (WALLS_M[2] - y_m) / sin } else { (WALLS_M[2] + y_m) / -sin };
             let range_m = along.min(across);
             let noise_mm = self.random(20) as f64 - 10.0;
-            if range_m < FAR_M { (range_m * 1e3 + noise_mm) as u16 } else { 0 }
+            if range_m < FAR_M { (range_m * 1e3 + noise_mm) as u32 } else { 0 }
         })
     }
 

@@ -4,7 +4,9 @@ use std::rc::Rc;
 
 use device_clock::{ClockEvent, ClockSettings, DeviceClock};
 use runtime::{Input, Output, Process, RuntimeError, Wheels};
-use shared_types::{Actuation, ActuationKind, BEAMS, DeviceState, Header, Odometry, Phase, Scan};
+use shared_types::{
+    Actuation, ActuationKind, BEAMS, DeviceState, Header, Odometry, Phase, Scan, ScanGeometry,
+};
 
 use crate::device::{Device, Sweep};
 use crate::odometry::{History, Pose, wrap};
@@ -222,13 +224,13 @@ fn is_possible(actuation: &Actuation) -> bool {
 /// The scan; a sweep that broke off is marked as missing, with zeros only.
 fn scan_of(sweep: &Sweep, header: Header, period_ns: u64) -> Scan {
     let is_whole = sweep.beams == BEAMS;
-    Scan {
-        header,
-        sweep_ns: period_ns * 2 / 3,
-        period_ns,
-        ranges_mm: if is_whole { sweep.ranges_mm } else { [0; BEAMS] },
-        missing: (!is_whole).into(),
+    let mut scan =
+        Scan { header, sweep_ns: period_ns * 2 / 3, period_ns, ..Scan::of(ScanGeometry::URG_04LX) };
+    match is_whole {
+        true => scan.ranges_mut().copy_from_slice(&sweep.ranges_mm),
+        false => scan.missing = true.into(),
     }
+    scan
 }
 
 /// The odometry, with what has changed since the sample before.

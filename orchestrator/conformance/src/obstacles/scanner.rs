@@ -8,7 +8,7 @@
 //! Where this fails: the robot of a recorded drive moves on after a stop. So only some cases require that a stop lasts.
 
 use emulator::scenario::{Scanner, ScenarioObstacle, Shape};
-use shared_types::{BEAMS, FRONT_BEAM, Flag, Obstacles, PITCH_RAD, SECTOR_BEAMS, SECTORS, ScannerHealth};
+use shared_types::{FRONT_BEAM, Flag, MAX_BEAMS, Obstacles, PITCH_RAD, SECTOR_BEAMS, SECTORS, ScannerHealth};
 
 use super::failing::{FAULT_S, Failing, ONSET_M, state, stops};
 use super::{BOX_M, covers_the_box, position_at};
@@ -159,7 +159,7 @@ pub(crate) fn missing_scan(suite: &Suite) -> Verdict {
     for _ in 0..2 {
         let before = failing.before()?;
         let described =
-            failing.round_with(|scan| (scan.missing, scan.ranges_mm) = (Flag::from(true), [0; BEAMS]))?;
+            failing.round_with(|scan| (scan.missing, scan.ranges_mm) = (Flag::from(true), [0; MAX_BEAMS]))?;
         remembers(&described)?;
         let (was, is) = (state(&before), state(&described));
         let changes = || format!("one missing scan changes the state from `{was}` to `{is}`");

@@ -95,11 +95,11 @@ pub(crate) fn gaps(bench: &mut TestBench<'_>) -> Verdict {
     let measured = measured(bench)?;
     let mut shown = 0;
     for [(earlier, before), (scan, now)] in measured.array_windows() {
-        if returns(&scan.ranges_mm) < RETURNS || way_m(before, now) < MOVED_M {
+        if returns(scan.ranges()) < RETURNS || way_m(before, now) < MOVED_M {
             continue;
         }
         shown += 1;
-        let (scan_id, is_new) = (scan.header.scan_id, scan.ranges_mm != earlier.ranges_mm);
+        let (scan_id, is_new) = (scan.header.scan_id, scan.ranges() != earlier.ranges());
         require(is_new, || format!("scan {scan_id} repeats the ranges of the scan before"))?;
     }
     let missing = measured.iter().filter(|(scan, _)| scan.missing.is_set()).count();
@@ -115,7 +115,7 @@ fn passed_if_shown(holds: bool, shown: usize, measured: String) -> Verdict {
 }
 
 /// How many beams have a return.
-fn returns(ranges_mm: &[u16]) -> usize {
+fn returns(ranges_mm: &[u32]) -> usize {
     ranges_mm.iter().filter(|range| **range >= MIN_RANGE_MM).count()
 }
 
@@ -140,7 +140,8 @@ pub(crate) fn half_a_scan(bench: &mut TestBench<'_>) -> Verdict {
     scans.retain(|(scan, _)| !scan.missing.is_set());
     let (mut shown, mut most) = (0, 0);
     for [(earlier, before), (scan, now)] in scans.array_windows() {
-        let halves = [0..BEAMS / 2, BEAMS / 2..BEAMS];
+        let beams = scan.ranges().len().min(earlier.ranges().len());
+        let halves = [0..beams / 2, beams / 2..beams];
         let sees = halves.each_ref().map(|half| returns(&scan.ranges_mm[half.clone()]) >= RETURNS / 2);
         let [first, second] = [0, 1].map(|index| {
             let half = halves[index].clone();
@@ -158,8 +159,8 @@ pub(crate) fn half_a_scan(bench: &mut TestBench<'_>) -> Verdict {
 
 /// Beams of zeros at the end of a scan that has more of them.
 fn empty_end(scan: &Scan) -> usize {
-    let zeros = |beams: &mut dyn Iterator<Item = &u16>| beams.take_while(|range| **range == 0).count();
-    zeros(&mut scan.ranges_mm.iter()).max(zeros(&mut scan.ranges_mm.iter().rev()))
+    let zeros = |beams: &mut dyn Iterator<Item = &u32>| beams.take_while(|range| **range == 0).count();
+    zeros(&mut scan.ranges().iter()).max(zeros(&mut scan.ranges().iter().rev()))
 }
 
 pub(crate) fn counts_up(bench: &mut TestBench<'_>) -> Verdict {

@@ -6,8 +6,8 @@
 use std::fmt;
 
 use shared_types::{
-    Actuation, ActuationKind, BEAMS, Command, CommandKind, MIN_RANGE_MM, Obstacles, Odometry, Pose, Role,
-    Scan, Truth,
+    Actuation, ActuationKind, Command, CommandKind, MIN_RANGE_MM, Obstacles, Odometry, Pose, Role, Scan,
+    Truth,
 };
 use vehicle::frame::wrap_angle;
 
@@ -61,7 +61,7 @@ pub struct Sensed {
     /// True yaw, x, y; a real robot has none [rad, m, m].
     pub truth: Option<[f64; 3]>,
     /// Range per beam, below 20 an error code [mm].
-    pub ranges_mm: [u16; BEAMS],
+    pub ranges_mm: Vec<u32>,
 }
 
 impl Sensed {
@@ -70,18 +70,19 @@ impl Sensed {
         Self {
             reported: [odometry.yaw_rad, odometry.x_m, odometry.y_m],
             truth: truth.map(|truth| [truth.yaw_rad, truth.x_m, truth.y_m]),
-            ranges_mm: scan.ranges_mm,
+            ranges_mm: scan.ranges().to_vec(),
         }
     }
 
     /// How many beams show another surface than those of `other`, more than `limit_m` apart.
     fn other_beams(&self, other: &Self, limit_m: f64) -> usize {
-        let is_other = |(one, other): &(&u16, &u16)| {
+        let is_other = |(one, other): &(&u32, &u32)| {
             let have_range = [one, other].map(|range| **range >= MIN_RANGE_MM);
             let apart_m = f64::from(one.abs_diff(**other)) * 1e-3;
             have_range[0] != have_range[1] || have_range[0] && apart_m > limit_m
         };
-        self.ranges_mm.iter().zip(&other.ranges_mm).filter(is_other).count()
+        let more = self.ranges_mm.len().abs_diff(other.ranges_mm.len());
+        self.ranges_mm.iter().zip(&other.ranges_mm).filter(is_other).count() + more
     }
 }
 
@@ -210,7 +211,7 @@ fn sensed(old: &Sensed, new: &Sensed, tolerance: f64, meant: &Meant) -> Option<D
     let truths = old.truth.zip(new.truth);
     let bounds =
         [TRUE_POSITION_M * tolerance + meant.true_position_m, TRUE_YAW_RAD * tolerance + meant.true_yaw_rad];
-    let other = new.other_beams(old, RANGE_M * tolerance) as f64 / BEAMS as f64;
+    let other = new.other_beams(old, RANGE_M * tolerance) as f64 / old.ranges_mm.len() as f64;
     truths
         .and_then(|(old, new)| placed(["true position", "true yaw"], &old, &new, bounds))
         .or_else(|| {
@@ -266,7 +267,7 @@ pub fn differences(old: &OutputSummary, new: &OutputSummary) -> Option<Vec<f64>>
         (OutputSummary::Sensed(old), OutputSummary::Sensed(new)) => {
             let truths = old.truth.zip(new.truth);
             let apart = truths.map_or(0.0, |(old, new)| (new[1] - old[1]).hypot(new[2] - old[2]));
-            let other = new.other_beams(old, RANGE_M) as f64 / BEAMS as f64;
+            let other = new.other_beams(old, RANGE_M) as f64 / old.ranges_mm.len() as f64;
             [places(&old.reported, &new.reported), vec![apart, other]].concat()
         }
         (OutputSummary::Obstacles(old), OutputSummary::Obstacles(new)) => {
@@ -328,7 +329,7 @@ fn actuation_name(kind: u32) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use shared_types::{CommandKind, Obstacle};
+    use shared_types::{BEAMS, CommandKind, MAX_BEAMS, Obstacle, ScanGeometry};
 
     fn command(velocity_mps: f64, steering_rad: f64) -> OutputSummary {
         let kind = CommandKind::Drive.wire();
@@ -403,7 +404,7 @@ mod tests {
 
     /// A robot with all ranges 2 m.
     fn robot() -> Sensed {
-        let scan = Scan { ranges_mm: [2000; BEAMS], ..Scan::default() };
+        let scan = Scan { ranges_mm: [2000; MAX_BEAMS], ..Scan::of(ScanGeometry::URG_04LX) };
         Sensed::new(&scan, &Odometry::default(), Some(&Truth::default()))
     }
 
@@ -431,8 +432,8 @@ mod tests {
         assert_eq!(text_of_robots(|new| new.ranges_mm.fill(2100)), "");
         let mut lost = robot();
         lost.ranges_mm.fill(0);
-        assert_eq!(lost.other_beams(&Sensed { ranges_mm: [19; BEAMS], ..lost.clone() }, 0.001), 0);
-        assert_eq!(robot().other_beams(&Sensed { ranges_mm: [MIN_RANGE_MM; BEAMS], ..robot() }, 1.98), 0);
+        assert_eq!(lost.other_beams(&Sensed { ranges_mm: vec![19; BEAMS], ..lost.clone() }, 0.001), 0);
+        assert_eq!(robot().other_beams(&Sensed { ranges_mm: vec![MIN_RANGE_MM; BEAMS], ..robot() }, 1.98), 0);
     }
 
     #[test]

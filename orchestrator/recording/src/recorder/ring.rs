@@ -123,7 +123,7 @@ fn remove_oldest(out: &OutFolder) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use shared_types::{Checkpoint, Command, Header, Obstacles, Pose, Role, Scan, Topic};
+    use shared_types::{Checkpoint, Command, Header, Obstacles, Pose, Role, Scan, ScanGeometry, Topic};
 
     use super::*;
     use crate::tape::Tape;
@@ -179,11 +179,11 @@ mod tests {
         let (mut random, mut memory) = (1_u64, Vec::new());
         for scan_id in 1..=864_000 {
             let pose = pose(scan_id);
-            let mut scan = Scan { header: pose.header, ..Scan::default() };
+            let mut scan = Scan { header: pose.header, ..Scan::of(ScanGeometry::URG_04LX) };
             scan.header.chain[Role::Robot.index()].published_ns = scan_id * 100_000_000;
-            for range in &mut scan.ranges_mm {
+            for range in scan.ranges_mut() {
                 random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-                *range = 2000 + (random >> 58) as u16;
+                *range = 2000 + (random >> 58) as u32;
             }
             let header = scan.header;
             let mut checkpoint = Checkpoint { header, role: Role::Obstacles.wire(), ..Checkpoint::default() };

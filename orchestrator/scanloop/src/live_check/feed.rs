@@ -138,7 +138,7 @@ fn wrapped(angle_rad: f64) -> f64 {
 pub(super) fn free_ahead_m(scan: &Scan, vehicle: &Description) -> f64 {
     let half_m = vehicle.width_m / 2.0 + SIDE_M;
     let returns = WINDOW.filter_map(|beam| {
-        let (range_m, yaw_rad) = (scan.range_m(beam)?, Scan::beam_yaw_rad(beam) + vehicle.scanner_yaw_rad);
+        let (range_m, yaw_rad) = (scan.range_m(beam)?, scan.beam_yaw_rad(beam) + vehicle.scanner_yaw_rad);
         let (x_m, y_m) = (range_m * yaw_rad.cos(), range_m * yaw_rad.sin());
         let (x_m, y_m) = (vehicle.scanner_x_m + x_m, vehicle.scanner_y_m + y_m);
         (y_m.abs() <= half_m).then_some(x_m - vehicle.length_m / 2.0)
@@ -152,6 +152,7 @@ const SIDE_M: f64 = 0.2;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use shared_types::ScanGeometry;
 
     #[test]
     fn distance_ahead_is_counted_along_the_body() {
@@ -166,7 +167,7 @@ mod tests {
     #[test]
     fn only_returns_in_the_way_of_the_body_count() {
         let vehicle = Description::default();
-        let mut scan = Scan::default();
+        let mut scan = Scan::of(ScanGeometry::URG_04LX);
         assert_eq!(free_ahead_m(&scan, &vehicle), f64::INFINITY);
         // 59.8 degrees to the right at 2 m: beside the way.
         scan.ranges_mm[*WINDOW.start()] = 2000;

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use session::control::{EventRow, SystemStatus};
-use shared_types::{Actuation, ActuationKind, BEAMS, Command, Obstacles, Pose, Role, Scan, Truth};
+use shared_types::{Actuation, ActuationKind, Command, Obstacles, Pose, Role, Scan, Truth};
 use vehicle::frame::to_track;
 use vehicle::{Description, Goal, Track};
 
@@ -95,10 +95,10 @@ impl Model {
         let scanner = to_track(pose.yaw_rad, vehicle.scanner_x_m, vehicle.scanner_y_m);
         let place = |beam| {
             let range_m = scan.range_m(beam)?;
-            let yaw = pose.yaw_rad + vehicle.scanner_yaw_rad + Scan::beam_yaw_rad(beam);
+            let yaw = pose.yaw_rad + vehicle.scanner_yaw_rad + scan.beam_yaw_rad(beam);
             Some([pose.x_m + scanner.x + range_m * yaw.cos(), pose.y_m + scanner.y + range_m * yaw.sin()])
         };
-        self.returns = (0..BEAMS).filter_map(place).collect();
+        self.returns = (0..scan.ranges().len()).filter_map(place).collect();
     }
 
     /// Whether the wheels are blocked now.

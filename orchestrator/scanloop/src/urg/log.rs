@@ -63,7 +63,7 @@ fn write_line(line: &mut String, reading: &Reading, scan: &Scan) {
     columns[4] = u64::from(reading.stamp_ms);
     columns[5] = reading.error_ns / 1000;
     columns[6] = u64::from(reading.is_missing);
-    let ranges = scan.ranges_mm.iter().map(|range| u64::from(*range));
+    let ranges = scan.ranges().iter().map(|range| u64::from(*range));
     for value in columns.into_iter().chain(ranges) {
         // Writing to a text does not fail.
         let _ = write!(line, "{value} ");

@@ -6,7 +6,7 @@ use std::io::IsTerminal;
 use console::exit::{Exit, Failure};
 use console::output::redraw;
 use rustix::termios::tcgetwinsize;
-use shared_types::{BEAMS, FRONT_BEAM, MIN_RANGE_MM, Scan};
+use shared_types::{BEAMS, FRONT_BEAM, MIN_RANGE_MM, Scan, ScanGeometry};
 use urg::Reading;
 
 use super::arguments::PlotArguments;
@@ -25,7 +25,7 @@ pub(super) fn plot(arguments: &PlotArguments) -> anyhow::Result<Exit> {
         return Err(Failure::bad_input(format!("--range {} is not allowed: 0.1 to 100", arguments.range)));
     }
     let mut scanner = Scanner::open(&arguments.scanner)?;
-    let mut scan = Scan::default();
+    let mut scan = Scan::of(ScanGeometry::URG_04LX);
     let mut count = 0;
     while let Some(reading) = scanner.next(&mut scan)? {
         count += 1;
@@ -55,7 +55,7 @@ fn headline(reading: &Reading, scan: &Scan, count: u64) -> String {
     if reading.is_missing {
         return format!("scan {count}: damaged on the way");
     }
-    let valid = scan.ranges_mm.iter().filter(|range| **range >= MIN_RANGE_MM).count();
+    let valid = scan.ranges().iter().filter(|range| **range >= MIN_RANGE_MM).count();
     let ahead = match scan.range_m(FRONT_BEAM) {
         Some(range) => format!("{range:.3} m ahead"),
         None => format!("no return ahead (code {})", scan.ranges_mm[FRONT_BEAM]),
@@ -75,7 +75,7 @@ fn picture(scan: &Scan, range_m: f64, columns: usize, rows: usize) -> String {
     let dots_per_m = dots_per_m.min((rows * DOTS.1) as f64 / (1.5 * range_m));
     let centre = ((columns * DOTS.0) as f64 / 2.0, range_m * dots_per_m);
     for (beam, range) in (0..BEAMS).filter_map(|beam| scan.range_m(beam).map(|range| (beam, range))) {
-        let yaw = Scan::beam_yaw_rad(beam);
+        let yaw = scan.beam_yaw_rad(beam);
         let (x, y) = (centre.0 - range * yaw.sin() * dots_per_m, centre.1 - range * yaw.cos() * dots_per_m);
         if x >= 0.0 && y >= 0.0 && x < (columns * DOTS.0) as f64 && y < (rows * DOTS.1) as f64 {
             let (x, y) = (x as usize, y as usize);
@@ -101,10 +101,10 @@ mod tests {
 
     #[test]
     fn a_wall_ahead_is_drawn_above_the_scanner() {
-        let mut scan = Scan::default();
-        for (beam, range) in scan.ranges_mm.iter_mut().enumerate() {
-            let forward = Scan::beam_yaw_rad(beam).cos();
-            *range = if forward > 0.5 { (1000.0 / forward) as u16 } else { 0 };
+        let mut scan = Scan::of(ScanGeometry::URG_04LX);
+        for (beam, range) in scan.ranges_mut().iter_mut().enumerate() {
+            let forward = ScanGeometry::URG_04LX.yaw_rad(beam).cos();
+            *range = if forward > 0.5 { (1000.0 / forward) as u32 } else { 0 };
         }
         let text = picture(&scan, 2.0, 40, 15);
         let lines: Vec<&str> = text.lines().collect();

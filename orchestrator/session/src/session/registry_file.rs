@@ -3,7 +3,7 @@
 
 use emulator::Outcome;
 use runtime::monotonic_ns;
-use shared_types::{Authority, ROLES, Role};
+use shared_types::{Authority, Role, SLOTS};
 
 use super::Session;
 use crate::process_registry::{ProcessRegistry, Right, RoleRow};
@@ -12,7 +12,7 @@ use crate::process_registry::{ProcessRegistry, Right, RoleRow};
 const REWRITE_NS: u64 = 1_000_000_000;
 
 /// The registry is written when one of these changes: phase, stop, authority, whether the run ends.
-type Content = (u32, u32, [Authority; ROLES], bool);
+type Content = (u32, u32, [Authority; SLOTS], bool);
 
 /// The content that was written last.
 #[derive(Default)]

@@ -3,8 +3,8 @@
 use super::*;
 use bytemuck::bytes_of;
 use shared_types::{
-    Actuation, ActuationKind, Authority, Command, Directive, Header, Phase, Pose, ROLES, Sample, Scan,
-    StageStamps, Topic,
+    Actuation, ActuationKind, Authority, Command, Directive, Header, Phase, Pose, SLOTS, Sample, Scan,
+    ScanGeometry, StageStamps, Topic,
 };
 
 const PERIOD_NS: u64 = 100_000_000;
@@ -38,7 +38,7 @@ fn drive(name: &str) -> File {
         recording::Tape::new(recording::writer(std::fs::File::create(&file.0).unwrap()).unwrap(), false, 0);
     for scan_id in 1..=120 {
         let estimator = if scan_id < 60 { 2 } else { 12 };
-        let authority: [Authority; ROLES] = std::array::from_fn(|index| {
+        let authority: [Authority; SLOTS] = std::array::from_fn(|index| {
             let is_estimator = index == Role::Estimator.index();
             let incarnation = if is_estimator { estimator } else { index as u32 + 1 };
             Authority { incarnation, ..Authority::default() }
@@ -56,7 +56,7 @@ fn drive(name: &str) -> File {
             header: header::<Scan>(scan_id, of(Role::Robot), Role::Robot),
             period_ns: PERIOD_NS,
             sweep_ns: PERIOD_NS / 2,
-            ..Scan::default()
+            ..Scan::of(ScanGeometry::URG_04LX)
         };
         tape.sample(Topic::Scan, bytes_of(&scan)).unwrap();
         let pose = Pose {

@@ -128,7 +128,7 @@ impl Emulator {
             has_reported: u64::from(last.is_some()),
             appearing: appearing as u32,
             appeared_s,
-            repeated_mm: self.laser.repeated().copied().unwrap_or([0; BEAMS]),
+            repeated_mm: self.laser.repeated().map_or([0; BEAMS], |ranges| ranges.map(|range| range as u16)),
             repeats: self.laser.repeated().is_some().into(),
             ..self.state
         })
@@ -160,7 +160,7 @@ impl Emulator {
         self.odometer.last = (state.has_reported == 1).then_some(last);
         let appeared = state.appeared_s.iter().map(|appeared_s| (*appeared_s >= 0.0).then_some(*appeared_s));
         self.scene.set_appearances(appeared);
-        self.laser.repeat(state.repeats.is_set().then_some(state.repeated_mm));
+        self.laser.repeat(state.repeats.is_set().then(|| state.repeated_mm.map(u32::from)));
         let keep_ns = history_ns(&self.scenario, self.period_ns);
         self.history = History::new(node(state.plant_ns, &self.plant, &self.reckoning), keep_ns);
         Ok(())

@@ -276,7 +276,7 @@ fn a_scan_period_costs_far_less_than_a_scan_period() {
 }
 
 /// The bytes of all samples, so that -0.0 and 0.0 differ.
-fn bytemuck_bytes((scan, odometry, truth): &(Scan, Odometry, Truth)) -> (Vec<u16>, Vec<u64>) {
+fn bytemuck_bytes((scan, odometry, truth): &(Scan, Odometry, Truth)) -> (Vec<u32>, Vec<u64>) {
     let numbers = [
         odometry.x_m,
         odometry.y_m,
@@ -304,7 +304,7 @@ fn bytemuck_bytes((scan, odometry, truth): &(Scan, Odometry, Truth)) -> (Vec<u16
     ];
     let mut bits: Vec<u64> = numbers.iter().map(|number| number.to_bits()).collect();
     bits.extend([truth.steps, truth.refused, u64::from(truth.blocked), u64::from(truth.collided)]);
-    (scan.ranges_mm.to_vec(), bits)
+    (scan.ranges().to_vec(), bits)
 }
 
 /// A scene with everything that is remembered: triggers, moving bodies, noise, drift and play.
@@ -569,7 +569,7 @@ fn a_successor_of_a_stuck_scanner_repeats_the_same_ranges() {
     new.resume(&state).unwrap();
     for robot in [&mut old, &mut new] {
         robot.advance_to(robot.scan_ready_ns(6));
-        assert_eq!(measure(robot, 6).0.ranges_mm, state.repeated_mm);
+        assert_eq!(measure(robot, 6).0.ranges(), state.repeated_mm.map(u32::from));
     }
     assert_eq!(new.state(6), old.state(6));
 }

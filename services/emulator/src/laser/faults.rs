@@ -5,7 +5,7 @@
 //! fault never changes the noise or another fault, and more of it disturbs the same beams and others. Only a scanner
 //! that is turned sees other surfaces, with other noise.
 
-use shared_types::{BEAMS, MIN_RANGE_MM, Scan};
+use shared_types::{BEAMS, MIN_RANGE_MM, ScanGeometry};
 
 use super::{MAX_RANGE_M, NO_RETURN, Sweep};
 use crate::noise::{NoiseStream, Purpose};
@@ -20,7 +20,7 @@ const DUST_M: f64 = 1.0;
 /// Error codes and how many of 10,000 beams without a return carry them.
 ///
 /// Shares of a recorded URG-04LX indoors: 95 % are 0, 3.7 % are 7, 1 % are 6, few are the rest.
-const CODES: [(u16, u32); 8] = [(0, 9_500), (7, 370), (6, 100), (10, 6), (8, 6), (15, 6), (2, 6), (1, 6)];
+const CODES: [(u32, u32); 8] = [(0, 9_500), (7, 370), (6, 100), (10, 6), (8, 6), (15, 6), (2, 6), (1, 6)];
 
 /// Linear error of ranges.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -45,7 +45,7 @@ pub(super) struct Faults {
     seed: u64,
     scanner: Scanner,
     /// Ranges that it repeats while it is stuck.
-    pub(super) held: Option<[u16; BEAMS]>,
+    pub(super) held: Option<[u32; BEAMS]>,
 }
 
 impl Faults {
@@ -69,7 +69,7 @@ impl Faults {
     }
 
     /// Takes the returns of black surfaces that are too far away; `ranges` are the true ones [m].
-    pub(super) fn absorb(&self, time_ns: u64, ranges: &[f64], black: &[bool], ranges_mm: &mut [u16; BEAMS]) {
+    pub(super) fn absorb(&self, time_ns: u64, ranges: &[f64], black: &[bool], ranges_mm: &mut [u32]) {
         if !self.scanner.acts_at(time_ns) {
             return;
         }
@@ -81,7 +81,7 @@ impl Faults {
     }
 
     /// Loses and replaces readings.
-    pub(super) fn disturb(&self, sweep: &Sweep, ranges_mm: &mut [u16; BEAMS]) {
+    pub(super) fn disturb(&self, sweep: &Sweep, ranges_mm: &mut [u32]) {
         if !self.scanner.acts_at(sweep.front_ns) {
             return;
         }
@@ -94,12 +94,12 @@ impl Faults {
     }
 
     /// Takes all returns of the dead sectors.
-    fn cover(&self, ranges_mm: &mut [u16; BEAMS]) {
+    fn cover(&self, ranges_mm: &mut [u32]) {
         if self.scanner.dead_rad.is_empty() {
             return;
         }
         for (beam, reading) in ranges_mm.iter_mut().enumerate() {
-            let yaw = Scan::beam_yaw_rad(beam);
+            let yaw = ScanGeometry::URG_04LX.yaw_rad(beam);
             if self.scanner.dead_rad.iter().any(|[from, to]| (*from..=*to).contains(&yaw)) {
                 *reading = NO_RETURN;
             }
@@ -107,9 +107,14 @@ impl Faults {
     }
 
     /// Repeats the first scan from the time on at which the scanner is stuck.
-    pub(super) fn hold(&mut self, time_ns: u64, ranges_mm: &mut [u16; BEAMS]) {
+    pub(super) fn hold(&mut self, time_ns: u64, ranges_mm: &mut [u32]) {
         if self.scanner.is_stuck_at(time_ns) {
-            *ranges_mm = *self.held.get_or_insert(*ranges_mm);
+            let held = self.held.get_or_insert_with(|| {
+                let mut first = [0; BEAMS];
+                first.copy_from_slice(ranges_mm);
+                first
+            });
+            ranges_mm.copy_from_slice(held);
         } else {
             self.held = None;
         }
@@ -117,7 +122,7 @@ impl Faults {
 }
 
 /// Loses a share of the beams.
-fn lose(share: f64, mut stream: NoiseStream, ranges_mm: &mut [u16; BEAMS]) {
+fn lose(share: f64, mut stream: NoiseStream, ranges_mm: &mut [u32]) {
     if share <= 0.0 {
         return;
     }
@@ -129,20 +134,20 @@ fn lose(share: f64, mut stream: NoiseStream, ranges_mm: &mut [u16; BEAMS]) {
 }
 
 /// Replaces a share of the readings by random ranges of at most `reach_m`.
-fn scatter(share: f64, reach_m: f64, mut stream: NoiseStream, ranges_mm: &mut [u16; BEAMS]) {
+fn scatter(share: f64, reach_m: f64, mut stream: NoiseStream, ranges_mm: &mut [u32]) {
     if share <= 0.0 {
         return;
     }
     for reading in ranges_mm {
         let (is_hit, range) = (stream.chance(share), stream.between(MIN_RANGE_M, reach_m));
         if is_hit {
-            *reading = (range * 1000.0).round() as u16;
+            *reading = (range * 1000.0).round() as u32;
         }
     }
 }
 
 /// Gives each beam without a return an error code, whatever the reason, so that a code tells nothing.
-pub(super) fn draw_codes(seed: u64, scan_id: u64, ranges_mm: &mut [u16; BEAMS]) {
+pub(super) fn draw_codes(seed: u64, scan_id: u64, ranges_mm: &mut [u32]) {
     let mut stream = NoiseStream::new(seed, Purpose::Code, scan_id);
     for reading in ranges_mm {
         let code = code_of(stream.uniform());
@@ -153,7 +158,7 @@ pub(super) fn draw_codes(seed: u64, scan_id: u64, ranges_mm: &mut [u16; BEAMS]) 
 }
 
 /// The error code for a random number in [0, 1).
-fn code_of(uniform: f64) -> u16 {
+fn code_of(uniform: f64) -> u32 {
     let mut left = (uniform * 10_000.0) as u32;
     for (code, share) in CODES {
         if left < share {

@@ -32,7 +32,7 @@ fn in_hall(text: &str) -> Scenario {
 }
 
 /// Readings of one sweep, with the same code for all beams without a return.
-fn readings(scenario: &Scenario, history: &History) -> [u16; BEAMS] {
+fn readings(scenario: &Scenario, history: &History) -> [u32; BEAMS] {
     let mut ranges = [7; BEAMS];
     Laser::new(scenario).measure(&SWEEP, history, &Scene::new(scenario), &mut ranges);
     ranges.map(|reading| if reading < MIN_RANGE_MM { NO_RETURN } else { reading })

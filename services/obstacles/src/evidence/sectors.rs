@@ -6,7 +6,7 @@
 //! returns show nothing. The same holds for sectors that have not shown anything lately and lie between such
 //! sectors.
 
-use shared_types::{BEAMS, PITCH_RAD, SECTOR_BEAMS, SECTORS, Scan};
+use shared_types::{BEAMS, PITCH_RAD, SECTOR_BEAMS, SECTORS, Scan, ScanGeometry};
 
 use crate::evidence::snapshot::{Viewpoint, is_surface};
 use crate::points::{Beams, Place, Point, range_of};
@@ -144,7 +144,7 @@ pub(crate) fn unseen(failing: u64, lately: u64) -> u64 {
 /// A point at the lateral distance y is hidden in a sector from a to b while its distance ahead is from y / tan a to
 /// y / tan b. It was seen before when y / tan a is within the view; what was not comes into view at y / tan b.
 pub(crate) fn seen_ahead(unseen: u64, mounting_rad: f64, half_width: f64) -> f64 {
-    let edge = |beam: usize| Scan::beam_yaw_rad(beam) - PITCH_RAD / 2.0 + mounting_rad;
+    let edge = |beam: usize| ScanGeometry::URG_04LX.yaw_rad(beam) - PITCH_RAD / 2.0 + mounting_rad;
     let is_forward = |sector: &usize| edge(sector * SECTOR_BEAMS + SECTOR_BEAMS / 2).abs() < FORWARD_RAD;
     let blind = |sector: &usize| unseen >> sector & 1 == 1;
     let count = (0..SECTORS).filter(|sector| blind(sector) && is_forward(sector)).count();

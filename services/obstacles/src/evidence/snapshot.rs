@@ -1,7 +1,7 @@
 //! A scan that is kept for comparison, with the pose that it was taken from.
 
 use nalgebra::Vector2;
-use shared_types::{BEAMS, FRONT_BEAM, PITCH_RAD, Scan, plain_state};
+use shared_types::{BEAMS, FRONT_BEAM, PITCH_RAD, Scan, ScanGeometry, plain_state};
 use vehicle::geometry::Rectangle;
 
 use crate::points::{Beams, Place, Point, range_of};
@@ -20,7 +20,7 @@ plain_state! {
         pub sweep_ns: u64,
         /// One bit for each beam whose return is of something that does not move
         pub fixed: [u64; WORDS],
-        /// Ranges, below 20 for no return [mm]
+        /// Ranges, below 20 for no return; beyond the reach of the detector they may be shorter [mm]
         pub ranges_mm: [u16; BEAMS],
         /// Unused, zero
         pub reserved: u32,
@@ -48,18 +48,27 @@ pub(crate) struct Expected {
 impl Snapshot {
     /// No scan yet.
     pub(crate) fn empty() -> Self {
-        Self { scan: Scan::default(), place: None, fixed: [0; WORDS], points: Vec::with_capacity(BEAMS) }
+        Self {
+            scan: Scan::of(ScanGeometry::URG_04LX),
+            place: None,
+            fixed: [0; WORDS],
+            points: Vec::with_capacity(BEAMS),
+        }
     }
 
     /// The scan as plain bytes.
     pub(crate) fn state(&self) -> SnapshotState {
-        self.place.map_or_else(SnapshotState::default, |place| SnapshotState {
+        let Some(place) = self.place else { return SnapshotState::default() };
+        let mut state = SnapshotState {
             place: place.to_array(),
             sweep_ns: self.scan.sweep_ns,
             fixed: self.fixed,
-            ranges_mm: self.scan.ranges_mm,
-            reserved: 0,
-        })
+            ..SnapshotState::default()
+        };
+        for (kept, range) in state.ranges_mm.iter_mut().zip(self.scan.ranges()) {
+            *kept = u16::try_from(*range).unwrap_or(u16::MAX);
+        }
+        state
     }
 
     /// The scan of a state; none where its place is impossible.
@@ -68,8 +77,10 @@ impl Snapshot {
         if state.sweep_ns == 0 || !state.place.iter().all(|value| value.abs() < 1e6) {
             return;
         }
-        (self.scan.sweep_ns, self.scan.ranges_mm, self.fixed) =
-            (state.sweep_ns, state.ranges_mm, state.fixed);
+        (self.scan.sweep_ns, self.fixed) = (state.sweep_ns, state.fixed);
+        for (range, kept) in self.scan.ranges_mut().iter_mut().zip(&state.ranges_mm) {
+            *range = u32::from(*kept);
+        }
         let place = Place::from_array(state.place);
         beams.place(&self.scan, &place, &mut self.points);
         self.place = Some(place);
@@ -84,7 +95,8 @@ impl Snapshot {
         is_fixed: impl Fn(usize) -> bool,
     ) {
         self.place = Some(*place);
-        (self.scan.sweep_ns, self.scan.ranges_mm) = (scan.sweep_ns, scan.ranges_mm);
+        self.scan.sweep_ns = scan.sweep_ns;
+        self.scan.ranges_mut().copy_from_slice(scan.ranges());
         self.points.clear();
         self.points.extend_from_slice(points);
         self.fixed = [0; WORDS];
@@ -222,7 +234,7 @@ mod tests {
     #[test]
     fn ranges_that_change_as_a_whole_shift_the_scan_and_noise_does_not() {
         let (beams, place) = (Beams::new(), Place::standing(Vector2::zeros(), 0.0));
-        let mut scan = Scan::default();
+        let mut scan = Scan::of(ScanGeometry::URG_04LX);
         scan.ranges_mm[300..320].fill(2000);
         let (mut points, mut snapshot) = (Vec::new(), Snapshot::empty());
         beams.place(&scan, &place, &mut points);

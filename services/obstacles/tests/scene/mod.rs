@@ -11,7 +11,7 @@ use nalgebra::Vector2;
 use obstacles::{CoverRule, ObstacleDetector, ObstaclesConfig};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use shared_types::{BEAMS, Header, Obstacles, Pose, Scan};
+use shared_types::{BEAMS, Header, Obstacles, Pose, Scan, ScanGeometry};
 use vehicle::frame::to_robot;
 use vehicle::geometry::Rectangle;
 use vehicle::{Description, Surroundings};
@@ -102,12 +102,17 @@ impl Scene {
     pub fn scan(&mut self, robot: &Robot) -> (Scan, Pose) {
         self.scans += 1;
         let header = Header { scan_id: self.scans, acquired_ns: self.scans * PERIOD_NS, ..Header::default() };
-        let mut scan = Scan { header, sweep_ns: PERIOD_NS * 2 / 3, period_ns: PERIOD_NS, ..Scan::default() };
+        let mut scan = Scan {
+            header,
+            sweep_ns: PERIOD_NS * 2 / 3,
+            period_ns: PERIOD_NS,
+            ..Scan::of(ScanGeometry::URG_04LX)
+        };
         let mut last = None;
         for beam in 0..BEAMS {
             let time = scan.beam_time_s(beam);
             let seen = robot.after(time);
-            let angle = seen.yaw + Scan::beam_yaw_rad(beam);
+            let angle = seen.yaw + ScanGeometry::URG_04LX.yaw_rad(beam);
             let direction = Vector2::new(angle.cos(), angle.sin());
             let now = self.scans as f64 * 0.1 + time;
             let sharp = self.cast(Vector2::new(seen.x, seen.y), direction, now);
@@ -121,11 +126,12 @@ impl Scene {
             }
             last = sharp;
             let noise = self.range_noise * self.gauss();
-            let is_dead = |[low, high]: [f64; 2]| (low..=high).contains(&Scan::beam_yaw_rad(beam));
+            let is_dead =
+                |[low, high]: [f64; 2]| (low..=high).contains(&ScanGeometry::URG_04LX.yaw_rad(beam));
             let lost = self.uniform() < self.dropout || self.dead_rad.is_some_and(is_dead);
             scan.ranges_mm[beam] = match range {
                 Some(range) if !lost && range + noise < 5.6 => {
-                    ((range + noise).max(0.02) * 1e3).round() as u16
+                    ((range + noise).max(0.02) * 1e3).round() as u32
                 }
                 _ => 0,
             };

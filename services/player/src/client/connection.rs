@@ -230,7 +230,7 @@ fn fill(
     config: &PlayerConfig,
     session: &PlayerSession,
     sweep: &RangeSweep<'_>,
-) -> Result<[u16; BEAMS], Lost> {
+) -> Result<[u32; BEAMS], Lost> {
     let fan = sweep.fan.or(session.fan).ok_or(Lost::NoFan)?;
     let count = sweep.ranges_m.len();
     let beams = match beams.take().filter(|beams| beams.fits(&fan, count)) {

@@ -39,7 +39,7 @@ fn follow(config: &PlayerConfig, rate_hz: f64, outlet: &Outlet) -> Result<(), Ur
         let reading = source.next(WAIT_NS, &mut scan)?;
         if reading.is_some() {
             outlet.offer(ClientEvent::Scan {
-                ranges_mm: scan.ranges_mm,
+                ranges_mm: *scan.ranges_mm.first_chunk().expect("a scan has room for more beams"),
                 is_missing: scan.missing.is_set(),
                 front_ns: scan.header.acquired_ns,
                 sweep_ns: scan.sweep_ns,

@@ -26,7 +26,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
     let mut memory = Memory::default();
     while process.wait(None)? {
         for (scan, pose) in pairs(fault, &scans, &poses, &mut last)? {
-            let has_returns = scan.ranges_mm.iter().any(|range| *range >= MIN_RANGE_MM);
+            let has_returns = scan.ranges().iter().any(|range| *range >= MIN_RANGE_MM);
             if fault == "needs-returns" && !has_returns || fault == "needs-scans" && scan.missing.is_set() {
                 continue;
             }
@@ -70,7 +70,7 @@ fn pairs(
 struct Memory {
     count: u32,
     /// The scan before, and the way since its ranges were new [m].
-    ranges_mm: Vec<u16>,
+    ranges_mm: Vec<u32>,
     x_m: f64,
     way_m: f64,
     /// All ellipses that were ever reported.
@@ -82,8 +82,8 @@ struct Memory {
 impl Memory {
     fn see(&mut self, scan: &Scan, pose: &Pose, description: &Obstacles) {
         self.count += 1;
-        if self.ranges_mm != scan.ranges_mm {
-            (self.ranges_mm, self.x_m) = (scan.ranges_mm.to_vec(), pose.x_m);
+        if self.ranges_mm != scan.ranges() {
+            (self.ranges_mm, self.x_m) = (scan.ranges().to_vec(), pose.x_m);
         }
         self.way_m = pose.x_m - self.x_m;
         for item in description.list() {

@@ -2,7 +2,7 @@
 
 use emulator::{Emulator, Scenario};
 use runtime::{Process, monotonic_ns};
-use shared_types::{Actuation, ActuationKind, BEAMS, Odometry, Phase, Role, Scan, Truth};
+use shared_types::{Actuation, ActuationKind, BEAMS, MAX_BEAMS, Odometry, Phase, Role, Scan, Truth};
 
 use crate::{Outcome, everything};
 
@@ -142,7 +142,7 @@ struct Device {
     origin_ns: u64,
     period_ns: u64,
     /// The ranges published last.
-    ranges_mm: Option<[u16; BEAMS]>,
+    ranges_mm: Option<[u32; MAX_BEAMS]>,
     /// Where the base restarted.
     restarted: Option<Odometry>,
 }

@@ -37,8 +37,8 @@ struct Version {
 const VERSIONS: [Version; 9] = [
     Version {
         role: Role::Obstacles,
-        changes: &[("uint16_t ranges_mm[682];", "uint16_t ranges_mm[726];")],
-        message: "topic scan: field ranges_mm has 726 elements in this process, 682 in the system",
+        changes: &[("uint32_t ranges_mm[2048];", "uint32_t ranges_mm[2050];")],
+        message: "topic scan: field ranges_mm has 2050 elements in this process, 2048 in the system",
     },
     Version {
         role: Role::Estimator,
@@ -170,9 +170,9 @@ fn a_python_program_of_another_version_is_refused_with_the_field_in_the_certific
                 "topic command: field plan has 24 elements in this process, 25 in the system",
             ),
             (
-                "scanloop.Obstacles.v2",
                 "scanloop.Obstacles.v3",
-                "topic obstacles: the sample is of type scanloop.Obstacles.v3",
+                "scanloop.Obstacles.v4",
+                "topic obstacles: the sample is of type scanloop.Obstacles.v4",
             ),
         ]
         .into_iter()

@@ -8,7 +8,7 @@
 //! motion ahead: then there is no result.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
-use shared_types::{BEAMS, Scan, WINDOW};
+use shared_types::{BEAMS, Scan, ScanGeometry, WINDOW};
 use vehicle::Description;
 
 /// Returns on either side of one that its surface is a line through.
@@ -121,8 +121,8 @@ impl Surroundings {
     fn nearest(&self, point: &Vector2<f64>, gate_m: f64) -> Option<(Vector2<f64>, Vector2<f64>)> {
         let [x, y, yaw] = self.scanner;
         let direction = (point.y - y).atan2(point.x - x) - yaw;
-        let pitch = Scan::beam_yaw_rad(1) - Scan::beam_yaw_rad(0);
-        let beam = ((direction - Scan::beam_yaw_rad(0)) / pitch).round();
+        let pitch = ScanGeometry::URG_04LX.yaw_rad(1) - ScanGeometry::URG_04LX.yaw_rad(0);
+        let beam = ((direction - ScanGeometry::URG_04LX.yaw_rad(0)) / pitch).round();
         if !(0.0..BEAMS as f64).contains(&beam) {
             return None;
         }
@@ -138,7 +138,7 @@ impl Surroundings {
 
 /// A return in the frame of the body [m].
 fn point(range_m: f64, beam: usize, vehicle: &Description) -> Vector2<f64> {
-    let (sin, cos) = (Scan::beam_yaw_rad(beam) + vehicle.scanner_yaw_rad).sin_cos();
+    let (sin, cos) = (ScanGeometry::URG_04LX.yaw_rad(beam) + vehicle.scanner_yaw_rad).sin_cos();
     Vector2::new(vehicle.scanner_x_m + range_m * cos, vehicle.scanner_y_m + range_m * sin)
 }
 
@@ -167,10 +167,10 @@ mod tests {
 
     /// A scan from `x_m` along a corridor with a box ahead, or without one.
     fn scan(x_m: f64, speed_mps: f64, has_box: bool) -> Scan {
-        let mut scan = Scan { sweep_ns: 66_666_667, ..Scan::default() };
+        let mut scan = Scan { sweep_ns: 66_666_667, ..Scan::of(ScanGeometry::URG_04LX) };
         for beam in 0..BEAMS {
             let at_m = x_m + speed_mps * scan.beam_time_s(beam);
-            let (sin, cos) = Scan::beam_yaw_rad(beam).sin_cos();
+            let (sin, cos) = ScanGeometry::URG_04LX.yaw_rad(beam).sin_cos();
             let side = if sin == 0.0 { f64::INFINITY } else { 2.0 / sin.abs() };
             let ahead = (4.0 - at_m) / cos;
             let hits = has_box && cos > 0.0 && (ahead * sin).abs() <= 0.5;
@@ -178,7 +178,7 @@ mod tests {
             // Noise of 10 mm that a reader can repeat.
             let noise_mm = ((beam * 7919) % 21) as f64 - 10.0;
             if range_m < 5.6 {
-                scan.ranges_mm[beam] = (1e3 * range_m + noise_mm) as u16;
+                scan.ranges_mm[beam] = (1e3 * range_m + noise_mm) as u32;
             }
         }
         scan

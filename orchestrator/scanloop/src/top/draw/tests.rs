@@ -5,8 +5,8 @@ use ratatui_core::terminal::Terminal;
 use report::BlockingReport;
 use session::control::EventRow;
 use shared_types::{
-    Actuation, ActuationKind, Command, CommandKind, Obstacle, Obstacles, PlanNode, Pose, Scan, StopReason,
-    Truth,
+    Actuation, ActuationKind, Command, CommandKind, Obstacle, Obstacles, PlanNode, Pose, Scan, ScanGeometry,
+    StopReason, Truth,
 };
 use supervision::supervisor::VisibleState;
 use vehicle::{Goal, Track};
@@ -98,7 +98,7 @@ fn driving() -> Model {
         ..Model::default()
     };
     (0..40).for_each(|scan| model.react(1.0 + f64::from(scan % 7) * 0.25));
-    let mut scan = Scan::default();
+    let mut scan = Scan::of(ScanGeometry::URG_04LX);
     scan.ranges_mm.iter_mut().step_by(6).for_each(|range_mm| *range_mm = 3000);
     model.place(&scan);
     model

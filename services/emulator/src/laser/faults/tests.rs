@@ -9,12 +9,12 @@ use crate::scene::Scene;
 const WALLS: &str = "[track]\nwalls = true\ny_m = [-1.0, 1.0]\n";
 
 /// Readings of scan 1, whose front beam is taken at 0.1 s.
-fn scan(keys: &str, scene: &str) -> [u16; BEAMS] {
+fn scan(keys: &str, scene: &str) -> [u32; BEAMS] {
     scans(keys, scene, 1)[0]
 }
 
 /// Readings of scans 1 to `count`, ten a second, of a robot at rest.
-fn scans(keys: &str, scene: &str, count: u64) -> Vec<[u16; BEAMS]> {
+fn scans(keys: &str, scene: &str, count: u64) -> Vec<[u32; BEAMS]> {
     let scenario = quiet(&format!("{scene}\n[scanner]\n{keys}"));
     let (mut laser, scene, history) = (Laser::new(&scenario), Scene::new(&scenario), standing());
     let mut measure = |scan_id| {
@@ -26,13 +26,13 @@ fn scans(keys: &str, scene: &str, count: u64) -> Vec<[u16; BEAMS]> {
     (1..=count).map(&mut measure).collect()
 }
 
-fn is_return(reading: u16) -> bool {
+fn is_return(reading: u32) -> bool {
     reading >= MIN_RANGE_MM
 }
 
 /// How many beams report otherwise; both may have different codes.
-fn differences(one: &[u16; BEAMS], other: &[u16; BEAMS]) -> usize {
-    let differ = |(one, other): &(&u16, &u16)| one != other && (is_return(**one) || is_return(**other));
+fn differences(one: &[u32; BEAMS], other: &[u32; BEAMS]) -> usize {
+    let differ = |(one, other): &(&u32, &u32)| one != other && (is_return(**one) || is_return(**other));
     one.iter().zip(other).filter(differ).count()
 }
 
@@ -45,7 +45,7 @@ fn codes_have_the_shares_of_the_recording_and_their_sum_is_one() {
     // 68,200 beams without a return: 0.95 has a standard deviation of 0.0008, 0.037 of 0.0007.
     let all = scans("", "", 100);
     let share =
-        |code: u16| all.iter().flatten().filter(|reading| **reading == code).count() as f64 / 68_200.0;
+        |code: u32| all.iter().flatten().filter(|reading| **reading == code).count() as f64 / 68_200.0;
     assert!(
         (share(0) - 0.95).abs() < 0.004 && (share(7) - 0.037).abs() < 0.0035,
         "{} {}",
@@ -95,11 +95,11 @@ fn a_stuck_scanner_repeats_one_scan_until_the_fault_ends() {
 
 #[test]
 fn dropouts_come_in_steps_and_a_larger_share_loses_the_same_beams_and_others() {
-    let valid = |scan: &[u16; BEAMS]| scan.iter().filter(|reading| is_return(**reading)).count() as f64;
+    let valid = |scan: &[u32; BEAMS]| scan.iter().filter(|reading| is_return(**reading)).count() as f64;
     let healthy = scans("", WALLS, 30);
     let lossy = scans("dropout_steps = [[1.05, 0.25], [2.05, 0.75]]", WALLS, 30);
     let all: f64 = valid(&healthy[0]);
-    let share = |scans: &[[u16; BEAMS]]| scans.iter().map(valid).sum::<f64>() / (all * scans.len() as f64);
+    let share = |scans: &[[u32; BEAMS]]| scans.iter().map(valid).sum::<f64>() / (all * scans.len() as f64);
     // Ten scans of 600 beams and more: a standard deviation of 0.006.
     assert!(all > 600.0);
     assert_eq!(share(&lossy[..10]), 1.0);
@@ -137,7 +137,7 @@ fn a_turned_scanner_sees_a_post_in_other_beams() {
 fn salt_and_dust_replace_their_share_by_ranges_within_their_reach() {
     for (keys, reach_mm) in [("salt = 0.1", 5600), ("dust = 0.1", 1000)] {
         let all = scans(keys, "", 100);
-        let mut ranges: Vec<u16> = all.into_iter().flatten().filter(|reading| is_return(*reading)).collect();
+        let mut ranges: Vec<u32> = all.into_iter().flatten().filter(|reading| is_return(*reading)).collect();
         ranges.sort_unstable();
         // 0.1 of 68,200 has a standard deviation of 0.0011; the median is in the middle within 1.2 % of the reach.
         assert!((ranges.len() as f64 / 68_200.0 - 0.1).abs() < 0.006, "{keys}: {}", ranges.len());
