@@ -119,6 +119,16 @@ impl Scan {
         &mut self.ranges_mm[..count]
     }
 
+    /// Becomes `other`, but for places beyond its beams: a copy of a third of the bytes for an URG-04LX.
+    pub fn assign(&mut self, other: &Self) {
+        let Self { header, sweep_ns, period_ns, first_rad, increment_rad, beams, missing, ranges_mm: _ } =
+            *other;
+        (self.header, self.sweep_ns, self.period_ns) = (header, sweep_ns, period_ns);
+        (self.first_rad, self.increment_rad, self.beams) = (first_rad, increment_rad, beams);
+        self.missing = missing;
+        self.ranges_mut().copy_from_slice(other.ranges());
+    }
+
     /// Range of a beam [m], `None` when nothing came back.
     #[inline]
     pub fn range_m(&self, beam: usize) -> Option<f64> {
@@ -200,6 +210,9 @@ mod tests {
         let mut scan = Scan { header, sweep_ns: 2_048, period_ns: 3_000, ..Scan::of(around) };
         assert_eq!((scan.check(), scan.ranges().len()), (Ok(()), 2048));
         scan.ranges_mm[2047] = 100_000;
+        let mut other = Scan::of(ScanGeometry::URG_04LX);
+        other.assign(&scan);
+        assert_eq!((bytemuck::bytes_of(&other) == bytemuck::bytes_of(&scan), other.beams), (true, 2048));
         assert_eq!(scan.range_m(2047), Some(100.0));
         assert!((scan.beam_yaw_rad(2047) + 3.141).abs() < 1e-12);
         assert!(

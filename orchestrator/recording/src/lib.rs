@@ -1,6 +1,7 @@
 //! Recordings of drives: every sample of every topic in one file that other programs read too.
 
 pub mod copy;
+mod earlier;
 pub mod export;
 mod foxglove;
 pub mod info;

@@ -65,7 +65,7 @@ mod tests {
         let layout: runtime::LayoutFile = layout.parse().unwrap();
         let topic = OwnTopic { name: "imu-left".into(), own: layout.own_type().unwrap() };
         let Schema { name, text, .. } = topic.schema();
-        assert_eq!((name.as_str(), topic.size()), ("scanloop_imu_left/msg/Imu", 192 + 24 + 32));
+        assert_eq!((name.as_str(), topic.size()), ("scanloop_imu_left/msg/Imu", 288 + 24 + 32));
         assert!(text.contains("scanloop_msgs/Header header\n"), "{text}");
         assert!(text.contains("# Rates [rad/s]\nfloat64[3] rate\n"), "{text}");
         assert!(text.contains("MSG: scanloop_msgs/StageStamps\n"), "{text}");

@@ -9,6 +9,7 @@ use console::exit::Failure;
 use runtime::OwnTopics;
 use shared_types::{Difference, Field, Layouts, NotALayout, Role, TOPICS, Topic};
 
+use crate::earlier::{self, EarlierLayout, is_earlier, widen_header};
 use crate::foxglove::{CHANNELS, LOG, LogLine, log_line};
 use crate::mcap::{CDR, Contents, McapReader, ReadError};
 use crate::own::OwnTopic;
@@ -44,6 +45,10 @@ pub struct Recording {
     aligned: Vec<u64>,
     /// Of each joined file, topics whose samples have another layout, once they are known.
     others: Option<Vec<BTreeSet<String>>>,
+    /// Of each joined file, how samples of version 0.1 become those of today.
+    earlier: Vec<Vec<EarlierLayout>>,
+    /// Such a sample as it was recorded.
+    recorded: Vec<u64>,
     /// Channels of joined files that only viewers read, as far as they are known.
     drawn: BTreeSet<(usize, u16)>,
     /// Lines of logs that were read, and their memory [bytes].
@@ -84,6 +89,8 @@ impl Recording {
             reader,
             aligned: Vec::new(),
             others: None,
+            earlier: Vec::new(),
+            recorded: Vec::new(),
             drawn: BTreeSet::new(),
             lines: Vec::new(),
             line_bytes: 0,
@@ -163,6 +170,7 @@ impl Recording {
         if self.others.is_none() {
             let others = self.files().iter().map(|contents| other_topics(&self.path, contents));
             self.others = Some(others.collect::<Result<_, _>>()?);
+            self.earlier = self.files().iter().map(earlier_topics).collect();
         }
         loop {
             if within == Some(self.reader.chunk_at()) && self.reader.is_chunk_over() {
@@ -210,8 +218,17 @@ impl Recording {
                     known.encoding
                 ));
             }
-            if length != topic.size() {
-                return refuse(format!("a sample has {length} bytes instead of {}", topic.size()));
+            let earlier = self.earlier[file].get(topic as usize);
+            let size = earlier.map_or(topic.size(), |earlier| earlier.size);
+            if length != size {
+                return refuse(format!("a sample has {length} bytes instead of {size}"));
+            }
+            if let Some(earlier) = earlier {
+                std::mem::swap(&mut self.aligned, &mut self.recorded);
+                self.aligned.resize(topic.size().div_ceil(8).max(self.aligned.len()), 0);
+                let recorded = &bytemuck::cast_slice::<u64, u8>(&self.recorded)[..length];
+                let sample = &mut bytemuck::cast_slice_mut::<u64, u8>(&mut self.aligned)[..topic.size()];
+                earlier.convert(recorded, sample);
             }
             return Ok(Some((topic, log_ns)));
         }
@@ -232,6 +249,7 @@ impl Recording {
         let file = File::open(&self.path).map_err(|error| refusal(&self.path, &error.into()))?;
         let mut reader =
             McapReader::new(BufReader::new(file)).map_err(|error| refusal(&self.path, &error))?;
+        let is_earlier: Vec<bool> = self.files().iter().map(earlier::is_of).collect();
         let mut data = Vec::new();
         loop {
             let message = match reader.next_message() {
@@ -242,6 +260,9 @@ impl Recording {
             let (channel, log_ns) = (message.channel, message.log_ns);
             data.clear();
             data.extend_from_slice(message.data.get(ENCAPSULATION.len()..).unwrap_or_default());
+            if is_earlier[reader.file()] {
+                widen_header(&mut data);
+            }
             let channel = reader.contents().channels.get(&channel);
             let name = channel.and_then(|channel| channel.topic.strip_prefix(PREFIX)).unwrap_or_default();
             let topic = own[reader.file()].iter().find(|topic| topic.name() == name);
@@ -273,14 +294,17 @@ impl Recording {
     }
 
     /// The fields in which the layouts of its samples differ from those of this program; a topic that the recording does not
-    /// know has no samples.
+    /// know has no samples, and those of version 0.1 are read as they are today.
     ///
     /// # Errors
     /// A table of layouts that can't be read.
     pub fn layout_differences(contents: &Contents) -> Result<Vec<Difference>, NotALayout> {
         let Some(text) = attachment(contents, LAYOUTS) else { return Ok(Vec::new()) };
         let (built_in, recorded): (_, Layouts) = (Layouts::built_in(), text.parse()?);
-        let is_known = |topic: &&Topic| recorded.rows.iter().any(|row| row.topic == topic.name());
+        if is_earlier(&recorded) {
+            return Ok(Vec::new());
+        }
+        let is_known = |topic: &&Topic| earlier::has(&recorded, **topic);
         let of_topic = |topic: &Topic| shared_types::differences(&built_in, &recorded, topic.name());
         Ok(TOPICS.iter().filter(is_known).flat_map(of_topic).collect())
     }
@@ -290,6 +314,13 @@ impl Recording {
 fn own_topics(contents: &Contents) -> Vec<OwnTopic> {
     let table = attachment(contents, runtime::TOPICS_FILE).and_then(OwnTopics::recorded);
     table.as_ref().map_or_else(Vec::new, OwnTopic::all)
+}
+
+/// How its samples become those of today, by topic; empty where they are.
+fn earlier_topics(contents: &Contents) -> Vec<EarlierLayout> {
+    let recorded: Option<Layouts> = attachment(contents, LAYOUTS).and_then(|text| text.parse().ok());
+    let recorded = recorded.filter(is_earlier);
+    recorded.map_or_else(Vec::new, |recorded| TOPICS.map(|topic| EarlierLayout::new(&recorded, topic)).into())
 }
 
 /// Topics whose samples have another layout.

@@ -49,7 +49,7 @@ impl Stage for DetectorStage {
         if let Some(scan) = sample.get::<Scan>() {
             self.refusal = unknown(&scan.geometry());
             match self.refusal {
-                None => *self.scan.get_or_insert_default() = *scan,
+                None => self.scan.get_or_insert_default().assign(scan),
                 Some(_) => self.scan = None,
             }
         } else if let Some(pose) = sample.get() {

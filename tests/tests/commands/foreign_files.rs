@@ -231,3 +231,33 @@ fn words_of_foreign_files_do_not_speak_to_the_terminal() {
         assert!(!speaks(&text), "{arguments:?}: {text:?}");
     }
 }
+
+/// A drive of 1.5 s that version 0.1 recorded; its samples have other layouts.
+#[test]
+fn a_recording_of_version_0_1_is_replayed_to_the_bit_and_read_by_names() {
+    let system = TestSystem::new(EXECUTABLE);
+    let drive = concat!(env!("CARGO_MANIFEST_DIR"), "/data/drive-0.1.mcap");
+    let (code, text) = printed(&system, &["replay", drive, "--json"]);
+    let replayed: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(
+        (code, &replayed["skipped"], &replayed["not_replayed"]),
+        (0, &0.into(), &serde_json::json!([])),
+        "{text}"
+    );
+    assert!(
+        replayed["compared"].as_u64().unwrap() >= 100 && replayed["compared"] == replayed["identical"],
+        "{text}"
+    );
+    let (code, text) = printed(&system, &["recording", "info", drive]);
+    assert!(code == 0 && !text.contains("another layout"), "{text}");
+    let folder = system.folder().join("tables");
+    let (code, text) = printed(&system, &["recording", "export", drive, "--csv", folder.to_str().unwrap()]);
+    assert_eq!(code, 0, "{text}");
+    let scans = std::fs::read_to_string(folder.join("scan.csv")).unwrap();
+    let mut lines = scans.lines().map(|line| line.split(',').collect::<Vec<_>>());
+    let names = lines.next().unwrap();
+    let first = lines.next().unwrap();
+    let of = |name: &str| first[names.iter().position(|found| *found == name).unwrap()];
+    let found = ["header.scan_id", "beams", "ranges_mm.0", "ranges_mm.682"].map(of);
+    assert_eq!(found, ["1", "682", "4025", "0"]);
+}

@@ -99,7 +99,7 @@ fn a_flipped_bit_is_found_with_its_field() {
         let (system, file) = recorded(&SHORT_FREE);
         let flipped = system.folder().join("flipped.mcap");
         // The yaw of the tenth pose stands behind the encapsulation and the header.
-        rewrite(&file, &flipped, "/scanloop/pose", |number, data| data[4 + 192] ^= u8::from(number == 9));
+        rewrite(&file, &flipped, "/scanloop/pose", |number, data| data[4 + 288] ^= u8::from(number == 9));
         let (report, code) = replayed(&system, &flipped, &["--stage", "estimator"]);
         assert_eq!(
             (

@@ -52,7 +52,7 @@ fn a_companion_and_its_topic_are_in_the_table() {
     let table = read(&system, &folder.0.join("lab.toml").display().to_string()).unwrap();
     let row = &table.topic[0];
     assert_eq!((row.name.as_str(), row.writer.as_str(), row.queue, row.readers), ("imu", "sensor", 4, 8));
-    assert_eq!(row.layout.own_type().unwrap().size(), 192 + 8 + 32);
+    assert_eq!(row.layout.own_type().unwrap().size(), 288 + 8 + 32);
     assert_eq!(table.companion[0].reads, ["odometry"]);
     assert!(table.companion[0].lockstep);
     assert!(table.bytes().unwrap() > 0);

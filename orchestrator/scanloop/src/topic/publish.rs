@@ -116,12 +116,12 @@ mod tests {
     #[test]
     fn values_reach_their_fields() {
         let sample = filled("{\"speed_mps\": 0.5, \"pair\": [-1, 2]}").unwrap();
-        assert_eq!(sample[192..200], 0.5_f64.to_ne_bytes());
+        assert_eq!(sample[288..296], 0.5_f64.to_ne_bytes());
         assert_eq!(
-            (&sample[200..204], &sample[204..208]),
+            (&sample[296..300], &sample[300..304]),
             (&(-1_i32).to_ne_bytes()[..], &2_i32.to_ne_bytes()[..])
         );
-        assert!(sample[208..].iter().all(|byte| *byte == 0));
+        assert!(sample[304..].iter().all(|byte| *byte == 0));
     }
 
     #[test]

@@ -9,7 +9,7 @@ use crate::recording::{replayed, rewrite};
 
 /// Where the host's clock stands in a message of topic `clock`: behind the encapsulation, the header, the name and the
 /// orchestrator's clock.
-const HOST_NS: usize = 4 + 192 + 16 + 8;
+const HOST_NS: usize = 4 + 288 + 16 + 8;
 
 impl TwoHosts {
     /// [`TwoHosts::start`] of a drive that is recorded.
