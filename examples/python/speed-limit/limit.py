@@ -8,7 +8,7 @@ from scanloop_types import Header, StageStamps
 class Limit(ctypes.Structure):
     """The speed that an advisor allows."""
 
-    LAYOUT = 0xa85c9e0b
+    LAYOUT = 0x74264c32
     _fields_ = [
         ("header", Header),  # Identity and stamps of the sample that this one answers
         ("speed_mps", ctypes.c_double),  # Largest speed [m/s]
@@ -17,4 +17,4 @@ class Limit(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "own.Limit.a85c9e0b"
+        return "own.Limit.74264c32"

@@ -18,7 +18,7 @@ use shared_types::Role;
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 const SHARED_MEMORY: &str = "/dev/shm";
 /// Fits one system with its reserve, and not two.
-const ROOMY: &str = "40m";
+const ROOMY: &str = "64m";
 
 /// Whether the test runs with file systems of its own, of these sizes at these places; else it is started there.
 fn is_inside(test: &str, mounts: &[(&str, &Path)]) -> bool {
@@ -128,7 +128,7 @@ fn a_system_that_does_not_fit_is_refused_with_what_is_missing() {
                 // Less the file that names the system.
                 let told = [free_kib, free_kib - 4].map(|kib| format!("/dev/shm has {kib} KiB free"));
                 assert!(told.iter().any(|told| text.contains(told)), "{text}");
-                assert!((20_000..40_000).contains(&(missing_kib(&text) + free_kib)), "{text}");
+                assert!((30_000..60_000).contains(&(missing_kib(&text) + free_kib)), "{text}");
                 system.assert_nothing_left();
                 assert_eq!(free_bytes(SHARED_MEMORY.as_ref()) / 1024, free_kib);
             }
@@ -182,7 +182,7 @@ fn a_swap_without_room_is_refused_with_what_is_missing_and_the_robot_drives_on()
         system
             .wait_until("it warns", |system| system.stderr().contains("no reserve for a swap or a restart"));
         let refusal = refused(&system, "KiB are missing");
-        assert!((2_000..10_000).contains(&missing_kib(&refusal.reason)), "{}", refusal.reason);
+        assert!((2_000..20_000).contains(&missing_kib(&refusal.reason)), "{}", refusal.reason);
         certificates.push(refusal);
         // An observer would make the processes take memory that is not there.
         let observer = system.run(&["topic", "hz", "pose", "--duration", "1"]);
