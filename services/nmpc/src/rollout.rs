@@ -262,13 +262,15 @@ mod tests {
             let control = Control { velocity: 10f64.powf(exponent), steering };
             let ours = advance(&parameters, &start, &control, duration);
             prop_assert!(ours.is_finite(), "{ours:?}");
-            let plant = integrate(&parameters, &start, &control, duration);
+            let (mut plant, mut widest, mut fastest) = (start, sideslip.abs().max(1e-3), yaw_rate.abs().max(1e-3));
+            for _ in 0..20 {
+                plant = integrate(&parameters, &plant, &control, duration / 20.0);
+                (widest, fastest) = (widest.max(plant.sideslip.abs()), fastest.max(plant.yaw_rate.abs()));
+            }
             // Beyond, the cosine of the sideslip is another at each moment; and a robot that turns round swings.
-            if plant.sideslip.abs() < 0.3 && ours.sideslip.abs() < 0.3 && plant.yaw.abs() < 1.0 {
-                let largest = sideslip.abs().max(plant.sideslip.abs()).max(1e-3);
-                prop_assert!((ours.sideslip - plant.sideslip).abs() < 0.01 * largest, "{ours:?} {plant:?}");
-                let largest = yaw_rate.abs().max(plant.yaw_rate.abs()).max(1e-3);
-                prop_assert!((ours.yaw_rate - plant.yaw_rate).abs() < 0.02 * largest, "{ours:?} {plant:?}");
+            if widest < 0.2 && plant.yaw.abs() < 1.0 {
+                prop_assert!((ours.sideslip - plant.sideslip).abs() < 0.01 * widest, "{ours:?} {plant:?}");
+                prop_assert!((ours.yaw_rate - plant.yaw_rate).abs() < 0.01 * fastest, "{ours:?} {plant:?}");
                 let off = (ours.x - plant.x).hypot(ours.y - plant.y);
                 prop_assert!(off < 0.01 * control.velocity * duration + 1e-5, "{ours:?} {plant:?}");
             }
