@@ -272,5 +272,5 @@ fn a_stiff_robot_keeps_its_steady_turn_and_an_explicit_method_does_not() {
     let explicit = (0..20).fold(State::default(), |state, _| {
         runge_kutta(&state, MAX_STEP_S, |state| derivative(&vehicle, state, &control))
     });
-    assert!(!(explicit.yaw_rate.abs() < 100.0), "{explicit:?}");
+    assert!(!explicit.is_finite() || explicit.yaw_rate.abs() > 100.0, "{explicit:?}");
 }
