@@ -70,7 +70,8 @@ impl Lateral {
         let (mean, _, square) = self.spectrum();
         let root = square.abs().sqrt();
         let (decay, swing) = if square > 0.0 { (root - mean, root + mean) } else { (-mean, root) };
-        !(decay * seconds <= MAX_DECAY && swing * seconds <= MAX_SWING)
+        let is_mild = decay * seconds <= MAX_DECAY && swing * seconds <= MAX_SWING;
+        !is_mild
     }
 
     /// Whether deviations decay: a robot with the longer axle distance in front turns round by itself above some velocity.

@@ -172,7 +172,7 @@ proptest! {
     #[test]
     fn every_allowed_vehicle_moves_as_an_l_stable_method_says(
         wide in any_vehicle(), usual in any_shape(), is_wide in any::<bool>(),
-        control in any_control(), start in any_start(), exponent in -2.0..-0.3f64,
+        control in any_control(), start in any_start(), exponent in -1.7..-0.3f64,
     ) {
         let (vehicle, duration) = (if is_wide { wide } else { usual }, 10f64.powf(exponent));
         let end = integrate(&vehicle, &start, &control, duration);
@@ -240,16 +240,16 @@ proptest! {
             |state: &State| runge_kutta(state, MAX_STEP_S, |state| derivative(&shape, state, &control));
         let [slow, fast] = [&closed as &dyn Fn(&State) -> State, &explicit].map(|step| {
             let mut states = vec![State { sideslip: start.sideslip / 100.0, yaw_rate: start.yaw_rate / 100.0, ..start }];
-            for index in 0..5 {
+            for index in 0..10 {
                 states.push(step(&states[index]));
             }
             states
         });
         prop_assume!(slow.iter().chain(&fast).all(|state| state.sideslip.abs() < SMALL_RAD));
-        let off = difference(&slow[5], &fast, 1e-6);
-        // What is left of a deviation after 10 ms: 0.33^5 by the explicit method, exp(-10) by the other. The deviation of
-        // the fast motion may be several times that of the sideslip, which is a difference of two.
-        prop_assert!(off.iter().all(|share| *share <= 2.0 * TOLERANCE), "{off:?} {slow:?} {fast:?}");
+        let off = difference(&slow[10], &fast, 1e-6);
+        // What is left of a deviation after 20 ms: 0.33^10 by the explicit method, exp(-20) by the other. With two nearly equal
+        // eigenvalues the deviation of each is many times their difference.
+        prop_assert!(off.iter().all(|share| *share <= TOLERANCE), "{off:?} {slow:?} {fast:?}");
     }
 }
 

@@ -84,6 +84,6 @@ fn the_stiffest_robots_that_are_allowed_drive_as_the_shipped_one() {
         let message = scanloop_tests::printed(&output);
         assert_eq!(output.status.code(), Some(0), "{key}: {message}");
         let report = system.report();
-        assert!(report.drive.estimate_error_max_m < 0.1, "{key}: {message}");
+        assert!(report.drive.truth.unwrap().estimate_error_max_m < 0.1, "{key}: {message}");
     }
 }
