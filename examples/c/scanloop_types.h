@@ -81,6 +81,7 @@ enum scanloop_suspect {
     SCANLOOP_SUSPECT_ODOMETRY_LATERAL_RATE = 4, /* The lateral drift of the odometry, dds. */
     SCANLOOP_SUSPECT_HEADING = 5, /* The reported heading jumped. */
     SCANLOOP_SUSPECT_POSITION = 6, /* The reported position jumped. */
+    SCANLOOP_SUSPECT_VEHICLE = 7, /* The vehicle description: the model makes a motion of it that no robot can have. */
 };
 
 /* What the ranges of the scanner can be used for. */

@@ -71,6 +71,7 @@ class Suspect(enum.IntEnum):
     ODOMETRY_LATERAL_RATE = 4  # The lateral drift of the odometry, dds.
     HEADING = 5  # The reported heading jumped.
     POSITION = 6  # The reported position jumped.
+    VEHICLE = 7  # The vehicle description: the model makes a motion of it that no robot can have.
 
 
 class ScannerState(enum.IntEnum):

@@ -22,6 +22,8 @@ wire_enum! {
         Heading = 5 "heading",
         /// The reported position jumped.
         Position = 6 "position",
+        /// The vehicle description: the model makes a motion of it that no robot can have.
+        Vehicle = 7 "vehicle",
     }
 }
 

@@ -28,6 +28,8 @@ const LANDING_SHARE: f64 = 0.5;
 /// Share of the stopping distance by which a landing may miss: drives missed by so much whose robot has no lag, while the
 /// description has one.
 const STOP_ERROR_SHARE: f64 = 0.75;
+/// Radius of the turns of a robot that hardly turns [m].
+const STRAIGHT_M: f64 = 1e6;
 /// Step of the search for the nearest goal [m].
 const STEP_M: f64 = 0.01;
 
@@ -122,7 +124,22 @@ pub(crate) fn warnings(scenario: &Scenario, controller: &ControllerConfig) -> Ve
             ceil(shortest_s)
         )
     });
-    over.into_iter().collect()
+    over.into_iter().chain(unstable(controller)).collect()
+}
+
+/// A robot that turns round by itself below its largest velocity.
+fn unstable(controller: &ControllerConfig) -> Option<String> {
+    let vehicle = &controller.vehicle;
+    let fastest_mps = vehicle.bounds.velocity_max_mps;
+    let critical_mps =
+        vehicle.parameters().critical_mps().filter(|critical_mps| *critical_mps < fastest_mps)?;
+    Some(format!(
+        "vehicle.front_m = {} is above vehicle.rear_m = {}: with this mass and stiffness the robot turns round by itself from \
+         {} m/s on, and vehicle.bounds.velocity_max_mps is {fastest_mps}; the estimator stops it then",
+        vehicle.front_m,
+        vehicle.rear_m,
+        floor(critical_mps)
+    ))
 }
 
 /// Passes when half the way of one scan period at the smallest velocity is well within the tolerance of the goal, and also with
@@ -227,7 +244,9 @@ fn turning_radius(controller: &ControllerConfig) -> f64 {
     let velocity = controller.cruise_mps;
     let control = Control { velocity, steering: controller.vehicle.bounds.steering_max_rad };
     let (_, yaw_rate) = vehicle::model::steady_turn(&controller.vehicle.parameters(), &control);
-    velocity / yaw_rate
+    let radius_m = velocity / yaw_rate;
+    // A robot that turns round by itself has no steady turn: its radius is negative.
+    if radius_m > 0.0 { radius_m.min(STRAIGHT_M) } else { STRAIGHT_M }
 }
 
 /// Rounded up to three decimals.
@@ -386,5 +405,17 @@ mod tests {
         };
         assert_eq!(warned(10.0), Vec::<String>::new());
         assert_eq!(warned(9.0), ["timeout_s = 9 is over before the goal: 9.9 m at 1 m/s take 9.9 s"]);
+    }
+
+    #[test]
+    fn a_vehicle_that_turns_round_by_itself_is_a_warning_and_not_in_the_way_of_the_goal() {
+        let mut controller = ControllerConfig::default();
+        (controller.vehicle.front_m, controller.vehicle.mass_kg) = (0.3, 1e4);
+        assert_eq!(require_goal(&Scenario::default(), &controller), Ok(()));
+        let [warning] = warnings(&Scenario::default(), &controller).try_into().unwrap();
+        // 0.4924 m, and 250 / (1e4 * 0.1076).
+        assert!(warning.contains("by itself from 0.237 m/s on"), "{warning}");
+        controller.vehicle.mass_kg = 14.695;
+        assert!(warnings(&Scenario::default(), &controller).is_empty());
     }
 }

@@ -10,14 +10,16 @@
 //! too large below 0.05 m/s, where a blocked robot spends 10 ms.
 
 use nalgebra::SVector;
-use vehicle::integrate::{runge_kutta, runge_kutta_vector};
+use vehicle::integrate::{is_stiff, runge_kutta, runge_kutta_vector, stiff_step};
+use vehicle::model::SLOWEST_MPS;
 use vehicle::tyre::{GRAVITY_MPS2, derivative_with_friction};
-use vehicle::{Parameters, State};
+use vehicle::{Control, Lag, Parameters, State};
 
 use crate::scenario::{Scenario, Values};
 use crate::steering_map::SteeringMap;
 
-/// Longest plant step [ns]. RK4 is stable up to 3.9 ms at the slowest velocity of the lateral part.
+/// Longest plant step [ns]. RK4 is stable up to 3.9 ms at the slowest velocity of the lateral part of the shipped robots;
+/// a robot that is too stiff for it moves in closed form.
 pub const STEP_NS: u64 = 1_000_000;
 
 /// State of the robot and of its drive.
@@ -164,27 +166,85 @@ impl Plant {
         if speed <= 0.0 {
             return 0.0;
         }
-        self.state = runge_kutta(&self.state, duration, |state| {
-            derivative_with_friction(&self.parameters, self.values.tyre_friction, state, speed, self.steering)
-        });
+        self.state = if self.is_stiff(speed, duration) {
+            self.stiff_step(speed, self.steering, duration)
+        } else {
+            runge_kutta(&self.state, duration, |state| {
+                let friction = self.values.tyre_friction;
+                derivative_with_friction(&self.parameters, friction, state, speed, self.steering)
+            })
+        };
         self.settle();
         speed * duration
     }
 
     /// Moves while speed and steering angle follow what is asked for, or the wheels slide; returns the distance [m].
     ///
-    /// One Runge-Kutta step over the state of the model, speed, steering angle and distance.
+    /// One Runge-Kutta step over the state of the model, speed, steering angle and distance. Where that is stiff, speed and
+    /// steering angle follow in closed form, and the state moves with their means.
     fn follow(&mut self, duration: f64) -> f64 {
+        if self.is_stiff(self.speed, duration) {
+            return self.follow_stiff(duration);
+        }
         let mut start = SVector::<f64, 8>::zeros();
         start.fixed_rows_mut::<5>(0).copy_from(&self.state.to_vector());
         (start[5], start[6]) = (self.speed, self.steering);
         let end = runge_kutta_vector(start, duration, |vector| self.rates(&vector));
         if start[5] > 0.0 || end[5] > 0.0 {
-            self.state = State::from_vector(&end.fixed_rows::<5>(0).into_owned());
+            self.state = State::from_vector(&end.fixed_rows::<5>(0).into_owned()).bounded();
         }
         (self.speed, self.steering) = (end[5], end[6]);
         self.settle();
         end[7].max(0.0)
+    }
+
+    fn follow_stiff(&mut self, duration: f64) -> f64 {
+        let (from_mps, from_rad) = (self.speed, self.steering);
+        if self.blocked {
+            self.speed = (from_mps - self.sliding_mps2() * duration).max(0.0);
+        } else {
+            self.speed = self.velocity_lag().after(from_mps, self.target_speed, duration);
+            self.steering = self.steering_lag().after(from_rad, self.wheels_target(), duration);
+        }
+        let mean_mps = f64::midpoint(from_mps, self.speed);
+        if mean_mps > 0.0 {
+            self.state = self.stiff_step(mean_mps, f64::midpoint(from_rad, self.steering), duration);
+        }
+        self.settle();
+        mean_mps.max(0.0) * duration
+    }
+
+    /// Whether a step of so many seconds is too long for an explicit method.
+    fn is_stiff(&self, speed: f64, duration: f64) -> bool {
+        let Values { velocity_lag_s, steering_lag_s, .. } = self.values;
+        let is_short = |lag_s: f64| lag_s > 0.0 && duration > lag_s;
+        let control = Control { velocity: speed.max(SLOWEST_MPS), steering: self.steering };
+        is_short(velocity_lag_s)
+            || is_short(steering_lag_s)
+            || is_stiff(&self.parameters, &self.state, &control, duration)
+    }
+
+    fn stiff_step(&self, speed: f64, steering: f64, duration: f64) -> State {
+        let control = Control { velocity: speed.max(SLOWEST_MPS), steering };
+        stiff_step(&self.parameters, self.values.tyre_friction, &self.state, &control, speed, duration)
+    }
+
+    fn velocity_lag(&self) -> Lag {
+        let Values { velocity_lag_s, acceleration_max_mps2, deceleration_max_mps2, .. } = self.values;
+        Lag {
+            time_constant_s: velocity_lag_s,
+            rise_per_s: acceleration_max_mps2,
+            fall_per_s: deceleration_max_mps2,
+        }
+    }
+
+    fn steering_lag(&self) -> Lag {
+        let Values { steering_lag_s, steering_rate_max_radps, .. } = self.values;
+        Lag {
+            time_constant_s: steering_lag_s,
+            rise_per_s: steering_rate_max_radps,
+            fall_per_s: steering_rate_max_radps,
+        }
     }
 
     /// Rates of change of [`Self::follow`].
@@ -223,209 +283,4 @@ impl Plant {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::scenario::Robot;
-    use crate::steering_map::nonlinear;
-    use vehicle::Control;
-    use vehicle::integrate::integrate;
-
-    fn plant(robot: Robot) -> Plant {
-        Plant::new(&Scenario { robot, ..Scenario::default() })
-    }
-
-    fn ideal() -> Robot {
-        Robot { velocity_factor: Some(1.0), steering_map: SteeringMap::Identity, ..Robot::default() }
-    }
-
-    fn run(plant: &mut Plant, milliseconds: usize) -> f64 {
-        (0..milliseconds).map(|_| plant.step(1e-3)).sum()
-    }
-
-    #[test]
-    fn the_velocity_factor_divides_what_is_sent() {
-        let mut plant = plant(Robot::default());
-        plant.drive(1.4, 0.0);
-        let distance = run(&mut plant, 1000);
-        assert!((distance - 1.0).abs() < 1e-12 && (plant.state().x - 1.0).abs() < 1e-12);
-    }
-
-    #[test]
-    fn an_ideal_robot_moves_as_the_model() {
-        let mut plant = plant(ideal());
-        plant.drive(0.7, 0.05);
-        run(&mut plant, 2000);
-        let control = Control { velocity: 0.7, steering: 0.05 };
-        let model = integrate(&Parameters::default(), &State::default(), &control, 2.0);
-        // Both are RK4, with 1 and 2 ms; the yaw rate's transient at 0.7 m/s costs the latter about 1e-7.
-        assert!((plant.state().to_vector() - model.to_vector()).amax() < 1e-6);
-    }
-
-    #[test]
-    fn blocked_wheels_slide_v_squared_over_two_a() {
-        let mut plant = plant(ideal());
-        plant.drive(0.9, 0.0);
-        plant.block();
-        let distance = run(&mut plant, 179);
-        assert!(plant.speed() > 0.0);
-        let rest = run(&mut plant, 10);
-        // 0.81 / 10 m in 0.18 s.
-        assert!((distance + rest - 0.081).abs() < 1e-12, "{}", distance + rest);
-        assert_eq!((plant.speed(), plant.state().yaw_rate, plant.state().sideslip), (0.0, 0.0, 0.0));
-    }
-
-    #[test]
-    fn blocked_wheels_keep_their_angle() {
-        let mut plant = plant(ideal());
-        plant.drive(1.0, 0.06);
-        run(&mut plant, 500);
-        plant.block();
-        let yaw = plant.state().yaw;
-        run(&mut plant, 300);
-        assert_eq!(plant.steering(), 0.06);
-        // 0.1 m in a turn of 3.1 m radius, and 5e-3 because the yaw rate lags up to 30 ms behind 1.6 rad/s^2.
-        let turned = plant.state().yaw - yaw;
-        assert!((turned - 0.1 / 3.1 - 5e-3).abs() < 2e-3, "{turned}");
-    }
-
-    #[test]
-    fn play_delays_the_wheels_by_half_its_width_in_either_direction() {
-        let mut plant = plant(Robot { steering_backlash_rad: Some(0.006), ..ideal() });
-        let mut wheels = |sent: f64| {
-            plant.drive(0.5, sent);
-            plant.steering()
-        };
-        assert_eq!(wheels(0.005), 0.0, "the play is not used up");
-        assert!((wheels(0.020) - 0.014).abs() < 1e-15, "pushed from below");
-        assert!((wheels(0.010) - 0.014).abs() < 1e-15, "nothing pushes on the way back");
-        assert!((wheels(0.000) - 0.006).abs() < 1e-15, "pushed from above");
-        assert!((wheels(-0.02) + 0.014).abs() < 1e-15);
-    }
-
-    #[test]
-    fn the_map_of_the_linkage_comes_before_the_play() {
-        let mut plant = plant(Robot { steering_backlash_rad: Some(0.006), ..Robot::default() });
-        plant.drive(0.5, 0.06);
-        assert!((plant.steering() - (nonlinear(0.06) - 0.006)).abs() < 1e-15);
-    }
-
-    #[test]
-    fn the_slowest_drive_stays_stable_and_a_wreck_stays_where_it_is() {
-        let mut plant = plant(ideal());
-        plant.drive(0.01, 0.12);
-        run(&mut plant, 5000);
-        assert!(plant.state().is_finite() && plant.state().yaw_rate.abs() < 0.05);
-        plant.wreck();
-        let state = *plant.state();
-        plant.drive(1.0, 0.0);
-        assert_eq!(run(&mut plant, 100), 0.0);
-        assert_eq!(*plant.state(), state);
-    }
-
-    /// A robot with lags and nothing else.
-    fn lagging() -> Robot {
-        Robot {
-            velocity_lag_s: Some(0.15),
-            steering_lag_s: Some(0.1),
-            acceleration_max_mps2: Some(100.0),
-            deceleration_max_mps2: Some(100.0),
-            steering_rate_max_radps: Some(100.0),
-            ..ideal()
-        }
-    }
-
-    #[test]
-    fn velocity_and_steering_follow_with_their_time_constants() {
-        let mut plant = plant(lagging());
-        plant.drive(0.8, 0.05);
-        assert_eq!((plant.speed(), plant.steering()), (0.0, 0.0));
-        let distance = run(&mut plant, 150);
-        // One time constant of the velocity, 1.5 of the steering.
-        assert!((plant.speed() - 0.8 * (1.0 - (-1.0_f64).exp())).abs() < 1e-9);
-        assert!((plant.steering() - 0.05 * (1.0 - (-1.5_f64).exp())).abs() < 1e-9);
-        // v t - v tau (1 - exp(-t / tau)).
-        assert!((distance - 0.8 * 0.15 * (-1.0_f64).exp()).abs() < 1e-9, "{distance}");
-    }
-
-    #[test]
-    fn acceleration_deceleration_and_steering_rate_are_limited() {
-        let limits = Robot {
-            acceleration_max_mps2: Some(2.0),
-            deceleration_max_mps2: Some(3.0),
-            steering_rate_max_radps: Some(0.2),
-            ..lagging()
-        };
-        let mut plant = plant(limits);
-        plant.drive(1.0, 0.06);
-        run(&mut plant, 100);
-        assert!((plant.speed() - 0.2).abs() < 1e-12, "2 m/s^2 for 0.1 s: {}", plant.speed());
-        assert!((plant.steering() - 0.02).abs() < 1e-12, "0.2 rad/s for 0.1 s: {}", plant.steering());
-        run(&mut plant, 3000);
-        plant.drive(0.1, 0.06);
-        run(&mut plant, 100);
-        assert!((plant.speed() - 0.7).abs() < 1e-6, "3 m/s^2 for 0.1 s: {}", plant.speed());
-    }
-
-    #[test]
-    fn a_robot_at_standstill_turns_its_wheels_before_it_rolls() {
-        let mut plant = plant(Robot { velocity_lag_s: Some(0.0), ..lagging() });
-        plant.drive(0.0, 0.06);
-        assert_eq!(run(&mut plant, 1000), 0.0);
-        assert!((plant.steering() - 0.06).abs() < 1e-5);
-        assert_eq!(*plant.state(), State::default());
-    }
-
-    #[test]
-    fn blocked_wheels_keep_the_angle_that_they_had_reached() {
-        let mut plant = plant(lagging());
-        plant.drive(1.0, 0.06);
-        run(&mut plant, 50);
-        let reached = plant.steering();
-        plant.block();
-        run(&mut plant, 300);
-        assert!(reached < 0.03);
-        assert_eq!((plant.steering(), plant.speed()), (reached, 0.0));
-    }
-
-    #[test]
-    fn blocked_wheels_slow_down_by_mu_g_at_most() {
-        let way = |friction| {
-            let mut plant = plant(Robot { tyre_friction: Some(friction), ..ideal() });
-            plant.drive(0.9, 0.0);
-            plant.block();
-            run(&mut plant, 2000)
-        };
-        assert!((way(0.1) - 0.81 / (2.0 * 0.981)).abs() < 1e-12);
-        assert!((way(0.8) - 0.081).abs() < 1e-12, "5 m/s^2 is less than 0.8 g");
-    }
-
-    #[test]
-    fn tyres_with_little_friction_turn_less() {
-        // How far the direction of motion turns in 5 s at 1 m/s.
-        let turn = |friction| {
-            let mut plant = plant(Robot { tyre_friction: Some(friction), ..ideal() });
-            plant.drive(1.0, 0.06);
-            run(&mut plant, 5000);
-            plant.state().yaw + plant.state().sideslip
-        };
-        // 0.32 rad/s without a limit, less the transient; the forces of 0.02 g give 0.196 m/s^2 at most, over the
-        // cosine of a sideslip up to 0.18 rad.
-        assert!((turn(0.0) - 1.6).abs() < 0.03, "{}", turn(0.0));
-        assert!((0.93..=0.998).contains(&turn(0.02)), "{}", turn(0.02));
-        assert!((turn(0.8) / turn(0.0) - 1.0).abs() < 0.005);
-    }
-
-    #[test]
-    fn the_offset_is_added_after_map_and_play() {
-        let mut plant = plant(Robot {
-            steering_offset_rad: Some(0.01),
-            steering_backlash_rad: Some(0.006),
-            ..Robot::default()
-        });
-        assert_eq!(plant.steering(), 0.01);
-        plant.drive(0.5, 0.06);
-        assert!((plant.steering() - (nonlinear(0.06) - 0.006 + 0.01)).abs() < 1e-15);
-        plant.drive(0.5, 0.06);
-        assert!((plant.steering() - (nonlinear(0.06) - 0.006 + 0.01)).abs() < 1e-15, "it does not add up");
-    }
-}
+mod tests;

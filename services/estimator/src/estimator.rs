@@ -15,15 +15,19 @@
 //! * with another sample that does not fit, if the robot can have driven there and it is not known what its wheels were
 //!   told: samples were lost or came late, or there was no actuation.
 //!
+//! Where the model makes a pose that no robot can have, as of a description that is unstable, the pose is not published: the
+//! estimate restarts from the measurement, with the alarm to stop, which stays.
+//!
 //! Samples of the last two kinds are no evidence against the calibration, whatever lost or delayed them.
 
+use std::f64::consts::TAU;
 use std::hint::black_box;
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
-use shared_types::{Actuation, Fault, Header, MAX_LATE, Odometry, Pose, Role};
-use vehicle::Invalid;
-use vehicle::correction::SENT_STEERING_MAX_RAD;
+use shared_types::{Actuation, Alarm, Fault, Header, MAX_LATE, Odometry, Pose, Role, Suspect, finite};
+use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 use vehicle::frame::wrap_angle;
+use vehicle::{Invalid, SIDEWAYS_RAD};
 
 use crate::config::SCALED_NOISE;
 use crate::correction::{CorrectionState, Planar};
@@ -34,8 +38,15 @@ use crate::observability::motion_jacobian;
 use crate::self_check::Evidence;
 use crate::{EstimatorConfig, EstimatorState, FilterSettings};
 
-/// Positions beyond this are no measurement [m]: the longest track has 10 km.
-const FARTHEST_M: f64 = 1e6;
+/// Positions beyond this are no measurement [m]: every track lies within 10 km of the origin, and a reported position may
+/// have drifted as far again.
+const FARTHEST_M: f64 = 2e4;
+
+/// Yaw beyond this is no measurement [rad]: it may count full turns, of which a drive along a track has few.
+const MAX_TURNED_RAD: f64 = 1e3;
+
+/// Largest yaw rate that is believed [rad/s]: that of the widest bounds that may be described.
+const YAW_RATE_MAX_RADPS: f64 = 100.0;
 
 /// Longest prediction ahead [ns]: commands for older scans are not driven.
 const MAX_AHEAD_NS: u64 = 1_000_000_000;
@@ -73,6 +84,8 @@ const MIN_MISFIT: f64 = 0.2;
 pub struct Estimator {
     settings: FilterSettings,
     state: EstimatorState,
+    /// Why the content of the last sample can't be used.
+    refusal: Option<Fault>,
 }
 
 /// The measurement update in terms of (yaw, x, y), whichever of them is measured.
@@ -89,7 +102,7 @@ impl Estimator {
     /// # Errors
     /// [`Invalid`] when a setting is outside its range or the measured states do not determine the state.
     pub fn new(config: &EstimatorConfig) -> Result<Self, Invalid> {
-        Ok(Self { settings: config.settings()?, state: EstimatorState::default() })
+        Ok(Self { settings: config.settings()?, state: EstimatorState::default(), refusal: None })
     }
 
     /// The pose at the time of an odometry sample, and predicted to `now_ns` plus the expected latency.
@@ -101,7 +114,9 @@ impl Estimator {
         if let Some(actuation) = realised {
             self.note(actuation, now_ns);
         }
-        let reported = usable(odometry).filter(|_| odometry.header.acquired_ns <= latest(now_ns));
+        let usable = usable(odometry);
+        self.refusal = usable.err();
+        let reported = usable.ok().filter(|_| odometry.header.acquired_ns <= latest(now_ns));
         let Some(reported) = reported else {
             self.state.invalid += 1;
             return None;
@@ -150,7 +165,30 @@ impl Estimator {
         self.state.incarnation = odometry.header.incarnation;
         self.state.sequence = odometry.header.sequence;
         self.state.acquired_ns = acquired_ns;
-        Some(self.pose(odometry, &update, now_ns))
+        let pose = self.pose(odometry, &update, now_ns);
+        if is_possible(&pose) { Some(pose) } else { self.refuse(reported, odometry, now_ns) }
+    }
+
+    /// The pose instead of an impossible one, which is counted: the one reported, without motion to the side, and the alarm
+    /// that stops the robot for good. What the model makes of the vehicle description can't be driven by.
+    fn refuse(&mut self, reported: Planar, odometry: &Odometry, now_ns: u64) -> Option<Pose> {
+        self.state.invalid += 1;
+        self.state.rejected += 1;
+        self.restart(reported, odometry);
+        (self.state.motion.sideslip_rad, self.state.motion.yaw_rate_radps) = (0.0, 0.0);
+        let check = &mut self.state.self_check;
+        (check.suspect, check.alarm) = (Suspect::Vehicle.wire(), Alarm::Stop.wire());
+        let pose = self.pose(odometry, &Update::default(), now_ns);
+        let pose = Pose {
+            predicted_sideslip_rad: pose.sideslip_rad,
+            predicted_yaw_rad: pose.yaw_rad,
+            predicted_yaw_rate_radps: pose.yaw_rate_radps,
+            predicted_x_m: pose.x_m,
+            predicted_y_m: pose.y_m,
+            predicted_speed_mps: pose.speed_mps,
+            ..pose
+        };
+        is_possible(&pose).then_some(pose)
     }
 
     /// Makes the next step faster: does it on the sample that is expected `period_ns` after `last`, and puts the state
@@ -182,6 +220,11 @@ impl Estimator {
             }
             self.state.motion.note(actuation, self.settings.motion.delay_ns);
         }
+    }
+
+    /// Why the content of the last odometry sample can't be used.
+    pub fn refusal(&self) -> Option<&Fault> {
+        self.refusal.as_ref()
     }
 
     /// What a restarted estimator resumes from.
@@ -519,10 +562,32 @@ fn latest(now_ns: u64) -> u64 {
 }
 
 /// The reported pose, if it is plausible.
-fn usable(odometry: &Odometry) -> Option<Planar> {
+fn usable(odometry: &Odometry) -> Result<Planar, Fault> {
     let Odometry { x_m, y_m, yaw_rad, .. } = *odometry;
-    let possible = x_m.abs() <= FARTHEST_M && y_m.abs() <= FARTHEST_M && yaw_rad.abs() <= 1e3;
-    possible.then(|| Planar { yaw: wrap_angle(yaw_rad), x: x_m, y: y_m })
+    for (field, value, limit) in
+        [("x_m", x_m, FARTHEST_M), ("y_m", y_m, FARTHEST_M), ("yaw_rad", yaw_rad, MAX_TURNED_RAD)]
+    {
+        finite(field, &[value])?;
+        if value.abs() > limit {
+            return Err(Fault::OutOfRange { field, value });
+        }
+    }
+    Ok(Planar { yaw: wrap_angle(yaw_rad), x: x_m, y: y_m })
+}
+
+/// Whether a robot can have a pose: all numbers are finite, it does not slide sideways, and it turns no faster than any
+/// vehicle that may be described.
+fn is_possible(pose: &Pose) -> bool {
+    let places = [pose.x_m, pose.y_m, pose.predicted_x_m, pose.predicted_y_m];
+    let numbers =
+        pose.covariance.iter().chain(&pose.local_covariance).chain(&pose.innovation).chain(&pose.gain);
+    let within = |values: &[f64], limit: f64| values.iter().all(|value| value.abs() <= limit);
+    within(&places, FARTHEST_M)
+        && within(&[pose.yaw_rad, pose.predicted_yaw_rad], TAU)
+        && within(&[pose.speed_mps, pose.predicted_speed_mps], SENT_VELOCITY_MAX_MPS)
+        && [pose.sideslip_rad, pose.predicted_sideslip_rad].iter().all(|angle| angle.abs() < SIDEWAYS_RAD)
+        && within(&[pose.yaw_rate_radps, pose.predicted_yaw_rate_radps], YAW_RATE_MAX_RADPS)
+        && numbers.chain([&pose.nis]).all(|value| value.is_finite())
 }
 
 #[cfg(test)]

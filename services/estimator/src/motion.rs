@@ -3,7 +3,7 @@
 //! An actuation is in force from its publication plus the delay of the command until the next one. So the interval
 //! between two odometry samples consists of pieces: first under the older actuation, then under the newer. Each piece is
 //! integrated with the model. Speed and steering angle follow the desired ones with the lags of the vehicle description
-//! ([`lag`]), or at once where it has none; the actuator compensates the other imperfections. Blocked wheels slide
+//! ([`Lag`]), or at once where it has none; the actuator compensates the other imperfections. Blocked wheels slide
 //! with a constant deceleration and keep their angle.
 //!
 //! The speed measured at the wheels corrects the assumed one at the time of the sample, by the weight given. So the
@@ -16,16 +16,15 @@
 
 use shared_types::{Actuation, ActuationKind, Role, plain_state};
 use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
-use vehicle::integrate::MAX_STEP_S;
+use vehicle::integrate::{MAX_STEP_S, is_stiff, stiff_step};
 use vehicle::model::{SLOWEST_MPS, derivative_at};
 use vehicle::{Control, Parameters, State};
 
 use crate::correction::Planar;
 
 mod follow;
-pub mod lag;
 
-pub use lag::Lag;
+pub use vehicle::Lag;
 
 /// Number of actuations that are remembered: enough for a gap of several scans, and for a block with its recovery within
 /// one scan.
@@ -268,28 +267,33 @@ impl MotionModel {
     }
 }
 
-/// The state after a piece, by RK4 in steps of at most [`MAX_STEP_S`], each with the speed of its middle.
+/// The state after a piece, in steps of at most [`MAX_STEP_S`], each with the speed of its middle.
 fn integrate(parameters: &Parameters, state: State, piece: &Piece) -> State {
     if piece.duration_s <= 0.0 || (piece.from_mps <= 0.0 && piece.to_mps <= 0.0) {
         return state;
     }
     let steps = (piece.duration_s / MAX_STEP_S).ceil();
     let step_s = piece.duration_s / steps;
-    (0..steps as usize).fold(state, |state, step| {
-        let share = (step as f64 + 0.5) / steps;
+    (0..steps as usize).fold(state, |state, index| {
+        let share = (index as f64 + 0.5) / steps;
         let speed = piece.from_mps + share * (piece.to_mps - piece.from_mps);
-        runge_kutta(parameters, &state, speed, piece.steering_rad, step_s)
+        step(parameters, &state, speed, piece.steering_rad, step_s)
     })
 }
 
-fn runge_kutta(parameters: &Parameters, state: &State, speed: f64, steering: f64, step_s: f64) -> State {
+/// One step of the classical Runge-Kutta method on the model; where that is stiff, the closed form.
+fn step(parameters: &Parameters, state: &State, speed: f64, steering: f64, step_s: f64) -> State {
+    let lateral_control = Control { velocity: speed.max(SLOWEST_MPS), steering };
+    if is_stiff(parameters, state, &lateral_control, step_s) {
+        return stiff_step(parameters, 0.0, state, &lateral_control, speed, step_s);
+    }
     let slope = |vector| derivative_at(parameters, &State::from_vector(&vector), speed, steering);
     let start = state.to_vector();
     let first = slope(start);
     let second = slope(start + first * (step_s / 2.0));
     let third = slope(start + second * (step_s / 2.0));
     let fourth = slope(start + third * step_s);
-    State::from_vector(&(start + (first + (second + third) * 2.0 + fourth) * (step_s / 6.0)))
+    State::from_vector(&(start + (first + (second + third) * 2.0 + fourth) * (step_s / 6.0))).bounded()
 }
 
 #[cfg(test)]

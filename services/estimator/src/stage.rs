@@ -1,7 +1,7 @@
 //! The estimator as a stage of the loop: odometry and actuation in, pose out.
 
 use shared_types::{
-    Actuation, AnySample, Odometry, Pose, Role, Sample, SampleType, Stage, StageEvent, Stopwatch,
+    Actuation, AnySample, Fault, Odometry, Pose, Role, Sample, SampleType, Stage, StageEvent, Stopwatch,
 };
 use vehicle::Invalid;
 
@@ -71,6 +71,10 @@ impl Stage for EstimatorStage {
         if let Some(last) = &self.last {
             self.estimator.rehearse(last, self.period_ns, due_ns);
         }
+    }
+
+    fn refusal(&self) -> Option<&Fault> {
+        self.estimator.refusal()
     }
 
     fn contains(&self, sample: AnySample<'_>) -> bool {

@@ -45,7 +45,7 @@ plain_state! {
         pub restarts: u64,
         /// Odometry samples that were not newer than the estimate
         pub skipped: u64,
-        /// Odometry samples that could not be used because of their content
+        /// Odometry samples that could not be used because of their content, or with which the model made an impossible pose
         pub invalid: u64,
         /// The watch over the calibration
         pub self_check: SelfCheckState,

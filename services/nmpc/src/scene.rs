@@ -13,6 +13,9 @@ use crate::margin::MarginModel;
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::sampled::Sampled;
 
+/// Curvature of a robot that does not turn [1/m]: others divide by it.
+const HARDLY_PER_M: f64 = 1e-6;
+
 /// How much deeper than now an ellipse may be entered, in units of (7.34).
 const DEEPER: f64 = 0.01;
 /// How far a bound of the position may be exceeded [m].
@@ -239,14 +242,13 @@ impl<'a> Scene<'a> {
         }
     }
 
-    /// Curvature of a steady turn at full lock [1/m].
+    /// Curvature of a steady turn at full lock [1/m]; of a robot that turns round by itself at this velocity, which has no
+    /// steady turn to the side of its wheels, hardly any.
     pub(crate) fn full_lock_curvature(&self, velocity: f64) -> f64 {
-        self.curvature(&Control { velocity, steering: self.config.vehicle.bounds.steering_max_rad })
-    }
-
-    /// Curvature of a steady turn [1/m].
-    fn curvature(&self, control: &Control) -> f64 {
-        vehicle::model::steady_turn(&self.config.vehicle.parameters(), control).1 / control.velocity
+        let vehicle = &self.config.vehicle;
+        let control = Control { velocity, steering: vehicle.bounds.steering_max_rad };
+        let curvature = vehicle::model::steady_turn(&vehicle.parameters(), &control).1 / velocity;
+        if curvature > HARDLY_PER_M { curvature } else { HARDLY_PER_M }
     }
 
     /// Whether a robot that turns back to along the track from here would leave the bounds: then a plan that ends before it

@@ -9,9 +9,12 @@ mod description;
 pub mod frame;
 pub mod geometry;
 pub mod integrate;
+mod lag;
+pub mod lateral;
 pub mod model;
 pub mod network;
 mod parameters;
+mod slipping;
 mod state;
 mod track;
 pub mod tyre;
@@ -22,6 +25,7 @@ pub use key_table::{
     Ascending, Invalid, Key, KeyRule, Setting, did_you_mean, of_text, parse, read, require, settings,
     text_of, toml_fault, toml_text,
 };
+pub use lag::Lag;
 pub use parameters::Parameters;
-pub use state::{Control, State};
+pub use state::{Control, SIDEWAYS_RAD, State};
 pub use track::{Goal, Surroundings, Track};

@@ -6,6 +6,7 @@
 
 use nalgebra::SVector;
 
+use crate::state::SIDEWAYS_RAD;
 use crate::{Control, Parameters, State};
 
 /// Velocity below which the lateral part of the model is not slowed down further [m/s]: RK4 is stable there in steps of
@@ -45,13 +46,18 @@ pub fn lateral(parameters: &Parameters, sideslip: f64, yaw_rate: f64, control: &
     let force = stiffness_n_per_rad * steering.cos();
     let curvature = yaw_rate / velocity;
     let sideslip_rate = force * (-2.0 * sideslip + curvature * (rear_m - front_m))
-        / (mass_kg * velocity * sideslip.cos())
+        / (mass_kg * velocity * cosine_of(sideslip))
         - yaw_rate;
     let yaw_acceleration = force
         * (steering * (rear_m + front_m) + sideslip * (rear_m - front_m)
             - curvature * (rear_m * rear_m + front_m * front_m))
         / inertia_kgm2;
     [sideslip_rate, yaw_acceleration]
+}
+
+/// The cosine by which (7.27) divides: beyond [`SIDEWAYS_RAD`] that of a robot at this angle.
+pub(crate) fn cosine_of(sideslip: f64) -> f64 {
+    sideslip.clamp(-SIDEWAYS_RAD, SIDEWAYS_RAD).cos()
 }
 
 /// Jacobians of [`lateral`] with respect to (sideslip, yaw rate) and (velocity, steering), row by row.

@@ -29,6 +29,14 @@ impl Parameters {
         let square = self.rear_m.powi(2) + self.front_m.powi(2);
         sum / (square - difference * difference / 2.0)
     }
+
+    /// Velocity above which the robot turns round by itself, without steering: none for one whose centre of mass is not
+    /// behind the middle of its axles [m/s].
+    pub fn critical_mps(&self) -> Option<f64> {
+        let (sum, behind) = (self.rear_m + self.front_m, self.front_m - self.rear_m);
+        // The determinant of (7.27) and (7.29) in sideslip and yaw rate is zero there.
+        (behind > 0.0).then(|| sum * (self.stiffness_n_per_rad / (self.mass_kg * behind)).sqrt())
+    }
 }
 
 #[cfg(test)]
@@ -38,5 +46,13 @@ mod tests {
     #[test]
     fn the_quasi_steady_gain_is_the_one_of_the_geometry() {
         assert!((Parameters::default().yaw_rate_gain() - 5.405).abs() < 1e-3);
+    }
+
+    #[test]
+    fn only_a_robot_with_a_long_front_has_a_critical_velocity() {
+        assert_eq!(Parameters::default().critical_mps(), None);
+        let long = Parameters { front_m: 0.3, rear_m: 0.2, mass_kg: 25.0, ..Parameters::default() };
+        // 0.5 m, and 250 / (25 * 0.1) = 100.
+        assert!((long.critical_mps().unwrap() - 5.0).abs() < 1e-12);
     }
 }

@@ -2,6 +2,13 @@
 
 use nalgebra::SVector;
 
+/// Largest sideslip that the model keeps [rad]: it divides by the cosine, and describes no robot that slides sideways. What
+/// grows beyond stays there.
+pub const SIDEWAYS_RAD: f64 = 1.4;
+
+/// Largest yaw rate that the model keeps [rad/s]: the smallest allowed vehicle turns steadily at 240 rad/s at most.
+pub(crate) const SPIN_RADPS: f64 = 1e3;
+
 /// State of (7.27)-(7.31).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct State {
@@ -35,6 +42,16 @@ impl State {
     /// The state from (x1, x2, x3, x4, x5).
     pub fn from_vector(vector: &SVector<f64, 5>) -> Self {
         Self { sideslip: vector[0], yaw: vector[1], yaw_rate: vector[2], x: vector[3], y: vector[4] }
+    }
+
+    /// The state with sideslip and yaw rate no larger than the model keeps them.
+    #[must_use]
+    pub fn bounded(self) -> Self {
+        Self {
+            sideslip: self.sideslip.clamp(-SIDEWAYS_RAD, SIDEWAYS_RAD),
+            yaw_rate: self.yaw_rate.clamp(-SPIN_RADPS, SPIN_RADPS),
+            ..self
+        }
     }
 
     /// Whether all components are finite.

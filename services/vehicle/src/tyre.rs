@@ -2,8 +2,8 @@
 
 use nalgebra::SVector;
 
-use crate::model::{SLOWEST_MPS, derivative_at};
-use crate::{Parameters, State};
+use crate::model::{SLOWEST_MPS, cosine_of, derivative_at};
+use crate::{Control, Parameters, State};
 
 /// Gravity [m/s^2].
 pub const GRAVITY_MPS2: f64 = 9.81;
@@ -39,14 +39,24 @@ pub fn derivative_with_friction(
 fn lateral(parameters: &Parameters, friction: f64, state: &State, speed: f64, steering: f64) -> [f64; 2] {
     let Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2 } = *parameters;
     let State { sideslip, yaw_rate, .. } = *state;
-    let curvature = yaw_rate / speed;
-    let slips = [steering - sideslip - front_m * curvature, -steering - sideslip + rear_m * curvature];
+    let slips = slip_angles(parameters, state, &Control { velocity: speed, steering });
     let limits = axle_limits(parameters, friction);
     let [front, rear] = [0, 1].map(|axle| axle_force(stiffness_n_per_rad, slips[axle], limits[axle]));
     let cos = steering.cos();
     [
-        cos * (front + rear) / (mass_kg * speed * sideslip.cos()) - yaw_rate,
+        cos * (front + rear) / (mass_kg * speed * cosine_of(sideslip)) - yaw_rate,
         cos * (front * front_m - rear * rear_m) / inertia_kgm2,
+    ]
+}
+
+/// Slip angles of the front and the rear axle [rad].
+pub(crate) fn slip_angles(parameters: &Parameters, state: &State, control: &Control) -> [f64; 2] {
+    let State { sideslip, yaw_rate, .. } = *state;
+    let Control { velocity, steering } = *control;
+    let curvature = yaw_rate / velocity;
+    [
+        steering - sideslip - parameters.front_m * curvature,
+        -steering - sideslip + parameters.rear_m * curvature,
     ]
 }
 

@@ -26,6 +26,7 @@ mod output;
 mod pages;
 mod pauses;
 mod player;
+mod possible_poses;
 mod private_place;
 mod recording;
 mod restart;

@@ -10,6 +10,7 @@ use crate::correction::CorrectionMode;
 
 mod drift;
 mod figures;
+mod possible;
 
 const PERIOD_NS: u64 = 100_000_000;
 
@@ -135,9 +136,12 @@ fn numbers_that_are_none_give_no_pose() {
         let sample = odometry(6, 0.6, 1.0);
         assert!(estimator.step(&Odometry { x_m: wild, ..sample }, None, at(6)).is_none());
         assert!(estimator.step(&Odometry { yaw_rad: wild, ..sample }, None, at(6)).is_none());
+        assert_eq!(estimator.refusal().map(|fault| fault.finding().0), Some("yaw_rad"));
     }
+    assert!(estimator.step(&odometry(6, 2.1e4, 1.0), None, at(6)).is_none(), "no track is that long");
     assert_eq!(EstimatorState { invalid: 0, ..estimator.state() }, before);
     let pose = estimator.step(&odometry(6, 0.6, f64::NAN), None, at(6)).unwrap();
+    assert_eq!(estimator.refusal(), None);
     assert_eq!(pose.speed_mps, 1.0, "without a measured speed the desired one holds");
 }
 

@@ -3,7 +3,7 @@
 use vehicle::State;
 use vehicle::integrate::MAX_STEP_S;
 
-use super::{ControlInForce, MotionModel, MotionState, runge_kutta};
+use super::{ControlInForce, MotionModel, MotionState};
 
 /// Step per speed [s^2/m]: the lateral motion settles at 35 1/s times 1 m/s over the speed, so a step is a third of that.
 const STEP_PER_SPEED: f64 = 0.01;
@@ -106,7 +106,7 @@ impl MotionState {
                 let speed = (wheels.speed + next.speed) / 2.0 + offset((step as f64 + 0.5) * step_s);
                 let steering = (wheels.steering + next.steering) / 2.0;
                 if speed > 0.0 {
-                    state = runge_kutta(&model.parameters, &state, speed, steering, step_s);
+                    state = super::step(&model.parameters, &state, speed, steering, step_s);
                     turned += speed
                         * step_s
                         * control.map_or(0.0, |control| (control.steering_rad - steering).abs());

@@ -31,6 +31,10 @@ pub(super) struct Grid {
     pub(super) cells: usize,
 }
 
+/// Most courses of a search; the narrowest allowed bounds of the steering angle need 2900. A robot that turns even less drives
+/// straight: over the range of a search it gets 2 cm to the side.
+const MAX_COURSES: f64 = 4000.0;
+
 impl Grid {
     pub(super) fn new(scene: &Scene, cell_m: f64) -> Self {
         let Scene { config, initial: start, y_range, .. } = *scene;
@@ -43,8 +47,10 @@ impl Grid {
         let sine_step = bend * step;
         let (sin, cos) = (start.yaw + start.sideslip).sin_cos();
         let start_sine = if cos > 0.0 { sin.clamp(-SINE_MAX, SINE_MAX) } else { SINE_MAX.copysign(sin) };
-        let right = ((start_sine + SINE_MAX) / sine_step + 1e-9).floor() as i32;
-        let left = ((SINE_MAX - start_sine) / sine_step + 1e-9).floor() as i32;
+        let right = ((start_sine + SINE_MAX) / sine_step + 1e-9).floor();
+        let left = ((SINE_MAX - start_sine) / sine_step + 1e-9).floor();
+        let turns = right + left < MAX_COURSES;
+        let [right, left] = [right, left].map(|courses| if turns { courses as i32 } else { 0 });
         let low = y_range[0].min(start.y) - OUTSIDE_M;
         let high = y_range[1].max(start.y) + OUTSIDE_M;
         let cells = ((high - low) / cell_m).ceil().clamp(1.0, 2e3) as usize;

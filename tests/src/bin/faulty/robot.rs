@@ -6,7 +6,7 @@ use shared_types::{Actuation, ActuationKind, BEAMS, MAX_BEAMS, Odometry, Phase, 
 
 use crate::{Outcome, everything};
 
-/// Faults of its outputs: `halves`, `stamps`, `nan`, `jumps`, `truthless`, `runs-ahead`, `random`, `restless`,
+/// Faults of its outputs: `halves`, `stamps`, `nan`, `jumps`, `astray`, `truthless`, `runs-ahead`, `random`, `restless`,
 /// `stubborn`, which is truthless and does not end either, and `withholding` and `forgetful`, which open the topic of the
 /// truth and publish none on it, or none from scan 20 on. Of its device: those of [`Device`]. Of its inputs: `mirrored`, `rolls`, `tireless`,
 /// `trusts`, `believes`, `repeats`, and `stuck`, which stands whatever it is told. Of
@@ -100,6 +100,8 @@ pub(crate) fn run(fault: &str) -> Outcome {
         match fault {
             "nan" if scan_id == 5 => odometry.yaw_rad = f64::NAN,
             "jumps" => odometry.dx_m += 0.01,
+            // From where no track is, while it drives.
+            "astray" if scan_id >= 20 => odometry.x_m += 4e5,
             "random" => odometry.y_m += 1e-12 * (monotonic_ns() % 1000) as f64,
             _ => {}
         }
