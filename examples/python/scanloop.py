@@ -32,6 +32,7 @@ import struct
 import sys
 import time
 import tomllib
+import typing
 
 import iceoryx2 as iox2
 
@@ -79,6 +80,16 @@ TRIGGERS = {
 }
 
 
+class Sample(typing.Protocol):
+    """A sample of any topic: a class of scanloop_types, or of a topic of your own."""
+
+    header: Header
+
+
+S = typing.TypeVar("S", bound=Sample)
+T = typing.TypeVar("T", bound=Sample)
+Row = tuple[str, str, str, int, int, int]  # of a table of layouts: topic, field, kind, count, size, offset
+
 # The place of each sample in the table of topics.
 TOPIC_NUMBERS = {sample: number for number, sample in enumerate(types.TOPICS.values())}
 
@@ -92,7 +103,7 @@ class Handover(enum.Enum):
     LOST = 3  # its state is too old or was never saved: publish nothing unless your outputs need no memory
 
 
-def answer(to, also=None):
+def answer(to: Sample, also: Sample | None = None) -> Header:
     """The header of an answer to one sample, or to two of one scan: the same scan, with the stamps of both.
 
     Of two samples, `to` is the one that comes last for the role; `also` adds the stamps that `to` does not have.
@@ -106,7 +117,7 @@ def answer(to, also=None):
     return header
 
 
-def difference(mine, theirs, topics):
+def difference(mine: list[Row], theirs: list[Row], topics: typing.Iterable[str]) -> str | None:
     """The first difference between two tables of layouts, as text; None when `topics` have the same layout."""
     for topic in topics:
         found = _deviation([row[1:] for row in mine if row[0] == topic], [row[1:] for row in theirs if row[0] == topic])
@@ -158,7 +169,7 @@ def _deviation(mine, theirs):
     return whole
 
 
-def read_layouts(text):
+def read_layouts(text: str) -> list[Row]:
     """The table of layouts in the text that the orchestrator writes."""
     title, *lines = text.splitlines()
     if title != "scanloop layouts 1":
@@ -185,18 +196,18 @@ class StopWord:
         except (KeyError, ValueError, OSError):
             print("warning: this process will not see the stop word, and is ended when the run is stopped", file=sys.stderr)
 
-    def is_armed(self):
+    def is_armed(self) -> bool:
         """Whether wheels may turn."""
         return self._page is None or struct.unpack_from("=Q", self._page, self.WORD_AT)[0] == self.ARMED
 
-    def report(self, wheels):
+    def report(self, wheels: Wheels) -> None:
         """Writes what the wheels do; `scanloop stop` reads it."""
         if self._page is not None and wheels != Wheels.UNKNOWN:
             place = self.ROWS_AT + self._role * self.ROW
             struct.pack_into("=QQQ", self._page, place, os.getpid(), wheels, time.monotonic_ns())
 
 
-class Input:
+class Input(typing.Generic[S]):
     """Reads samples of one type: valid samples of the process in charge, each once and in order."""
 
     def __init__(self, process, sample):
@@ -209,7 +220,7 @@ class Input:
         self._numbers = list(_numbers(sample, 0))
         self._refusal, self._told = Refusal(), set()
 
-    def take(self):
+    def take(self) -> S | None:
         """The oldest sample not taken yet, or None."""
         while self._kept:
             sample = self._kept.popleft()
@@ -218,7 +229,7 @@ class Input:
             self._process.counters["foreign"] += 1
         return None
 
-    def take_newest(self):
+    def take_newest(self) -> S | None:
         """The newest sample, or None; older ones are dropped."""
         while len(self._kept) > 1:
             self._kept.popleft()
@@ -340,7 +351,7 @@ class Input:
             print(f"warning: dropped {words}: {rule}: {field} = {value}", file=sys.stderr, flush=True)
 
 
-class Output:
+class Output(typing.Generic[S]):
     """Writes samples of one type."""
 
     def __init__(self, process, sample):
@@ -351,7 +362,7 @@ class Output:
         self._notifier = process._events(sample).notifier_builder().create()
         self._place, self._is_ours = None, sample in types.WRITES[process.role]
 
-    def publish(self, sample, wake=True):
+    def publish(self, sample: S, wake: bool = True) -> None:
         """Completes the header of `sample`, publishes a copy of it and wakes its readers."""
         process, header = self._process, sample.header
         computed_ns = process.now_ns()
@@ -390,7 +401,16 @@ class Output:
 class Process:
     """A process of the loop. Started by hand, or with other layouts than the system, it ends with exit code 2."""
 
-    def __init__(self, role):
+    role: Role
+    incarnation: int
+    directory: str
+    period_ns: int
+    simulated: bool
+    counters: collections.Counter[str]
+    directive: Directive
+    handed_actuations: list[Actuation]
+
+    def __init__(self, role: Role) -> None:
         names = ("SCANLOOP_INCARNATION", "SCANLOOP_RUN_ID", "SCANLOOP_DIRECTORY")
         incarnation, run_id, directory = (os.environ.get(name) for name in names)
         if not incarnation or not run_id or not directory:
@@ -423,30 +443,30 @@ class Process:
         self._next_heartbeat_ns, self._directive_seen_ns = 0, time.monotonic_ns()
         self._polled_ns, self._absent_ns = self._directive_seen_ns, 0
 
-    def settings(self, name=None):
+    def settings(self, name: str | None = None) -> dict[str, typing.Any]:
         """The settings of the role as a dict with all keys of docs/system-file.md. For the robot it is the scenario."""
         own = "scenario" if self.role == Role.ROBOT else self.role.name.lower()
         return self._settings.get(name or own, {})
 
-    def now_ns(self):
+    def now_ns(self) -> int:
         """The time of the loop: CLOCK_MONOTONIC, or simulated in lock-step."""
         return self._simulated_ns if self.simulated else time.monotonic_ns()
 
-    def input(self, sample):
+    def input(self, sample: type[S]) -> Input[S]:
         """Opens a topic for reading; samples arrive from start() on."""
         if sample not in types.READS[self.role]:
             _refuse(f"role {self.role.name.lower()} does not read topic {sample.TOPIC}")
         self._inputs.append(Input(self, sample))
         return self._inputs[-1]
 
-    def output(self, sample):
+    def output(self, sample: type[S]) -> Output[S]:
         """Opens a topic for writing."""
         if sample not in types.WRITES[self.role]:
             _refuse(f"role {self.role.name.lower()} does not write topic {sample.TOPIC}")
         self._outputs.append(Output(self, sample))
         return self._outputs[-1]
 
-    def start(self):
+    def start(self) -> bool:
         """Waits until all processes are there and connected; False when asked to end."""
         self._beat()
         while self._sleep(MAX_WAIT_NS):
@@ -461,7 +481,7 @@ class Process:
                 self._known_scan = (0, self.now_ns(), self.now_ns())  # no scan was published yet
         return False
 
-    def wait(self, deadline_ns=None):
+    def wait(self, deadline_ns: int | None = None) -> bool:
         """Sleeps until a sample may have come, or the time `deadline_ns` has passed; False when asked to end."""
         if self.counters["published"] and self._state == ProcessState.CONNECTED:
             self._enter(ProcessState.READY)
@@ -470,7 +490,7 @@ class Process:
             longest = min(longest, max(deadline_ns - time.monotonic_ns(), 0))
         return self._sleep(longest)
 
-    def join(self, one, other):
+    def join(self, one: Input[S], other: Input[T]) -> typing.Iterator[tuple[S, T]]:
         """The newest pairs of samples of one scan. Older samples are dropped, even if there is time for them."""
         while True:
             scans = {sample.header.scan_id for sample in one._kept} & {sample.header.scan_id for sample in other._kept}
@@ -478,7 +498,7 @@ class Process:
                 return
             yield one._take_scan(max(scans)), other._take_scan(max(scans))
 
-    def save(self, header, kind, state):
+    def save(self, header: Header, kind: int, state: bytes) -> None:
         """Saves the state of this process after a scan, as bytes; `kind` is a number of your own for their layout."""
         checkpoint = Checkpoint(role=self.role, state_layout=kind, length=len(state), issued_ns=time.monotonic_ns())
         checkpoint.header = Header.from_buffer_copy(header)
@@ -486,7 +506,7 @@ class Process:
         self._checkpoint.publish(checkpoint, wake=False)
         self._note(JournalKind.SAVED, checkpoint.header.sequence)
 
-    def resume(self, kind):
+    def resume(self, kind: int) -> tuple[Handover, bytes | None]:
         """The state that the process before this one has saved: a Handover, and the bytes or None.
 
         With a state, `handed_actuations` has the newest actuations, oldest first, for a role that reads them. The
@@ -535,18 +555,18 @@ class Process:
     def _end(self, *_):
         self._ended = True
 
-    def must_stop(self):
+    def must_stop(self) -> bool:
         """Whether wheels must be blocked: the run was stopped, or no directive has come for `orphan_stop_s`."""
         silent = not self.simulated and time.monotonic_ns() - self._directive_seen_ns > self._orphan_stop_ns
         return silent or not self._stop_word.is_armed()
 
-    def report_wheels(self, wheels):
+    def report_wheels(self, wheels: Wheels) -> None:
         """Reports what the wheels do to `scanloop stop`. A robot calls this each time it is awake."""
         self._wheels = wheels
         if self.directive.authority[self.role].incarnation == self.incarnation:
             self._stop_word.report(wheels)
 
-    def report_device(self, state, reason=""):
+    def report_device(self, state: types.DeviceState, reason: str = "") -> None:
         """Reports to `scanloop status` what the devices behind this process do, and why in a few words.
 
         `state` is a DeviceState. A driver calls this each time it is awake.

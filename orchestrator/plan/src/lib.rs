@@ -4,6 +4,7 @@ pub mod calibration_file;
 pub mod change;
 pub mod difference;
 pub mod hosts;
+pub mod migrate;
 pub mod overrides;
 mod player_robot;
 mod possible;
@@ -114,7 +115,8 @@ impl Plan {
         let mut scenario = Scenario::checked(scenario)?;
         let mut warnings = vehicle_table::distribute(&mut system)?;
         if system.get("controller").is_some_and(|table| table.get("period_s").is_some()) {
-            warnings.push("controller.period_s has no effect: the scan period is 1 / rate_hz".to_owned());
+            let (stage, key, why) = migrate::WITHOUT_EFFECT;
+            warnings.push(format!("{stage}.{key} {why}"));
         }
         let system = System::checked(system)?;
         // From here on every reader of the scenario finds the values that the preset gives.

@@ -8,7 +8,7 @@ use toml::{Table, Value};
 use vehicle::{Description, Invalid, Key, Setting, read};
 
 /// Name of the table, in the system file and in the table of each stage.
-const VEHICLE: &str = "vehicle";
+pub(crate) const VEHICLE: &str = "vehicle";
 /// The key that the scenario has in its table `[track]`; all others are in `[robot]`.
 const SURROUNDINGS: &str = "surroundings";
 /// The true tyres may have forces without a limit, which is 0 there; the description has none.
@@ -17,18 +17,19 @@ const FRICTION: &str = "tyre_friction";
 const STAGES: [&str; 4] = ["estimator", "obstacles", "controller", "actuator"];
 
 /// A key that a stage had of its own: where it was, where it is in the description, and the factor between the units.
-struct OldKey {
-    stage: &'static str,
-    key: &'static str,
-    place: &'static [&'static str],
-    factor: f64,
+pub(crate) struct OldKey {
+    pub(crate) stage: &'static str,
+    pub(crate) key: &'static str,
+    pub(crate) place: &'static [&'static str],
+    pub(crate) factor: f64,
 }
 
 const fn old(stage: &'static str, key: &'static str, place: &'static [&'static str]) -> OldKey {
     OldKey { stage, key, place, factor: 1.0 }
 }
 
-const OLD_KEYS: [OldKey; 10] = [
+/// All renames: files are read, and rewritten by `check --migrate`, by this table.
+pub(crate) const OLD_KEYS: [OldKey; 10] = [
     old("estimator", "blocked_deceleration_mps2", &["blocked_deceleration_mps2"]),
     OldKey { factor: 1e-3, ..old("estimator", "extra_latency_ms", &["command_delay_s"]) },
     old("obstacles", "body_length_m", &["length_m"]),
@@ -142,10 +143,15 @@ fn nested(place: &[&str], value: Value) -> Table {
 
 fn scaled(value: Value, factor: f64) -> Value {
     match value {
-        Value::Integer(number) if factor != 1.0 => Value::Float(number as f64 * factor),
-        Value::Float(number) => Value::Float(number * factor),
+        Value::Integer(number) if factor != 1.0 => Value::Float(scale(number as f64, factor)),
+        Value::Float(number) => Value::Float(scale(number, factor)),
         value => value,
     }
+}
+
+/// A number in the unit of the description.
+pub(crate) fn scale(number: f64, factor: f64) -> f64 {
+    number * factor
 }
 
 /// Puts all keys of `over` into `table`.

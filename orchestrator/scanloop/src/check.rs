@@ -5,7 +5,8 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use console::answer;
-use console::exit::Exit;
+use console::exit::{Exit, Failure};
+use console::new_file;
 use console::output::data;
 use console::user_file::{self, TEXT_BYTES};
 use emulator::Scenario;
@@ -26,6 +27,9 @@ pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
     if arguments.list {
         data(&Scenario::names().collect::<Vec<_>>().join("\n"))?;
         return Ok(Exit::Done);
+    }
+    if arguments.migrate {
+        arguments.files.iter().try_for_each(|file| migrate(file))?;
     }
     let mut choice = arguments.choice.clone();
     let mut scenarios = Vec::new();
@@ -63,6 +67,21 @@ pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
     };
     data(&printable(&(graph(&plan.system) + &hosts::describe(&plan.system) + &own_graph(&plan)?)))?;
     Ok(Exit::Done)
+}
+
+/// Rewrites a file that has keys of an older version, and prints what has changed.
+fn migrate(file: &str) -> anyhow::Result<()> {
+    let refuse = |reason: String| Failure::bad_input(format!("{file}: {reason}"));
+    // Of a link, the file that it leads to.
+    let path = Path::new(file).canonicalize().map_err(|error| refuse(error.to_string()))?;
+    let text = user_file::read(&path, TEXT_BYTES).map_err(refuse)?;
+    let migration = plan::migrate::migrate(&text).map_err(refuse)?;
+    if migration.changes.is_empty() {
+        answer!(false, "{file}: nothing to change")?;
+        return Ok(());
+    }
+    new_file::write(&path, migration.text.as_bytes())?;
+    migration.changes.iter().try_for_each(|change| answer!(false, "{file}: {change}").map(drop))
 }
 
 /// Prints the warnings of a plan, where its scenario differs from the description, and what limits the speed.

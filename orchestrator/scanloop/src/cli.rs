@@ -256,6 +256,9 @@ pub struct CheckArguments {
     /// Print the names of the shipped scenarios to standard output.
     #[arg(long)]
     pub list: bool,
+    /// First rewrite the files with the keys of this version; their comments stay.
+    #[arg(long, requires = "files", conflicts_with_all = ["list", "live"])]
+    pub migrate: bool,
     /// Options of `--live`.
     #[command(flatten)]
     pub live: LiveArguments,

@@ -27,12 +27,24 @@ const DEVICE: &str = "needs a device";
 const HOSTS: &str = "needs another host; tested in processes/hosts.rs";
 const BUILD: &str = "builds or tests the repository";
 const PEERS: &str = "needs programs of others, which setup.sh builds";
+const INSTALL: &str = "installs packages; tried by packaging/try";
+const CONTAINER: &str = "needs containers";
 const FOREVER: &str = "runs until it is ended; tested in processes/view.rs";
 
 /// How commands that begin so are tried; the first that fits counts.
 const RULES: &[(&str, How)] = &[
     // Which build and install.
     ("cargo ", Not(BUILD)),
+    ("packaging/", Not(BUILD)),
+    ("sudo dpkg ", Not(INSTALL)),
+    ("dpkg ", Not(INSTALL)),
+    ("pip install ", Not(INSTALL)),
+    ("python3 -m venv", Not(INSTALL)),
+    ("environment/bin/pip ", Not(INSTALL)),
+    ("sha256sum ", Not(INSTALL)),
+    ("tar ", Not(INSTALL)),
+    ("scanloop-0.1.0-", Not(INSTALL)),
+    ("podman ", Not(CONTAINER)),
     ("export PATH", Not(BUILD)),
     ("make ", Not(BUILD)),
     ("examples/python/setup.sh", Not(BUILD)),
@@ -127,6 +139,7 @@ const RULES: &[(&str, How)] = &[
     ("scanloop top", Read(TERMINAL)),
     ("scanloop view", Read(FOREVER)),
     // Which measure.
+    ("scanloop check --migrate", Read(FILES)),
     ("scanloop check", Alone("", DONE)),
     ("scanloop reference", Alone("", DONE)),
     ("scanloop conformance", Read("half a minute; tested in conformance.rs")),

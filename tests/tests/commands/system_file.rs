@@ -94,3 +94,30 @@ fn a_name_that_is_nearly_right_is_guessed() {
     let message = refusal(&system, &["statu"]);
     assert!(message.contains("similar subcommand") && message.contains("status"), "{message}");
 }
+
+#[test]
+fn check_migrate_rewrites_a_file_in_its_place_and_leaves_one_of_today_alone() {
+    let system = TestSystem::new(EXECUTABLE);
+    let check = |arguments: &[&str]| {
+        let output = system.run(&[&["check"], arguments].concat());
+        let [stdout, stderr] =
+            [&output.stdout, &output.stderr].map(|text| String::from_utf8_lossy(text).into_owned());
+        (output.status.code(), stdout + &stderr)
+    };
+    let file = system.folder().join("lab.toml");
+    let old = "rate_hz = 10.0 # the scanner's\n[controller]\nbody_width_m = 0.45 # with bumpers\n";
+    std::fs::write(&file, old).unwrap();
+    std::os::unix::fs::symlink("lab.toml", system.folder().join("link.toml")).unwrap();
+    let (code, text) = check(&["--migrate", "link.toml"]);
+    assert_eq!(code, Some(0), "{text}");
+    assert!(text.contains("link.toml: controller.body_width_m is now controller.vehicle.width_m"), "{text}");
+    assert!(text.contains("a valid system") && !text.contains("warning"), "{text}");
+    let new = "rate_hz = 10.0 # the scanner's\n[controller]\n\n[controller.vehicle]\nwidth_m = 0.45 # with bumpers\n";
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), new);
+    assert!(system.folder().join("link.toml").is_symlink());
+    let (code, text) = check(&["--migrate", "lab.toml"]);
+    assert_eq!((code, text.contains("lab.toml: nothing to change")), (Some(0), true), "{text}");
+    // A shipped scenario is no file that could be rewritten.
+    let (code, text) = check(&["--migrate", "corridor"]);
+    assert_eq!((code, text.contains("corridor: ")), (Some(2), true), "{text}");
+}

@@ -1,0 +1,272 @@
+//! Rewrites system files of older versions: each old key gets its place of today, with its comments.
+//!
+//! The table of old keys is [`OLD_KEYS`], by which files are read, too. A key moves within its stage, because there it
+//! holds for that stage alone; so the new file gives every stage what the old one gave it, which is checked.
+
+use std::collections::BTreeSet;
+
+use toml::Table;
+use toml_edit::{DocumentMut, Item, Key, RawString, TableLike, Value};
+
+use crate::vehicle_table::{OLD_KEYS, OldKey, VEHICLE, distribute, scale};
+
+/// A key without effect, and why.
+pub(crate) const WITHOUT_EFFECT: (&str, &str, &str) =
+    ("controller", "period_s", "has no effect: the scan period is 1 / rate_hz");
+
+/// A file with the keys of today.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Migration {
+    /// The new text.
+    pub text: String,
+    /// What was changed, one line each; empty for a file that has no old key.
+    pub changes: Vec<String>,
+}
+
+/// The text of a scenario or system file with the keys of today.
+///
+/// # Errors
+/// A text that is no TOML, with its line, and one that would mean something else afterwards.
+pub fn migrate(text: &str) -> Result<Migration, String> {
+    let before = vehicle::parse(text)?;
+    let mut document: DocumentMut = text.parse().map_err(|error| format!("{error}"))?;
+    let (mut changes, mut taken) = (Vec::new(), BTreeSet::new());
+    // Of two old keys for one place the later row holds.
+    for old in OLD_KEYS.iter().rev() {
+        let Some(stage) = document.get_mut(old.stage).and_then(Item::as_table_like_mut) else { continue };
+        let Some((key, item)) = take(stage, old.key) else { continue };
+        let place = [&[VEHICLE], old.place].concat();
+        move_to(stage, &place, &key, scaled(item, old), &mut taken, old.stage);
+        changes.push(format!("{0}.{1} is now {0}.{2}", old.stage, old.key, place.join(".")));
+    }
+    let (stage, key, why) = WITHOUT_EFFECT;
+    if let Some(stage) = document.get_mut(stage).and_then(Item::as_table_like_mut)
+        && stage.remove(key).is_some()
+    {
+        changes.push(format!("{}.{key} is removed: it {why}", WITHOUT_EFFECT.0));
+    }
+    changes.reverse();
+    let text = if changes.is_empty() { text.to_owned() } else { document.to_string() };
+    let after = vehicle::parse(&text)?;
+    if meaning(before)? != meaning(after)? {
+        return Err("the rewritten file would mean something else; move its old keys by hand".to_owned());
+    }
+    Ok(Migration { text, changes })
+}
+
+/// What every stage gets from a file.
+fn meaning(mut table: Table) -> Result<Table, String> {
+    distribute(&mut table).map_err(|invalid| invalid.to_string())?;
+    if let Some(toml::Value::Table(stage)) = table.get_mut(WITHOUT_EFFECT.0) {
+        stage.remove(WITHOUT_EFFECT.1);
+    }
+    Ok(table)
+}
+
+/// Removes a key, with its comments.
+fn take(table: &mut dyn TableLike, key: &str) -> Option<(Key, Item)> {
+    let (key, item) = table.get_key_value(key).map(|(key, item)| (key.clone(), item.clone()))?;
+    table.remove(key.get());
+    Some((key, item))
+}
+
+/// Puts an item at a place below `table`, with the comments of its old key; what is at a place in `taken` stays.
+fn move_to(
+    table: &mut dyn TableLike,
+    place: &[&str],
+    key: &Key,
+    item: Item,
+    taken: &mut BTreeSet<String>,
+    path: &str,
+) {
+    let [name, rest @ ..] = place else { return };
+    let path = format!("{path}.{name}");
+    if let [_, ..] = rest {
+        if !table.contains_key(name) {
+            let inner = empty_like(table);
+            table.insert(name, inner);
+        }
+        if let Some(inner) = table.get_mut(name).and_then(Item::as_table_like_mut) {
+            move_to(inner, rest, key, item, taken, &path);
+        }
+        return;
+    }
+    match (table.get_mut(name), item) {
+        (Some(there), mut item) if there.is_table_like() && item.is_table_like() => {
+            let [lead, trail] = if take_header(there, &item) { [None, None] } else { comments(key, &item) };
+            let Some(from) = item.as_table_like_mut() else { return };
+            let names: Vec<String> = from.iter().map(|(name, _)| name.to_owned()).collect();
+            for (index, name) in names.iter().enumerate() {
+                let (Some((mut key, mut item)), Some(there)) = (take(from, name), there.as_table_like_mut())
+                else {
+                    continue;
+                };
+                if let Some(lead) = lead.as_ref().filter(|_| index == 0) {
+                    key.leaf_decor_mut().set_prefix(lead.clone());
+                }
+                if let (Some(trail), Item::Value(value)) = (&trail, &mut item)
+                    && index + 1 == names.len()
+                {
+                    let own = value.decor().suffix().and_then(RawString::as_str).unwrap_or_default();
+                    let both = format!("{}{trail}", own.trim_end());
+                    value.decor_mut().set_suffix(both);
+                }
+                move_to(there, &[name], &key, item, taken, &path);
+            }
+        }
+        (_, item) => {
+            if !item.is_table_like() && !taken.insert(path.clone()) {
+                return;
+            }
+            note_values(&item, &path, taken);
+            table.insert(name, item);
+            if let Some(mut own) = table.key_mut(name) {
+                *own.leaf_decor_mut() = key.leaf_decor().clone();
+            }
+        }
+    }
+}
+
+/// Notes the places of all values in a table that has moved as a whole.
+fn note_values(item: &Item, path: &str, taken: &mut BTreeSet<String>) {
+    for (name, item) in item.as_table_like().into_iter().flat_map(TableLike::iter) {
+        let path = format!("{path}.{name}");
+        note_values(item, &path, taken);
+        if !item.is_table_like() {
+            taken.insert(path);
+        }
+    }
+}
+
+/// A table that was made for others inside of it gets the header of one that is put into it; whether it did.
+fn take_header(there: &mut Item, from: &Item) -> bool {
+    let (Item::Table(there), Item::Table(from)) = (there, from) else { return false };
+    let takes = there.is_implicit() && !from.is_implicit();
+    if takes {
+        there.set_implicit(false);
+        *there.decor_mut() = from.decor().clone();
+        there.set_position(from.position());
+    }
+    takes
+}
+
+/// The comments before and behind the name of a table, which goes into another one.
+fn comments(key: &Key, item: &Item) -> [Option<String>; 2] {
+    let (lead, trail) = match item {
+        Item::Table(table) => (table.decor().prefix(), table.decor().suffix()),
+        Item::Value(value) => (key.leaf_decor().prefix(), value.decor().suffix()),
+        _ => (None, None),
+    };
+    let comment =
+        |text: Option<&RawString>| text?.as_str().filter(|text| text.contains('#')).map(str::to_owned);
+    [comment(lead), comment(trail)]
+}
+
+/// An empty table that is written as the one around it; one that is put into a table in one line becomes such a table.
+fn empty_like(around: &dyn TableLike) -> Item {
+    let mut table = toml_edit::Table::new();
+    // Without values of its own it needs no header.
+    table.set_implicit(true);
+    table.set_dotted(around.is_dotted());
+    Item::Table(table)
+}
+
+/// A value in the unit of today, with the comment behind it.
+fn scaled(item: Item, old: &OldKey) -> Item {
+    let Item::Value(value) = &item else { return item };
+    let number = value.as_float().or_else(|| value.as_integer().map(|number| number as f64));
+    match number.filter(|_| old.factor != 1.0) {
+        Some(number) => {
+            let mut new = Value::from(scale(number, old.factor));
+            *new.decor_mut() = value.decor().clone();
+            Item::Value(new)
+        }
+        None => item,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_old_key_moves_with_its_comments_and_means_the_same() {
+        let old = "# lab\nrate_hz = 10.0\n\n[estimator]\n# measured\nextra_latency_ms = 30 # with a stopwatch\n\n\
+                   [controller]\ncruise_mps = 0.8 # slow\n# with bumpers\nbody_width_m = 0.6 # tape\nperiod_s = 0.1\n\n\
+                   # of the scales\n[controller.parameters]\nmass_kg = 20\n\n[controller.bounds] # of the yard\n\
+                   velocity_max_mps = 1.5\n\n[obstacles]\nbody_length_m = 0.7\n";
+        let Migration { text, changes } = migrate(old).unwrap();
+        let expected = "# lab\nrate_hz = 10.0\n\n[estimator]\n\n[estimator.vehicle]\n# measured\n\
+                        command_delay_s = 0.03 # with a stopwatch\n\n[controller]\ncruise_mps = 0.8 # slow\n\n\
+                        # of the scales\n[controller.vehicle]\nmass_kg = 20\n# with bumpers\nwidth_m = 0.6 # tape\n\n\
+                        [controller.vehicle.bounds] # of the yard\nvelocity_max_mps = 1.5\n\n[obstacles]\n\n\
+                        [obstacles.vehicle]\nlength_m = 0.7\n";
+        assert_eq!(text, expected);
+        assert_eq!(changes.len(), 6, "{changes:?}");
+        assert!(
+            changes
+                .contains(&"estimator.extra_latency_ms is now estimator.vehicle.command_delay_s".to_owned())
+        );
+        let mut table: Table = text.parse().unwrap();
+        assert_eq!(distribute(&mut table).unwrap(), [""; 0]);
+        assert_eq!(migrate(&text).unwrap(), Migration { text, changes: Vec::new() });
+    }
+
+    #[test]
+    fn each_row_of_the_table_moves_wherever_its_key_is_written() {
+        for old in &OLD_KEYS {
+            let value = match (old.key, old.place) {
+                ("parameters", _) => "{ mass_kg = 20.0 }",
+                ("bounds", _) => "{ velocity_max_mps = 0.9 }",
+                ("extra_latency_ms", _) => "30",
+                _ => "0.5",
+            };
+            let value = if old.place == ["blocked_deceleration_mps2"] { "4" } else { value };
+            let (stage, key) = (old.stage, old.key);
+            for text in [
+                format!("[{stage}]\n{key} = {value} # here\n"),
+                format!("{stage}.{key} = {value} # here\n"),
+                format!(
+                    "[{stage}]\n{key} = {value} # here\n[{stage}.vehicle]\nlength_m = 0.9\nwidth_m = 0.3\n"
+                ),
+                format!("{stage} = {{ {key} = {value} }} # here\n"),
+            ] {
+                let Migration { text: new, changes } =
+                    migrate(&text).unwrap_or_else(|error| panic!("{text}{error}"));
+                assert_eq!(changes.len(), 1, "{text}");
+                assert!(new.contains("# here"), "{new}");
+                assert!(new.parse::<Table>().unwrap()[stage].get(key).is_none(), "{new}");
+                assert_eq!(distribute(&mut new.parse().unwrap()).unwrap(), [""; 0], "{new}");
+            }
+        }
+    }
+
+    #[test]
+    fn comments_of_a_table_that_goes_into_another_one_stay() {
+        let text = "[controller.vehicle]\nlength_m = 0.9\n\n# of the scales\n[controller.parameters] # two\nmass_kg = 20\n\
+                    width_m = 0.5 # tape\n";
+        let Migration { text, .. } = migrate(text).unwrap();
+        let expected = "[controller.vehicle]\nlength_m = 0.9\n\n# of the scales\nmass_kg = 20\nwidth_m = 0.5 # tape # two\n";
+        assert_eq!(text, expected);
+    }
+
+    #[test]
+    fn of_two_old_keys_for_one_value_the_one_that_held_is_kept() {
+        let text = "[controller]\nbody_width_m = 0.6\n[controller.parameters]\nwidth_m = 0.5\n[controller.vehicle]\nwidth_m = 0.4\n";
+        let Migration { text, .. } = migrate(text).unwrap();
+        assert_eq!(text.parse::<Table>().unwrap()["controller"]["vehicle"]["width_m"].as_float(), Some(0.5));
+        assert_eq!(text.matches("width_m").count(), 1, "{text}");
+    }
+
+    #[test]
+    fn a_file_of_today_stays_to_the_letter_and_a_wrong_one_is_refused() {
+        let scenario = "name = 'lab'   # mine\n[robot]\nwidth_m = 0.5\n";
+        assert_eq!(migrate(scenario).unwrap(), Migration { text: scenario.to_owned(), changes: Vec::new() });
+        assert!(migrate("[controller\n").unwrap_err().starts_with("line 1"));
+        assert!(
+            migrate("[vehicle]\nwidth_m = 9\n")
+                .unwrap_err()
+                .starts_with("vehicle.width_m = 9 is not allowed")
+        );
+    }
+}
