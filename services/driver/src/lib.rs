@@ -1,0 +1,17 @@
+//! What drivers of foreign robots share, whatever they speak.
+//!
+//! [`beams`], [`motion`] and [`join`] turn what a robot reports into scan and odometry, [`sensing`] joins both,
+//! [`devices`] makes a state for `scanloop status`. [`guard`] stops the wheels when the driver is silent, [`service`] is
+//! the process of a driver.
+
+pub mod beams;
+pub mod clock;
+pub mod devices;
+pub mod event;
+pub mod feed;
+pub mod guard;
+pub mod join;
+pub mod motion;
+pub mod order;
+pub mod sensing;
+pub mod service;
