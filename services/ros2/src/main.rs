@@ -7,6 +7,7 @@
 mod base;
 mod command;
 mod connection;
+mod drawing;
 mod guard;
 mod message;
 mod node;
@@ -14,6 +15,7 @@ mod offset;
 mod robot;
 mod sweep;
 mod transforms;
+mod view;
 mod watch;
 
 use std::process::ExitCode;
@@ -38,6 +40,13 @@ fn main() -> ExitCode {
     let ended = match arguments.as_slice() {
         ["robot"] => robot::run(),
         ["guard", settings] => guard::run(settings),
+        ["view", settings @ ..] => match view::settings(settings) {
+            Ok((config, scanner)) => view::run(&config, scanner),
+            Err(refused) => {
+                runtime::print(runtime::Priority::Error, &format!("error: {refused}"));
+                return ExitCode::from(2);
+            }
+        },
         ["--help" | "-h"] => {
             runtime::print_answer(HELP);
             return ExitCode::SUCCESS;
