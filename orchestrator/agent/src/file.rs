@@ -22,7 +22,7 @@ settings! {
         /// Folder with the certificates of this host, for transport `quic`; `scanloop agent pair` makes it.
         pub credentials: Option<String> = None, "a folder";
         /// Built-in implementations that an orchestrator may have started here.
-        pub implementations: Vec<String> = Vec::new(), "emulator, player, ekf, ellipses, nmpc, actuation";
+        pub implementations: Vec<String> = Vec::new(), "emulator, player, ros2, ekf, ellipses, nmpc, actuation";
     }
 }
 
@@ -118,7 +118,7 @@ mod tests {
         let command = refusal("nmpc", "sh");
         assert!(
             command.ends_with(
-                "implementations = sh is not allowed: some of emulator, player, ekf, ellipses, nmpc, actuation"
+                "implementations = sh is not allowed: some of emulator, player, ros2, ekf, ellipses, nmpc, actuation"
             ),
             "{command}"
         );

@@ -18,7 +18,7 @@ use runtime::{
     RUN_ID_VARIABLE, monotonic_ns,
 };
 use shared_types::Topic;
-use supervision::child::{Child, Launch, this_program};
+use supervision::child::{Child, Launch, other_program};
 use supervision::child_log::ChildLog;
 
 /// Name of the program.
@@ -289,13 +289,5 @@ pub fn pair(host: &str, address: IpAddr, days: u32, folder: &Path, force: bool) 
 /// # Errors
 /// Where it was looked for, and the command that builds it; exit code 2.
 pub(crate) fn program() -> anyhow::Result<PathBuf> {
-    let beside = this_program().parent().map(|folder| folder.join(PROGRAM));
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    let in_path = std::env::split_paths(&path).map(|folder| folder.join(PROGRAM));
-    beside.into_iter().chain(in_path).find(|file| file.is_file()).ok_or_else(|| {
-        Failure::bad_input(format!(
-            "{PROGRAM} is neither beside this program nor in PATH; build it with \
-             `cargo build --release --manifest-path services/link/Cargo.toml` and copy it there"
-        ))
-    })
+    other_program(PROGRAM, "services/link")
 }

@@ -61,10 +61,10 @@ pub struct ConformanceArguments {
     /// Role that the program fills: robot, estimator, obstacles, controller or actuator.
     #[arg(required_unless_present = "list")]
     pub role: Option<String>,
-    /// Built-in implementation: emulator, player, ekf, ellipses, nmpc or actuation.
+    /// Built-in implementation: emulator, player, ros2, ekf, ellipses, nmpc or actuation.
     #[arg(long, value_name = "IMPLEMENTATION", group = "candidate")]
     pub to: Option<String>,
-    /// System file whose table `[player]` the robot `player` gets.
+    /// System file whose table `[player]` or `[ros2]` the robot of this name gets.
     #[arg(long, value_name = "FILE")]
     pub system: Option<PathBuf>,
     /// Run only this case; may be repeated.
@@ -109,7 +109,8 @@ pub fn conformance(arguments: &ConformanceArguments) -> anyhow::Result<Exit> {
     let mut suite = Suite::new(role, command, (1e9 / arguments.rate).round() as u64)?;
     if let Some(file) = &arguments.system {
         let plan::SourceFile { table, name, .. } = System::read_table(Some(file))?;
-        suite.player = Some(System::from_table(table, &name)?.player);
+        let system = System::from_table(table, &name)?;
+        suite.driver = arguments.to.as_deref().map_or(Ok(None), |name| system.driver_of(name))?;
     }
     let verdicts = play_all(&cases, &suite, arguments)?;
     let mut report = SuiteReport::new(role.name(), &label);

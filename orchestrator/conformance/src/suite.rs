@@ -5,7 +5,7 @@ use std::ffi::OsString;
 use std::sync::atomic::AtomicU32;
 use std::sync::{Arc, Mutex};
 
-use plan::settings;
+use plan::settings::{self, DriverTable};
 use runtime::{ClockKind, Domain, Realtime, RunSettings, Shutdown};
 use serde::Deserialize;
 use shared_types::Role;
@@ -21,8 +21,8 @@ pub(crate) struct Suite {
     pub(crate) command: Vec<OsString>,
     /// Scan period [ns].
     pub(crate) period_ns: u64,
-    /// Settings of a robot behind a Player server.
-    pub(crate) player: Option<player::PlayerConfig>,
+    /// Settings of the driver of a robot.
+    pub(crate) driver: Option<DriverTable>,
     /// Set when the user wants to end.
     pub(crate) shutdown: Shutdown,
     drives: Mutex<BTreeMap<Course, Arc<Drive>>>,
@@ -55,7 +55,7 @@ impl Suite {
         let shutdown = Shutdown::on_signals()?;
         sweep()?;
         let (drives, benches) = (Mutex::default(), AtomicU32::new(0));
-        Ok(Self { role, command, period_ns, player: None, shutdown, drives, benches })
+        Ok(Self { role, command, period_ns, driver: None, shutdown, drives, benches })
     }
 
     /// A recorded drive.
@@ -80,7 +80,7 @@ impl Suite {
             orphan_timeout_ns: setup.orphan_ns,
         };
         let tuning = tuning.clone().for_scenario(scenario);
-        settings::write(domain, &run, &Realtime::default(), scenario, &tuning, self.player.as_ref())
+        settings::write(domain, &run, &Realtime::default(), scenario, &tuning, self.driver.as_ref())
     }
 }
 

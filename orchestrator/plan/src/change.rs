@@ -12,15 +12,14 @@ use vehicle::{Invalid, Setting, read};
 
 use crate::overrides::{parse_override, set};
 use crate::rate::require_rate;
+use crate::settings::DRIVERS;
 use crate::{System, is_of_scenario};
 
 /// Tables of the scenario that only the emulated robot reads and that are no part of the course.
 const OF_THE_ROBOT: [&str; 3] = ["robot", "noise", "scanner"];
 /// Tables with keys that may change.
-const TABLES: [&str; 8] =
-    ["estimator", "obstacles", "controller", "actuator", "robot", "noise", "scanner", PLAYER];
-/// Table of the driver of a Player robot.
-const PLAYER: &str = "player";
+const TABLES: [&str; 9] =
+    ["estimator", "obstacles", "controller", "actuator", "robot", "noise", "scanner", "player", "ros2"];
 /// Keys of a role that have their value from elsewhere when a run starts, and from where.
 const DERIVED: [(&str, &str); 9] = [
     ("controller.goal", "the scenario sets it"),
@@ -63,7 +62,7 @@ fn role_of_key(key: &str) -> anyhow::Result<Role> {
         return Err(refused(reason));
     }
     let (first, rest) = key.split_once('.').unwrap_or((key, ""));
-    if OF_THE_ROBOT.contains(&first) || first == PLAYER {
+    if OF_THE_ROBOT.contains(&first) || DRIVERS.contains(&first) {
         return Ok(Role::Robot);
     }
     match first.parse() {
@@ -79,8 +78,8 @@ fn role_of_key(key: &str) -> anyhow::Result<Role> {
         Err(_) => {
             let meant = did_you_mean(first, TABLES);
             Err(Failure::bad_input(format!(
-                "{key} is unknown: expected a key of estimator, obstacles, controller, actuator, robot, noise, scanner \
-                 or player; `scanloop reference` lists them.{meant}"
+                "{key} is unknown: expected a key of estimator, obstacles, controller, actuator, robot, noise, scanner, \
+                 player or ros2; `scanloop reference` lists them.{meant}"
             )))
         }
     }
@@ -97,13 +96,15 @@ pub fn settings(role: Role, file: &str, overrides: &[String]) -> anyhow::Result<
         if role_of_key(&key)? != role {
             return Err(Failure::bad_input(format!("{key} does not belong to role {role}")));
         }
-        match (role, key.starts_with("player.")) {
+        let driver = driver_of_key(&key);
+        match (role, driver.is_some()) {
             (Role::Robot, false) => match file.get_mut(settings_table(role)) {
                 Some(Value::Table(scenario)) => set(scenario, &key, value)?,
                 _ => anyhow::bail!("the settings of the robot have no scenario"),
             },
-            (Role::Robot, true) if !file.contains_key(PLAYER) => {
-                return Err(Failure::bad_input(format!("{key}: this system has no Player robot")));
+            (Role::Robot, true) if driver.is_some_and(|name| !file.contains_key(name)) => {
+                let name = driver.unwrap_or_default();
+                return Err(Failure::bad_input(format!("{key}: this system has no robot `{name}`")));
             }
             _ => set(&mut file, &key, value)?,
         }
@@ -125,13 +126,18 @@ pub fn amounts(role: Role, files: [&str; 2], overrides: &[String]) -> anyhow::Re
     let mut found = Vec::new();
     for text in overrides {
         let (key, _) = parse_override(text)?;
-        let is_of_scenario = role == Role::Robot && !key.starts_with("player.");
+        let is_of_scenario = role == Role::Robot && driver_of_key(&key).is_none();
         let path = if is_of_scenario { format!("{}.{key}", settings_table(role)) } else { key.clone() };
         let [old, new] = [&old, &new].map(|table| numbers(value_at(table, &path)));
         let by = old.iter().zip(&new).map(|(old, new)| (old - new).abs()).fold(0.0, f64::max);
         found.push((key, by));
     }
     Ok(found)
+}
+
+/// The driver that a key belongs to.
+fn driver_of_key(key: &str) -> Option<&str> {
+    key.split_once('.').map(|(table, _)| table).filter(|table| DRIVERS.contains(table))
 }
 
 fn value_at<'a>(table: &'a Table, path: &str) -> Option<&'a Value> {
@@ -155,8 +161,11 @@ fn checked(role: Role, file: &Table, rate_hz: f64) -> anyhow::Result<Value> {
     let own = file.get(settings_table(role)).and_then(Value::as_table).cloned().unwrap_or_default();
     match role {
         Role::Robot => {
-            if let Some(Value::Table(table)) = file.get(PLAYER) {
-                reread(PLAYER, table.clone(), player::PlayerConfig::validate)?;
+            if let Some(Value::Table(table)) = file.get("player") {
+                reread("player", table.clone(), player::PlayerConfig::validate)?;
+            }
+            if let Some(Value::Table(table)) = file.get("ros2") {
+                reread("ros2", table.clone(), driver::ros2::Ros2Config::validate)?;
             }
             let scenario = Scenario::from_table(own, "settings of the robot").map_err(Failure::bad_input)?;
             Ok(Value::try_from(scenario)?)
@@ -302,6 +311,6 @@ mod tests {
         );
         assert!(error(&["estimator.gate=true"]).contains("does not belong to role controller"));
         let player = changed(Role::Robot, &["player.port=1"]).unwrap_err().to_string();
-        assert!(player.contains("no Player robot"), "{player}");
+        assert!(player.contains("no robot `player`"), "{player}");
     }
 }

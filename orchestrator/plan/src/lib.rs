@@ -3,10 +3,10 @@
 pub mod calibration_file;
 pub mod change;
 pub mod difference;
+mod driven_robot;
 pub mod hosts;
 pub mod migrate;
 pub mod overrides;
-mod player_robot;
 mod possible;
 mod rate;
 pub mod reference;
@@ -26,6 +26,7 @@ use console::user_file::{self, TEXT_BYTES};
 use emulator::Scenario;
 use nmpc::speed_limit;
 use runtime::{Domain, OwnTopics};
+use supervision::child::other_program;
 use toml::{Table, Value};
 use vehicle::{Description, Invalid, Setting, Surroundings, did_you_mean};
 
@@ -109,7 +110,7 @@ impl Plan {
             _ => BTreeSet::new(),
         };
         let given = &keys(&scenario, "robot") | &keys(&system, "vehicle");
-        player_robot::add_defaults(&mut system);
+        driven_robot::add_defaults(&mut system);
         vehicle_table::adopt_scenario(&scenario, &mut system);
         vehicle_table::fit_velocities(&mut system);
         let mut scenario = Scenario::checked(scenario)?;
@@ -175,14 +176,18 @@ impl Plan {
     /// Settings that are not allowed, and errors of the file system.
     pub fn write_settings(&self, domain: &Domain, lockstep: bool) -> anyhow::Result<()> {
         let Self { scenario, system, .. } = self;
-        if lockstep && system.player().is_some() {
-            let message = "--lockstep: the robot `player` drives in real time only";
+        let driver = system.driver()?;
+        if let (Some(driver), true) = (&driver, lockstep) {
+            let message = format!("--lockstep: the robot `{}` drives in real time only", driver.name);
             return Err(Failure::bad_input(message));
+        }
+        if driver.as_ref().is_some_and(|driver| driver.name == "ros2") {
+            other_program(system::ROS2, "services/ros2")?;
         }
         let run = system.run_settings(lockstep);
         OwnTopics { run: run.clone(), ..self.own_topics.clone() }.write(domain)?;
         let tuning = system.tuning().for_scenario(scenario);
-        settings::write(domain, &run, &system.realtime, scenario, &tuning, system.player())
+        settings::write(domain, &run, &system.realtime, scenario, &tuning, driver.as_ref())
     }
 }
 

@@ -1,12 +1,24 @@
 //! The settings files of a system: one per role, with what its process may know and nothing else.
 //!
-//! A robot behind a Player server has the tables `player` and `vehicle` in addition. Obstacles and hidden faults of the robot stand in the robot's file only: the stages never read the truth.
+//! A robot with a driver has the tables of the driver and `vehicle` in addition. Obstacles and hidden faults of the robot stand in the robot's file only: the stages never read the truth.
 
 use emulator::Scenario;
 use pipeline::Tuning;
 use runtime::{Domain, Realtime, RunSettings, settings_file, settings_table};
 use shared_types::Role;
 use toml::{Table, Value};
+
+/// Implementations of role robot that drive a robot which is no part of the system, each with a table of its name.
+pub const DRIVERS: [&str; 2] = ["player", "ros2"];
+
+/// The table of a driver, complete.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DriverTable {
+    /// Its name, that of the implementation.
+    pub name: &'static str,
+    /// Its keys.
+    pub table: Value,
+}
 
 /// Writes the settings file of each role; every key that a role has stands in it with the value that holds.
 ///
@@ -18,12 +30,12 @@ pub fn write(
     realtime: &Realtime,
     scenario: &Scenario,
     tuning: &Tuning,
-    player: Option<&player::PlayerConfig>,
+    driver: Option<&DriverTable>,
 ) -> anyhow::Result<()> {
     for role in Role::ALL.iter().copied() {
         let mut table = of(role, run, realtime, scenario, tuning)?;
-        if let (Role::Robot, Some(player)) = (role, player) {
-            table.insert("player".to_owned(), Value::try_from(player)?);
+        if let (Role::Robot, Some(driver)) = (role, driver) {
+            table.insert(driver.name.to_owned(), driver.table.clone());
             table.insert("vehicle".to_owned(), Value::try_from(tuning.vehicle)?);
         }
         domain.folder().write(&settings_file(role), toml::to_string(&table)?.as_bytes())?;

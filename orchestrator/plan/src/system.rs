@@ -15,8 +15,12 @@ use vehicle::{Description, Invalid, read, require, settings};
 use crate::hosts::{self, HostEntry};
 use crate::possible;
 use crate::rate::require_rate;
+use crate::settings::{DRIVERS, DriverTable};
 use crate::source::SourceFile;
 use crate::topics::{self, TopicEntry};
+
+/// The program of the implementation `ros2`, which is built apart.
+pub const ROS2: &str = "scanloop-ros2";
 
 /// The built-in process table.
 pub const BUILT_IN: &str = include_str!("../../systems/default.toml");
@@ -35,6 +39,8 @@ settings! {
         pub vehicle: Description = Description::default();
         /// Driver of a robot behind a Player server, for the implementation `player` of role `robot`.
         pub player: player::PlayerConfig = player::PlayerConfig::default();
+        /// Driver of a ROS 2 robot, for the implementation `ros2` of role `robot`.
+        pub ros2: driver::ros2::Ros2Config = driver::ros2::Ros2Config::default();
         /// Processors, scheduling, idle states and memory; the defaults need no privilege.
         pub realtime: runtime::Realtime = runtime::Realtime::default();
         /// What is kept of a drive in real time without `--record`.
@@ -156,10 +162,24 @@ impl System {
         }
     }
 
-    /// The settings of the driver, when a robot behind a Player server fills the role `robot`.
-    pub fn player(&self) -> Option<&player::PlayerConfig> {
-        let implementation = self.entry(Role::Robot)?.implementation.as_deref();
-        (implementation == Some("player")).then_some(&self.player)
+    /// The settings of the driver, when the robot has one.
+    ///
+    /// # Errors
+    /// None, as far as settings can be written.
+    pub fn driver(&self) -> anyhow::Result<Option<DriverTable>> {
+        let implementation = self.entry(Role::Robot).and_then(|entry| entry.implementation.as_deref());
+        implementation.map_or(Ok(None), |name| self.driver_of(name))
+    }
+
+    /// The settings of a driver by the name of its implementation; `None` for another implementation.
+    ///
+    /// # Errors
+    /// As [`Self::driver`].
+    pub fn driver_of(&self, implementation: &str) -> anyhow::Result<Option<DriverTable>> {
+        let Some(name) = DRIVERS.into_iter().find(|name| *name == implementation) else { return Ok(None) };
+        let table =
+            if name == "ros2" { Value::try_from(&self.ros2)? } else { Value::try_from(&self.player)? };
+        Ok(Some(DriverTable { name, table }))
     }
 
     /// The entry of a role; a checked system has one for each.
@@ -193,6 +213,7 @@ impl System {
         self.recording.require_ranges().map_err(|invalid| invalid.within("recording"))?;
         require("orphan_stop_s", self.orphan_stop_s(), MIN_ORPHAN_STOP_S..=self.orphan_timeout_s)?;
         self.player.validate().map_err(|invalid| invalid.within("player"))?;
+        self.ros2.validate().map_err(|invalid| invalid.within("ros2"))?;
         realtime::validate(&self.realtime).map_err(|invalid| invalid.within("realtime"))?;
         if let Some(role) = Role::ALL.iter().find(|role| self.entry(**role).is_none()) {
             let missing = format!("no process of role {role}");

@@ -145,7 +145,7 @@ pub enum CliCommand {
     Shadow(ShadowArguments),
     /// Run one built-in implementation; `scanloop run` starts these.
     Service {
-        /// Name of the implementation: emulator, player, ekf, ellipses, nmpc or actuation.
+        /// Name of the implementation: emulator, player, ros2, ekf, ellipses, nmpc or actuation.
         name: String,
     },
     /// Run processes of this host for the orchestrator of another one.

@@ -2,13 +2,18 @@
 
 mod injection;
 
+use std::os::unix::process::CommandExt;
+use std::process::Command;
+
 use actuation::ActuatorStage;
 use console::exit::{Exit, Failure};
 use estimator::EstimatorStage;
 use nmpc::ControllerStage;
 use obstacles::DetectorStage;
+use plan::system::ROS2;
 use runtime::stage;
 use shared_types::did_you_mean;
+use supervision::child::other_program;
 use supervision::entry::IMPLEMENTATIONS;
 
 use crate::bench::latency::noise;
@@ -30,6 +35,10 @@ pub(crate) fn run(name: &str) -> anyhow::Result<Exit> {
             None => emulator::service::run()?,
         },
         "player" => player::service::run()?,
+        "ros2" => {
+            let error = Command::new(other_program(ROS2, "services/ros2")?).arg("robot").exec();
+            return Err(Failure::process(format!("{ROS2}: {error}")));
+        }
         // Started by `player`, and no process of the system.
         "player-guard" => player::guard::run()?,
         "ekf" => stage::run::<EstimatorStage>()?,

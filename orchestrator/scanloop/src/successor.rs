@@ -15,7 +15,7 @@ use supervision::replaceable;
 pub struct SuccessorArguments {
     /// Role of the process: robot, estimator, obstacles, controller or actuator. `swap` also takes the name of a companion.
     pub role: String,
-    /// Built-in implementation: emulator, player, ekf, ellipses, nmpc or actuation. With `@HOST` it runs on that `[[host]]`
+    /// Built-in implementation: emulator, player, ros2, ekf, ellipses, nmpc or actuation. With `@HOST` it runs on that `[[host]]`
     /// of the system file, or on the host of `run` for `@orchestrator`; without, on the host where the role is.
     #[arg(long, value_name = "IMPLEMENTATION[@HOST]", group = "successor")]
     pub to: Option<String>,

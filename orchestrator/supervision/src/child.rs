@@ -24,6 +24,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use console::control_group;
+use console::exit::Failure;
 use runtime::{Identified, Seen, identify, processes_of};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
@@ -293,6 +294,22 @@ pub fn this_program() -> PathBuf {
         Ok(path) if path.exists() => path,
         _ => PathBuf::from("/proc/self/exe"),
     }
+}
+
+/// A program that is built apart, beside this one or in `PATH`; `folder` has its sources.
+///
+/// # Errors
+/// Where it was looked for, and the command that builds it; exit code 2.
+pub fn other_program(name: &str, folder: &str) -> anyhow::Result<PathBuf> {
+    let beside = this_program().parent().map(|folder| folder.join(name));
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let in_path = std::env::split_paths(&path).map(|folder| folder.join(name));
+    beside.into_iter().chain(in_path).find(|file| file.is_file()).ok_or_else(|| {
+        Failure::bad_input(format!(
+            "{name} is neither beside this program nor in PATH; build it with \
+             `cargo build --release --manifest-path {folder}/Cargo.toml` and copy it there"
+        ))
+    })
 }
 
 /// Whether a process has work to do, on a processor or waiting for one or for memory, and its processor time [s].

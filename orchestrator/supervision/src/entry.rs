@@ -31,7 +31,7 @@ settings! {
         /// Role that the process fills, or `companion` for a process beside the loop.
         pub role: String = String::new(), (ROLES, "must be given");
         /// Built-in implementation that fills the role; it needs this or `command`.
-        pub implementation: Option<String> = None, "emulator or player, ekf, ellipses, nmpc or actuation, in the order of the roles";
+        pub implementation: Option<String> = None, "emulator, player or ros2, ekf, ellipses, nmpc or actuation, in the order of the roles";
         /// Name of a companion; a role has none.
         pub name: Option<String> = None, NAME_RULE;
         /// Program of your own with its arguments, which fills the role instead.
@@ -93,9 +93,11 @@ pub fn recorded_processes(file: &[u8]) -> Result<Vec<ProcessRow>, String> {
 }
 
 /// Built-in implementations: name, and the role that each fills.
-pub const IMPLEMENTATIONS: [(&str, Role); 6] = [
+pub const IMPLEMENTATIONS: [(&str, Role); 7] = [
     ("emulator", Role::Robot),
     ("player", Role::Robot),
+    // The program `scanloop-ros2`, which is built apart.
+    ("ros2", Role::Robot),
     ("ekf", Role::Estimator),
     ("ellipses", Role::Obstacles),
     ("nmpc", Role::Controller),

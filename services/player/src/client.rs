@@ -4,30 +4,23 @@
 //! queue of fixed size and wakes the process. It never writes after the conversation at the start: its guard does.
 
 mod connection;
-mod guarded;
 mod lost;
 mod scanner;
 
-use std::cell::Cell;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
-use std::thread::JoinHandle;
+use std::path::Path;
 use std::time::{Duration, Instant};
 
+use driver::feed::Feed;
+use driver::guard::Orders;
+use driver::motion::BaseState;
 use shared_types::{BEAMS, Device};
 
 use crate::PlayerConfig;
 use crate::config::ScanSource;
 use crate::handshake::PlayerSession;
-use crate::message::BaseState;
 
-pub use guarded::Orders;
 pub use lost::Lost;
 
-/// Events that wait for the process: more than a second of data.
-const QUEUED: usize = 32;
 /// Time before the next attempt to connect; it doubles from the first to the second.
 const PAUSES: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(2)];
 
@@ -73,14 +66,13 @@ pub enum ClientEvent {
     Lost(Lost),
 }
 
+/// Where the threads put their events.
+type Outlet = driver::feed::Outlet<ClientEvent>;
+
 /// The running connection.
 #[derive(Debug)]
 pub struct Client {
-    events: Receiver<ClientEvent>,
-    /// A state of the scanner that came before the first connection.
-    scanner: Cell<Option<Device>>,
-    is_ended: Arc<AtomicBool>,
-    threads: Vec<JoinHandle<()>>,
+    feed: Feed<ClientEvent>,
 }
 
 impl Client {
@@ -95,27 +87,21 @@ impl Client {
         scanloop: &Path,
         wake: impl Fn() + Send + Sync + 'static,
     ) -> std::io::Result<Self> {
-        let (sender, events) = sync_channel(QUEUED);
-        let is_ended = Arc::new(AtomicBool::new(false));
-        let scanloop = scanloop.to_owned();
-        let outlet =
-            Outlet { events: sender, wake: Arc::new(wake), scanloop, is_ended: Arc::clone(&is_ended) };
-        let named = |name: &str| std::thread::Builder::new().name(name.to_owned());
-        let mut threads = Vec::new();
+        let (mut feed, outlet) = Feed::new(wake);
         if config.scan == ScanSource::Urg {
             let (config, outlet) = (config.clone(), outlet.clone());
             // Two periods are the time without an order.
             let rate_hz = 2e9 / timeout_ns as f64;
-            threads.push(named("scanner").spawn(move || scanner::read(&config, rate_hz, &outlet))?);
+            feed.spawn("scanner", move || scanner::read(&config, rate_hz, &outlet))?;
         }
-        let config = config.clone();
-        threads.push(named("player").spawn(move || keep_connected(&config, timeout_ns, &outlet))?);
-        Ok(Self { events, scanner: Cell::default(), is_ended, threads })
+        let (config, scanloop) = (config.clone(), scanloop.to_owned());
+        feed.spawn("player", move || keep_connected(&config, timeout_ns, &scanloop, &outlet))?;
+        Ok(Self { feed })
     }
 
     /// The next event, if there is one.
     pub fn next(&self) -> Option<ClientEvent> {
-        self.scanner.take().map(ClientEvent::Scanner).or_else(|| self.events.try_recv().ok())
+        self.feed.next()
     }
 
     /// Waits for the first connection, but not longer than `limit_s` [s].
@@ -125,65 +111,25 @@ impl Client {
     pub fn connected(&self, limit_s: f64) -> Result<(Orders, PlayerSession), Option<Lost>> {
         let (end, mut reason) = (Instant::now() + Duration::from_secs_f64(limit_s), None);
         loop {
-            match self.events.recv_timeout(end.saturating_duration_since(Instant::now())) {
-                Ok(ClientEvent::Connected(orders, session)) => return Ok((orders, session)),
-                Ok(ClientEvent::Lost(lost)) => reason = Some(lost),
-                Ok(ClientEvent::Scanner(device)) => self.scanner.set(Some(device)),
-                Ok(_) => {}
-                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => return Err(reason),
+            match self.feed.wait(end) {
+                Some(ClientEvent::Connected(orders, session)) => return Ok((orders, session)),
+                Some(ClientEvent::Lost(lost)) => reason = Some(lost),
+                // A state of the scanner that came before the first connection still counts.
+                Some(ClientEvent::Scanner(device)) => self.feed.put_back(ClientEvent::Scanner(device)),
+                Some(_) => {}
+                None => return Err(reason),
             }
         }
     }
 }
 
-impl Drop for Client {
-    /// Ends the guard, which stops the wheels, and closes the connection.
-    fn drop(&mut self) {
-        self.is_ended.store(true, Ordering::SeqCst);
-        // A thread may wait for a place in the queue.
-        while self.threads.iter().any(|thread| !thread.is_finished()) {
-            let _ = self.events.recv_timeout(Duration::from_millis(5));
-        }
-        self.threads.drain(..).for_each(|thread| _ = thread.join());
-    }
-}
-
-/// Where the threads put their events.
-#[derive(Clone)]
-struct Outlet {
-    events: SyncSender<ClientEvent>,
-    wake: Arc<dyn Fn() + Send + Sync>,
-    /// The program of the guard.
-    scanloop: PathBuf,
-    is_ended: Arc<AtomicBool>,
-}
-
-impl Outlet {
-    /// Hands data over; they are dropped when the process does not take them.
-    fn offer(&self, event: ClientEvent) {
-        let _ = self.events.try_send(event);
-        (self.wake)();
-    }
-
-    /// Hands over what must not be lost; false when the process has ended.
-    fn put(&self, event: ClientEvent) -> bool {
-        let is_there = self.events.send(event).is_ok();
-        (self.wake)();
-        is_there
-    }
-
-    fn is_ended(&self) -> bool {
-        self.is_ended.load(Ordering::SeqCst)
-    }
-}
-
 /// Connects, and connects again after each loss with growing pauses.
-fn keep_connected(config: &PlayerConfig, timeout_ns: u64, outlet: &Outlet) {
+fn keep_connected(config: &PlayerConfig, timeout_ns: u64, scanloop: &Path, outlet: &Outlet) {
     let [shortest, longest] = PAUSES;
     let mut pause = shortest;
     while !outlet.is_ended() {
         let begun = Instant::now();
-        let Err(lost) = connection::serve(config, timeout_ns, outlet) else { return };
+        let Err(lost) = connection::serve(config, timeout_ns, scanloop, outlet) else { return };
         if !outlet.put(ClientEvent::Lost(lost)) {
             return;
         }

@@ -1,141 +1,144 @@
-//! The guard: a process that owns the sending end of the connection, and stops the wheels when the driver is silent.
+//! The guard of the wheels, a process that owns the sending end of the connection to a Player server.
 //!
-//! Stage and many drivers of Player follow the last command for ever. So the driver never writes commands itself. Its
-//! guard does, and sends a stop when no order has come for two scan periods, or when the driver has ended. The guard
-//! does nothing else, so little can fail in it. If it fails, the driver notices that it ended or no longer answers,
-//! sends the stop itself and closes the connection. When both are killed, the server sees the closed connection.
+//! When driver and guard are killed together, the server sees the closed connection.
 
-mod process;
+use std::io::Write;
+use std::net::{Shutdown, TcpStream};
+use std::os::fd::{AsFd, OwnedFd};
+use std::path::Path;
+use std::process::Command;
 
-pub use process::run;
+use driver::guard::{Commands, GuardAct, GuardFault, Held};
 
 use crate::command::ClientMessage;
-use crate::order::{Base, Frame, GuardAnswer, GuardOrder};
+use crate::config::DriveCommand;
+use crate::header::{DeviceAddress, interface};
 
-/// The decisions of the guard, without clock and sockets.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Guard {
-    base: Base,
-    timeout_ns: u64,
-    /// When the wheels have to be stopped; `None` while they are [ns].
-    stop_at_ns: Option<u64>,
-    answer: GuardAnswer,
+/// The arguments with which `scanloop` is a guard.
+const ARGUMENTS: [&str; 2] = ["service", "player-guard"];
+
+/// The base and the command that drives it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Base {
+    /// Index of the position2d.
+    pub index: u32,
+    /// Its command.
+    pub command: DriveCommand,
 }
 
-impl Guard {
-    /// A guard of a base that does not move yet.
-    pub fn new(base: Base, timeout_ns: u64) -> Self {
-        Self { base, timeout_ns, stop_at_ns: None, answer: GuardAnswer::default() }
+impl Base {
+    /// One number for both, which the driver hands to the guard.
+    fn number(self) -> u64 {
+        u64::from(self.index) << 1 | u64::from(self.command == DriveCommand::Velocity)
     }
 
-    /// Follows an order that is read at `now_ns`: appends the messages to send.
-    ///
-    /// An order to drive that has waited too long, because this process was suspended, is not followed.
-    pub fn follow(&mut self, frame: &Frame, now_ns: u64, bytes: &mut Vec<u8>) -> GuardAnswer {
-        self.answer.number = frame.number;
-        let stop_at_ns = frame.given_ns.saturating_add(self.timeout_ns);
-        match frame.order {
-            GuardOrder::Drive(numbers)
-                if now_ns < stop_at_ns && numbers.iter().all(|number| number.is_finite()) =>
-            {
-                self.base.drive(numbers).write(bytes, 0.0, 0);
-                self.stop_at_ns = Some(stop_at_ns);
-            }
-            GuardOrder::Drive(_) => _ = self.check(now_ns, bytes),
-            GuardOrder::Stop => {
-                self.base.stop(bytes);
-                self.stop_at_ns = None;
-            }
-            GuardOrder::Round => ClientMessage::Round.write(bytes, 0.0, 0),
-            GuardOrder::Guard(..) => {}
+    /// The base of a number.
+    fn of_number(number: u64) -> Self {
+        let command = if number & 1 == 1 { DriveCommand::Velocity } else { DriveCommand::Car };
+        Self { index: u32::try_from(number >> 1).unwrap_or(u32::MAX), command }
+    }
+
+    fn device(self) -> DeviceAddress {
+        DeviceAddress { interface: interface::POSITION2D, index: self.index }
+    }
+
+    /// The message that drives.
+    pub fn drive(self, numbers: [f64; 2]) -> ClientMessage {
+        match self.command {
+            DriveCommand::Car => ClientMessage::Car(self.device(), numbers),
+            DriveCommand::Velocity => ClientMessage::Velocity(self.device(), [numbers[0], 0.0, numbers[1]]),
         }
-        self.answer
     }
 
-    /// Stops the wheels when the driver has been silent for too long: appends the messages to send. `None` when it has
-    /// not.
-    pub fn check(&mut self, now_ns: u64, bytes: &mut Vec<u8>) -> Option<GuardAnswer> {
-        self.stop_at_ns.filter(|stop_at_ns| now_ns >= *stop_at_ns)?;
-        self.base.stop(bytes);
-        self.stop_at_ns = None;
-        self.answer.stops += 1;
-        Some(self.answer)
+    /// Appends the messages that stop the wheels: in the form that drives, and as velocities, which each base knows.
+    pub fn stop(self, bytes: &mut Vec<u8>) {
+        self.drive([0.0; 2]).write(bytes, 0.0, 0);
+        ClientMessage::Velocity(self.device(), [0.0; 3]).write(bytes, 0.0, 0);
     }
 
-    /// How long nothing has to be done [ns]; `None` while the wheels are stopped.
-    pub fn rest_ns(&self, now_ns: u64) -> Option<u64> {
-        self.stop_at_ns.map(|stop_at_ns| stop_at_ns.saturating_sub(now_ns))
+    /// Stops the wheels in place of the guard, which does not.
+    pub(crate) fn stop_now(self, mut server: &TcpStream) {
+        let mut bytes = Vec::new();
+        self.stop(&mut bytes);
+        let _ = server.write_all(&bytes);
     }
+}
 
-    /// Appends the messages that stop the wheels, whatever was ordered.
-    pub fn stop(&mut self, bytes: &mut Vec<u8>) {
-        self.base.stop(bytes);
-        self.stop_at_ns = None;
+/// Starts the guard of a connection; `scanloop` is this program, or another one with its services.
+pub(crate) fn start(
+    scanloop: &Path,
+    server: &TcpStream,
+    base: Base,
+    timeout_ns: u64,
+) -> Result<Held, GuardFault> {
+    let output = OwnedFd::from(server.try_clone().map_err(GuardFault::NotStarted)?);
+    let mut command = Command::new(scanloop);
+    command.args(ARGUMENTS).stdout(output);
+    Held::start(command, base.number(), timeout_ns)
+}
+
+/// Runs until the driver has ended, and stops the wheels then.
+///
+/// # Errors
+/// A start by hand, and a connection that cannot be written to; the wheels stop when the server sees it closed.
+pub fn run() -> anyhow::Result<()> {
+    let server = TcpStream::from(std::io::stdout().as_fd().try_clone_to_owned()?);
+    let ended = driver::guard::run(|number| {
+        Ok(Connection {
+            server: server.try_clone()?,
+            base: Base::of_number(number),
+            bytes: Vec::with_capacity(256),
+        })
+    });
+    if ended.is_err() {
+        // The driver and the server see it.
+        let _ = server.shutdown(Shutdown::Both);
+    }
+    ended
+}
+
+/// The sending end.
+struct Connection {
+    server: TcpStream,
+    base: Base,
+    bytes: Vec<u8>,
+}
+
+impl Commands for Connection {
+    fn send(&mut self, act: GuardAct) -> std::io::Result<()> {
+        self.bytes.clear();
+        match act {
+            GuardAct::Drive(numbers) => self.base.drive(numbers).write(&mut self.bytes, 0.0, 0),
+            GuardAct::Stop => self.base.stop(&mut self.bytes),
+            GuardAct::Round => ClientMessage::Round.write(&mut self.bytes, 0.0, 0),
+            // The server stamps nothing that it receives.
+            GuardAct::Offset(_) => {}
+        }
+        self.server.write_all(&self.bytes)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::DriveCommand;
-
-    const TIMEOUT_NS: u64 = 200;
-    const BASE: Base = Base { index: 0, command: DriveCommand::Car };
-
-    fn order(given_ns: u64, order: GuardOrder) -> Frame {
-        Frame { number: given_ns, given_ns, order }
-    }
-
-    fn messages(write: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
-        let mut bytes = Vec::new();
-        write(&mut bytes);
-        bytes
-    }
 
     #[test]
-    fn the_wheels_are_stopped_once_after_a_silence_and_turn_with_the_next_order() {
-        let mut guard = Guard::new(BASE, TIMEOUT_NS);
-        let stop = messages(|bytes| BASE.stop(bytes));
-        let drive = messages(|bytes| BASE.drive([0.5, 0.1]).write(bytes, 0.0, 0));
-        for start_ns in [1000, 5000] {
-            let frame = order(start_ns, GuardOrder::Drive([0.5, 0.1]));
-            assert_eq!(messages(|bytes| _ = guard.follow(&frame, start_ns + 10, bytes)), drive);
-            assert_eq!(guard.rest_ns(start_ns + 10), Some(190));
-            assert_eq!(messages(|bytes| assert_eq!(guard.check(start_ns + 199, bytes), None)), []);
-            assert_eq!(messages(|bytes| assert!(guard.check(start_ns + 200, bytes).is_some())), stop);
-            assert_eq!(messages(|bytes| assert_eq!(guard.check(start_ns + 900, bytes), None)), []);
-            assert_eq!(guard.rest_ns(start_ns + 900), None);
+    fn a_base_comes_back_from_its_number() {
+        for command in [DriveCommand::Car, DriveCommand::Velocity] {
+            let base = Base { index: 65_535, command };
+            assert_eq!(Base::of_number(base.number()), base);
         }
-        assert_eq!(guard.answer, GuardAnswer { number: 5000, stops: 2 });
     }
 
     #[test]
-    fn an_old_order_is_not_followed_and_an_earlier_one_still_ends() {
-        let mut guard = Guard::new(BASE, TIMEOUT_NS);
-        let old = order(1000, GuardOrder::Drive([0.5, 0.0]));
-        assert_eq!(messages(|bytes| _ = guard.follow(&old, 1200, bytes)), []);
-        guard.follow(&order(2000, GuardOrder::Drive([0.5, 0.0])), 2000, &mut Vec::new());
-        let late = order(2100, GuardOrder::Drive([0.9, 0.0]));
-        assert_eq!(
-            messages(|bytes| _ = guard.follow(&late, 2300, bytes)),
-            messages(|bytes| BASE.stop(bytes))
-        );
-    }
-
-    #[test]
-    fn numbers_that_are_none_are_not_sent() {
-        let mut guard = Guard::new(BASE, TIMEOUT_NS);
-        let broken = order(1, GuardOrder::Drive([f64::NAN, 0.0]));
-        assert_eq!(messages(|bytes| _ = guard.follow(&broken, 1, bytes)), []);
-        assert_eq!(guard.rest_ns(1), None);
-    }
-
-    #[test]
-    fn an_ordered_stop_is_no_silence() {
-        let mut guard = Guard::new(BASE, TIMEOUT_NS);
-        guard.follow(&order(1, GuardOrder::Drive([0.5, 0.0])), 1, &mut Vec::new());
-        let stopped = messages(|bytes| _ = guard.follow(&order(2, GuardOrder::Stop), 2, bytes));
-        assert_eq!((stopped, guard.answer.stops), (messages(|bytes| BASE.stop(bytes)), 0));
-        assert_eq!(guard.check(10_000, &mut Vec::new()), None);
+    fn a_stop_is_sent_in_the_form_that_drives_and_as_velocities() {
+        let mut bytes = Vec::new();
+        Base { index: 1, command: DriveCommand::Car }.stop(&mut bytes);
+        let sizes = [56, 68];
+        assert_eq!(bytes.len(), sizes[0] + sizes[1]);
+        assert_eq!((bytes[15], bytes[23]), (1, 3), "CAR of position2d:1");
+        assert_eq!(bytes[40..56], [0; 16]);
+        assert_eq!((bytes[56 + 15], bytes[56 + 23]), (1, 1), "VEL of position2d:1");
+        assert_eq!(bytes[96..120], [0; 24]);
     }
 }

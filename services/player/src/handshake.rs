@@ -4,10 +4,12 @@
 //! to the request with its device and subtype. Each request has a time limit, because the server drops what it does not
 //! know without an answer.
 
+use driver::beams::Fan;
+
 use crate::command::{ClientMessage, DeliveryMode, QueueRule, access};
 use crate::config::{Delivery, PlayerConfig, ScanSource, ScannerInterface};
 use crate::header::{DeviceAddress, MessageHeader, interface};
-use crate::message::{self, Fan, ServerMessage};
+use crate::message::{self, ServerMessage};
 use crate::xdr::Malformed;
 
 /// An answer that has not come after this time does not come [ns]: the limit of Player's own clients.

@@ -1,29 +1,10 @@
 //! The messages that a client receives: data of base and scanner, and answers to its requests.
 
+use driver::beams::Fan;
+use driver::motion::BaseState;
+
 use crate::header::{DeviceAddress, MessageHeader, interface, kind};
 use crate::xdr::{Malformed, Numbers, XdrReader};
-
-/// The base, as position2d reports it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct BaseState {
-    /// Reported position ahead of the origin, left of it, and yaw counter-clockwise [m, m, rad].
-    pub pose: [f64; 3],
-    /// Velocities in the same order [m/s, m/s, rad/s].
-    pub velocity: [f64; 3],
-    /// Whether the wheels are stuck.
-    pub stalled: bool,
-}
-
-/// Where the beams of a sweep point, and how far they reach.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Fan {
-    /// Angle of the first beam from straight ahead, counter-clockwise [rad].
-    pub first_rad: f64,
-    /// Angle of the last beam [rad].
-    pub last_rad: f64,
-    /// Range that stands for "nothing was hit" [m].
-    pub max_range_m: f64,
-}
 
 /// Ranges of one sweep.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -111,7 +92,7 @@ fn laser_scan<'a>(reader: &mut XdrReader<'a>) -> Result<RangeSweep<'a>, Malforme
     let ranges_m = Numbers::f32s(reader)?;
     let _intensities = reader.text()?;
     let _id = reader.u32()?;
-    Ok(RangeSweep { ranges_m, fan: Some(Fan { first_rad, last_rad, max_range_m }) })
+    Ok(RangeSweep { ranges_m, fan: Some(Fan { first_rad, last_rad, min_range_m: 0.0, max_range_m }) })
 }
 
 /// The devices in the answer to [`crate::command::ClientMessage::Devices`].
@@ -182,10 +163,10 @@ pub fn fan(of: DeviceAddress, payload: &[u8]) -> Result<Fan, Malformed> {
         let (first_rad, last_rad, _resolution, max_range_m) =
             (reader.f32()?, reader.f32()?, reader.f32()?, reader.f32()?);
         reader.take(12)?;
-        Fan { first_rad, last_rad, max_range_m }
+        Fan { first_rad, last_rad, min_range_m: 0.0, max_range_m }
     } else {
         let [first_rad, last_rad, _resolution, _min_range_m, max_range_m, _, _] = reader.f64s::<7>()?;
-        Fan { first_rad, last_rad, max_range_m }
+        Fan { first_rad, last_rad, min_range_m: 0.0, max_range_m }
     };
     reader.end().map(|()| fan)
 }

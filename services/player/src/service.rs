@@ -1,392 +1,129 @@
 //! The process of the driver: actuation in; scan and odometry out.
-//!
-//! It orders its guard to drive or to stop; the guard sends the commands. It blocks the wheels itself when no actuation
-//! has come for two scan periods, when the run is stopped, and before it ends.
 
 use std::path::Path;
-use std::rc::Rc;
 
-use runtime::{CANDIDATE_VARIABLE, Input, Output, Process, Wheels, monotonic_ns};
-use serde::Deserialize;
-use shared_types::{Actuation, ActuationKind, DeviceState, Odometry, Phase, Role, Scan, ScanGeometry};
+use driver::event::{ForeignRobot, RobotEvent, RobotSettings};
+use driver::guard::Orders;
+use driver::motion::{Convention, Turn};
+use driver::service::TIMEOUT_PERIODS;
+use runtime::Process;
 use vehicle::Description;
-use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 
-use crate::client::{Client, ClientEvent, Lost, Orders};
-use crate::config::{PlayerConfig, ScanSource};
-use crate::devices::Devices;
+use crate::client::{Client, ClientEvent};
+use crate::config::{DriveCommand, PlayerConfig, ScanSource};
 use crate::handshake::PlayerSession;
-use crate::motion::{Anchor, Motion, sent, wrapped};
-use crate::order::GuardOrder;
-use crate::sensing::{MeasuredSweep, Sensing};
 
 /// The guard is a service of this program, also when an update has replaced its file.
 const THIS_PROGRAM: &str = "/proc/self/exe";
-/// The dead man acts after this many periods without an actuation.
-const TIMEOUT_PERIODS: u64 = 2;
-/// Longest sleep of the process [ns]. A publisher in another language may not ring, so that the connection can't wake it.
-const SLEEP_NS: u64 = 20_000_000;
-/// A robot that was asked to end comes to rest within this time [ns].
-const REST_NS: u64 = 700_000_000;
-/// A slower robot rests [m/s]: real odometry has noise.
-const RESTING_MPS: f64 = 0.01;
+/// A state so much older than a sweep counts as of the same time [s].
+const AHEAD_S: f64 = 0.005;
 /// Mounting of the scanner that is reported and described may differ by this [m, rad].
 const MOUNTING: f64 = 0.01;
-/// Limits of sent values are kept up to rounding.
-const SLACK: f64 = 1e-9;
-/// Scans whose mean period is compared with the rate of the system.
-const RATE_SCANS: u64 = 20;
-/// The mean period may differ from that of the system by this share.
-const RATE_TOLERANCE: f64 = 0.05;
-
-/// What the driver reads of the scenario: where the robot stands at the start.
-#[derive(Debug, Clone, Copy, Default, Deserialize)]
-#[serde(default)]
-struct Course {
-    start: Start,
-}
-
-#[derive(Debug, Clone, Copy, Default, Deserialize)]
-#[serde(default)]
-struct Start {
-    x_m: f64,
-    y_m: f64,
-    yaw_rad: f64,
-}
 
 /// Runs until asked to end.
 ///
 /// # Errors
 /// Settings that are not allowed, no server, and errors of the bus.
 pub fn run() -> anyhow::Result<()> {
-    // It would stop the wheels that the other process drives.
-    let is_alone = std::env::var_os(CANDIDATE_VARIABLE).is_none();
-    anyhow::ensure!(
-        is_alone,
-        "the wheels have one driver: `player` can be neither swapped in nor run in shadow"
-    );
-    let mut process = Process::attach(Role::Robot)?;
-    let mut driver = Driver::new(&mut process)?;
-    if !process.start()? {
-        return Ok(());
-    }
-    anyhow::ensure!(!process.clock().is_simulated(), "a Player server does not wait: there is no lock-step");
-    while process.wait(Some(driver.due_ns()))? {
-        driver.turn(&mut process, false)?;
-    }
-    driver.come_to_rest(&mut process)
+    driver::service::run("player", connect)
 }
 
-/// The driver with its ports.
-struct Driver {
+fn connect(process: &mut Process) -> anyhow::Result<(PlayerRobot, Orders, RobotSettings)> {
+    let config = process.settings::<PlayerConfig>("player")?;
+    config.validate().map_err(|invalid| anyhow::anyhow!("{}", invalid.within("player")))?;
+    let vehicle: Description = process.settings("vehicle")?;
+    let waker = process.waker();
+    let timeout_ns = TIMEOUT_PERIODS * process.period_ns();
+    let client = Client::start(&config, timeout_ns, Path::new(THIS_PROGRAM), move || waker.wake())?;
+    let limit_s = config.connect_timeout_s;
+    let (orders, session) = client.connected(limit_s).map_err(|lost| {
+        let reason = lost.map_or("no answer yet".to_owned(), |lost| lost.to_string());
+        anyhow::anyhow!("no connection to {} within {limit_s} s: {reason}", config.server())
+    })?;
+    let settings = config.robot();
+    let robot = PlayerRobot { client, config, vehicle };
+    robot.log_devices(&session);
+    Ok((robot, orders, settings))
+}
+
+impl PlayerConfig {
+    /// What a driver has to know.
+    fn robot(&self) -> RobotSettings {
+        let turn = match self.command {
+            DriveCommand::Car => Turn::Steering,
+            DriveCommand::Velocity => Turn::YawRate,
+        };
+        RobotSettings {
+            convention: Convention {
+                turn,
+                wheelbase_m: self.wheelbase_m,
+                velocity_sign: self.velocity_sign,
+                steering_sign: self.steering_sign,
+                odometry_signs: self.odometry_signs,
+            },
+            delay_s: self.delay_s,
+            ahead_s: AHEAD_S,
+            stamp_offset_s: self.stamp_offset_s,
+            sweep_s: self.sweep_s,
+            has_scanner: self.scan == ScanSource::Urg,
+        }
+    }
+}
+
+/// The robot behind the server.
+struct PlayerRobot {
+    client: Client,
     config: PlayerConfig,
     vehicle: Description,
-    start: [f64; 3],
-    period_ns: u64,
-    actuations: Input<Actuation>,
-    scans: Rc<Output<Scan>>,
-    odometries: Rc<Output<Odometry>>,
-    client: Client,
-    orders: Option<Orders>,
-    sensing: Sensing,
-    devices: Devices,
-    anchor: Option<Anchor>,
-    /// The motion of the last scan, as the server reported it.
-    reported: Motion,
-    /// Largest velocity that was sent since the last scan [m/s].
-    ordered_mps: f64,
-    /// The odometry that was published last.
-    last: Option<Odometry>,
-    /// Time of the first front beam [ns].
-    first_ns: u64,
-    scan: Scan,
-    /// When the dead man acts; `None` while the wheels are blocked [ns].
-    drives_until_ns: Option<u64>,
-    /// Whether the block was logged.
-    is_stopped: bool,
-    /// So many dropped messages are logged next.
-    next_logged: u64,
 }
 
-impl Driver {
-    fn new(process: &mut Process) -> anyhow::Result<Self> {
-        let config = process.settings::<PlayerConfig>("player")?;
-        config.validate().map_err(|invalid| anyhow::anyhow!("{}", invalid.within("player")))?;
-        let vehicle: Description = process.settings("vehicle")?;
-        let Start { x_m, y_m, yaw_rad } = process.settings::<Course>("scenario")?.start;
-        let period_ns = process.period_ns();
-        let (actuations, scans, odometries) = (process.input()?, process.output()?, process.output()?);
-        let client = {
-            let waker = process.waker();
-            let this = Path::new(THIS_PROGRAM);
-            Client::start(&config, TIMEOUT_PERIODS * period_ns, this, move || waker.wake())?
-        };
-        let limit_s = config.connect_timeout_s;
-        let (orders, session) = client.connected(limit_s).map_err(|lost| {
-            let reason = lost.map_or("no answer yet".to_owned(), |lost| lost.to_string());
-            anyhow::anyhow!("no connection to {} within {limit_s} s: {reason}", config.server())
-        })?;
-        log_devices(&config, &vehicle, &session);
-        process.report_wheels(Wheels::Blocked);
-        let sweep_ns = (config.sweep_s * 1e9) as u64;
-        Ok(Self {
-            vehicle,
-            start: [x_m, y_m, yaw_rad],
-            period_ns,
-            actuations,
-            scans,
-            odometries,
-            client,
-            orders: Some(orders),
-            sensing: Sensing::new(&config, period_ns),
-            devices: Devices::new(config.scan == ScanSource::Urg, monotonic_ns()),
-            anchor: None,
-            reported: Motion::default(),
-            ordered_mps: 0.0,
-            last: None,
-            first_ns: 0,
-            scan: Scan {
-                sweep_ns: sweep_ns.clamp(1, period_ns),
-                period_ns,
-                ..Scan::of(ScanGeometry::URG_04LX)
-            },
-            drives_until_ns: None,
-            is_stopped: false,
-            next_logged: 1,
-            config,
-        })
-    }
-
-    /// When the process has to wake at the latest [ns].
-    fn due_ns(&self) -> u64 {
-        let due = [self.drives_until_ns, self.sensing.due_ns()].into_iter().flatten();
-        due.fold(monotonic_ns() + SLEEP_NS, u64::min)
-    }
-
-    /// Does all that is due, and blocks the wheels when they must not turn.
-    fn turn(&mut self, process: &mut Process, ends: bool) -> anyhow::Result<()> {
-        while let Some(event) = self.client.next() {
-            self.take(event);
-            // Data that have waited are used in their order.
-            self.publish(process)?;
-        }
-        self.publish(process)?;
-        self.obey(process, ends || process.must_stop());
-        process.report_wheels(self.wheels());
-        self.log_dropped();
-        let (state, reason) = self.devices.shown();
-        process.report_device(state, reason);
-        Ok(())
-    }
-
-    fn take(&mut self, event: ClientEvent) {
-        match event {
+impl ForeignRobot for PlayerRobot {
+    fn next(&mut self) -> Option<RobotEvent> {
+        self.client.next().map(|event| match event {
             ClientEvent::Connected(orders, session) => {
-                log_devices(&self.config, &self.vehicle, &session);
-                self.orders = Some(orders);
-                self.sensing.restart();
-                self.devices.set_base(DeviceState::Running, "", monotonic_ns());
+                self.log_devices(&session);
+                RobotEvent::Connected(orders)
             }
             ClientEvent::State { state, time_s, arrived_ns } => {
-                if !self.sensing.state(&state, time_s, arrived_ns) {
-                    tracing::warn!(?state, "a state of the base is not finite");
-                }
-            }
-            ClientEvent::Scan { ranges_mm, is_missing, front_ns, sweep_ns, arrived_ns } => {
-                self.scan.sweep_ns = sweep_ns.clamp(1, self.period_ns);
-                self.sensing.sweep_at((ranges_mm, is_missing), front_ns, arrived_ns);
+                RobotEvent::State { state, time_s, arrived_ns }
             }
             ClientEvent::Sweep { ranges_mm, time_s, arrived_ns } => {
-                self.sensing.sweep(ranges_mm, time_s, arrived_ns)
+                RobotEvent::Sweep { ranges_mm, time_s, sweep_ns: None, arrived_ns }
             }
-            ClientEvent::Scanner(device) => self.devices.set_scanner(device),
-            ClientEvent::Lost(lost) => self.lose(&lost),
-        }
-    }
-
-    /// Logs how many messages were dropped, each time when they are twice as many.
-    fn log_dropped(&mut self) {
-        let dropped = self.sensing.dropped();
-        if dropped >= self.next_logged {
-            self.next_logged = 2 * dropped;
-            tracing::warn!(dropped, "sweeps or states came late, or after newer ones, and were dropped");
-        }
-    }
-
-    fn lose(&mut self, lost: &Lost) {
-        self.devices.set_base(DeviceState::Fault, &lost.to_string(), monotonic_ns());
-        // The first loss is news, further attempts are not.
-        if self.orders.take().is_some() {
-            tracing::error!(%lost, "the connection is lost: the wheels are stopped");
-        } else {
-            tracing::debug!(%lost, "no connection yet");
-        }
-        self.drives_until_ns = None;
-        // Scans of another scanner have no pose now.
-        self.sensing.restart();
-    }
-
-    /// Follows actuations and the dead man.
-    fn obey(&mut self, process: &Process, must_stop: bool) {
-        while let Some(actuation) = self.actuations.take() {
-            let drives = !must_stop && process.is_in_charge();
-            match ActuationKind::try_from(actuation.kind) {
-                Ok(ActuationKind::Block) => self.block(),
-                Ok(ActuationKind::Drive) if drives && is_possible(&actuation) => self.drive(&actuation),
-                _ => {}
+            ClientEvent::Scan { ranges_mm, is_missing, front_ns, sweep_ns, arrived_ns } => {
+                RobotEvent::Scan { ranges_mm, is_missing, front_ns, sweep_ns, arrived_ns }
             }
-        }
-        if must_stop != self.is_stopped {
-            self.is_stopped = must_stop;
-            if must_stop {
-                tracing::info!("the robot blocks its wheels");
-                self.block();
-            }
-        }
-        if self.drives_until_ns.is_some_and(|until_ns| monotonic_ns() >= until_ns) {
-            tracing::warn!("no actuation for two periods: the robot blocks its wheels");
-            self.block();
-        }
-    }
-
-    fn drive(&mut self, actuation: &Actuation) {
-        let (velocity_mps, steering_rad) =
-            (actuation.sent_velocity_mps.max(0.0), actuation.sent_steering_rad);
-        let axle_distance_m = self.vehicle.front_m + self.vehicle.rear_m;
-        let numbers = sent(&self.config, axle_distance_m, velocity_mps, steering_rad);
-        if self.give(GuardOrder::Drive(numbers)) {
-            self.ordered_mps = self.ordered_mps.max(velocity_mps);
-            self.drives_until_ns = Some(monotonic_ns() + TIMEOUT_PERIODS * self.period_ns);
-        }
-    }
-
-    fn block(&mut self) {
-        self.give(GuardOrder::Stop);
-        self.drives_until_ns = None;
-    }
-
-    fn give(&mut self, order: GuardOrder) -> bool {
-        let Some(orders) = &self.orders else { return false };
-        orders
-            .give(order)
-            .inspect_err(|error| tracing::warn!(%error, "the guard does not take orders"))
-            .is_ok()
-    }
-
-    /// What the wheels do.
-    fn wheels(&self) -> Wheels {
-        let rests = self.sensing.newest().is_some_and(|motion| motion.speed_mps.abs() < RESTING_MPS);
-        match (self.drives_until_ns.is_some(), rests) {
-            (true, _) => Wheels::Turning,
-            (false, false) => Wheels::Blocked,
-            (false, true) => Wheels::Resting,
-        }
-    }
-
-    /// Before this process ends: blocks the wheels and waits until the robot rests.
-    fn come_to_rest(&mut self, process: &mut Process) -> anyhow::Result<()> {
-        let until_ns = monotonic_ns() + REST_NS;
-        loop {
-            self.turn(process, true)?;
-            if self.wheels() == Wheels::Resting || self.orders.is_none() {
-                return Ok(());
-            }
-            if monotonic_ns() >= until_ns {
-                tracing::error!("the robot does not come to rest");
-                return Ok(());
-            }
-            process.wait(Some(self.due_ns()))?;
-        }
-    }
-
-    /// Publishes the sweep that is ready, with its odometry.
-    fn publish(&mut self, process: &mut Process) -> anyhow::Result<()> {
-        let Some(measured) = self.sensing.next(monotonic_ns()) else { return Ok(()) };
-        if process.directive().phase != Phase::Driving.wire() {
-            return Ok(());
-        }
-        process.begin();
-        let mut odometry = self.odometry(&measured.motion);
-        self.scan.header = odometry.header;
-        self.scan.ranges_mut().copy_from_slice(&measured.ranges_mm);
-        self.scan.missing = measured.is_missing.into();
-        self.scans.publish(&mut self.scan)?;
-        self.odometries.publish(&mut odometry)?;
-        self.last = Some(odometry);
-        self.compare_rate(odometry.header.scan_id, &measured);
-        Ok(())
-    }
-
-    /// The odometry of the next scan, on the track.
-    fn odometry(&mut self, motion: &Motion) -> Odometry {
-        let last = self.last;
-        let place = last.map_or(self.start, |last| [last.x_m, last.y_m, last.yaw_rad]);
-        if last.is_some() && !self.reported.reaches(motion, self.ordered_mps) {
-            let (from, to) = (self.reported.pose, motion.pose);
-            tracing::warn!(?from, ?to, "the odometry has jumped: the robot is taken to be where it was");
-            self.anchor = None;
-        }
-        (self.reported, self.ordered_mps) = (*motion, 0.0);
-        let anchor = *self.anchor.get_or_insert_with(|| Anchor::new(motion.pose, place));
-        let [x_m, y_m, yaw_rad] = anchor.on_track(motion.pose);
-        let mut odometry = Odometry { x_m, y_m, yaw_rad, speed_mps: motion.speed_mps, ..Odometry::default() };
-        odometry.header.acquired_ns = motion.time_ns;
-        odometry.header.scan_id = last.map_or(1, |last| last.header.scan_id + 1);
-        if let Some(last) = last {
-            (odometry.dx_m, odometry.dy_m) = (x_m - last.x_m, y_m - last.y_m);
-            odometry.dyaw_rad = wrapped(yaw_rad - last.yaw_rad);
-            odometry.dt_s = motion.time_ns.saturating_sub(last.header.acquired_ns) as f64 * 1e-9;
-        }
-        odometry
-    }
-
-    /// Warns once when the scanner has another rate than the system.
-    fn compare_rate(&mut self, scan_id: u64, measured: &MeasuredSweep) {
-        if scan_id == 1 {
-            self.first_ns = measured.motion.time_ns;
-        }
-        if scan_id == RATE_SCANS {
-            let mean_ns = (measured.motion.time_ns - self.first_ns) as f64 / (RATE_SCANS - 1) as f64;
-            let period_ns = self.period_ns as f64;
-            if (mean_ns - period_ns).abs() > RATE_TOLERANCE * period_ns {
-                let (scanner_hz, rate_hz) = (1e9 / mean_ns, 1e9 / period_ns);
-                tracing::warn!(
-                    scanner_hz,
-                    rate_hz,
-                    "the scanner has another rate than the system: set `rate_hz`"
-                );
-            }
-        }
+            ClientEvent::Scanner(device) => RobotEvent::Scanner(device),
+            ClientEvent::Lost(lost) => RobotEvent::Lost(lost.to_string()),
+        })
     }
 }
 
-/// Logs what the server reports about its devices, and warns when the description has others.
-fn log_devices(config: &PlayerConfig, vehicle: &Description, session: &PlayerSession) {
-    let server = config.server();
-    let scanner = session.scanner.map_or("none".to_owned(), |scanner| scanner.to_string());
-    tracing::info!(server, base = %config.base(), scanner, body_m = ?session.body_m, "connected");
-    if let Some([length_m, width_m]) = session.body_m
-        && (length_m > vehicle.length_m + MOUNTING || width_m > vehicle.width_m + MOUNTING)
-    {
-        tracing::warn!(
-            length_m,
-            width_m,
-            "the body is larger: compare `vehicle.length_m` and `vehicle.width_m`"
-        );
+impl PlayerRobot {
+    /// Logs what the server reports about its devices, and warns when the description has others.
+    fn log_devices(&self, session: &PlayerSession) {
+        let Self { config, vehicle, .. } = self;
+        let server = config.server();
+        let scanner = session.scanner.map_or("none".to_owned(), |scanner| scanner.to_string());
+        tracing::info!(server, base = %config.base(), scanner, body_m = ?session.body_m, "connected");
+        if let Some([length_m, width_m]) = session.body_m
+            && (length_m > vehicle.length_m + MOUNTING || width_m > vehicle.width_m + MOUNTING)
+        {
+            tracing::warn!(
+                length_m,
+                width_m,
+                "the body is larger: compare `vehicle.length_m` and `vehicle.width_m`"
+            );
+        }
+        let described = [vehicle.scanner_x_m, vehicle.scanner_y_m, vehicle.scanner_yaw_rad];
+        let Some(reported) = session.mounting else { return };
+        if reported.iter().zip(described).any(|(reported, described)| (reported - described).abs() > MOUNTING)
+        {
+            tracing::warn!(
+                ?reported,
+                ?described,
+                "the scanner is elsewhere: compare `vehicle.scanner_x_m` and its like"
+            );
+        }
     }
-    let described = [vehicle.scanner_x_m, vehicle.scanner_y_m, vehicle.scanner_yaw_rad];
-    let Some(reported) = session.mounting else { return };
-    if reported.iter().zip(described).any(|(reported, described)| (reported - described).abs() > MOUNTING) {
-        tracing::warn!(
-            ?reported,
-            ?described,
-            "the scanner is elsewhere: compare `vehicle.scanner_x_m` and its like"
-        );
-    }
-}
-
-/// Whether an actuation to drive is within the limits of sent values; NaN is not.
-fn is_possible(actuation: &Actuation) -> bool {
-    (-SLACK..=SENT_VELOCITY_MAX_MPS + SLACK).contains(&actuation.sent_velocity_mps)
-        && actuation.sent_steering_rad.abs() <= SENT_STEERING_MAX_RAD + SLACK
 }

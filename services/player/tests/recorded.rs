@@ -7,12 +7,12 @@
 
 use std::collections::BTreeMap;
 
-use player::beams::Beams;
+use driver::beams::{Beams, Fan};
 use player::command::{ClientMessage, DeliveryMode, QueueRule, access};
 use player::config::{Delivery, PlayerConfig};
 use player::handshake::Handshake;
 use player::header::{DeviceAddress, HEADER, MessageHeader, interface, kind};
-use player::message::{Fan, ServerMessage};
+use player::message::ServerMessage;
 use player::stream::MessageStream;
 use player::{message, xdr};
 use proptest::collection::vec;
@@ -136,8 +136,8 @@ fn the_first_sweep_has_the_walls_and_the_box_of_the_corridor() {
     assert_eq!((0..682).filter(|beam| sweep.ranges_m.get(*beam) == 5.6).count(), 69);
     // Each beam of the scan lies half a step beside those of Stage.
     let fan = message::fan(RANGER, first(&push, RANGER, kind::ACK, 5)).unwrap();
-    let mut ranges_mm = [0; 682];
-    Beams::new(fan, 682, 1.0).unwrap().fill(&sweep.ranges_m, &mut ranges_mm);
+    let mut ranges_mm = [0_u32; 682];
+    Beams::new(fan, 682, 1.0).unwrap().fill(|beam| sweep.ranges_m.get(beam), &mut ranges_mm);
     assert_eq!(ranges_mm[340], 3650);
     assert!(ranges_mm[0].abs_diff(1727) < 5, "{}", ranges_mm[0]);
     assert!((60..80).contains(&ranges_mm.iter().filter(|range| **range == 0).count()));
@@ -258,8 +258,8 @@ fn the_conversation_ends_with_the_answers_of_the_server() {
 fn survive(bytes: &[u8], chunk: usize) -> usize {
     let (mut stream, mut count, mut requests) = (MessageStream::default(), 0, Vec::new());
     let mut handshake = Handshake::new(&PlayerConfig::default(), 0, &mut requests);
-    let mut fan = Fan { first_rad: -2.0, last_rad: 2.0, max_range_m: 5.6 };
-    let mut ranges_mm = [0; 682];
+    let mut fan = Fan { first_rad: -2.0, last_rad: 2.0, min_range_m: 0.0, max_range_m: 5.6 };
+    let mut ranges_mm = [0_u32; 682];
     for part in bytes.chunks(chunk) {
         let space = stream.space();
         assert!(space.len() >= part.len(), "the stream keeps its memory");
@@ -275,7 +275,7 @@ fn survive(bytes: &[u8], chunk: usize) -> usize {
             if let ServerMessage::Sweep(sweep) = message
                 && let Ok(beams) = Beams::new(fan, sweep.ranges_m.len(), 1.0)
             {
-                beams.fill(&sweep.ranges_m, &mut ranges_mm);
+                beams.fill(|beam| sweep.ranges_m.get(beam), &mut ranges_mm);
             }
         }
         if stream.next().is_err() {
@@ -337,7 +337,10 @@ fn the_laser_of_older_robots_is_read() {
         else {
             panic!("no sweep")
         };
-        assert_eq!(sweep.fan, Some(Fan { first_rad: -2.0, last_rad: 2.0, max_range_m: 4.0 }));
+        assert_eq!(
+            sweep.fan,
+            Some(Fan { first_rad: -2.0, last_rad: 2.0, min_range_m: 0.0, max_range_m: 4.0 })
+        );
         assert_eq!([0, 1, 2].map(|beam| sweep.ranges_m.get(beam)), [1.0, 2.5, 4.0]);
         xdr::put_f64s(&mut payload, &[0.0; 3]);
     }

@@ -59,7 +59,7 @@ const RULES: &[(&str, How)] = &[
     ("benches/", Not(BUILD)),
     // Other machines and devices.
     ("scp ", Not(HOSTS)),
-    ("cp services/link", Not(BUILD)),
+    ("cp services/", Not(BUILD)),
     ("services/link/target/release/examples/round-trip", Not(HOSTS)),
     ("chmod 600 agent.toml", Not(HOSTS)),
     ("ip ", Not(HOSTS)),
@@ -102,6 +102,11 @@ const RULES: &[(&str, How)] = &[
     ("scanloop run walls --record", Alone("--lockstep", DONE)),
     ("scanloop run --set", Alone("--lockstep", &[0, 1])),
     ("scanloop run --system examples/rust/imu", Read("is run by processes/imu.rs")),
+    (
+        "scanloop check --system examples/ros2",
+        Read("needs the program scanloop-ros2 for nothing, and is tested in commands"),
+    ),
+    ("scanloop run --system examples/ros2", Read("needs a robot of ROS 2; tested by tests/ros2/run")),
     ("scanloop run --system examples/player", Read("needs a Player server; tested in processes/player.rs")),
     ("scanloop run --realtime", Read("needs the right to real-time priorities")),
     ("scanloop run --top", Read(TERMINAL)),

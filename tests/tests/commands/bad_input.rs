@@ -45,6 +45,28 @@ fn scenarios_are_checked() {
 }
 
 #[test]
+fn the_driver_of_a_ros_2_robot_is_checked() {
+    let system = TestSystem::new(EXECUTABLE);
+    let robot = include_str!("../../../examples/ros2/system.toml");
+    assert!(robot.lines().count() <= 15, "a user has fifteen lines to write");
+    let file = system.folder().join("ros2.toml");
+    let with = |key: &str| robot.replace("domain = 0", key);
+    for (text, names) in [
+        (with("domain = 233"), &["ros2.toml", "ros2.domain", "233", "0 to 232"]),
+        (with("interface = \"lo\""), &["ros2.toml", "ros2.interface", "\"lo\"", "127.0.0.1"]),
+        (with("remap = [\"laser:=/scan\"]"), &["ros2.toml", "ros2.remap[0]", "laser:=/scan", "FROM:=TO"]),
+        (with("domian = 1"), &["ros2.toml", "ros2.domian", "unknown", "`domain`"]),
+        (robot.replace("\"twist\"", "\"joy\""), &["ros2.toml", "ros2.command", "joy", "ackermann"]),
+    ] {
+        std::fs::write(&file, text).unwrap();
+        refused(&system, &["check", "ros2.toml"], names);
+    }
+    std::fs::write(&file, robot).unwrap();
+    refused(&system, &["run", "--lockstep", "--system", "ros2.toml"], &["--lockstep", "ros2"]);
+    refused(&system, &["run", "--system", "ros2.toml", "--set", "ros2.domain=-1"], &["ros2.domain", "-1"]);
+}
+
+#[test]
 fn the_driver_of_a_player_server_is_checked() {
     let system = TestSystem::new(EXECUTABLE);
     let robot = include_str!("../../../examples/player/system.toml");

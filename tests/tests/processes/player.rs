@@ -9,11 +9,12 @@ use std::path::Path;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
+use driver::guard::Orders;
+use driver::order::GuardOrder;
 use emulator::{JudgedBy, Outcome, Scenario};
 use player::PlayerConfig;
-use player::client::{Client, ClientEvent, Orders};
+use player::client::{Client, ClientEvent};
 use player::config::Delivery;
-use player::order::GuardOrder;
 use runtime::{Bus, Observer};
 use rustix::process::{Pid, Signal, kill_process};
 use scanloop_tests::player_server::{PlayerServer, ReceivedCommand, ServerFault};

@@ -124,7 +124,7 @@ fn what_is_not_allowed_is_named_with_the_reason() {
             ),
             (&["controller.intervals=9", "actuator.recovery=3"], "set keys of one role at a time"),
             (&["rate_hz=20"], "rate_hz can't be set while the system runs: all processes depend on it"),
-            (&["player.port=1"], "player.port: this system has no Player robot"),
+            (&["player.port=1"], "player.port: this system has no robot `player`"),
             (&["controller.intervals"], "expected KEY=VALUE"),
         ] {
             let output = system.run(&[&["set"], arguments].concat());

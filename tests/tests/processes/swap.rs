@@ -166,7 +166,7 @@ fn wrong_usage_has_exit_code_2_and_disturbs_no_process() {
         system.start(&SHORT_CORRIDOR);
         for (arguments, message) in [
             (vec!["pilot", "--to", "nmpc"], "unknown role `pilot`"),
-            (vec!["robot", "--to", "ekf"], "one of emulator, player for role robot"),
+            (vec!["robot", "--to", "ekf"], "one of emulator, player, ros2 for role robot"),
             (vec!["controller", "--to", "ekf"], "one of nmpc for role controller"),
             (vec!["controller"], "required"),
             (vec!["controller", "--to", "nmpc", "--", "sleep", "1"], "cannot be used with"),

@@ -3,22 +3,24 @@
 use std::io::Write;
 use std::net::{Shutdown, TcpStream, ToSocketAddrs};
 use std::os::fd::AsFd;
+use std::path::Path;
 use std::time::Duration;
 
+use driver::beams::Beams;
+use driver::guard::Held;
+use driver::order::GuardOrder;
 use runtime::{monotonic_ns, wait_for};
 use rustix::io::Errno;
 use rustix::net::RecvFlags;
 use shared_types::BEAMS;
 
-use super::guarded::Guarded;
 use super::{ClientEvent, Lost, Outlet};
 use crate::PlayerConfig;
-use crate::beams::Beams;
 use crate::config::Delivery;
+use crate::guard::Base;
 use crate::handshake::{Handshake, PlayerSession};
 use crate::header::MessageHeader;
 use crate::message::{RangeSweep, ServerMessage};
-use crate::order::Base;
 use crate::stream::MessageStream;
 
 /// An attempt to connect ends after this time.
@@ -37,18 +39,23 @@ const SECOND_NS: u64 = 1_000_000_000;
 ///
 /// # Errors
 /// Why the connection was lost; the wheels are stopped then.
-pub(super) fn serve(config: &PlayerConfig, timeout_ns: u64, outlet: &Outlet) -> Result<(), Lost> {
+pub(super) fn serve(
+    config: &PlayerConfig,
+    timeout_ns: u64,
+    scanloop: &Path,
+    outlet: &Outlet,
+) -> Result<(), Lost> {
     let server = connect(config)?;
     let mut connection = Connection::new(config, timeout_ns, &server);
     let Some(session) = connection.open(outlet)? else { return Ok(()) };
     let base = Base { index: config.position2d, command: config.command };
-    let mut guard = Guarded::start(&outlet.scanloop, &server, base, timeout_ns)?;
+    let mut guard = crate::guard::start(scanloop, &server, base, timeout_ns)?;
     if !outlet.put(ClientEvent::Connected(guard.orders()?, session.clone())) {
         return Ok(());
     }
     let ended = connection.follow(&session, &mut guard, outlet);
     if ended.is_err() {
-        guard.stop_instead(&server);
+        base.stop_now(&server);
     }
     // The guard stops the wheels once more before the connection is closed.
     drop(guard);
@@ -134,11 +141,11 @@ impl<'a> Connection<'a> {
     }
 
     /// Reads data until the driver ends.
-    fn follow(&mut self, session: &PlayerSession, guard: &mut Guarded, outlet: &Outlet) -> Result<(), Lost> {
+    fn follow(&mut self, session: &PlayerSession, guard: &mut Held, outlet: &Outlet) -> Result<(), Lost> {
         while !outlet.is_ended() {
             let now_ns = monotonic_ns();
             if self.config.delivery == Delivery::Pull && now_ns > self.asked_ns + SECOND_NS / 2 {
-                guard.ask_for_data();
+                guard.give(GuardOrder::Round);
                 self.asked_ns = now_ns;
             }
             wait_for(&[self.server.as_fd(), guard.descriptor()], SLEEP_NS);
@@ -168,7 +175,7 @@ impl<'a> Connection<'a> {
                         if lost > 0 {
                             tracing::warn!(lost, "the queue of the server was full");
                         }
-                        guard.ask_for_data();
+                        guard.give(GuardOrder::Round);
                         self.asked_ns = now_ns;
                     }
                     _ => {}
@@ -238,6 +245,6 @@ fn fill(
         None => beams.insert(Beams::new(fan, count, config.scan_sign)?),
     };
     let mut ranges_mm = [0; BEAMS];
-    beams.fill(&sweep.ranges_m, &mut ranges_mm);
+    beams.fill(|beam| sweep.ranges_m.get(beam), &mut ranges_mm);
     Ok(ranges_mm)
 }

@@ -1,6 +1,8 @@
 //! Why there is no connection, in words for the log.
 
-use crate::beams::Unusable;
+use driver::beams::Unusable;
+use driver::guard::GuardFault;
+
 use crate::handshake::Refused;
 use crate::header::DeviceAddress;
 use crate::stream::NotPlayer;
@@ -74,13 +76,7 @@ pub enum Lost {
         /// How many messages.
         messages: usize,
     },
-    /// The guard could not be started.
-    #[error("the guard of the wheels could not be started: {0}")]
-    GuardNotStarted(std::io::Error),
-    /// The guard has ended.
-    #[error("the guard of the wheels has ended: the driver has stopped the wheels")]
-    GuardEnded,
-    /// The guard hangs.
-    #[error("the guard of the wheels has not answered for {0} ms: the driver has stopped the wheels")]
-    GuardSilent(u64),
+    /// The guard of the wheels fails.
+    #[error(transparent)]
+    Guard(#[from] GuardFault),
 }

@@ -119,7 +119,7 @@ fn answers_come_in_any_order_and_belong_to_their_device() {
     talk.answer(BASE, 2, false, &[]).unwrap();
     let session = talk.session.unwrap();
     assert_eq!(session.scanner, Some(RANGER));
-    assert_eq!(session.fan, Some(Fan { first_rad: -2.0, last_rad: 2.0, max_range_m: 5.6 }));
+    assert_eq!(session.fan, Some(Fan { first_rad: -2.0, last_rad: 2.0, min_range_m: 0.0, max_range_m: 5.6 }));
     assert_eq!((session.body_m, session.mounting), (Some([0.6, 0.45]), Some([0.2, 0.0, 0.1])));
 }
 

@@ -41,8 +41,20 @@ fn algorithms_read_no_clock_and_no_file() {
     let is_process = |path: &Path| path.ends_with("service.rs");
     // The connection of a driver: sockets, timeouts, and the process of its guard.
     let is_connection = |path: &Path| {
-        let parts = ["client", "client.rs", "guard/process.rs"];
-        parts.iter().any(|part| path.starts_with(root().join("services/player/src").join(part)))
+        let parts = [
+            "driver/src/feed.rs",
+            "driver/src/guard/held.rs",
+            "driver/src/guard/process.rs",
+            "player/src/client",
+            "player/src/client.rs",
+            "ros2/src/command.rs",
+            "ros2/src/connection.rs",
+            "ros2/src/guard.rs",
+            "ros2/src/node.rs",
+            "ros2/src/robot.rs",
+            "ros2/src/view.rs",
+        ];
+        parts.iter().any(|part| path.starts_with(root().join("services").join(part)))
     };
     // The ends of the link between hosts, and programs that measure it; what they decide by is pure.
     let is_link = |path: &Path| {

@@ -1,11 +1,13 @@
-//! Defaults of a system whose robot stands behind a Player server.
+//! Defaults of a system whose robot has a driver, `player` or `ros2`.
 //!
-//! The default calibration undoes the imperfections of the emulated robot. A server corrects its own robot, or has none
-//! to correct, as Stage. So the calibration is `identity` and the odometry is taken as it is, unless the system file or a
+//! The default calibration undoes the imperfections of the emulated robot. Such a robot is corrected by what drives
+//! it, or has nothing to correct, as a simulator. So the calibration is `identity` and the odometry is taken as it is, unless the system file or a
 //! calibration file has these keys.
 
 use shared_types::Role;
 use toml::{Table, Value};
+
+use crate::settings::DRIVERS;
 
 /// Stage, key, and its value for such a robot.
 fn defaults() -> [(&'static str, &'static str, Value); 2] {
@@ -17,12 +19,12 @@ fn defaults() -> [(&'static str, &'static str, Value); 2] {
 
 /// Adds the defaults to the table of a system file.
 pub(crate) fn add_defaults(system: &mut Table) {
-    let is_player = |process: &Value| {
+    let is_driven = |process: &Value| {
         let has = |key: &str, value: &str| process.get(key).and_then(Value::as_str) == Some(value);
-        has("role", Role::Robot.name()) && has("implementation", "player")
+        has("role", Role::Robot.name()) && DRIVERS.iter().any(|name| has("implementation", name))
     };
     let processes = system.get("process").and_then(Value::as_array);
-    if !processes.is_some_and(|processes| processes.iter().any(is_player)) {
+    if !processes.is_some_and(|processes| processes.iter().any(is_driven)) {
         return;
     }
     for (stage, key, value) in defaults() {
@@ -46,10 +48,11 @@ mod tests {
     }
 
     #[test]
-    fn a_player_robot_is_not_corrected_unless_the_file_says_so() {
+    fn a_robot_with_a_driver_is_not_corrected_unless_the_file_says_so() {
         let plain = system("player", "");
         assert_eq!(plain["actuator"]["calibration"].as_str(), Some("identity"));
         assert_eq!(plain["estimator"]["odometry_longitudinal"].as_float(), Some(0.0));
+        assert_eq!(system("ros2", "")["actuator"]["calibration"].as_str(), Some("identity"));
         let set =
             system("player", "[actuator]\ncalibration = \"default\"\n[estimator]\nprofile = \"scaled\"");
         assert_eq!(set["actuator"]["calibration"].as_str(), Some("default"));

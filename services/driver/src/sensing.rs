@@ -6,10 +6,9 @@
 use shared_types::BEAMS;
 
 use crate::clock::ServerClock;
-use crate::config::PlayerConfig;
+use crate::event::RobotSettings;
 use crate::join::Motions;
-use crate::message::BaseState;
-use crate::motion::Motion;
+use crate::motion::{BaseState, Motion};
 
 /// A sweep waits for the state of its time for this share of a period.
 const WAIT_SHARE: u64 = 4;
@@ -44,7 +43,7 @@ struct Waiting {
 /// The newest data.
 #[derive(Debug)]
 pub struct Sensing {
-    config: PlayerConfig,
+    robot: RobotSettings,
     period_ns: u64,
     clock: ServerClock,
     motions: Motions,
@@ -58,11 +57,11 @@ pub struct Sensing {
 
 impl Sensing {
     /// Knows nothing yet.
-    pub fn new(config: &PlayerConfig, period_ns: u64) -> Self {
+    pub fn new(robot: &RobotSettings, period_ns: u64) -> Self {
         Self {
-            config: config.clone(),
+            robot: *robot,
             period_ns,
-            clock: ServerClock::new(config.delay_s),
+            clock: ServerClock::new(robot.delay_s),
             motions: Motions::default(),
             waiting: None,
             front_ns: 0,
@@ -72,7 +71,7 @@ impl Sensing {
 
     /// Forgets what a server reported: the connection is new.
     pub fn restart(&mut self) {
-        self.clock = ServerClock::new(self.config.delay_s);
+        self.clock = ServerClock::new(self.robot.delay_s);
         self.motions.clear();
         self.waiting = None;
     }
@@ -83,14 +82,14 @@ impl Sensing {
             self.dropped += 1;
             return true;
         };
-        let motion = Motion::of(&self.config, state, time_ns);
+        let motion = Motion::of(&self.robot.convention, state, time_ns);
         motion.inspect(|motion| self.motions.add(*motion)).is_some()
     }
 
     /// Takes a sweep of the server.
     pub fn sweep(&mut self, ranges_mm: [u32; BEAMS], time_s: f64, arrived_ns: u64) {
         let stamped_ns = self.clock.map(time_s, arrived_ns).unwrap_or(arrived_ns);
-        let offset_ns = (self.config.stamp_offset_s * 1e9) as i64;
+        let offset_ns = (self.robot.stamp_offset_s * 1e9) as i64;
         self.sweep_at((ranges_mm, false), stamped_ns.saturating_add_signed(-offset_ns), arrived_ns);
     }
 
@@ -119,7 +118,8 @@ impl Sensing {
     /// The sweep that waits, if its motion is known or it has waited long enough.
     pub fn next(&mut self, now_ns: u64) -> Option<MeasuredSweep> {
         let Waiting { ranges_mm, is_missing, front_ns, until_ns } = self.waiting?;
-        if !self.motions.covers(front_ns) && now_ns < until_ns {
+        let ahead_ns = (self.robot.ahead_s * 1e9) as u64;
+        if !self.motions.covers(front_ns, ahead_ns) && now_ns < until_ns {
             return None;
         }
         self.waiting = None;
@@ -151,9 +151,22 @@ impl Sensing {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::motion::{Convention, Turn};
 
     const T_NS: u64 = 100_000_000;
     const MS: u64 = 1_000_000;
+
+    fn robot() -> RobotSettings {
+        let convention = Convention::usual(Turn::Steering, 0.185);
+        RobotSettings {
+            convention,
+            delay_s: 0.0,
+            ahead_s: 0.005,
+            stamp_offset_s: 0.0,
+            sweep_s: 0.0,
+            has_scanner: false,
+        }
+    }
 
     fn state(x_m: f64) -> BaseState {
         BaseState { pose: [x_m, 0.0, 0.0], velocity: [1.0, 0.0, 0.0], stalled: false }
@@ -161,7 +174,7 @@ mod tests {
 
     /// A server whose clock shows 3.8 s at 1000 ms here, and whose states arrive after 2 ms.
     fn running() -> Sensing {
-        let mut sensing = Sensing::new(&PlayerConfig::default(), T_NS);
+        let mut sensing = Sensing::new(&robot(), T_NS);
         for step in 0..20_u64 {
             let arrived_ns = (1000 + 100 * step) * MS + 2 * MS;
             assert!(sensing.state(&state(0.1 * step as f64), 3.8 + 0.1 * step as f64, arrived_ns));

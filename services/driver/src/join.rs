@@ -4,8 +4,6 @@ use crate::motion::Motion;
 
 /// Remembered states: two scan periods of 1 s at 100 Hz.
 const REMEMBERED: usize = 256;
-/// A state this much older than a sweep counts as of the same time [ns].
-const SAME_TIME_NS: u64 = 5_000_000;
 
 /// The newest motions of the base.
 #[derive(Debug, Clone)]
@@ -45,9 +43,9 @@ impl Motions {
         self.count = 0;
     }
 
-    /// Whether the motion at a time is known without looking ahead of the newest state.
-    pub fn covers(&self, time_ns: u64) -> bool {
-        self.newest().is_some_and(|newest| newest.time_ns + SAME_TIME_NS >= time_ns)
+    /// Whether the motion at a time is known without looking further than `ahead_ns` ahead of the newest state.
+    pub fn covers(&self, time_ns: u64, ahead_ns: u64) -> bool {
+        self.newest().is_some_and(|newest| newest.time_ns + ahead_ns >= time_ns)
     }
 
     /// The motion at a time: between two states, or with the velocities of the nearest one. `None` without any state.
@@ -73,7 +71,7 @@ mod tests {
     #[test]
     fn a_pose_is_interpolated_or_moved_on() {
         let mut motions = Motions::default();
-        assert!(motions.at(0).is_none() && !motions.covers(0));
+        assert!(motions.at(0).is_none() && !motions.covers(0, 5_000_000));
         for step in 0..40 {
             motions.add(motion(100 * step, 0.1 * step as f64));
         }
@@ -81,7 +79,7 @@ mod tests {
         assert!((x_m(3850) - 3.85).abs() < 1e-9, "between two");
         assert!((x_m(3950) - 3.95).abs() < 1e-9, "after the newest");
         assert!((x_m(2000) - 2.0).abs() < 1e-9, "before the oldest");
-        assert!(motions.covers(3_904_000_000) && !motions.covers(3_906_000_000));
+        assert!(motions.covers(3_904_000_000, 5_000_000) && !motions.covers(3_906_000_000, 5_000_000));
     }
 
     #[test]

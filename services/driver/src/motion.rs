@@ -2,23 +2,62 @@
 
 use std::f64::consts::TAU;
 
-use crate::config::{DriveCommand, PlayerConfig};
-use crate::message::BaseState;
-
 /// Tolerance of a place that the odometry reports, at any speed: noise of a real base [m].
 const REACH_M: f64 = 0.1;
 
-/// What drives the wheels: a velocity [m/s], and a steering angle [rad] or a yaw rate [rad/s].
-///
-/// `steering_rad` is the angle of both axles of the robot; its path has the curvature 2 tan(angle) / axle distance. A
-/// car with this path steers by atan(wheelbase x curvature).
-pub fn sent(config: &PlayerConfig, axle_distance_m: f64, velocity_mps: f64, steering_rad: f64) -> [f64; 2] {
-    let curvature = 2.0 * steering_rad.tan() / axle_distance_m;
-    let turn = match config.command {
-        DriveCommand::Car => (config.wheelbase_m * curvature).atan(),
-        DriveCommand::Velocity => velocity_mps * curvature,
-    };
-    [config.velocity_sign * velocity_mps, config.steering_sign * turn]
+/// A state of the base.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BaseState {
+    /// Position and yaw in the frame of the odometry [m, m, rad].
+    pub pose: [f64; 3],
+    /// Velocities ahead and to the left, yaw rate [m/s, m/s, rad/s].
+    pub velocity: [f64; 3],
+    /// Whether the wheels are blocked by something.
+    pub stalled: bool,
+}
+
+/// What turns a robot, in a command.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Turn {
+    /// A steering angle.
+    Steering,
+    /// A yaw rate.
+    YawRate,
+}
+
+/// How a robot is commanded, and how it reports.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Convention {
+    /// What turns it.
+    pub turn: Turn,
+    /// Wheelbase that its steering angle refers to: angle = atan(wheelbase x curvature) [m].
+    pub wheelbase_m: f64,
+    /// Sign of the velocity ahead.
+    pub velocity_sign: f64,
+    /// Sign of the steering angle, or of the yaw rate, that is sent; 1 if left is positive.
+    pub steering_sign: f64,
+    /// Signs of the reported x, y and yaw; 1 if ahead, left and counter-clockwise are positive.
+    pub odometry_signs: [f64; 3],
+}
+
+impl Convention {
+    /// That of a robot with ahead, left and counter-clockwise positive.
+    pub fn usual(turn: Turn, wheelbase_m: f64) -> Self {
+        Self { turn, wheelbase_m, velocity_sign: 1.0, steering_sign: 1.0, odometry_signs: [1.0; 3] }
+    }
+
+    /// What drives the wheels: a velocity [m/s], and a steering angle [rad] or a yaw rate [rad/s].
+    ///
+    /// `steering_rad` is the angle of both axles of the robot; its path has the curvature 2 tan(angle) / axle distance. A
+    /// car with this path steers by atan(wheelbase x curvature).
+    pub fn sent(&self, axle_distance_m: f64, velocity_mps: f64, steering_rad: f64) -> [f64; 2] {
+        let curvature = 2.0 * steering_rad.tan() / axle_distance_m;
+        let turn = match self.turn {
+            Turn::Steering => (self.wheelbase_m * curvature).atan(),
+            Turn::YawRate => velocity_mps * curvature,
+        };
+        [self.velocity_sign * velocity_mps, self.steering_sign * turn]
+    }
 }
 
 /// A pose and the velocities there, at one time.
@@ -37,10 +76,10 @@ pub struct Motion {
 impl Motion {
     /// A reported state in the frame of the robot, with ahead, left and counter-clockwise positive. `None` when a number
     /// is not finite.
-    pub fn of(config: &PlayerConfig, state: &BaseState, time_ns: u64) -> Option<Self> {
-        let [x, y, yaw] = config.odometry_signs;
+    pub fn of(convention: &Convention, state: &BaseState, time_ns: u64) -> Option<Self> {
+        let [x, y, yaw] = convention.odometry_signs;
         let pose = [x * state.pose[0], y * state.pose[1], yaw * state.pose[2]];
-        let speed_mps = config.velocity_sign * state.velocity[0];
+        let speed_mps = convention.velocity_sign * state.velocity[0];
         let yaw_rate_radps = yaw * state.velocity[2];
         let is_finite = pose.iter().chain([&speed_mps, &yaw_rate_radps]).all(|number| number.is_finite());
         is_finite.then_some(Self { time_ns, pose, speed_mps, yaw_rate_radps })
@@ -119,9 +158,13 @@ mod tests {
 
     const AXLES_M: f64 = 0.37;
 
+    fn usual() -> Convention {
+        Convention::usual(Turn::Steering, 0.185)
+    }
+
     #[test]
     fn a_car_with_half_the_axle_distance_steers_by_the_same_angle() {
-        let [velocity, angle] = sent(&PlayerConfig::default(), AXLES_M, 0.8, 0.06);
+        let [velocity, angle] = usual().sent(AXLES_M, 0.8, 0.06);
         assert_eq!(velocity, 0.8);
         assert!((angle - 0.06).abs() < 1e-12);
     }
@@ -129,10 +172,10 @@ mod tests {
     #[test]
     fn a_longer_car_steers_more_and_a_base_without_steering_gets_its_yaw_rate() {
         let curvature = 2.0 * 0.06_f64.tan() / AXLES_M;
-        let config = PlayerConfig { wheelbase_m: 0.37, steering_sign: -1.0, ..PlayerConfig::default() };
-        assert_eq!(sent(&config, AXLES_M, 0.8, 0.06), [0.8, -(0.37 * curvature).atan()]);
-        let config = PlayerConfig { command: DriveCommand::Velocity, ..PlayerConfig::default() };
-        assert_eq!(sent(&config, AXLES_M, 0.8, 0.06), [0.8, 0.8 * curvature]);
+        let config = Convention { wheelbase_m: 0.37, steering_sign: -1.0, ..usual() };
+        assert_eq!(config.sent(AXLES_M, 0.8, 0.06), [0.8, -(0.37 * curvature).atan()]);
+        let config = Convention { turn: Turn::YawRate, ..usual() };
+        assert_eq!(config.sent(AXLES_M, 0.8, 0.06), [0.8, 0.8 * curvature]);
     }
 
     #[test]
@@ -187,7 +230,7 @@ mod tests {
 
     #[test]
     fn signs_turn_the_frame_and_numbers_that_are_none_are_dropped() {
-        let config = PlayerConfig { odometry_signs: [1.0, -1.0, -1.0], ..PlayerConfig::default() };
+        let config = Convention { odometry_signs: [1.0, -1.0, -1.0], ..usual() };
         let state = BaseState { pose: [1.0, 2.0, 0.3], velocity: [0.5, 0.0, 0.2], stalled: false };
         let motion = Motion::of(&config, &state, 7).unwrap();
         assert_eq!((motion.pose, motion.yaw_rate_radps), ([1.0, -2.0, -0.3], -0.2));

@@ -1,11 +1,8 @@
-//! The guard of a connection, as the driver sees it: starting it, giving it orders, noticing its end.
+//! A guard, as its driver sees it: starting it, giving it orders, noticing its end.
 
-use std::io::Write;
-use std::net::TcpStream;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::os::unix::net::UnixStream;
 use std::os::unix::process::CommandExt;
-use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -14,11 +11,8 @@ use std::time::{Duration, Instant};
 use runtime::monotonic_ns;
 use rustix::net::RecvFlags;
 
-use super::Lost;
-use crate::order::{ANSWER, Base, FRAME, Frame, GuardAnswer, GuardOrder};
+use crate::order::{ANSWER, FRAME, Frame, GuardAnswer, GuardOrder};
 
-/// The arguments with which `scanloop` is a guard.
-const ARGUMENTS: [&str; 2] = ["service", "player-guard"];
 /// Variables of a process of the system. The guard is none: it ends with the driver.
 const PREFIX: &str = "SCANLOOP_";
 /// The variable that chooses what is logged.
@@ -56,69 +50,88 @@ impl Orders {
     }
 }
 
+/// What is wrong with a guard.
+#[derive(Debug, thiserror::Error)]
+pub enum GuardFault {
+    /// It could not be started.
+    #[error("the guard of the wheels could not be started: {0}")]
+    NotStarted(std::io::Error),
+    /// It has ended.
+    #[error("the guard of the wheels has ended: the driver has stopped the wheels")]
+    Ended,
+    /// It hangs.
+    #[error("the guard of the wheels has not answered for {0} ms: the driver has stopped the wheels")]
+    Silent(u64),
+}
+
 /// A running guard.
-pub(super) struct Guarded {
+#[derive(Debug)]
+pub struct Held {
     child: Child,
     orders: Orders,
-    base: Base,
     timeout_ns: u64,
     answer: GuardAnswer,
     /// Since when an order is known that is not answered [ns].
     waits_since_ns: Option<u64>,
 }
 
-impl Guarded {
-    /// Starts the guard of a connection.
-    pub(super) fn start(
-        scanloop: &Path,
-        server: &TcpStream,
-        base: Base,
-        timeout_ns: u64,
-    ) -> Result<Self, Lost> {
-        let (mine, its) = UnixStream::pair().map_err(Lost::GuardNotStarted)?;
-        let output = OwnedFd::from(server.try_clone().map_err(Lost::GuardNotStarted)?);
-        let mut command = Command::new(scanloop);
-        command.args(ARGUMENTS).stdin(OwnedFd::from(its)).stdout(output).stderr(Stdio::inherit());
+impl Held {
+    /// Starts the guard by a command, whose standard input it gets; `guarded` is a number that it hands to its connection.
+    ///
+    /// # Errors
+    /// [`GuardFault::NotStarted`].
+    pub fn start(mut command: Command, guarded: u64, timeout_ns: u64) -> Result<Self, GuardFault> {
+        let (mine, its) = UnixStream::pair().map_err(GuardFault::NotStarted)?;
+        command.stdin(OwnedFd::from(its)).stderr(Stdio::inherit());
         // It survives signals to the group of the driver.
         command.process_group(0);
         let of_system = std::env::vars_os().map(|(name, _)| name).filter(|name| {
             name.to_str().is_some_and(|name| name.starts_with(PREFIX) && name != LOG_VARIABLE)
         });
         of_system.for_each(|name| _ = command.env_remove(name));
-        let child = command.spawn().map_err(Lost::GuardNotStarted)?;
+        let child = command.spawn().map_err(GuardFault::NotStarted)?;
         let orders = Orders { socket: mine, number: Arc::default() };
-        let guarded =
-            Self { child, orders, base, timeout_ns, answer: GuardAnswer::default(), waits_since_ns: None };
-        guarded.orders.give(GuardOrder::Guard(base, timeout_ns)).map_err(Lost::GuardNotStarted)?;
-        tracing::info!(pid = guarded.child.id(), "the guard of the wheels runs");
-        Ok(guarded)
+        let held = Self { child, orders, timeout_ns, answer: GuardAnswer::default(), waits_since_ns: None };
+        held.orders.give(GuardOrder::Guard(guarded, timeout_ns)).map_err(GuardFault::NotStarted)?;
+        tracing::info!(pid = held.child.id(), "the guard of the wheels runs");
+        Ok(held)
     }
 
     /// Gives orders to it from another thread.
-    pub(super) fn orders(&self) -> Result<Orders, Lost> {
-        self.orders.try_clone().map_err(Lost::GuardNotStarted)
+    ///
+    /// # Errors
+    /// [`GuardFault::NotStarted`].
+    pub fn orders(&self) -> Result<Orders, GuardFault> {
+        self.orders.try_clone().map_err(GuardFault::NotStarted)
     }
 
-    /// Asks for a round of data.
-    pub(super) fn ask_for_data(&self) {
-        // Whether it works is seen by its answers.
-        let _ = self.orders.give(GuardOrder::Round);
+    /// Gives an order; whether the guard takes it is seen by its answers.
+    pub fn give(&self, order: GuardOrder) {
+        let _ = self.orders.give(order);
+    }
+
+    /// Whether it has answered: its connection is open.
+    pub fn is_ready(&self) -> bool {
+        self.answer.number > 0
     }
 
     /// Readable when the guard has answered or ended.
-    pub(super) fn descriptor(&self) -> BorrowedFd<'_> {
+    pub fn descriptor(&self) -> BorrowedFd<'_> {
         self.orders.socket.as_fd()
     }
 
     /// Reads its answers.
-    pub(super) fn check(&mut self, now_ns: u64) -> Result<(), Lost> {
+    ///
+    /// # Errors
+    /// [`GuardFault::Ended`] and [`GuardFault::Silent`]: the driver has to stop the wheels.
+    pub fn check(&mut self, now_ns: u64) -> Result<(), GuardFault> {
         loop {
             let mut bytes = [0; ANSWER];
             match rustix::net::recv(&self.orders.socket, &mut bytes[..], RecvFlags::DONTWAIT) {
-                Ok((_, 0)) => return Err(Lost::GuardEnded),
+                Ok((_, 0)) => return Err(GuardFault::Ended),
                 Ok(_) => self.note(GuardAnswer::from_bytes(&bytes)),
                 Err(rustix::io::Errno::AGAIN | rustix::io::Errno::INTR) => break,
-                Err(_) => return Err(Lost::GuardEnded),
+                Err(_) => return Err(GuardFault::Ended),
             }
         }
         if self.answer.number >= self.orders.number.load(Ordering::SeqCst) {
@@ -128,7 +141,7 @@ impl Guarded {
         // Counted from the first check that finds it: this process may have been suspended itself.
         let silent_ns = now_ns.saturating_sub(*self.waits_since_ns.get_or_insert(now_ns));
         let limit_ns = if self.answer.number == 0 { START_NS } else { self.timeout_ns };
-        if silent_ns > limit_ns { Err(Lost::GuardSilent(silent_ns / 1_000_000)) } else { Ok(()) }
+        if silent_ns > limit_ns { Err(GuardFault::Silent(silent_ns / 1_000_000)) } else { Ok(()) }
     }
 
     fn note(&mut self, answer: GuardAnswer) {
@@ -137,16 +150,9 @@ impl Guarded {
         }
         self.answer = answer;
     }
-
-    /// Stops the wheels in place of the guard, which does not.
-    pub(super) fn stop_instead(&self, mut server: &TcpStream) {
-        let mut bytes = Vec::new();
-        self.base.stop(&mut bytes);
-        let _ = server.write_all(&bytes);
-    }
 }
 
-impl Drop for Guarded {
+impl Drop for Held {
     /// Ends the guard, which stops the wheels at its end.
     fn drop(&mut self) {
         let _ = self.orders.socket.shutdown(std::net::Shutdown::Both);

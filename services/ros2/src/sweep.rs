@@ -1,0 +1,209 @@
+//! From a `LaserScan` to the ranges of a scan.
+//!
+//! Its stamp is that of the first ray, ours that of the front beam, which is `time_increment` times its index later. Many
+//! drivers leave the increments at zero: then the setting `sweep_s` is spread over the rays.
+
+use std::f64::consts::TAU;
+
+use driver::beams::{Beams, Fan, Unusable};
+use driver::ros2::Ros2Config;
+use shared_types::BEAMS;
+
+use crate::message::LaserScan;
+
+/// A sweep, resampled.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Sweep {
+    /// Ranges by beam of a scan [mm].
+    pub(crate) ranges_mm: [u32; BEAMS],
+    /// Stamp of the front beam [s].
+    pub(crate) front_s: f64,
+    /// Duration [ns].
+    pub(crate) sweep_ns: u64,
+}
+
+/// Resamples the sweeps of one scanner.
+#[derive(Debug, Default)]
+pub(crate) struct Resampler {
+    beams: Option<Beams>,
+}
+
+impl Resampler {
+    /// The sweep of a message.
+    ///
+    /// # Errors
+    /// [`Unusable`] for a geometry that is none, or that does not cover what the stages need.
+    pub(crate) fn sweep(&mut self, config: &Ros2Config, message: &LaserScan) -> Result<Sweep, Unusable> {
+        let (count, sign) = (message.ranges.len(), config.scan_sign);
+        let step_rad = step_rad(message);
+        // A ray points to the angle `scan_yaw_rad + sign * its own`, seen from straight ahead of the scan.
+        let first_rad = f64::from(message.angle_min) + sign * config.scan_yaw_rad;
+        let fan = Fan {
+            first_rad,
+            last_rad: first_rad + step_rad * count.saturating_sub(1) as f64,
+            min_range_m: f64::from(message.range_min.max(0.0)),
+            max_range_m: f64::from(message.range_max),
+        };
+        let beams = match self.beams.take().filter(|beams| beams.fits(&fan, count)) {
+            Some(known) => self.beams.insert(known),
+            None => self.beams.insert(Beams::new(fan, count, sign)?),
+        };
+        let mut ranges_mm = [0; BEAMS];
+        beams.fill(|ray| f64::from(message.ranges[ray]), &mut ranges_mm);
+        let ray_s = ray_s(config, message);
+        // A first ray that is the front one but for its rounding is not a whole turn away from it.
+        let front = (-first_rad / step_rad + 0.5).rem_euclid(TAU / step_rad.abs()) - 0.5;
+        Ok(Sweep {
+            ranges_mm,
+            front_s: message.header.stamp.seconds() + ray_s * front,
+            sweep_ns: (ray_s * count as f64 * 1e9) as u64,
+        })
+    }
+}
+
+/// The angle between two rays: as the message has it, or from its limits [rad].
+fn step_rad(message: &LaserScan) -> f64 {
+    let increment = f64::from(message.angle_increment);
+    if increment.is_finite() && increment != 0.0 {
+        return increment;
+    }
+    f64::from(message.angle_max - message.angle_min) / message.ranges.len().saturating_sub(1) as f64
+}
+
+/// The time between two rays [s].
+fn ray_s(config: &Ros2Config, message: &LaserScan) -> f64 {
+    let increment = f64::from(message.time_increment);
+    let count = message.ranges.len().max(1) as f64;
+    // A whole sweep takes less than a second, so a larger one is an error of its driver.
+    if increment > 0.0 && increment * count <= 1.0 { increment } else { config.sweep_s / count }
+}
+
+#[cfg(test)]
+mod tests {
+    use shared_types::{FRONT_BEAM, ScanGeometry};
+
+    use super::*;
+    use crate::message::{Header, Time};
+
+    const NOT_MEASURED: u32 = 19;
+
+    /// 181 rays from -90 to 90 degrees, all at 2 m, at 100 s.
+    fn message() -> LaserScan {
+        LaserScan {
+            header: Header { stamp: Time { sec: 100, nanosec: 0 }, ..Header::default() },
+            angle_min: -90.0_f32.to_radians(),
+            angle_max: 90.0_f32.to_radians(),
+            angle_increment: 1.0_f32.to_radians(),
+            range_min: 0.1,
+            range_max: 10.0,
+            ranges: vec![2.0; 181],
+            ..LaserScan::default()
+        }
+    }
+
+    fn swept(config: &Ros2Config, message: &LaserScan) -> Sweep {
+        Resampler::default().sweep(config, message).unwrap()
+    }
+
+    #[test]
+    fn the_stamp_is_that_of_the_front_ray() {
+        let config = Ros2Config::default();
+        // 90 rays of 0.5 ms before the front one.
+        let sweep = swept(&config, &LaserScan { time_increment: 0.0005, ..message() });
+        assert!((sweep.front_s - 100.045).abs() < 1e-6, "{}", sweep.front_s);
+        assert!((90_400_000..90_600_000).contains(&sweep.sweep_ns), "{}", sweep.sweep_ns);
+        // Backwards from the left: the front ray is the same.
+        let clockwise = LaserScan {
+            angle_min: message().angle_max,
+            angle_max: message().angle_min,
+            angle_increment: -message().angle_increment,
+            time_increment: 0.0005,
+            ..message()
+        };
+        assert!((swept(&config, &clockwise).front_s - 100.045).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_sweep_that_begins_ahead_begins_with_the_front_ray_whatever_the_rounding() {
+        for angle_min in [0.0, 1e-6, -1e-6] {
+            let all_around =
+                LaserScan { angle_min, time_increment: 0.0002, ranges: vec![2.0; 360], ..message() };
+            let front_s = swept(&Ros2Config::default(), &all_around).front_s;
+            assert!((front_s - 100.0).abs() < 1e-6, "{angle_min}: {front_s}");
+        }
+    }
+
+    #[test]
+    fn without_increments_the_settings_and_the_limits_count() {
+        let config = Ros2Config { sweep_s: 0.181, ..Ros2Config::default() };
+        for time_increment in [0.0, f32::NAN, -1.0, 1.0] {
+            let sweep = swept(&config, &LaserScan { time_increment, angle_increment: 0.0, ..message() });
+            assert!((sweep.front_s - 100.09).abs() < 1e-4, "{time_increment}: {}", sweep.front_s);
+            assert_eq!((sweep.ranges_mm[FRONT_BEAM], sweep.sweep_ns), (2000, 181_000_000));
+        }
+        assert_eq!(swept(&Ros2Config::default(), &message()).sweep_ns, 0);
+    }
+
+    #[test]
+    fn what_is_no_range_is_no_return_and_what_is_not_measured_is_marked() {
+        let mut message = message();
+        for (ray, range) in [(90, f32::NAN), (80, f32::INFINITY), (70, 0.05), (60, 10.0), (50, -1.0)] {
+            // A beam has up to two neighbours a degree apart.
+            message.ranges[ray - 1..=ray + 1].fill(range);
+        }
+        let sweep = swept(&Ros2Config::default(), &message);
+        // 10 degrees are 28.4 beams.
+        let at =
+            |degrees: f64| sweep.ranges_mm[(FRONT_BEAM as f64 + degrees * 1024.0 / 360.0).round() as usize];
+        assert_eq!([0.0, -10.0, -20.0, -30.0, -40.0].map(at), [0; 5]);
+        assert_eq!([5.0, 45.0, -89.0].map(at), [2000; 3]);
+        assert_eq!([91.0, -91.0].map(at), [NOT_MEASURED; 2]);
+    }
+
+    #[test]
+    fn a_scanner_that_is_turned_or_upside_down_sees_a_body_where_it_is() {
+        // All around in 360 rays; ray 200 sees a body.
+        let mut all_around = LaserScan {
+            angle_min: 0.0,
+            angle_max: 359.0_f32.to_radians(),
+            ranges: vec![4.0; 360],
+            ..message()
+        };
+        all_around.ranges[200] = 1.0;
+        let seen_at = |config: Ros2Config| {
+            let sweep = swept(&config, &all_around);
+            let hit: Vec<f64> = (0..BEAMS)
+                .filter(|beam| sweep.ranges_mm[*beam] == 1000)
+                .map(|beam| ScanGeometry::URG_04LX.yaw_rad(beam).to_degrees())
+                .collect();
+            assert!(!hit.is_empty());
+            hit.iter().sum::<f64>() / hit.len() as f64
+        };
+        // Looking backwards: 200 degrees are 20 to the left of ahead.
+        let turned = Ros2Config { scan_yaw_rad: std::f64::consts::PI, ..Ros2Config::default() };
+        assert!((seen_at(turned.clone()) - 20.0).abs() < 0.3);
+        assert!((seen_at(Ros2Config { scan_sign: -1.0, ..turned }) + 20.0).abs() < 0.3);
+    }
+
+    #[test]
+    fn a_narrow_scanner_is_refused_with_its_numbers_and_nonsense_with_its_own() {
+        let narrow = LaserScan { ranges: vec![2.0; 91], angle_min: -45.0_f32.to_radians(), ..message() };
+        let refused = |message: &LaserScan| {
+            Resampler::default().sweep(&Ros2Config::default(), message).unwrap_err().to_string()
+        };
+        assert_eq!(
+            refused(&narrow),
+            "the scanner covers -45.0 to 45.0 degrees, but at least -60 to 60 are needed"
+        );
+        let none = refused(&LaserScan { ranges: Vec::new(), ..message() });
+        assert!(none.starts_with("0 beams from "), "{none}");
+        for faulty in [
+            LaserScan { angle_min: f32::NAN, ..message() },
+            LaserScan { range_max: f32::NAN, ..message() },
+            LaserScan { angle_increment: f32::NAN, angle_max: f32::INFINITY, ..message() },
+            LaserScan { ranges: vec![2.0; 1000], ..message() },
+        ] {
+            assert!(refused(&faulty).ends_with("are no scan"));
+        }
+    }
+}
