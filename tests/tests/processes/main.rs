@@ -27,6 +27,7 @@ mod pages;
 mod pauses;
 mod player;
 mod private_place;
+mod prompt;
 mod recording;
 mod restart;
 mod run_limits;
