@@ -288,7 +288,7 @@ pub fn pair(host: &str, address: IpAddr, days: u32, folder: &Path, force: bool) 
 ///
 /// # Errors
 /// Where it was looked for, and the command that builds it; exit code 2.
-pub(crate) fn program() -> anyhow::Result<PathBuf> {
+pub fn program() -> anyhow::Result<PathBuf> {
     let beside = this_program().parent().map(|folder| folder.join(PROGRAM));
     let path = std::env::var_os("PATH").unwrap_or_default();
     let in_path = std::env::split_paths(&path).map(|folder| folder.join(PROGRAM));

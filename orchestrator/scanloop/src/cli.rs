@@ -11,6 +11,7 @@ use crate::bench::BenchCommand;
 use crate::calibrate::CalibrateArguments;
 use crate::completions::{CompleteArguments, Shell};
 use crate::demo::DemoArguments;
+use crate::doctor::DoctorArguments;
 use crate::inject::InjectArguments;
 use crate::laboratory::StudyArguments;
 use crate::live_check::LiveArguments;
@@ -230,6 +231,11 @@ pub enum CliCommand {
     /// `scanloop reference steering` lists the keys with `steering` in their name or meaning, named as `--set` takes them.
     /// `0` is the first table of a list, as in `obstacle.0.x_m`.
     Reference(ReferenceArguments),
+    /// Check what this machine is missing for a drive, and name the fix of each.
+    ///
+    /// It checks shared memory, limits, control groups, processors, container, terminal and compilers, the other programs of
+    /// Scanloop, running systems, and what dead ones have left. Exit code 1 if something would stop a drive.
+    Doctor(DoctorArguments),
     /// Print what a shell reads to complete words of `scanloop` and `scanloop-lab`.
     ///
     /// Besides commands and options, the shell then offers running systems, roles, topics, scenarios, implementations,

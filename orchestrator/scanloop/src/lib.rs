@@ -6,6 +6,7 @@ mod check;
 pub mod cli;
 pub mod completions;
 pub mod demo;
+pub mod doctor;
 pub mod inject;
 pub mod laboratory;
 pub mod live_check;
@@ -180,6 +181,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         CliCommand::Recording(command) => record::recording(command),
         CliCommand::Replay(arguments) => replay::replay(arguments),
         CliCommand::Reference(arguments) => print(&reference::text(arguments, Cli::command())?),
+        CliCommand::Doctor(arguments) => doctor::doctor(arguments),
         CliCommand::Completions { shell } => print(shell.script()),
         CliCommand::Complete(arguments) => completions::print_candidates(Cli::command(), arguments),
         CliCommand::Man(arguments) => man::man(Cli::command(), arguments),

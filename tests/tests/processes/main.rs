@@ -8,6 +8,7 @@ mod blame;
 mod companions;
 mod control_socket;
 mod demo;
+mod doctor;
 mod exhausted;
 mod faults;
 mod hang;
