@@ -16,6 +16,7 @@ use crate::inject::InjectArguments;
 use crate::laboratory::StudyArguments;
 use crate::live_check::LiveArguments;
 use crate::man::ManArguments;
+use crate::new::NewArguments;
 use crate::record::{RecordArguments, RecordingCommand};
 use crate::reference::ReferenceArguments;
 use crate::replay::ReplayArguments;
@@ -231,6 +232,11 @@ pub enum CliCommand {
     /// `scanloop reference steering` lists the keys with `steering` in their name or meaning, named as `--set` takes them.
     /// `0` is the first table of a list, as in `obstacle.0.x_m`.
     Reference(ReferenceArguments),
+    /// Write a small project that builds, passes `scanloop conformance` and drives.
+    ///
+    /// It is a copy of an example, which you change. The folder must not exist. A language and role without a template are
+    /// refused with those that have one.
+    New(NewArguments),
     /// Check what this machine is missing for a drive, and name the fix of each.
     ///
     /// It checks shared memory, limits, control groups, processors, container, terminal and compilers, the other programs of

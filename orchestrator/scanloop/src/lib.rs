@@ -12,6 +12,7 @@ pub mod laboratory;
 pub mod live_check;
 mod live_latency;
 pub mod man;
+pub mod new;
 mod record;
 pub mod reference;
 pub mod replay;
@@ -181,6 +182,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         CliCommand::Recording(command) => record::recording(command),
         CliCommand::Replay(arguments) => replay::replay(arguments),
         CliCommand::Reference(arguments) => print(&reference::text(arguments, Cli::command())?),
+        CliCommand::New(arguments) => new::new(arguments),
         CliCommand::Doctor(arguments) => doctor::doctor(arguments),
         CliCommand::Completions { shell } => print(shell.script()),
         CliCommand::Complete(arguments) => completions::print_candidates(Cli::command(), arguments),
