@@ -25,7 +25,9 @@ mod transport;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
-use commands::reference;
+use commands::completions::{CompleteArguments, print_candidates};
+use commands::man::{ManArguments, write_pages};
+use commands::{laboratory, reference};
 use console::exit::{Exit, Failure};
 use console::limits;
 use console::output::data;
@@ -114,6 +116,12 @@ enum Command {
     Analyse(AnalyseCommand),
     /// Print the half of `docs/commands.md` that is about this executable.
     Reference,
+    /// List what may be typed at a place of a command line; shells start this.
+    #[command(hide = true)]
+    Complete(CompleteArguments),
+    /// Write the man pages of these commands; `scanloop man` starts this.
+    #[command(hide = true)]
+    Man(ManArguments),
     /// Run a process of a bench; the benches start these.
     #[command(hide = true)]
     Service {
@@ -152,8 +160,41 @@ fn run() -> anyhow::Result<Exit> {
         Command::Reference => {
             data(&reference::of_laboratory(Cli::command(), WORDS, JSON_KEYS)).map(|_| Exit::Done)
         }
+        Command::Complete(arguments) => print_candidates(Cli::command(), arguments),
+        Command::Man(arguments) => man(arguments).map(|()| Exit::Done),
         Command::Service { name } => service(name).map(|()| Exit::Done),
     }
+}
+
+/// Writes the page of this executable, and those of its commands under the names that `scanloop` gives them.
+fn man(arguments: &ManArguments) -> anyhow::Result<()> {
+    let (own, mut pages) = (Cli::command(), Vec::new());
+    let surface = with_handed_over(commands::cli::Cli::command(), &own, "", &mut pages);
+    write_pages(surface, &arguments.folder, |name| {
+        pages
+            .iter()
+            .any(|page| name.strip_prefix(page).is_some_and(|rest| rest.is_empty() || rest.starts_with('-')))
+    })?;
+    write_pages(own, &arguments.folder, |name| name == "scanloop-lab")
+}
+
+/// The command line `surface` with what is handed over as `own` has it; `pages` gets the names of these commands.
+fn with_handed_over(
+    surface: clap::Command,
+    own: &clap::Command,
+    around: &str,
+    pages: &mut Vec<String>,
+) -> clap::Command {
+    let name = format!("{around}{}-", surface.get_name());
+    surface.mut_subcommands(|command| {
+        match own.find_subcommand(command.get_name()).filter(|_| laboratory::is_handed_over(&command)) {
+            Some(theirs) => {
+                pages.push(format!("{name}{}", command.get_name()));
+                theirs.clone()
+            }
+            None => with_handed_over(command, own, &name, pages),
+        }
+    })
 }
 
 fn service(name: &str) -> anyhow::Result<()> {

@@ -288,6 +288,6 @@ pub fn pair(host: &str, address: IpAddr, days: u32, folder: &Path, force: bool) 
 ///
 /// # Errors
 /// Where it was looked for, and the command that builds it; exit code 2.
-pub(crate) fn program() -> anyhow::Result<PathBuf> {
+pub fn program() -> anyhow::Result<PathBuf> {
     other_program(PROGRAM, "services/link")
 }

@@ -26,6 +26,8 @@ const MIN_FILE_BYTES: u64 = 256 << 20;
 /// What a system needs of a limit that each process has.
 struct Need {
     resource: Resource,
+    /// Its name in `/proc/PID/limits`.
+    name: &'static str,
     minimum: u64,
     /// The limit that is requested where it is allowed; as far as possible without one.
     wanted: Option<u64>,
@@ -40,6 +42,7 @@ struct Need {
 const NEEDS: [Need; 5] = [
     Need {
         resource: Resource::Nofile,
+        name: "Max open files",
         // An orchestrator has 150 files open while it drives, and more during a swap.
         minimum: 256,
         wanted: Some(1024),
@@ -49,6 +52,7 @@ const NEEDS: [Need; 5] = [
     },
     Need {
         resource: Resource::Fsize,
+        name: "Max file size",
         // The reserve of shared memory for one more process is a file, and the largest one; recordings may grow beyond it.
         minimum: MIN_FILE_BYTES,
         wanted: None,
@@ -58,6 +62,7 @@ const NEEDS: [Need; 5] = [
     },
     Need {
         resource: Resource::As,
+        name: "Max address space",
         // An orchestrator with a recorder and a swap maps less than half of it.
         minimum: 512 << 20,
         wanted: None,
@@ -67,6 +72,7 @@ const NEEDS: [Need; 5] = [
     },
     Need {
         resource: Resource::Data,
+        name: "Max data size",
         // The last seconds of a drive take 64 MiB at most.
         minimum: 256 << 20,
         wanted: None,
@@ -76,6 +82,7 @@ const NEEDS: [Need; 5] = [
     },
     Need {
         resource: Resource::Cpu,
+        name: "Max cpu time",
         // A process uses 1 % of a processor: less than this would end it within a day.
         minimum: 900,
         wanted: None,
@@ -84,6 +91,16 @@ const NEEDS: [Need; 5] = [
         option: "-t",
     },
 ];
+
+const STACK: Need = Need {
+    resource: Resource::Stack,
+    name: "Max stack size",
+    minimum: MIN_STACK_BYTES,
+    wanted: Some(MIN_STACK_BYTES),
+    unit: 1024,
+    what: "the stack is limited to {} KiB",
+    option: "-s",
+};
 
 /// Clears the owner's bits of the umask: with them, only root could enter the directories that the bus makes. The
 /// rest of the umask stays as the user wants it.
@@ -98,14 +115,7 @@ pub fn keep_own_rights() {
 /// # Errors
 /// The limit, what is needed, and the command that sets it; exit code 4.
 pub fn require_stack() -> anyhow::Result<()> {
-    let bytes = raise(Resource::Stack, MIN_STACK_BYTES);
-    if bytes >= MIN_STACK_BYTES {
-        return Ok(());
-    }
-    let (limit, needed) = (bytes / 1024, MIN_STACK_BYTES / 1024);
-    Err(Failure::process(format!(
-        "the stack is limited to {limit} KiB, {needed} are needed: `ulimit -s {needed}`"
-    )))
+    STACK.require().map_err(Failure::process)
 }
 
 /// Passes when the limits of this process, which those that it starts inherit, suffice for a system; raises them when that is
@@ -114,14 +124,46 @@ pub fn require_stack() -> anyhow::Result<()> {
 /// # Errors
 /// As [`require_stack`], for the first limit that is too small.
 pub fn require_room_for_a_system() -> anyhow::Result<()> {
-    let too_small = NEEDS.iter().find_map(|need| {
-        let limit = raise(need.resource, need.wanted.unwrap_or(u64::MAX));
-        (limit < need.minimum).then(|| need.fault(limit))
+    NEEDS.iter().try_for_each(Need::require).map_err(Failure::process)
+}
+
+/// A limit that a system needs.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ExaminedLimit {
+    /// Its name in `/proc/PID/limits`.
+    pub name: &'static str,
+    /// The hard limit, because a soft one is raised; `u64::MAX` without one.
+    pub hard: u64,
+    /// What is too small, and the command that sets it.
+    pub fault: Option<String>,
+}
+
+/// The limits in a text of `/proc/PID/limits` that [`require_stack`] and [`require_room_for_a_system`] are about.
+pub fn examine(text: &str) -> Vec<ExaminedLimit> {
+    let examined = NEEDS.iter().chain([&STACK]).filter_map(|need| {
+        let hard = hard_limit(text, need.name)?;
+        let fault = (hard < need.minimum).then(|| need.fault(hard));
+        Some(ExaminedLimit { name: need.name, hard, fault })
     });
-    too_small.map_or(Ok(()), |fault| Err(Failure::process(fault)))
+    examined.collect()
+}
+
+/// A hard limit in a text of `/proc/PID/limits`; `u64::MAX` for `unlimited`.
+pub fn hard_limit(text: &str, name: &str) -> Option<u64> {
+    let values = text.lines().find_map(|line| line.strip_prefix(name))?;
+    match values.split_whitespace().nth(1)? {
+        "unlimited" => Some(u64::MAX),
+        number => number.parse().ok(),
+    }
 }
 
 impl Need {
+    /// Passes when the limit of this process suffices; raises it when that is allowed.
+    fn require(&self) -> Result<(), String> {
+        let limit = raise(self.resource, self.wanted.unwrap_or(u64::MAX));
+        if limit < self.minimum { Err(self.fault(limit)) } else { Ok(()) }
+    }
+
     fn fault(&self, limit: u64) -> String {
         let (limit, needed) = (limit / self.unit, self.minimum / self.unit);
         let what = self.what.replace("{}", &limit.to_string());
@@ -252,6 +294,20 @@ mod tests {
         let is_limited = getrlimit(Resource::Fsize).current.is_some_and(|bytes| bytes < MIN_FILE_BYTES);
         assert_eq!(limit_of(&error.into()).is_some(), is_limited);
         assert!(require_files(SPARE_FILES).is_ok());
+    }
+
+    #[test]
+    fn hard_limits_are_examined_as_the_kernel_lists_them() {
+        let text = "Limit                     Soft Limit           Hard Limit           Units     \n\
+                    Max open files            64                   128                  files     \n\
+                    Max file size             unlimited            unlimited            bytes     \n";
+        let examined = examine(text);
+        assert_eq!(examined.len(), 2);
+        let fault = "at most 128 files may be open, 256 are needed: `ulimit -n 256`";
+        assert_eq!(examined[0].fault.as_deref(), Some(fault));
+        assert_eq!((examined[1].hard, &examined[1].fault), (u64::MAX, &None));
+        let own = std::fs::read_to_string("/proc/self/limits").unwrap();
+        assert_eq!(examine(&own).len(), NEEDS.len() + 1, "the kernel has all of these names");
     }
 
     #[test]

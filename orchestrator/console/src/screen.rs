@@ -3,6 +3,7 @@
 //! The program runs as a child and restores the terminal itself. When it can't, because it was killed or has crashed,
 //! its parent does. When the parent is killed, the kernel asks the child to end.
 
+use std::ffi::OsStr;
 use std::io;
 use std::os::fd::AsFd;
 use std::os::unix::process::ExitStatusExt;
@@ -30,6 +31,16 @@ pub struct ScreenGuard {
 /// Whether standard input and standard error are a terminal: one for keys, the other for drawing.
 pub fn is_available() -> bool {
     isatty(io::stdin()) && isatty(io::stderr())
+}
+
+/// Whether a screen may have colours: the user forbids them with `NO_COLOR`. Bold and reversed letters stay.
+pub fn has_colours() -> bool {
+    colours_allowed(std::env::var_os("NO_COLOR").as_deref())
+}
+
+/// An empty value is as none, by the convention of <https://no-color.org>.
+fn colours_allowed(no_color: Option<&OsStr>) -> bool {
+    no_color.is_none_or(OsStr::is_empty)
 }
 
 impl ScreenGuard {
@@ -67,5 +78,16 @@ impl ScreenGuard {
             let _ = rustix::io::write(io::stderr(), LEAVE);
         }
         Ok(status)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_variable_without_a_value_forbids_no_colours() {
+        assert!(colours_allowed(None) && colours_allowed(Some(OsStr::new(""))));
+        assert!(!colours_allowed(Some(OsStr::new("1"))) && !colours_allowed(Some(OsStr::new("0"))));
     }
 }

@@ -29,6 +29,56 @@ pub fn find(text: &str) -> String {
     found
 }
 
+/// A key that `--set` takes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SettableKey {
+    /// Its name with the tables around it; `0` is the first table of a list.
+    pub path: String,
+    /// What it means.
+    pub meaning: &'static str,
+    names: Vec<String>,
+    default: String,
+}
+
+impl SettableKey {
+    /// The values of one that takes some names only, or true and false.
+    pub fn values(&self) -> Vec<&str> {
+        if ["true", "false"].contains(&self.default.as_str()) {
+            return vec!["true", "false"];
+        }
+        self.names.iter().map(String::as_str).collect()
+    }
+}
+
+/// All keys that `--set` takes, those of one table behind each other.
+pub fn settable() -> Vec<SettableKey> {
+    fn collect(around: &str, keys: Vec<Key>, found: &mut Vec<SettableKey>) {
+        for key in keys {
+            let path = format!("{around}{}", key.name);
+            if key.keys.is_empty() {
+                let names = quoted(&key.allowed).into_iter().map(str::to_owned).collect();
+                found.push(SettableKey { path, meaning: key.doc, names, default: key.default });
+            } else {
+                let around = around_of(&path, &key);
+                collect(&around, key.keys, found);
+            }
+        }
+    }
+    let mut found = Vec::new();
+    [scenario_keys(), system_keys()].into_iter().for_each(|keys| collect("", keys, &mut found));
+    found
+}
+
+/// The names in `` `"a"`, `"b"` ``.
+fn quoted(allowed: &str) -> Vec<&str> {
+    allowed.split("`\"").skip(1).filter_map(|rest| Some(rest.split_once("\"`")?.0)).collect()
+}
+
+/// What stands before the keys of a table.
+fn around_of(path: &str, table: &Key) -> String {
+    format!("{path}{}", if table.is_list_of_tables() { ".0." } else { "." })
+}
+
 /// The names of all keys, without those of the tables around them.
 pub fn names() -> Vec<&'static str> {
     fn collect(keys: &[Key], found: &mut Vec<&'static str>) {
@@ -121,8 +171,7 @@ fn collect(found: &mut String, around: &str, keys: &[Key], wanted: &str) {
     for key in keys {
         let path = format!("{around}{}", key.name);
         if !key.keys.is_empty() {
-            let element = if key.is_list_of_tables() { ".0." } else { "." };
-            collect(found, &format!("{path}{element}"), &key.keys, wanted);
+            collect(found, &around_of(&path, key), &key.keys, wanted);
         } else if path.contains(wanted) || key.doc.to_lowercase().contains(wanted) {
             let default = if key.default.is_empty() { "no default" } else { &key.default };
             let allowed =

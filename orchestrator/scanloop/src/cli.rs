@@ -9,10 +9,14 @@ use session::arguments::{CommonArguments, RunArguments};
 
 use crate::bench::BenchCommand;
 use crate::calibrate::CalibrateArguments;
+use crate::completions::{CompleteArguments, Shell};
 use crate::demo::DemoArguments;
+use crate::doctor::DoctorArguments;
 use crate::inject::InjectArguments;
 use crate::laboratory::StudyArguments;
 use crate::live_check::LiveArguments;
+use crate::man::ManArguments;
+use crate::new::NewArguments;
 use crate::record::{RecordArguments, RecordingCommand};
 use crate::reference::ReferenceArguments;
 use crate::replay::ReplayArguments;
@@ -228,6 +232,29 @@ pub enum CliCommand {
     /// `scanloop reference steering` lists the keys with `steering` in their name or meaning, named as `--set` takes them.
     /// `0` is the first table of a list, as in `obstacle.0.x_m`.
     Reference(ReferenceArguments),
+    /// Write a small project that builds, passes `scanloop conformance` and drives.
+    ///
+    /// It is a copy of an example, which you change. The folder must not exist. A language and role without a template are
+    /// refused with those that have one.
+    New(NewArguments),
+    /// Check what this machine is missing for a drive, and name the fix of each.
+    ///
+    /// It checks shared memory, limits, control groups, processors, container, terminal and compilers, the other programs of
+    /// Scanloop, running systems, and what dead ones have left. Exit code 1 if something would stop a drive.
+    Doctor(DoctorArguments),
+    /// Print what a shell reads to complete words of `scanloop` and `scanloop-lab`.
+    ///
+    /// Besides commands and options, the shell then offers running systems, roles, topics, scenarios, implementations,
+    /// faults, and keys of `--set` with their values.
+    Completions {
+        /// The shell.
+        shell: Shell,
+    },
+    /// List what may be typed at a place of a command line; the scripts of `completions` start this.
+    #[command(hide = true)]
+    Complete(CompleteArguments),
+    /// Write man pages of all commands into a folder.
+    Man(ManArguments),
 }
 
 /// Arguments of `stop`.
@@ -335,7 +362,7 @@ mod tests {
     fn the_help_names_every_command_on_a_screen_of_a_terminal() {
         assert!(HELP.lines().count() <= 25 && HELP.lines().all(|line| line.len() <= 80), "{HELP}");
         // Processes start these.
-        let is_started = |name: &str| ["service", "remote"].contains(&name);
+        let is_started = |name: &str| ["service", "remote", "complete"].contains(&name);
         for command in Cli::command().get_subcommands().filter(|command| !is_started(command.get_name())) {
             let name = command.get_name();
             let found = HELP.split_whitespace().filter(|word| *word == name).count();

@@ -32,6 +32,11 @@ pub struct StudyArguments {
     pub arguments: Vec<OsString>,
 }
 
+/// Whether a command is handed over to the laboratory with all its arguments.
+pub fn is_handed_over(command: &clap::Command) -> bool {
+    command.get_arguments().any(|arg| arg.get_id() == "arguments" && arg.is_trailing_var_arg_set())
+}
+
 /// The path of the laboratory.
 ///
 /// # Errors

@@ -4,11 +4,15 @@ pub mod bench;
 pub mod calibrate;
 mod check;
 pub mod cli;
+pub mod completions;
 pub mod demo;
+pub mod doctor;
 pub mod inject;
 pub mod laboratory;
 pub mod live_check;
 mod live_latency;
+pub mod man;
+pub mod new;
 mod record;
 pub mod reference;
 pub mod replay;
@@ -27,7 +31,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::CommandFactory;
-use console::exit::{Exit, exit_of};
+use console::exit::{Exit, Failure, exit_of};
 use console::limits;
 use console::output::{arguments, data};
 use serde::Serialize;
@@ -77,7 +81,7 @@ fn parse_and_run() -> anyhow::Result<Exit> {
             | CliCommand::Demo(_)
             | CliCommand::Agent { command: None, .. }
     ) {
-        limits::require_room_for_a_system()?;
+        limits::require_room_for_a_system().map_err(point_to_doctor)?;
     }
     match cli.command {
         CliCommand::Service { .. } => {}
@@ -87,7 +91,19 @@ fn parse_and_run() -> anyhow::Result<Exit> {
     if matches!(cli.command, CliCommand::Run(_) | CliCommand::Adopt(_) | CliCommand::Bench(_)) {
         runtime::start_terminal();
     }
-    dispatch(&cli)
+    let starts = matches!(cli.command, CliCommand::Run(_) | CliCommand::Adopt(_));
+    dispatch(&cli).map_err(|error| if starts { point_to_doctor(error) } else { error })
+}
+
+/// The error of a system that could not be started, with the command that tells what the machine lacks.
+fn point_to_doctor(error: anyhow::Error) -> anyhow::Error {
+    let is_of_limit = limits::limit_of(&error).is_some();
+    match exit_of(&error) {
+        Exit::ProcessFailed => {}
+        Exit::Internal if is_of_limit => {}
+        _ => return error,
+    }
+    Failure::process(format!("{} (`scanloop doctor` tells what this machine lacks)", limits::text_of(&error)))
 }
 
 /// Prints a value as JSON to standard output, if `--json` asks for it.
@@ -166,6 +182,11 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         CliCommand::Recording(command) => record::recording(command),
         CliCommand::Replay(arguments) => replay::replay(arguments),
         CliCommand::Reference(arguments) => print(&reference::text(arguments, Cli::command())?),
+        CliCommand::New(arguments) => new::new(arguments),
+        CliCommand::Doctor(arguments) => doctor::doctor(arguments),
+        CliCommand::Completions { shell } => print(shell.script()),
+        CliCommand::Complete(arguments) => completions::print_candidates(Cli::command(), arguments),
+        CliCommand::Man(arguments) => man::man(Cli::command(), arguments),
         CliCommand::Types(arguments) => print(&types::print(arguments)?),
         CliCommand::Urg(command) => urg::urg(command),
     }

@@ -1,8 +1,8 @@
 //! Samples of a drive as messages of ROS 2.
 
 use shared_types::{
-    Actuation, ActuationKind, BEAMS, Command, Header as SampleHeader, MIN_RANGE_MM, Obstacle, Obstacles,
-    Odometry as Reported, PITCH_RAD, Pose as Estimated, Role, Scan,
+    Actuation, ActuationKind, Command, Header as SampleHeader, MIN_RANGE_MM, Obstacle, Obstacles,
+    Odometry as Reported, Pose as Estimated, Role, Scan,
 };
 
 use crate::message::{
@@ -19,7 +19,7 @@ const ROBOT: &str = "base_link";
 /// The frame of the scanner.
 const SCANNER: &str = "scanner";
 /// Error code of a beam that is not measured.
-const NOT_MEASURED: u16 = 19;
+const NOT_MEASURED: u32 = 19;
 /// Longest range of a scan [m].
 const MAX_RANGE_M: f32 = 5.6;
 /// Kind of a marker: a cylinder, stretched to an ellipse.
@@ -195,11 +195,14 @@ fn marker(header: &Header, obstacle: &Obstacle) -> Marker {
 mod tests {
     use super::*;
 
+    use shared_types::{BEAMS, ScanGeometry};
+
     const DRAWING: Drawing = Drawing { offset_s: 100.0, scanner: [0.1, 0.0, 0.0] };
 
     #[test]
     fn a_scan_says_what_returned_what_did_not_and_what_was_not_measured() {
-        let mut scan = Scan { sweep_ns: 66_000_000, period_ns: 100_000_000, ..Scan::of(ScanGeometry::URG_04LX) };
+        let mut scan =
+            Scan { sweep_ns: 66_000_000, period_ns: 100_000_000, ..Scan::of(ScanGeometry::URG_04LX) };
         scan.header.acquired_ns = 2_000_000_000;
         scan.ranges_mut().fill(1500);
         (scan.ranges_mm[1], scan.ranges_mm[2]) = (0, NOT_MEASURED);

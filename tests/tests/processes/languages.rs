@@ -3,6 +3,7 @@
 
 mod advisor;
 mod bytes;
+mod new;
 mod refusals;
 mod robots;
 pub(crate) mod swaps;

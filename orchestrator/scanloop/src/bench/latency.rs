@@ -9,7 +9,7 @@ mod collector;
 pub mod echo;
 mod files;
 pub mod intervals;
-mod machine;
+pub(crate) mod machine;
 pub(crate) mod noise;
 mod pictures;
 mod results;

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::io::{self, Write};
 
-use console::screen::{ENTER, LEAVE};
+use console::screen::{ENTER, LEAVE, has_colours};
 use ratatui_core::backend::{Backend, ClearType, WindowSize};
 use ratatui_core::buffer::Cell;
 use ratatui_core::layout::{Position, Size};
@@ -18,6 +18,7 @@ pub(super) struct Screen {
     before: Termios,
     /// What is written with the next flush.
     pending: String,
+    has_colours: bool,
 }
 
 impl Screen {
@@ -30,7 +31,7 @@ impl Screen {
         let mut raw = before.clone();
         raw.make_raw();
         tcsetattr(io::stdin(), OptionalActions::Now, &raw)?;
-        let screen = Self { before, pending: String::new() };
+        let screen = Self { before, pending: String::new(), has_colours: has_colours() };
         io::stderr().write_all(ENTER)?;
         Ok(screen)
     }
@@ -70,7 +71,7 @@ impl Backend for Screen {
                     }
                 }
                 for (color, base) in [(cell.fg, 30), (cell.bg, 40)] {
-                    if let Some(code) = code_of(color) {
+                    if let Some(code) = code_of(color).filter(|_| self.has_colours) {
                         let _ = write!(self.pending, ";{}", base + code);
                     }
                 }

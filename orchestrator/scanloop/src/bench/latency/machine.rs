@@ -132,7 +132,8 @@ fn read(path: impl AsRef<Path>) -> Option<String> {
     (!text.is_empty()).then_some(text)
 }
 
-fn idle_states(folder: &Path) -> Vec<IdleState> {
+/// The idle states of a processor in its folder `cpuidle`, deepest last.
+pub(crate) fn idle_states(folder: &Path) -> Vec<IdleState> {
     (0..16)
         .map_while(|index| {
             let state = folder.join(format!("state{index}"));
