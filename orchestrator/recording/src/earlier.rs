@@ -8,8 +8,6 @@ use std::collections::BTreeMap;
 use bytemuck::{bytes_of_mut, from_bytes_mut};
 use shared_types::{Header, LayoutRow, Layouts, Scan, ScanGeometry, StageStamps, Topic, differences};
 
-use crate::mcap::Contents;
-
 /// The layouts of version 0.1.
 const EARLIER: &str = include_str!("earlier/layouts-0.1.txt");
 /// How many stages its header had stamps of.
@@ -114,10 +112,4 @@ pub(crate) fn widen_header(sample: &mut Vec<u8>) {
         wider.resize(end + added, 0);
         sample.splice(..end, wider);
     }
-}
-
-/// Whether the samples of a file are those of version 0.1.
-pub(crate) fn is_of(contents: &Contents) -> bool {
-    let recorded = crate::read::attachment(contents, crate::read::LAYOUTS);
-    recorded.and_then(|text| text.parse().ok()).is_some_and(|recorded| is_earlier(&recorded))
 }

@@ -249,7 +249,8 @@ impl Recording {
         let file = File::open(&self.path).map_err(|error| refusal(&self.path, &error.into()))?;
         let mut reader =
             McapReader::new(BufReader::new(file)).map_err(|error| refusal(&self.path, &error))?;
-        let is_earlier: Vec<bool> = self.files().iter().map(earlier::is_of).collect();
+        let is_earlier: Vec<bool> =
+            self.files().iter().map(|contents| !earlier_topics(contents).is_empty()).collect();
         let mut data = Vec::new();
         loop {
             let message = match reader.next_message() {
