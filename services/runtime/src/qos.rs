@@ -62,13 +62,13 @@ pub(crate) const MAX_READERS: usize = 24;
 /// Samples of one publisher that wait at a process of the loop, and at least so many at an observer.
 pub const PROCESS_QUEUE: usize = 16;
 /// Memory for the samples that wait at all observers of one topic, for each publisher [bytes].
-const OBSERVED_BYTES: usize = 8_000_000;
+const OBSERVED_BYTES: usize = 4_000_000;
 /// Nodes on one service: all readers, and writers with their successors.
 pub(crate) const NODES: usize = 48;
 /// Processes that may notify or listen on one topic.
 pub(crate) const EVENT_PORTS: usize = 16;
 
-/// Samples of one publisher that wait at an observer of a topic: those of one second or what fits into 8 MB for all
+/// Samples of one publisher that wait at an observer of a topic: those of one second or what fits into 4 MB for all
 /// readers, whichever is smaller, and never less than at a process.
 ///
 /// `size` is that of a sample [bytes], `period_ns` the time between two samples.
@@ -83,7 +83,9 @@ pub(crate) fn qos(topic: Topic, period_ns: u64) -> Qos {
     let buffer = observer_queue(topic.size(), period_ns);
     let stream = Qos { publishers: 4, subscribers: MAX_READERS, buffer, borrowed: 20, history: 0 };
     match topic {
-        Topic::Scan | Topic::Odometry | Topic::Pose | Topic::Obstacles | Topic::Command => stream,
+        // Of the largest samples twice as many fit: else a recorder would have to come within 19 ms at 1 kHz.
+        Topic::Scan => Qos { buffer: observer_queue(topic.size() / 2, period_ns), ..stream },
+        Topic::Odometry | Topic::Pose | Topic::Obstacles | Topic::Command => stream,
         // The ledger is made from these two, and in lock-step a second has more scans than in real time.
         Topic::Actuation | Topic::Truth => Qos { buffer: buffer.max(256), ..stream },
         // Ten a second of each process, at any rate of scans. Observers alone read them.
@@ -107,16 +109,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_observer_queues_one_second_or_eight_megabytes_of_all_readers_and_at_least_sixteen() {
+    fn an_observer_queues_one_second_or_four_megabytes_of_all_readers_and_at_least_sixteen() {
         let (ten_hz, hundred_hz, kilohertz) = (100_000_000, 10_000_000, 1_000_000);
         // A second has ten samples, which is less than a process queues.
         assert_eq!(observer_queue(8528, ten_hz), 16);
         assert_eq!(observer_queue(352, hundred_hz), 100);
-        // 8,000,000 / (24 x 352) = 946.97 and 8,000,000 / (24 x 8528) = 39.09.
-        assert_eq!(observer_queue(352, kilohertz), 946);
-        assert_eq!(observer_queue(8528, kilohertz), 39);
+        // 4,000,000 / (24 x 352) = 473.48 and 4,000,000 / (24 x 8528) = 19.54.
+        assert_eq!(observer_queue(352, kilohertz), 473);
+        assert_eq!(observer_queue(8528, kilohertz), 19);
         assert_eq!(observer_queue(4_000_000, kilohertz), 16);
-        assert_eq!(observer_queue(0, 0), 8_000_000 / 24, "nothing is divided by zero");
+        assert_eq!(observer_queue(0, 0), 4_000_000 / 24, "nothing is divided by zero");
     }
 
     #[test]
