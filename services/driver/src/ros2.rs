@@ -91,7 +91,7 @@ settings! {
         /// Sign of the beam angles; -1 for a scanner that is mounted upside down.
         pub scan_sign: f64 = 1.0, "1 or -1";
         /// Where the scanner's angle zero points, seen from straight ahead of the scan; pi for one that looks backwards [rad].
-        pub scan_yaw_rad: f64 = 0.0, -3.1416..=3.1416;
+        pub scan_yaw_rad: f64 = 0.0, -3.15..=3.15;
         /// Duration of a sweep over all beams, for a scanner whose messages have no `time_increment` [s].
         pub sweep_s: f64 = 0.0, 0.0..=1.0;
         /// Smallest time from the stamp of an odometry to its arrival here [s].
@@ -146,7 +146,7 @@ impl Ros2Config {
     /// The name of one of [`TOPICS`] with remapping and namespace, beginning with `/`.
     pub fn topic(&self, name: &str) -> String {
         let pairs = self.remap.iter().filter_map(|text| text.split_once(":="));
-        let mapped = pairs.filter(|(from, _)| from.trim_start_matches('/') == name).last();
+        let mapped = pairs.filter(|(from, _)| from.trim_start_matches('/') == name).next_back();
         let name = match (mapped, name) {
             (Some((_, to)), _) => to,
             // Frames of all robots stand in one tree.
