@@ -11,7 +11,7 @@ use std::net::SocketAddr;
 use serde::{Deserialize, Serialize};
 use shared_types::{Role, TOPICS, Topic, did_you_mean};
 use supervision::entry::ProcessEntry;
-use vehicle::{Invalid, Setting, settings};
+use vehicle::{Documented, Invalid, Setting, settings};
 
 use crate::System;
 
@@ -20,6 +20,7 @@ const MAX_ID: usize = 16;
 /// What the name of a host may be: one letter at least is left for the system id.
 pub const NAME_RULE: &str = "a small letter, then small letters and digits; at most 10";
 const MAX_NAME: usize = 10;
+const NAME_PATTERN: &str = "pattern = '^[a-z][a-z0-9]{0,9}$'";
 /// What an address may be.
 pub const ADDRESS_RULE: &str = "an IP address and a port, as 10.9.0.2:7411 or [fd00::2]:7411";
 
@@ -52,7 +53,7 @@ settings! {
     /// Another machine of the system, on which `scanloop agent` runs.
     pub struct HostEntry {
         /// Name by which `host` of a process means it.
-        pub name: String = String::new(), (NAME_RULE, "must be given");
+        pub name: String = String::new(), (Documented { text: NAME_RULE, schema: NAME_PATTERN }, "must be given");
         /// Address at which its agent listens.
         pub address: String = String::new(), (ADDRESS_RULE, "must be given");
         /// What samples travel with: `quic` needs the certificates of `scanloop agent pair`; `udp` and `tcp` are for a cable

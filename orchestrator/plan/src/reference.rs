@@ -6,7 +6,7 @@ use emulator::Scenario;
 use emulator::scenario::{Preset, Robot};
 use estimator::NoiseProfile;
 use toml::{Table, Value};
-use vehicle::{Description, Key, Setting, toml_text};
+use vehicle::{Description, Key, Setting, schema_of, toml_text};
 
 use crate::System;
 
@@ -18,6 +18,23 @@ pub fn scenario_page() -> String {
 /// The page `docs/system-file.md`.
 pub fn system_page() -> String {
     page(include_str!("reference/system.md"), &system_keys())
+}
+
+/// JSON Schema of the scenario file, as a table.
+pub fn scenario_schema() -> Table {
+    schema("Scenario file of Scanloop", &scenario_keys())
+}
+
+/// JSON Schema of the system file, as a table.
+pub fn system_schema() -> Table {
+    schema("System file of Scanloop", &system_keys())
+}
+
+fn schema(title: &str, keys: &[Key]) -> Table {
+    let mut schema = schema_of(keys);
+    schema.insert("$schema".to_owned(), "http://json-schema.org/draft-07/schema#".into());
+    schema.insert("title".to_owned(), title.into());
+    schema
 }
 
 /// All keys whose name or meaning contains `text`, two lines each, named as `--set` takes them.
@@ -56,7 +73,7 @@ pub fn settable() -> Vec<SettableKey> {
         for key in keys {
             let path = format!("{around}{}", key.name);
             if key.keys.is_empty() {
-                let names = quoted(&key.allowed).into_iter().map(str::to_owned).collect();
+                let names = key.names().into_iter().map(str::to_owned).collect();
                 found.push(SettableKey { path, meaning: key.doc, names, default: key.default });
             } else {
                 let around = around_of(&path, &key);
@@ -67,11 +84,6 @@ pub fn settable() -> Vec<SettableKey> {
     let mut found = Vec::new();
     [scenario_keys(), system_keys()].into_iter().for_each(|keys| collect("", keys, &mut found));
     found
-}
-
-/// The names in `` `"a"`, `"b"` ``.
-fn quoted(allowed: &str) -> Vec<&str> {
-    allowed.split("`\"").skip(1).filter_map(|rest| Some(rest.split_once("\"`")?.0)).collect()
 }
 
 /// What stands before the keys of a table.

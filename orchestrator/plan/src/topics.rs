@@ -7,7 +7,7 @@ use console::exit::Failure;
 use console::user_file::{self, TEXT_BYTES};
 use runtime::{AlsoReads, CompanionRow, LayoutFile, MAX_COMPANIONS, OPERATOR, OwnTopics, TopicRow};
 use shared_types::{Role, TOPICS, Topic, did_you_mean};
-use supervision::entry::{NAME_RULE, ProcessEntry, is_name};
+use supervision::entry::{NAME, NAME_RULE, ProcessEntry, is_name};
 use vehicle::{Invalid, settings};
 
 use crate::System;
@@ -26,7 +26,7 @@ settings! {
     /// A topic that the system adds to those of the loop.
     pub struct TopicEntry {
         /// Name of the topic.
-        pub name: String = String::new(), (NAME_RULE, "must be given");
+        pub name: String = String::new(), (NAME, "must be given");
         /// File with the fields of its samples, relative to the folder of the system file.
         pub layout: String = String::new(), "a layout file, must be given";
         /// Name of the companion that writes it, or `operator` for `scanloop topic pub`; without the key the companion

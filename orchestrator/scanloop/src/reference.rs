@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 use clap::builder::PossibleValue;
 use clap::{Arg, Args, Command, ValueEnum};
 use console::exit::Failure;
-use plan::reference::{find, names, scenario_page, system_page};
+use plan::reference::{find, names, scenario_page, scenario_schema, system_page, system_schema};
 use shared_types::did_you_mean;
 
 /// A page of the documentation.
@@ -25,6 +25,15 @@ pub enum Page {
     Conformance,
 }
 
+/// A file that has a schema.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum FileKind {
+    /// Scenario file: docs/schema/scenario.json.
+    Scenario,
+    /// System file: docs/schema/system.json.
+    System,
+}
+
 /// Arguments of `reference`.
 #[derive(Debug, Args)]
 pub struct ReferenceArguments {
@@ -34,6 +43,9 @@ pub struct ReferenceArguments {
     /// Print a page of the documentation as Markdown instead.
     #[arg(long, value_enum, value_name = "PAGE")]
     pub page: Option<Page>,
+    /// Print the JSON Schema of a file instead: editors complete and check with it.
+    #[arg(long, value_enum, value_name = "FILE", conflicts_with_all = ["text", "page"])]
+    pub schema: Option<FileKind>,
 }
 
 /// The keys, or the page, that was asked for; `root` is the whole command line.
@@ -41,6 +53,13 @@ pub struct ReferenceArguments {
 /// # Errors
 /// A text that no key contains; exit code 2.
 pub(crate) fn text(arguments: &ReferenceArguments, root: Command) -> anyhow::Result<String> {
+    if let Some(kind) = arguments.schema {
+        let schema = match kind {
+            FileKind::Scenario => scenario_schema(),
+            FileKind::System => system_schema(),
+        };
+        return Ok(serde_json::to_string_pretty(&schema)? + "\n");
+    }
     match arguments.page {
         Some(Page::Scenario) => Ok(scenario_page()),
         Some(Page::System) => Ok(system_page()),
@@ -192,7 +211,7 @@ mod tests {
 
     #[test]
     fn a_text_that_no_key_has_is_refused() {
-        let arguments = |text: &str| ReferenceArguments { text: text.to_owned(), page: None };
+        let arguments = |text: &str| ReferenceArguments { text: text.to_owned(), page: None, schema: None };
         assert!(
             text(&arguments("propeller"), Cli::command())
                 .unwrap_err()

@@ -3,17 +3,20 @@
 use runtime::Identity;
 use serde::{Deserialize, Serialize};
 use shared_types::{Role, did_you_mean};
-use vehicle::{Invalid, of_text, settings};
+use vehicle::{Documented, Invalid, of_text, settings};
 
 use crate::keeper::KeeperPolicy;
 use crate::supervisor::{ProcessPolicy, Restart};
 
 /// What the key `role` may be.
 const ROLES: &str = "one of robot, estimator, obstacles, controller, actuator, companion";
+const ROLE_NAMES: &str = "enum = ['robot', 'estimator', 'obstacles', 'controller', 'actuator', 'companion']";
 /// The key `role` of a process that fills none.
 const COMPANION: &str = "companion";
 /// What the name of a companion or a topic may be.
 pub const NAME_RULE: &str = "a small letter, then small letters, digits, `-` or `_`; at most 24";
+/// The same for the key of a file.
+pub const NAME: Documented = Documented { text: NAME_RULE, schema: "pattern = '^[a-z][a-z0-9_-]{0,23}$'" };
 
 settings! {
     /// A topic that a process of the loop reads in addition to those of its role.
@@ -29,11 +32,14 @@ settings! {
     /// One process of the system.
     pub struct ProcessEntry {
         /// Role that the process fills, or `companion` for a process beside the loop.
-        pub role: String = String::new(), (ROLES, "must be given");
+        pub role: String = String::new(), (Documented { text: ROLES, schema: ROLE_NAMES }, "must be given");
         /// Built-in implementation that fills the role; it needs this or `command`.
-        pub implementation: Option<String> = None, "emulator, player or ros2, ekf, ellipses, nmpc or actuation, in the order of the roles";
+        pub implementation: Option<String> = None, Documented {
+            text: "emulator, player or ros2, ekf, ellipses, nmpc or actuation, in the order of the roles",
+            schema: "enum = ['emulator', 'player', 'ros2', 'ekf', 'ellipses', 'nmpc', 'actuation']",
+        };
         /// Name of a companion; a role has none.
-        pub name: Option<String> = None, NAME_RULE;
+        pub name: Option<String> = None, NAME;
         /// Program of your own with its arguments, which fills the role instead.
         pub command: Option<Vec<String>> = None, "a list of texts, instead of `implementation`";
         /// Name of the `[[host]]` that the process runs on; without the key the one where `scanloop run` is typed.

@@ -14,7 +14,7 @@ mod shipped;
 
 use nalgebra::Vector2;
 use vehicle::geometry::Rectangle;
-use vehicle::{Invalid, settings};
+use vehicle::{Documented, Invalid, settings};
 
 pub use endless::Endless;
 pub use obstacle::{ScenarioObstacle, Shape};
@@ -27,6 +27,7 @@ pub use vehicle::{Goal, Surroundings, Track};
 /// What the name of a scenario may be.
 const NAME: &str = "1 to 64 letters, digits, blanks, `-`, `_` and `.`";
 
+const NAME_PATTERN: &str = r"pattern = '^[\p{L}\p{N} ._-]{1,64}$'";
 /// Free distance that is asked of the walls in the bound of the centre, theta of (7.35) [m].
 const WALL_MARGIN_M: f64 = 0.2;
 
@@ -34,7 +35,7 @@ settings! {
     /// A checked scenario file.
     pub struct Scenario {
         /// Name of the scenario in reports.
-        pub name: String = "corridor".to_owned(), NAME;
+        pub name: String = "corridor".to_owned(), Documented { text: NAME, schema: NAME_PATTERN };
         /// Seed of all noise and of placed obstacles.
         pub seed: u64 = 1, "0 to 2^63 - 1";
         /// The run ends as `timeout` after this driven time [s].

@@ -7,10 +7,11 @@ use toml::{Table, Value};
 
 use crate::read::{deserialize, elements};
 use crate::rule::number;
+use crate::schema::{array, of_type, set_range, table};
 use crate::{Invalid, KeyRule};
 
 /// One key of a table.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Key {
     /// Its name in the file.
     pub name: &'static str,
@@ -20,9 +21,14 @@ pub struct Key {
     pub default: String,
     /// What is allowed, in words; empty where the type alone says it, or a rule for the table around it.
     pub allowed: String,
+    /// What is allowed of a value, in keywords of JSON Schema.
+    pub schema: Table,
     /// Keys of the table that it names; none for a value.
     pub keys: Vec<Self>,
 }
+
+/// Keywords of JSON Schema that rules add.
+const KEYWORDS_OF_RULES: [&str; 5] = ["minimum", "maximum", "pattern", "minLength", "minItems"];
 
 impl Key {
     /// A key with the rules for its value.
@@ -36,9 +42,23 @@ impl Key {
         let allowed: Vec<String> = texts.filter(|text| !text.is_empty()).collect();
         let mut keys = T::keys();
         if !rules.is_empty() {
-            keys.iter_mut().for_each(|key| key.allowed.clear());
+            for key in &mut keys {
+                key.allowed.clear();
+                KEYWORDS_OF_RULES.iter().for_each(|keyword| _ = key.schema.remove(*keyword));
+            }
         }
-        Self { name, doc: doc.trim(), default: toml_text(default), allowed: allowed.join("; "), keys }
+        let mut schema = T::schema();
+        rules.iter().for_each(|rule| rule.constrain(&mut schema));
+        Self { name, doc: doc.trim(), default: toml_text(default), allowed: allowed.join("; "), schema, keys }
+    }
+
+    /// The names that it takes, if it takes names only.
+    pub fn names(&self) -> Vec<&str> {
+        quoted(&self.allowed)
+    }
+
+    pub(crate) fn must_be_given(&self) -> bool {
+        self.allowed.ends_with("must be given")
     }
 
     /// Whether it is a list of tables, `[[name]]`.
@@ -72,6 +92,12 @@ pub trait Setting: DeserializeOwned {
         unknown.err().map_or_else(String::new, |error| names(&error.to_string()))
     }
 
+    /// What the type itself allows, in keywords of JSON Schema: the names of an enumeration.
+    fn schema() -> Table {
+        let names: Vec<Value> = quoted(&Self::allowed()).into_iter().map(Value::from).collect();
+        if names.is_empty() { Table::new() } else { table([("enum", Value::Array(names))]) }
+    }
+
     /// Keys of a table.
     fn keys() -> Vec<Key> {
         Vec::new()
@@ -98,17 +124,41 @@ pub fn require_key<T: Setting>(name: &str, value: &T, rules: &[&dyn KeyRule<T>])
 }
 
 macro_rules! plain_settings {
-    ($($type:ty),*) => {
+    ($($type:ty, $name:literal $(, $range:expr)?;)*) => {
         $(impl Setting for $type {
             fn from_value(path: &str, value: Value) -> Result<Self, Invalid> {
                 deserialize(path, value)
             }
+
+            fn schema() -> Table {
+                let schema = of_type($name);
+                $(let schema = within($range, schema);)?
+                schema
+            }
         })*
     };
 }
-plain_settings!(bool, f64, u32, u64, usize, String);
+plain_settings! {
+    bool, "boolean";
+    f64, "number";
+    u32, "integer", [0.0, u32::MAX as f64];
+    u64, "integer", [0.0, i64::MAX as f64];
+    usize, "integer", [0.0, i64::MAX as f64];
+    String, "string";
+}
 
-impl<const N: usize> Setting for [f64; N] where Self: DeserializeOwned {}
+impl<const N: usize> Setting for [f64; N]
+where
+    Self: DeserializeOwned,
+{
+    fn schema() -> Table {
+        let mut schema = array(f64::schema());
+        for keyword in ["minItems", "maxItems"] {
+            schema.insert(keyword.to_owned(), Value::Integer(N as i64));
+        }
+        schema
+    }
+}
 
 impl<T: Setting> Setting for Vec<T> {
     fn from_value(path: &str, value: Value) -> Result<Self, Invalid> {
@@ -122,6 +172,10 @@ impl<T: Setting> Setting for Vec<T> {
 
     fn allowed() -> String {
         T::allowed()
+    }
+
+    fn schema() -> Table {
+        array(T::schema())
     }
 
     fn keys() -> Vec<Key> {
@@ -142,9 +196,23 @@ impl<T: Setting> Setting for Option<T> {
         T::allowed()
     }
 
+    fn schema() -> Table {
+        T::schema()
+    }
+
     fn keys() -> Vec<Key> {
         T::keys()
     }
+}
+
+fn within([minimum, maximum]: [f64; 2], mut schema: Table) -> Table {
+    set_range(&mut schema, minimum, maximum);
+    schema
+}
+
+/// The names in `` `"a"`, `"b"` ``.
+fn quoted(allowed: &str) -> Vec<&str> {
+    allowed.split("`\"").skip(1).filter_map(|rest| Some(rest.split_once("\"`")?.0)).collect()
 }
 
 /// The names in "unknown variant `?`, expected one of `a`, `b`", as the file has them.

@@ -7,6 +7,7 @@ mod invalid;
 mod key;
 mod read;
 mod rule;
+mod schema;
 mod settings;
 
 pub use invalid::{Invalid, require};
@@ -14,7 +15,8 @@ pub use key::{Key, Setting, read, require_key, toml_text};
 pub use read::{ForeignLetter, of_text, parse, text_of, toml_fault};
 #[doc(hidden)]
 pub use read::{entries, unknown};
-pub use rule::{Ascending, KeyRule, Numeric};
+pub use rule::{Ascending, Documented, KeyRule, Numeric};
+pub use schema::{schema_of, set_range};
 pub use shared_types::did_you_mean;
 #[doc(hidden)]
-pub use toml::Value;
+pub use toml::{Table, Value};

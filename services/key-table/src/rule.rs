@@ -3,6 +3,9 @@
 use std::f64::consts::PI;
 use std::ops::RangeInclusive;
 
+use toml::Table;
+
+use crate::schema::{set_range, values};
 use crate::{Invalid, require};
 
 /// A value that is a number, or consists of numbers.
@@ -52,6 +55,9 @@ pub trait KeyRule<T> {
     /// # Errors
     /// [`Invalid`] with the key, the value and what is allowed; NaN never is.
     fn require(&self, key: &str, value: &T) -> Result<(), Invalid>;
+
+    /// Adds what JSON Schema can say of the rule.
+    fn constrain(&self, _schema: &mut Table) {}
 }
 
 /// All numbers of the value are within the range.
@@ -63,6 +69,10 @@ impl<T: Numeric> KeyRule<T> for RangeInclusive<f64> {
     fn require(&self, key: &str, value: &T) -> Result<(), Invalid> {
         value.numbers().try_for_each(|number| require(key, number, self.clone()))
     }
+
+    fn constrain(&self, schema: &mut Table) {
+        set_range(schema, *self.start(), *self.end());
+    }
 }
 
 /// A range with a condition that is documented here, and checked where its other values are known.
@@ -73,6 +83,32 @@ impl<T, R: KeyRule<T>> KeyRule<T> for (R, &'static str) {
 
     fn require(&self, key: &str, value: &T) -> Result<(), Invalid> {
         self.0.require(key, value)
+    }
+
+    fn constrain(&self, schema: &mut Table) {
+        self.0.constrain(schema);
+    }
+}
+
+/// A rule of one key that is documented here and checked elsewhere, with what JSON Schema can say of it.
+pub struct Documented {
+    /// The rule in words.
+    pub text: &'static str,
+    /// Its keywords as TOML, `pattern = '^[a-z]+$'`, of the value or of all values of a list.
+    pub schema: &'static str,
+}
+
+impl<T> KeyRule<T> for Documented {
+    fn text(&self) -> String {
+        self.text.to_owned()
+    }
+
+    fn require(&self, _: &str, _: &T) -> Result<(), Invalid> {
+        Ok(())
+    }
+
+    fn constrain(&self, schema: &mut Table) {
+        values(schema).extend(self.schema.parse::<Table>().unwrap_or_default());
     }
 }
 
@@ -120,6 +156,10 @@ impl KeyRule<[f64; 2]> for Ascending {
             return Ok(());
         }
         Err(Invalid::new(key, format!("[{low}, {high}]"), self.text()))
+    }
+
+    fn constrain(&self, schema: &mut Table) {
+        set_range(schema, *self.0.start(), *self.0.end());
     }
 }
 

@@ -1,6 +1,6 @@
 //! Settings of the driver, the table `[player]` of the system file.
 
-use key_table::{Invalid, Setting, settings};
+use key_table::{Documented, Invalid, Setting, settings};
 use serde::{Deserialize, Serialize};
 use urg::ScannerPlace;
 
@@ -55,12 +55,13 @@ impl Setting for DriveCommand {}
 
 /// What a sign may be.
 const SIGN: &str = "1 or -1";
+const ONE: &str = "enum = [1, -1]";
 
 settings! {
     /// Settings of the driver for Player servers, implementation `player` of role `robot`.
     pub struct PlayerConfig {
         /// Host name or address of the server.
-        pub host: String = "127.0.0.1".to_owned(), "not empty";
+        pub host: String = "127.0.0.1".to_owned(), Documented { text: "not empty", schema: "minLength = 1" };
         /// Port of the server, which selects the robot.
         pub port: u32 = 6665, 1.0..=65535.0;
         /// Index of the base among the devices of interface position2d.
@@ -89,13 +90,13 @@ settings! {
         // A robot that steers both axles by the same angle turns like a car with half its axle distance.
         pub wheelbase_m: f64 = 0.185, 0.01..=10.0;
         /// Sign of the velocity that is sent.
-        pub velocity_sign: f64 = 1.0, SIGN;
+        pub velocity_sign: f64 = 1.0, Documented { text: SIGN, schema: ONE };
         /// Sign of the steering angle, or of the yaw rate, that is sent; 1 if left is positive.
-        pub steering_sign: f64 = 1.0, SIGN;
+        pub steering_sign: f64 = 1.0, Documented { text: SIGN, schema: ONE };
         /// Signs of the reported x, y and yaw; 1 if ahead, left and counter-clockwise are positive.
-        pub odometry_signs: [f64; 3] = [1.0, 1.0, 1.0], "1 or -1 each";
+        pub odometry_signs: [f64; 3] = [1.0, 1.0, 1.0], Documented { text: "1 or -1 each", schema: ONE };
         /// Sign of the beam angles; -1 for a scanner that is mounted upside down.
-        pub scan_sign: f64 = 1.0, SIGN;
+        pub scan_sign: f64 = 1.0, Documented { text: SIGN, schema: ONE };
         /// Duration of a sweep over all beams: 0 in Stage, 0.0667 for a Hokuyo URG-04LX [s].
         pub sweep_s: f64 = 0.0, 0.0..=1.0;
         /// Time stamp of a scan minus the time of its front beam, on the server [s].

@@ -7,6 +7,7 @@
 //! earlier sent values. Only at the start it is unknown within the play, until the first larger movement. A wrong
 //! width of the play leaves the difference as an error.
 
+use key_table::Table;
 use serde::{Deserialize, Serialize};
 
 use crate::network::SteeringNetwork;
@@ -88,6 +89,11 @@ impl Setting for Calibration {
 
     fn allowed() -> String {
         "`\"default\"`, `\"identity\"`, `{ custom = { ... } }` from `scanloop calibrate`".to_owned()
+    }
+
+    fn schema() -> Table {
+        let text = "anyOf = [{ enum = ['default', 'identity'] }, { type = 'object', required = ['custom'] }]";
+        text.parse().unwrap_or_default()
     }
 }
 

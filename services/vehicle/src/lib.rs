@@ -22,8 +22,8 @@ pub mod tyre;
 pub use bounds::Bounds;
 pub use description::Description;
 pub use key_table::{
-    Ascending, Invalid, Key, KeyRule, Setting, did_you_mean, of_text, parse, read, require, settings,
-    text_of, toml_fault, toml_text,
+    Ascending, Documented, Invalid, Key, KeyRule, Setting, did_you_mean, of_text, parse, read, require,
+    schema_of, set_range, settings, text_of, toml_fault, toml_text,
 };
 pub use lag::Lag;
 pub use parameters::Parameters;

@@ -16,6 +16,7 @@ mod possible;
 mod reference;
 mod released;
 mod scenarios;
+mod schema;
 mod system_file;
 mod urg;
 mod without_truth;

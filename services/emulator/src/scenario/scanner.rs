@@ -2,7 +2,8 @@
 
 use std::f64::consts::PI;
 
-use vehicle::{Invalid, KeyRule, settings};
+use toml::Table;
+use vehicle::{Invalid, KeyRule, set_range, settings};
 
 /// Longest time by which a scan can be late [s]: the emulator keeps the poses of this time.
 const MAX_LATE_S: f64 = 10.0;
@@ -125,6 +126,10 @@ impl KeyRule<Option<[f64; 2]>> for Periods {
             _ => Ok(()),
         }
     }
+
+    fn constrain(&self, schema: &mut Table) {
+        set_range(schema, 0.001, MAX_LATE_S);
+    }
 }
 
 /// Pairs of angles in ascending order.
@@ -137,6 +142,10 @@ impl KeyRule<Vec<[f64; 2]>> for Sectors {
 
     fn require(&self, key: &str, sectors: &Vec<[f64; 2]>) -> Result<(), Invalid> {
         require_pairs(self, key, sectors, |_, [from, to]| from >= -PI && to <= PI && from < to)
+    }
+
+    fn constrain(&self, schema: &mut Table) {
+        set_range(schema, -PI, PI);
     }
 }
 
