@@ -145,8 +145,8 @@ impl Ros2Config {
 
     /// The name of one of [`TOPICS`] with remapping and namespace, beginning with `/`.
     pub fn topic(&self, name: &str) -> String {
-        let pairs = self.remap.iter().filter_map(|text| text.split_once(":="));
-        let mapped = pairs.filter(|(from, _)| from.trim_start_matches('/') == name).next_back();
+        let mut pairs = self.remap.iter().filter_map(|text| text.split_once(":="));
+        let mapped = pairs.rfind(|(from, _)| from.trim_start_matches('/') == name);
         let name = match (mapped, name) {
             (Some((_, to)), _) => to,
             // Frames of all robots stand in one tree.

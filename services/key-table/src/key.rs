@@ -5,9 +5,9 @@ use serde::de::value::Error;
 use serde::de::{DeserializeOwned, IntoDeserializer};
 use toml::{Table, Value};
 
+use crate::keyword::{array, of_type, set_range, table};
 use crate::read::{deserialize, elements};
 use crate::rule::number;
-use crate::schema::{array, of_type, set_range, table};
 use crate::{Invalid, KeyRule};
 
 /// One key of a table.

@@ -5,6 +5,7 @@
 
 mod invalid;
 mod key;
+mod keyword;
 mod read;
 mod rule;
 mod schema;
@@ -12,11 +13,12 @@ mod settings;
 
 pub use invalid::{Invalid, require};
 pub use key::{Key, Setting, read, require_key, toml_text};
+pub use keyword::set_range;
 pub use read::{ForeignLetter, of_text, parse, text_of, toml_fault};
 #[doc(hidden)]
 pub use read::{entries, unknown};
 pub use rule::{Ascending, Documented, KeyRule, Numeric};
-pub use schema::{schema_of, set_range};
+pub use schema::schema_of;
 pub use shared_types::did_you_mean;
 #[doc(hidden)]
 pub use toml::{Table, Value};

@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 
 use toml::Table;
 
-use crate::schema::{set_range, values};
+use crate::keyword::{set_range, values};
 use crate::{Invalid, require};
 
 /// A value that is a number, or consists of numbers.

@@ -1,4 +1,5 @@
 //! The JSON Schemas of scenario and system file: they are in docs/schema, and give the verdict of the program on each key.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::path::{Path, PathBuf};
 

@@ -1,5 +1,4 @@
 //! Poses that no robot can have are not published, and the wheels stand still then: through real runs.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use emulator::Outcome;
 use report::Report;

@@ -128,7 +128,7 @@ fn fish_completes_words_of_both_executables() {
             fish.args(["--no-config", "-c", "source script.fish; complete -C $argv[1]", typed]);
             let output = fish.current_dir(system.folder()).env("PATH", &path).output().unwrap();
             let words = String::from_utf8_lossy(&output.stdout).into_owned();
-            let expected = expected.split(' ').filter(|word| !word.is_empty()).next_back().unwrap();
+            let expected = expected.split(' ').rfind(|word| !word.is_empty()).unwrap();
             let found = words.lines().any(|line| line.split('\t').next() == Some(expected));
             assert!(found, "{typed}: {}", printed(&output));
         }
