@@ -1,6 +1,6 @@
 //! Rewrites system files of older versions: each old key gets its place of today, with its comments.
 //!
-//! The table of old keys is [`OLD_KEYS`], by which files are read, too. A key moves within its stage, because there it
+//! The table of old keys is `OLD_KEYS`, by which files are read, too. A key moves within its stage, because there it
 //! holds for that stage alone; so the new file gives every stage what the old one gave it, which is checked.
 
 use std::collections::BTreeSet;
