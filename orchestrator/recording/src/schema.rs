@@ -88,9 +88,9 @@ mod tests {
     #[test]
     fn a_schema_holds_the_fields_and_all_structs() {
         let text = schema(Topic::Scan);
-        assert!(text.contains("uint16[682] ranges_mm\n"), "{text}");
+        assert!(text.contains("uint32[2048] ranges_mm\n"), "{text}");
         assert!(text.contains("MSG: scanloop_msgs/Header\n"), "{text}");
-        assert!(text.contains("scanloop_msgs/StageStamps[5] chain\n"), "{text}");
+        assert!(text.contains("scanloop_msgs/StageStamps[8] chain\n"), "{text}");
         assert_eq!(type_name(Topic::Pose), "scanloop_msgs/msg/Pose");
     }
 

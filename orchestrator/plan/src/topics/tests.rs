@@ -108,7 +108,7 @@ fn a_layout_with_a_hole_or_without_fields_is_refused_with_its_file() {
     std::fs::write(folder.0.join("imu.toml"), hole).unwrap();
     let message = folder.system(&more).unwrap_err().to_string();
     assert!(
-        message.contains("imu.toml: line 7: b = a field that begins at byte 196 is not allowed: no hole"),
+        message.contains("imu.toml: line 7: b = a field that begins at byte 292 is not allowed: no hole"),
         "{message}"
     );
     std::fs::remove_file(folder.0.join("imu.toml")).unwrap();

@@ -87,7 +87,7 @@ const VERSIONS: [Version; 9] = [
             ("uint32_t previous;", "uint32_t incarnation;"),
             ("uint32_t later;", "uint32_t previous;"),
         ],
-        message: "topic directive: field authority.incarnation begins at byte 228 in this process, at 224 in the system",
+        message: "topic directive: field authority.incarnation begins at byte 324 in this process, at 320 in the system",
     },
     Version {
         role: Role::Estimator,
