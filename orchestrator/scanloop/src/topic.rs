@@ -401,6 +401,6 @@ mod tests {
         let value = decode_struct(Odometry::FIELDS, bytemuck::bytes_of(&odometry), false);
         assert_eq!(value["x_m"], json!(1.5));
         assert_eq!(value["header"]["scan_id"], json!(9));
-        assert_eq!(value["header"]["chain"].as_array().unwrap().len(), 5);
+        assert_eq!(value["header"]["chain"].as_array().unwrap().len(), 8);
     }
 }
