@@ -107,7 +107,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn data_are_dropped_when_nobody_takes_them_and_what_was_put_back_comes_first() {
+    fn data_are_dropped_when_none_takes_them_and_what_was_put_back_comes_first() {
         let (feed, outlet) = Feed::new(|| {});
         (0..QUEUED + 5).for_each(|event| outlet.offer(event));
         feed.put_back(1000);

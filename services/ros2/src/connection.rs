@@ -73,7 +73,7 @@ struct Connection<'a> {
     guard: Option<Held>,
     /// When the guard failed [ns].
     failed_ns: u64,
-    /// Why nobody takes commands.
+    /// Why no node takes commands.
     unheard: Option<String>,
     /// When readers were looked for, and publishers [ns].
     listened_ns: u64,

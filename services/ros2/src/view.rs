@@ -66,7 +66,7 @@ pub(crate) fn run(config: &Ros2Config, scanner: [f64; 3]) -> anyhow::Result<()> 
     let drawing = Drawing { offset_s: node.now_s() - monotonic_ns() as f64 * 1e-9, scanner };
     let mut driven: Vec<PoseStamped> = Vec::with_capacity(SHOWN + 1);
     let mut told_ns = 0;
-    // What nobody takes is lost: a view is no part of the drive.
+    // What no node takes is lost: a view is no part of the drive.
     while companion.wait(None)? {
         while let Some(sample) = scans.take()? {
             let _ = scan.publish(drawing.scan(&sample));

@@ -68,7 +68,7 @@ pub(crate) struct End {
     pub(crate) type_name: String,
 }
 
-/// Why nothing comes on a topic, or why nobody takes what is sent there. `None` when an end with the type is there.
+/// Why nothing comes on a topic, or why no node takes what is sent there. `None` when an end with the type is there.
 pub(crate) fn missing(topic: &str, [package, name]: [&str; 2], ends: &[End], what: &str) -> Option<String> {
     let wanted = format!("{package}::msg::dds_::{name}_");
     let here = |end: &&End| end.topic == format!("rt{topic}");
