@@ -10,6 +10,6 @@ found >/dev/null && exit 0
 as_root() {
     if [ "$(id -u)" = 0 ]; then "$@"; else sudo -n "$@"; fi
 }
-as_root apt-get update -qq >&2
-as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq chromium >&2
+as_root apt-get -o DPkg::Lock::Timeout=300 update -qq >&2
+as_root env DEBIAN_FRONTEND=noninteractive apt-get -o DPkg::Lock::Timeout=300 install -y -qq chromium >&2
 found >/dev/null
