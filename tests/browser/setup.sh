@@ -10,6 +10,12 @@ found >/dev/null && exit 0
 as_root() {
     if [ "$(id -u)" = 0 ]; then "$@"; else sudo -n "$@"; fi
 }
-as_root apt-get -o DPkg::Lock::Timeout=300 update -qq >&2
+# Another program may hold the lock of the lists, for which there is no timeout.
+tries=1
+until as_root apt-get update -qq >&2; do
+    [ "$tries" -lt 10 ] || exit 1
+    tries=$((tries + 1))
+    sleep 5
+done
 as_root env DEBIAN_FRONTEND=noninteractive apt-get -o DPkg::Lock::Timeout=300 install -y -qq chromium >&2
 found >/dev/null

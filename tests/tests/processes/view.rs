@@ -6,7 +6,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::OnceLock;
+use std::sync::Mutex;
 
 use rustix::process::{Pid, Signal, kill_process};
 use scanloop_tests::{DEADLINE, SHORT_CORRIDOR, TestSystem};
@@ -333,20 +333,19 @@ fn browser_test(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("browser").join(name)
 }
 
-/// Whether there is a browser; in CI it is installed first, once for all tests. A skip is printed.
+/// Whether there is a browser; in CI it is installed first, by one test at a time. A skip is printed.
 fn has_browser(skipped: &str) -> bool {
-    static REASON: OnceLock<Option<String>> = OnceLock::new();
+    static INSTALLING: Mutex<()> = Mutex::new(());
     let is_ci = std::env::var("CI").as_deref() == Ok("true");
-    let setup = || {
-        let argument = if is_ci { "--install" } else { "--check" };
-        match Command::new(browser_test("setup.sh")).arg(argument).output() {
-            Ok(output) if output.status.success() => None,
-            Ok(output) => Some(String::from_utf8_lossy(&output.stderr).into_owned()),
-            Err(error) => Some(error.to_string()),
-        }
+    let argument = if is_ci { "--install" } else { "--check" };
+    let setup = {
+        let _one_at_a_time = INSTALLING.lock().unwrap();
+        Command::new(browser_test("setup.sh")).arg(argument).output()
     };
-    let Some(reason) = REASON.get_or_init(setup) else {
-        return true;
+    let reason = match setup {
+        Ok(output) if output.status.success() => return true,
+        Ok(output) => String::from_utf8_lossy(&output.stderr).into_owned(),
+        Err(error) => error.to_string(),
     };
     assert!(!is_ci, "{reason}");
     // Past the capture of the test harness, which shows nothing of a test that passes.
