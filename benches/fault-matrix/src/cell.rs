@@ -62,9 +62,9 @@ pub struct Observed {
     /// Findings that the drive without the fault does not have, in the order of time.
     pub findings: Vec<Finding>,
     /// The robot since then.
-    pub course: Course,
+    pub course: DrivenWay,
     /// The same without the fault; empty where there is no such drive.
-    pub unaffected: Course,
+    pub unaffected: DrivenWay,
     /// How the drive ended.
     pub outcome: String,
     /// [`Cell::digest`].
@@ -79,9 +79,9 @@ pub struct Observed {
 
 /// Where a robot was, at ascending times.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Course(pub Vec<Passed>);
+pub struct DrivenWay(pub Vec<Passed>);
 
-/// One place of a [`Course`].
+/// One place of a [`DrivenWay`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Passed {
     /// Time [ns].
@@ -94,7 +94,7 @@ pub struct Passed {
     pub speed_mps: f64,
 }
 
-impl Course {
+impl DrivenWay {
     /// Way driven until a time [m]; linear between two places, constant beyond them.
     pub fn way_m(&self, at_ns: u64) -> f64 {
         let next = self.0.partition_point(|passed| passed.at_ns < at_ns);
@@ -259,14 +259,14 @@ mod tests {
     }
 
     /// A robot that drives along x with 1 m/s for a second, `y_m` beside its line.
-    fn course(y_m: f64) -> Course {
+    fn course(y_m: f64) -> DrivenWay {
         let at = |tenth: u64| Passed {
             at_ns: tenth * 100_000_000,
             at_m: [tenth as f64 / 10.0, y_m],
             way_m: tenth as f64 / 10.0,
             speed_mps: 1.0,
         };
-        Course((0..=10).map(at).collect())
+        DrivenWay((0..=10).map(at).collect())
     }
 
     fn observed(y_m: f64, found: &[(&'static str, u64)]) -> Observed {
@@ -312,7 +312,7 @@ mod tests {
 
     #[test]
     fn a_robot_that_is_late_does_not_deviate_and_one_that_stops_early_does() {
-        let (whole, short) = (course(0.0), Course(course(0.0).0[..5].to_vec()));
+        let (whole, short) = (course(0.0), DrivenWay(course(0.0).0[..5].to_vec()));
         assert_eq!(short.deviation_m(&whole, false), 0.0);
         assert!((short.deviation_m(&whole, true) - 0.6).abs() < 1e-12);
         assert!((course(0.2).deviation_m(&whole, false) - 0.2).abs() < 1e-12);

@@ -12,7 +12,7 @@ mod piped;
 mod rig;
 mod simulate;
 
-pub use cell::{Cell, CellVerdict, Course, DetectionLimits, Observed, Passed, judge};
+pub use cell::{Cell, CellVerdict, DetectionLimits, DrivenWay, Observed, Passed, judge};
 pub use finding::{Finding, FindingPlace, Findings};
 pub use piped::PipedStage;
 pub use rig::Rig;

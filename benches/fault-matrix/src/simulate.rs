@@ -7,7 +7,7 @@ use pipeline::PipelineSettings;
 use shared_types::{AnyStage, Role};
 use vehicle::Invalid;
 
-use crate::cell::{Cell, Course, DetectionLimits, Observed, Passed, judge};
+use crate::cell::{Cell, DetectionLimits, DrivenWay, Observed, Passed, judge};
 use crate::course::{SHADOWED, begins, settings};
 use crate::finding::{Finding, Findings};
 use crate::piped::PipedStage;
@@ -24,7 +24,7 @@ pub struct Simulation {
 /// A drive that continues without a fault.
 #[derive(Debug)]
 struct Twin {
-    course: Course,
+    course: DrivenWay,
     findings: Findings,
 }
 
@@ -60,7 +60,7 @@ impl Simulation {
     ///
     /// # Errors
     /// The first setting that is not allowed.
-    pub fn unaffected(settings: &PipelineSettings) -> Result<Course, Invalid> {
+    pub fn unaffected(settings: &PipelineSettings) -> Result<DrivenWay, Invalid> {
         Ok(finish(&mut Rig::new(settings)?).0)
     }
 
@@ -104,8 +104,8 @@ fn lead_to(phase: DrivePhase, rig: &mut Rig, scenario: &Scenario) {
 }
 
 /// Drives to the end: where the robot was at each scan, how the drive ended, and the digest of the truth.
-fn finish(rig: &mut Rig) -> (Course, Outcome, String) {
-    let (mut course, mut digests) = (Course(vec![passed(rig)]), Digests::default());
+fn finish(rig: &mut Rig) -> (DrivenWay, Outcome, String) {
+    let (mut course, mut digests) = (DrivenWay(vec![passed(rig)]), Digests::default());
     loop {
         let outcome = rig.scan();
         course.0.push(passed(rig));

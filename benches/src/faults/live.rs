@@ -8,7 +8,7 @@ use anyhow::Context;
 use commands::inject::act::{act, faulty_role};
 use console::new_file::Scratch;
 use fault_matrix::course::{begins, live_scenario, settings};
-use fault_matrix::{Course, DetectionLimits, Finding, FindingPlace, Observed, Simulation, judge};
+use fault_matrix::{DetectionLimits, DrivenWay, Finding, FindingPlace, Observed, Simulation, judge};
 use faults::{DrivePhase, InjectedFault, Injection, ProcessAction, ProcessFault};
 use pipeline::PipelineSettings;
 use runtime::monotonic_ns;
@@ -33,7 +33,7 @@ const MOUNT: &str = "mount -t tmpfs -o mode=1777,size=64m tmpfs /dev/shm && exec
 /// Drives cells, one after the other.
 #[derive(Debug, Default)]
 pub(super) struct Live {
-    unaffected: BTreeMap<DrivePhase, Course>,
+    unaffected: BTreeMap<DrivePhase, DrivenWay>,
 }
 
 impl Live {
@@ -57,7 +57,7 @@ impl Live {
     }
 
     /// The same drive in simulated time, without a fault.
-    fn unaffected(&mut self, phase: DrivePhase, settings: &PipelineSettings) -> anyhow::Result<Course> {
+    fn unaffected(&mut self, phase: DrivePhase, settings: &PipelineSettings) -> anyhow::Result<DrivenWay> {
         if let Some(course) = self.unaffected.get(&phase) {
             return Ok(course.clone());
         }
@@ -103,7 +103,7 @@ fn drive(fault: &ProcessFault, phase: DrivePhase, settings: &PipelineSettings) -
     if let Some(mut swap) = swap {
         let _ = swap.wait();
     }
-    let course = Course(watch.passed.split_off(before.min(watch.passed.len())));
+    let course = DrivenWay(watch.passed.split_off(before.min(watch.passed.len())));
     let stands = watch.newest.speed_mps <= 0.0;
     let outcome = match &report {
         Some(report) => report.outcome.name(),
@@ -115,7 +115,7 @@ fn drive(fault: &ProcessFault, phase: DrivePhase, settings: &PipelineSettings) -
     Ok(Observed {
         from_ns,
         findings: with_ways(watch.findings(), &course, ends_as_planned),
-        unaffected: Course::default(),
+        unaffected: DrivenWay::default(),
         outcome: outcome.to_owned(),
         digest: String::new(),
         ended: false,
@@ -126,7 +126,7 @@ fn drive(fault: &ProcessFault, phase: DrivePhase, settings: &PipelineSettings) -
 }
 
 /// Findings with the way driven until each. The end of a run that reached its goal is none.
-fn with_ways(findings: Vec<Finding>, course: &Course, ends_as_planned: bool) -> Vec<Finding> {
+fn with_ways(findings: Vec<Finding>, course: &DrivenWay, ends_as_planned: bool) -> Vec<Finding> {
     let is_end = |finding: &Finding| finding.by == "orchestrator" && finding.what == "ended";
     let of = |finding: Finding| {
         let at_ns = finding.place.at_ns;

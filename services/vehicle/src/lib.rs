@@ -5,6 +5,7 @@
 
 pub mod bounds;
 pub mod correction;
+pub mod course;
 mod description;
 pub mod frame;
 pub mod geometry;
@@ -20,6 +21,7 @@ mod track;
 pub mod tyre;
 
 pub use bounds::Bounds;
+pub use course::Course;
 pub use description::Description;
 pub use key_table::{
     Ascending, Documented, Invalid, Key, KeyRule, Setting, did_you_mean, of_text, parse, read, require,

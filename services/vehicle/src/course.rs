@@ -1,0 +1,255 @@
+//! The way that the robot follows: arcs and lines through waypoints, with positions along and across it.
+//!
+//! A position has two pairs of coordinates. In the plane it is (x, y) with a yaw. On the course it is the length along
+//! the way to the nearest point of it, the distance to the left of that point, and the yaw relative to the way there.
+//! [`Course::on_course`] and [`Course::in_plane`] translate. Before its first waypoint and behind its last one a course
+//! continues straight.
+//!
+//! The line of `[track]` is the course without waypoints: both pairs of coordinates are the same numbers there.
+//!
+//! Where it fails: the nearest point is unique only for positions nearer than the radius of the bend. A course may be no
+//! wider than that, and a position is looked for near the one before it, so a course may cross itself.
+
+mod biarc;
+mod keys;
+mod outline;
+
+use std::f64::consts::TAU;
+use std::sync::Arc;
+
+use key_table::{Invalid, Key, Setting, Value};
+use nalgebra::Vector2;
+use serde::{Deserialize, Serialize};
+
+use crate::frame::{heading, wrap_angle};
+use crate::state::State;
+
+pub use keys::{CourseKeys, Waypoint};
+pub use outline::{CourseOutline, ellipse_point};
+
+/// How far from where a position was a moment ago it is looked for, behind and ahead [m].
+const NEAR_M: [f64; 2] = [2.0, 3.0];
+
+/// The way that the robot follows.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(try_from = "CourseKeys", into = "CourseKeys")]
+pub struct Course {
+    keys: CourseKeys,
+    pieces: Arc<[Piece]>,
+    length_m: f64,
+}
+
+/// A part of constant curvature.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Piece {
+    /// Length of the course before it [m].
+    begin_m: f64,
+    /// Its own length [m].
+    length_m: f64,
+    /// Where it begins [m].
+    point: Vector2<f64>,
+    /// Its direction there [rad].
+    yaw: f64,
+    /// To the left [1/m].
+    curvature: f64,
+    /// The waypoint before it, from 0.
+    waypoint: usize,
+}
+
+/// The course at one length along it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tangent {
+    /// The point in the plane [m].
+    pub point: Vector2<f64>,
+    /// The direction; it grows beyond a half turn on a course that turns round [rad].
+    pub yaw: f64,
+    /// To the left [1/m].
+    pub curvature: f64,
+}
+
+/// The sharpest bend of a course.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bend {
+    /// The waypoint before it, from 0.
+    pub waypoint: usize,
+    /// Its radius; infinite on a straight course [m].
+    pub radius_m: f64,
+}
+
+impl Tangent {
+    /// A point `ahead` metres further along the tangent and `left` metres to the left of it.
+    pub fn point(&self, ahead: f64, left: f64) -> Vector2<f64> {
+        let along = heading(self.yaw);
+        self.point + along * ahead + Vector2::new(-along.y, along.x) * left
+    }
+
+    /// How far ahead along the tangent and to the left of it a point is [m].
+    pub fn offset(&self, point: Vector2<f64>) -> [f64; 2] {
+        let (along, from) = (heading(self.yaw), point - self.point);
+        [along.dot(&from), along.perp(&from)]
+    }
+}
+
+impl Course {
+    /// Whether this is the line of `[track]`, where coordinates on the course are those in the plane.
+    pub fn is_line(&self) -> bool {
+        self.pieces.is_empty()
+    }
+
+    /// The keys that it was made from.
+    pub fn keys(&self) -> &CourseKeys {
+        &self.keys
+    }
+
+    /// Length from the first waypoint to the last one [m].
+    pub fn length_m(&self) -> f64 {
+        self.length_m
+    }
+
+    /// The course at `along_m`.
+    pub fn at(&self, along_m: f64) -> Tangent {
+        let next = self.pieces.partition_point(|piece| piece.begin_m <= along_m);
+        let Some(piece) = self.pieces.get(next.saturating_sub(1)) else {
+            return Tangent { point: Vector2::new(along_m, 0.0), yaw: 0.0, curvature: 0.0 };
+        };
+        let along = along_m - piece.begin_m;
+        let inside = along.clamp(0.0, piece.length_m);
+        let tangent = piece.at(inside);
+        if along == inside || next < self.pieces.len() && next > 0 {
+            return tangent;
+        }
+        Tangent { point: tangent.point(along - inside, 0.0), curvature: 0.0, ..tangent }
+    }
+
+    /// Curvature of the course at `along_m` [1/m].
+    pub fn curvature(&self, along_m: f64) -> f64 {
+        if self.is_line() { 0.0 } else { self.at(along_m).curvature }
+    }
+
+    /// The sharpest bend.
+    pub fn sharpest(&self) -> Bend {
+        let straight = Bend { waypoint: 0, radius_m: f64::INFINITY };
+        self.pieces.iter().fold(straight, |sharpest, piece| {
+            let radius_m = 1.0 / piece.curvature.abs();
+            if radius_m < sharpest.radius_m { Bend { waypoint: piece.waypoint, radius_m } } else { sharpest }
+        })
+    }
+
+    /// Length along the course and distance to the left of a point, over the whole course [m]; of equally near places
+    /// the first one.
+    pub fn locate(&self, point: Vector2<f64>) -> [f64; 2] {
+        self.within(point, [f64::NEG_INFINITY, f64::INFINITY])
+    }
+
+    /// The same between two lengths along the course, and straight on behind each of them.
+    pub fn within(&self, point: Vector2<f64>, [from_m, to_m]: [f64; 2]) -> [f64; 2] {
+        if self.is_line() {
+            return [point.x, point.y];
+        }
+        let first = self.pieces.partition_point(|piece| piece.begin_m + piece.length_m <= from_m);
+        let first = first.min(self.pieces.len() - 1);
+        let mut best = (f64::INFINITY, 0.0);
+        for piece in &self.pieces[first..] {
+            if piece.begin_m > to_m && best.0 < f64::INFINITY {
+                break;
+            }
+            let along = piece.nearest(point);
+            let distance = (piece.at(along).point - point).norm();
+            if distance < best.0 - 1e-9 {
+                best = (distance, piece.begin_m + along);
+            }
+        }
+        let [from_m, to_m] = [from_m.max(0.0), to_m.min(self.length_m)];
+        let along_m = best.1.max(from_m).min(to_m.max(from_m));
+        let [ahead, left] = self.at(along_m).offset(point);
+        // At an end of the range the course continues straight; elsewhere the point is beside it.
+        let beyond = if along_m >= to_m { ahead.max(0.0) } else { 0.0 };
+        let before = if along_m <= from_m { ahead.min(0.0) } else { 0.0 };
+        [along_m + beyond + before, left]
+    }
+
+    /// A state in the plane on the course, near `near_m`.
+    #[must_use]
+    pub fn on_course(&self, state: &State, near_m: f64) -> State {
+        if self.is_line() {
+            return *state;
+        }
+        let range = [near_m - NEAR_M[0], near_m + NEAR_M[1]];
+        let [along, left] = self.within(Vector2::new(state.x, state.y), range);
+        State { x: along, y: left, yaw: wrap_angle(state.yaw - self.at(along).yaw), ..*state }
+    }
+
+    /// A state on the course in the plane.
+    #[must_use]
+    pub fn in_plane(&self, state: &State) -> State {
+        if self.is_line() {
+            return *state;
+        }
+        let tangent = self.at(state.x);
+        let point = tangent.point(0.0, state.y);
+        State { x: point.x, y: point.y, yaw: tangent.yaw + state.yaw, ..*state }
+    }
+
+    /// The place of a state in the plane on the whole course: near it, and in its direction.
+    pub fn find(&self, state: &State) -> f64 {
+        let point = Vector2::new(state.x, state.y);
+        let misfit = |along: f64| {
+            let tangent = self.at(along);
+            (tangent.point - point).norm() + wrap_angle(state.yaw - tangent.yaw).abs()
+        };
+        let places = self.pieces.iter().map(|piece| piece.begin_m + piece.nearest(point));
+        places.min_by(|one, other| misfit(*one).total_cmp(&misfit(*other))).unwrap_or(state.x)
+    }
+}
+
+impl Piece {
+    /// The place `along` metres behind its begin.
+    fn at(&self, along: f64) -> Tangent {
+        let half = self.curvature * along / 2.0;
+        // The chord of an arc is shorter than the arc by sin(half) / half and has its middle direction.
+        let chord = if half.abs() < 1e-6 { along } else { along * half.sin() / half };
+        let point = self.point + heading(self.yaw + half) * chord;
+        Tangent { point, yaw: self.yaw + self.curvature * along, curvature: self.curvature }
+    }
+
+    /// How far behind its begin its nearest point to `point` is.
+    fn nearest(&self, point: Vector2<f64>) -> f64 {
+        let (along, from) = (heading(self.yaw), point - self.point);
+        let (ahead, left) = (along.dot(&from), along.perp(&from));
+        if self.curvature.abs() * self.length_m < 1e-9 {
+            return ahead.clamp(0.0, self.length_m);
+        }
+        // The angle by which the radius has turned from the begin to the point.
+        let (side, sharp) = (self.curvature.signum(), self.curvature.abs());
+        let turned = ahead.atan2(1.0 / sharp - side * left) / sharp;
+        let whole = TAU / sharp;
+        match turned.rem_euclid(whole) {
+            inside if inside <= self.length_m => inside,
+            outside if whole - outside < outside - self.length_m => 0.0,
+            _ => self.length_m,
+        }
+    }
+}
+
+impl Setting for Course {
+    fn from_value(path: &str, value: Value) -> Result<Self, Invalid> {
+        Self::try_from(CourseKeys::from_value(path, value)?).map_err(|error| error.within(path))
+    }
+
+    fn require_all(&self, name: &str) -> Result<(), Invalid> {
+        self.keys.require_ranges().map_err(|error| error.within(name))
+    }
+
+    fn keys() -> Vec<Key> {
+        <CourseKeys as Setting>::keys()
+    }
+}
+
+impl From<Course> for CourseKeys {
+    fn from(course: Course) -> Self {
+        course.keys
+    }
+}
+
+#[cfg(test)]
+mod tests;

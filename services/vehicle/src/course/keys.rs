@@ -1,0 +1,78 @@
+//! The keys of a course.
+
+use key_table::{Invalid, settings};
+
+use super::{Course, biarc};
+use crate::track::{Surroundings, Track};
+
+/// Most waypoints.
+const MAX_WAYPOINTS: usize = 5_000;
+/// Smallest distance from one waypoint to the next [m].
+const APART_M: f64 = 0.05;
+
+settings! {
+    /// A point that the course leads through.
+    #[derive(Copy)]
+    pub struct Waypoint {
+        /// Position in the plane [m].
+        pub x_m: f64 = 0.0, (-1e4..=1e4, "with bends that the robot can follow");
+        /// Position in the plane, to the left of x [m].
+        pub y_m: f64 = 0.0, (-1e4..=1e4, "with bends that the robot can follow");
+        /// Direction of the course there; without the key that of the circle through it and the waypoints beside it [rad].
+        pub yaw_rad: Option<f64> = None, (-7.0..=7.0, "with bends that the robot can follow");
+    }
+}
+
+settings! {
+    /// The way that the robot follows, where it is no line along x.
+    pub struct CourseKeys {
+        /// The course leads through these points in their order, from one to the next by two arcs.
+        pub waypoints: Vec<Waypoint> = Vec::new();
+        /// Width of the way: the robot's centre stays within half of it to either side [m].
+        pub width_m: f64 = 3.0, (Track::MIN_WIDTH_M..=100.0, "less than twice the radius of each bend");
+        /// How often the course is driven: several times where its last waypoint is its first one.
+        pub laps: u32 = 1, (1.0..=100.0, "1 where the course is not closed");
+        /// What the scanner sees outside of the way: as in `[track]`, where `hall` has its walls 2 m beside it.
+        pub surroundings: Surroundings = Surroundings::Hall;
+    }
+}
+
+impl TryFrom<CourseKeys> for Course {
+    type Error = Invalid;
+
+    fn try_from(keys: CourseKeys) -> Result<Self, Invalid> {
+        let points = &keys.waypoints;
+        // Numbers that are no positions are named by the rules of the keys.
+        if points.is_empty() || keys.require_ranges().is_err() {
+            return Ok(Self { keys, ..Self::default() });
+        }
+        if !(2..=MAX_WAYPOINTS).contains(&points.len()) {
+            let allowed = format!("2 to {MAX_WAYPOINTS}");
+            return Err(Invalid::new("number of waypoints", points.len(), allowed));
+        }
+        let [first, last] = [points[0], points[points.len() - 1]];
+        for (index, pair) in points.windows(2).enumerate() {
+            let apart_m = (pair[1].x_m - pair[0].x_m).hypot(pair[1].y_m - pair[0].y_m);
+            if apart_m < APART_M {
+                let place = format!("({}, {})", pair[1].x_m, pair[1].y_m);
+                let allowed = format!("at least {APART_M} m from the one before");
+                return Err(Invalid::new(&format!("waypoints[{}]", index + 1), place, allowed));
+            }
+        }
+        let is_closed = (first.x_m, first.y_m) == (last.x_m, last.y_m);
+        if keys.laps > 1 && !is_closed {
+            let allowed = "1 where the last waypoint is another place than the first one";
+            return Err(Invalid::new("laps", keys.laps, allowed));
+        }
+        let pieces = biarc::laps(biarc::through(points, is_closed), keys.laps);
+        let length_m = pieces.last().map_or(0.0, |piece| piece.begin_m + piece.length_m);
+        let course = Self { pieces: pieces.into(), length_m, keys };
+        let (bend, half_m) = (course.sharpest(), course.keys.width_m / 2.0);
+        if bend.radius_m <= half_m {
+            let value = format!("a bend with a radius of {:.2} m", bend.radius_m);
+            let allowed = format!("above {half_m} m, half of width_m");
+            return Err(Invalid::new(&format!("waypoints[{}]", bend.waypoint), value, allowed));
+        }
+        Ok(course)
+    }
+}
