@@ -168,6 +168,7 @@ fn problem(course: &Course, from: &From, known: &[&Ellipse], duration: f64, slac
         control_reference: CRUISE,
         weights: weights(last_s, slack),
         ellipses: known.iter().map(path).collect(),
+        frames: Vec::new(),
         intervals,
     }
 }

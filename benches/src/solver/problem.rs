@@ -87,6 +87,7 @@ pub fn problem(case: &Case, count: usize) -> Problem {
             goal: [(0, 0.0); 2],
         },
         ellipses: vec![EllipsePath { a, b, centres: vec![[x, y]; count + 1] }],
+        frames: Vec::new(),
     }
 }
 

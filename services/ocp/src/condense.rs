@@ -125,13 +125,14 @@ fn predict(rows: &mut [f64], width: usize, node: usize, interval: &Linearisation
             let lateral = interval.by_lateral[component];
             let (sideslip, yaw, yaw_rate) =
                 (&before[..used], &before[width..][..used], &before[2 * width..][..used]);
-            let own = &before[component * width..][..used];
             for position in 0..used {
                 let mut value = lateral[0] * sideslip[position] + lateral[1] * yaw_rate[position];
-                if component == 1 || component >= 3 {
-                    value += own[position];
+                if component == 1 {
+                    value += yaw[position];
                 }
                 if component >= 3 {
+                    let place = [before[3 * width + position], before[4 * width + position]];
+                    value += interval.forth(place)[component - 3];
                     value += interval.by_yaw[component - 3] * yaw[position];
                 }
                 row[position] = value;

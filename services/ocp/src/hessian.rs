@@ -105,13 +105,16 @@ pub(crate) fn bend(
     index: usize,
 ) -> Curvature {
     let length = problem.intervals[index];
+    // Seen from the frame in which the interval is driven.
+    let mut costate = multipliers.costates[index];
+    [costate[3], costate[4]] = shooting.intervals[index].back([costate[3], costate[4]]);
     curvature(
         &Interval { model: problem.model.as_ref(), collocation, length },
         &iterate.states[index],
         &iterate.controls[index],
         &iterate.stages[index],
         &shooting.intervals[index],
-        &multipliers.costates[index],
+        &costate,
     )
 }
 

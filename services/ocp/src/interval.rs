@@ -13,6 +13,7 @@
 
 use crate::collocation::{Collocation, MAX_STAGES};
 use crate::model::{LateralModel, LateralSlope};
+use crate::node_frame::{NodeFrame, turned, turned_back};
 use crate::trig::sin_cos;
 
 /// (sideslip, yaw rate) at the stages; entries beyond the stages of the scheme are not used.
@@ -33,6 +34,8 @@ pub struct Linearisation {
     pub by_control: [[f64; 2]; 5],
     /// Change of each stage by: the Newton step, the start's (sideslip, yaw rate), and (velocity, steering).
     pub stages: [[[f64; 5]; 2]; MAX_STAGES],
+    /// Cosine and sine by which the frame of the end is turned to the left of that of the start; `None` for the same frame.
+    pub direction: Option<[f64; 2]>,
 }
 
 /// Model, scheme and length of an interval.
@@ -111,8 +114,8 @@ impl Linearisation {
         matrix[1][1] = 1.0;
         matrix[3][1] = self.by_yaw[0];
         matrix[4][1] = self.by_yaw[1];
-        matrix[3][3] = 1.0;
-        matrix[4][4] = 1.0;
+        [matrix[3][3], matrix[4][3]] = self.forth([1.0, 0.0]);
+        [matrix[3][4], matrix[4][4]] = self.forth([0.0, 1.0]);
         matrix
     }
 
@@ -124,8 +127,9 @@ impl Linearisation {
             *value = lateral[0] * change[0] + lateral[1] * change[2];
         }
         end[1] += change[1];
-        end[3] += self.by_yaw[0] * change[1] + change[3];
-        end[4] += self.by_yaw[1] * change[1] + change[4];
+        let position = self.forth([change[3], change[4]]);
+        end[3] += self.by_yaw[0] * change[1] + position[0];
+        end[4] += self.by_yaw[1] * change[1] + position[1];
         end
     }
 
@@ -138,9 +142,35 @@ impl Linearisation {
             start[2] += lateral[1] * value;
         }
         start[1] = costate[1] + self.by_yaw[0] * costate[3] + self.by_yaw[1] * costate[4];
-        start[3] = costate[3];
-        start[4] = costate[4];
+        [start[3], start[4]] = self.back([costate[3], costate[4]]);
         start
+    }
+
+    /// Turns the end into the frame of the next node.
+    pub(crate) fn turn(&mut self, bend: &NodeFrame) {
+        let direction = bend.direction();
+        self.end = bend.apply(&self.end);
+        [self.correction[3], self.correction[4]] =
+            turned(direction, [self.correction[3], self.correction[4]]);
+        self.by_yaw = turned(direction, self.by_yaw);
+        for rows in [&mut self.by_lateral, &mut self.by_control] {
+            for column in 0..2 {
+                [rows[3][column], rows[4][column]] = turned(direction, [rows[3][column], rows[4][column]]);
+            }
+        }
+        self.direction = Some(direction);
+    }
+
+    /// A position's change at the start as one at the end.
+    #[inline]
+    pub(crate) fn forth(&self, change: [f64; 2]) -> [f64; 2] {
+        self.direction.map_or(change, |direction| turned(direction, change))
+    }
+
+    /// The transpose of [`Self::forth`].
+    #[inline]
+    pub(crate) fn back(&self, costate: [f64; 2]) -> [f64; 2] {
+        self.direction.map_or(costate, |direction| turned_back(direction, costate))
     }
 }
 

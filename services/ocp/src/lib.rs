@@ -43,6 +43,7 @@
 //!         goal: [(0, 0.0); 2],
 //!     },
 //!     ellipses: vec![EllipsePath { a: 1.2, b: 0.8, centres: vec![[5.0, 0.1]; count + 1] }],
+//!     frames: Vec::new(),
 //! };
 //! // Controls alone are a guess: they are driven through the model. The next guess is the last solution.
 //! let guess = Trajectory { states: Vec::new(), controls: vec![cruise; count] };
@@ -66,7 +67,7 @@
 //!   position are fixed; the structure that makes an interval cheap is theirs. A robot that turns on the spot, or one
 //!   with a trailer, does not fit.
 //! * The velocity is a control and stays positive.
-//! * Obstacles are ellipses along the axes, checked at the nodes: not between them.
+//! * Obstacles are ellipses along the axes of a node's frame, checked at the nodes: not between them.
 //! * The solution is local. The guess decides on which side an obstacle is passed.
 //! * 200 intervals at most. A solution is not verified: what is driven should be checked by other means.
 //!
@@ -83,6 +84,7 @@ mod interval;
 mod kkt;
 mod lateral;
 mod model;
+mod node_frame;
 mod objective;
 mod problem;
 mod propagate;
@@ -101,6 +103,7 @@ pub use collocation::{Collocation, MAX_STAGES, Scheme};
 pub use hessian::Hessian;
 pub use interval::{Interval, Linearisation, StageValues};
 pub use model::{LateralModel, LateralSlope};
+pub use node_frame::NodeFrame;
 pub use problem::{Budget, EllipsePath, Problem, Solution, Status, Trajectory, Weights};
 pub use propagate::{Propagation, converge, propagate, roll_out};
 pub use qp::QpChoice;

@@ -76,9 +76,9 @@ pub(crate) fn smooth(problem: &Problem, iterate: &Iterate) -> f64 {
             sum += weight * (state[component] - reference[component]).powi(2);
         }
     }
-    let centre = [problem.control_reference.velocity, problem.control_reference.steering];
     let mut before = problem.previous.map(|control| [control.velocity, control.steering]);
-    for control in &iterate.controls {
+    for (interval, control) in iterate.controls.iter().enumerate() {
+        let centre = problem.control_reference(interval);
         for component in 0..2 {
             sum += weights.control[component] * (control[component] - centre[component]).powi(2);
             if let Some(before) = before {
@@ -136,9 +136,9 @@ pub(crate) fn smooth_slope(problem: &Problem, iterate: &Iterate, step: &Iterate)
             slope += weight * (state[component] - reference[component]) * change[component];
         }
     }
-    let centre = [problem.control_reference.velocity, problem.control_reference.steering];
     let mut before = problem.previous.map(|control| ([control.velocity, control.steering], [0.0; 2]));
-    for (control, change) in iterate.controls.iter().zip(&step.controls) {
+    for (interval, (control, change)) in iterate.controls.iter().zip(&step.controls).enumerate() {
+        let centre = problem.control_reference(interval);
         for component in 0..2 {
             slope +=
                 weights.control[component] * (control[component] - centre[component]) * change[component];
@@ -156,9 +156,9 @@ pub(crate) fn smooth_slope(problem: &Problem, iterate: &Iterate, step: &Iterate)
 /// Gradient of the smooth part by the controls alone, two numbers per interval.
 pub(crate) fn control_gradient(problem: &Problem, iterate: &Iterate, gradient: &mut Vec<f64>) {
     let weights = &problem.weights;
-    let centre = [problem.control_reference.velocity, problem.control_reference.steering];
     gradient.clear();
     for (index, control) in iterate.controls.iter().enumerate() {
+        let centre = problem.control_reference(index);
         let before = match (index, problem.previous) {
             (0, None) => *control,
             (0, Some(previous)) => [previous.velocity, previous.steering],

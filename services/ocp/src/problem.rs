@@ -5,6 +5,7 @@ use std::sync::Arc;
 use vehicle::{Bounds, Control, State};
 
 use crate::model::LateralModel;
+use crate::node_frame::NodeFrame;
 
 /// An ellipse that the planned positions stay outside of, (7.34), with its predicted centre at each node.
 #[derive(Debug, Clone, PartialEq)]
@@ -61,6 +62,8 @@ pub struct Problem {
     pub weights: Weights,
     /// Ellipses, most relevant first.
     pub ellipses: Vec<EllipsePath>,
+    /// The frames of nodes 1 to N, each seen from the one before; empty where all nodes have the frame of node 0.
+    pub frames: Vec<NodeFrame>,
 }
 
 /// States at nodes 0 to N and controls of the intervals 0 to N-1.
@@ -106,6 +109,15 @@ pub struct Solution {
     pub active_constraints: u32,
     /// Active ellipse constraints (7.34) among them.
     pub active_ellipses: u32,
+}
+
+impl Problem {
+    /// Reference of (velocity, steering) in an interval.
+    #[inline]
+    pub(crate) fn control_reference(&self, interval: usize) -> [f64; 2] {
+        let Control { velocity, steering } = self.control_reference;
+        [velocity, self.frames.get(interval).map_or(steering, |frame| steering + frame.steering)]
+    }
 }
 
 impl Default for Solution {

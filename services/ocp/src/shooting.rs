@@ -129,7 +129,10 @@ impl Shooting {
             let (start, control) = (&iterate.states[index], &iterate.controls[index]);
             let stages = &mut iterate.stages[index];
             let settled = settle(&interval, start, control, stages, NEWTON_STEPS, LAST_STEP, is_far);
-            let Some((linearisation, last)) = settled else { return false };
+            let Some((mut linearisation, last)) = settled else { return false };
+            if let Some(bend) = problem.frames.get(index) {
+                linearisation.turn(bend);
+            }
             let mut gap = [0.0; 5];
             self.last_step = self.last_step.max(last);
             self.defect = self.defect.max(last * last);

@@ -31,6 +31,7 @@ pub(crate) fn problem() -> Problem {
             goal: [(3, 5.0), (4, 2.0)],
         },
         ellipses: vec![EllipsePath { a: 1.2, b: 0.8, centres: vec![[3.0, 0.2]; 7] }],
+        frames: Vec::new(),
     }
 }
 

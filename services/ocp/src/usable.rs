@@ -2,6 +2,7 @@
 
 use vehicle::{Control, State};
 
+use crate::node_frame::NodeFrame;
 use crate::problem::{Problem, Trajectory};
 
 /// The largest number of intervals.
@@ -33,6 +34,8 @@ pub(crate) fn is_usable(problem: &Problem, guess: &Trajectory) -> bool {
         && problem.references.len() == count
         && problem.references.iter().all(State::is_finite)
         && problem.control_reference.is_finite()
+        && (problem.frames.is_empty() || problem.frames.len() == count)
+        && problem.frames.iter().all(NodeFrame::is_finite)
         && weights.node.iter().chain(&weights.terminal).all(|&weight| natural(weight))
         && weights.control.iter().chain(&weights.change).all(|&weight| natural(weight))
         && weights.goal.iter().all(|(_, weight)| natural(*weight))

@@ -58,6 +58,7 @@ fn problem(instance: &Value, interval: f64) -> Problem {
             slack_quadratic: number(weights, "slack_quadratic"),
             goal: [(0, 0.0); 2],
         },
+        frames: Vec::new(),
         ellipses: list(&instance["ellipses"], |ellipse| EllipsePath {
             a: number(ellipse, "a_m"),
             b: number(ellipse, "b_m"),

@@ -73,6 +73,7 @@ fn problem() -> Problem {
             goal: [(0, 0.0); 2],
         },
         ellipses: vec![EllipsePath { a: 0.6, b: 0.4, centres: vec![[1.5, 0.05]; count + 1] }],
+        frames: Vec::new(),
     }
 }
 

@@ -82,7 +82,8 @@ impl Riccati {
                     sums[3] += line[middle] * interval.by_control[middle][1];
                 }
                 let by_yaw = line[1] + interval.by_yaw[0] * line[3] + interval.by_yaw[1] * line[4];
-                ahead[row] = [sums[0], by_yaw, sums[1], line[3], line[4]];
+                let [by_x, by_y] = interval.back([line[3], line[4]]);
+                ahead[row] = [sums[0], by_yaw, sums[1], by_x, by_y];
                 mixed[row] = [sums[2] + line[5], sums[3] + line[6]];
             }
 
@@ -127,8 +128,7 @@ impl Riccati {
                     + interval.by_yaw[0] * ahead[3][column]
                     + interval.by_yaw[1] * ahead[4][column];
                 next[2][column] = sums[1];
-                next[3][column] = ahead[3][column];
-                next[4][column] = ahead[4][column];
+                [next[3][column], next[4][column]] = interval.back([ahead[3][column], ahead[4][column]]);
             }
             for row in 0..5 {
                 for column in 0..5 {

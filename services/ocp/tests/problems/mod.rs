@@ -59,6 +59,7 @@ pub(crate) fn problem(initial: State, goal: f64, weights: Weights, ellipses: Vec
         control_reference: Control { velocity: 0.9, steering: 0.0 },
         weights,
         ellipses,
+        frames: Vec::new(),
     }
 }
 
