@@ -1,6 +1,7 @@
 //! Which obstacle a stop is for, the gap past it, and the gap that the robot needs.
 
 use shared_types::{Blocking, MAX_OBSTACLES};
+use vehicle::State;
 
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::scene::Scene;
@@ -10,12 +11,13 @@ use crate::scene::Scene;
 /// The gap is the widest part across the track that no obstacle covers where the robot would pass this one.
 pub(crate) fn blocking(scene: &Scene, index: usize) -> Blocking {
     let obstacle = &scene.predicted[index];
-    let [x_m, y_m] = obstacle.centre;
+    let [x, y] = obstacle.centre;
+    let place = scene.config.course.in_plane(&State { x, y, ..State::default() });
     let vehicle = &scene.config.vehicle;
     let margin = scene.margin.sum(0.0, vehicle.bounds.velocity_min_mps);
     Blocking {
-        x_m,
-        y_m,
+        x_m: place.x,
+        y_m: place.y,
         gap_m: widest_gap(scene, obstacle),
         needed_m: vehicle.width_m + 2.0 * margin,
         id: obstacle.id,
@@ -63,7 +65,6 @@ mod tests {
     use super::*;
     use crate::config::ControllerConfig;
     use nalgebra::Vector2;
-    use vehicle::State;
     use vehicle::geometry::Rectangle;
 
     fn obstacle(id: u32, x: f64, low: f64, high: f64) -> PredictedObstacle {

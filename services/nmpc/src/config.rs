@@ -3,7 +3,7 @@
 use ocp::SolverSettings;
 use serde::{Deserialize, Serialize};
 use vehicle::correction::SENT_VELOCITY_MAX_MPS;
-use vehicle::{Description, Goal, Invalid, Setting, Track, require, settings};
+use vehicle::{Course, Description, Goal, Invalid, Setting, Track, require, settings};
 
 use crate::reference_path::LatticeSettings;
 use crate::weights::WeightSettings;
@@ -90,6 +90,8 @@ settings! {
         pub goal: Goal = Goal::default();
         /// The track; `run` takes it from the scenario.
         pub track: Track = Track::default();
+        /// The way that the robot follows; `run` takes it from the scenario. Goal and track are along and across it.
+        pub course: Course = Course::default();
         /// The robot as this stage knows it; `run` takes it from the table `[vehicle]`.
         pub vehicle: Description = Description::default();
         /// Safety distance to walls, theta [m].

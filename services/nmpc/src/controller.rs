@@ -168,9 +168,8 @@ impl Controller {
         }
         let scanner = &obstacles.scanner;
         // Bodies that a faulty scanner shows may contradict the pose: then the scanner is the reason.
-        let initial =
-            start::read(&self.config, pose, obstacles, &self.state.ellipses, &mut self.predicted)
-                .map_err(|reason| if scanner.state().is_stop() { StopReason::Scanner } else { reason })?;
+        let initial = start::read(&self.config, pose, obstacles, &self.state, &mut self.predicted)
+            .map_err(|reason| if scanner.state().is_stop() { StopReason::Scanner } else { reason })?;
         self.smooth(pose.predicted_ns);
         self.arrive(&initial, pose.predicted_speed_mps, period_s)?;
         if pose.alarm == Alarm::Stop.wire() {
@@ -521,7 +520,7 @@ impl Controller {
         for (index, state) in rollout.nodes.iter().enumerate().take(intervals + 1) {
             // The last node repeats the control before it: nothing is planned behind it.
             let control = controls[index.min(intervals.max(1) - 1)];
-            command.plan[index] = PlanNode {
+            self.state.plan[index] = PlanNode {
                 x_m: state.x,
                 y_m: state.y,
                 yaw_rad: state.yaw,
@@ -530,7 +529,11 @@ impl Controller {
                 velocity_mps: control.velocity,
                 steering_rad: control.steering,
             };
+            let State { x, y, yaw, .. } = self.config.course.in_plane(state);
+            command.plan[index] = PlanNode { x_m: x, y_m: y, yaw_rad: yaw, ..self.state.plan[index] };
         }
+        // Nodes behind the end are zero, as in the command.
+        self.state.plan[intervals + 1..].fill(PlanNode::default());
         command.plan_length = intervals as u32 + 1;
         command.kind = CommandKind::Drive.wire();
         command.level = level.wire();
@@ -545,7 +548,6 @@ impl Controller {
         let state = &mut self.state;
         (state.arrival, state.blocked_scans, state.clear_scans) = (Arrival::OnTheWay.wire(), 0, 0);
         (state.velocity_mps, state.steering_rad) = (command.velocity_mps, command.steering_rad);
-        state.plan = command.plan;
         state.plan_length = command.plan_length;
         state.plan_start_ns = command.plan_start_ns;
         state.plan_interval_s = command.plan_interval_s;

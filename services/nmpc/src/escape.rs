@@ -38,8 +38,9 @@ pub(crate) fn struck_at_rest(scene: &Scene, stopping: &Stopping) -> Option<f64> 
     let slide = stopping.slide(scene.speed);
     let rest = scene.body_at(&State { x: x + slide * cos, y: y + slide * sin, ..scene.initial });
     let moving = || scene.predicted.iter().filter(|obstacle| obstacle.moves());
-    let now =
-        moving().map(|obstacle| rest.distance_to_rectangle(&obstacle.body)).fold(f64::INFINITY, f64::min);
+    let now = moving()
+        .map(|obstacle| rest.distance_to_rectangle(&scene.in_plane(obstacle.body)))
+        .fold(f64::INFINITY, f64::min);
     let nearest = resting(scene, &rest, 0.0);
     // One that is near already comes only if it comes nearer.
     (nearest < scene.margin.base().min(now) - 1e-3).then_some(nearest)
@@ -49,7 +50,9 @@ pub(crate) fn struck_at_rest(scene: &Scene, stopping: &Stopping) -> Option<f64> 
 fn resting(scene: &Scene, rest: &Rectangle, from_s: f64) -> f64 {
     let distance = |t: f64| {
         let moving = scene.predicted.iter().filter(|obstacle| obstacle.moves());
-        moving.map(|obstacle| rest.distance_to_rectangle(&obstacle.body_at(t))).fold(f64::INFINITY, f64::min)
+        moving
+            .map(|obstacle| rest.distance_to_rectangle(&scene.in_plane(obstacle.body_at(t))))
+            .fold(f64::INFINITY, f64::min)
     };
     let steps = ((REST_S - from_s) / STEP_S).max(0.0) as usize;
     (0..=steps).map(|step| distance(from_s + step as f64 * STEP_S)).fold(f64::INFINITY, f64::min)
@@ -99,7 +102,7 @@ fn clearance(scene: &Scene, baseline: &Baseline, rollout: &Rollout, enough: f64)
     for sample in rollout.samples.iter().step_by(EVERY) {
         let body = scene.body_at(&sample.state);
         for obstacle in scene.predicted {
-            smallest = smallest.min(body.distance_to_rectangle(&obstacle.body_at(sample.t)));
+            smallest = smallest.min(body.distance_to_rectangle(&scene.in_plane(obstacle.body_at(sample.t))));
         }
         if smallest <= enough || scene.check(baseline, sample).is_some() {
             return f64::NEG_INFINITY;

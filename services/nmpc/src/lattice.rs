@@ -15,7 +15,7 @@
 
 mod grid;
 
-use grid::{BENDS, Grid};
+use grid::Grid;
 
 use crate::obstacle_cost::{HARD, ObstacleCost, half_extent};
 use crate::query::Query;
@@ -81,8 +81,12 @@ pub(crate) struct Search {
     ends: Vec<End>,
     active: Vec<Vec<u32>>,
     arcs: Vec<Arc>,
-    /// Where the arcs of each course begin.
+    /// Where the arcs of each direction begin, for one curvature of the course after the other.
     arc_offsets: Vec<usize>,
+    /// The curvatures of the course, in smallest curvatures of a path.
+    course_bends: Vec<i32>,
+    /// By layer: which of them it has there.
+    bend_of_layer: Vec<usize>,
     /// For each course the rises of the next arcs when the path turns right, or left, as fast as it can [m].
     swerves: Vec<[[f64; AHEAD]; 2]>,
     obstacle_cost: ObstacleCost,
@@ -167,13 +171,30 @@ impl Search {
     }
 
     fn tabulate(&mut self, scene: &Scene, grid: &Grid) {
-        let settings = &scene.config.guide;
         self.arcs.clear();
         self.arc_offsets.clear();
+        self.course_bends.clear();
+        self.bend_of_layer.clear();
+        for layer in 0..grid.layers {
+            let bend = grid.course_bend(scene, layer);
+            let known = self.course_bends.iter().position(|known| *known == bend);
+            self.bend_of_layer.push(known.unwrap_or(self.course_bends.len()));
+            if known.is_none() {
+                self.course_bends.push(bend);
+                self.tabulate_arcs(scene, grid, bend);
+            }
+        }
+        self.arc_offsets.push(self.arcs.len());
+        self.swerve(grid);
+    }
+
+    /// Tabulates the arcs where the course has this curvature, in smallest curvatures.
+    fn tabulate_arcs(&mut self, scene: &Scene, grid: &Grid, course_bend: i32) {
+        let settings = &scene.config.guide;
         for course in 0..grid.courses {
             self.arc_offsets.push(self.arcs.len());
             let from = grid.sine(course);
-            for turn in -BENDS..=BENDS {
+            for turn in grid.turns(course_bend) {
                 let (next, curvature) = (course + turn, f64::from(turn) * grid.bend);
                 let to = grid.sine(next);
                 if next < 0 || next >= grid.courses || to.abs() > SINE_MAX {
@@ -187,19 +208,17 @@ impl Search {
                     cost: grid.step * cost,
                     extents: [extent, extent.max(half_extent(scene, from))],
                     course: next as u32,
-                    is_sketched: turn % BENDS == 0,
+                    is_sketched: turn == 0 || (turn + course_bend).abs() == grid.bends,
                 });
             }
         }
-        self.arc_offsets.push(self.arcs.len());
-        self.swerve();
     }
 
     /// Tabulates the fastest turns to both sides.
-    fn swerve(&mut self) {
+    fn swerve(&mut self, grid: &Grid) {
         let Self { arcs, arc_offsets, swerves, .. } = self;
         swerves.clear();
-        for course in 0..arc_offsets.len() - 1 {
+        for course in 0..grid.courses as usize {
             let mut rises = [[0.0; AHEAD]; 2];
             for (side, rises) in rises.iter_mut().enumerate() {
                 let (mut course, mut sum) = (course, 0.0);
@@ -221,9 +240,11 @@ impl Search {
         let (settings, step) = (config.guide, grid.step);
         // How far the robot is outside of its bounds already.
         let allowed = excess(initial.y, y_range);
-        let Self { costs, ends, active, arcs, arc_offsets, swerves, obstacle_cost } = self;
+        let Self { costs, ends, active, arcs, arc_offsets, bend_of_layer, swerves, obstacle_cost, .. } = self;
         let Pass { hard, sketch, limit } = *pass;
-        let ahead = AHEAD.min(grid.layers - layer);
+        // The fastest turns are those of the first layer; where the course bends they tell nothing.
+        let ahead = if config.course.is_line() { AHEAD.min(grid.layers - layer) } else { 0 };
+        let arc_offsets = &arc_offsets[bend_of_layer[layer] * grid.courses as usize..];
         let [.., sources, reached] = &mut active[..layer + 2] else { return };
         // Paths to this layer are read, those to the next are written.
         let split = (layer + 1) * grid.layer_cells();

@@ -13,6 +13,7 @@ mod controller;
 mod ellipses;
 mod escape;
 mod explicit_side;
+mod frames;
 #[cfg(test)]
 #[path = "../tests/common/independent.rs"]
 mod independent;

@@ -23,6 +23,7 @@ use vehicle::{Control, State};
 use crate::config::ControllerConfig;
 use crate::ellipses::fill_ellipses;
 use crate::escape::turn_away;
+use crate::frames::Frames;
 #[cfg(test)]
 use crate::injection::{Injection, Place};
 use crate::predicted_obstacle::PredictedObstacle;
@@ -128,6 +129,8 @@ pub(crate) struct Planner {
     owners: Vec<usize>,
     /// By how much each ellipse is enlarged [m].
     grown: Vec<f64>,
+    /// The frames of the nodes.
+    frames: Frames,
     /// The obstacle for which a plan was refused last.
     pub(crate) refused_for: Option<usize>,
     /// Controls of the plan.
@@ -154,6 +157,7 @@ impl Planner {
             control_reference: Control::default(),
             weights: config.weights.over(config.interval_s()),
             ellipses: Vec::with_capacity(config.max_ellipses),
+            frames: Vec::new(),
         };
         Self {
             solver: Solver::new(config.solver),
@@ -162,6 +166,7 @@ impl Planner {
             solution: Solution::default(),
             owners: Vec::with_capacity(config.max_ellipses),
             grown: Vec::with_capacity(config.max_ellipses),
+            frames: Frames::default(),
             refused_for: None,
             controls: Vec::with_capacity(config.intervals),
             rollout: Rollout::default(),
@@ -262,6 +267,12 @@ impl Planner {
             config.intervals,
             &mut problem.references,
         );
+        if !config.course.is_line() {
+            for reference in &mut problem.references {
+                let speed = task.pace().along(task.reference_path, reference.x);
+                reference.yaw_rate += config.course.curvature(reference.x) * speed;
+            }
+        }
         problem.weights.goal = goal_nodes(task).map(|(node, share)| (node, share * config.weights.goal));
         let (speed, cruise) = (task.reference_path.slowest(), task.pace().cruise);
         let margin = |obstacle: &PredictedObstacle, way_m: f64| {
@@ -306,6 +317,8 @@ impl Planner {
         warm::clamp(&self.problem.bounds, &mut self.guess.controls);
         self.rollout.drive(&task.scene, &self.guess.controls);
         self.guess.states.clone_from(&self.rollout.nodes);
+        self.frames.place(&task.scene, &self.guess.states, &mut self.problem.frames);
+        self.frames.place_ellipses(&task.scene, &self.owners, &mut self.problem.ellipses);
     }
 
     /// Makes the guess the plan when it may be driven.
@@ -426,7 +439,7 @@ impl Planner {
             !task.reference_path.clear || warm::agrees(scene, task.reference_path, &self.rollout.samples);
         self.refused_for = self.refused_for.or(verdict.obstacle());
         let verified = verdict.verified().filter(|_| agrees)?;
-        let defect = largest_distance(&solution.trajectory.states, &self.rollout.nodes);
+        let defect = self.frames.largest_distance(scene, &solution.trajectory.states, &self.rollout.nodes);
         command.largest_violation = command.largest_violation.max(defect);
         let exact = solution.status == Status::Converged && defect < LARGEST_DEFECT_M;
         let level = if exact { Level::Converged } else { Level::BestIterate };
@@ -499,11 +512,4 @@ fn wire_status(status: Status) -> u32 {
         Status::Failed => SolveStatus::Failed,
     }
     .wire()
-}
-
-fn largest_distance(planned: &[State], driven: &[State]) -> f64 {
-    if planned.len() != driven.len() {
-        return f64::MAX;
-    }
-    planned.iter().zip(driven).map(|(a, b)| (a.x - b.x).hypot(a.y - b.y)).fold(0.0, f64::max)
 }

@@ -3,10 +3,13 @@
 //! Every ellipse becomes a [`PredictedObstacle`] whose time counts from the start of the plan, which is when the
 //! command will act. A body whose velocity is not significant against its own covariance counts as standing:
 //! prediction with a noisy velocity would move its ellipse by decimetres over the horizon.
-//! Assumed: bodies keep their velocity over the horizon. Where they do not, the next scan corrects it.
+//! Assumed: bodies keep their velocity over the horizon, along and across the course. Where they do not, the next scan
+//! corrects it.
 
 use nalgebra::Vector2;
 use shared_types::{Obstacle, Obstacles};
+use vehicle::Course;
+use vehicle::frame::to_robot;
 use vehicle::geometry::Rectangle;
 
 /// Speed from which a body counts as moving: in standard deviations, and in any case [m/s].
@@ -15,6 +18,11 @@ const MOVES: (f64, f64) = (2.0, 0.08);
 const STILL_MOVES: (f64, f64) = (0.7, 0.04);
 /// By how much a short ellipse is longer than body and robot, to each side [m].
 const SHORT_M: f64 = 0.35;
+/// Obstacles are looked for on the course up to this far behind the robot and ahead of it [m].
+const BEHIND_M: f64 = 8.0;
+const AHEAD_M: f64 = 12.0;
+/// Smallest length beside a bend as a share of that on the course.
+const MIN_STRETCH: f64 = 0.2;
 /// Largest position that is accepted [m].
 const LARGEST_M: f64 = 1e5;
 
@@ -79,6 +87,7 @@ impl PredictedObstacle {
 /// Returns false when a number is not finite or a size is impossible: then no plan may be made.
 pub(crate) fn read(
     obstacles: &Obstacles,
+    place: OnCourse<'_>,
     lead_s: f64,
     moved: impl Fn(u32) -> bool,
     predicted: &mut Vec<PredictedObstacle>,
@@ -90,7 +99,7 @@ pub(crate) fn read(
         }
         let velocity = significant_velocity(item, if moved(item.id) { STILL_MOVES } else { MOVES });
         let travel = [velocity[0] * lead_s, velocity[1] * lead_s];
-        predicted.push(PredictedObstacle {
+        let described = PredictedObstacle {
             id: item.id,
             centre: [item.x_m + travel[0], item.y_m + travel[1]],
             velocity,
@@ -102,9 +111,45 @@ pub(crate) fn read(
                 length: item.box_length_m,
                 width: item.box_width_m,
             },
-        });
+        };
+        predicted.push(place.of(described));
     }
     true
+}
+
+/// The course near the robot.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct OnCourse<'a> {
+    /// The course.
+    pub(crate) course: &'a Course,
+    /// Where the robot is on it [m].
+    pub(crate) near_m: f64,
+}
+
+impl OnCourse<'_> {
+    /// An obstacle in the plane, on the course.
+    fn of(&self, obstacle: PredictedObstacle) -> PredictedObstacle {
+        let Self { course, near_m } = *self;
+        if course.is_line() {
+            return obstacle;
+        }
+        let place = |point: Vector2<f64>| course.within(point, [near_m - BEHIND_M, near_m + AHEAD_M]);
+        let (centre, body) = (place(Vector2::from(obstacle.centre)), place(obstacle.body.centre));
+        let (here, tangent) = (course.at(centre[0]), course.at(body[0]));
+        let velocity = to_robot(here.yaw, obstacle.velocity[0], obstacle.velocity[1]);
+        // Beside a bend a metre along the course is another one than on it.
+        let stretch = (1.0 - here.curvature * centre[1]).max(MIN_STRETCH);
+        PredictedObstacle {
+            centre,
+            velocity: [velocity.x / stretch, velocity.y],
+            body: Rectangle {
+                centre: Vector2::from(body),
+                yaw: obstacle.body.yaw - tangent.yaw,
+                ..obstacle.body
+            },
+            ..obstacle
+        }
+    }
 }
 
 fn is_sound(item: &Obstacle) -> bool {
@@ -141,6 +186,16 @@ fn significant_velocity(item: &Obstacle, (deviations, slowest_mps): (f64, f64)) 
 mod tests {
     use super::*;
 
+    fn read_on_line(
+        obstacles: &Obstacles,
+        lead_s: f64,
+        moved: impl Fn(u32) -> bool,
+        predicted: &mut Vec<PredictedObstacle>,
+    ) -> bool {
+        let course = Course::default();
+        read(obstacles, OnCourse { course: &course, near_m: 0.0 }, lead_s, moved, predicted)
+    }
+
     fn obstacle() -> Obstacle {
         Obstacle {
             id: 1,
@@ -165,10 +220,10 @@ mod tests {
         let mut item =
             Obstacle { velocity_x_mps: -0.3, velocity_covariance: [0.04, 0.0, 0.04], ..obstacle() };
         let mut predicted = Vec::new();
-        assert!(read(&one(item), 0.1, |_| false, &mut predicted));
+        assert!(read_on_line(&one(item), 0.1, |_| false, &mut predicted));
         assert!(!predicted[0].moves() && predicted[0].centre == [5.0, 0.5]);
         item.velocity_covariance = [0.01, 0.0, 0.01];
-        assert!(read(&one(item), 0.1, |_| false, &mut predicted));
+        assert!(read_on_line(&one(item), 0.1, |_| false, &mut predicted));
         assert!((predicted[0].centre[0] - 4.97).abs() < 1e-12);
         assert!((predicted[0].centre_at(1.0)[0] - 4.67).abs() < 1e-12);
     }
@@ -177,16 +232,16 @@ mod tests {
     fn a_body_that_moved_goes_on_moving_while_its_velocity_is_uncertain() {
         let item = Obstacle { velocity_y_mps: -0.14, velocity_covariance: [0.0, 0.0, 0.01], ..obstacle() };
         let mut predicted = Vec::new();
-        assert!(read(&one(item), 0.1, |_| false, &mut predicted) && !predicted[0].moves());
-        assert!(read(&one(item), 0.1, |id| id == 1, &mut predicted) && predicted[0].moves());
+        assert!(read_on_line(&one(item), 0.1, |_| false, &mut predicted) && !predicted[0].moves());
+        assert!(read_on_line(&one(item), 0.1, |id| id == 1, &mut predicted) && predicted[0].moves());
         let slow = Obstacle { velocity_y_mps: -0.03, ..item };
-        assert!(read(&one(slow), 0.1, |_| true, &mut predicted) && !predicted[0].moves());
+        assert!(read_on_line(&one(slow), 0.1, |_| true, &mut predicted) && !predicted[0].moves());
     }
 
     #[test]
     fn the_value_is_one_on_the_ellipse() {
         let mut predicted = Vec::new();
-        assert!(read(&one(obstacle()), 0.0, |_| false, &mut predicted));
+        assert!(read_on_line(&one(obstacle()), 0.0, |_| false, &mut predicted));
         assert!((predicted[0].value(0.0, 6.2, 0.5) - 1.0).abs() < 1e-12);
         assert!((predicted[0].value(0.0, 5.0, -0.3) - 1.0).abs() < 1e-12);
     }
@@ -194,11 +249,21 @@ mod tests {
     #[test]
     fn a_short_ellipse_ends_behind_body_and_robot_and_a_long_one_stays() {
         let mut predicted = Vec::new();
-        assert!(read(&one(Obstacle { box_length_m: 0.1, ..obstacle() }), 0.0, |_| false, &mut predicted));
+        assert!(read_on_line(
+            &one(Obstacle { box_length_m: 0.1, ..obstacle() }),
+            0.0,
+            |_| false,
+            &mut predicted
+        ));
         // 0.05 m of the body, 0.28 m of the robot and 0.35 m.
         predicted[0].shorten(0.56);
         assert!((predicted[0].a - 0.68).abs() < 1e-12 && predicted[0].b == 0.8);
-        assert!(read(&one(Obstacle { box_length_m: 3.0, ..obstacle() }), 0.0, |_| false, &mut predicted));
+        assert!(read_on_line(
+            &one(Obstacle { box_length_m: 3.0, ..obstacle() }),
+            0.0,
+            |_| false,
+            &mut predicted
+        ));
         predicted[0].shorten(0.56);
         assert_eq!(predicted[0].a, 1.2);
     }
@@ -206,9 +271,14 @@ mod tests {
     #[test]
     fn impossible_numbers_are_refused() {
         let mut predicted = Vec::new();
-        assert!(!read(&one(Obstacle { x_m: f64::NAN, ..obstacle() }), 0.0, |_| false, &mut predicted));
-        assert!(!read(&one(Obstacle { b_m: 0.0, ..obstacle() }), 0.0, |_| false, &mut predicted));
-        assert!(!read(
+        assert!(!read_on_line(
+            &one(Obstacle { x_m: f64::NAN, ..obstacle() }),
+            0.0,
+            |_| false,
+            &mut predicted
+        ));
+        assert!(!read_on_line(&one(Obstacle { b_m: 0.0, ..obstacle() }), 0.0, |_| false, &mut predicted));
+        assert!(!read_on_line(
             &one(Obstacle { velocity_y_mps: f64::INFINITY, ..obstacle() }),
             0.0,
             |_| false,

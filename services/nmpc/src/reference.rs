@@ -52,13 +52,13 @@ pub(crate) fn fill(
     let step = interval_s / STEPS as f64;
     for _ in 0..intervals {
         for _ in 0..STEPS {
-            let course = if line.is_some() { 0.0 } else { reference_path.at(x).1 };
-            x += pace.along(reference_path, x) * course.cos() * step;
+            let direction = if line.is_some() { 0.0 } else { reference_path.at(x).1 };
+            x += pace.along(reference_path, x) * direction.cos() * step;
         }
-        let (y, course, curvature) = line.map_or_else(|| reference_path.at(x), |y| (y, 0.0, 0.0));
+        let (y, direction, curvature) = line.map_or_else(|| reference_path.at(x), |y| (y, 0.0, 0.0));
         references.push(State {
             sideslip: 0.0,
-            yaw: course,
+            yaw: direction,
             yaw_rate: curvature * pace.along(reference_path, x),
             x,
             y,

@@ -40,6 +40,13 @@ pub(crate) fn advance(parameters: &Parameters, state: &State, control: &Control,
     Motion::new(parameters, control, duration).advance(state, &mut direction)
 }
 
+/// The same of a state on the course of a scene.
+#[must_use]
+pub(crate) fn advance_on_course(scene: &Scene, state: &State, control: &Control, duration: f64) -> State {
+    let (course, parameters) = (&scene.config.course, scene.config.vehicle.parameters());
+    course.on_course(&advance(&parameters, &course.in_plane(state), control, duration), state.x)
+}
+
 /// The motion under a constant control, in steps of equal length.
 #[derive(Debug, Clone, Copy)]
 struct Motion {
@@ -177,14 +184,15 @@ pub(crate) struct Rollout {
 }
 
 impl Rollout {
-    /// Drives `controls` from the initial state, unchecked.
+    /// Drives `controls` from the initial state, unchecked; the motion is that in the plane.
     pub(crate) fn drive(&mut self, scene: &Scene, controls: &[Control]) {
         let interval_s = scene.config.interval_s();
         let piece = interval_s / PIECES as f64;
         let slowing = scene.config.vehicle.deceleration_max_mps2;
         let parameters = scene.config.vehicle.parameters();
-        let mut state = scene.initial;
-        let mut direction = direction(&state);
+        let course = &scene.config.course;
+        let (mut state, mut driven) = (scene.initial, course.in_plane(&scene.initial));
+        let mut direction = direction(&driven);
         self.nodes.clear();
         self.samples.clear();
         self.nodes.push(state);
@@ -193,7 +201,8 @@ impl Rollout {
         for (interval, control) in controls.iter().enumerate() {
             let motion = Motion::new(&parameters, control, piece);
             for part in 1..=PIECES {
-                state = motion.advance(&state, &mut direction);
+                driven = motion.advance(&driven, &mut direction);
+                state = course.on_course(&driven, state.x);
                 // A robot that is faster than planned slows down at the rate of its drive.
                 speed = control.velocity.max(speed - slowing * piece);
                 let t = interval as f64 * interval_s + part as f64 * piece;

@@ -2,6 +2,8 @@
 //!
 //! A limit that is violated at the start already is relaxed to its present value, the [`Baseline`]: a plan must not
 //! make it worse.
+//!
+//! All positions are on the course: x along it, y across, yaw relative to it. Distances of bodies are those in the plane.
 
 use nalgebra::Vector2;
 use vehicle::frame::to_robot;
@@ -115,7 +117,8 @@ impl<'a> Scene<'a> {
         let State { x, y, .. } = self.initial;
         for (index, obstacle) in self.predicted.iter().enumerate().take(shared_types::MAX_OBSTACLES) {
             baseline.values[index] = obstacle.value(0.0, x, y).min(1.0) - DEEPER;
-            baseline.gaps[index] = self.body_at(&self.initial).distance_to_rectangle(&obstacle.body);
+            baseline.gaps[index] =
+                self.body_at(&self.initial).distance_to_rectangle(&self.in_plane(obstacle.body));
         }
         baseline.wall_gap = self.wall_gap(&self.initial).min(self.config.clearance_m) - TOLERANCE_M;
         baseline.outside = [excess(x, self.config.track.x_m), excess(y, self.y_range)]
@@ -166,8 +169,10 @@ impl<'a> Scene<'a> {
         }
         let body = self.body_at(state);
         let near = |index: usize| {
-            let (other, limit) =
-                (self.predicted[index].body_at(t), baseline.gaps[index].min(margin) - TOLERANCE_M);
+            let (other, limit) = (
+                self.in_plane(self.predicted[index].body_at(t)),
+                baseline.gaps[index].min(margin) - TOLERANCE_M,
+            );
             let reach = (body.length.hypot(body.width) + other.length.hypot(other.width)) / 2.0 + margin;
             (other.centre - body.centre).norm() < reach && body.distance_to_rectangle(&other) < limit
         };
@@ -189,7 +194,7 @@ impl<'a> Scene<'a> {
         let obstacle = &self.predicted[index];
         let body = self.body_at(state);
         let limit = baseline.gaps[index].min(self.margin.sum(t, speed) + reserve_m) - TOLERANCE_M;
-        let other = obstacle.body_at(t);
+        let other = self.in_plane(obstacle.body_at(t));
         let reach = (body.length.hypot(body.width) + other.length.hypot(other.width)) / 2.0 + limit;
         let near = (other.centre - body.centre).norm() < reach;
         let short = if near { limit - body.distance_to_rectangle(&other) } else { 0.0 };
@@ -205,10 +210,12 @@ impl<'a> Scene<'a> {
                 let offset = corner - body.centre;
                 to_robot(body.yaw, offset.x, offset.y).x
             };
-            obstacle.body.corners().map(forward).into_iter().any(|x| x > 0.0)
+            self.in_plane(obstacle.body).corners().map(forward).into_iter().any(|x| x > 0.0)
         };
         let distances = self.predicted.iter().filter(is_ahead);
-        distances.map(|obstacle| body.distance_to_rectangle(&obstacle.body)).fold(f64::INFINITY, f64::min)
+        distances
+            .map(|obstacle| body.distance_to_rectangle(&self.in_plane(obstacle.body)))
+            .fold(f64::INFINITY, f64::min)
     }
 
     /// Largest of the speeds between two at which the body keeps its clearance at (`x`, `y`), and a little more.
@@ -216,7 +223,8 @@ impl<'a> Scene<'a> {
         let body = self.body_at(&State { x, y, yaw: course, ..State::default() });
         let outside = |speed: f64| {
             let near = |obstacle: &PredictedObstacle| {
-                body.distance_to_rectangle(&obstacle.body) < self.margin.sum(0.0, speed) + SLOW_BEFORE_M
+                body.distance_to_rectangle(&self.in_plane(obstacle.body))
+                    < self.margin.sum(0.0, speed) + SLOW_BEFORE_M
             };
             !self.predicted.iter().any(near)
         };
@@ -231,15 +239,25 @@ impl<'a> Scene<'a> {
         slow
     }
 
-    /// The body at a state.
+    /// The body at a state, in the plane, where distances are those of bodies.
     pub(crate) fn body_at(&self, state: &State) -> Rectangle {
-        let centre = Vector2::new(state.x, state.y);
+        let state = self.config.course.in_plane(state);
         Rectangle {
-            centre,
+            centre: Vector2::new(state.x, state.y),
             yaw: state.yaw,
             length: self.config.vehicle.length_m,
             width: self.config.vehicle.width_m,
         }
+    }
+
+    /// The box of an obstacle on the course, in the plane.
+    pub(crate) fn in_plane(&self, body: Rectangle) -> Rectangle {
+        if self.config.course.is_line() {
+            return body;
+        }
+        let state = State { x: body.centre.x, y: body.centre.y, yaw: body.yaw, ..State::default() };
+        let State { x, y, yaw, .. } = self.config.course.in_plane(&state);
+        Rectangle { centre: Vector2::new(x, y), yaw, ..body }
     }
 
     /// Curvature of a steady turn at full lock [1/m]; of a robot that turns round by itself at this velocity, which has no
@@ -261,7 +279,9 @@ impl<'a> Scene<'a> {
     /// How far the sharpest turn of a path back to along the track leaves the bounds [m].
     fn excess_of_turn(&self, state: &State, curvature: f64) -> f64 {
         let course = state.yaw + state.sideslip;
-        let way = (1.0 - course.cos()).min(1.0) / curvature;
+        // Against a bend of the way it takes longer until the robot is along it.
+        let bend = self.config.course.curvature(state.x) * course.signum();
+        let way = (1.0 - course.cos()).min(1.0) / (curvature + bend).max(HARDLY_PER_M);
         excess(state.y + way.copysign(course.sin()), self.y_range)
     }
 

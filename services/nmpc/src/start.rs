@@ -6,9 +6,10 @@ use vehicle::State;
 use crate::braking::{STOP_MARGIN_M, Stopping};
 use crate::config::ControllerConfig;
 use crate::margin::MarginModel;
-use crate::predicted_obstacle::{self, PredictedObstacle};
+use crate::predicted_obstacle::{self, OnCourse, PredictedObstacle};
 use crate::scene::Scene;
-use crate::smoothing::{SmoothedEllipses, moved};
+use crate::smoothing::moved;
+use crate::state::ControllerState;
 
 /// Longest time from the scan to the start of the plan [s]: an older pose is contradictory.
 const MAX_LEAD_S: f64 = 1.0;
@@ -92,7 +93,8 @@ fn seen_mps(config: &ControllerConfig, stopping: &Stopping, scanner: &ScannerHea
     }
 }
 
-/// The state at the start of the plan; the obstacles are read into `predicted`, where `known` are those of the scan before.
+/// The state at the start of the plan on the course; the obstacles are read into `predicted`, where `last` is the state
+/// after the scan before.
 ///
 /// # Errors
 /// [`StopReason::BadInput`] when a number is impossible or the inputs contradict each other, [`StopReason::Covered`] when an
@@ -101,16 +103,20 @@ pub(crate) fn read(
     config: &ControllerConfig,
     pose: &Pose,
     obstacles: &Obstacles,
-    known: &SmoothedEllipses,
+    last: &ControllerState,
     predicted: &mut Vec<PredictedObstacle>,
 ) -> Result<State, StopReason> {
-    let initial = State {
+    let driven = State {
         sideslip: pose.predicted_sideslip_rad,
         yaw: pose.predicted_yaw_rad,
         yaw_rate: pose.predicted_yaw_rate_radps,
         x: pose.predicted_x_m,
         y: pose.predicted_y_m,
     };
+    let near = last.along().map(|along| config.course.on_course(&driven, along));
+    // A robot that was put elsewhere is looked for on the whole course.
+    let anywhere = || config.course.on_course(&driven, config.course.find(&driven));
+    let initial = near.filter(|near| is_inside(config, near)).unwrap_or_else(anywhere);
     let lead_s = (pose.predicted_ns as f64 - pose.header.acquired_ns as f64) * 1e-9;
     let sound = is_inside(config, &initial)
         && initial.sideslip.abs() < 1.0
@@ -120,15 +126,17 @@ pub(crate) fn read(
         && is_near(config, pose, lead_s)
         && pose.local_covariance.iter().all(|value| value.is_finite())
         && pose.header.scan_id == obstacles.header.scan_id;
-    if !sound || !predicted_obstacle::read(obstacles, lead_s, |id| moved(known, id), predicted) {
+    let (known, place) = (&last.ellipses, OnCourse { course: &config.course, near_m: initial.x });
+    if !sound || !predicted_obstacle::read(obstacles, place, lead_s, |id| moved(known, id), predicted) {
         return Err(StopReason::BadInput);
     }
-    let body = Scene::new(config, predicted, initial).body_at(&initial);
+    let scene = Scene::new(config, predicted, initial);
+    let body = scene.body_at(&initial);
     let reach = body.length + body.width;
     let overlaps = |obstacle: &PredictedObstacle| {
-        let distance = (obstacle.body.centre - body.centre).norm();
-        distance < reach + obstacle.body.length + obstacle.body.width
-            && body.distance_to_rectangle(&obstacle.body) < -OVERLAP_M
+        let other = scene.in_plane(obstacle.body);
+        let distance = (other.centre - body.centre).norm();
+        distance < reach + other.length + other.width && body.distance_to_rectangle(&other) < -OVERLAP_M
     };
     if predicted.iter().any(overlaps) { Err(StopReason::Covered) } else { Ok(initial) }
 }

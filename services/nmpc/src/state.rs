@@ -34,6 +34,13 @@ impl ControllerState {
     }
 }
 
+impl ControllerState {
+    /// Where on the course the last plan began [m]; `None` before the first plan.
+    pub(crate) fn along(&self) -> Option<f64> {
+        Some(self.plan[0].x_m).filter(|along| self.plan_start_ns != 0 && along.is_finite())
+    }
+}
+
 plain_state! {
     /// The state of a controller after a scan: the last verified plan, the sides held, and latched decisions.
     pub struct ControllerState {
@@ -61,7 +68,7 @@ plain_state! {
         pub sides: Sides,
         /// Ellipses of the last scan
         pub ellipses: SmoothedEllipses,
-        /// The last verified plan
+        /// The last verified plan, on the course
         pub plan: [PlanNode; PLAN_NODES],
     }
 }

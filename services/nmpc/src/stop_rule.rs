@@ -80,7 +80,8 @@ pub(crate) fn blocked_by(scene: &Scene, plan: &[Sampled], stop_m: f64, slack: f6
     let body = scene.body_at(&here);
     let too_near = |index: usize| {
         let obstacle = &scene.predicted[index];
-        distance(index) < latest_distance(obstacle.b) || body.distance_to_rectangle(&obstacle.body) < stop_m
+        distance(index) < latest_distance(obstacle.b)
+            || body.distance_to_rectangle(&scene.in_plane(obstacle.body)) < stop_m
     };
     hit.filter(|&index| slack > 0.0 || too_near(index))
 }
@@ -128,7 +129,9 @@ impl Turns<'_> {
             } else {
                 0.0
             };
-            course += turn * self.curvature * STEP_M;
+            // Without a turn the robot follows the way.
+            let bend = if turn == 0.0 { 0.0 } else { self.scene.config.course.curvature(state.x) };
+            course += (turn * self.curvature - bend) * STEP_M;
             if turn == -side && course * side < 0.0 {
                 course = 0.0;
             }

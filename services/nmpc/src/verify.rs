@@ -14,7 +14,7 @@ use vehicle::{Control, State};
 
 use crate::braking::Stopping;
 use crate::config::ControllerConfig;
-use crate::rollout::{PIECES, Rollout, advance};
+use crate::rollout::{PIECES, Rollout, advance_on_course};
 use crate::sampled::Sampled;
 use crate::scene::{Baseline, Scene, Violation};
 
@@ -179,14 +179,13 @@ fn slide_from(scene: &Scene, baseline: &Baseline, control: &Control, start: &Sam
     let length = stopping.slide(start.speed);
     let step_m = if scene.escapes { FINE_SLIDE_STEP_M } else { SLIDE_STEP_M };
     let steps = (length / step_m).ceil().max(1.0);
-    let parameters = scene.config.vehicle.parameters();
     let (mut state, mut before) = (start.state, speed);
     (1..=steps as usize).find_map(|step| {
         let way = length * step as f64 / steps;
         let left = (speed * speed - 2.0 * deceleration * way).max(0.0).sqrt();
         // The model has no lateral motion at standstill.
         let control = Control { velocity: f64::midpoint(before, left).max(SLOWEST_MPS), ..*control };
-        state = advance(&parameters, &state, &control, (before - left) / deceleration);
+        state = advance_on_course(scene, &state, &control, (before - left) / deceleration);
         before = left;
         let t = start.t + (speed - left) / deceleration;
         scene.touched(baseline, scene.margin.base(), t, &state)
@@ -200,7 +199,7 @@ fn hold(scene: &Scene, control: &Control, last: &Sampled) -> Sampled {
     Sampled {
         t: last.t + piece_s,
         speed: control.velocity.max(last.speed - vehicle.deceleration_max_mps2 * piece_s),
-        state: advance(&vehicle.parameters(), &last.state, control, piece_s),
+        state: advance_on_course(scene, &last.state, control, piece_s),
     }
 }
 

@@ -9,7 +9,7 @@ use vehicle::{Bounds, Control};
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::reference::Pace;
 use crate::reference_path::ReferencePath;
-use crate::rollout::advance;
+use crate::rollout::advance_on_course;
 use crate::sampled::Sampled;
 use crate::scene::Scene;
 use crate::side::Passing;
@@ -61,11 +61,12 @@ pub(crate) fn follow(
         // The correction aims at the middle of the interval, where its effect is seen.
         let middle = state.x + velocity * state.yaw.cos() * interval_s / 2.0;
         let (_, _, curvature) = reference_path.at(middle);
+        let curvature = curvature + scene.config.course.curvature(middle);
         let (y, course, _) = reference_path.at(state.x);
         let wanted =
             curvature + OFFSET_GAIN * (y - state.y) + COURSE_GAIN * (course - state.yaw - state.sideslip);
         let control = bounds.clamp(Control { velocity, steering: finite(wanted / gain) });
-        state = advance(&parameters, &state, &control, interval_s);
+        state = advance_on_course(scene, &state, &control, interval_s);
         controls.push(control);
     }
 }
@@ -117,6 +118,7 @@ fn finite(value: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::config::ControllerConfig;
+    use crate::rollout::advance;
     use vehicle::Goal;
     use vehicle::State;
 

@@ -5,7 +5,10 @@ use crate::reference_path::SINE_MAX;
 use crate::scene::Scene;
 
 /// Curvatures of an arc: this many to each side, and straight.
-pub(super) const BENDS: i32 = 2;
+const BENDS: i32 = 2;
+/// The same along a course, whose own curvature is one of these steps: a path uses the largest curvature, half of it, and
+/// those of the straight path and of the course.
+const COURSE_BENDS: i32 = 6;
 /// Shortest path that is searched, unless the goal is nearer [m]: a little longer than the horizon.
 const SHORTEST_M: f64 = 3.2;
 /// How much further than its range a search looks for the goal [m]: about a turn to the side and back, so that an obstacle
@@ -22,6 +25,8 @@ pub(super) struct Grid {
     pub(super) step: f64,
     /// Smallest curvature that is not zero [1/m].
     pub(super) bend: f64,
+    /// How many of these the largest curvature of a path is.
+    pub(super) bends: i32,
     pub(super) start_sine: f64,
     pub(super) sine_step: f64,
     pub(super) start_course: i32,
@@ -43,7 +48,8 @@ impl Grid {
         let layers = (length / config.guide.step_m).ceil().max(1.0) as usize;
         let step = length / layers as f64;
         let curvature = scene.full_lock_curvature(config.cruise_mps);
-        let bend = curvature * config.guide.curvature_share / f64::from(BENDS);
+        let bends = if config.course.is_line() { BENDS } else { COURSE_BENDS };
+        let bend = curvature * config.guide.curvature_share / f64::from(bends);
         let sine_step = bend * step;
         let (sin, cos) = (start.yaw + start.sideslip).sin_cos();
         let start_sine = if cos > 0.0 { sin.clamp(-SINE_MAX, SINE_MAX) } else { SINE_MAX.copysign(sin) };
@@ -59,6 +65,7 @@ impl Grid {
             layers,
             step,
             bend,
+            bends,
             start_sine,
             sine_step,
             start_course: right,
@@ -67,6 +74,21 @@ impl Grid {
             cells_per_m: 1.0 / cell_m,
             cells,
         }
+    }
+
+    /// The curvature of the course at a layer, in smallest curvatures.
+    pub(super) fn course_bend(&self, scene: &Scene, layer: usize) -> i32 {
+        let along = scene.initial.x + (layer as f64 + 0.5) * self.step;
+        (scene.config.course.curvature(along) / self.bend).round().clamp(-1e3, 1e3) as i32
+    }
+
+    /// Curvatures of the arcs against a course with this one, in smallest curvatures, from right to left.
+    pub(super) fn turns(&self, course_bend: i32) -> impl Iterator<Item = i32> {
+        let (half, bends) = (self.bends / 2, self.bends);
+        (-bends - course_bend.max(0)..=bends - course_bend.min(0)).filter(move |turn| {
+            let in_plane = turn + course_bend;
+            in_plane.abs() <= bends && (in_plane % half == 0 || *turn == 0)
+        })
     }
 
     /// The same with cells of another width.

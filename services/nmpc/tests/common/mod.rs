@@ -88,8 +88,13 @@ pub(crate) struct Noise {
 
 /// A judge of the commands of a controller with this configuration.
 pub(crate) fn judge(config: &ControllerConfig) -> Judge {
-    let ControllerConfig { vehicle, track, goal, clearance_m, period_s, .. } = *config;
-    let y_range = config.y_range();
+    let ControllerConfig { vehicle, mut track, mut goal, clearance_m, period_s, .. } = *config;
+    let mut y_range = config.y_range();
+    if !config.course.is_line() {
+        // It knows no course, but the bodies, and how a robot drives.
+        (track.x_m, track.y_m, y_range) = ([-1e4, 1e4], [-1e4, 1e4], [-1e4, 1e4]);
+        goal.x_m = 1e4;
+    }
     Judge { vehicle, track, goal, y_range, clearance_m, period_s, ellipses: false }
 }
 
@@ -121,6 +126,7 @@ pub(crate) fn run(config: &ControllerConfig, start: State, bodies: &[Body], nois
     let mut there = vec![false; bodies.len()];
     let mut standing_since: Option<f64> = None;
     let mut was_driving = false;
+    let mut along = config.course.find(&start);
     for scan in 1..=600_u64 {
         let t = (scan - 1) as f64 * PERIOD_S;
         outcome.trajectory.push(state);
@@ -143,7 +149,11 @@ pub(crate) fn run(config: &ControllerConfig, start: State, bodies: &[Body], nois
             let bearing = vehicle::frame::wrap_angle(offset[1].atan2(offset[0]) - state.yaw);
             let distance = rectangle.distance_to_point(nalgebra::Vector2::new(state.x, state.y));
             seen[index] |= exists && distance < RANGE_M && bearing.abs() < HALF_VIEW_RAD;
-            seen[index] &= exists && offset[0] > -2.0;
+            let ahead = match config.course.is_line() {
+                true => offset[0],
+                false => vehicle::frame::to_robot(state.yaw, offset[0], offset[1]).x,
+            };
+            seen[index] &= exists && ahead > -2.0;
             if seen[index] && (obstacles.count as usize) < shared_types::MAX_OBSTACLES {
                 let mut jitter = || noise.obstacle_m * normal(&mut random);
                 let (x, y) = (rectangle.centre.x + jitter(), rectangle.centre.y + jitter());
@@ -213,7 +223,9 @@ pub(crate) fn run(config: &ControllerConfig, start: State, bodies: &[Body], nois
                     outcome.min_clearance = outcome.min_clearance.min(robot.distance_to_wall(wall, 0.0));
                 }
             }
-            outcome.largest_y = outcome.largest_y.max(state.y.abs());
+            let place = config.course.on_course(state, along);
+            along = place.x;
+            outcome.largest_y = outcome.largest_y.max(place.y.abs());
         };
         (state, speed) = drive(&parameters, state, speed, control, PERIOD_S / 3.0, &mut watch);
         control = (kind == CommandKind::Drive)
@@ -247,7 +259,8 @@ pub(crate) fn run(config: &ControllerConfig, start: State, bodies: &[Body], nois
         }
     }
     outcome.contact = outcome.min_clearance <= 0.0;
-    outcome.final_distance = (state.x - config.goal.x_m).hypot(state.y - config.goal.y_m);
+    let goal = config.course.in_plane(&State { x: config.goal.x_m, y: config.goal.y_m, ..State::default() });
+    outcome.final_distance = (state.x - goal.x).hypot(state.y - goal.y);
     outcome
 }
 
