@@ -74,7 +74,7 @@ fn estimator_step(group: &mut Group<'_>, lap: &Lap) {
 /// Turn the ranges of a scan into ellipses.
 fn obstacles_step(group: &mut Group<'_>, lap: &Lap) {
     let config = lap.tuning().obstacles;
-    let fresh = || ObstacleDetector::new(config).expect("default settings are valid");
+    let fresh = || ObstacleDetector::new(config.clone()).expect("default settings are valid");
     group.bench_function("obstacles", |bencher| {
         bencher.iter_custom(|iterations| {
             lap.time(iterations, fresh, every, |detector, step| {

@@ -1,11 +1,7 @@
 //! Settings of the description.
 
-use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
-use vehicle::{Ascending, Description, Invalid, Setting, Surroundings, Track, settings};
-
-/// A body beside the track may seem to reach so far across its line [m].
-const BESIDE_NOISE_M: f64 = 0.05;
+use vehicle::{Ascending, Course, Description, Invalid, Setting, Surroundings, Track, settings};
 
 /// How large the ellipses are that cover an obstacle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -22,8 +18,9 @@ impl Setting for CoverRule {}
 
 settings! {
     /// Settings of the obstacle detector; the defaults are the source's values where it has any.
-    #[derive(Copy)]
     pub struct ObstaclesConfig {
+        /// The way that the robot follows; `run` takes it from the scenario.
+        pub course: Course = Course::default();
         /// Whether the track has walls, whose returns are never obstacles; `run` takes it from the scenario.
         pub walls: bool = false;
         /// Surfaces of the right and left wall, or without walls the lateral bounds of the track; `run` takes them from the
@@ -91,17 +88,6 @@ impl ObstaclesConfig {
         let beyond = if self.walls { f64::INFINITY } else { self.beside_m };
         let [low, high] = self.wall_y_m;
         [low - beyond, high + beyond]
-    }
-
-    /// Whether a body at rest with these corners is beyond those lines; by noise it may reach 5 cm across.
-    pub(crate) fn is_beside(&self, corners: impl IntoIterator<Item = Vector2<f64>>) -> bool {
-        let [low, high] = self.beside_y_m();
-        let (mut right, mut left) = (true, true);
-        for corner in corners {
-            right &= corner.y < low + BESIDE_NOISE_M;
-            left &= corner.y > high - BESIDE_NOISE_M;
-        }
-        right || left
     }
 
     /// Where walls end the view across the track when nothing stands on it [m]; `None` in open surroundings.

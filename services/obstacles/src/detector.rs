@@ -7,7 +7,6 @@ use shared_types::{
     BEAMS, Fault, Header, MAX_OBSTACLES, MIN_RANGE_MM, Obstacle, Obstacles, Pose, Scan, ScannerHealth,
 };
 use vehicle::Invalid;
-use vehicle::frame::to_robot;
 use vehicle::geometry::Rectangle;
 
 use crate::ObstaclesConfig;
@@ -18,6 +17,7 @@ use crate::points::{Beams, Place, Point};
 use crate::state::{ObstaclesState, TRACKS, TrackState};
 use crate::track::{IDS_PER_BODY, MAX_BODY, Track};
 use crate::tracks::Tracks;
+use crate::way::Way;
 
 const _: () = assert!(MAX_PIECES <= IDS_PER_BODY as usize);
 
@@ -28,6 +28,7 @@ pub struct ObstacleDetector {
     beams: Beams,
     acquired_ns: u64,
     pose: [f64; 3],
+    way: Way,
     tracks: Tracks,
     evidence: Evidence,
     // Buffers of one step.
@@ -55,14 +56,15 @@ impl ObstacleDetector {
     pub fn new(config: ObstaclesConfig) -> Result<Self, Invalid> {
         config.validate()?;
         Ok(Self {
-            evidence: Evidence::new(config.vehicle, config.view_y_m()),
+            evidence: Evidence::new(config.vehicle),
             returns: Vec::with_capacity(BEAMS),
             fixed: vec![false; BEAMS],
+            way: Way::new(&config),
+            tracks: Tracks::new(config.clone()),
             config,
             beams: Beams::new(),
             acquired_ns: 0,
             pose: [0.0; 3],
-            tracks: Tracks::new(config),
             points: Vec::with_capacity(BEAMS),
             outlines: Outlines::with_capacity(),
             drawn: Vec::with_capacity(TRACKS * MAX_PIECES),
@@ -78,6 +80,7 @@ impl ObstacleDetector {
         let place = Place::of(pose, &self.config.vehicle);
         if place.is_some() {
             self.pose = [pose.x_m, pose.y_m, pose.yaw_rad];
+            self.way.follow(self.pose);
         }
         let overflow = match &place {
             Some(place) if !scan.missing.is_set() => self.find(scan, place, elapsed),
@@ -86,7 +89,7 @@ impl ObstacleDetector {
                 0
             }
         };
-        self.tracks.expire(self.pose);
+        self.tracks.expire(self.pose, &self.way);
         let health = self.evidence.health(if pose.speed_mps.is_finite() { pose.speed_mps } else { 0.0 });
         self.describe(scan.header.answer_both(&pose.header), overflow, health)
     }
@@ -113,6 +116,7 @@ impl ObstacleDetector {
         ObstaclesState {
             acquired_ns: self.acquired_ns,
             pose: self.pose,
+            along_m: self.way.along_m(),
             last_body: self.tracks.last_body,
             count: self.tracks.list.len().min(TRACKS) as u32,
             tracks,
@@ -132,6 +136,9 @@ impl ObstacleDetector {
         if !state.pose.iter().all(|value| value.abs() < 1e6) {
             return Err(Fault::NotFinite { field: "pose" });
         }
+        if !(state.along_m.abs() < 1e6 || state.along_m == f64::NEG_INFINITY) {
+            return Err(Fault::OutOfRange { field: "along_m", value: state.along_m });
+        }
         let sound = |state: &TrackState| Track::from_state(state).filter(|track| track.body <= MAX_BODY);
         if state.last_body > MAX_BODY || !state.tracks[..count].iter().all(|state| sound(state).is_some()) {
             return Err(Fault::NotFinite { field: "tracks" });
@@ -142,6 +149,7 @@ impl ObstacleDetector {
         self.evidence.resume(&state.evidence, &self.beams);
         self.acquired_ns = state.acquired_ns;
         self.pose = state.pose;
+        self.way.resume(state.along_m);
         self.tracks.last_body = state.last_body;
         self.tracks.list.clear();
         self.tracks.list.extend(state.tracks[..count].iter().filter_map(sound));
@@ -165,15 +173,18 @@ impl ObstacleDetector {
         if !self.evidence.receive(&self.beams, scan, place, &self.returns, elapsed) {
             return 0;
         }
-        self.outlines.find(&self.config, scan, place, &mut self.points, self.tracks.expected());
+        self.way.place(&self.points);
+        let way = &self.way;
+        self.outlines.find(&self.config, scan, (place, way), &mut self.points, self.tracks.expected());
         self.tracks.sight(&self.outlines, &mut self.evidence, place, elapsed);
         self.mark_fixed();
-        let fixed = &self.fixed;
+        let (fixed, way) = (&self.fixed, &self.way);
         let something_moves = self.tracks.list.iter().any(|track| track.moving && track.unseen_s == 0.0);
-        self.evidence.compare(&self.beams, scan, place, &self.returns, something_moves, |beam| fixed[beam]);
-        let overflow = self.tracks.start(&self.outlines, place);
-        self.tracks.forget(scan, &self.beams, &mut self.evidence, place, elapsed);
-        self.tracks.unite(place.at);
+        self.evidence
+            .compare(&self.beams, scan, (place, way), &self.returns, something_moves, |beam| fixed[beam]);
+        let overflow = self.tracks.start(&self.outlines, place, way);
+        self.tracks.forget(scan, &self.beams, &mut self.evidence, (place, way), elapsed);
+        self.tracks.unite(place.at, way);
         overflow
     }
 
@@ -181,9 +192,8 @@ impl ObstacleDetector {
     /// is known to stand that is too far away to be followed.
     fn mark_fixed(&mut self) {
         self.fixed.fill(!self.evidence.is_open() || self.config.walls);
-        let [low, high] = self.config.beside_y_m();
         for point in &self.points {
-            self.fixed[point.beam] = !(low..=high).contains(&point.at.y);
+            self.fixed[point.beam] = self.way.is_point_beside(point);
         }
         for (outline, members) in self.outlines.members() {
             let Some(track) = outline.track.map(|index| &self.tracks.list[index]) else { continue };
@@ -197,12 +207,12 @@ impl ObstacleDetector {
 
     /// The ellipses of all confirmed tracks, nearest ahead first.
     fn describe(&mut self, header: Header, overflow: u32, scanner: ScannerHealth) -> Obstacles {
-        let [x, y, yaw] = self.pose;
+        let [x, y, _] = self.pose;
         self.drawn.clear();
         let Tracks { list, directions, .. } = &mut self.tracks;
         for track in list.iter_mut().filter(|track| track.confirmed) {
             let rectangle = track.rectangle(directions);
-            if !track.moving && self.config.is_beside(rectangle.corners()) {
+            if !track.moving && self.way.is_box_beside(&rectangle) {
                 continue;
             }
             let growth = track.growth();
@@ -211,9 +221,11 @@ impl ObstacleDetector {
                 width: rectangle.width + 2.0 * growth,
                 ..rectangle
             };
-            let [low, high] = track.extent();
+            let [turn, _] = self.way.bend_at(grown.centre);
+            let [low, high] = track.extent(turn, grown.centre);
             let extent = [low.add_scalar(-growth), high.add_scalar(growth)];
-            let cover = cover(&self.config, &grown, &extent, track.pieces, directions);
+            let bend_at = |point| self.way.bend_at(point);
+            let cover = cover(&self.config, &grown, &extent, track.pieces, directions, bend_at);
             track.pieces = cover.list().len() as u32;
             let velocity = track.velocity();
             for (piece, ellipse) in (0..).zip(cover.list()) {
@@ -236,7 +248,7 @@ impl ObstacleDetector {
                     unseen_s: track.unseen_s,
                     sightings: u64::from(track.sightings),
                 };
-                let behind = to_robot(yaw, offset.x, offset.y).x < 0.0;
+                let behind = self.way.ahead(self.pose, ellipse.centre) < 0.0;
                 self.drawn.push(Drawn { behind, distance: offset.norm(), obstacle });
             }
         }

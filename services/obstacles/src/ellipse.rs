@@ -40,6 +40,8 @@ const TIGHT_YAW: f64 = 0.12;
 const ROOM: f64 = 1.05;
 /// The same for tight ellipses, at least and at most.
 const ROOMS: [f64; 2] = [1.015, 1.2];
+/// Longer bodies are cut where the course bends away from them by more than this [m].
+const BOW_M: f64 = 0.03;
 /// What a metre of the semi-axis along the track costs in metres of that across it.
 const LENGTH_COST: f64 = 0.05;
 /// Share of the interval that a step of the golden section keeps, and the number of steps.
@@ -73,35 +75,47 @@ impl Cover {
 
 /// Covers a body by ellipses.
 ///
-/// `extent` holds its lowest and highest coordinates, `before` the number of ellipses of the scan before (0
-/// when there was none): near a limit the number is kept.
+/// `extent` holds its lowest and highest coordinates along axes that are turned around its centre into the direction of
+/// the track there, `before` the number of ellipses of the scan before (0 when there was none): near a limit the number is
+/// kept. `bend_at` tells direction and curvature of the track at a point [rad, 1/m].
 pub(crate) fn cover(
     config: &ObstaclesConfig,
     rectangle: &Rectangle,
     extent: &[Vector2<f64>; 2],
     before: u32,
     directions: &Directions,
+    bend_at: impl Fn(Vector2<f64>) -> [f64; 2],
 ) -> Cover {
     let sizing = Sizing::of(config, directions);
-    let single = sizing.single(rectangle, extent);
+    let [turn, curvature] = bend_at(rectangle.centre);
+    let turned = Rectangle { yaw: rectangle.yaw - turn, ..*rectangle };
+    let mut single = sizing.single(&turned, extent);
+    if turn != 0.0 {
+        let offset = single.centre - rectangle.centre;
+        single.centre = rectangle.centre + to_track(turn, offset.x, offset.y);
+    }
     let mut ellipses = [single; MAX_PIECES];
-    let Some(count) = pieces(rectangle, &single, before) else { return Cover { ellipses, count: 1 } };
+    let bow = curvature.abs() * spans(&turned)[0].powi(2) / 8.0;
+    let Some(count) = pieces(&turned, &single, bow, before) else { return Cover { ellipses, count: 1 } };
     for (index, ellipse) in ellipses.iter_mut().enumerate().take(count) {
         let piece = piece(rectangle, index, count);
+        let piece = Rectangle { yaw: piece.yaw - bend_at(piece.centre)[0], ..piece };
         *ellipse = sizing.around(piece.centre, &piece, spans(&piece)[1]);
     }
     Cover { ellipses, count }
 }
 
 /// How many pieces a body is cut into; `None` where one ellipse covers it whole.
-fn pieces(rectangle: &Rectangle, single: &Ellipse, before: u32) -> Option<usize> {
+fn pieces(rectangle: &Rectangle, single: &Ellipse, bow: f64, before: u32) -> Option<usize> {
     let length = rectangle.length.max(rectangle.width);
     let wanted = length / PIECE_M.max(rectangle.length.min(rectangle.width));
     let [dx, dy] = spans(rectangle);
     let turned = dx * dy / (rectangle.length * rectangle.width);
     // Once cut, a body stays cut until it is clearly short and straight again, and the other way round.
     let bias = if before > 1 { 1.0 - KEEP } else { 1.0 };
-    let is_cut = (turned > TURNED * bias && length > MIN_CUT_M * bias) || single.a > MAX_SINGLE_M * bias;
+    let is_cut = (turned > TURNED * bias && length > MIN_CUT_M * bias)
+        || single.a > MAX_SINGLE_M * bias
+        || bow > BOW_M * bias;
     let before = (before as usize).clamp(1, MAX_PIECES);
     let count = (wanted - KEEP).ceil().clamp(1.0, MAX_PIECES as f64) as usize;
     let stays = count < before && wanted > before as f64 - 1.0 - 2.0 * KEEP;
@@ -242,7 +256,7 @@ mod tests {
         let [dx, dy] = spans(rectangle);
         let half = Vector2::new(dx, dy) / 2.0;
         let extent = [rectangle.centre - half, rectangle.centre + half];
-        cover(config, rectangle, &extent, 0, &Directions::new())
+        cover(config, rectangle, &extent, 0, &Directions::new(), |_| [0.0; 2])
     }
 
     /// Smallest distance of the robot's body to the rectangle while its centre moves around the ellipses,
@@ -280,6 +294,19 @@ mod tests {
     }
 
     #[test]
+    fn on_a_course_along_y_the_width_is_that_along_x() {
+        let body = body(0.1, 0.4, 0.0);
+        // Turned to the right by 90 deg, the body is 0.4 m long and 0.1 m wide.
+        let half = Vector2::new(0.2, 0.05);
+        let extent = [body.centre - half, body.centre + half];
+        let along_y = |_| [std::f64::consts::FRAC_PI_2, 0.0];
+        let cover = cover(&source(), &body, &extent, 0, &Directions::new(), along_y);
+        let [ellipse] = cover.list() else { panic!("{cover:?}") };
+        assert!((ellipse.b - 0.5).abs() < 1e-12 && ellipse.a == 1.2);
+        assert!((ellipse.centre - body.centre).norm() < 1e-12);
+    }
+
+    #[test]
     fn the_body_keeps_its_distance_to_long_and_turned_bodies() {
         for length in [0.05, 0.3, 0.5, 0.8, 1.2, 2.0, 3.5] {
             for width in [0.05, 0.2, 0.4, 0.8, 1.2] {
@@ -309,7 +336,7 @@ mod tests {
         let near = body(0.78, 0.2, 0.8);
         let [dx, dy] = spans(&near);
         let extent = [near.centre - Vector2::new(dx, dy) / 2.0, near.centre + Vector2::new(dx, dy) / 2.0];
-        let count = |before| cover(&source(), &near, &extent, before, &Directions::new()).count;
+        let count = |before| cover(&source(), &near, &extent, before, &Directions::new(), |_| [0.0; 2]).count;
         assert_eq!((count(0), count(1), count(2)), (1, 1, 2));
     }
 }

@@ -22,8 +22,10 @@ use vehicle::geometry::Rectangle;
 use vehicle::{Description, Surroundings};
 
 use crate::points::{Beams, Place, Point, range_of};
+use crate::way::Way;
 use calibration::{CalibrationState, Errors, index_beams};
 use returns::Returns;
+pub(crate) use sectors::REACH_M;
 use snapshot::{Snapshot, SnapshotState};
 use verdict::{Brought, Findings, VerdictState};
 
@@ -119,8 +121,6 @@ pub(crate) struct Evidence {
     proven: u64,
     shown: [u64; 2],
     shown_s: f64,
-    /// Walls that are in view when nothing is on the track [m].
-    wall_y: [f64; 2],
     rested_s: f64,
     careful_s: f64,
     waited_s: f64,
@@ -140,13 +140,12 @@ pub(crate) struct Evidence {
 }
 
 impl Evidence {
-    pub(crate) fn new(vehicle: Description, wall_y: Option<[f64; 2]>) -> Self {
+    pub(crate) fn new(vehicle: Description) -> Self {
         Self {
             vehicle,
             proven: 0,
             shown: [0; 2],
             shown_s: 0.0,
-            wall_y: wall_y.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]),
             previous: Snapshot::empty(),
             keyframe: Snapshot::empty(),
             returns: Returns::default(),
@@ -251,7 +250,7 @@ impl Evidence {
         &mut self,
         beams: &Beams,
         scan: &Scan,
-        place: &Place,
+        (place, way): (&Place, &Way),
         points: &[Point],
         something_moves: bool,
         is_fixed: impl Fn(usize) -> bool + Copy,
@@ -262,7 +261,8 @@ impl Evidence {
         }
         let waited = std::mem::take(&mut self.waited_s);
         let mut counts = [[0.0; 2]; SECTORS];
-        let shown = sectors::show(&mut counts, self.proven, beams, scan, place, self.wall_y);
+        let shown =
+            sectors::show(&mut counts, self.proven, scan, |beam| way.is_wall_near(beams, place, beam));
         self.note(shown, waited);
         if let Some(before) = self.keyframe.place() {
             let keyframe = &self.keyframe;

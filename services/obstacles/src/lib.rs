@@ -27,6 +27,7 @@ mod track;
 mod tracks;
 mod visibility;
 mod walls;
+mod way;
 
 pub use config::{CoverRule, ObstaclesConfig};
 pub use detector::ObstacleDetector;

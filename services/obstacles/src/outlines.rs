@@ -11,6 +11,7 @@ use crate::points::{Place, Point};
 use crate::segment::Segments;
 use crate::state::TRACKS;
 use crate::walls::Walls;
+use crate::way::Way;
 
 /// Returns nearer than this to where a body is expected belong to it [m]; at 1 m/s it moves 0.1 m between scans.
 const GATE_M: f64 = 0.2;
@@ -42,6 +43,8 @@ pub(crate) struct Outlines {
     segments: Segments,
     vertices: Vec<Vertex>,
     expected: Vec<Known>,
+    /// Of each whether it is beside the track.
+    beside: Vec<bool>,
     hull: Hull,
 }
 
@@ -53,6 +56,7 @@ impl Outlines {
             segments: Segments::with_capacity(),
             vertices: Vec::with_capacity(4 * BEAMS),
             expected: Vec::with_capacity(TRACKS + 1),
+            beside: Vec::with_capacity(TRACKS + 1),
             hull: Hull::with_capacity(),
         }
     }
@@ -62,14 +66,16 @@ impl Outlines {
         &mut self,
         config: &ObstaclesConfig,
         scan: &Scan,
-        place: &Place,
+        (place, way): (&Place, &Way),
         points: &mut Vec<Point>,
         known: impl Iterator<Item = Known>,
     ) {
         self.expected.clear();
         self.expected.extend(known);
-        self.outline(config, scan, place, points);
-        self.associate(config, place);
+        self.beside.clear();
+        self.beside.extend(self.expected.iter().map(|(expected, _)| way.is_box_beside(expected)));
+        self.outline(config, scan, (place, way), points);
+        self.associate(place, way);
     }
 
     /// The vertices of an outline.
@@ -86,10 +92,16 @@ impl Outlines {
     }
 
     /// Segments the scan into outlines of bodies.
-    fn outline(&mut self, config: &ObstaclesConfig, scan: &Scan, place: &Place, points: &mut Vec<Point>) {
+    fn outline(
+        &mut self,
+        config: &ObstaclesConfig,
+        scan: &Scan,
+        (place, way): (&Place, &Way),
+        points: &mut Vec<Point>,
+    ) {
         let walls = Walls::fit(config, place, points);
-        points.retain(|point| walls.leaves(point.at));
-        self.segments.find(scan, points, config.range_noise_m, config.beside_y_m());
+        points.retain(|point| walls.leaves(way.of(point)));
+        self.segments.find(scan, points, config.range_noise_m, |point| way.is_point_beside(point));
         self.segments.part(&self.expected);
         self.segments.part_at_hollows(config.range_noise_m);
         self.list.clear();
@@ -112,13 +124,13 @@ impl Outlines {
     }
 
     /// Gives each outline to the track whose expected box it is nearest to.
-    fn associate(&mut self, config: &ObstaclesConfig, place: &Place) {
+    fn associate(&mut self, place: &Place, way: &Way) {
         for outline in &mut self.list {
             let vertices = &self.vertices[outline.first..outline.end];
             let mut best = f64::INFINITY;
-            let beside = config.is_beside(vertices.iter().map(|vertex| vertex.at));
+            let beside = way.is_beside(vertices.iter().map(|vertex| vertex.at));
             for (index, (expected, moves)) in self.expected.iter().enumerate() {
-                if !moves && config.is_beside(expected.corners()) != beside {
+                if !moves && self.beside[index] != beside {
                     continue;
                 }
                 let (mut least, mut sum) = (f64::INFINITY, 0.0);

@@ -73,16 +73,22 @@ impl Segments {
         }
     }
 
-    /// Finds the clusters among `points`, which are in the order of beams. None reaches across the lines `beside_y`: a body
-    /// at rest ends there, however far what it touches extends.
-    pub(crate) fn find(&mut self, scan: &Scan, points: &[Point], range_noise: f64, beside_y: [f64; 2]) {
+    /// Finds the clusters among `points`, which are in the order of beams. None reaches across the lines that tell
+    /// what is beside the track: a body at rest ends there, however far what it touches extends.
+    pub(crate) fn find(
+        &mut self,
+        scan: &Scan,
+        points: &[Point],
+        range_noise: f64,
+        is_beside: impl Fn(&Point) -> bool,
+    ) {
         self.members.clear();
         self.clusters.clear();
         let (mut first, mut continues) = (0, false);
         for (index, point) in points.iter().enumerate() {
             if let Some(last) = self.members[first..].last().copied() {
                 let is_one = connected(&last, point, range_noise);
-                if !is_one || is_beside(&last, beside_y) != is_beside(point, beside_y) {
+                if !is_one || is_beside(&last) != is_beside(point) {
                     if is_speckle(points, index, &last, range_noise) {
                         continue;
                     }
@@ -134,11 +140,6 @@ pub(crate) fn may_start(members: &[Point], range_noise: f64) -> bool {
     let nearest = members.iter().map(|point| point.range).fold(f64::INFINITY, f64::min);
     let farthest = members.iter().map(|point| point.range).fold(0.0, f64::max);
     in_window >= 2 && (members.len() > 3 || farthest - nearest < 6.0 * range_noise)
-}
-
-/// Whether a return is beyond the lines within which bodies at rest are described.
-fn is_beside(point: &Point, [low, high]: [f64; 2]) -> bool {
-    !(low..=high).contains(&point.at.y)
 }
 
 /// Whether two returns can lie on one surface.
@@ -198,7 +199,7 @@ mod tests {
         let mut points = Vec::new();
         Beams::new().place(&scan, &Place::standing(Vector2::zeros(), 0.0), &mut points);
         let mut segments = Segments::with_capacity();
-        segments.find(&scan, &points, 0.01, [-2.0, 2.0]);
+        segments.find(&scan, &points, 0.01, |point| point.at.y.abs() > 2.0);
         segments.clusters.len()
     }
 
@@ -215,7 +216,7 @@ mod tests {
         Beams::new().place(&scan, &Place::standing(Vector2::zeros(), 0.0), &mut points);
         let mut segments = Segments::with_capacity();
         // 20 beams to the right of the front is 0.245 m across.
-        segments.find(&scan, &points, 0.01, [-0.24, 2.0]);
+        segments.find(&scan, &points, 0.01, |point| !(-0.24..=2.0).contains(&point.at.y));
         let ends: Vec<_> = segments.clusters.iter().map(|cluster| cluster.ends).collect();
         assert_eq!(ends, [[End::Silent, End::Hidden], [End::Hidden, End::Silent]]);
     }

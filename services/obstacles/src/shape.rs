@@ -10,7 +10,7 @@
 
 use nalgebra::Vector2;
 use std::f64::consts::{FRAC_PI_2, TAU};
-use vehicle::frame::heading;
+use vehicle::frame::{heading, to_robot};
 use vehicle::geometry::Rectangle;
 
 use crate::outline::Vertex;
@@ -137,6 +137,31 @@ impl Shape<'_> {
         let low = Vector2::new(reference.x - reach(2), reference.y - reach(3));
         let high = Vector2::new(reference.x + reach(0), reference.y + reach(1));
         [low, Vector2::new(high.x.max(low.x), high.y.max(low.y))]
+    }
+
+    /// The same along axes that are turned by `turn` around `about`.
+    pub(crate) fn turned_extent(
+        &self,
+        turn: f64,
+        about: Vector2<f64>,
+        reference: Vector2<f64>,
+    ) -> [Vector2<f64>; 2] {
+        let offset = reference - about;
+        let centre = about + to_robot(turn, offset.x, offset.y);
+        let reach = |quarter: u32| self.reach_towards(turn + f64::from(quarter) * FRAC_PI_2);
+        let low = centre - Vector2::new(reach(2), reach(3));
+        [low, (centre + Vector2::new(reach(0), reach(1))).sup(&low)]
+    }
+
+    /// Reach in a direction between those of the table: that of the corner between the two beside it [m].
+    fn reach_towards(&self, yaw: f64) -> f64 {
+        const PITCH: f64 = TAU / DIRECTIONS as f64;
+        let turns = (yaw / PITCH).rem_euclid(DIRECTIONS as f64);
+        let first = turns.floor();
+        let beyond = (turns - first) * PITCH;
+        let reach = |index: usize| f64::from(self.reach[index % DIRECTIONS]);
+        let (before, after) = (reach(first as usize), reach(first as usize + 1));
+        (before * (PITCH - beyond).sin() + after * beyond.sin()) / PITCH.sin()
     }
 }
 
@@ -344,6 +369,21 @@ mod tests {
             is_faced(&body, Vector2::new(0.0, 1.0), beside)
                 && !is_faced(&body, Vector2::new(0.0, -1.0), beside)
         );
+    }
+
+    #[test]
+    fn a_box_reaches_as_far_along_turned_axes_as_its_corners() {
+        let truth = Rectangle { centre: Vector2::new(5.0, 0.2), yaw: 0.0, length: 2.0, width: 0.3 };
+        let reach = reaches(&truth, Vector2::new(4.0, 0.5));
+        let shape = Shape { reach: &reach, orientation: 0 };
+        for turn in [0.0, 0.3, -1.0, FRAC_PI_2, 3.0, 7.0] {
+            let [low, high] = shape.turned_extent(turn, truth.centre, Vector2::new(4.0, 0.5));
+            let (sin, cos) = f64::sin_cos(turn);
+            let half = Vector2::new(cos.abs() + 0.15 * sin.abs(), sin.abs() + 0.15 * cos.abs());
+            // Corners between the directions are 1 / cos 3.75 deg too far at most: 2 mm of 1 m.
+            assert!((high - truth.centre - half).amax() < 2.5e-3, "{turn}: {high:?}");
+            assert!((truth.centre - low - half).amax() < 2.5e-3, "{turn}: {low:?}");
+        }
     }
 
     #[test]

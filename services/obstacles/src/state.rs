@@ -57,6 +57,8 @@ plain_state! {
         pub acquired_ns: u64,
         /// The last usable pose: x, y, yaw [m, rad]
         pub pose: [f64; 3],
+        /// Place of that pose along the course, 0 without a course and -infinity before the first pose [m]
+        pub along_m: f64,
         /// Identity of the body last found
         pub last_body: u32,
         /// How many of `tracks` are used

@@ -163,9 +163,12 @@ impl Track {
         }
     }
 
-    /// Lowest and highest coordinates of the body.
-    pub(crate) fn extent(&self) -> [Vector2<f64>; 2] {
-        self.shape().extent(self.place())
+    /// Lowest and highest coordinates of the body, along axes that are turned by `turn` around `about`.
+    pub(crate) fn extent(&self, turn: f64, about: Vector2<f64>) -> [Vector2<f64>; 2] {
+        if turn == 0.0 {
+            return self.shape().extent(self.place());
+        }
+        self.shape().turned_extent(turn, about, self.place())
     }
 
     /// Whether it is forgotten by its age: nothing has shown it for too long where it should be in view. `period` is the time

@@ -2,7 +2,6 @@
 
 use nalgebra::Vector2;
 use shared_types::Scan;
-use vehicle::frame::to_robot;
 use vehicle::geometry::Rectangle;
 
 use crate::ObstaclesConfig;
@@ -16,6 +15,7 @@ use crate::shape::Directions;
 use crate::state::TRACKS;
 use crate::track::{MAX_BODY, Track, View};
 use crate::visibility::{Sight, beams_towards, free_sides, sight};
+use crate::way::Way;
 
 /// Bodies nearer to each other than this are one [m].
 const TOUCHING_M: f64 = 0.04;
@@ -112,18 +112,17 @@ impl Tracks {
     }
 
     /// Starts a track for each outline in the window that belongs to none; returns how many did not fit.
-    pub(crate) fn start(&mut self, outlines: &Outlines, place: &Place) -> u32 {
+    pub(crate) fn start(&mut self, outlines: &Outlines, place: &Place, way: &Way) -> u32 {
         let mut overflow = 0;
         for outline in outlines.list.iter().filter(|outline| outline.track.is_none() && outline.may_start) {
             let vertices = outlines.vertices(outline);
             let nearest =
                 vertices.iter().map(|vertex| (vertex.at - place.at).norm()).fold(f64::INFINITY, f64::min);
             if self.list.len() >= TRACKS {
-                if self.config.is_beside(vertices.iter().map(|vertex| vertex.at)) {
+                if way.is_beside(vertices.iter().map(|vertex| vertex.at)) {
                     continue;
                 }
-                let Some(farthest) = least_needed(&self.list, &self.config, place, nearest, &self.directions)
-                else {
+                let Some(farthest) = least_needed(&self.list, way, place, nearest, &self.directions) else {
                     overflow += 1;
                     continue;
                 };
@@ -152,7 +151,7 @@ impl Tracks {
         scan: &Scan,
         beams: &Beams,
         evidence: &mut Evidence,
-        place: &Place,
+        (place, way): (&Place, &Way),
         elapsed: f64,
     ) {
         let is_reliable = evidence.is_reliable();
@@ -179,7 +178,7 @@ impl Tracks {
                     let is_wide = towards.clone().is_some_and(|towards| towards.count() >= WIDE_BEAMS);
                     track.rested_s += if rests && is_wide { counted } else { 0.0 };
                     if track.stands()
-                        && !self.config.is_beside(rectangle.corners())
+                        && !way.is_box_beside(&rectangle)
                         && track.silent_s > DOUBTFUL_S
                         && let Some(towards) = towards
                     {
@@ -211,7 +210,7 @@ impl Tracks {
     }
 
     /// Merges standing bodies that touch: parts of one body that were first seen apart, by the robot at `robot`.
-    pub(crate) fn unite(&mut self, robot: Vector2<f64>) {
+    pub(crate) fn unite(&mut self, robot: Vector2<f64>, way: &Way) {
         self.boxes.clear();
         self.boxes.extend(self.list.iter().map(|track| track.rectangle(&self.directions)));
         let mut older = 0;
@@ -222,9 +221,9 @@ impl Tracks {
                 let standing = !self.list[older].moving && !self.list[younger].moving;
                 let reach = (a.length.hypot(a.width) + b.length.hypot(b.width)) / 2.0 + TOUCHING_M;
                 let touch = standing
-                    && self.config.is_beside(a.corners()) == self.config.is_beside(b.corners())
                     && (a.centre - b.centre).norm_squared() < reach * reach
                     && a.distance_to_rectangle(b) < TOUCHING_M
+                    && way.is_box_beside(a) == way.is_box_beside(b)
                     && !self.hull.is_hollow_between(a, b, robot);
                 if touch {
                     let part = self.list.remove(younger);
@@ -240,16 +239,19 @@ impl Tracks {
     }
 
     /// Forgets bodies that are far behind, out of reach, moved out of sight, or never confirmed.
-    pub(crate) fn expire(&mut self, [x, y, yaw]: [f64; 3]) {
+    pub(crate) fn expire(&mut self, pose: [f64; 3], way: &Way) {
         let (config, directions) = (&self.config, &self.directions);
         self.list.retain(|track| {
             if !track.is_sound() {
                 return false;
             }
             let rectangle = track.rectangle(directions);
-            let at = Vector2::new(x, y);
-            let forward = |corner: Vector2<f64>| to_robot(yaw, corner.x - x, corner.y - y).x;
-            let front = rectangle.corners().map(forward).into_iter().fold(f64::NEG_INFINITY, f64::max);
+            let at = Vector2::new(pose[0], pose[1]);
+            let front = rectangle
+                .corners()
+                .map(|corner| way.ahead(pose, corner))
+                .into_iter()
+                .fold(f64::NEG_INFINITY, f64::max);
             let lost = rectangle.distance_to_point(at) > LOST_M || front < -config.keep_behind_m;
             let gone = track.moving && track.unseen_s > config.moving_memory_s;
             let speckle = !track.confirmed && track.unseen_s > SPECKLE_MEMORY_S;
@@ -268,7 +270,7 @@ fn around(rectangle: &Rectangle) -> Rectangle {
 /// seen now, when it is farther than `distance`.
 fn least_needed(
     tracks: &[Track],
-    config: &ObstaclesConfig,
+    way: &Way,
     place: &Place,
     distance: f64,
     directions: &Directions,
@@ -276,7 +278,7 @@ fn least_needed(
     let mut farthest = (distance, None);
     for (index, track) in tracks.iter().enumerate() {
         let rectangle = track.rectangle(directions);
-        let beside = !track.moving && config.is_beside(rectangle.corners());
+        let beside = !track.moving && way.is_box_beside(&rectangle);
         let distance = rectangle.distance_to_point(place.at) + if beside { LOST_M } else { 0.0 };
         if (beside || track.unseen_s > 0.0) && distance > farthest.0 {
             farthest = (distance, Some(index));

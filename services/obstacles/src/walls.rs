@@ -50,7 +50,7 @@ impl Walls {
         Self { sides: Some(sides), along, inside: config.wall_y_m, band: config.wall_band_m }
     }
 
-    /// Whether a point can belong to an obstacle: inside of the track and not on a wall.
+    /// Whether a point along and across the way can belong to an obstacle: inside of the track and not on a wall.
     pub(crate) fn leaves(&self, point: Vector2<f64>) -> bool {
         if point.x < self.along[0] || point.x > self.along[1] {
             return false;

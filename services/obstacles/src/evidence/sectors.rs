@@ -10,10 +10,9 @@ use shared_types::{BEAMS, PITCH_RAD, SECTOR_BEAMS, SECTORS, Scan, ScanGeometry};
 
 use crate::evidence::snapshot::{Viewpoint, is_surface};
 use crate::points::{Beams, Place, Point, range_of};
-use vehicle::frame::to_track;
 
 /// Returns predicted from farther away need not come [m].
-const REACH_M: f64 = 5.4;
+pub(crate) const REACH_M: f64 = 5.4;
 /// A return nearer than predicted by more than this hides what was predicted [m].
 const HIDING_M: f64 = 0.2;
 /// Every other return is compared, so each counts for two.
@@ -78,14 +77,12 @@ pub(crate) fn compare<'a>(
 }
 
 /// The sectors that show something in a scan, one bit each. Those of the others that are not `proven` are compared with the
-/// walls at `wall_y`.
+/// walls around: `is_wall_near` tells whether a beam ends at one.
 pub(crate) fn show(
     counts: &mut Counts,
     proven: u64,
-    beams: &Beams,
     scan: &Scan,
-    place: &Place,
-    wall_y: [f64; 2],
+    is_wall_near: impl Fn(usize) -> bool,
 ) -> u64 {
     let mut shown = 0;
     for (sector, [predicted, came]) in counts.iter_mut().enumerate() {
@@ -94,21 +91,12 @@ pub(crate) fn show(
         if returns >= PROOF {
             shown |= 1 << sector;
         }
-        if (proven | shown) >> sector & 1 == 0 && is_wall_near(beams, place, wall_y, first + SECTOR_BEAMS / 2)
-        {
+        if (proven | shown) >> sector & 1 == 0 && is_wall_near(first + SECTOR_BEAMS / 2) {
             *predicted += SECTOR_BEAMS as f64;
             *came += returns as f64;
         }
     }
     shown
-}
-
-/// Whether a beam ends at one of the walls at `wall_y` within the reach of the scanner.
-fn is_wall_near(beams: &Beams, place: &Place, [low, high]: [f64; 2], beam: usize) -> bool {
-    let unit = beams.unit(beam);
-    let across = to_track(place.yaw, unit.x, unit.y).y;
-    let distance = if across > 0.0 { high - place.at.y } else { place.at.y - low };
-    distance > 0.0 && distance < REACH_M * across.abs()
 }
 
 /// The sectors in which hardly anything of what was predicted came, one bit each, where `share` of all predicted returns
