@@ -21,9 +21,11 @@ const OF_THE_ROBOT: [&str; 3] = ["robot", "noise", "scanner"];
 const TABLES: [&str; 9] =
     ["estimator", "obstacles", "controller", "actuator", "robot", "noise", "scanner", "player", "ros2"];
 /// Keys of a role that have their value from elsewhere when a run starts, and from where.
-const DERIVED: [(&str, &str); 9] = [
+const DERIVED: [(&str, &str); 11] = [
     ("controller.goal", "the scenario sets it"),
     ("controller.track", "the scenario sets it"),
+    ("controller.course", "the scenario sets it"),
+    ("obstacles.course", "the scenario sets it"),
     ("obstacles.walls", "the scenario sets it"),
     ("obstacles.wall_y_m", "the scenario sets it"),
     ("obstacles.track_x_m", "the scenario sets it"),

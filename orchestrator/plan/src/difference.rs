@@ -20,9 +20,11 @@ pub enum Property {
 /// A property that scenario and `[vehicle]` do not agree on.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PropertyDifference {
+    /// The scenario's table that has it: `robot`, `track` or `course`.
+    pub table: &'static str,
     /// Its key in both tables.
     pub key: &'static str,
-    /// `robot.KEY`, or `track.surroundings`.
+    /// Its value in the scenario.
     pub truth: Property,
     /// `vehicle.KEY`.
     pub believed: Property,
@@ -47,8 +49,7 @@ impl PropertyDifference {
 
 impl fmt::Display for PropertyDifference {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { key, truth, believed, .. } = self;
-        let table = if matches!(truth, Property::Number(_)) { "robot" } else { "track" };
+        let Self { table, key, truth, believed, .. } = self;
         write!(formatter, "{table}.{key} = {truth}, vehicle.{key} = {believed}")?;
         match self.share() {
             share if share.is_finite() => write!(formatter, " ({:+.0} %)", 100.0 * share),
@@ -77,12 +78,14 @@ pub(crate) fn sorted(
     [truth, believed]: [Surroundings; 2],
 ) -> Vec<PropertyDifference> {
     let of_robot = found.into_iter().map(|(key, truth, believed)| PropertyDifference {
+        table: "robot",
         key,
         truth: Property::Number(truth),
         believed: Property::Number(believed),
         preset: None,
     });
     let of_track = (truth != believed).then_some(PropertyDifference {
+        table: "track",
         key: "surroundings",
         truth: Property::Surroundings(truth),
         believed: Property::Surroundings(believed),

@@ -136,10 +136,13 @@ impl Plan {
     /// Where the scenario differs from the description that the stages read; the largest share first.
     pub fn differences(&self) -> Vec<PropertyDifference> {
         let Self { scenario, system, .. } = self;
-        let surroundings = [scenario.track.surroundings, system.vehicle.surroundings];
+        let surroundings = [scenario.surroundings(), system.vehicle.surroundings];
         let mut found = difference::sorted(scenario.robot.differences(&system.vehicle), surroundings);
         for difference in &mut found {
             let is_of_preset = difference.key != "surroundings" && !self.given.contains(difference.key);
+            if difference.table == "track" && scenario.course.is_some() {
+                difference.table = "course";
+            }
             difference.preset = is_of_preset.then(|| scenario.robot.preset.name());
         }
         found

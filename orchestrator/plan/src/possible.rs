@@ -6,8 +6,8 @@
 //!
 //! The robot drives forwards only and does not turn round. Its turns are circles of the steady state, 4 % larger where it
 //! has to get into the turn first, and larger by the curvature that the controller leaves for corrections where it plans a path
-//! to the goal. That path begins a scan period after the start, and does not leave the track. Obstacles count for nothing
-//! here: the stages do not know them.
+//! to the goal. That path begins a scan period after the start, and does not leave the track. Along a course it is the bends
+//! that must not be sharper than a planned turn. Obstacles count for nothing here: the stages do not know them.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -15,7 +15,7 @@ use emulator::Scenario;
 use emulator::scenario::{Goal, Start};
 use nmpc::{ControllerConfig, speed_limit};
 use vehicle::correction::SENT_VELOCITY_MAX_MPS;
-use vehicle::{Control, Invalid};
+use vehicle::{Control, Course, Invalid};
 
 use crate::System;
 
@@ -65,7 +65,7 @@ pub(crate) fn require_velocity(system: &System) -> Result<(), Invalid> {
 /// # Errors
 /// [`Invalid`] with a key of the scenario, its value and what is possible.
 pub(crate) fn require_goal(scenario: &Scenario, controller: &ControllerConfig) -> Result<(), Invalid> {
-    let (start, goal) = (&scenario.start, &scenario.goal);
+    let (start, goal) = (&scenario.start_on_course(), &scenario.goal_on_course());
     let radius_m = turning_radius(controller);
     let distance_m = (goal.x_m - start.x_m).hypot(goal.y_m - start.y_m);
     let [low, high] = controller.y_range();
@@ -86,7 +86,10 @@ pub(crate) fn require_goal(scenario: &Scenario, controller: &ControllerConfig) -
         );
         return Err(Invalid::new("goal.x_m", goal.x_m, allowed));
     }
-    require_heading(start, controller, ENTRY_SHARE * radius_m)?;
+    require_heading(scenario, controller, ENTRY_SHARE * radius_m)?;
+    if let Some(course) = &scenario.course {
+        return require_bends(course, controller, radius_m);
+    }
     let turns = Turns::new(start, goal, controller, ENTRY_SHARE * radius_m);
     if turns.reach(goal.x_m, goal.y_m) {
         return Ok(());
@@ -110,7 +113,7 @@ pub(crate) fn require_goal(scenario: &Scenario, controller: &ControllerConfig) -
 
 /// What ends otherwise than the user may think.
 pub(crate) fn warnings(scenario: &Scenario, controller: &ControllerConfig) -> Vec<String> {
-    let (start, goal) = (&scenario.start, &scenario.goal);
+    let (start, goal) = (&scenario.start_on_course(), &scenario.goal_on_course());
     let limit_mps = speed_limit(controller);
     let speed_mps = controller.cruise_mps.min(limit_mps);
     let way_m = ((goal.x_m - start.x_m).hypot(goal.y_m - start.y_m) - goal.tolerance_m).max(0.0);
@@ -161,8 +164,24 @@ fn require_landing(goal: &Goal, controller: &ControllerConfig) -> Result<(), Inv
     Err(Invalid::new("goal.tolerance_m", goal.tolerance_m, allowed))
 }
 
-/// Passes when the robot can turn into the direction of the track before it leaves the track.
-fn require_heading(start: &Start, controller: &ControllerConfig, radius_m: f64) -> Result<(), Invalid> {
+/// Passes when no bend of the course is sharper than the turns that the controller plans.
+fn require_bends(course: &Course, controller: &ControllerConfig, radius_m: f64) -> Result<(), Invalid> {
+    let (sharpest, smallest_m) = (course.sharpest(), radius_m / controller.curvature_share());
+    if sharpest.radius_m >= smallest_m {
+        return Ok(());
+    }
+    let value = format!("a bend with a radius of {} m", floor(sharpest.radius_m));
+    let allowed = format!(
+        "at least {} m, the smallest planned turn at controller.cruise_mps = {}",
+        ceil(smallest_m),
+        controller.cruise_mps
+    );
+    Err(Invalid::new(&format!("course.waypoints[{}]", sharpest.waypoint), value, allowed))
+}
+
+/// Passes when the robot can turn into the direction of the track or the course before it leaves it.
+fn require_heading(scenario: &Scenario, controller: &ControllerConfig, radius_m: f64) -> Result<(), Invalid> {
+    let start = scenario.start_on_course();
     let [low, high] = controller.y_range();
     let to_side_m = if start.yaw_rad > 0.0 { high - start.y_m } else { start.y_m - low } + OUTSIDE_M;
     // A turn from an angle leads radius (1 - cos angle) to the side, and from beyond a right angle also back.
@@ -174,14 +193,20 @@ fn require_heading(start: &Start, controller: &ControllerConfig, radius_m: f64) 
     if start.yaw_rad.abs() <= largest {
         return Ok(());
     }
+    let Start { x_m, y_m, yaw_rad } = scenario.start;
+    let (value, track) = match scenario.course {
+        Some(_) => (
+            format!("{yaw_rad} ({:.3} from the direction of the course)", start.yaw_rad),
+            "way of the course",
+        ),
+        None => (yaw_rad.to_string(), "track"),
+    };
     let allowed = format!(
-        "at most {} to this side, as a turn of {} m radius from start.x_m = {} and start.y_m = {} leads off the track",
+        "at most {} to this side, as a turn of {} m radius from start.x_m = {x_m} and start.y_m = {y_m} leads off the {track}",
         floor(largest),
-        ceil(radius_m),
-        start.x_m,
-        start.y_m
+        ceil(radius_m)
     );
-    Err(Invalid::new("start.yaw_rad", start.yaw_rad, allowed))
+    Err(Invalid::new("start.yaw_rad", value, allowed))
 }
 
 /// The sharpest paths that the controller plans: a turn to one side, and back into the direction of the track before its bound.
@@ -405,6 +430,53 @@ mod tests {
         };
         assert_eq!(warned(10.0), Vec::<String>::new());
         assert_eq!(warned(9.0), ["timeout_s = 9 is over before the goal: 9.9 m at 1 m/s take 9.9 s"]);
+    }
+
+    /// A course straight to x = 5 m and from there round a corner of `radius_m`.
+    fn corner(radius_m: f64, more: &str) -> Scenario {
+        let text = format!(
+            "timeout_s = 10\n[course]\nwaypoints = [{{ yaw_rad = 0 }}, {{ x_m = 5, yaw_rad = 0 }}, \
+             {{ x_m = {}, y_m = {radius_m}, yaw_rad = 1.5707963267948966 }}]\n{more}",
+            5.0 + radius_m
+        );
+        Scenario::parse(&text, "corner").unwrap()
+    }
+
+    #[test]
+    fn a_bend_that_is_sharper_than_a_planned_turn_is_refused_with_its_waypoint() {
+        let controller = ControllerConfig::default();
+        let smallest_m = turning_radius(&controller) / controller.curvature_share();
+        assert!((smallest_m - 3.1 / 0.95).abs() < 0.01, "{smallest_m}");
+        assert_eq!(require_goal(&corner(smallest_m + 0.01, ""), &controller), Ok(()));
+        let message = require_goal(&corner(3.0, ""), &controller).unwrap_err().to_string();
+        let expected = format!(
+            "a bend with a radius of 3 m is not allowed: at least {} m, the smallest planned turn at \
+             controller.cruise_mps = 1",
+            ceil(smallest_m)
+        );
+        assert_eq!(message, format!("course.waypoints[1] = {expected}"));
+    }
+
+    #[test]
+    fn the_time_of_a_course_is_that_of_its_length_and_a_heading_counts_from_its_direction() {
+        // 5 m and a quarter of a circle with 4 m radius, 0.1 m before its end.
+        let expected = "timeout_s = 10 is over before the goal: 11.184 m at 1 m/s take 11.184 s";
+        assert_eq!(warnings(&corner(4.0, ""), &ControllerConfig::default()), [expected]);
+        // Half way round the corner, in its direction and by 1.4 rad to its left.
+        let controller = |scenario: &Scenario| ControllerConfig {
+            track: scenario.track_on_course(),
+            ..ControllerConfig::default()
+        };
+        for (yaw_rad, is_allowed) in [(0.785, true), (2.185, false), (-0.615, false)] {
+            let start = format!("[start]\nx_m = 7.8284\ny_m = 1.1716\nyaw_rad = {yaw_rad}");
+            let scenario = corner(4.0, &start);
+            let refused = require_goal(&scenario, &controller(&scenario)).err();
+            assert_eq!(refused.is_none(), is_allowed, "{yaw_rad}: {refused:?}");
+            assert!(
+                refused
+                    .is_none_or(|refused| refused.to_string().contains("from the direction of the course"))
+            );
+        }
     }
 
     #[test]

@@ -52,9 +52,9 @@ pub(crate) fn of(
     tuning: &Tuning,
 ) -> anyhow::Result<Table> {
     let own = match role {
-        Role::Robot => Value::try_from(scenario)?,
+        Role::Robot => Value::Table(scenario.to_table()),
         Role::Estimator => Value::try_from(tuning.estimator.complete()?)?,
-        Role::Obstacles => Value::try_from(tuning.obstacles)?,
+        Role::Obstacles => Value::try_from(&tuning.obstacles)?,
         Role::Controller => Value::try_from(&tuning.controller)?,
         Role::Actuator => Value::try_from(&tuning.actuator)?,
     };
@@ -101,6 +101,8 @@ mod tests {
     fn documented(keys: &[Key], around: &str, found: &mut BTreeSet<String>) {
         for key in keys {
             match key.keys.as_slice() {
+                // A list of tables is empty here.
+                _ if key.is_list_of_tables() => _ = found.insert(format!("{around}{}", key.name)),
                 [] => _ = found.insert(format!("{around}{}", key.name)),
                 inner => documented(inner, &format!("{around}{}.", key.name), found),
             }

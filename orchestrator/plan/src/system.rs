@@ -155,7 +155,7 @@ impl System {
         Tuning {
             vehicle: self.vehicle,
             estimator: self.estimator.clone(),
-            obstacles: self.obstacles,
+            obstacles: self.obstacles.clone(),
             // The true period, so that no key can contradict the rate.
             controller: nmpc::ControllerConfig { period_s: 1.0 / self.rate_hz, ..self.controller.clone() },
             actuator: self.actuator.clone(),

@@ -49,9 +49,10 @@ pub(crate) fn adopt_scenario(scenario: &Table, system: &mut Table) {
     let entry = system.entry(VEHICLE.to_owned()).or_insert_with(|| Value::Table(Table::new()));
     let Value::Table(vehicle) = entry else { return };
     for Key { name, .. } in Description::keys() {
-        let table = if name == SURROUNDINGS { "track" } else { "robot" };
+        let tables: &[&str] = if name == SURROUNDINGS { &["track", "course"] } else { &["robot"] };
         let is_no_limit = |value: &&Value| name == FRICTION && number(value) == Some(0.0);
-        let given = value(table, name).filter(|value| !vehicle.contains_key(name) && !is_no_limit(value));
+        let given = tables.iter().find_map(|table| value(table, name));
+        let given = given.filter(|value| !vehicle.contains_key(name) && !is_no_limit(value));
         if let Some(value) = given {
             vehicle.insert(name.to_owned(), value.clone());
         }
@@ -219,12 +220,15 @@ mod tests {
 
     #[test]
     fn surroundings_of_the_track_are_adopted_unless_the_description_has_them() {
-        let scenario = table("[track]\nsurroundings = \"open\"\nwalls = false");
-        for (system, expected) in [("", "open"), ("[vehicle]\nsurroundings = \"hall\"", "hall")] {
-            let mut system = table(system);
-            adopt_scenario(&scenario, &mut system);
-            let vehicle = system["vehicle"].as_table().unwrap();
-            assert_eq!((vehicle["surroundings"].as_str(), vehicle.len()), (Some(expected), 1));
+        for scenario in
+            ["[track]\nsurroundings = \"open\"\nwalls = false", "[course]\nsurroundings = \"open\""]
+        {
+            for (system, expected) in [("", "open"), ("[vehicle]\nsurroundings = \"hall\"", "hall")] {
+                let mut system = table(system);
+                adopt_scenario(&table(scenario), &mut system);
+                let vehicle = system["vehicle"].as_table().unwrap();
+                assert_eq!((vehicle["surroundings"].as_str(), vehicle.len()), (Some(expected), 1));
+            }
         }
     }
 

@@ -321,9 +321,11 @@ fn key_of(path: &str) -> String {
 
 /// The key of the scenario that a stage has a copy of.
 fn of_the_scenario(key: &str) -> Option<String> {
-    const COPIES: [(&str, &str); 5] = [
+    const COPIES: [(&str, &str); 7] = [
         ("controller.goal", "goal"),
         ("controller.track", "track"),
+        ("controller.course", "course"),
+        ("obstacles.course", "course"),
         ("obstacles.wall_y_m", "track.y_m"),
         ("obstacles.walls", "track.walls"),
         ("obstacles.track_x_m", "track.x_m"),
@@ -340,7 +342,8 @@ fn candidates(key: &str) -> Vec<String> {
         found.push(format!("vehicle.{rest}"));
     }
     if let Some(name) = found.last().and_then(|key| key.strip_prefix("vehicle.")).map(str::to_owned) {
-        found.push(if name == "surroundings" { format!("track.{name}") } else { format!("robot.{name}") });
+        let tables: &[&str] = if name == "surroundings" { &["track", "course"] } else { &["robot"] };
+        found.extend(tables.iter().map(|table| format!("{table}.{name}")));
     }
     found
 }

@@ -111,6 +111,7 @@ fn scene_of(scenario: &Scenario, report: &Report) -> picture::PictureScene {
     picture::PictureScene {
         title: format!("{}: {}", report.scenario, report.outcome),
         subtitle: report.reason.clone(),
+        course: scenario.course_outline(),
         track_x_m: scenario.track.x_m,
         track_y_m: scenario.track.y_m,
         walls: scenario.track.walls,

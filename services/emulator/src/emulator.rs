@@ -56,6 +56,10 @@ pub struct Emulator {
     odometer: Odometer,
     schedule: Schedule,
     way: Way,
+    /// Where the robot is along the course, so that the search for its next place begins there [m].
+    along_m: f64,
+    /// Lateral position of the start on the course [m].
+    start_across_m: f64,
 }
 
 impl Emulator {
@@ -68,6 +72,7 @@ impl Emulator {
         let period_ns = period_ns.max(STEP_NS);
         let (plant, reckoning) = (Plant::new(scenario), Reckoning::new(scenario));
         let history = History::new(node(0, &plant, &reckoning), history_ns(scenario, period_ns));
+        let Start { x_m: along_m, y_m: start_across_m, .. } = scenario.start_on_course();
         let mut scene = Scene::new(scenario);
         let body = scenario.start_body();
         scene.trigger(&body, 0.0);
@@ -83,6 +88,8 @@ impl Emulator {
             odometer: Odometer::new(scenario),
             schedule: Schedule::new(scenario, period_ns),
             way: Way::new(scenario),
+            along_m,
+            start_across_m,
             scenario: scenario.clone(),
         }
     }
@@ -295,11 +302,20 @@ impl Emulator {
         self.history.push(node(end_ns, &self.plant, &self.reckoning));
     }
 
+    /// Offset from the line through the start, or across the course from the start [m].
+    fn lateral_m(&mut self) -> f64 {
+        let state = self.plant.state();
+        let Some(course) = &self.scenario.course else { return state.y - self.scenario.start.y_m };
+        let on_course = course.on_course(state, self.along_m);
+        self.along_m = on_course.x;
+        on_course.y - self.start_across_m
+    }
+
     /// Updates clearance and contact after a step.
     fn check_contact(&mut self, moved: bool) {
-        let Start { y_m, .. } = self.scenario.start;
         let state = *self.plant.state();
-        self.state.max_abs_lateral_m = self.state.max_abs_lateral_m.max((state.y - y_m).abs());
+        let lateral_m = self.lateral_m();
+        self.state.max_abs_lateral_m = self.state.max_abs_lateral_m.max(lateral_m.abs());
         let (body, time_s) = (self.scenario.body(state.x, state.y, state.yaw), seconds(self.state.plant_ns));
         self.scene.trigger(&body, time_s);
         // Only a new minimum or a contact matters here.

@@ -13,6 +13,7 @@
 //! Then come the faults of the scanner. A beam without a return, for whatever reason, reports an error code drawn from the seed.
 
 mod faults;
+mod gallery;
 mod hall;
 
 use std::ops::RangeInclusive;
@@ -29,6 +30,7 @@ use crate::noise::{NoiseStream, Purpose};
 use crate::scenario::{Noise, Scenario, Values};
 use crate::scene::{PlacedObstacle, Scene};
 use faults::{Faults, Scale};
+use gallery::Gallery;
 use hall::Hall;
 
 /// A beam without a usable return, until it gets its error code.
@@ -76,6 +78,8 @@ pub struct Laser {
     noise: Noise,
     mount: Mount,
     hall: Option<Hall>,
+    /// In place of the hall where the robot follows a course.
+    gallery: Option<Gallery>,
     faults: Faults,
     beams: Vec<Beam>,
     ranges: Vec<f64>,
@@ -91,7 +95,8 @@ impl Laser {
             seed: scenario.seed,
             noise: scenario.noise,
             mount: Mount::new(&scenario.robot_values()),
-            hall: Hall::of(scenario),
+            hall: if scenario.course.is_none() { Hall::of(scenario) } else { None },
+            gallery: scenario.course.as_ref().and_then(Gallery::of),
             faults: Faults::new(scenario),
             beams: Vec::with_capacity(BEAMS),
             ranges: Vec::with_capacity(BEAMS),
@@ -139,6 +144,10 @@ impl Laser {
         } else if let Some(hall) = &self.hall {
             for (range, beam) in self.ranges.iter_mut().zip(&self.beams) {
                 *range = hall.range(beam.origin, beam.direction);
+            }
+        } else if let Some(gallery) = &self.gallery {
+            for (range, beam) in self.ranges.iter_mut().zip(&self.beams) {
+                *range = gallery.range(beam.origin, beam.direction);
             }
         }
         let half_sweep_s = sweep.duration_ns as f64 * 0.5e-9;

@@ -11,10 +11,11 @@ mod preset;
 mod robot;
 mod scanner;
 mod shipped;
+mod way;
 
 use nalgebra::Vector2;
 use vehicle::geometry::Rectangle;
-use vehicle::{Documented, Invalid, settings};
+use vehicle::{Course, Documented, Invalid, settings};
 
 pub use endless::Endless;
 pub use obstacle::{ScenarioObstacle, Shape};
@@ -44,6 +45,8 @@ settings! {
         pub stop_final_s: f64 = 5.0, 0.1..=1e6;
         /// Bounds of the track, and whether it has walls.
         pub track: Track = Track::default();
+        /// The way that the robot follows, where it is no line along x; not together with `[track]`.
+        pub course: Option<Course> = None;
         /// Pose of the robot at the start.
         pub start: Start = Start::default();
         /// Where to land.
@@ -98,7 +101,8 @@ impl Scenario {
     /// # Errors
     /// The first key that is not allowed.
     pub fn checked(table: toml::Table) -> Result<Self, Invalid> {
-        let scenario: Self = vehicle::read(table)?;
+        let given = way::Given::of(&table);
+        let scenario = given.complete(vehicle::read(table)?)?;
         scenario.validate()?;
         Ok(scenario)
     }
@@ -126,12 +130,18 @@ impl Scenario {
     /// The file that reads back as this scenario.
     pub fn to_toml(&self) -> String {
         // Numbers, texts and tables with text keys can always be written.
-        toml::to_string(self).unwrap_or_default()
+        let written =
+            if self.course.is_none() { toml::to_string(self) } else { toml::to_string(&self.to_table()) };
+        written.unwrap_or_default()
     }
 
     /// [`Self::to_toml`] as a table.
     pub fn to_table(&self) -> toml::Table {
-        toml::Table::try_from(self).unwrap_or_default()
+        let mut table = toml::Table::try_from(self).unwrap_or_default();
+        if self.course.is_some() {
+            table.remove("track");
+        }
+        table
     }
 
     /// Checks every number and that start, goal and obstacles fit together.
@@ -147,10 +157,14 @@ impl Scenario {
             return Err(Invalid::new("seed", self.seed, format!("0 to {}", i64::MAX)));
         }
         self.require_ranges()?;
-        for (table, x_m, y_m) in
-            [("start", self.start.x_m, self.start.y_m), ("goal", self.goal.x_m, self.goal.y_m)]
-        {
-            places::require_inside(&self.track, x_m, y_m).map_err(|error| error.within(table))?;
+        if let Some(course) = &self.course {
+            self.validate_course(course)?;
+        } else {
+            for (table, x_m, y_m) in
+                [("start", self.start.x_m, self.start.y_m), ("goal", self.goal.x_m, self.goal.y_m)]
+            {
+                places::require_inside(&self.track, x_m, y_m).map_err(|error| error.within(table))?;
+            }
         }
         if let Some(endless) = &self.endless {
             endless.validate().map_err(|error| error.within("endless"))?;
@@ -186,7 +200,7 @@ impl Scenario {
 
     /// Bound of the robot's centre across the track: `track.y_m`, or less where walls stand there [m].
     pub fn centre_y_m(&self) -> [f64; 2] {
-        let [low, high] = self.track.y_m;
+        let [low, high] = self.track_on_course().y_m;
         if !self.track.walls {
             return [low, high];
         }

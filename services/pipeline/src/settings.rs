@@ -43,16 +43,19 @@ impl Tuning {
         self.actuator.validate().map_err(|error| error.within("actuator"))
     }
 
-    /// The same with what the stages know of the scenario: the goal, the track, its walls, the body.
+    /// The same with what the stages know of the scenario: the course, and along and across it the goal, the track and its walls.
     ///
     /// Never the obstacles or the true parameters of the robot.
     #[must_use]
     pub fn for_scenario(mut self, scenario: &Scenario) -> Self {
-        self.controller.goal = scenario.goal;
-        self.controller.track = scenario.track;
-        self.obstacles.walls = scenario.track.walls;
-        self.obstacles.wall_y_m = scenario.track.y_m;
-        self.obstacles.track_x_m = scenario.track.x_m;
+        let track = scenario.track_on_course();
+        self.controller.course = scenario.course.clone().unwrap_or_default();
+        self.obstacles.course = self.controller.course.clone();
+        self.controller.goal = scenario.goal_on_course();
+        self.controller.track = track;
+        self.obstacles.walls = track.walls;
+        self.obstacles.wall_y_m = track.y_m;
+        self.obstacles.track_x_m = track.x_m;
         self
     }
 }
@@ -71,7 +74,7 @@ pub struct PipelineSettings {
 impl PipelineSettings {
     /// A scenario with the default settings of all stages, which know its surroundings, at ten scans a second.
     pub fn of(scenario: Scenario) -> Self {
-        let surroundings = scenario.track.surroundings;
+        let surroundings = scenario.surroundings();
         let tuning = Tuning::of(Description { surroundings, ..Description::default() });
         Self { scenario, tuning, period_ns: 100_000_000 }
     }

@@ -9,6 +9,7 @@ const LISTS: &str = "[[host]]\nname = \"lab\"\naddress = \"127.0.0.1:7000\"\ntra
     [[process.also_reads]]\ntopic = \"wind\"\n\
     [[topic]]\nname = \"wind\"\nlayout = \"wind.toml\"\nwriter = \"operator\"\n\
     [[topic.agree]]\nfield = \"x\"\n";
+const COURSE: &str = "[course]\nwaypoints = [{ x_m = 0 }, { x_m = 6 }, { x_m = 12 }]\n";
 const OBSTACLE: &str = "[[obstacle]]\nshape = \"box\"\nx_m = 6.0\ny_m = 0.0\nlength_m = 0.5\nwidth_m = 0.4\n";
 
 fn written(scenario: &str, system: &str, overrides: &[&str]) -> anyhow::Result<Written> {
@@ -240,12 +241,13 @@ fn the_printed_range_of_every_key_is_the_one_that_holds() {
                     ""
                 };
             let mut set = set;
-            let mut message = refused(OBSTACLE, lists, &[&set]);
+            let scenario = if name.starts_with("course.") { COURSE } else { OBSTACLE };
+            let mut message = refused(scenario, lists, &[&set]);
             // The type of a key without a default does not tell how many numbers it has.
             if let Some((_, length)) = message.split_once("an array of length ") {
                 let count = length.trim().parse().unwrap();
                 set = format!("{name}=[{}]", vec![format!("{value:?}"); count].join(", "));
-                message = refused(OBSTACLE, lists, &[&set]);
+                message = refused(scenario, lists, &[&set]);
             }
             let is_inside = (low..=high).contains(&value);
             let is_named = message.starts_with(&format!("--set {set}"));

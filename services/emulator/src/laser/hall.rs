@@ -13,11 +13,11 @@ use super::MAX_RANGE_M;
 use crate::scenario::{Scenario, Track};
 
 /// Distance of the walls from the bounds of the track [m].
-const WALL_M: f64 = 2.0;
+pub(super) const WALL_M: f64 = 2.0;
 /// Side of a pillar [m].
-const PILLAR_M: f64 = 0.3;
+pub(super) const PILLAR_M: f64 = 0.3;
 /// Distance from pillar to pillar; one is at x = 0 [m].
-const SPACING_M: f64 = 2.5;
+pub(super) const SPACING_M: f64 = 2.5;
 
 /// A hall: a closed box, x along the side walls.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -91,6 +91,20 @@ fn a_hall_is_seen_behind_obstacles_and_with_noise_as_they_are() {
 }
 
 #[test]
+fn beside_a_course_its_hall_is_seen() {
+    let course = "waypoints = [{ x_m = 0, y_m = 0 }, { x_m = 20, y_m = 0 }]\nwidth_m = 2.0\nsurroundings";
+    let ranges = |surroundings: &str| {
+        let text = format!("[course]\n{course} = {surroundings:?}\n[noise]\nrange_m = 0.0");
+        readings(&Scenario::parse(&text, "test").unwrap(), &standing())
+    };
+    let hall = ranges("hall");
+    // The pillar at the begin to both sides; 192 pitches are 67.5 deg: 3 / sin = 3.247.
+    assert_eq!((hall[FRONT_BEAM - 256], hall[FRONT_BEAM + 256]), (2700, 2700));
+    assert_eq!((hall[FRONT_BEAM - 192], hall[FRONT_BEAM + 192]), (3247, 3247));
+    assert!(ranges("open").iter().all(|reading| *reading < MIN_RANGE_MM));
+}
+
+#[test]
 fn a_moving_robot_sees_a_skewed_scan() {
     // 1 m/s along x: the beam at +60 deg (171 of 682 sweep positions later) starts 16.7 mm further ahead.
     let mut history = History::new(node(0, State::default()), 1_000_000_000);

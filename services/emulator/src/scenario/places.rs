@@ -5,11 +5,12 @@ use std::f64::consts::PI;
 use vehicle::{Invalid, Track, settings};
 
 settings! {
-    /// Pose at the start.
+    /// Pose at the start. With `[course]` and without the keys it is that of the first waypoint, or the nearest direction of the
+    /// course.
     #[derive(Copy)]
     pub struct Start {
         /// Position along the track [m].
-        pub x_m: f64 = 0.0, "within `track.x_m`";
+        pub x_m: f64 = 0.0, "within `track.x_m`, or on the way of `[course]`";
         /// Lateral position [m].
         pub y_m: f64 = 0.0, "within `track.y_m`; with walls the whole body is between them";
         /// Yaw [rad].

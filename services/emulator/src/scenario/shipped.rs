@@ -20,4 +20,10 @@ pub(super) const SHIPPED: &[(&str, &str)] = shipped![
     "crossing",
     "long",
     "endless",
+    "s-curve",
+    "right-angle",
+    "slalom-arc",
+    "figure-of-eight",
+    "overtaking",
+    "intersection",
 ];

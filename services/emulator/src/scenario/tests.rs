@@ -210,3 +210,124 @@ proptest! {
         prop_assert_eq!(Scenario::parse(&scenario.to_toml(), "written").unwrap(), scenario);
     }
 }
+
+/// An S of two bends, 3 m wide.
+const S_CURVE: &str = "[[course.waypoints]]\nx_m = 0\ny_m = 0\nyaw_rad = 0\n\
+                       [[course.waypoints]]\nx_m = 8\ny_m = 3\nyaw_rad = 0.5\n\
+                       [[course.waypoints]]\nx_m = 16\ny_m = 6\nyaw_rad = 0\n";
+
+#[test]
+fn a_scenario_with_a_course_begins_at_its_first_waypoint_and_ends_at_its_last() {
+    let scenario = Scenario::parse(
+        &S_CURVE.replace("x_m = 0\ny_m = 0\nyaw_rad = 0", "x_m = 0\ny_m = -1\nyaw_rad = 0.25"),
+        "my.toml",
+    );
+    let Scenario { start, goal, course, .. } = scenario.unwrap();
+    assert_eq!([start.x_m, start.y_m, start.yaw_rad], [0.0, -1.0, 0.25]);
+    assert_eq!([goal.x_m, goal.y_m], [16.0, 6.0]);
+    let course = course.unwrap();
+    assert!((course.at(course.length_m()).point - Vector2::new(16.0, 6.0)).norm() < 1e-9);
+}
+
+#[test]
+fn keys_of_start_and_goal_win_over_the_course_and_a_missing_yaw_is_its_direction_there() {
+    let text = format!("{S_CURVE}[start]\nx_m = 8\ny_m = 3\n[goal]\nx_m = 15\ny_m = 5.5\n");
+    let scenario = Scenario::parse(&text, "my.toml").unwrap();
+    assert_eq!([scenario.goal.x_m, scenario.goal.y_m], [15.0, 5.5]);
+    assert!((scenario.start.yaw_rad - 0.5).abs() < 1e-9, "{:?}", scenario.start);
+    let Start { x_m: along_m, y_m: across_m, yaw_rad } = scenario.start_on_course();
+    assert!(along_m > 8.5 && across_m.abs() < 1e-9 && yaw_rad.abs() < 1e-9, "{along_m} {across_m} {yaw_rad}");
+    let own = Scenario::parse(&text.replace("y_m = 3\n[goal]", "y_m = 3\nyaw_rad = 0.1\n[goal]"), "my.toml")
+        .unwrap();
+    assert_eq!(own.start.yaw_rad, 0.1);
+    assert!((own.start_on_course().yaw_rad + 0.4).abs() < 1e-9);
+}
+
+#[test]
+fn positions_on_the_course_are_along_and_across_it_and_without_one_those_in_the_plane() {
+    let plain = Scenario::default();
+    assert_eq!((plain.on_course(3.0, -0.5), plain.start_on_course()), ([3.0, -0.5], plain.start));
+    assert_eq!((plain.goal_on_course(), plain.track_on_course()), (plain.goal, plain.track));
+    // A quarter of a circle with 10 m radius, which turns left from the x axis.
+    let text = "[course]\nwidth_m = 4\nsurroundings = \"open\"\n\
+                waypoints = [{ x_m = 0, y_m = 0, yaw_rad = 0 }, { x_m = 10, y_m = 10, yaw_rad = 1.5707963267948966 }]";
+    let scenario = Scenario::parse(text, "my.toml").unwrap();
+    let quarter_m = 5.0 * std::f64::consts::PI;
+    let [along_m, across_m] = scenario.on_course(10.0, 9.0);
+    assert!((along_m - quarter_m + 1.0).abs() < 0.1 && across_m.abs() < 0.1, "{along_m} {across_m}");
+    let [along_m, across_m] = scenario.on_course(0.0, 1.0);
+    assert!(along_m.abs() < 1e-9 && (across_m - 1.0).abs() < 1e-9);
+    let track = scenario.track_on_course();
+    assert!((track.x_m[1] - quarter_m - 2.0).abs() < 1e-9 && track.x_m[0] == -2.0);
+    assert_eq!((track.y_m, track.walls, track.surroundings), ([-2.0, 2.0], false, Surroundings::Open));
+    assert_eq!((scenario.surroundings(), scenario.centre_y_m()), (Surroundings::Open, [-2.0, 2.0]));
+}
+
+#[test]
+fn a_goal_where_a_closed_course_begins_is_its_end() {
+    let text = "[course]\nwaypoints = [{ x_m = 0, y_m = 0, yaw_rad = 0 }, { x_m = 10, y_m = 10 }, { x_m = 0, y_m = 20 }, \
+                { x_m = -10, y_m = 10 }, { x_m = 0, y_m = 0, yaw_rad = 0 }]";
+    let scenario = Scenario::parse(text, "my.toml").unwrap();
+    assert!(scenario.start_on_course().x_m.abs() < 1e-9);
+    assert!((scenario.goal_on_course().x_m - 20.0 * std::f64::consts::PI).abs() < 0.1);
+}
+
+#[test]
+fn a_course_that_cannot_be_followed_is_refused_with_what_is_allowed() {
+    let with = |keys: &str| message(&format!("{S_CURVE}{keys}"));
+    let cases = [
+        (
+            with("[track]\nwalls = false"),
+            "track = (a table) is not allowed: either [track] or [course], not both",
+        ),
+        (
+            with("[endless]"),
+            "endless = (a table) is not allowed: not with [course]: it places obstacles along the line through the start",
+        ),
+        (
+            message("[course]"),
+            "course.waypoints = [] is not allowed: at least two; without [course] the robot follows the line along x",
+        ),
+        (
+            message("[course]\nwaypoints = [{ x_m = 1 }]"),
+            "course.number of waypoints = 1 is not allowed: 2 to 5000",
+        ),
+        (with("[goal]\nx_m = 9"), "goal.y_m = (missing) is not allowed: a number [m], as goal.x_m is given"),
+        (
+            with("[start]\ny_m = 0"),
+            "start.x_m = (missing) is not allowed: a number [m], as start.y_m is given",
+        ),
+        (
+            with("[start]\nx_m = 0\ny_m = 1.6"),
+            "start.x_m = 0 (y_m = 1.6) is not allowed: at most 1.5 m beside the course, half of course.width_m, and 2 m \
+             beyond its 17.30 m; it is 1.60 m to the left of it at 0.00 m",
+        ),
+        (
+            with("[goal]\nx_m = 18.5\ny_m = 6"),
+            "goal.x_m = 18.5 (y_m = 6) is not allowed: at most 1.5 m beside the course, half of course.width_m, and 2 m \
+             beyond its 17.30 m; it is 0.00 m to the left of it at 19.80 m",
+        ),
+        (
+            with("[start]\nx_m = 8\ny_m = 3\n[goal]\nx_m = 0\ny_m = 0"),
+            "goal.x_m = 0 (y_m = 0) is not allowed: a place ahead of the start, which is at 8.65 m along the course; this is \
+             at 0.00 m",
+        ),
+        (
+            message("[course]\nwaypoints = [{ x_m = -9999 }, { x_m = 9999 }]"),
+            "course.waypoints = a course of 19998.0 m is not allowed: at most 9990 m",
+        ),
+    ];
+    for (refused, expected) in cases {
+        assert_eq!(refused, format!("my.toml: {expected}"));
+    }
+}
+
+#[test]
+fn a_scenario_with_a_course_reads_back_identically_and_has_no_track_in_its_file() {
+    let scenario = Scenario::parse(&format!("{S_CURVE}{BOX}"), "my.toml").unwrap();
+    let written = scenario.to_toml();
+    assert!(!written.contains("track") && written.contains("[[course.waypoints]]"), "{written}");
+    assert_eq!(Scenario::parse(&written, "written").unwrap(), scenario, "{written}");
+    let changed = scenario.with(&toml::from_str("[goal]\ntolerance_m = 0.2").unwrap()).unwrap();
+    assert_eq!((changed.goal.tolerance_m, changed.goal.x_m), (0.2, scenario.goal.x_m));
+}
