@@ -18,6 +18,7 @@ use plotters::coord::types::RangedCoordf64;
 use plotters::drawing::DrawingAreaErrorKind;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
+use vehicle::course::CourseOutline;
 
 /// Width of the picture [pixels].
 const WIDTH: u32 = 1200;
@@ -83,6 +84,8 @@ pub struct PictureScene {
     pub track_x_m: [f64; 2],
     /// Bounds across the track, (7.46) [m].
     pub track_y_m: [f64; 2],
+    /// The course, whose way is drawn instead of the bounds above.
+    pub course: Option<CourseOutline>,
     /// Whether walls stand at the lateral bounds.
     pub walls: bool,
     /// Real obstacles.
@@ -211,6 +214,9 @@ fn font(pixels: u32) -> (&'static str, i32) {
 
 #[cfg(test)]
 mod tests {
+    use vehicle::Course;
+    use vehicle::course::{CourseKeys, Waypoint};
+
     use super::*;
 
     fn scene() -> PictureScene {
@@ -219,6 +225,7 @@ mod tests {
             subtitle: "12.7 s, smallest clearance 0.35 m".to_owned(),
             track_x_m: [0.0, 22.0],
             track_y_m: [-1.5, 1.5],
+            course: None,
             walls: true,
             obstacles: vec![ObstacleOutline {
                 points: vec![[4.95, -0.2], [5.05, -0.2], [5.05, 0.2], [4.95, 0.2]],
@@ -297,6 +304,26 @@ mod tests {
             // One at the obstacle and one at the robot.
             assert_eq!(moving.matches(&format!("\n{label}\n")).count(), 2, "{label}");
             assert!(!standing.contains(&format!("\n{label}\n")));
+        }
+    }
+
+    #[test]
+    fn a_course_is_drawn_whole_in_one_strip_in_place_of_the_bounds_of_the_track() {
+        // From x = 30 m back to 0, further than a drive that is folded.
+        let waypoints = [[0.0, 0.0], [30.0, 0.0], [30.0, 8.0], [0.0, 8.0]];
+        let waypoints = waypoints.map(|[x_m, y_m]| Waypoint { x_m, y_m, yaw_rad: None }).to_vec();
+        let course = Course::try_from(CourseKeys { waypoints, ..CourseKeys::default() }).unwrap();
+        let outline = course.outline([-2.0, course.length_m() + 2.0]);
+        let straight = PictureScene { walls: false, ..scene() };
+        let scene = PictureScene { course: Some(outline.clone()), ..straight.clone() };
+        let svg = draw(&scene, &drive(12.5)).unwrap();
+        assert!(svg.contains("course, and bounds of its way") && !svg.contains("bound of the track"));
+        assert!(!draw(&straight, &drive(12.5)).unwrap().contains("course"));
+        let layout = map::Layout::of(&scene, &drive(12.5));
+        let (across, down) = layout.pixels_per_metre();
+        assert!((across / down - 1.0).abs() < 0.01, "{across} and {down}");
+        for [x_m, y_m] in outline.corners() {
+            assert!(layout.shows(x_m, y_m), "{x_m}, {y_m}");
         }
     }
 

@@ -2,6 +2,7 @@
 
 use serde_json::{Value, json};
 use toml::Table;
+use vehicle::{Course, State};
 
 /// The course as JSON from the text of the controller's settings; `null` where they have none of it.
 pub(crate) fn course(settings: &str) -> Value {
@@ -12,7 +13,8 @@ fn of_settings(file: &Table) -> Value {
     let Some(controller) = file.get("controller").and_then(toml::Value::as_table) else { return Value::Null };
     let part = |name: &str| json!(controller.get(name));
     let (track, goal, vehicle) = (part("track"), part("goal"), part("vehicle"));
-    json!({
+    let way = controller.get("course").and_then(|way| way.clone().try_into::<Course>().ok());
+    let mut course = json!({
         "track": { "x_m": track["x_m"], "y_m": track["y_m"], "walls": track["walls"] },
         "goal": { "x_m": goal["x_m"], "y_m": goal["y_m"], "tolerance_m": goal["tolerance_m"] },
         "body": { "length_m": vehicle["length_m"], "width_m": vehicle["width_m"] },
@@ -23,7 +25,26 @@ fn of_settings(file: &Table) -> Value {
             "velocity_max_mps": vehicle["bounds"]["velocity_max_mps"],
             "steering_max_rad": vehicle["bounds"]["steering_max_rad"],
         },
-    })
+    });
+    if let Some(way) = way.filter(|way| !way.is_line()) {
+        place(&way, &mut course);
+    }
+    course
+}
+
+/// Puts track and goal, which are along and across a course, into the plane: the way as lines, `way`, in place of the bounds.
+/// Points of the lines are at equal distances along the course, from the first to the second of `along_m`.
+fn place(way: &Course, course: &mut Value) {
+    let number = |value: &Value| value.as_f64().unwrap_or_default();
+    let along_m = [0, 1].map(|end| number(&course["track"]["x_m"][end]));
+    let [x, y] = ["x_m", "y_m"].map(|key| number(&course["goal"][key]));
+    let goal = way.in_plane(&State { x, y, ..State::default() });
+    let outline = way.outline(along_m);
+    (course["goal"]["x_m"], course["goal"]["y_m"]) = (json!(goal.x), json!(goal.y));
+    (course["track"]["x_m"], course["track"]["y_m"]) = (Value::Null, Value::Null);
+    course["way"] = json!({
+        "centre": outline.centre, "left": outline.left, "right": outline.right, "along_m": along_m, "goal_along_m": x,
+    });
 }
 
 #[cfg(test)]
@@ -39,6 +60,24 @@ mod tests {
         assert_eq!((&course["goal"]["y_m"], &course["track"]["walls"]), (&json!(0.5), &json!(true)));
         assert_eq!(course["bounds"]["steering_max_rad"], json!(0.06));
         assert_eq!(course["bounds"]["velocity_max_mps"], Value::Null);
-        assert_eq!(of_settings(&Table::new()), Value::Null);
+        assert_eq!((&course["way"], of_settings(&Table::new())), (&Value::Null, Value::Null));
+        assert!(!course.as_object().unwrap().contains_key("way"), "only with a course");
+    }
+
+    #[test]
+    fn a_course_is_drawn_in_the_plane_with_its_goal() {
+        let text = "[controller]\ngoal = { x_m = 9.0, y_m = 0.5, tolerance_m = 0.1 }\n\
+            track = { x_m = [-2.0, 12.0], y_m = [-1.5, 1.5], walls = false }\n\
+            course = { waypoints = [{ x_m = 5.0, y_m = 0.0 }, { x_m = 5.0, y_m = 10.0 }] }\n";
+        let course = of_settings(&text.parse().unwrap());
+        let close = |value: &Value, expected: f64| (value.as_f64().unwrap() - expected).abs() < 1e-9;
+        assert!(
+            close(&course["goal"]["x_m"], 4.5) && close(&course["goal"]["y_m"], 9.0),
+            "{}",
+            course["goal"]
+        );
+        let left = &course["way"]["left"];
+        assert!(close(&left[0][0], 3.5) && close(&left[0][1], -2.0), "{left}");
+        assert_eq!((&course["track"]["x_m"], &course["way"]["goal_along_m"]), (&Value::Null, &json!(9.0)));
     }
 }

@@ -28,7 +28,11 @@ pub(super) fn draw(
     text(area, &scene.title, 19, LEFT, 20)?;
     let part = if layout.is_cut() { " (only the last part of the drive is shown)" } else { "" };
     text(area, &format!("{}{part}", scene.subtitle), 13, LEFT, 44)?;
-    let bound = if scene.walls { ("wall", OBSTACLE) } else { ("bound of the track", BOUND) };
+    let bound = match &scene.course {
+        Some(_) => ("course, and bounds of its way", BOUND, Sample::Dashes),
+        None if scene.walls => ("wall", OBSTACLE, Sample::Thick),
+        None => ("bound of the track", BOUND, Sample::Dashes),
+    };
     let samples = [
         ("true path", TRUE_PATH, Sample::Line),
         ("estimated path", ESTIMATED_PATH, Sample::Dashes),
@@ -37,7 +41,7 @@ pub(super) fn draw(
         ("ellipse the centre keeps out of", ELLIPSE, Sample::Tinted),
         ("goal and tolerance", GOAL, Sample::Goal),
         ("start", TRUE_PATH, Sample::Dot),
-        (bound.0, bound.1, if scene.walls { Sample::Thick } else { Sample::Dashes }),
+        bound,
     ];
     let mut left = LEFT;
     for (name, colour, sample) in samples.into_iter().skip(usize::from(judged_by == JudgedBy::Estimate)) {

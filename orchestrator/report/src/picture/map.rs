@@ -5,6 +5,7 @@ mod movers;
 use emulator::JudgedBy;
 use plotters::element::DashedPathElement;
 use plotters::prelude::*;
+use vehicle::course::{CourseOutline, ellipse_point};
 use vehicle::frame::to_track;
 
 use super::clip::{self, View};
@@ -60,7 +61,8 @@ impl Layout {
     pub(super) fn of(scene: &PictureScene, drive: &PictureDrive) -> Self {
         let whole = viewed(scene, drive);
         let length = whole.x[1] - whole.x[0];
-        let foldable = whole.y[1] - whole.y[0] < FOLD_M / 2.0;
+        // A course may come back to any x.
+        let foldable = scene.course.is_none() && whole.y[1] - whole.y[0] < FOLD_M / 2.0;
         let count = if foldable { ((length / FOLD_M).ceil() as usize).clamp(1, MAX_STRIPS) } else { 1 };
         let longest = if foldable { MAX_STRIP_M } else { f64::INFINITY };
         let strip_length = (length / count as f64).min(longest);
@@ -107,6 +109,13 @@ impl Layout {
         (f64::from(ACROSS) / (x[1] - x[0]), f64::from(self.down) / (y[1] - y[0]))
     }
 
+    /// Whether a point is in the first strip, and there is no other one.
+    #[cfg(test)]
+    pub(super) fn shows(&self, x_m: f64, y_m: f64) -> bool {
+        let View { x: [left, right], y: [low, high] } = self.strips[0];
+        self.strips.len() == 1 && (left..=right).contains(&x_m) && (low..=high).contains(&y_m)
+    }
+
     /// Draws all strips.
     pub(super) fn draw(&self, area: &Area<'_>, scene: &PictureScene, drive: &PictureDrive) -> Result<()> {
         let bodies = bodies(&drive.moments, MAX_BODIES * self.strips.len());
@@ -125,7 +134,8 @@ impl Layout {
 /// The part of the track that is shown: the drive, start and goal, and the bounds near them.
 fn viewed(scene: &PictureScene, drive: &PictureDrive) -> View {
     let path = drive.moments.iter().map(|moment| [moment.x_m, moment.y_m]);
-    let points = path.chain(drive.estimates.iter().copied()).chain([scene.start_m, scene.goal_m]);
+    let way = scene.course.iter().flat_map(CourseOutline::corners);
+    let points = path.chain(drive.estimates.iter().copied()).chain([scene.start_m, scene.goal_m]).chain(way);
     let mut view = View { x: [f64::INFINITY, f64::NEG_INFINITY], y: [f64::INFINITY, f64::NEG_INFINITY] };
     for [x, y] in points.filter(|point| point.iter().all(|value| value.abs() < FARTHEST_M)) {
         view.x = [view.x[0].min(x - AROUND_M), view.x[1].max(x + AROUND_M)];
@@ -134,7 +144,7 @@ fn viewed(scene: &PictureScene, drive: &PictureDrive) -> View {
     if view.x[0] > view.x[1] {
         return View { x: [0.0, 10.0], y: [-2.0, 2.0] };
     }
-    for bound in scene.track_y_m {
+    for bound in scene.track_y_m.into_iter().filter(|_| scene.course.is_none()) {
         if bound >= view.y[0] - NEAR_M && bound <= view.y[1] + NEAR_M {
             view.y = [view.y[0].min(bound - AROUND_M / 3.0), view.y[1].max(bound + AROUND_M / 3.0)];
         }
@@ -201,6 +211,9 @@ impl Strip<'_> {
     }
 
     fn draw_ground(&self, chart: &mut Axes<'_, '_>) -> Result<()> {
+        if let Some(course) = &self.scene.course {
+            return self.fill(chart, &course.corners(), TRACK.filled());
+        }
         let PictureScene { track_x_m: [left, right], track_y_m: [low, high], .. } = *self.scene;
         self.fill(chart, &[[left, low], [right, low], [right, high], [left, high]], TRACK.filled())
     }
@@ -208,6 +221,10 @@ impl Strip<'_> {
     fn draw_bounds(&self, chart: &mut Axes<'_, '_>) -> Result<()> {
         let PictureScene { track_x_m: [left, right], track_y_m: [low, high], walls, .. } = *self.scene;
         let bound = BOUND.stroke_width(fine(1) as u32 * 3 / 2);
+        if let Some(course) = &self.scene.course {
+            self.line(chart, &course.centre, BOUND.stroke_width(fine(1) as u32), true)?;
+            return self.outline(chart, &course.corners(), bound);
+        }
         let lateral = if walls { OBSTACLE.stroke_width(fine(4) as u32) } else { bound };
         for y in [low, high] {
             self.line(chart, &[[left, y], [right, y]], lateral, !walls)?;
@@ -221,7 +238,9 @@ impl Strip<'_> {
     /// Obstacles, ellipses and the goal.
     fn draw_things(&self, chart: &mut Axes<'_, '_>) -> Result<()> {
         for ellipse in &self.drive.ellipses {
-            let corners = corners(ellipse);
+            let at = [ellipse.x_m, ellipse.y_m];
+            let corners =
+                corners(ellipse, self.scene.course.as_ref().map_or(0.0, |course| course.yaw_near(at)));
             self.fill(chart, &corners, ELLIPSE.mix(0.10).filled())?;
             self.outline(chart, &corners, ELLIPSE.stroke_width(fine(1) as u32))?;
         }
@@ -232,7 +251,7 @@ impl Strip<'_> {
             }
         }
         let PictureScene { goal_m: [x_m, y_m], goal_tolerance_m: radius, .. } = *self.scene;
-        let tolerance = corners(&Ellipse { x_m, y_m, a_m: radius, b_m: radius });
+        let tolerance = corners(&Ellipse { x_m, y_m, a_m: radius, b_m: radius }, 0.0);
         self.fill(chart, &tolerance, GOAL.mix(0.15).filled())?;
         self.outline(chart, &tolerance, GOAL.stroke_width(fine(2) as u32))?;
         self.dot(chart, self.scene.goal_m, 2, GOAL)
@@ -311,10 +330,12 @@ fn thinned(points: impl Iterator<Item = [f64; 2]>, distance: f64) -> Vec<[f64; 2
     kept
 }
 
-fn corners(ellipse: &Ellipse) -> Vec<[f64; 2]> {
+/// The corners of an ellipse whose axis a has this yaw.
+fn corners(ellipse: &Ellipse, yaw: f64) -> Vec<[f64; 2]> {
+    let Ellipse { x_m, y_m, a_m, b_m } = *ellipse;
     let corner = |index: usize| {
-        let (sin, cos) = (index as f64 / CORNERS as f64 * std::f64::consts::TAU).sin_cos();
-        [ellipse.x_m + ellipse.a_m * cos, ellipse.y_m + ellipse.b_m * sin]
+        let angle = index as f64 / CORNERS as f64 * std::f64::consts::TAU;
+        ellipse_point([x_m, y_m], [a_m, b_m], yaw, angle)
     };
     (0..CORNERS).map(corner).collect()
 }

@@ -37,6 +37,8 @@ impl Recorder {
 
     /// The report of the run.
     pub fn report(&self, result: &RunResult) -> Report {
+        // The figures are of a line along x.
+        let has_ride = self.estimated.is_none() && !self.info.has_course;
         Report {
             schema: SCHEMA,
             run_id: self.info.run_id.clone(),
@@ -58,7 +60,7 @@ impl Recorder {
             },
             drive: self.drive_report(),
             margin_m: self.margins.means(),
-            ride: self.estimated.is_none().then(|| measure(&self.ride.drive(), &self.goal())),
+            ride: has_ride.then(|| measure(&self.ride.drive(), &self.goal())),
             scanner: self.scanner.report(),
             blocking: self.blocking.map(|(blocking, _)| blocking.into()),
             differences: Vec::new(),

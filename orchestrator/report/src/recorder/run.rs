@@ -17,6 +17,8 @@ pub struct RunInfo {
     pub seed: u64,
     /// What the scanner sees outside of the track.
     pub surroundings: Surroundings,
+    /// Whether the robot follows a course: there are no figures of the ride then.
+    pub has_course: bool,
     /// Whether time is simulated, so that stamps are not times of this computer.
     pub lockstep: bool,
     /// Number of the first scan of the ledger: 1 for a whole run, 0 for the first one that is seen.

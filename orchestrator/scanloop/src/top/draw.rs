@@ -4,11 +4,12 @@ use ratatui_core::buffer::Buffer;
 use ratatui_core::layout::Rect;
 use ratatui_core::style::{Color, Modifier, Style};
 use session::control::{ProcessStatus, SystemStatus};
-use shared_types::{Role, ScannerState, StopReason};
+use shared_types::{Pose, Role, ScannerState, StopReason};
+use vehicle::course::ellipse_point;
 use vehicle::frame::to_track;
 
 use super::canvas::Canvas;
-use super::model::Model;
+use super::model::{Course, Model};
 
 /// The smallest terminal in which all fits [columns, rows].
 const SMALLEST: [u16; 2] = [72, 20];
@@ -103,9 +104,8 @@ fn motion(area: Rect, buffer: &mut Buffer, model: &Model) {
     }
     let mut text = String::new();
     if let Some(pose) = &model.pose {
-        let goal = &model.course.goal;
         let speed_mps = model.truth.map_or(pose.speed_mps, |truth| truth.speed_mps);
-        let goal_m = (goal.x_m - pose.x_m).hypot(goal.y_m - pose.y_m);
+        let goal_m = model.course.to_goal_m(pose);
         text += &format!(
             " x {:.2}  y {:+.2} m  speed {speed_mps:.2} m/s  goal {goal_m:.1} m",
             pose.x_m, pose.y_m
@@ -154,23 +154,17 @@ fn process_table(area: Rect, buffer: &mut Buffer, model: &Model) {
 fn map(area: Rect, buffer: &mut Buffer, model: &Model) {
     let Some(pose) = &model.pose else { return print(buffer, area, 0, " no pose yet", DIM) };
     let [low_m, high_m] = model.course.track.y_m;
-    // A track that fits is shown whole; else the map follows the robot.
-    let is_narrow = high_m - low_m <= MAP_M[1];
+    // A track that fits is shown whole; else, and on a course, the map follows the robot.
+    let is_narrow = high_m - low_m <= MAP_M[1] && model.course.outline.is_none();
     let centre_m = if is_narrow { (low_m + high_m) / 2.0 } else { pose.y_m };
     let mut canvas = Canvas::new(area, [pose.x_m - BEHIND_M, centre_m - MAP_M[1] / 2.0], MAP_M);
-    let [near_m, far_m] = [pose.x_m - 50.0, pose.x_m + 50.0];
-    for y_m in [low_m, high_m] {
-        canvas.line(
-            [near_m.max(model.course.track.x_m[0]), y_m],
-            [far_m.min(model.course.track.x_m[1]), y_m],
-            Color::DarkGray,
-        );
-    }
+    bounds(&mut canvas, pose, &model.course);
     model.returns.iter().for_each(|place| canvas.dot(*place, Color::White));
     for obstacle in model.obstacles.iter().flat_map(|obstacles| obstacles.list()) {
+        let (centre, axes) = ([obstacle.x_m, obstacle.y_m], [obstacle.a_m, obstacle.b_m]);
+        let yaw = model.course.outline.as_ref().map_or(0.0, |outline| outline.yaw_near(centre));
         let at = |index: usize| {
-            let (sin, cos) = (std::f64::consts::TAU * index as f64 / ELLIPSE_POINTS as f64).sin_cos();
-            [obstacle.x_m + obstacle.a_m * cos, obstacle.y_m + obstacle.b_m * sin]
+            ellipse_point(centre, axes, yaw, std::f64::consts::TAU * index as f64 / ELLIPSE_POINTS as f64)
         };
         let color = if obstacle.unseen_s > 0.0 { Color::DarkGray } else { Color::Magenta };
         canvas.outline(&(0..ELLIPSE_POINTS).map(at).collect::<Vec<_>>(), color);
@@ -182,10 +176,9 @@ fn map(area: Rect, buffer: &mut Buffer, model: &Model) {
             Color::Yellow,
         );
     }
-    let goal = &model.course.goal;
-    let tolerance_m = goal.tolerance_m.max(0.1);
-    canvas.line([goal.x_m - tolerance_m, goal.y_m], [goal.x_m + tolerance_m, goal.y_m], Color::Cyan);
-    canvas.line([goal.x_m, goal.y_m - tolerance_m], [goal.x_m, goal.y_m + tolerance_m], Color::Cyan);
+    let ([x_m, y_m], tolerance_m) = (model.course.goal_m(), model.course.goal.tolerance_m.max(0.1));
+    canvas.line([x_m - tolerance_m, y_m], [x_m + tolerance_m, y_m], Color::Cyan);
+    canvas.line([x_m, y_m - tolerance_m], [x_m, y_m + tolerance_m], Color::Cyan);
     if let Some(command) = model.command.as_ref().filter(|_| !model.is_blocked()) {
         let nodes = command.nodes();
         for (from, to) in nodes.iter().zip(nodes.iter().skip(1)) {
@@ -196,6 +189,23 @@ fn map(area: Rect, buffer: &mut Buffer, model: &Model) {
     let body = rectangle([pose.x_m, pose.y_m, pose.yaw_rad], [vehicle.length_m, vehicle.width_m]);
     canvas.outline(&body, if model.is_blocked() { Color::Yellow } else { Color::Blue });
     canvas.render(buffer);
+}
+
+/// The bounds of the track near the robot, or the course with those of its way.
+fn bounds(canvas: &mut Canvas, pose: &Pose, course: &Course) {
+    if let Some(outline) = &course.outline {
+        for line in [&outline.left, &outline.right] {
+            line.windows(2).for_each(|pair| canvas.line(pair[0], pair[1], Color::DarkGray));
+        }
+        // Every other piece: the course is dashed.
+        outline.centre.chunks_exact(4).for_each(|dash| canvas.line(dash[0], dash[2], Color::DarkGray));
+        return;
+    }
+    let [near_m, far_m] = [pose.x_m - 50.0, pose.x_m + 50.0];
+    for y_m in course.track.y_m {
+        let [from_m, to_m] = course.track.x_m;
+        canvas.line([near_m.max(from_m), y_m], [far_m.min(to_m), y_m], Color::DarkGray);
+    }
 }
 
 /// The corners of a rectangle.

@@ -4,8 +4,9 @@ use std::collections::VecDeque;
 
 use session::control::{EventRow, SystemStatus};
 use shared_types::{Actuation, ActuationKind, Command, Obstacles, Pose, Role, Scan, Truth};
+use vehicle::course::CourseOutline;
 use vehicle::frame::to_track;
-use vehicle::{Description, Goal, Track};
+use vehicle::{Description, Goal, State, Track};
 
 /// How many reaction times are kept: a minute at 10 Hz.
 const MAX_REACTIONS: usize = 600;
@@ -45,11 +46,37 @@ pub(super) struct Model {
 }
 
 /// The course and the robot.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Course {
+    /// The bounds and the goal, along and across the way.
     pub(super) track: Track,
     pub(super) goal: Goal,
+    pub(super) way: vehicle::Course,
+    /// The way as lines; none of the line along x.
+    pub(super) outline: Option<CourseOutline>,
     pub(super) vehicle: Description,
+}
+
+impl Course {
+    pub(super) fn new(track: Track, goal: Goal, way: vehicle::Course, vehicle: Description) -> Self {
+        let outline = (!way.is_line()).then(|| way.outline(track.x_m));
+        Self { track, goal, way, outline, vehicle }
+    }
+
+    /// The goal in the plane [m].
+    pub(super) fn goal_m(&self) -> [f64; 2] {
+        let Goal { x_m, y_m, .. } = self.goal;
+        let State { x, y, .. } = self.way.in_plane(&State { x: x_m, y: y_m, ..State::default() });
+        [x, y]
+    }
+
+    /// How far the goal is from a pose: along the way where there is one [m].
+    pub(super) fn to_goal_m(&self, pose: &Pose) -> f64 {
+        let state = State { x: pose.x_m, y: pose.y_m, yaw: pose.yaw_rad, ..State::default() };
+        let place = self.way.on_course(&state, self.way.find(&state));
+        let [ahead_m, across_m] = [self.goal.x_m - place.x, self.goal.y_m - place.y];
+        ahead_m.hypot(across_m)
+    }
 }
 
 impl Model {

@@ -2,7 +2,8 @@
 
 const TAU = 2 * Math.PI;
 
-export function obstacle({ context, at, scale, colour }, item) {
+/** An obstacle; its ellipse lies along a course that has this direction there. */
+export function obstacle({ context, at, scale, colour }, item, direction = 0) {
   const [x, y] = at(item.x_m, item.y_m);
   const isRemembered = item.unseen_s > 0;
   context.lineWidth = 1.5;
@@ -10,7 +11,7 @@ export function obstacle({ context, at, scale, colour }, item) {
   context.fillStyle = colour.cover;
   context.beginPath();
   // The robot's centre keeps out of the ellipse, its body out of the box: only the box is filled.
-  context.ellipse(x, y, item.a_m * scale, item.b_m * scale, 0, 0, TAU);
+  context.ellipse(x, y, item.a_m * scale, item.b_m * scale, -direction, 0, TAU);
   context.globalAlpha = isRemembered ? 0.65 : 1;
   context.setLineDash(isRemembered ? [4, 4] : []);
   context.stroke();

@@ -5,7 +5,7 @@ import { charts, onResize, prepare } from "./charts.js";
 import { control } from "./control.js";
 import { latency } from "./latency.js";
 import { loop } from "./loop.js";
-import { draw } from "./map.js";
+import { draw, toGoal } from "./map.js";
 import { legend, panels, stateOf } from "./panels.js";
 import { bounds, past } from "./past.js";
 import { player } from "./player.js";
@@ -172,7 +172,8 @@ function paint(now_ms) {
   const course = page.system?.course ?? page.course;
   if (course) page.course = course;
   const track = course?.track?.y_m;
-  const isMoving = eye.step(seconds, body, track ? (track[0] + track[1]) / 2 : 0);
+  const centre_y = course?.way ? body?.y_m : track ? (track[0] + track[1]) / 2 : 0;
+  const isMoving = eye.step(seconds, body, centre_y);
   last_ms = now_ms;
   if (!isDirty && !moves && !isMoving) return;
   const { context, width, height } = prepare(by("map"));
@@ -194,7 +195,7 @@ function paintPanels(frame, course) {
   const goal = course?.goal;
   if (frame && frame !== painted) {
     const pose = frame.truth ?? frame.pose;
-    frame.goal_m = pose && goal?.x_m != null ? Math.hypot(pose.x_m - goal.x_m, pose.y_m - goal.y_m) : null;
+    frame.goal_m = pose && goal?.x_m != null ? toGoal(course, pose) : null;
     painted = frame;
   }
   const isPast = page.shown_s != null && !isRecording;
@@ -230,7 +231,15 @@ by("live").addEventListener("click", () => choose(null));
 by("legend-button").addEventListener("click", toggleLegend);
 
 function fit() {
-  const track = page.course?.track;
+  const { track, way } = page.course ?? {};
+  if (way) {
+    const extent = (axis) => {
+      const values = [...way.left, ...way.right].map((point) => point[axis]);
+      return [Math.min(...values), Math.max(...values)];
+    };
+    eye.fit(extent(0), extent(1));
+    return;
+  }
   if (!track?.x_m) return;
   eye.fit(track.x_m, track.y_m);
 }

@@ -17,11 +17,11 @@ export function draw(context, camera, view, colour) {
   context.fillRect(0, 0, width, height);
   const pen = { context, camera, colour, at: (x, y) => camera.toScreen(x, y), scale: camera.scale };
   ground(pen, course, width, height);
-  if (course?.goal?.x_m != null) goal(pen, course.goal, rows);
+  if (course?.goal?.x_m != null) goal(pen, course.goal, course.way ? null : rows);
   if (frame) {
     unseen(pen, frame, body, course);
     paths(pen, rows);
-    (frame.obstacles ?? []).forEach((item) => obstacle(pen, item));
+    (frame.obstacles ?? []).forEach((item) => obstacle(pen, item, direction(course?.way, item)));
     plan(pen, frame, course);
     scan(pen, frame, course);
     if (body) robot(pen, frame, body, course);
@@ -30,6 +30,10 @@ export function draw(context, camera, view, colour) {
 }
 
 function ground({ context, at, colour, scale }, course, width, height) {
+  if (course?.way) {
+    way({ context, at, colour, scale }, course.way, width, height);
+    return;
+  }
   const track = course?.track;
   if (track?.x_m) {
     const [left, top] = at(track.x_m[0], track.y_m[1]);
@@ -47,6 +51,26 @@ function ground({ context, at, colour, scale }, course, width, height) {
   } else {
     grid(context, at, colour, scale, width, height);
   }
+}
+
+// The way of a course: its ground, its bounds, and the course itself.
+function way({ context, at, colour, scale }, { centre, left, right }, width, height) {
+  const path = (points) => {
+    context.beginPath();
+    points.forEach(([x, y], index) => (index ? context.lineTo(...at(x, y)) : context.moveTo(...at(x, y))));
+  };
+  path([...left, ...right.toReversed()]);
+  context.fillStyle = colour.ground;
+  context.fill();
+  grid(context, at, colour, scale, width, height);
+  context.strokeStyle = colour.idle;
+  context.lineWidth = 1.5;
+  path([...left, ...right.toReversed(), left[0]]);
+  context.stroke();
+  context.setLineDash([7, 6]);
+  path(centre);
+  context.stroke();
+  context.setLineDash([]);
 }
 
 function grid(context, at, colour, scale, width, height, below) {
@@ -74,13 +98,16 @@ function grid(context, at, colour, scale, width, height, below) {
 
 function goal({ context, at, scale, colour }, goal, rows) {
   const [x, y] = at(goal.x_m, goal.y_m);
-  const start = rows.find((row) => row.x_m != null);
-  context.strokeStyle = colour.idle;
-  context.setLineDash([2, 6]);
-  context.lineWidth = 1.5;
-  const [from] = at(Math.min(0, start?.x_m ?? 0), goal.y_m);
-  segment(context, from, y, x, y);
-  context.setLineDash([]);
+  if (rows) {
+    // The line that the robot follows.
+    const start = rows.find((row) => row.x_m != null);
+    context.strokeStyle = colour.idle;
+    context.setLineDash([2, 6]);
+    context.lineWidth = 1.5;
+    const [from] = at(Math.min(0, start?.x_m ?? 0), goal.y_m);
+    segment(context, from, y, x, y);
+    context.setLineDash([]);
+  }
   context.strokeStyle = colour.goal;
   context.fillStyle = colour.goal;
   context.lineWidth = 2;
@@ -93,6 +120,28 @@ function goal({ context, at, scale, colour }, goal, rows) {
   context.beginPath();
   context.arc(x, y, 2.5, 0, TAU);
   context.fill();
+}
+
+/** How far the goal is from a pose: along the way of a course where there is one [m]. */
+export function toGoal(course, pose) {
+  const { goal, way } = course;
+  if (!way) return Math.hypot(pose.x_m - goal.x_m, pose.y_m - goal.y_m);
+  const [from_m, to_m] = way.along_m;
+  return Math.abs(way.goal_along_m - from_m - (to_m - from_m) * nearest(way, pose) / (way.centre.length - 1));
+}
+
+// The index of the point of a way that is nearest to a place.
+function nearest({ centre }, place) {
+  const far = centre.map(([x, y]) => Math.hypot(place.x_m - x, place.y_m - y));
+  return far.indexOf(Math.min(...far));
+}
+
+// The direction of the way beside a place; on a track its own.
+function direction(way, place) {
+  if (!way) return 0;
+  const index = Math.min(nearest(way, place), way.centre.length - 2);
+  const [[x0, y0], [x1, y1]] = way.centre.slice(index, index + 2);
+  return Math.atan2(y1 - y0, x1 - x0);
 }
 
 function unseen({ context, at, scale, colour }, frame, body, course) {

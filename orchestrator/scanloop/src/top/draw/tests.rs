@@ -9,9 +9,8 @@ use shared_types::{
     StopReason, Truth,
 };
 use supervision::supervisor::VisibleState;
-use vehicle::{Goal, Track};
-
-use vehicle::Description;
+use vehicle::course::{CourseKeys, Waypoint};
+use vehicle::{Description, Goal, Track};
 
 use super::super::model::Course;
 use super::*;
@@ -88,7 +87,12 @@ fn driving() -> Model {
     let mut model = Model {
         system_id: "lab".to_owned(),
         status: Some(status),
-        course: Course { track: Track::default(), goal: Goal::default(), vehicle: Description::default() },
+        course: Course::new(
+            Track::default(),
+            Goal::default(),
+            vehicle::Course::default(),
+            Description::default(),
+        ),
         pose: Some(pose),
         truth: Some(Truth { speed_mps: 0.97, clearance_m: 2.41, ..Truth::default() }),
         actuation: Some(actuation),
@@ -109,6 +113,26 @@ fn a_drive_fits_on_80_by_24() {
     let picture = picture(&driving(), [80, 24]);
     assert!(picture.lines().all(|line| line.chars().count() <= 80));
     assert_golden("driving", &picture);
+}
+
+#[test]
+fn a_course_is_drawn_with_its_bounds_and_the_distance_to_the_goal_is_along_it() {
+    let mut model = driving();
+    // 2 m straight on and a quarter of a circle with 6 m radius.
+    let waypoints = [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (8.0, 6.0, std::f64::consts::FRAC_PI_2)];
+    let waypoints =
+        waypoints.map(|(x_m, y_m, yaw_rad)| Waypoint { x_m, y_m, yaw_rad: Some(yaw_rad) }).to_vec();
+    let way = vehicle::Course::try_from(CourseKeys { waypoints, ..CourseKeys::default() }).unwrap();
+    let track = Track { x_m: [-2.0, way.length_m() + 2.0], ..Track::default() };
+    let goal = Goal { x_m: way.length_m(), ..Goal::default() };
+    model.course = Course::new(track, goal, way, Description::default());
+    assert!((model.course.goal_m()[0] - 8.0).abs() < 1e-9 && (model.course.goal_m()[1] - 6.0).abs() < 1e-9);
+    model.pose = Some(Pose::default());
+    // Over the corner it would be 10.0 m.
+    let with_course = picture(&model, [80, 24]);
+    assert!(with_course.contains("goal 11.4 m"), "{with_course}");
+    model.course.outline = None;
+    assert_ne!(with_course, picture(&model, [80, 24]), "the bounds of the way are drawn");
 }
 
 #[test]
