@@ -4,6 +4,7 @@
 //! the start or 4.5 m before the goal; half of them near the line, the others anywhere; sometimes walls; noise up to
 //! the largest that the stack is designed for. A course need not be passable: see [`crate::feasible::passable`].
 
+mod curved;
 pub mod hostile;
 mod random_obstacle;
 
@@ -12,6 +13,8 @@ use shared_types::named_enum;
 use emulator::noise::{NoiseStream, Purpose};
 use emulator::scenario::{Goal, Noise, Scenario, ScenarioObstacle, Shape, Track};
 use random_obstacle::obstacle;
+
+pub use curved::curved;
 
 /// No surface of an obstacle stands nearer to the start than this [m].
 const AFTER_START_M: f64 = 3.5;

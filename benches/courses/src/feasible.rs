@@ -53,7 +53,7 @@ const MAX_NODES: usize = 3_000_000;
 
 /// A pose on a path: position [m] and yaw [rad].
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Waypoint {
+pub struct PathPose {
     /// Position along the track [m].
     pub x: f64,
     /// Lateral position [m].
@@ -64,7 +64,7 @@ pub struct Waypoint {
 
 #[derive(Debug, Clone, Copy)]
 struct Node {
-    place: Waypoint,
+    place: PathPose,
     length: f64,
     parent: usize,
 }
@@ -75,7 +75,7 @@ pub fn passable(scenario: &Scenario) -> bool {
 }
 
 /// A path from the start to the goal, one pose per arc; `None` when the search finds none.
-pub fn path(scenario: &Scenario) -> Option<Vec<Waypoint>> {
+pub fn path(scenario: &Scenario) -> Option<Vec<PathPose>> {
     let fixed = scenario.placed_obstacles().into_iter().filter(|obstacle| !obstacle.moves()).collect();
     let goal_m = scenario.goal.tolerance_m.max(GOAL_M);
     let limits = Limits { margin_m: MARGIN_M, radius_m: RADIUS_M, goal_m };
@@ -85,10 +85,10 @@ pub fn path(scenario: &Scenario) -> Option<Vec<Waypoint>> {
 /// A path from a pose to the goal past these obstacles, which stand where they are described.
 pub fn path_from(
     scenario: &Scenario,
-    from: &Waypoint,
+    from: &PathPose,
     obstacles: Vec<ScenarioObstacle>,
     limits: &Limits,
-) -> Option<Vec<Waypoint>> {
+) -> Option<Vec<PathPose>> {
     let standing =
         |ScenarioObstacle { shape, x_m, y_m, .. }: ScenarioObstacle| ScenarioObstacle::fixed(shape, x_m, y_m);
     let obstacles = obstacles.into_iter().map(standing).collect();
@@ -97,20 +97,20 @@ pub fn path_from(
 }
 
 /// The pose at the start.
-pub fn start_of(scenario: &Scenario) -> Waypoint {
+pub fn start_of(scenario: &Scenario) -> PathPose {
     let start = scenario.start;
-    Waypoint { x: start.x_m, y: start.y_m, yaw: start.yaw_rad }
+    PathPose { x: start.x_m, y: start.y_m, yaw: start.yaw_rad }
 }
 
 struct Search<'a> {
     scenario: &'a Scenario,
     scene: Scene,
-    from: Waypoint,
+    from: PathPose,
     limits: Limits,
 }
 
 impl Search<'_> {
-    fn run(&self) -> Option<Vec<Waypoint>> {
+    fn run(&self) -> Option<Vec<PathPose>> {
         let place = self.from;
         if !self.is_free(place) {
             return None;
@@ -143,7 +143,7 @@ impl Search<'_> {
     }
 
     /// The end of an arc, and whether it passed the goal; `None` when the body can't follow it.
-    fn follow(&self, from: Waypoint, curvature: f64) -> Option<(Waypoint, bool)> {
+    fn follow(&self, from: PathPose, curvature: f64) -> Option<(PathPose, bool)> {
         let mut place = from;
         for _ in 0..CHECKS {
             place = arc(place, curvature, ARC_M / CHECKS as f64);
@@ -157,43 +157,50 @@ impl Search<'_> {
         Some((place, false))
     }
 
-    fn is_free(&self, place: Waypoint) -> bool {
-        let ([left, right], [low, high]) = (self.scenario.track.x_m, self.scenario.centre_y_m());
+    fn is_free(&self, place: PathPose) -> bool {
+        let way = self.scenario.track_on_course();
+        let on_way = |place: PathPose| self.scenario.on_course(place.x, place.y);
+        let ([left, right], [low, high]) = (way.x_m, self.scenario.centre_y_m());
         // A robot that is outside of a bound may come back.
-        let (left, right) = (left.min(self.from.x), right.max(self.from.x));
-        let (low, high) = (low.min(self.from.y), high.max(self.from.y));
+        let ([x, y], from) = (on_way(place), on_way(self.from));
+        let (left, right) = (left.min(from[0]), right.max(from[0]));
+        let (low, high) = (low.min(from[1]), high.max(from[1]));
         let body = self.scenario.body(place.x, place.y, place.yaw);
-        (left..=right).contains(&place.x)
-            && (low..=high).contains(&place.y)
+        (left..=right).contains(&x)
+            && (low..=high).contains(&y)
             && self.scene.clearance_below(&body, 0.0, self.limits.margin_m) >= self.limits.margin_m
     }
 
     /// Length of the path so far plus twice the distance left: finds some path soon rather than the shortest.
     ///
     /// Returned as bits, which are in the order of the numbers because no cost is negative.
-    fn cost(&self, place: Waypoint, length: f64) -> u64 {
-        (length + 2.0 * self.goal_distance(place)).to_bits()
+    fn cost(&self, place: PathPose, length: f64) -> u64 {
+        let left = match &self.scenario.course {
+            Some(_) => self.scenario.goal_on_course().x_m - self.scenario.on_course(place.x, place.y)[0],
+            None => 0.0,
+        };
+        (length + 2.0 * self.goal_distance(place).max(left)).to_bits()
     }
 
-    fn goal_distance(&self, place: Waypoint) -> f64 {
+    fn goal_distance(&self, place: PathPose) -> f64 {
         (place.x - self.scenario.goal.x_m).hypot(place.y - self.scenario.goal.y_m)
     }
 }
 
 /// The pose after an arc of some length.
-fn arc(from: Waypoint, curvature: f64, length: f64) -> Waypoint {
+fn arc(from: PathPose, curvature: f64, length: f64) -> PathPose {
     let turn = curvature * length;
     // The chord of a short arc points half the turn aside; sinc(turn / 2) is 1 to 1e-5 here.
     let (sin, cos) = (from.yaw + turn / 2.0).sin_cos();
-    Waypoint { x: from.x + length * cos, y: from.y + length * sin, yaw: wrap_angle(from.yaw + turn) }
+    PathPose { x: from.x + length * cos, y: from.y + length * sin, yaw: wrap_angle(from.yaw + turn) }
 }
 
-fn cell(place: Waypoint) -> [i64; 3] {
+fn cell(place: PathPose) -> [i64; 3] {
     [place.x / CELL[0], place.y / CELL[1], place.yaw / CELL[2]].map(|number| number.floor() as i64)
 }
 
 /// The poses from the first node to the last one.
-fn trace(nodes: &[Node]) -> Vec<Waypoint> {
+fn trace(nodes: &[Node]) -> Vec<PathPose> {
     let mut index = nodes.len() - 1;
     let mut path = vec![nodes[index].place];
     while index > 0 {

@@ -12,7 +12,7 @@ mod twin;
 
 use shared_types::{Actuation, Pose, Truth, named_enum};
 
-use crate::feasible::{Waypoint, path_from, start_of};
+use crate::feasible::{PathPose, path_from, start_of};
 use emulator::referee::Outcome;
 use emulator::scenario::{Preset, Scenario, ScenarioObstacle, Values};
 use emulator::scene::Scene;
@@ -98,7 +98,7 @@ impl Judgement {
 #[derive(Debug, Clone, PartialEq)]
 struct Event {
     due_s: f64,
-    place: Option<Waypoint>,
+    place: Option<PathPose>,
     obstacles: Vec<ScenarioObstacle>,
 }
 
@@ -148,7 +148,7 @@ impl Judge {
 
     /// Takes one scan: the truth, the estimated pose, and what was sent.
     pub fn observe(&mut self, truth: &Truth, pose: Option<&Pose>, sent: Option<&Actuation>) {
-        let place = Waypoint { x: truth.x_m, y: truth.y_m, yaw: truth.yaw_rad };
+        let place = PathPose { x: truth.x_m, y: truth.y_m, yaw: truth.yaw_rad };
         self.scene.trigger(&self.scenario.body(place.x, place.y, place.yaw), truth.time_s);
         let standing = self.standing(&place, truth.time_s);
         let fault_ended = self.fault_ends_s.is_some_and(|end_s| truth.time_s >= end_s);
@@ -212,7 +212,7 @@ impl Judge {
 
     /// Whether no path leads on from the last pose, with the bodies that move where they are now.
     fn is_held_up(&self) -> bool {
-        let place = Waypoint { x: self.last.x_m, y: self.last.y_m, yaw: self.last.yaw_rad };
+        let place = PathPose { x: self.last.x_m, y: self.last.y_m, yaw: self.last.yaw_rad };
         let there = self.scene.near(Vector2::new(place.x, place.y), f64::MAX);
         let there = there.filter(|near| near.solid(self.last.time_s).is_some());
         let moved = there.map(|near| {
@@ -223,7 +223,7 @@ impl Judge {
     }
 
     /// Whether a path leads to the goal from a place that the robot has reached, nearer to bodies than the margin if it is.
-    fn leads_on(&self, place: &Waypoint, obstacles: &[ScenarioObstacle]) -> bool {
+    fn leads_on(&self, place: &PathPose, obstacles: &[ScenarioObstacle]) -> bool {
         let at_rest =
             |obstacle: &ScenarioObstacle| ScenarioObstacle::fixed(obstacle.shape, obstacle.x_m, obstacle.y_m);
         let obstacles: Vec<ScenarioObstacle> = obstacles.iter().map(at_rest).collect();
@@ -235,7 +235,7 @@ impl Judge {
     }
 
     /// Obstacles that are there at a time, do not move, and are or were near enough to be seen if they are black.
-    fn standing(&self, place: &Waypoint, time_s: f64) -> Vec<ScenarioObstacle> {
+    fn standing(&self, place: &PathPose, time_s: f64) -> Vec<ScenarioObstacle> {
         let body = self.scenario.body(place.x, place.y, place.yaw);
         let black_range_m = self.scenario.scanner.black_range_m;
         let all = self.scene.near(Vector2::zeros(), f64::MAX).filter(|near| !near.obstacle().moves());

@@ -5,6 +5,8 @@ use courses::course::hostile::Hostile;
 
 /// The name that chooses all hostile families.
 const ALL_HOSTILE: &str = "hostile";
+/// The name of [`Kind::Curved`].
+const CURVED: &str = "curved";
 
 /// A family of courses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -13,19 +15,22 @@ pub(super) enum Kind {
     Mixed(Family),
     /// A hostile one.
     Hostile(Hostile),
+    /// Obstacles at rest along a way that bends.
+    Curved,
 }
 
 /// Names that `--family` takes.
 pub(super) fn family_names() -> Vec<&'static str> {
     let mixed = Family::ALL.iter().map(|family| family.name());
-    mixed.chain(Hostile::ALL.iter().map(|family| family.name())).chain([ALL_HOSTILE]).collect()
+    mixed.chain(Hostile::ALL.iter().map(|family| family.name())).chain([ALL_HOSTILE, CURVED]).collect()
 }
 
 /// The families of a name.
 pub(super) fn named(name: &str) -> Vec<Kind> {
     let mixed = Family::ALL.iter().filter(|family| family.name() == name).map(|family| Kind::Mixed(*family));
     let hostile = Hostile::ALL.iter().filter(|family| family.name() == name || name == ALL_HOSTILE);
-    mixed.chain(hostile.map(|family| Kind::Hostile(*family))).collect()
+    let curved = (name == CURVED).then_some(Kind::Curved);
+    mixed.chain(hostile.map(|family| Kind::Hostile(*family))).chain(curved).collect()
 }
 
 impl Kind {
@@ -33,6 +38,7 @@ impl Kind {
         match self {
             Self::Mixed(family) => family.name(),
             Self::Hostile(family) => family.name(),
+            Self::Curved => CURVED,
         }
     }
 }

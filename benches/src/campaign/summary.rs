@@ -110,7 +110,7 @@ impl Summary {
         };
         *count += 1;
         let (passable, kind) = (run.judgement.passable, run.course.kind);
-        let is_hostile = matches!(kind, Kind::Hostile(_));
+        let is_hostile = matches!(kind, Kind::Hostile(_) | Kind::Curved);
         if passable && (is_hostile || matches!(kind, Kind::Mixed(Family::Plain | Family::Symmetric))) {
             self.passable += 1;
             self.passable_reached += u64::from(run.outcome == Outcome::Reached);

@@ -45,10 +45,19 @@ pub(super) fn all(arguments: &RideArguments) -> anyhow::Result<Vec<Course>> {
     if let Some(count) = arguments.random {
         return random(count, &choice);
     }
-    let shipped = || Scenario::names().filter(|name| !LEFT_OUT.contains(name)).map(str::to_owned).collect();
+    let bends = |name: &str| Scenario::shipped(name).is_some_and(|text| text.contains("[course]"));
+    let is_driven = |name: &&str| !LEFT_OUT.contains(name) && !bends(name);
+    let shipped = || Scenario::names().filter(is_driven).map(str::to_owned).collect();
     let names: Vec<String> =
         if arguments.scenarios.is_empty() { shipped() } else { arguments.scenarios.clone() };
-    names.iter().map(|name| Ok(Course { plan: Plan::read(Some(name), &choice)?, family: None })).collect()
+    let course = |name: &String| {
+        let plan = Plan::read(Some(name), &choice)?;
+        if plan.scenario.course.is_some() {
+            anyhow::bail!("scenario = {name} is not allowed: one with a [track]; the optimum knows no bends");
+        }
+        Ok(Course { plan, family: None })
+    };
+    names.iter().map(course).collect()
 }
 
 /// The first `count` courses of a campaign, from the seed on, that are passable and not blocked.
