@@ -43,6 +43,18 @@ fn a_velocity_that_may_not_be_sent_is_refused_and_the_largest_one_is_driven() {
 }
 
 #[test]
+fn a_bend_that_the_robot_cannot_follow_is_refused() {
+    let corner = "{ x_m = 8.0, y_m = 3.0, yaw_rad = 1.5708 }";
+    let course =
+        format!("course={{ waypoints = [{{ yaw_rad = 0.0 }}, {{ x_m = 5.0, yaw_rad = 0.0 }}, {corner}] }}");
+    let goal = ["goal.x_m=8.0", "goal.y_m=3.0"];
+    refused(
+        &[&course, goal[0], goal[1]],
+        &["course.waypoints[1] = a bend with a radius of 2.999 m is not allowed: at least 3.267 m"],
+    );
+}
+
+#[test]
 fn a_goal_to_which_no_way_forwards_leads_is_refused_and_the_nearest_one_is_reached() {
     refused(&["start.x_m=8", "goal.x_m=2"], &["goal.x_m = 2 is not allowed: above start.x_m = 8"]);
     refused(

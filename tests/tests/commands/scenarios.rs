@@ -127,6 +127,21 @@ fn crossing_is_reached() {
 }
 
 #[test]
+fn s_curve_is_reached() {
+    reach("s-curve");
+}
+
+#[test]
+fn right_angle_is_reached() {
+    reach("right-angle");
+}
+
+#[test]
+fn slalom_arc_is_reached() {
+    reach("slalom-arc");
+}
+
+#[test]
 fn long_is_reached() {
     reach("long");
 }
