@@ -1,8 +1,8 @@
 //! The controller of the robot: from pose and obstacles to one verified command per scan.
 //!
 //! A lattice search proposes on which side each obstacle is passed. The crate `ocp` solves the optimal control problem,
-//! which keeps the plan outside of the ellipses, (7.34), and near the line to the goal. Every plan is verified before it
-//! is driven. [`Controller`] holds the order of these decisions;
+//! which keeps the plan outside of the ellipses, (7.34), and near the line to the goal or along the course. Every plan is
+//! verified before it is driven. [`Controller`] holds the order of these decisions;
 //! [`ControllerStage`] is the stage of the loop around it.
 
 mod blocking;
