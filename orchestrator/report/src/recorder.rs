@@ -110,7 +110,7 @@ impl Recorder {
 
     /// The robot publishes no truth; for the time before the first scan.
     pub fn expect_no_truth(&mut self) {
-        self.estimated = Some(Estimated::default());
+        self.estimated = Some(Estimated::on(self.info.course.clone().unwrap_or_default()));
     }
 
     /// What decides the outcome.

@@ -1,6 +1,7 @@
 //! The drive of a robot that publishes no truth, by its estimated poses.
 
 use shared_types::{Header, Pose};
+use vehicle::{Course, State};
 
 use crate::picture::Moment;
 use crate::report::DriveReport;
@@ -11,13 +12,21 @@ pub(super) struct Estimated {
     /// When the run started [ns].
     start_ns: Option<u64>,
     newest_ns: u64,
-    first_y_m: f64,
+    course: Course,
+    /// Where the robot is along the course [m].
+    along_m: Option<f64>,
+    first_across_m: f64,
     path_length_m: f64,
     max_abs_lateral_m: f64,
     newest: Option<Moment>,
 }
 
 impl Estimated {
+    /// Nothing is known yet of a drive along `course`.
+    pub(super) fn on(course: Course) -> Self {
+        Self { course, ..Self::default() }
+    }
+
     /// A scan was published. Scans are numbered from the start of the run, and the first one takes a period, so an adopted
     /// run keeps its time.
     pub(super) fn scan(&mut self, header: &Header, period_ns: u64) {
@@ -41,15 +50,16 @@ impl Estimated {
             speed_mps: pose.speed_mps,
             steering_rad,
         };
+        let across_m = self.across_m(pose);
         match self.newest {
-            None => self.first_y_m = pose.y_m,
+            None => self.first_across_m = across_m,
             // The speed has less noise than the difference of two positions.
             Some(before) => {
                 let seconds = (moment.time_s - before.time_s).max(0.0);
                 self.path_length_m += seconds * f64::midpoint(before.speed_mps, moment.speed_mps);
             }
         }
-        self.max_abs_lateral_m = self.max_abs_lateral_m.max((pose.y_m - self.first_y_m).abs());
+        self.max_abs_lateral_m = self.max_abs_lateral_m.max((across_m - self.first_across_m).abs());
         self.newest = Some(moment);
         moment
     }
@@ -63,6 +73,15 @@ impl Estimated {
             truth: None,
             ..report
         }
+    }
+
+    /// How far the pose is to the left of the course; on the line its y [m].
+    fn across_m(&mut self, pose: &Pose) -> f64 {
+        let state = State { x: pose.x_m, y: pose.y_m, yaw: pose.yaw_rad, ..State::default() };
+        let near_m = self.along_m.unwrap_or_else(|| self.course.find(&state));
+        let place = self.course.on_course(&state, near_m);
+        self.along_m = Some(place.x);
+        place.y
     }
 
     fn time_of_s(&self, acquired_ns: u64) -> f64 {

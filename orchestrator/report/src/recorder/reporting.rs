@@ -38,7 +38,7 @@ impl Recorder {
     /// The report of the run.
     pub fn report(&self, result: &RunResult) -> Report {
         // The figures are of a line along x.
-        let has_ride = self.estimated.is_none() && !self.info.has_course;
+        let has_ride = self.estimated.is_none() && self.info.course.is_none();
         Report {
             schema: SCHEMA,
             run_id: self.info.run_id.clone(),

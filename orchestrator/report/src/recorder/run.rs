@@ -2,7 +2,7 @@
 
 use audit::ledger::DelayRow;
 use handover::swap::Certificate;
-use vehicle::Surroundings;
+use vehicle::{Course, Surroundings};
 
 use crate::report::{LedgerReport, Outcome, ProcessReport, RecordingReport};
 
@@ -17,8 +17,8 @@ pub struct RunInfo {
     pub seed: u64,
     /// What the scanner sees outside of the track.
     pub surroundings: Surroundings,
-    /// Whether the robot follows a course: there are no figures of the ride then.
-    pub has_course: bool,
+    /// The course that the robot follows; there are no figures of the ride then.
+    pub course: Option<Course>,
     /// Whether time is simulated, so that stamps are not times of this computer.
     pub lockstep: bool,
     /// Number of the first scan of the ledger: 1 for a whole run, 0 for the first one that is seen.

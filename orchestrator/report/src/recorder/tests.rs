@@ -12,7 +12,7 @@ fn info(lockstep: bool) -> RunInfo {
         scenario: "corridor".to_owned(),
         seed: 1,
         surroundings: Surroundings::Open,
-        has_course: false,
+        course: None,
         lockstep,
         first_scan: 1,
         period_ns: 100_000_000,

@@ -36,7 +36,7 @@ impl Recording {
             scenario: scenario.name.clone(),
             seed: scenario.seed,
             surroundings: scenario.surroundings(),
-            has_course: scenario.course.is_some(),
+            course: scenario.course.clone(),
             lockstep: options.lockstep,
             first_scan,
             period_ns,
