@@ -290,7 +290,7 @@ fn a_course_that_cannot_be_followed_is_refused_with_what_is_allowed() {
         ),
         (
             message("[course]\nwaypoints = [{ x_m = 1 }]"),
-            "course.number of waypoints = 1 is not allowed: 2 to 5000",
+            "course.waypoints = 1 waypoints is not allowed: 2 to 5000 of them",
         ),
         (with("[goal]\nx_m = 9"), "goal.y_m = (missing) is not allowed: a number [m], as goal.x_m is given"),
         (

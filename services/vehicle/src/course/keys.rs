@@ -47,8 +47,8 @@ impl TryFrom<CourseKeys> for Course {
             return Ok(Self { keys, ..Self::default() });
         }
         if !(2..=MAX_WAYPOINTS).contains(&points.len()) {
-            let allowed = format!("2 to {MAX_WAYPOINTS}");
-            return Err(Invalid::new("number of waypoints", points.len(), allowed));
+            let allowed = format!("2 to {MAX_WAYPOINTS} of them");
+            return Err(Invalid::new("waypoints", format!("{} waypoints", points.len()), allowed));
         }
         let [first, last] = [points[0], points[points.len() - 1]];
         for (index, pair) in points.windows(2).enumerate() {

@@ -117,7 +117,7 @@ fn waypoints_that_make_no_course_are_refused_by_number() {
         Course::try_from(keys).unwrap_err().to_string()
     };
     let here = waypoint(1.0, 1.0, None);
-    assert_eq!(refused(&[here]), "number of waypoints = 1 is not allowed: 2 to 5000");
+    assert_eq!(refused(&[here]), "waypoints = 1 waypoints is not allowed: 2 to 5000 of them");
     assert_eq!(
         refused(&[waypoint(0.0, 0.0, None), here, here]),
         "waypoints[2] = (1, 1) is not allowed: at least 0.05 m from the one before"
