@@ -7,6 +7,8 @@ use crate::track::{Surroundings, Track};
 
 /// Most waypoints.
 const MAX_WAYPOINTS: usize = 5_000;
+/// The way from one waypoint to the next is at most this many times their distance.
+const MAX_DETOUR: f64 = 10.0;
 /// Smallest distance from one waypoint to the next [m].
 const APART_M: f64 = 0.05;
 
@@ -64,7 +66,16 @@ impl TryFrom<CourseKeys> for Course {
             let allowed = "1 where the last waypoint is another place than the first one";
             return Err(Invalid::new("laps", keys.laps, allowed));
         }
-        let pieces = biarc::laps(biarc::through(points, is_closed), keys.laps);
+        let pieces = biarc::through(points, is_closed);
+        for (index, (pair, arcs)) in points.windows(2).zip(pieces.chunks(2)).enumerate() {
+            let apart_m = (pair[1].x_m - pair[0].x_m).hypot(pair[1].y_m - pair[0].y_m);
+            if arcs.iter().map(|arc| arc.length_m).sum::<f64>() > MAX_DETOUR * apart_m {
+                let place = format!("({}, {})", pair[1].x_m, pair[1].y_m);
+                let allowed = "a place that the way leads to without turning back";
+                return Err(Invalid::new(&format!("waypoints[{}]", index + 1), place, allowed));
+            }
+        }
+        let pieces = biarc::laps(pieces, keys.laps);
         let length_m = pieces.last().map_or(0.0, |piece| piece.begin_m + piece.length_m);
         let course = Self { pieces: pieces.into(), length_m, keys };
         let (bend, half_m) = (course.sharpest(), course.keys.width_m / 2.0);

@@ -122,6 +122,11 @@ fn waypoints_that_make_no_course_are_refused_by_number() {
         refused(&[waypoint(0.0, 0.0, None), here, here]),
         "waypoints[2] = (1, 1) is not allowed: at least 0.05 m from the one before"
     );
+    let back = [waypoint(0.0, 0.0, None), waypoint(10.0, 0.0, None), waypoint(5.0, 0.0, None)];
+    assert_eq!(
+        refused(&back),
+        "waypoints[1] = (10, 0) is not allowed: a place that the way leads to without turning back"
+    );
     let sharp =
         [waypoint(0.0, 0.0, Some(0.0)), waypoint(5.0, 0.0, Some(0.0)), waypoint(6.0, 1.0, Some(FRAC_PI_2))];
     assert_eq!(
