@@ -38,7 +38,7 @@ use written::Written;
 /// Arguments that choose and change a scenario and a system.
 #[derive(Debug, Args, Clone, Default)]
 pub struct Choice {
-    /// System file; without it the built-in one.
+    /// System file, or the name of a shipped one; without it the one that the scenario names, or the built-in one.
     #[arg(long, value_name = "FILE")]
     pub system: Option<PathBuf>,
     /// Calibration file from `scanloop calibrate`; its values replace the calibration of the system.
@@ -58,6 +58,8 @@ pub struct Choice {
     pub overrides: Vec<String>,
 }
 
+/// Key of a scenario that names its system file.
+const SYSTEM: &str = "system";
 /// Scenario of a run without one.
 const DEFAULT_SCENARIO: &str = "corridor";
 
@@ -94,7 +96,8 @@ impl Plan {
     }
 
     fn of_source(scenario: SourceFile, choice: &Choice) -> anyhow::Result<Self> {
-        let system = System::read_table(choice.system.as_deref())?;
+        let named = named_system(&scenario)?;
+        let system = System::read_table(choice.system.as_deref().or(named.as_deref()))?;
         let written = Written::new(scenario, system, choice)?;
         let check = |tables: [Table; 2]| Self::checked(tables).err();
         let mut plan = Self::checked(written.tables()?)
@@ -113,7 +116,8 @@ impl Plan {
         driven_robot::add_defaults(&mut system);
         vehicle_table::adopt_scenario(&scenario, &mut system);
         vehicle_table::fit_velocities(&mut system);
-        let mut scenario = Scenario::checked(scenario)?;
+        // The file that it names was read: from here on the system is what counts.
+        let mut scenario = Scenario { system: None, ..Scenario::checked(scenario)? };
         let mut warnings = vehicle_table::distribute(&mut system)?;
         if system.get("controller").is_some_and(|table| table.get("period_s").is_some()) {
             let (stage, key, why) = migrate::WITHOUT_EFFECT;
@@ -211,6 +215,18 @@ fn read_scenario(name: &str) -> anyhow::Result<SourceFile> {
         Failure::bad_input(format!("{name}: {error}.{meant} Shipped scenarios are {}", shipped.join(", ")))
     })?;
     SourceFile::parse(text, name.to_owned())
+}
+
+/// The system file that a scenario names: beside its own file, or a shipped one.
+fn named_system(scenario: &SourceFile) -> anyhow::Result<Option<PathBuf>> {
+    let Some(value) = scenario.table.get(SYSTEM) else { return Ok(None) };
+    let Some(name) = value.as_str() else {
+        let invalid = Invalid::new(SYSTEM, value, "the name of a shipped system file, or a file");
+        return Err(Failure::bad_input(format!("{}: {invalid}", scenario.name)));
+    };
+    let beside = Path::new(&scenario.name).with_file_name(name);
+    let is_shipped = System::is_shipped(name) && (scenario.is_shipped || !beside.is_file());
+    Ok(Some(if is_shipped { PathBuf::from(name) } else { beside }))
 }
 
 #[cfg(test)]

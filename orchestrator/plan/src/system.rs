@@ -10,7 +10,7 @@ use shared_types::Role;
 use supervision::entry::ProcessEntry;
 use supervision::realtime;
 use toml::{Table, Value};
-use vehicle::{Description, Invalid, read, require, settings};
+use vehicle::{Description, Invalid, did_you_mean, read, require, settings};
 
 use crate::hosts::{self, HostEntry};
 use crate::possible;
@@ -24,6 +24,9 @@ pub const ROS2: &str = "scanloop-ros2";
 
 /// The built-in process table.
 pub const BUILT_IN: &str = include_str!("../../systems/default.toml");
+
+/// Name and text of the other system files that come with the program.
+const SHIPPED: [(&str, &str); 1] = [("thesis", include_str!("../../systems/thesis.toml"))];
 
 settings! {
     /// A checked system file.
@@ -122,7 +125,7 @@ impl System {
         }
     }
 
-    /// The table of a file, or the built-in one. Processes that the file does not have are the built-in ones.
+    /// The table of a file or of a shipped system, or the built-in one. Processes that it does not have are the built-in ones.
     ///
     /// # Errors
     /// A message with the file, and the line where the text is no TOML; exit code 2.
@@ -131,11 +134,23 @@ impl System {
             return SourceFile::shipped(BUILT_IN, "built-in system".to_owned());
         };
         let name = path.display().to_string();
-        let text = user_file::read(path, TEXT_BYTES);
-        let text = text.map_err(|error| Failure::bad_input(format!("{name}: {error}")))?;
-        let mut source = SourceFile::parse(text, name)?;
+        let shipped = SHIPPED.iter().find(|(shipped, _)| *shipped == name && !path.is_file());
+        let mut source = if let Some((_, text)) = shipped {
+            SourceFile::shipped(text, format!("shipped system {name}"))?
+        } else {
+            let text = user_file::read(path, TEXT_BYTES).map_err(|error| {
+                let meant = did_you_mean(&name, SHIPPED.iter().map(|(shipped, _)| *shipped));
+                Failure::bad_input(format!("{name}: {error}.{meant}"))
+            })?;
+            SourceFile::parse(text, name)?
+        };
         add_built_in(&mut source.table);
         Ok(source)
+    }
+
+    /// Whether a system file of this name comes with the program.
+    pub(crate) fn is_shipped(name: &str) -> bool {
+        SHIPPED.iter().any(|(shipped, _)| *shipped == name)
     }
 
     /// How long the wheels may turn without a directive [s].

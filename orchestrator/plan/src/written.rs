@@ -14,7 +14,7 @@ use vehicle::{Invalid, Key, Setting, did_you_mean};
 
 use crate::overrides::{index_of, parse_override, set};
 use crate::source::SourceFile;
-use crate::{Choice, System, calibration_file, is_of_scenario};
+use crate::{Choice, SYSTEM, System, calibration_file, is_of_scenario};
 
 /// What an option of the command line gives.
 #[derive(Debug, Clone)]
@@ -240,6 +240,9 @@ impl Written {
 /// Passes when the first part of the key of an override is a key of the scenario or the system.
 fn require_known(key: &str, text: &str) -> anyhow::Result<()> {
     let first = key.split('.').next().unwrap_or_default();
+    if first == SYSTEM {
+        return Err(Failure::bad_input(format!("--set {text}: `--system FILE` chooses another system file")));
+    }
     let names: Vec<&str> = Scenario::keys().iter().chain(&System::keys()).map(|key| key.name).collect();
     if names.contains(&first) {
         return Ok(());

@@ -37,6 +37,8 @@ settings! {
     pub struct Scenario {
         /// Name of the scenario in reports.
         pub name: String = "corridor".to_owned(), Documented { text: NAME, schema: NAME_PATTERN };
+        /// The system file of a run without `--system`: a shipped one by its name, or a file beside the scenario.
+        pub system: Option<String> = None, "a name or a file";
         /// Seed of all noise and of placed obstacles.
         pub seed: u64 = 1, "0 to 2^63 - 1";
         /// The run ends as `timeout` after this driven time [s].

@@ -101,8 +101,8 @@ fn a_sudden_jump_of_the_heading_slows_at_once_stops_and_is_named() {
 
 #[test]
 fn a_robot_that_is_as_calibrated_raises_no_alarm() {
-    for name in Scenario::names() {
-        let mut scenario = shipped(name);
+    for mut scenario in Scenario::names().map(shipped).filter(|scenario| scenario.system.is_none()) {
+        let name = scenario.name.clone();
         scenario.timeout_s = scenario.timeout_s.min(60.0);
         let seen = watch(&PipelineSettings::of(scenario));
         assert_eq!(seen.first, None, "{name}");

@@ -44,6 +44,45 @@ fn corridor_is_reached() {
     reach("corridor");
 }
 
+/// Its robot has errors that only the system file of the scenario describes.
+#[test]
+fn the_chain_of_the_source_reaches_its_goal_with_every_seed() {
+    reach("thesis");
+    let system = TestSystem::new(EXECUTABLE);
+    for seed in 2..=20 {
+        let report = system.lockstep(&["thesis", "--seed", &seed.to_string()]);
+        assert_eq!(report.outcome, Outcome::Reached, "seed {seed}: {}", report.reason);
+        assert!(report.drive.truth.unwrap().min_clearance_m >= 0.05, "seed {seed}");
+    }
+    let other = system.lockstep(&["thesis", "--set", "estimator.profile=scaled"]);
+    assert_eq!(other.outcome, Outcome::Stopped, "the filter of the project does not expect this odometer");
+}
+
+#[test]
+fn a_scenario_names_a_system_file_beside_it_and_the_option_comes_first() {
+    let system = TestSystem::new(EXECUTABLE);
+    let folder = system.folder();
+    std::fs::write(
+        folder.join("drive.toml"),
+        "name = \"drive\"\nsystem = \"slow.toml\"\n[goal]\nx_m = 3.0\n",
+    )
+    .unwrap();
+    let file = folder.join("drive.toml").display().to_string();
+    let missing = system.run(&["check", &file]);
+    let slow = folder.join("slow.toml").display().to_string();
+    assert_eq!(missing.status.code(), Some(2));
+    let message = String::from_utf8_lossy(&missing.stderr).into_owned();
+    assert!(message.contains(&slow), "{message}");
+    std::fs::write(&slow, "[controller]\ncruise_mps = 0.5\n").unwrap();
+    std::fs::write(folder.join("fast.toml"), "[controller]\ncruise_mps = 0.9\n").unwrap();
+    let fast = folder.join("fast.toml").display().to_string();
+    let (named, chosen) = (system.lockstep(&[&file]), system.lockstep(&[&file, "--system", &fast]));
+    assert!(named.duration_s > 1.3 * chosen.duration_s, "{} {}", named.duration_s, chosen.duration_s);
+    let refused = system.run(&["check", &file, "--set", "system=fast.toml"]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("--system FILE"));
+}
+
 #[test]
 fn a_drive_continues_after_missing_scans() {
     let system = TestSystem::new(EXECUTABLE);

@@ -20,6 +20,7 @@ pub(super) const SHIPPED: &[(&str, &str)] = shipped![
     "crossing",
     "long",
     "endless",
+    "thesis",
     "s-curve",
     "right-angle",
     "slalom-arc",
