@@ -63,7 +63,7 @@ pub fn random(seed: u64) -> Scenario {
         name: format!("course-{seed}"),
         seed,
         track: Track { y_m, walls, ..Track::default() },
-        goal: Goal { x_m: goal_m, ..Goal::default() },
+        goal: Goal { x_m: goal_m, ..Goal::default() }.into(),
         obstacles,
         noise: Noise {
             range_m: stream.between(0.0, 0.02),
@@ -149,8 +149,8 @@ mod tests {
             assert_eq!(course.validate(), Ok(()));
             let (first, last) = (course.obstacles.first().unwrap(), course.obstacles.last().unwrap());
             assert!(first.x_m - first.reach() >= AFTER_START_M - 1e-9);
-            assert!(course.goal.x_m - last.x_m - last.reach() >= BEFORE_GOAL_M - 1e-9);
-            assert!(course.goal.x_m <= GOAL_MAX_M && course.obstacles.len() <= 3);
+            assert!(course.goal.last().x_m - last.x_m - last.reach() >= BEFORE_GOAL_M - 1e-9);
+            assert!(course.goal.last().x_m <= GOAL_MAX_M && course.obstacles.len() <= 3);
             for pair in course.obstacles.windows(2) {
                 assert!(pair[1].x_m - pair[0].x_m >= SPACING_M - 1e-9);
             }

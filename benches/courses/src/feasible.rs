@@ -77,7 +77,7 @@ pub fn passable(scenario: &Scenario) -> bool {
 /// A path from the start to the goal, one pose per arc; `None` when the search finds none.
 pub fn path(scenario: &Scenario) -> Option<Vec<PathPose>> {
     let fixed = scenario.placed_obstacles().into_iter().filter(|obstacle| !obstacle.moves()).collect();
-    let goal_m = scenario.goal.tolerance_m.max(GOAL_M);
+    let goal_m = scenario.goal.last().tolerance_m.max(GOAL_M);
     let limits = Limits { margin_m: MARGIN_M, radius_m: RADIUS_M, goal_m };
     path_from(scenario, &start_of(scenario), fixed, &limits)
 }
@@ -93,7 +93,8 @@ pub fn path_from(
         |ScenarioObstacle { shape, x_m, y_m, .. }: ScenarioObstacle| ScenarioObstacle::fixed(shape, x_m, y_m);
     let obstacles = obstacles.into_iter().map(standing).collect();
     let scene = Scene::new(&Scenario { obstacles, endless: None, ..scenario.clone() });
-    Search { scenario, scene, from: *from, limits: *limits }.run()
+    let goal_along_m = scenario.goals_on_course().last().map_or(0.0, |goal| goal.x_m);
+    Search { scenario, scene, from: *from, limits: *limits, goal_along_m }.run()
 }
 
 /// The pose at the start.
@@ -107,6 +108,8 @@ struct Search<'a> {
     scene: Scene,
     from: PathPose,
     limits: Limits,
+    /// The goal along the course [m].
+    goal_along_m: f64,
 }
 
 impl Search<'_> {
@@ -176,14 +179,14 @@ impl Search<'_> {
     /// Returned as bits, which are in the order of the numbers because no cost is negative.
     fn cost(&self, place: PathPose, length: f64) -> u64 {
         let left = match &self.scenario.course {
-            Some(_) => self.scenario.goal_on_course().x_m - self.scenario.on_course(place.x, place.y)[0],
+            Some(_) => self.goal_along_m - self.scenario.on_course(place.x, place.y)[0],
             None => 0.0,
         };
         (length + 2.0 * self.goal_distance(place).max(left)).to_bits()
     }
 
     fn goal_distance(&self, place: PathPose) -> f64 {
-        (place.x - self.scenario.goal.x_m).hypot(place.y - self.scenario.goal.y_m)
+        self.scenario.goal.last().distance_m(place.x, place.y)
     }
 }
 

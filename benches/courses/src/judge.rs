@@ -49,7 +49,7 @@ impl Limits {
         let steering = (STEERING_MAX_RAD - lost).max(SMALLEST_STEERING_RAD);
         let margin_m = if scenario.robot.preset == Preset::Ideal { IDEAL_MARGIN_M } else { MARGIN_M };
         let radius_m = TURN_IN * (rear_m + front_m) / 2.0 / steering;
-        Self { margin_m, radius_m, goal_m: scenario.goal.tolerance_m.max(GOAL_MIN_M) }
+        Self { margin_m, radius_m, goal_m: scenario.goal.last().tolerance_m.max(GOAL_MIN_M) }
     }
 }
 
@@ -170,8 +170,8 @@ impl Judge {
         self.sent.push(sent.copied());
         self.last = *truth;
         if let Some(pose) = pose {
-            let goal = self.scenario.goal;
-            self.estimated_goal_m = (pose.x_m - goal.x_m).hypot(pose.y_m - goal.y_m);
+            let goal = self.scenario.goal.last();
+            self.estimated_goal_m = goal.distance_m(pose.x_m, pose.y_m);
         }
     }
 
@@ -180,7 +180,7 @@ impl Judge {
         let gave_up = reason.starts_with("the goal was passed");
         let landed = matches!(outcome, Outcome::Reached | Outcome::Missed);
         // NaN counts as missed.
-        let at_goal = self.estimated_goal_m <= self.scenario.goal.tolerance_m;
+        let at_goal = self.estimated_goal_m <= self.scenario.goal.last().tolerance_m;
         let missed_by_estimate = landed && !at_goal && (self.passable || !gave_up);
         let (verdict, cause) = match outcome {
             Outcome::Reached => (Verdict::Reached, "reached".to_owned()),

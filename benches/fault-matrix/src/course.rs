@@ -50,7 +50,7 @@ pub fn live_scenario(phase: DrivePhase) -> Scenario {
     match phase {
         DrivePhase::Start | DrivePhase::Straight | DrivePhase::Swap => {}
         DrivePhase::Beside => (scenario.start.x_m, scenario.start.y_m) = (2.7, 0.75),
-        DrivePhase::Landing => scenario.start.x_m = scenario.goal.x_m - 2.0,
+        DrivePhase::Landing => scenario.start.x_m = scenario.goal.last().x_m - 2.0,
     }
     scenario
 }

@@ -42,7 +42,7 @@ pub(super) fn sudden(base: &Scenario, ahead_m: f64, shift_m: f64, seed: u64) -> 
 }
 
 fn course(base: &Scenario, obstacles: Vec<ScenarioObstacle>, seed: u64) -> Scenario {
-    let goal = Goal { x_m: GOAL_X_M, ..base.goal };
+    let goal = Goal { x_m: GOAL_X_M, ..base.goal.last() }.into();
     Scenario { name: "price".to_owned(), seed, obstacles, goal, timeout_s: TIMEOUT_S, ..base.clone() }
 }
 

@@ -14,8 +14,8 @@ use crate::optimum::{Course as Task, Optimum, Sightings, optimum};
 use super::RideArguments;
 use super::results::{Goals, Row};
 
-/// Shipped scenarios that are not driven to their goal, or never end.
-const LEFT_OUT: [&str; 3] = ["endless", "blocked", "sudden"];
+/// Shipped scenarios that are not driven to their goal, that never end, or whose system is another one.
+const LEFT_OUT: [&str; 4] = ["endless", "blocked", "sudden", "thesis"];
 
 /// What is driven.
 pub(super) struct Course {
@@ -52,8 +52,9 @@ pub(super) fn all(arguments: &RideArguments) -> anyhow::Result<Vec<Course>> {
         if arguments.scenarios.is_empty() { shipped() } else { arguments.scenarios.clone() };
     let course = |name: &String| {
         let plan = Plan::read(Some(name), &choice)?;
-        if plan.scenario.course.is_some() {
-            anyhow::bail!("scenario = {name} is not allowed: one with a [track]; the optimum knows no bends");
+        if plan.scenario.course.is_some() || plan.scenario.goal.all().len() > 1 {
+            let allowed = "one with a [track] and one goal; the optimum knows neither bends nor stays";
+            anyhow::bail!("scenario = {name} is not allowed: {allowed}");
         }
         Ok(Course { plan, family: None })
     };
@@ -91,7 +92,7 @@ impl Course {
             note: reason,
             ..Row::default()
         };
-        let driven = if outcome == Outcome::Reached { measure(&drive, &scenario.goal) } else { None };
+        let driven = if outcome == Outcome::Reached { measure(&drive, &scenario.goal.last()) } else { None };
         let Some(driven) = driven else { return Ok((row, None)) };
         (row.driven, row.goals) = (Some(driven), Goals::of(&driven, None));
         let Some(task) = self.task(&drive, &sightings) else { return Ok((row, None)) };
@@ -150,7 +151,7 @@ impl Course {
             bounds: config.vehicle.bounds,
             x_range: config.track.x_m,
             y_range: config.y_range(),
-            goal: scenario.goal,
+            goal: scenario.goal.last(),
             start_s,
             start: drive.advanced_to(start_s)?.state,
             ellipses: sightings.ellipses(config.ellipse_margin_m, start_s - before_s),
@@ -167,6 +168,6 @@ impl Course {
             scene.trigger(&body, moment.time_s);
             moment.clearance_m = scene.clearance(&body, moment.time_s);
         }
-        measure(&drive, &scenario.goal)
+        measure(&drive, &scenario.goal.last())
     }
 }

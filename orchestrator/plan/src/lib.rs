@@ -130,7 +130,7 @@ impl Plan {
         let tuning = system.tuning().for_scenario(&scenario);
         tuning.validate()?;
         scenario.scanner.validate_mean(system.period_ns())?;
-        possible::require_goal(&scenario, &tuning.controller)?;
+        possible::require_goals(&scenario, &tuning.controller)?;
         warnings.extend(possible::warnings(&scenario, &tuning.controller));
         warnings.extend(hosts::warnings(&system));
         let own_topics = topics::table(&system, Vec::new());

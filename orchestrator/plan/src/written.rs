@@ -58,6 +58,11 @@ impl Given {
                 if key.contains('.') && (of_list(Scenario::keys()) || of_list(System::keys())) {
                     table.entry(first.to_owned()).or_insert_with(|| Value::Array(Vec::new()));
                 }
+                let by_index = key.split('.').nth(1).is_some_and(|second| second.parse::<usize>().is_ok());
+                if by_index && Scenario::keys().iter().any(|key| key.name == first && key.is_table_or_list())
+                {
+                    as_list(table, first);
+                }
                 set(table, key, value.clone())
                     .map_err(|reason| Failure::bad_input(format!("--set {text}: {reason}")))?;
             }
@@ -238,6 +243,14 @@ impl Written {
 }
 
 /// Passes when the first part of the key of an override is a key of the scenario or the system.
+/// Makes a table that may stand alone the only one of a list.
+fn as_list(table: &mut Table, name: &str) {
+    let one = table.entry(name.to_owned()).or_insert_with(|| Value::Table(Table::new()));
+    if one.is_table() {
+        *one = Value::Array(vec![std::mem::replace(one, Value::Boolean(false))]);
+    }
+}
+
 fn require_known(key: &str, text: &str) -> anyhow::Result<()> {
     let first = key.split('.').next().unwrap_or_default();
     if first == SYSTEM {

@@ -18,6 +18,7 @@ use plotters::coord::types::RangedCoordf64;
 use plotters::drawing::DrawingAreaErrorKind;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
+use vehicle::Goal;
 use vehicle::course::CourseOutline;
 
 /// Width of the picture [pixels].
@@ -92,10 +93,8 @@ pub struct PictureScene {
     pub obstacles: Vec<ObstacleOutline>,
     /// Where the drive starts [m].
     pub start_m: [f64; 2],
-    /// The goal [m].
-    pub goal_m: [f64; 2],
-    /// Largest distance to the goal at which it counts as reached [m].
-    pub goal_tolerance_m: f64,
+    /// The goals, in the plane.
+    pub goals: Vec<Goal>,
     /// Length of the robot's body [m].
     pub body_length_m: f64,
     /// Width of the robot's body [m].

@@ -272,8 +272,7 @@ impl Recorder {
         if let Some(truth) = &self.truth {
             return Some(truth.goal_distance_m);
         }
-        let [x_m, y_m] = self.info.goal_m;
-        self.pose.as_ref().map(|pose| (pose.x_m - x_m).hypot(pose.y_m - y_m))
+        self.pose.as_ref().map(|pose| self.info.goals.last().distance_m(pose.x_m, pose.y_m))
     }
 
     fn acquired(&mut self, acquired_ns: u64) {

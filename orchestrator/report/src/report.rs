@@ -14,6 +14,7 @@ use std::path::Path;
 
 use crate::ride::RideFigures;
 pub use audit::ledger::{DelayRow, LedgerReport, LedgerRow, ScanReport};
+pub use emulator::referee::Landing;
 pub use emulator::{JudgedBy, Outcome};
 use figures::Figures;
 use handover::swap::Certificate;
@@ -74,6 +75,8 @@ pub struct Report {
     /// `None` without a truth.
     #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "present")]
     pub ride: Option<Option<RideFigures>>,
+    /// What became of each goal.
+    pub goals: Vec<Landing>,
     /// How the scanner was.
     pub scanner: ScannerReport,
     /// The obstacle of the last stop that had one.

@@ -47,12 +47,13 @@ pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
     let mut plan = None;
     for scenario in &scenarios {
         let checked = Plan::read(Some(scenario), &choice)?;
-        let (obstacles, goal) = (checked.scenario.placed_obstacles().len(), &checked.scenario.goal);
+        let (obstacles, goals) = (checked.scenario.placed_obstacles().len(), checked.scenario.goal.all());
+        let places: Vec<_> = goals.iter().map(|goal| format!("({}, {})", goal.x_m, goal.y_m)).collect();
+        let name = if let [_] = goals { "goal" } else { "goals" };
         answer!(
             false,
-            "{scenario}: a valid scenario, {obstacles} obstacles, goal at ({}, {})",
-            goal.x_m,
-            goal.y_m
+            "{scenario}: a valid scenario, {obstacles} obstacles, {name} at {}",
+            places.join(", ")
         )?;
         remark(&checked, &mut shown)?;
         plan = Some(checked);

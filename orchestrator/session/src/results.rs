@@ -117,8 +117,7 @@ fn scene_of(scenario: &Scenario, report: &Report) -> picture::PictureScene {
         walls: scenario.track.walls,
         obstacles: shapes(scenario, report),
         start_m: [scenario.start.x_m, scenario.start.y_m],
-        goal_m: [scenario.goal.x_m, scenario.goal.y_m],
-        goal_tolerance_m: scenario.goal.tolerance_m,
+        goals: scenario.goal.all().to_vec(),
         body_length_m: scenario.robot.length_m,
         body_width_m: scenario.robot.width_m,
     }

@@ -467,6 +467,7 @@ impl Session {
         RunResult {
             outcome,
             reason: reason.to_owned(),
+            goals: self.recording.landings(),
             processes: processes.collect(),
             companions: self.companion_reports.clone(),
             swaps: [&self.swaps.certificates(), self.companions.swaps().certificates()].concat(),

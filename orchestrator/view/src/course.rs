@@ -1,4 +1,4 @@
-//! What stays the same during a run: track, goal and body, from the settings that the orchestrator wrote.
+//! What stays the same during a run: track, goals and body, from the settings that the orchestrator wrote.
 
 use serde_json::{Value, json};
 use toml::Table;
@@ -12,11 +12,15 @@ pub(crate) fn course(settings: &str) -> Value {
 fn of_settings(file: &Table) -> Value {
     let Some(controller) = file.get("controller").and_then(toml::Value::as_table) else { return Value::Null };
     let part = |name: &str| json!(controller.get(name));
-    let (track, goal, vehicle) = (part("track"), part("goal"), part("vehicle"));
+    let (track, vehicle) = (part("track"), part("vehicle"));
+    let next = part("next_goals").as_array().cloned().unwrap_or_default();
+    let goals = std::iter::once(part("goal")).chain(next).map(|goal| {
+        json!({ "x_m": goal["x_m"], "y_m": goal["y_m"], "tolerance_m": goal["tolerance_m"], "along_m": goal["x_m"] })
+    });
     let way = controller.get("course").and_then(|way| way.clone().try_into::<Course>().ok());
     let mut course = json!({
         "track": { "x_m": track["x_m"], "y_m": track["y_m"], "walls": track["walls"] },
-        "goal": { "x_m": goal["x_m"], "y_m": goal["y_m"], "tolerance_m": goal["tolerance_m"] },
+        "goals": goals.collect::<Vec<_>>(),
         "body": { "length_m": vehicle["length_m"], "width_m": vehicle["width_m"] },
         "scanner": {
             "x_m": vehicle["scanner_x_m"], "y_m": vehicle["scanner_y_m"], "yaw_rad": vehicle["scanner_yaw_rad"],
@@ -29,21 +33,24 @@ fn of_settings(file: &Table) -> Value {
     if let Some(way) = way.filter(|way| !way.is_line()) {
         place(&way, &mut course);
     }
+    course["goal"] = course["goals"].as_array().and_then(|goals| goals.last()).cloned().unwrap_or_default();
     course
 }
 
-/// Puts track and goal, which are along and across a course, into the plane: the way as lines, `way`, in place of the bounds.
+/// Puts track and goals, which are along and across a course, into the plane: the way as lines, `way`, in place of the bounds.
 /// Points of the lines are at equal distances along the course, from the first to the second of `along_m`.
 fn place(way: &Course, course: &mut Value) {
     let number = |value: &Value| value.as_f64().unwrap_or_default();
     let along_m = [0, 1].map(|end| number(&course["track"]["x_m"][end]));
-    let [x, y] = ["x_m", "y_m"].map(|key| number(&course["goal"][key]));
-    let goal = way.in_plane(&State { x, y, ..State::default() });
     let outline = way.outline(along_m);
-    (course["goal"]["x_m"], course["goal"]["y_m"]) = (json!(goal.x), json!(goal.y));
+    for goal in course["goals"].as_array_mut().into_iter().flatten() {
+        let [x, y] = ["x_m", "y_m"].map(|key| number(&goal[key]));
+        let place = way.in_plane(&State { x, y, ..State::default() });
+        (goal["x_m"], goal["y_m"]) = (json!(place.x), json!(place.y));
+    }
     (course["track"]["x_m"], course["track"]["y_m"]) = (Value::Null, Value::Null);
     course["way"] = json!({
-        "centre": outline.centre, "left": outline.left, "right": outline.right, "along_m": along_m, "goal_along_m": x,
+        "centre": outline.centre, "left": outline.left, "right": outline.right, "along_m": along_m,
     });
 }
 
@@ -66,7 +73,8 @@ mod tests {
 
     #[test]
     fn a_course_is_drawn_in_the_plane_with_its_goal() {
-        let text = "[controller]\ngoal = { x_m = 9.0, y_m = 0.5, tolerance_m = 0.1 }\n\
+        let text = "[controller]\ngoal = { x_m = 3.0, y_m = 0.0, tolerance_m = 0.1 }\n\
+            next_goals = [{ x_m = 9.0, y_m = 0.5, tolerance_m = 0.1 }]\n\
             track = { x_m = [-2.0, 12.0], y_m = [-1.5, 1.5], walls = false }\n\
             course = { waypoints = [{ x_m = 5.0, y_m = 0.0 }, { x_m = 5.0, y_m = 10.0 }] }\n";
         let course = of_settings(&text.parse().unwrap());
@@ -76,8 +84,9 @@ mod tests {
             "{}",
             course["goal"]
         );
+        assert!(close(&course["goals"][0]["x_m"], 5.0) && close(&course["goals"][0]["y_m"], 3.0));
         let left = &course["way"]["left"];
         assert!(close(&left[0][0], 3.5) && close(&left[0][1], -2.0), "{left}");
-        assert_eq!((&course["track"]["x_m"], &course["way"]["goal_along_m"]), (&Value::Null, &json!(9.0)));
+        assert_eq!((&course["track"]["x_m"], &course["goals"][1]["along_m"]), (&Value::Null, &json!(9.0)));
     }
 }

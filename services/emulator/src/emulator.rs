@@ -18,7 +18,7 @@ use crate::history::{History, Node};
 use crate::laser::{Laser, Sweep};
 use crate::odometer::{Odometer, Reckoning};
 use crate::plant::{Plant, STEP_NS};
-use crate::scenario::{Goal, Scenario, Start};
+use crate::scenario::{Scenario, Start};
 use crate::scene::Scene;
 use crate::schedule::Schedule;
 use way::Way;
@@ -240,7 +240,6 @@ impl Emulator {
     }
 
     fn fill_truth(&self, front: &Node, truth: &mut Truth) {
-        let Goal { x_m, y_m, .. } = self.scenario.goal;
         let state = &front.state;
         let body = self.scenario.body(state.x, state.y, state.yaw);
         truth.time_s = seconds(front.time_ns);
@@ -255,7 +254,7 @@ impl Emulator {
         truth.min_clearance_m = self.state.min_clearance_m.min(truth.clearance_m);
         truth.path_length_m = self.state.path_length_m;
         truth.max_abs_lateral_m = self.state.max_abs_lateral_m;
-        truth.goal_distance_m = (state.x - x_m).hypot(state.y - y_m);
+        truth.goal_distance_m = self.scenario.goal.last().distance_m(state.x, state.y);
         truth.longest_blind_s = seconds(self.state.longest_blind_ns);
         truth.actuation_age_s = seconds(self.state.clock_ns - self.state.last_actuation_ns);
         truth.blocked = u32::from(self.plant.is_blocked());

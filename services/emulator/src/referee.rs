@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use shared_types::{Actuation, ActuationKind, BlockReason, StopReason, Truth, named_enum};
 
 use self::estimate::Wheels;
-use crate::scenario::Scenario;
+use crate::scenario::{Goal, Scenario};
 
 pub use self::estimate::EstimatedScan;
 
@@ -53,8 +53,11 @@ named_enum! {
 /// Judges a drive.
 #[derive(Debug, Clone)]
 pub struct Referee {
-    goal_m: [f64; 2],
-    tolerance_m: f64,
+    goals: Vec<Goal>,
+    /// What became of the goals so far: all but the last one of a drive that is not over are reached.
+    landings: Vec<Landing>,
+    /// Whether the robot has landed without driving since.
+    has_landed: bool,
     timeout_s: f64,
     stop_final_s: f64,
     /// Since when the wheels have been blocked without a break [s].
@@ -70,11 +73,23 @@ pub struct Referee {
     reason: String,
 }
 
+/// What became of a goal.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct Landing {
+    /// When the robot stood there, since the start of the run; nothing where it never did [s].
+    pub reached_s: Option<f64>,
+    /// Distance of the robot's centre to it then; nothing where the robot did not land [m].
+    pub distance_m: Option<f64>,
+    /// Difference of the robot's direction to its own then, nothing where it has none [rad].
+    pub yaw_error_rad: Option<f64>,
+}
+
 /// The robot at a scan, by the truth or by the estimate.
 #[derive(Debug, Clone, Copy)]
 struct Sight {
     time_s: f64,
-    goal_distance_m: f64,
+    /// Position and direction in the plane; not finite as long as nothing is known.
+    place: [f64; 3],
     /// Whether the wheels have been blocked since the scan before.
     blocked: bool,
     stands: bool,
@@ -104,8 +119,9 @@ impl Referee {
     /// A referee for one run of a scenario.
     pub fn new(scenario: &Scenario) -> Self {
         Self {
-            goal_m: [scenario.goal.x_m, scenario.goal.y_m],
-            tolerance_m: scenario.goal.tolerance_m,
+            goals: scenario.goal.all().to_vec(),
+            landings: Vec::with_capacity(scenario.goal.all().len()),
+            has_landed: false,
             timeout_s: scenario.timeout_s,
             stop_final_s: scenario.stop_final_s,
             blocked_since_s: None,
@@ -136,7 +152,7 @@ impl Referee {
         let contact = contact(truth);
         let sight = Sight {
             time_s: truth.time_s,
-            goal_distance_m: truth.goal_distance_m,
+            place: [truth.x_m, truth.y_m, truth.yaw_rad],
             blocked: truth.blocked != 0 && !turned,
             stands: truth.blocked != 0 && truth.speed_mps <= 0.0,
             dead_man: truth.dead_man != 0,
@@ -151,7 +167,7 @@ impl Referee {
         let before = scan.actuations.iter().position(is_of_scan).unwrap_or(scan.actuations.len());
         let (before, since) = scan.actuations.split_at(before);
         before.iter().for_each(|actuation| self.wheels.note(actuation));
-        let sight = self.wheels.at(scan, self.goal_m);
+        let sight = self.wheels.at(scan);
         since.iter().for_each(|actuation| self.wheels.note(actuation));
         if let Some(newest) = scan.actuations.last() {
             self.block = Block::of(newest);
@@ -169,6 +185,13 @@ impl Referee {
         &self.reason
     }
 
+    /// What became of each goal.
+    pub fn landings(&self) -> Vec<Landing> {
+        let mut landings = self.landings.clone();
+        landings.resize(self.goals.len(), Landing::default());
+        landings
+    }
+
     fn decide(&mut self, sight: &Sight, contact: Option<(Outcome, String)>) -> Option<Outcome> {
         self.blocked_since_s = sight.blocked.then(|| self.blocked_since_s.unwrap_or(sight.time_s));
         let (outcome, reason) = contact.or_else(|| self.judge(sight))?;
@@ -176,16 +199,19 @@ impl Referee {
         Some(outcome)
     }
 
-    fn judge(&self, sight: &Sight) -> Option<(Outcome, String)> {
-        let Sight { time_s, goal_distance_m: distance, stands, .. } = *sight;
-        if stands && self.block.is_some_and(Block::lands) {
-            let reason = format!("landed {distance:.3} m from the goal, {} m are allowed", self.tolerance_m);
-            // NaN does not count as reached.
-            let outcome = if distance <= self.tolerance_m { Outcome::Reached } else { Outcome::Missed };
-            return Some((outcome, reason));
+    fn judge(&mut self, sight: &Sight) -> Option<(Outcome, String)> {
+        let Sight { time_s, stands, .. } = *sight;
+        let lands = self.block.is_some_and(Block::lands);
+        self.has_landed &= lands && sight.blocked;
+        if stands && lands && !self.has_landed {
+            self.has_landed = true;
+            return self.land(sight);
         }
+        let index = self.landings.len().min(self.goals.len() - 1);
+        let (goal, [x_m, y_m, _]) = (&self.goals[index], sight.place);
+        let (name, distance) = (self.goal_name(index), goal.distance_m(x_m, y_m));
         if stands && self.block.is_some_and(Block::gives_up) {
-            return Some((Outcome::Missed, format!("the goal was passed, it is {distance:.3} m away")));
+            return Some((Outcome::Missed, format!("{name} was passed, it is {distance:.3} m away")));
         }
         if let Some(since) = self.blocked_since_s
             && time_s - since >= self.stop_final_s
@@ -194,8 +220,47 @@ impl Referee {
             return Some((Outcome::Stopped, reason));
         }
         (time_s >= self.timeout_s).then(|| {
-            (Outcome::Timeout, format!("{} s are over, the goal is {distance:.3} m away", self.timeout_s))
+            (Outcome::Timeout, format!("{} s are over, {name} is {distance:.3} m away", self.timeout_s))
         })
+    }
+
+    /// What a landing means: the next goal, or the end of the run.
+    fn land(&mut self, sight: &Sight) -> Option<(Outcome, String)> {
+        let [x_m, y_m, yaw_rad] = sight.place;
+        let of = |goal: &Goal| (goal.distance_m(x_m, y_m), goal.yaw_error_rad(yaw_rad));
+        let index = self.landings.len();
+        let goal = *self.goals.get(index)?;
+        let (distance_m, yaw_error_rad) = of(&goal);
+        let is_reached = goal.is_reached(distance_m, yaw_error_rad);
+        // A controller that has lost its state lands once more where it stays.
+        if !is_reached && index > 0 && self.goals[index - 1].is_reached(of(&self.goals[index - 1]).0, None) {
+            return None;
+        }
+        let reached_s = is_reached.then_some(sight.time_s);
+        self.landings.push(Landing { reached_s, distance_m: Some(distance_m), yaw_error_rad });
+        if is_reached && index + 1 < self.goals.len() {
+            // The robot stays as long as it should; that is no stop.
+            self.blocked_since_s = Some(sight.time_s + goal.stay_s);
+            return None;
+        }
+        let name = self.goal_name(index);
+        let mut reason = format!("landed {distance_m:.3} m from {name}, {} m are allowed", goal.tolerance_m);
+        if let Some(error_rad) = yaw_error_rad {
+            reason += &format!(
+                ", and {error_rad:.3} rad from its direction, {} rad are allowed",
+                goal.yaw_tolerance_rad
+            );
+        }
+        Some((if is_reached { Outcome::Reached } else { Outcome::Missed }, reason))
+    }
+
+    /// A goal in messages.
+    fn goal_name(&self, index: usize) -> String {
+        if self.goals.len() == 1 {
+            "the goal".to_owned()
+        } else {
+            format!("goal {} of {}", index + 1, self.goals.len())
+        }
     }
 
     /// Name of the reason why the wheels are blocked.
@@ -241,7 +306,7 @@ mod tests {
     use shared_types::{Header, Pose, Role};
 
     fn truth(time_s: f64, goal_distance_m: f64, blocked: u32) -> Truth {
-        Truth { time_s, goal_distance_m, blocked, ..Truth::default() }
+        Truth { time_s, x_m: 10.0 + goal_distance_m, goal_distance_m, blocked, ..Truth::default() }
     }
 
     fn block(reason: BlockReason, stop: StopReason) -> Actuation {
@@ -269,6 +334,70 @@ mod tests {
         assert_eq!(referee().observe(&truth(12.0, f64::NAN, 1), Some(&landed)), Some(Outcome::Missed));
         let sliding = Truth { speed_mps: 0.3, ..truth(12.0, 0.05, 1) };
         assert_eq!(referee().observe(&sliding, Some(&landed)), None, "it has to stand");
+    }
+
+    /// Goals at 4 m, where the robot stays for 7 s, longer than a stop may last, and at 10 m.
+    fn two_goals() -> Referee {
+        let text = "[[goal]]\nx_m = 4.0\nstay_s = 7.0\n[[goal]]\nyaw_rad = 0.0\nyaw_tolerance_rad = 0.1\n";
+        Referee::new(&Scenario::parse(text, "two").unwrap())
+    }
+
+    fn truth_at(time_s: f64, x_m: f64, yaw_rad: f64, blocked: u32) -> Truth {
+        Truth { x_m, yaw_rad, ..truth(time_s, (x_m - 10.0).abs(), blocked) }
+    }
+
+    #[test]
+    fn each_goal_is_judged_when_the_robot_lands_there_and_staying_is_no_stop() {
+        let landed = block(BlockReason::Landed, StopReason::Landed);
+        let mut referee = two_goals();
+        for tenth in 50..=118 {
+            let seen = truth_at(f64::from(tenth) / 10.0, 4.05, 0.0, 1);
+            assert_eq!(referee.observe(&seen, Some(&landed)), None, "{}", referee.reason());
+        }
+        assert_eq!(referee.observe(&truth_at(13.0, 5.0, 0.0, 0), Some(&drive())), None);
+        assert_eq!(referee.observe(&truth_at(20.0, 9.98, 0.05, 1), Some(&landed)), Some(Outcome::Reached));
+        let [first, second] = referee.landings().try_into().unwrap();
+        assert_eq!((first.reached_s, second.reached_s), (Some(5.0), Some(20.0)));
+        assert!((first.distance_m.unwrap() - 0.05).abs() < 1e-9 && first.yaw_error_rad.is_none());
+        assert!((second.yaw_error_rad.unwrap() - 0.05).abs() < 1e-9);
+        let reason = referee.reason();
+        assert!(
+            reason.starts_with("landed 0.020 m from goal 2 of 2, 0.1 m are allowed, and 0.050 rad"),
+            "{reason}"
+        );
+    }
+
+    #[test]
+    fn a_goal_that_is_missed_ends_the_run_and_a_wrong_direction_is_a_miss() {
+        let landed = block(BlockReason::Landed, StopReason::Landed);
+        let mut referee = two_goals();
+        assert_eq!(referee.observe(&truth_at(5.0, 4.2, 0.0, 1), Some(&landed)), Some(Outcome::Missed));
+        assert_eq!(referee.landings()[0].reached_s, None);
+        assert_eq!(referee.landings()[1], Landing::default());
+        let mut referee = two_goals();
+        assert_eq!(referee.observe(&truth_at(5.0, 4.0, 0.0, 1), Some(&landed)), None);
+        assert_eq!(referee.observe(&truth_at(13.0, 5.0, 0.0, 0), Some(&drive())), None);
+        assert_eq!(referee.observe(&truth_at(20.0, 10.0, 0.2, 1), Some(&landed)), Some(Outcome::Missed));
+        let passed = block(BlockReason::Commanded, StopReason::GoalPassed);
+        let mut referee = two_goals();
+        assert_eq!(referee.observe(&truth_at(5.0, 4.3, 0.0, 1), Some(&passed)), Some(Outcome::Missed));
+        assert_eq!(referee.reason(), "goal 1 of 2 was passed, it is 0.300 m away");
+    }
+
+    #[test]
+    fn a_robot_that_lands_again_where_it_stays_has_not_missed_the_next_goal() {
+        let landed = block(BlockReason::Landed, StopReason::Landed);
+        let mut referee = two_goals();
+        assert_eq!(referee.observe(&truth_at(5.0, 4.0, 0.0, 1), Some(&landed)), None);
+        let lost = block(BlockReason::Commanded, StopReason::StateLost);
+        assert_eq!(referee.observe(&truth_at(5.1, 4.0, 0.0, 1), Some(&lost)), None);
+        assert_eq!(referee.observe(&truth_at(5.2, 4.0, 0.0, 1), Some(&landed)), None);
+        // A stop that lasts, after the stay, is one.
+        let blocked = block(BlockReason::Commanded, StopReason::Blocked);
+        let ended = (53..300).find(|tenth| {
+            referee.observe(&truth_at(f64::from(*tenth) / 10.0, 4.0, 0.0, 1), Some(&blocked)).is_some()
+        });
+        assert_eq!(ended, Some(170), "7 s of staying and 5 s of the stop");
     }
 
     #[test]

@@ -23,7 +23,7 @@ pub use places::Start;
 pub use preset::Values;
 pub use robot::{DriftGrowth, Noise, OdometryModel, Preset, Robot};
 pub use scanner::{MAX_RANGE_M, Scanner};
-pub use vehicle::{Goal, Surroundings, Track};
+pub use vehicle::{Goal, Goals, Surroundings, Track};
 
 /// What the name of a scenario may be.
 const NAME: &str = "1 to 64 letters, digits, blanks, `-`, `_` and `.`";
@@ -51,8 +51,8 @@ settings! {
         pub course: Option<Course> = None;
         /// Pose of the robot at the start.
         pub start: Start = Start::default();
-        /// Where to land.
-        pub goal: Goal = Goal::default();
+        /// Where to land; tables `[[goal]]` are goals one after the other.
+        pub goal: Goals = Goals::default();
         /// One table for each obstacle.
         #[serde(rename = "obstacle")]
         pub obstacles: Vec<ScenarioObstacle> = Vec::new();
@@ -162,12 +162,14 @@ impl Scenario {
         if let Some(course) = &self.course {
             self.validate_course(course)?;
         } else {
-            for (table, x_m, y_m) in
-                [("start", self.start.x_m, self.start.y_m), ("goal", self.goal.x_m, self.goal.y_m)]
-            {
-                places::require_inside(&self.track, x_m, y_m).map_err(|error| error.within(table))?;
+            let start = ("start".to_owned(), self.start.x_m, self.start.y_m);
+            let goals = self.goal.all().iter().enumerate();
+            let goals = goals.map(|(index, goal)| (self.goal.key(index), goal.x_m, goal.y_m));
+            for (table, x_m, y_m) in std::iter::once(start).chain(goals) {
+                places::require_inside(&self.track, x_m, y_m).map_err(|error| error.within(&table))?;
             }
         }
+        self.validate_goals()?;
         if let Some(endless) = &self.endless {
             endless.validate().map_err(|error| error.within("endless"))?;
         }
@@ -194,7 +196,7 @@ impl Scenario {
     pub fn placed_obstacles(&self) -> Vec<ScenarioObstacle> {
         let mut obstacles = self.obstacles.clone();
         if let Some(endless) = &self.endless {
-            let last_x_m = self.goal.x_m.min(self.track.x_m[1]);
+            let last_x_m = self.goal.last().x_m.min(self.track.x_m[1]);
             obstacles.extend(endless.placed(self.seed, &self.start, last_x_m));
         }
         obstacles

@@ -65,6 +65,11 @@ impl Key {
     pub fn is_list_of_tables(&self) -> bool {
         !self.keys.is_empty() && self.default == "[]"
     }
+
+    /// Whether it may be one table, `[name]`, as well as a list of them.
+    pub fn is_table_or_list(&self) -> bool {
+        !self.keys.is_empty() && self.default != "[]" && self.schema.contains_key("items")
+    }
 }
 
 /// The type of a key: a value or a table.

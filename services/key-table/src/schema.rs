@@ -28,6 +28,11 @@ fn of_key(key: &Key) -> Table {
     let mut schema = match key.keys.as_slice() {
         [] => key.schema.clone(),
         keys if key.is_list_of_tables() => array(schema_of(keys)),
+        keys if key.is_table_or_list() => {
+            let mut list = array(schema_of(keys));
+            list.insert("minItems".to_owned(), Value::Integer(1));
+            table([("anyOf", Value::Array(vec![schema_of(keys).into(), list.into()]))])
+        }
         keys => schema_of(keys),
     };
     let allowed = if key.allowed.is_empty() { String::new() } else { format!(" Allowed: {}.", key.allowed) };

@@ -88,6 +88,8 @@ settings! {
         pub side: SideRule = SideRule::Search;
         /// Where to land; `run` takes it from the scenario.
         pub goal: Goal = Goal::default();
+        /// Where to land after it, in this order; `run` takes them from the scenario.
+        pub next_goals: Vec<Goal> = Vec::new();
         /// The track; `run` takes it from the scenario.
         pub track: Track = Track::default();
         /// The way that the robot follows; `run` takes it from the scenario. Goal and track are along and across it.

@@ -17,7 +17,7 @@ use shared_types::{
     Alarm, Blocking, Command, CommandKind, Level, MAX_OBSTACLES, Obstacles, PLAN_NODES, PlanNode, Pose,
     StopReason,
 };
-use vehicle::{Control, Invalid, State};
+use vehicle::{Control, Goal, Invalid, State};
 
 use crate::blocking::blocking;
 use crate::braking::STOP_MARGIN_M;
@@ -58,7 +58,9 @@ const SLOWING_SHARE: f64 = 0.35;
 /// The controller of the robot.
 #[derive(Debug, Clone)]
 pub struct Controller {
+    /// The settings, with the goal that the robot drives to.
     config: ControllerConfig,
+    goals: Vec<Goal>,
     search: Search,
     planner: Planner,
     state: ControllerState,
@@ -80,6 +82,7 @@ impl Controller {
         let mut reference_path = ReferencePath::default();
         reference_path.set_line(0.0, config.goal.y_m, config.cruise_mps);
         Ok(Self {
+            goals: std::iter::once(config.goal).chain(config.next_goals.iter().copied()).collect(),
             search: Search::default(),
             planner: Planner::new(&config),
             state: ControllerState::default(),
@@ -139,6 +142,7 @@ impl Controller {
             ..Command::default()
         };
         let period_s = self.period(pose);
+        self.config.goal = self.goals[self.goal_index()];
         self.state.acquired_ns = pose.header.acquired_ns;
         match self.decide(pose, obstacles, period_s, budget, &mut command) {
             Ok(choice) => self.drive(choice, &mut command),
@@ -156,20 +160,21 @@ impl Controller {
         budget: &Budget,
         command: &mut Command,
     ) -> Result<Choice, StopReason> {
-        match self.state.arrival() {
-            Arrival::Landed => return Err(StopReason::Landed),
-            Arrival::StateLost => {
-                if !(pose.speed_mps.abs() < REST_MPS && pose.predicted_speed_mps.abs() < REST_MPS) {
-                    return Err(StopReason::StateLost);
-                }
-                self.state.arrival = Arrival::OnTheWay.wire();
-            }
+        let rests = pose.speed_mps.abs() < REST_MPS && pose.predicted_speed_mps.abs() < REST_MPS;
+        let arrival = self.state.arrival();
+        match arrival {
+            Arrival::Landed => self.leave(pose.header.acquired_ns, rests)?,
+            Arrival::StateLost if !rests => return Err(StopReason::StateLost),
+            Arrival::StateLost => self.state.arrival = Arrival::OnTheWay.wire(),
             Arrival::OnTheWay | Arrival::Passed => {}
         }
         let scanner = &obstacles.scanner;
         // Bodies that a faulty scanner shows may contradict the pose: then the scanner is the reason.
         let initial = start::read(&self.config, pose, obstacles, &self.state, &mut self.predicted)
             .map_err(|reason| if scanner.state().is_stop() { StopReason::Scanner } else { reason })?;
+        if arrival == Arrival::StateLost {
+            self.find_goal(initial.x);
+        }
         self.smooth(pose.predicted_ns);
         self.arrive(&initial, pose.predicted_speed_mps, period_s)?;
         if pose.alarm == Alarm::Stop.wire() {
@@ -343,6 +348,40 @@ impl Controller {
         self.state.started_ns = start_ns;
         let Self { state, predicted, config, .. } = self;
         smoothing::smooth(&mut state.ellipses, predicted, elapsed_s, config.smoothing_s);
+    }
+
+    /// Which goal the robot drives to, or stands at.
+    fn goal_index(&self) -> usize {
+        usize::try_from(self.state.goal).map_or(0, |index| index.min(self.goals.len() - 1))
+    }
+
+    /// Stays at a goal as long as it demands, then drives to the next one; at the last one for good.
+    fn leave(&mut self, now_ns: u64, rests: bool) -> Result<(), StopReason> {
+        if self.goal_index() + 1 == self.goals.len() {
+            return Err(StopReason::Landed);
+        }
+        let state = &mut self.state;
+        if state.rested_ns == 0 && rests {
+            state.rested_ns = now_ns;
+        }
+        let stay_ns = (self.config.goal.stay_s * 1e9) as u64;
+        if state.rested_ns == 0 || now_ns.saturating_sub(state.rested_ns) < stay_ns {
+            return Err(StopReason::Landed);
+        }
+        (state.arrival, state.rested_ns) = (Arrival::OnTheWay.wire(), 0);
+        self.drive_to(self.goal_index() + 1);
+        Ok(())
+    }
+
+    /// After the state was lost: the first goal that is not behind the robot.
+    fn find_goal(&mut self, along_m: f64) {
+        let is_ahead = |goal: &Goal| along_m <= goal.x_m + goal.tolerance_m;
+        self.drive_to(self.goals.iter().position(is_ahead).unwrap_or(self.goals.len() - 1));
+    }
+
+    fn drive_to(&mut self, index: usize) {
+        self.state.goal = index as u64;
+        self.config.goal = self.goals[index];
     }
 
     /// Lands, or stops behind the goal; a goal that was passed stays passed until the robot is well before it.

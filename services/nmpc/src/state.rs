@@ -52,6 +52,10 @@ plain_state! {
         pub clear_scans: u32,
         /// How many nodes of `plan` are used; 0 without a plan
         pub plan_length: u32,
+        /// How many goals were reached before the one that the robot drives to, or stands at
+        pub goal: u64,
+        /// Since when the robot has stood at its goal [ns]; 0 on its way
+        pub rested_ns: u64,
         /// Time of the first node of the plan [ns]
         pub plan_start_ns: u64,
         /// Time between two nodes of the plan [s]

@@ -10,6 +10,7 @@ use shared_types::{
     Alarm, Command, CommandKind, Level, MAX_OBSTACLES, Obstacle, Obstacles, Pose, ScannerHealth,
     ScannerState, SolveStatus, StopReason,
 };
+use vehicle::Goal;
 
 const BUDGET: Budget = Budget::Iterations(60);
 
@@ -338,6 +339,54 @@ fn without_the_state_of_the_one_before_it_stops_until_the_robot_rests() {
     assert_eq!(command.kind, CommandKind::Drive.wire());
     let command = next.step(&moving(6, 0.1), &obstacles(6, &[]), &BUDGET);
     assert_eq!(command.kind, CommandKind::Drive.wire(), "it rested once");
+}
+
+/// Goals at 4 m, where the robot stands for a second, and at 10 m.
+fn two_goals() -> Controller {
+    let goal = |x_m: f64| Goal { x_m, ..Goal::default() };
+    let (goal, next_goals) = (goal(4.0), vec![goal(10.0)]);
+    Controller::new(ControllerConfig { goal, next_goals, ..ControllerConfig::default() }).unwrap()
+}
+
+/// A robot at rest.
+fn rests(scan: u64, x: f64) -> Pose {
+    Pose { speed_mps: 0.0, predicted_speed_mps: 0.0, ..pose(scan, x, 0.0) }
+}
+
+#[test]
+fn at_a_goal_the_robot_stands_as_long_as_it_should_then_drives_to_the_next_one() {
+    let mut controller = two_goals();
+    let sliding = Pose { speed_mps: 0.2, predicted_speed_mps: 0.2, ..pose(1, 3.99, 0.0) };
+    assert_eq!(controller.step(&sliding, &obstacles(1, &[]), &BUDGET).kind, CommandKind::Land.wire());
+    // Ten scans of 0.1 s from the first one at rest; one that takes over counts on.
+    for scan in 2..12 {
+        let mut next = two_goals();
+        next.resume(&controller.state());
+        controller = next;
+        let command = controller.step(&rests(scan, 4.0), &obstacles(scan, &[]), &BUDGET);
+        assert_eq!(command.reason, StopReason::Landed.wire(), "scan {scan}");
+    }
+    let command = controller.step(&rests(12, 4.0), &obstacles(12, &[]), &BUDGET);
+    assert_eq!(command.kind, CommandKind::Drive.wire());
+    let command = controller.step(&pose(13, 4.3, 0.0), &obstacles(13, &[]), &BUDGET);
+    assert_eq!(command.kind, CommandKind::Drive.wire(), "the first goal is not passed, it was reached");
+    let near = Pose { predicted_speed_mps: 0.2, ..pose(14, 9.99, 0.0) };
+    controller.step(&near, &obstacles(14, &[]), &BUDGET);
+    for scan in 15..60 {
+        let command = controller.step(&rests(scan, 9.99), &obstacles(scan, &[]), &BUDGET);
+        assert_eq!(command.kind, CommandKind::Land.wire(), "at the last goal for good");
+    }
+}
+
+#[test]
+fn without_the_state_of_the_one_before_the_goal_is_the_first_that_is_not_behind() {
+    for (x, lands) in [(2.0, false), (4.05, true), (4.2, false), (10.0, true)] {
+        let mut controller = two_goals();
+        controller.start_in_stop();
+        let command = controller.step(&rests(1, x), &obstacles(1, &[]), &BUDGET);
+        let kind = if lands { CommandKind::Land } else { CommandKind::Drive };
+        assert_eq!(command.kind, kind.wire(), "{x} m: reason {}", command.reason);
+    }
 }
 
 /// The command of one step, which is a stop or a drive that the judge has no objection to.

@@ -51,7 +51,9 @@ impl Tuning {
         let track = scenario.track_on_course();
         self.controller.course = scenario.course.clone().unwrap_or_default();
         self.obstacles.course = self.controller.course.clone();
-        self.controller.goal = scenario.goal_on_course();
+        let goals = scenario.goals_on_course();
+        self.controller.goal = goals.first().copied().unwrap_or_default();
+        self.controller.next_goals = goals.get(1..).unwrap_or_default().to_vec();
         self.controller.track = track;
         self.obstacles.walls = track.walls;
         self.obstacles.wall_y_m = track.y_m;

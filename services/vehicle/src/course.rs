@@ -168,6 +168,16 @@ impl Course {
         [along_m + beyond + before, left]
     }
 
+    /// Length along the course of the first place from `from_m` on that is nearest to a point [m].
+    pub fn next(&self, point: Vector2<f64>, from_m: f64) -> f64 {
+        let ahead = self.pieces.iter().filter(|piece| piece.begin_m + piece.length_m > from_m);
+        let places = ahead.map(|piece| (piece.begin_m + piece.nearest(point)).max(from_m));
+        let distance = |along_m: f64| (self.at(along_m).point - point).norm();
+        let nearer =
+            |best: f64, along_m: f64| if distance(along_m) < distance(best) - 1e-9 { along_m } else { best };
+        places.reduce(nearer).unwrap_or(self.length_m)
+    }
+
     /// A state in the plane on the course, near `near_m`.
     #[must_use]
     pub fn on_course(&self, state: &State, near_m: f64) -> State {

@@ -9,6 +9,7 @@ pub mod course;
 mod description;
 pub mod frame;
 pub mod geometry;
+mod goal;
 pub mod integrate;
 mod lag;
 pub mod lateral;
@@ -23,6 +24,7 @@ pub mod tyre;
 pub use bounds::Bounds;
 pub use course::Course;
 pub use description::Description;
+pub use goal::{Goal, Goals};
 pub use key_table::{
     Ascending, Documented, Invalid, Key, KeyRule, Setting, did_you_mean, of_text, parse, read, require,
     schema_of, set_range, settings, text_of, toml_fault, toml_text,
@@ -30,4 +32,4 @@ pub use key_table::{
 pub use lag::Lag;
 pub use parameters::Parameters;
 pub use state::{Control, SIDEWAYS_RAD, State};
-pub use track::{Goal, Surroundings, Track};
+pub use track::{Surroundings, Track};

@@ -1,4 +1,4 @@
-//! Where the robot drives: the track and the goal, as scenario and controller know them.
+//! Where the robot drives: the track, as scenario and controller know it.
 
 use std::fmt;
 
@@ -57,17 +57,4 @@ settings! {
 impl Track {
     /// Smallest width of a track: what is between the bands of its walls [m].
     pub const MIN_WIDTH_M: f64 = 0.5;
-}
-
-settings! {
-    /// Where to land.
-    #[derive(Copy)]
-    pub struct Goal {
-        /// Position along the track [m].
-        pub x_m: f64 = 10.0, (-1e4..=1e4, "within `track.x_m`");
-        /// Lateral position, which is also the line that the robot follows [m].
-        pub y_m: f64 = 0.0, (-1e3..=1e3, "within `track.y_m`");
-        /// The goal is reached when the robot's centre lands within this distance of it [m].
-        pub tolerance_m: f64 = 0.1, 0.01..=1.0;
-    }
 }

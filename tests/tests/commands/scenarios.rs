@@ -35,7 +35,8 @@ fn drive(scenario: &str, expected: Outcome) -> Report {
 /// A scenario that is to be reached.
 fn reach(scenario: &str) {
     let report = drive(scenario, Outcome::Reached);
-    let tolerance = Scenario::parse(Scenario::shipped(scenario).unwrap(), scenario).unwrap().goal.tolerance_m;
+    let tolerance =
+        Scenario::parse(Scenario::shipped(scenario).unwrap(), scenario).unwrap().goal.last().tolerance_m;
     assert!(report.drive.final_distance_m <= tolerance);
 }
 
@@ -56,6 +57,35 @@ fn the_chain_of_the_source_reaches_its_goal_with_every_seed() {
     }
     let other = system.lockstep(&["thesis", "--set", "estimator.profile=scaled"]);
     assert_eq!(other.outcome, Outcome::Stopped, "the filter of the project does not expect this odometer");
+}
+
+#[test]
+fn several_goals_are_reached_in_their_order_and_directions() {
+    reach("stations");
+    let system = TestSystem::new(EXECUTABLE);
+    let report = system.lockstep(&["stations", "--set", "goal.0.x_m=5.5", "--set", "goal.1.stay_s=4.0"]);
+    let times: Vec<f64> = report.goals.iter().map(|goal| goal.reached_s.unwrap()).collect();
+    assert!(times.is_sorted() && times[2] - times[1] > 4.0 + 6.0, "{times:?}");
+    assert_eq!(report.goals.iter().filter(|goal| goal.yaw_error_rad.is_some()).count(), 2);
+    // A goal that the robot misses ends the drive: the odometer is 3 % wrong, which the estimator does not know.
+    let report = system.lockstep(&["stations", "--set", "robot.odometry_longitudinal=0.04"]);
+    assert_eq!(report.outcome, Outcome::Missed, "{}", report.reason);
+    assert!(report.reason.contains(" of 3, 0.1 m are allowed"), "{}", report.reason);
+    let ended = report.goals.iter().position(|goal| goal.reached_s.is_none()).unwrap();
+    assert!(report.goals[ended].distance_m.unwrap() > 0.1);
+    assert!(report.goals[ended + 1..].iter().all(|goal| goal.distance_m.is_none()));
+}
+
+#[test]
+fn one_goal_may_stand_in_a_list_and_an_option_names_it_by_its_number() {
+    let system = TestSystem::new(EXECUTABLE);
+    let lines = |arguments: &[&str]| scanloop_tests::printed(&system.run(arguments));
+    let checked = lines(&["check", "free", "--set", "goal.0.x_m=7"]);
+    assert!(checked.contains("goal at (7, 0)"), "{checked}");
+    let behind = lines(&["check", "stations", "--set", "goal.2.y_m=3"]);
+    assert!(behind.contains("goal[2]") || behind.contains("goal.2"), "{behind}");
+    let missing = lines(&["check", "free", "--set", "goal.1.x_m=7"]);
+    assert!(missing.contains("goal has no element `1`, it has 1"), "{missing}");
 }
 
 #[test]

@@ -23,7 +23,7 @@ const BETWEEN_M: f64 = 3.0;
 pub fn curved(seed: u64) -> Scenario {
     let line = super::random(seed);
     let mut stream = NoiseStream::new(line.seed, Purpose::Course, 3);
-    let course = way(line.goal.x_m, &mut stream);
+    let course = way(line.goal.last().x_m, &mut stream);
     let mut obstacles = line.obstacles.clone();
     for obstacle in &mut obstacles {
         let place = course.in_plane(&State { x: obstacle.x_m, y: obstacle.y_m, ..State::default() });
@@ -85,7 +85,7 @@ mod tests {
             let (line, scenario) = (crate::course::random(seed), curved(seed));
             assert_eq!(scenario.validate(), Ok(()), "{seed}");
             let course = scenario.course.as_ref().unwrap();
-            assert!((course.length_m() - line.goal.x_m).abs() < 1e-6, "{seed}");
+            assert!((course.length_m() - line.goal.last().x_m).abs() < 1e-6, "{seed}");
             assert!(course.sharpest().radius_m > RADIUS_M[0] - 1e-6, "{seed}: {:?}", course.sharpest());
             bends += usize::from(course.sharpest().radius_m < 20.0);
             for (one, other) in line.obstacles.iter().zip(&scenario.obstacles) {

@@ -153,7 +153,7 @@ fn empty(stream: &mut NoiseStream, needs_way: bool) -> Scenario {
     Scenario {
         timeout_s: 120.0,
         start: Start { x_m, y_m: y_m.clamp(-ASIDE_M, ASIDE_M), yaw_rad },
-        goal: Goal { x_m: goal_m, y_m: stream.between(-ASIDE_M, ASIDE_M), ..Goal::default() },
+        goal: Goal { x_m: goal_m, y_m: stream.between(-ASIDE_M, ASIDE_M), ..Goal::default() }.into(),
         noise: Noise {
             range_m: stream.between(0.0, 0.02),
             dropout: stream.between(0.0, 0.05),
@@ -167,7 +167,7 @@ fn empty(stream: &mut NoiseStream, needs_way: bool) -> Scenario {
 
 /// Where the surfaces of obstacles may be along the track [m].
 fn room(scenario: &Scenario) -> [f64; 2] {
-    [scenario.start.x_m + AFTER_START_M, scenario.goal.x_m - BEFORE_GOAL_M]
+    [scenario.start.x_m + AFTER_START_M, scenario.goal.last().x_m - BEFORE_GOAL_M]
 }
 
 /// Adds up to `count` obstacles, at least `spacing_m` apart along the track.
@@ -210,7 +210,7 @@ fn width(scenario: &mut Scenario, stream: &mut NoiseStream) -> f64 {
 fn gap(scenario: &mut Scenario, stream: &mut NoiseStream) -> f64 {
     let gap_m = stream.between(0.55, 2.0);
     let length_m = stream.between(0.05, 1.0);
-    let [from, to] = [scenario.start.x_m + WAY_ACROSS_M, scenario.goal.x_m - WAY_ACROSS_M];
+    let [from, to] = [scenario.start.x_m + WAY_ACROSS_M, scenario.goal.last().x_m - WAY_ACROSS_M];
     let x_m = stream.between(from, to);
     let reach_m = BOUND_M + HALF_BODY_M - gap_m / 2.0;
     let middle_m = stream.between(-reach_m, reach_m);
@@ -226,7 +226,7 @@ fn gap(scenario: &mut Scenario, stream: &mut NoiseStream) -> f64 {
 fn walls(scenario: &mut Scenario, stream: &mut NoiseStream) -> f64 {
     let wall_m = 1.9;
     scenario.track = Track { y_m: [-wall_m, wall_m], walls: true, ..scenario.track };
-    let [from, to] = [scenario.start.x_m + WAY_ACROSS_M, scenario.goal.x_m - WAY_ACROSS_M];
+    let [from, to] = [scenario.start.x_m + WAY_ACROSS_M, scenario.goal.last().x_m - WAY_ACROSS_M];
     let count = if to - from > WAY_ACROSS_M + 3.0 { stream.count(1, 2) } else { 1 };
     let mut side = if stream.chance(0.5) { 1.0 } else { -1.0 };
     let (mut narrowest_m, mut x_m) = (f64::INFINITY, from);
@@ -280,7 +280,8 @@ fn combine(scenario: &mut Scenario, stream: &mut NoiseStream) {
 
 /// A box across the whole track, or two with a gap that is narrower than the body.
 fn close(scenario: &mut Scenario, stream: &mut NoiseStream) {
-    let x_m = stream.between(scenario.start.x_m + AFTER_START_M + 0.5, scenario.goal.x_m - BEFORE_GOAL_M);
+    let x_m =
+        stream.between(scenario.start.x_m + AFTER_START_M + 0.5, scenario.goal.last().x_m - BEFORE_GOAL_M);
     let (length_m, gap_m) = (stream.between(0.05, 0.5), stream.between(0.0, 0.35));
     let (middle_m, outer_m) = (stream.between(-BOUND_M, BOUND_M), BOUND_M + 1.5);
     let whole = stream.chance(0.5);

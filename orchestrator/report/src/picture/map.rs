@@ -5,6 +5,7 @@ mod movers;
 use emulator::JudgedBy;
 use plotters::element::DashedPathElement;
 use plotters::prelude::*;
+use vehicle::Goal;
 use vehicle::course::{CourseOutline, ellipse_point};
 use vehicle::frame::to_track;
 
@@ -135,7 +136,8 @@ impl Layout {
 fn viewed(scene: &PictureScene, drive: &PictureDrive) -> View {
     let path = drive.moments.iter().map(|moment| [moment.x_m, moment.y_m]);
     let way = scene.course.iter().flat_map(CourseOutline::corners);
-    let points = path.chain(drive.estimates.iter().copied()).chain([scene.start_m, scene.goal_m]).chain(way);
+    let goals = scene.goals.iter().map(|goal| [goal.x_m, goal.y_m]);
+    let points = path.chain(drive.estimates.iter().copied()).chain([scene.start_m]).chain(goals).chain(way);
     let mut view = View { x: [f64::INFINITY, f64::NEG_INFINITY], y: [f64::INFINITY, f64::NEG_INFINITY] };
     for [x, y] in points.filter(|point| point.iter().all(|value| value.abs() < FARTHEST_M)) {
         view.x = [view.x[0].min(x - AROUND_M), view.x[1].max(x + AROUND_M)];
@@ -250,11 +252,13 @@ impl Strip<'_> {
                 places => self.draw_way(chart, &obstacle.points, places)?,
             }
         }
-        let PictureScene { goal_m: [x_m, y_m], goal_tolerance_m: radius, .. } = *self.scene;
-        let tolerance = corners(&Ellipse { x_m, y_m, a_m: radius, b_m: radius }, 0.0);
-        self.fill(chart, &tolerance, GOAL.mix(0.15).filled())?;
-        self.outline(chart, &tolerance, GOAL.stroke_width(fine(2) as u32))?;
-        self.dot(chart, self.scene.goal_m, 2, GOAL)
+        for Goal { x_m, y_m, tolerance_m: radius, .. } in self.scene.goals.iter().copied() {
+            let tolerance = corners(&Ellipse { x_m, y_m, a_m: radius, b_m: radius }, 0.0);
+            self.fill(chart, &tolerance, GOAL.mix(0.15).filled())?;
+            self.outline(chart, &tolerance, GOAL.stroke_width(fine(2) as u32))?;
+            self.dot(chart, [x_m, y_m], 2, GOAL)?;
+        }
+        Ok(())
     }
 
     fn draw_paths(&self, chart: &mut Axes<'_, '_>) -> Result<()> {

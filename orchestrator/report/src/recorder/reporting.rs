@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use crate::ride::measure;
 use audit::ledger::ScanReport;
 use console::progress::View;
-use vehicle::Goal;
 
 use super::{Recorder, RunResult};
 use crate::report::{DriveReport, LatencyReport, Report, SCHEMA, TrueDrive};
@@ -37,8 +36,9 @@ impl Recorder {
 
     /// The report of the run.
     pub fn report(&self, result: &RunResult) -> Report {
-        // The figures are of a line along x.
-        let has_ride = self.estimated.is_none() && self.info.course.is_none();
+        // The figures are of a line along x to one goal.
+        let is_line = self.info.course.is_none() && self.info.goals.all().len() == 1;
+        let has_ride = self.estimated.is_none() && is_line;
         Report {
             schema: SCHEMA,
             run_id: self.info.run_id.clone(),
@@ -60,7 +60,8 @@ impl Recorder {
             },
             drive: self.drive_report(),
             margin_m: self.margins.means(),
-            ride: has_ride.then(|| measure(&self.ride.drive(), &self.goal())),
+            ride: has_ride.then(|| measure(&self.ride.drive(), &self.info.goals.last())),
+            goals: result.goals.clone(),
             scanner: self.scanner.report(),
             blocking: self.blocking.map(|(blocking, _)| blocking.into()),
             differences: Vec::new(),
@@ -112,10 +113,5 @@ impl Recorder {
             }),
             ..report
         }
-    }
-
-    fn goal(&self) -> Goal {
-        let [x_m, y_m] = self.info.goal_m;
-        Goal { x_m, y_m, ..Goal::default() }
     }
 }

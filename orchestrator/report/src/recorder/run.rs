@@ -1,8 +1,9 @@
 //! What is known of a run before it starts, and after it ended.
 
 use audit::ledger::DelayRow;
+use emulator::referee::Landing;
 use handover::swap::Certificate;
-use vehicle::{Course, Surroundings};
+use vehicle::{Course, Goals, Surroundings};
 
 use crate::report::{LedgerReport, Outcome, ProcessReport, RecordingReport};
 
@@ -25,8 +26,8 @@ pub struct RunInfo {
     pub first_scan: u64,
     /// Scan period [ns].
     pub period_ns: u64,
-    /// Position of the goal [m].
-    pub goal_m: [f64; 2],
+    /// The goals in their order; there are no figures of the ride with several.
+    pub goals: Goals,
 }
 
 /// How a run ended.
@@ -36,6 +37,8 @@ pub struct RunResult {
     pub outcome: Outcome,
     /// Why; empty when the outcome is reason enough.
     pub reason: String,
+    /// What became of each goal.
+    pub goals: Vec<Landing>,
     /// The processes that filled the roles.
     pub processes: Vec<ProcessReport>,
     /// The processes beside the loop.

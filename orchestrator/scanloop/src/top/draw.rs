@@ -5,6 +5,7 @@ use ratatui_core::layout::Rect;
 use ratatui_core::style::{Color, Modifier, Style};
 use session::control::{ProcessStatus, SystemStatus};
 use shared_types::{Pose, Role, ScannerState, StopReason};
+use vehicle::Goal;
 use vehicle::course::ellipse_point;
 use vehicle::frame::to_track;
 
@@ -176,9 +177,11 @@ fn map(area: Rect, buffer: &mut Buffer, model: &Model) {
             Color::Yellow,
         );
     }
-    let ([x_m, y_m], tolerance_m) = (model.course.goal_m(), model.course.goal.tolerance_m.max(0.1));
-    canvas.line([x_m - tolerance_m, y_m], [x_m + tolerance_m, y_m], Color::Cyan);
-    canvas.line([x_m, y_m - tolerance_m], [x_m, y_m + tolerance_m], Color::Cyan);
+    for Goal { x_m, y_m, tolerance_m, .. } in model.course.goals_in_plane() {
+        let arm_m = tolerance_m.max(0.1);
+        canvas.line([x_m - arm_m, y_m], [x_m + arm_m, y_m], Color::Cyan);
+        canvas.line([x_m, y_m - arm_m], [x_m, y_m + arm_m], Color::Cyan);
+    }
     if let Some(command) = model.command.as_ref().filter(|_| !model.is_blocked()) {
         let nodes = command.nodes();
         for (from, to) in nodes.iter().zip(nodes.iter().skip(1)) {

@@ -74,6 +74,6 @@ fn course(domain: &Domain) -> anyhow::Result<Course> {
     let role = Role::Controller;
     let mut table: Table = domain.folder().read_text(&settings_file(role))?.parse()?;
     let own = table.remove(settings_table(role)).unwrap_or_else(|| Table::new().into());
-    let nmpc::ControllerConfig { track, goal, course, vehicle, .. } = own.try_into()?;
-    Ok(Course::new(track, goal, course, vehicle))
+    let nmpc::ControllerConfig { track, goal, next_goals, course, vehicle, .. } = own.try_into()?;
+    Ok(Course::new(track, [vec![goal], next_goals].concat(), course, vehicle))
 }

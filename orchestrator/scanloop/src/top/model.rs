@@ -48,9 +48,9 @@ pub(super) struct Model {
 /// The course and the robot.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Course {
-    /// The bounds and the goal, along and across the way.
+    /// The bounds and the goals, along and across the way.
     pub(super) track: Track,
-    pub(super) goal: Goal,
+    pub(super) goals: Vec<Goal>,
     pub(super) way: vehicle::Course,
     /// The way as lines; none of the line along x.
     pub(super) outline: Option<CourseOutline>,
@@ -58,24 +58,27 @@ pub(super) struct Course {
 }
 
 impl Course {
-    pub(super) fn new(track: Track, goal: Goal, way: vehicle::Course, vehicle: Description) -> Self {
+    pub(super) fn new(track: Track, goals: Vec<Goal>, way: vehicle::Course, vehicle: Description) -> Self {
         let outline = (!way.is_line()).then(|| way.outline(track.x_m));
-        Self { track, goal, way, outline, vehicle }
+        Self { track, goals, way, outline, vehicle }
     }
 
-    /// The goal in the plane [m].
-    pub(super) fn goal_m(&self) -> [f64; 2] {
-        let Goal { x_m, y_m, .. } = self.goal;
-        let State { x, y, .. } = self.way.in_plane(&State { x: x_m, y: y_m, ..State::default() });
-        [x, y]
+    /// The goals in the plane.
+    pub(super) fn goals_in_plane(&self) -> impl Iterator<Item = Goal> {
+        self.goals.iter().map(|goal| {
+            let on_way = State { x: goal.x_m, y: goal.y_m, ..State::default() };
+            let State { x, y, .. } = self.way.in_plane(&on_way);
+            Goal { x_m: x, y_m: y, ..*goal }
+        })
     }
 
-    /// How far the goal is from a pose: along the way where there is one [m].
+    /// How far the next goal is from a pose: along the way where there is one [m].
     pub(super) fn to_goal_m(&self, pose: &Pose) -> f64 {
         let state = State { x: pose.x_m, y: pose.y_m, yaw: pose.yaw_rad, ..State::default() };
         let place = self.way.on_course(&state, self.way.find(&state));
-        let [ahead_m, across_m] = [self.goal.x_m - place.x, self.goal.y_m - place.y];
-        ahead_m.hypot(across_m)
+        let is_ahead = |goal: &&Goal| place.x <= goal.x_m + goal.tolerance_m;
+        let next = self.goals.iter().find(is_ahead).or(self.goals.last());
+        next.map_or(f64::NAN, |goal| goal.distance_m(place.x, place.y))
     }
 }
 

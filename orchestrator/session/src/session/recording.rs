@@ -2,6 +2,7 @@
 
 use audit::digest::Digests;
 use audit::samples::ScanRecord;
+use emulator::referee::Landing;
 use emulator::{EstimatedScan, Referee, Scenario};
 use report::Outcome;
 use report::recorder::{Recorder, RunInfo};
@@ -40,7 +41,7 @@ impl Recording {
             lockstep: options.lockstep,
             first_scan,
             period_ns,
-            goal_m: [scenario.goal.x_m, scenario.goal.y_m],
+            goals: scenario.goal.clone(),
         };
         Self {
             recorder: Recorder::new(info),
@@ -51,6 +52,11 @@ impl Recording {
             period_ns,
             observer: None,
         }
+    }
+
+    /// What became of each goal.
+    pub(super) fn landings(&self) -> Vec<Landing> {
+        self.referee.landings()
     }
 
     /// Adds a complete scan; scans come in order.

@@ -192,10 +192,9 @@ function paintPanels(frame, course) {
   const isRecording = page.overview != null;
   // A frame of a recording brings the processes of its time.
   const system = frame?.system ? { ...page.system, ...frame.system, status: { scenario: page.system?.scenario, ...frame.system.status } } : page.system;
-  const goal = course?.goal;
   if (frame && frame !== painted) {
     const pose = frame.truth ?? frame.pose;
-    frame.goal_m = pose && goal?.x_m != null ? toGoal(course, pose) : null;
+    frame.goal_m = pose && course?.goal?.x_m != null ? toGoal(course, pose) : null;
     painted = frame;
   }
   const isPast = page.shown_s != null && !isRecording;

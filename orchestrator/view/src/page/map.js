@@ -17,7 +17,7 @@ export function draw(context, camera, view, colour) {
   context.fillRect(0, 0, width, height);
   const pen = { context, camera, colour, at: (x, y) => camera.toScreen(x, y), scale: camera.scale };
   ground(pen, course, width, height);
-  if (course?.goal?.x_m != null) goal(pen, course.goal, course.way ? null : rows);
+  (course?.goals ?? []).filter((one) => one.x_m != null).forEach((one) => goal(pen, one, course.way ? null : rows));
   if (frame) {
     unseen(pen, frame, body, course);
     paths(pen, rows);
@@ -122,12 +122,12 @@ function goal({ context, at, scale, colour }, goal, rows) {
   context.fill();
 }
 
-/** How far the goal is from a pose: along the way of a course where there is one [m]. */
-export function toGoal(course, pose) {
-  const { goal, way } = course;
-  if (!way) return Math.hypot(pose.x_m - goal.x_m, pose.y_m - goal.y_m);
-  const [from_m, to_m] = way.along_m;
-  return Math.abs(way.goal_along_m - from_m - (to_m - from_m) * nearest(way, pose) / (way.centre.length - 1));
+/** How far the next goal is from a pose: along the way of a course where there is one [m]. */
+export function toGoal({ goals, way }, pose) {
+  const [from_m, to_m] = way?.along_m ?? [];
+  const along_m = way ? from_m + (to_m - from_m) * nearest(way, pose) / (way.centre.length - 1) : pose.x_m;
+  const next = goals.find((goal) => along_m <= goal.along_m + goal.tolerance_m) ?? goals.at(-1);
+  return way ? Math.abs(next.along_m - along_m) : Math.hypot(pose.x_m - next.x_m, pose.y_m - next.y_m);
 }
 
 // The index of the point of a way that is nearest to a place.

@@ -42,7 +42,7 @@ pub(super) struct Wheels {
     /// When the newest actuation was sent [ns].
     sent_ns: u64,
     blocked_since_s: Option<f64>,
-    goal_distance_m: Option<f64>,
+    place: Option<[f64; 3]>,
 }
 
 impl Wheels {
@@ -54,19 +54,18 @@ impl Wheels {
     }
 
     /// The robot at the front beam of a scan, from what was sent before it.
-    pub(super) fn at(&mut self, scan: &EstimatedScan<'_>, goal_m: [f64; 2]) -> Sight {
+    pub(super) fn at(&mut self, scan: &EstimatedScan<'_>) -> Sight {
         let silent_ns = scan.header.acquired_ns.saturating_sub(self.sent_ns);
         let dead_man = self.turn && silent_ns > DEAD_MAN_PERIODS * scan.period_ns;
         let turned = std::mem::take(&mut self.turned);
         let blocked = !turned && (!self.turn || dead_man);
         let since_s = blocked.then(|| self.blocked_since_s.unwrap_or(scan.time_s));
         self.blocked_since_s = since_s;
-        let distance_m = |pose: &Pose| (pose.x_m - goal_m[0]).hypot(pose.y_m - goal_m[1]);
-        self.goal_distance_m = scan.pose.map(distance_m).or(self.goal_distance_m);
+        self.place = scan.pose.map(|pose| [pose.x_m, pose.y_m, pose.yaw_rad]).or(self.place);
         let is_slow = scan.pose.is_some_and(|pose| pose.speed_mps <= STANDING_MPS);
         Sight {
             time_s: scan.time_s,
-            goal_distance_m: self.goal_distance_m.unwrap_or(f64::NAN),
+            place: self.place.unwrap_or([f64::NAN; 3]),
             blocked,
             stands: since_s.is_some_and(|since_s| is_slow || scan.time_s - since_s >= REST_S),
             dead_man,

@@ -27,4 +27,5 @@ pub(super) const SHIPPED: &[(&str, &str)] = shipped![
     "figure-of-eight",
     "overtaking",
     "intersection",
+    "stations",
 ];

@@ -224,7 +224,7 @@ fn a_scenario_with_a_course_begins_at_its_first_waypoint_and_ends_at_its_last() 
     );
     let Scenario { start, goal, course, .. } = scenario.unwrap();
     assert_eq!([start.x_m, start.y_m, start.yaw_rad], [0.0, -1.0, 0.25]);
-    assert_eq!([goal.x_m, goal.y_m], [16.0, 6.0]);
+    assert_eq!([goal.last().x_m, goal.last().y_m], [16.0, 6.0]);
     let course = course.unwrap();
     assert!((course.at(course.length_m()).point - Vector2::new(16.0, 6.0)).norm() < 1e-9);
 }
@@ -233,7 +233,7 @@ fn a_scenario_with_a_course_begins_at_its_first_waypoint_and_ends_at_its_last() 
 fn keys_of_start_and_goal_win_over_the_course_and_a_missing_yaw_is_its_direction_there() {
     let text = format!("{S_CURVE}[start]\nx_m = 8\ny_m = 3\n[goal]\nx_m = 15\ny_m = 5.5\n");
     let scenario = Scenario::parse(&text, "my.toml").unwrap();
-    assert_eq!([scenario.goal.x_m, scenario.goal.y_m], [15.0, 5.5]);
+    assert_eq!([scenario.goal.last().x_m, scenario.goal.last().y_m], [15.0, 5.5]);
     assert!((scenario.start.yaw_rad - 0.5).abs() < 1e-9, "{:?}", scenario.start);
     let Start { x_m: along_m, y_m: across_m, yaw_rad } = scenario.start_on_course();
     assert!(along_m > 8.5 && across_m.abs() < 1e-9 && yaw_rad.abs() < 1e-9, "{along_m} {across_m} {yaw_rad}");
@@ -247,7 +247,7 @@ fn keys_of_start_and_goal_win_over_the_course_and_a_missing_yaw_is_its_direction
 fn positions_on_the_course_are_along_and_across_it_and_without_one_those_in_the_plane() {
     let plain = Scenario::default();
     assert_eq!((plain.on_course(3.0, -0.5), plain.start_on_course()), ([3.0, -0.5], plain.start));
-    assert_eq!((plain.goal_on_course(), plain.track_on_course()), (plain.goal, plain.track));
+    assert_eq!((plain.goals_on_course(), plain.track_on_course()), (vec![plain.goal.last()], plain.track));
     // A quarter of a circle with 10 m radius, which turns left from the x axis.
     let text = "[course]\nwidth_m = 4\nsurroundings = \"open\"\n\
                 waypoints = [{ x_m = 0, y_m = 0, yaw_rad = 0 }, { x_m = 10, y_m = 10, yaw_rad = 1.5707963267948966 }]";
@@ -269,7 +269,64 @@ fn a_goal_where_a_closed_course_begins_is_its_end() {
                 { x_m = -10, y_m = 10 }, { x_m = 0, y_m = 0, yaw_rad = 0 }]";
     let scenario = Scenario::parse(text, "my.toml").unwrap();
     assert!(scenario.start_on_course().x_m.abs() < 1e-9);
-    assert!((scenario.goal_on_course().x_m - 20.0 * std::f64::consts::PI).abs() < 0.1);
+    assert!((scenario.goals_on_course()[0].x_m - 20.0 * std::f64::consts::PI).abs() < 0.1);
+}
+
+#[test]
+fn a_course_without_waypoints_leads_through_the_goals_in_their_directions() {
+    let text = "[course]\n[[goal]]\nx_m = 6\ny_m = 1\n[[goal]]\nx_m = 12\ny_m = 6\nyaw_rad = 1.5708\n";
+    let scenario = Scenario::parse(text, "my.toml").unwrap();
+    let course = scenario.course.clone().unwrap();
+    let goals = scenario.goals_on_course();
+    assert!(
+        goals[0].x_m > 6.0 && goals[0].y_m.abs() < 1e-9 && goals[1].x_m == course.length_m(),
+        "{goals:?}"
+    );
+    assert!(course.at(0.0).yaw.abs() < 1e-9 && (course.at(course.length_m()).yaw - 1.5708).abs() < 1e-9);
+    assert_eq!(Scenario::parse(&scenario.to_toml(), "written").unwrap(), scenario);
+    let back = message(&text.replace("x_m = 12\ny_m = 6", "x_m = 6\ny_m = 1"));
+    assert!(
+        back.starts_with("my.toml: goal[1].x_m = (6, 1) is not allowed: at least 0.05 m from the one before"),
+        "{back}"
+    );
+}
+
+#[test]
+fn goals_on_a_course_come_in_their_order_also_where_it_passes_again() {
+    let circle = "[course]\nlaps = 2\nwaypoints = [{ x_m = 0, y_m = 0, yaw_rad = 0 }, { x_m = 10, y_m = 10 }, \
+        { x_m = 0, y_m = 20 }, { x_m = -10, y_m = 10 }, { x_m = 0, y_m = 0, yaw_rad = 0 }]\n";
+    let goals = "[[goal]]\nx_m = 10\ny_m = 10\n[[goal]]\nx_m = 10\ny_m = 10\n[[goal]]\n";
+    let along: Vec<f64> = Scenario::parse(&format!("{circle}{goals}"), "my.toml")
+        .unwrap()
+        .goals_on_course()
+        .iter()
+        .map(|goal| goal.x_m / (5.0 * std::f64::consts::PI))
+        .collect();
+    // A quarter of the first lap, a quarter of the second, and the end.
+    assert!(
+        along.iter().zip([1.0, 5.0, 8.0]).all(|(quarters, expected)| (quarters - expected).abs() < 0.01),
+        "{along:?}"
+    );
+    let half = message(&format!("{circle}[[goal]]\n[[goal]]\nx_m = 3"));
+    assert!(half.starts_with("my.toml: goal[1].y_m = (missing) is not allowed"), "{half}");
+    let before = message(&format!(
+        "{}[[goal]]\nx_m = 0\ny_m = 20\n[[goal]]\nx_m = 10\ny_m = 10",
+        circle.replace("laps = 2", "laps = 1")
+    ));
+    assert!(before.starts_with("my.toml: goal[1].x_m = "), "{before}");
+}
+
+#[test]
+fn the_direction_of_a_goal_must_be_that_of_the_way() {
+    assert!(Scenario::parse("[goal]\nyaw_rad = 0.05", "my.toml").is_ok());
+    let across = message("[goal]\nyaw_rad = 1.0");
+    assert!(
+        across.starts_with(
+            "my.toml: goal.yaw_rad = 1 is not allowed: the direction of the way there, 0.000, by"
+        ),
+        "{across}"
+    );
+    assert!(Scenario::parse("[goal]\nyaw_rad = 1.0\nyaw_tolerance_rad = 1.1", "my.toml").is_ok());
 }
 
 #[test]
@@ -283,10 +340,6 @@ fn a_course_that_cannot_be_followed_is_refused_with_what_is_allowed() {
         (
             with("[endless]"),
             "endless = (a table) is not allowed: not with [course]: it places obstacles along the line through the start",
-        ),
-        (
-            message("[course]"),
-            "course.waypoints = [] is not allowed: at least two; without [course] the robot follows the line along x",
         ),
         (
             message("[course]\nwaypoints = [{ x_m = 1 }]"),
@@ -329,5 +382,5 @@ fn a_scenario_with_a_course_reads_back_identically_and_has_no_track_in_its_file(
     assert!(!written.contains("track") && written.contains("[[course.waypoints]]"), "{written}");
     assert_eq!(Scenario::parse(&written, "written").unwrap(), scenario, "{written}");
     let changed = scenario.with(&toml::from_str("[goal]\ntolerance_m = 0.2").unwrap()).unwrap();
-    assert_eq!((changed.goal.tolerance_m, changed.goal.x_m), (0.2, scenario.goal.x_m));
+    assert_eq!((changed.goal.last().tolerance_m, changed.goal.last().x_m), (0.2, scenario.goal.last().x_m));
 }

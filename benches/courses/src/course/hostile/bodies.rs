@@ -29,7 +29,7 @@ pub(super) fn mover(motion: Motion, scenario: &Scenario, stream: &mut NoiseStrea
         Shape::Box { length_m: stream.between(0.1, 0.6), width_m: stream.between(0.1, 0.6), yaw_rad: 0.0 }
     };
     let start = scenario.start;
-    let way_m = stream.between(3.0, (scenario.goal.x_m - start.x_m - 1.0).min(12.0));
+    let way_m = stream.between(3.0, (scenario.goal.last().x_m - start.x_m - 1.0).min(12.0));
     // The robot is there about then.
     let meeting_s = way_m * stream.between(0.9, 1.7);
     let (meeting_m, speed) = (start.x_m + way_m, stream.between(0.1, 0.5));

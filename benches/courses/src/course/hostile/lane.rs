@@ -23,7 +23,7 @@ pub(super) struct Lane {
 impl Lane {
     /// A lane from the start to the goal of a scenario.
     pub(super) fn new(scenario: &Scenario, stream: &mut NoiseStream) -> Self {
-        let goal = [scenario.goal.x_m, scenario.goal.y_m];
+        let goal = [scenario.goal.last().x_m, scenario.goal.last().y_m];
         let most = ((goal[0] - scenario.start.x_m) / WAVE_M).max(0.5);
         Self {
             start: scenario.start,

@@ -89,7 +89,7 @@ fn driving() -> Model {
         status: Some(status),
         course: Course::new(
             Track::default(),
-            Goal::default(),
+            vec![Goal::default()],
             vehicle::Course::default(),
             Description::default(),
         ),
@@ -125,8 +125,9 @@ fn a_course_is_drawn_with_its_bounds_and_the_distance_to_the_goal_is_along_it() 
     let way = vehicle::Course::try_from(CourseKeys { waypoints, ..CourseKeys::default() }).unwrap();
     let track = Track { x_m: [-2.0, way.length_m() + 2.0], ..Track::default() };
     let goal = Goal { x_m: way.length_m(), ..Goal::default() };
-    model.course = Course::new(track, goal, way, Description::default());
-    assert!((model.course.goal_m()[0] - 8.0).abs() < 1e-9 && (model.course.goal_m()[1] - 6.0).abs() < 1e-9);
+    model.course = Course::new(track, vec![goal], way, Description::default());
+    let goal = model.course.goals_in_plane().next().unwrap();
+    assert!((goal.x_m - 8.0).abs() < 1e-9 && (goal.y_m - 6.0).abs() < 1e-9);
     model.pose = Some(Pose::default());
     // Over the corner it would be 10.0 m.
     let with_course = picture(&model, [80, 24]);
