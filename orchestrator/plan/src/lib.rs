@@ -7,6 +7,7 @@ mod driven_robot;
 pub mod hosts;
 pub mod migrate;
 pub mod overrides;
+mod path_file;
 mod possible;
 mod rate;
 pub mod reference;

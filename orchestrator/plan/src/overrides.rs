@@ -56,7 +56,10 @@ fn set_within(outer: &mut Value, name: &str, key: &str, value: Value) -> Result<
             return Ok(());
         }
         Value::Table(table) => {
-            (table.entry(first.to_owned()).or_insert_with(|| Value::Table(Table::new())), value)
+            let is_list = rest.is_some_and(|rest| rest.split('.').next() == Some("0"));
+            let one = || Value::Table(Table::new());
+            let new = || if is_list { Value::Array(vec![one()]) } else { one() };
+            (table.entry(first.to_owned()).or_insert_with(new), value)
         }
         Value::Array(items) => {
             let count = items.len();

@@ -118,6 +118,8 @@ mod tests {
             let table = of_system.iter().find(|key| key.name == role.name()).unwrap();
             documented(&table.keys, "", &mut named);
             assert!(named.len() >= 5);
+            // Keys that have no value without a scenario that gives them.
+            named.retain(|key| !["course.path", "goal.yaw_rad"].contains(&key.as_str()));
             assert_eq!(written, named, "{role}");
         }
     }

@@ -14,7 +14,7 @@ use vehicle::{Invalid, Key, Setting, did_you_mean};
 
 use crate::overrides::{index_of, parse_override, set};
 use crate::source::SourceFile;
-use crate::{Choice, SYSTEM, System, calibration_file, is_of_scenario};
+use crate::{Choice, SYSTEM, System, calibration_file, is_of_scenario, path_file};
 
 /// What an option of the command line gives.
 #[derive(Debug, Clone)]
@@ -112,6 +112,7 @@ impl Written {
     pub(crate) fn tables(&self) -> anyhow::Result<[Table; 2]> {
         let mut tables = [self.scenario.table.clone(), self.system.table.clone()];
         self.given.iter().try_for_each(|given| given.apply(&mut tables))?;
+        path_file::read(&mut tables[0], &self.scenario.name)?;
         Ok(tables)
     }
 

@@ -231,8 +231,7 @@ mod tests {
                 places: Vec::new(),
             }],
             start_m: [0.0, 0.0],
-            goal_m: [10.0, 0.0],
-            goal_tolerance_m: 0.1,
+            goals: vec![Goal::default()],
             body_length_m: 0.56,
             body_width_m: 0.4,
         }
@@ -310,7 +309,7 @@ mod tests {
     fn a_course_is_drawn_whole_in_one_strip_in_place_of_the_bounds_of_the_track() {
         // From x = 30 m back to 0, further than a drive that is folded.
         let waypoints = [[0.0, 0.0], [30.0, 0.0], [30.0, 8.0], [0.0, 8.0]];
-        let waypoints = waypoints.map(|[x_m, y_m]| Waypoint { x_m, y_m, yaw_rad: None }).to_vec();
+        let waypoints = waypoints.map(|[x_m, y_m]| Waypoint::new(x_m, y_m, None)).to_vec();
         let course = Course::try_from(CourseKeys { waypoints, ..CourseKeys::default() }).unwrap();
         let outline = course.outline([-2.0, course.length_m() + 2.0]);
         let straight = PictureScene { walls: false, ..scene() };
@@ -376,7 +375,8 @@ mod tests {
             ..PictureDrive::default()
         };
         draw(&scene(), &drive).unwrap();
-        draw(&PictureScene { goal_m: [f64::NAN; 2], body_length_m: f64::NAN, ..scene() }, &drive).unwrap();
+        let goals = vec![Goal { x_m: f64::NAN, y_m: f64::NAN, ..Goal::default() }];
+        draw(&PictureScene { goals, body_length_m: f64::NAN, ..scene() }, &drive).unwrap();
     }
 
     #[test]

@@ -87,7 +87,7 @@ mod tests {
 
     /// A quarter of a circle of 5 m to the left behind 3 m straight on.
     fn config() -> ControllerConfig {
-        let at = |x_m: f64, y_m: f64, yaw_rad: f64| Waypoint { x_m, y_m, yaw_rad: Some(yaw_rad) };
+        let at = |x_m: f64, y_m: f64, yaw_rad: f64| Waypoint::new(x_m, y_m, Some(yaw_rad));
         let waypoints = vec![at(0.0, 0.0, 0.0), at(3.0, 0.0, 0.0), at(8.0, 5.0, std::f64::consts::FRAC_PI_2)];
         let course = Course::try_from(CourseKeys { waypoints, ..CourseKeys::default() }).unwrap();
         let goal = Goal { x_m: course.length_m(), ..Goal::default() };

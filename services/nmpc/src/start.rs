@@ -21,6 +21,8 @@ const LEAD_SLACK_M: f64 = 0.3;
 const MAX_SPEED_RATIO: f64 = 2.0;
 /// How deep the body may overlap the box of an obstacle [m]: more is a contradiction, as the robot is not inside.
 const OVERLAP_M: f64 = 0.03;
+/// Share of the drive's largest deceleration with which the robot slows down for the velocities of a course.
+const BRAKING_SHARE: f64 = 0.35;
 
 /// What all plans of one scan start from.
 #[derive(Debug, Clone, Copy)]
@@ -61,6 +63,8 @@ impl Start {
         if limit_mps < slowest_mps {
             return Err(StopReason::Scanner);
         }
+        let braking_mps2 = BRAKING_SHARE * config.vehicle.deceleration_max_mps2;
+        let limit_mps = limit_mps.min(config.course.speed_mps(initial.x, braking_mps2).max(slowest_mps));
         Ok(Self { initial, speed: pose.predicted_speed_mps.abs(), margin, stopping, limit_mps })
     }
 

@@ -14,7 +14,7 @@ use vehicle::course::{CourseKeys, Waypoint};
 use vehicle::{Course, Goal, State, Track};
 
 fn at(x_m: f64, y_m: f64, yaw_rad: f64) -> Waypoint {
-    Waypoint { x_m, y_m, yaw_rad: Some(yaw_rad) }
+    Waypoint::new(x_m, y_m, Some(yaw_rad))
 }
 
 /// The controller on a way of 3 m through these points, with the goal at its end.

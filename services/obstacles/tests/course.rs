@@ -13,7 +13,7 @@ use vehicle::course::{CourseKeys, Waypoint};
 /// Along x, a quarter of a circle of 4 m to the left around (6, 4), and along y; 1.5 m wide to both sides.
 fn right_angle() -> ObstaclesConfig {
     let points = [[0.0, 0.0, 0.0], [6.0, 0.0, 0.0], [10.0, 4.0, FRAC_PI_2], [10.0, 9.0, FRAC_PI_2]];
-    let waypoints = points.map(|[x_m, y_m, yaw]| Waypoint { x_m, y_m, yaw_rad: Some(yaw) }).to_vec();
+    let waypoints = points.map(|[x_m, y_m, yaw]| Waypoint::new(x_m, y_m, Some(yaw))).to_vec();
     let course =
         Course::try_from(CourseKeys { waypoints, ..CourseKeys::default() }).expect("bends are wide enough");
     let track_x_m = [-2.0, course.length_m() + 2.0];

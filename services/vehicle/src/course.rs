@@ -54,6 +54,8 @@ pub(crate) struct Piece {
     curvature: f64,
     /// The waypoint before it, from 0.
     waypoint: usize,
+    /// Largest velocity there; infinite without one [m/s].
+    speed_mps: f64,
 }
 
 /// The course at one length along it.
@@ -124,6 +126,18 @@ impl Course {
     /// Curvature of the course at `along_m` [1/m].
     pub fn curvature(&self, along_m: f64) -> f64 {
         if self.is_line() { 0.0 } else { self.at(along_m).curvature }
+    }
+
+    /// Largest velocity at `along_m` with which the robot can slow down in time for all that is ahead; infinite on a course
+    /// without velocities [m/s].
+    pub fn speed_mps(&self, along_m: f64, deceleration_mps2: f64) -> f64 {
+        let first = self.pieces.partition_point(|piece| piece.begin_m + piece.length_m <= along_m);
+        let limited = self.pieces[first..].iter().filter(|piece| piece.speed_mps.is_finite());
+        let limits = limited.map(|piece| {
+            let ahead_m = (piece.begin_m - along_m).max(0.0);
+            (piece.speed_mps * piece.speed_mps + 2.0 * deceleration_mps2 * ahead_m).sqrt()
+        });
+        limits.fold(f64::INFINITY, f64::min)
     }
 
     /// The sharpest bend.

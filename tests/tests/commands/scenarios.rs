@@ -77,6 +77,59 @@ fn several_goals_are_reached_in_their_order_and_directions() {
 }
 
 #[test]
+fn a_path_in_a_file_is_followed_and_its_velocities_are_kept() {
+    let system = TestSystem::new(EXECUTABLE);
+    let folder = system.folder();
+    let write = |name: &str, text: &str| {
+        std::fs::write(folder.join(name), text).unwrap();
+        folder.join(name).display().to_string()
+    };
+    // A bend of 5 m radius after 4 m, recorded every 5 cm, slow in its second half.
+    let point = |index: u32| {
+        let along = f64::from(index) * 0.05;
+        let turn = ((along - 4.0) / 5.0).max(0.0);
+        let [x, y] = if turn > 0.0 { [4.0 + 5.0 * turn.sin(), 5.0 - 5.0 * turn.cos()] } else { [along, 0.0] };
+        let speed = if turn > 0.6 { "0.4" } else { "" };
+        format!("{x:.4},{y:.4},{speed}\n")
+    };
+    let rows: String = (0..=200).map(point).collect();
+    write("way.csv", &format!("x_m,y_m,speed_mps\n{rows}"));
+    let file = write("drive.toml", "name = \"drive\"\n[course]\npath = \"way.csv\"\n");
+    let report = system.lockstep(&[&file]);
+    assert_eq!(report.outcome, Outcome::Reached, "{}", report.reason);
+    let speeds = |from_s: f64, to_s: f64| {
+        let rows = report.trajectory.iter().filter(move |[time_s, ..]| (from_s..to_s).contains(time_s));
+        let rows: Vec<_> = rows.collect();
+        rows.windows(2)
+            .map(|pair| (pair[1][1] - pair[0][1]).hypot(pair[1][2] - pair[0][2]) / (pair[1][0] - pair[0][0]))
+            .collect::<Vec<_>>()
+    };
+    let fast = speeds(2.0, 4.0);
+    assert!(fast.iter().all(|speed| *speed > 0.9), "{fast:?}");
+    let slow = speeds(9.0, 12.0);
+    assert!(slow.len() > 20 && slow.iter().all(|speed| *speed < 0.44), "{slow:?}");
+    for (text, message) in [
+        ("x_m,y_m\n0,0\n1,0\n2,zero\n", "way.csv: line 4: y_m = zero is not allowed"),
+        ("x_m,y_m\n0,0\n", "way.csv: 1 points are not allowed: 2 to 100000"),
+        ("x_m;y_m\n0;0\n1;0\n", "way.csv: "),
+    ] {
+        write("way.csv", text);
+        let output = system.run(&["check", &file]);
+        let printed = scanloop_tests::printed(&output);
+        assert!(output.status.code() == Some(2) && printed.contains(message), "{printed}");
+    }
+    let both = write("both.toml", "[course]\npath = \"way.csv\"\nwaypoints = [{ x_m = 0 }, { x_m = 5 }]\n");
+    let printed = scanloop_tests::printed(&system.run(&["check", &both]));
+    assert!(printed.contains("either `waypoints` or `path`, not both"), "{printed}");
+    let slow = write("slow.toml", "[course]\nwaypoints = [{ x_m = 0, speed_mps = 0.05 }, { x_m = 5 }]\n");
+    let printed = scanloop_tests::printed(&system.run(&["check", &slow]));
+    assert!(
+        printed.contains("course.waypoints[0].speed_mps = 0.05 is not allowed: at least vehicle.bounds"),
+        "{printed}"
+    );
+}
+
+#[test]
 fn one_goal_may_stand_in_a_list_and_an_option_names_it_by_its_number() {
     let system = TestSystem::new(EXECUTABLE);
     let lines = |arguments: &[&str]| scanloop_tests::printed(&system.run(arguments));

@@ -45,7 +45,7 @@ fn way(length_m: f64, stream: &mut NoiseStream) -> Course {
         let yaw = last.yaw_rad.unwrap_or(0.0);
         let middle = yaw + turn / 2.0;
         let (x_m, y_m) = (last.x_m + chord_m * middle.cos(), last.y_m + chord_m * middle.sin());
-        waypoints.push(Waypoint { x_m, y_m, yaw_rad: Some(yaw + turn) });
+        waypoints.push(Waypoint::new(x_m, y_m, Some(yaw + turn)));
         yaw + turn
     };
     let mut yaw = add(STRAIGHT_M, 0.0);

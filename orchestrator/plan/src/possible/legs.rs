@@ -56,6 +56,7 @@ pub(super) fn legs(scenario: &Scenario) -> Vec<Leg> {
 /// # Errors
 /// [`Invalid`] with a key of the scenario, its value and what is possible.
 pub(crate) fn require_goals(scenario: &Scenario, controller: &ControllerConfig) -> Result<(), Invalid> {
+    require_speeds(scenario, controller)?;
     let legs = legs(scenario);
     legs.iter().enumerate().try_for_each(|(index, leg)| require_goal(scenario, controller, leg, index == 0))
 }
@@ -131,6 +132,19 @@ fn require_landing(goal: &Goal, key: &str, controller: &ControllerConfig) -> Res
         ceil(controller.period_s)
     );
     Err(Invalid::new(&format!("{key}.tolerance_m"), goal.tolerance_m, allowed))
+}
+
+/// Passes when the robot can drive as slowly as the course demands.
+fn require_speeds(scenario: &Scenario, controller: &ControllerConfig) -> Result<(), Invalid> {
+    let slowest_mps = controller.vehicle.bounds.velocity_min_mps;
+    let waypoints = scenario.course.iter().flat_map(|course| &course.keys().waypoints).enumerate();
+    for (index, speed_mps) in waypoints.filter_map(|(index, waypoint)| Some((index, waypoint.speed_mps?))) {
+        if speed_mps < slowest_mps {
+            let allowed = format!("at least vehicle.bounds.velocity_min_mps = {slowest_mps}");
+            return Err(Invalid::new(&format!("course.waypoints[{index}].speed_mps"), speed_mps, allowed));
+        }
+    }
+    Ok(())
 }
 
 /// Passes when no bend of the course is sharper than the turns that the controller plans.

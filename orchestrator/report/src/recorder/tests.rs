@@ -16,7 +16,7 @@ fn info(lockstep: bool) -> RunInfo {
         lockstep,
         first_scan: 1,
         period_ns: 100_000_000,
-        goal_m: [10.0, 0.0],
+        goals: vehicle::Goals::default(),
     }
 }
 

@@ -139,7 +139,8 @@ fn largest(values: impl Iterator<Item = f64>) -> f64 {
 mod tests {
     use super::*;
 
-    const GOAL: Goal = Goal { x_m: 11.75, y_m: 0.0, tolerance_m: 0.1 };
+    const GOAL: Goal =
+        Goal { x_m: 11.75, y_m: 0.0, tolerance_m: 0.1, yaw_rad: None, yaw_tolerance_rad: 0.1, stay_s: 1.0 };
 
     /// A drive along y = `y` at 1 m/s, with these steering angles in turn.
     fn straight(y: f64, steering: &[f64]) -> RideTrace {

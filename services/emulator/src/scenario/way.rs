@@ -134,9 +134,9 @@ impl Scenario {
     /// The course from the start through all goals.
     fn through_goals(&self, keys: &CourseKeys) -> Result<Course, Invalid> {
         let Start { x_m, y_m, yaw_rad } = self.start;
-        let start = Waypoint { x_m, y_m, yaw_rad: Some(yaw_rad) };
+        let start = Waypoint::new(x_m, y_m, Some(yaw_rad));
         let goals = self.goal.all().iter();
-        let goals = goals.map(|goal| Waypoint { x_m: goal.x_m, y_m: goal.y_m, yaw_rad: goal.yaw_rad });
+        let goals = goals.map(|goal| Waypoint::new(goal.x_m, goal.y_m, goal.yaw_rad));
         let waypoints: Vec<Waypoint> = std::iter::once(start).chain(goals).collect();
         // The course names waypoints, which this file does not have.
         let of_goal = |mut invalid: Invalid| {

@@ -7,7 +7,7 @@ use vehicle::frame::heading;
 use super::*;
 
 fn config(waypoints: &[[f64; 3]]) -> ObstaclesConfig {
-    let waypoint = |[x_m, y_m, yaw]: &[f64; 3]| Waypoint { x_m: *x_m, y_m: *y_m, yaw_rad: Some(*yaw) };
+    let waypoint = |[x_m, y_m, yaw]: &[f64; 3]| Waypoint::new(*x_m, *y_m, Some(*yaw));
     let waypoints = waypoints.iter().map(waypoint).collect();
     let course = Course::try_from(CourseKeys { waypoints, ..CourseKeys::default() }).unwrap();
     let track_x_m = [-2.0, course.length_m() + 2.0];

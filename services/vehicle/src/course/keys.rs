@@ -22,6 +22,15 @@ settings! {
         pub y_m: f64 = 0.0, (-1e4..=1e4, "with bends that the robot can follow");
         /// Direction of the course there; without the key that of the circle through it and the waypoints beside it [rad].
         pub yaw_rad: Option<f64> = None, (-7.0..=7.0, "with bends that the robot can follow");
+        /// Largest velocity from there to the next waypoint; without the key `controller.cruise_mps` [m/s].
+        pub speed_mps: Option<f64> = None, (0.01..=10.0, "at least `vehicle.bounds.velocity_min_mps`");
+    }
+}
+
+impl Waypoint {
+    /// A point that the course leads through, in a direction if one is given.
+    pub fn new(x_m: f64, y_m: f64, yaw_rad: Option<f64>) -> Self {
+        Self { x_m, y_m, yaw_rad, speed_mps: None }
     }
 }
 
@@ -30,6 +39,9 @@ settings! {
     pub struct CourseKeys {
         /// The course leads through these points in their order, from one to the next by two arcs.
         pub waypoints: Vec<Waypoint> = Vec::new();
+        /// Instead of waypoints: a CSV file of points along the course, beside the scenario, with the columns `x_m`, `y_m` and,
+        /// if need be, `speed_mps`. Enough of them become waypoints that no point is farther than 5 cm from the course.
+        pub path: Option<String> = None, "a file";
         /// Width of the way: the robot's centre stays within half of it to either side [m].
         pub width_m: f64 = 3.0, (Track::MIN_WIDTH_M..=100.0, "less than twice the radius of each bend");
         /// How often the course is driven: several times where its last waypoint is its first one.
@@ -43,6 +55,10 @@ impl TryFrom<CourseKeys> for Course {
     type Error = Invalid;
 
     fn try_from(keys: CourseKeys) -> Result<Self, Invalid> {
+        if let Some(path) = &keys.path {
+            let allowed = "a file that is read with the scenario, from a file of its own";
+            return Err(Invalid::new("path", path, allowed));
+        }
         let points = &keys.waypoints;
         // Numbers that are no positions are named by the rules of the keys.
         if points.is_empty() || keys.require_ranges().is_err() {
@@ -75,7 +91,10 @@ impl TryFrom<CourseKeys> for Course {
                 return Err(Invalid::new(&format!("waypoints[{}]", index + 1), place, allowed));
             }
         }
-        let pieces = biarc::laps(pieces, keys.laps);
+        let mut pieces = biarc::laps(pieces, keys.laps);
+        for piece in &mut pieces {
+            piece.speed_mps = points[piece.waypoint].speed_mps.unwrap_or(f64::INFINITY);
+        }
         let length_m = pieces.last().map_or(0.0, |piece| piece.begin_m + piece.length_m);
         let course = Self { pieces: pieces.into(), length_m, keys };
         let (bend, half_m) = (course.sharpest(), course.keys.width_m / 2.0);

@@ -72,7 +72,7 @@ mod tests {
         // A quarter of a circle with 10 m radius to the left.
         let waypoints = vec![
             Waypoint { yaw_rad: Some(0.0), ..Waypoint::default() },
-            Waypoint { x_m: 10.0, y_m: 10.0, yaw_rad: Some(std::f64::consts::FRAC_PI_2) },
+            Waypoint::new(10.0, 10.0, Some(std::f64::consts::FRAC_PI_2)),
         ];
         let course =
             Course::try_from(CourseKeys { waypoints, width_m: 4.0, ..CourseKeys::default() }).unwrap();
@@ -94,7 +94,7 @@ mod tests {
 
     #[test]
     fn an_ellipse_lies_along_the_course_beside_it() {
-        let at = |x_m: f64, y_m: f64, yaw: f64| Waypoint { x_m, y_m, yaw_rad: Some(yaw) };
+        let at = |x_m: f64, y_m: f64, yaw: f64| Waypoint::new(x_m, y_m, Some(yaw));
         let waypoints = vec![
             at(0.0, 0.0, 0.0),
             at(5.0, 5.0, std::f64::consts::FRAC_PI_2),

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use super::*;
 
 fn waypoint(x_m: f64, y_m: f64, yaw_rad: Option<f64>) -> Waypoint {
-    Waypoint { x_m, y_m, yaw_rad }
+    Waypoint::new(x_m, y_m, yaw_rad)
 }
 
 fn through(waypoints: &[Waypoint]) -> Course {
@@ -163,4 +163,17 @@ proptest! {
         prop_assert!((back.x - state.x).abs() < 1e-6 && (back.y - left).abs() < 1e-6, "{state:?} {back:?}");
         prop_assert!((back.yaw - yaw).abs() < 1e-9);
     }
+}
+
+#[test]
+fn a_slow_part_limits_the_velocity_before_it_as_far_as_the_brake_needs() {
+    let mut points = [[0.0, 0.0], [5.0, 0.0], [8.0, 0.0], [12.0, 0.0]].map(|[x, y]| waypoint(x, y, None));
+    points[1].speed_mps = Some(0.5);
+    let course =
+        Course::try_from(CourseKeys { waypoints: points.to_vec(), ..CourseKeys::default() }).unwrap();
+    // With 1 m/s^2: v^2 = 0.25 + 2 s, so 1 m/s is allowed 0.375 m before it.
+    assert!((course.speed_mps(4.625, 1.0) - 1.0).abs() < 1e-9);
+    assert!(course.speed_mps(4.6, 1.0) > 1.0 && course.speed_mps(5.0, 1.0) == 0.5);
+    assert_eq!([course.speed_mps(7.9, 1.0), course.speed_mps(8.0, 1.0)], [0.5, f64::INFINITY]);
+    assert_eq!(Course::default().speed_mps(3.0, 1.0), f64::INFINITY);
 }

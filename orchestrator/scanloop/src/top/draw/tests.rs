@@ -120,8 +120,7 @@ fn a_course_is_drawn_with_its_bounds_and_the_distance_to_the_goal_is_along_it() 
     let mut model = driving();
     // 2 m straight on and a quarter of a circle with 6 m radius.
     let waypoints = [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (8.0, 6.0, std::f64::consts::FRAC_PI_2)];
-    let waypoints =
-        waypoints.map(|(x_m, y_m, yaw_rad)| Waypoint { x_m, y_m, yaw_rad: Some(yaw_rad) }).to_vec();
+    let waypoints = waypoints.map(|(x_m, y_m, yaw_rad)| Waypoint::new(x_m, y_m, Some(yaw_rad))).to_vec();
     let way = vehicle::Course::try_from(CourseKeys { waypoints, ..CourseKeys::default() }).unwrap();
     let track = Track { x_m: [-2.0, way.length_m() + 2.0], ..Track::default() };
     let goal = Goal { x_m: way.length_m(), ..Goal::default() };

@@ -10,7 +10,7 @@ use super::*;
 use crate::scenario::Scenario;
 
 fn course(waypoints: &[[f64; 3]]) -> Course {
-    let waypoint = |[x_m, y_m, yaw]: &[f64; 3]| Waypoint { x_m: *x_m, y_m: *y_m, yaw_rad: Some(*yaw) };
+    let waypoint = |[x_m, y_m, yaw]: &[f64; 3]| Waypoint::new(*x_m, *y_m, Some(*yaw));
     let waypoints = waypoints.iter().map(waypoint).collect();
     Course::try_from(CourseKeys { waypoints, ..CourseKeys::default() }).unwrap()
 }
