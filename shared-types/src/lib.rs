@@ -6,6 +6,10 @@
 //!
 //! Units are SI, angles are radians counter-clockwise, the frame is x forward along the track, y to the left.
 
+// Samples are used as they lie in memory, also by programs in other languages and by recordings.
+#[cfg(not(all(target_pointer_width = "64", target_endian = "little")))]
+compile_error!("the layouts of samples are those of 64-bit little endian machines");
+
 mod account;
 mod actuation;
 mod authority;

@@ -154,7 +154,6 @@ mod tests {
     }
 
     #[test]
-    #[cfg(target_endian = "little")]
     fn the_row_of_the_other_end_is_not_taken() {
         let table = "  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid\n\
             0: 0100007F:1BCD 0100007F:9C40 01 00000000:00000000 00:00000000 00000000  1000 0 1\n\

@@ -93,9 +93,7 @@ fn put(kind: &Kind, value: &Value, place: &mut [u8]) -> Result<(), String> {
     let number = number.filter(|number| (low..=high).contains(number));
     let number = number.ok_or_else(|| format!("a whole number from {low} to {high}"))?;
     // Two's complement: the low bytes hold the number in each width.
-    let bytes = number.to_ne_bytes();
-    let start = if cfg!(target_endian = "little") { 0 } else { bytes.len() - place.len() };
-    place.copy_from_slice(&bytes[start..start + place.len()]);
+    place.copy_from_slice(&number.to_le_bytes()[..place.len()]);
     Ok(())
 }
 
