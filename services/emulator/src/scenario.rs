@@ -28,7 +28,7 @@ pub use vehicle::{Goal, Goals, Surroundings, Track};
 /// What the name of a scenario may be.
 const NAME: &str = "1 to 64 letters, digits, blanks, `-`, `_` and `.`";
 
-const NAME_PATTERN: &str = r"pattern = '^[\p{L}\p{N} ._-]{1,64}$'";
+const NAME_PATTERN: &str = r"pattern = '^[A-Za-z0-9 ._-]{1,64}$'";
 /// Free distance that is asked of the walls in the bound of the centre, theta of (7.35) [m].
 const WALL_MARGIN_M: f64 = 0.2;
 

@@ -104,6 +104,7 @@ fn shipped() -> Vec<(PathBuf, String, String)> {
         "examples/player",
         "examples/python",
         "examples/python/speed-limit",
+        "examples/ros2",
         "examples/rust/dead-reckoning",
         "examples/rust/imu",
         "examples/template-controller",
@@ -149,7 +150,7 @@ fn every_shipped_file_names_its_schema_and_is_valid_by_it_and_by_the_program() {
 
 /// A value that is right, and wrong ones for the same key, with the table before it.
 const SCENARIO: &[(&str, &str, &str, &[&str])] = &[
-    ("", "name", "\"a b\"", &["\"\"", "3", "\"a/b\""]),
+    ("", "name", "\"a b\"", &["\"\"", "3", "\"a/b\"", "\"été\""]),
     ("", "seed", "7", &["-1", "1.5", "\"one\""]),
     ("", "timeout_s", "20.0", &["0.0", "true", "2e6"]),
     ("", "sed", "", &["1"]),
