@@ -46,7 +46,12 @@ pub fn migrate(text: &str) -> Result<Migration, String> {
         changes.push(format!("{}.{key} is removed: it {why}", WITHOUT_EFFECT.0));
     }
     changes.reverse();
-    let text = if changes.is_empty() { text.to_owned() } else { document.to_string() };
+    let rewritten = || {
+        let new = document.to_string();
+        // The document ends its lines as Unix does.
+        if text.contains("\r\n") { new.replace("\r\n", "\n").replace('\n', "\r\n") } else { new }
+    };
+    let text = if changes.is_empty() { text.to_owned() } else { rewritten() };
     let after = vehicle::parse(&text)?;
     if meaning(before)? != meaning(after)? {
         return Err("the rewritten file would mean something else; move its old keys by hand".to_owned());
@@ -210,6 +215,13 @@ mod tests {
         let mut table: Table = text.parse().unwrap();
         assert_eq!(distribute(&mut table).unwrap(), [""; 0]);
         assert_eq!(migrate(&text).unwrap(), Migration { text, changes: Vec::new() });
+    }
+
+    #[test]
+    fn lines_end_as_they_did() {
+        let text = "# lab\r\n[controller]\r\nbody_width_m = 0.6 # tape\r\n";
+        let expected = "# lab\r\n[controller]\r\n\r\n[controller.vehicle]\r\nwidth_m = 0.6 # tape\r\n";
+        assert_eq!(migrate(text).unwrap().text, expected);
     }
 
     #[test]
