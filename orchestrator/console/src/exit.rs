@@ -93,7 +93,7 @@ pub fn exit_of(error: &anyhow::Error) -> Exit {
             | runtime::RuntimeError::Environment { .. },
         ) => Exit::BadInput,
         Some(runtime::RuntimeError::Stopped(_)) => Exit::NotReached,
-        Some(runtime::RuntimeError::SharedMemory(_)) => Exit::ProcessFailed,
+        Some(error) if error.is_of_shared_memory() => Exit::ProcessFailed,
         _ => Exit::Internal,
     }
 }
@@ -116,5 +116,15 @@ mod tests {
         };
         assert_eq!(exit_of(&error(Errno::MFILE).context("start")), Exit::ProcessFailed);
         assert_eq!(exit_of(&error(Errno::INVAL)), Exit::Internal);
+    }
+
+    #[test]
+    fn shared_memory_that_can_only_be_read_is_a_fault_of_the_machine_and_another_file_is_not() {
+        let exit = |path: &str| {
+            let source = std::io::Error::from(Errno::ROFS);
+            exit_of(&runtime::RuntimeError::File { path: path.into(), source }.into())
+        };
+        assert_eq!(exit("/dev/shm/scanloop-abc"), Exit::ProcessFailed);
+        assert_eq!(exit("/tmp/scanloop-0"), Exit::Internal);
     }
 }

@@ -92,7 +92,12 @@ fn parse_and_run() -> anyhow::Result<Exit> {
         runtime::start_terminal();
     }
     let starts = matches!(cli.command, CliCommand::Run(_) | CliCommand::Adopt(_));
-    dispatch(&cli).map_err(|error| if starts { point_to_doctor(error) } else { error })
+    let exit = dispatch(&cli).map_err(|error| if starts { point_to_doctor(error) } else { error })?;
+    if starts && exit == Exit::ProcessFailed {
+        let hint = "If this machine lacks something, `scanloop doctor` tells what.";
+        runtime::print(runtime::Priority::Warning, hint);
+    }
+    Ok(exit)
 }
 
 /// The error of a system that could not be started, with the command that tells what the machine lacks.

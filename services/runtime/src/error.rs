@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use rustix::io::Errno;
 use shared_types::{Difference, Role, Topic};
 
-use crate::shared_memory::Shortage;
+use crate::shared_memory::{SHARED_MEMORY, Shortage};
 
 /// An error of the bus, or of the files and settings around it.
 #[derive(Debug, thiserror::Error)]
@@ -140,6 +140,15 @@ impl RuntimeError {
     /// Whether the kernel allows no more open files or memory: that says nothing of the file.
     pub(crate) fn is_shortage(&self) -> bool {
         matches!(self, Self::File { source, .. } if Errno::from_io_error(source).is_some_and(is_shortage))
+    }
+
+    /// Whether shared memory could not be used: it is full, missing or can only be read.
+    pub fn is_of_shared_memory(&self) -> bool {
+        match self {
+            Self::SharedMemory(_) => true,
+            Self::File { path, .. } => path.starts_with(SHARED_MEMORY),
+            _ => false,
+        }
     }
 
     pub(crate) fn file(path: impl Into<PathBuf>, source: impl Into<std::io::Error>) -> Self {

@@ -4,7 +4,7 @@
 use std::process::{Command, Output};
 
 use scanloop_tests::machine::repeat_when_late;
-use scanloop_tests::{TestSystem, printed};
+use scanloop_tests::{TestSystem, namespace, printed};
 use serde_json::Value;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -47,6 +47,39 @@ fn a_limit_that_stops_a_drive_fails_and_run_points_to_it() {
         assert!(printed(&run).contains("`scanloop doctor`"), "{}", printed(&run));
         system.assert_nothing_left();
     });
+}
+
+#[test]
+fn shared_memory_that_can_only_be_read_stops_a_drive_and_run_points_to_doctor() {
+    let test = concat!(
+        module_path!(),
+        "::shared_memory_that_can_only_be_read_stops_a_drive_and_run_points_to_doctor"
+    );
+    if !namespace::is_inside(test, "mount -t tmpfs -o ro tmpfs /dev/shm &&", |_| {}) {
+        return;
+    }
+    let system = TestSystem::new(EXECUTABLE);
+    let (found, code) = check(&system.run(&["doctor", "--json"]), "shared_memory");
+    assert_eq!((found["state"].as_str(), code), (Some("fail"), Some(1)), "{found}");
+    assert_eq!(found["fix"], "`mount -o remount,rw /dev/shm` as root");
+    let run = system.run(&["run", "--quiet", "--lockstep", "free"]);
+    assert_eq!(run.status.code(), Some(4), "{}", printed(&run));
+    assert!(printed(&run).contains("Read-only file system") && printed(&run).contains("`scanloop doctor`"));
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_process_that_can_not_be_started_points_to_doctor() {
+    let system = TestSystem::new(EXECUTABLE);
+    std::fs::write(
+        system.folder().join("system.toml"),
+        "[[process]]\nrole = \"controller\"\ncommand = [\"/nowhere\"]\n",
+    )
+    .unwrap();
+    let run = system.run(&["run", "--quiet", "--lockstep", "--system", "system.toml", "free"]);
+    assert_eq!(run.status.code(), Some(4), "{}", printed(&run));
+    assert!(String::from_utf8_lossy(&run.stderr).contains("`scanloop doctor`"), "{}", printed(&run));
+    system.assert_nothing_left();
 }
 
 #[test]
