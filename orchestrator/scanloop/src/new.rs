@@ -37,7 +37,8 @@ pub enum ProjectRole {
     Estimator,
     /// Describes what the scanner sees.
     Obstacles,
-    /// Follows the nearest free line.
+    /// Follows the nearest free line; `stage` is the same.
+    #[value(alias = "stage")]
     Controller,
     /// A process without a role, with a topic of its own.
     Companion,
