@@ -178,8 +178,14 @@ mod tests {
                 let ScenarioObstacle { x_m, y_m, velocity_x_mps, velocity_y_mps, .. } = obstacle;
                 [x_m, y_m, obstacle.reach(), velocity_x_mps, velocity_y_mps, ahead_m(&obstacle)]
             });
-            let rest =
-                [goal.x_m, track.y_m[1], noise.range_m, noise.dropout, noise.odometry_m, noise.odometry_rad];
+            let rest = [
+                goal.last().x_m,
+                track.y_m[1],
+                noise.range_m,
+                noise.dropout,
+                noise.odometry_m,
+                noise.odometry_rad,
+            ];
             rest.into_iter().chain(places)
         });
         // 64-bit FNV-1a over the bits of all numbers.

@@ -345,7 +345,8 @@ fn without_the_state_of_the_one_before_it_stops_until_the_robot_rests() {
 fn two_goals() -> Controller {
     let goal = |x_m: f64| Goal { x_m, ..Goal::default() };
     let (goal, next_goals) = (goal(4.0), vec![goal(10.0)]);
-    Controller::new(ControllerConfig { goal, next_goals, ..ControllerConfig::default() }).unwrap()
+    Controller::new(ControllerConfig { goal, next_goals, ..ControllerConfig::default() })
+        .expect("two goals are allowed")
 }
 
 /// A robot at rest.

@@ -117,8 +117,8 @@ impl Setting for Goals {
     }
 
     fn require_all(&self, _: &str) -> Result<(), Invalid> {
-        let all = self.goals.iter().enumerate();
-        all.map(|(index, goal)| goal.require_all(&self.key(index))).collect()
+        let mut all = self.goals.iter().enumerate();
+        all.try_for_each(|(index, goal)| goal.require_all(&self.key(index)))
     }
 
     fn schema() -> Table {

@@ -11,7 +11,7 @@ fn boxed(x_m: f64, y_m: f64, width_m: f64) -> ScenarioObstacle {
 fn course(obstacles: Vec<ScenarioObstacle>, preset: Preset) -> Scenario {
     let robot = Robot { preset, ..Robot::default() };
     let goal = Goal { x_m: 12.0, ..Goal::default() };
-    Scenario { obstacles, robot, goal, timeout_s: 60.0, ..Scenario::default() }
+    Scenario { obstacles, robot, goal: goal.into(), timeout_s: 60.0, ..Scenario::default() }
 }
 
 /// Two boxes that leave a gap in the middle.

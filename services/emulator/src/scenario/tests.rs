@@ -274,7 +274,7 @@ fn a_goal_where_a_closed_course_begins_is_its_end() {
 
 #[test]
 fn a_course_without_waypoints_leads_through_the_goals_in_their_directions() {
-    let text = "[course]\n[[goal]]\nx_m = 6\ny_m = 1\n[[goal]]\nx_m = 12\ny_m = 6\nyaw_rad = 1.5708\n";
+    let text = "[course]\n[[goal]]\nx_m = 6\ny_m = 1\n[[goal]]\nx_m = 12\ny_m = 6\nyaw_rad = 1.5\n";
     let scenario = Scenario::parse(text, "my.toml").unwrap();
     let course = scenario.course.clone().unwrap();
     let goals = scenario.goals_on_course();
@@ -282,7 +282,7 @@ fn a_course_without_waypoints_leads_through_the_goals_in_their_directions() {
         goals[0].x_m > 6.0 && goals[0].y_m.abs() < 1e-9 && goals[1].x_m == course.length_m(),
         "{goals:?}"
     );
-    assert!(course.at(0.0).yaw.abs() < 1e-9 && (course.at(course.length_m()).yaw - 1.5708).abs() < 1e-9);
+    assert!(course.at(0.0).yaw.abs() < 1e-9 && (course.at(course.length_m()).yaw - 1.5).abs() < 1e-9);
     assert_eq!(Scenario::parse(&scenario.to_toml(), "written").unwrap(), scenario);
     let back = message(&text.replace("x_m = 12\ny_m = 6", "x_m = 6\ny_m = 1"));
     assert!(
