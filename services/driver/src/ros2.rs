@@ -33,7 +33,7 @@ pub enum OdometryUse {
 pub enum ScannerPose {
     /// From the table `[vehicle]`.
     Vehicle,
-    /// From `[vehicle]`, and compared with `/tf_static`: another pose ends the start.
+    /// Its turn from `/tf_static`, also upside down; a place that is not that of `[vehicle]` ends the start.
     Tf,
 }
 
@@ -86,7 +86,7 @@ settings! {
         pub base_frame: String = String::new(), FRAME;
         /// `frame_id` that the scans have to have; empty for any.
         pub scan_frame: String = String::new(), FRAME;
-        /// Whether the pose of the scanner in `[vehicle]` is compared with `/tf_static`.
+        /// Where the pose of the scanner comes from: these settings, or `/tf_static`, whose place has to be that of `[vehicle]`.
         pub scanner_pose: ScannerPose = ScannerPose::Vehicle;
         /// Sign of the beam angles; -1 for a scanner that is mounted upside down.
         pub scan_sign: f64 = 1.0, "1 or -1";
@@ -140,6 +140,19 @@ impl Ros2Config {
         if self.scan_sign.abs() != 1.0 {
             return Err(Invalid::new("scan_sign", self.scan_sign, "1 or -1"));
         }
+        if self.scanner_pose == ScannerPose::Tf {
+            if self.scan_sign != 1.0 {
+                return Err(Invalid::new(
+                    "scan_sign",
+                    self.scan_sign,
+                    "1 with scanner_pose = \"tf\", which has it",
+                ));
+            }
+            if self.scan_yaw_rad != 0.0 {
+                let allowed = "0 with scanner_pose = \"tf\", which has it";
+                return Err(Invalid::new("scan_yaw_rad", self.scan_yaw_rad, allowed));
+            }
+        }
         Ok(())
     }
 
@@ -192,6 +205,15 @@ mod tests {
         assert!(refusal("namespace = \"robot1\"").contains("begins with `/`"));
         assert!(refusal("scan_frame = \"a b\"").contains("the name of a frame"));
         assert_eq!(refusal("scan_sign = 0.5"), "ros2.scan_sign = 0.5 is not allowed: 1 or -1");
+        let turned = refusal("scanner_pose = \"tf\"\nscan_yaw_rad = 3.0");
+        assert_eq!(
+            turned,
+            "ros2.scan_yaw_rad = 3 is not allowed: 0 with scanner_pose = \"tf\", which has it"
+        );
+        assert!(
+            refusal("scanner_pose = \"tf\"\nscan_sign = -1")
+                .contains("ros2.scan_sign = -1 is not allowed: 1 with")
+        );
     }
 
     #[test]

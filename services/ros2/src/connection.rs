@@ -18,7 +18,7 @@ use crate::message::{LaserScan, Named, Odometry, TFMessage};
 use crate::node::{RosNode, best_effort, latched};
 use crate::offset::Offset;
 use crate::sweep::Resampler;
-use crate::transforms::{Frames, Mounting};
+use crate::transforms::{Frames, Mounting, Rays};
 use crate::watch::{Watch, missing};
 
 /// Longest sleep of the thread.
@@ -32,7 +32,7 @@ const PAUSE_NS: u64 = 500_000_000;
 pub(crate) struct Wanted {
     /// The settings.
     pub(crate) config: Ros2Config,
-    /// Where the scanner is by the settings.
+    /// Where the scanner is by `[vehicle]`.
     pub(crate) mounting: Mounting,
     /// The wheels are stopped after this time without an order: two scan periods [ns].
     pub(crate) timeout_ns: u64,
@@ -94,9 +94,8 @@ impl<'a> Connection<'a> {
         let topics = ["scan", "odom"].map(|name| config.topic(name));
         let scans = node.subscribe(&topics[0], best_effort())?;
         let odometries = node.subscribe(&topics[1], best_effort())?;
-        let is_compared = config.scanner_pose == ScannerPose::Tf;
-        let statics =
-            is_compared.then(|| node.subscribe(&config.topic("tf_static"), latched())).transpose()?;
+        let is_wanted = config.scanner_pose == ScannerPose::Tf;
+        let statics = is_wanted.then(|| node.subscribe(&config.topic("tf_static"), latched())).transpose()?;
         let [scan_watch, base_watch] = topics.map(|topic| Watch::new(topic, silence_ns));
         let stopper = CommandWriter::open(&mut node, config)?;
         Ok(Self {
@@ -199,9 +198,13 @@ impl<'a> Connection<'a> {
             let topic = &self.scan_watch.topic;
             let frame = wrong_frame(topic, "frame_id", &config.scan_frame, &message.header.frame_id);
             self.frame_ids[0].clone_from(&message.header.frame_id);
-            match self.resampler.sweep(config, &message) {
-                Err(unusable) => self.scan_watch.fault = Some(format!("{topic}: {unusable}")),
-                Ok(_) if frame.is_some() => self.scan_watch.fault = frame,
+            let sweep = self.rays().and_then(|rays| {
+                let sweep = self.resampler.sweep(config.sweep_s, rays, &message);
+                sweep.map_err(|unusable| format!("{topic}: {unusable}"))
+            });
+            match sweep {
+                _ if frame.is_some() => self.scan_watch.fault = frame,
+                Err(fault) => self.scan_watch.fault = Some(fault),
                 Ok(sweep) => {
                     self.scan_watch.fault = None;
                     if self.is_connected {
@@ -270,15 +273,19 @@ impl<'a> Connection<'a> {
                 return Some(missing(&watch.topic, kind, &self.node.writers(), "publisher").unwrap_or(wrong));
             }
         }
+        None
+    }
+
+    /// Where the rays of the newest scan point: by the settings, or by `/tf_static`.
+    fn rays(&self) -> Result<Rays, String> {
+        let config = &self.wanted.config;
         if self.statics.is_none() {
-            return None;
+            return Ok(Rays { yaw_rad: config.scan_yaw_rad, sign: config.scan_sign });
         }
         let [scan, base] = &self.frame_ids;
-        match self.frames.pose(scan, base) {
-            None => Some(format!(
-                "/tf_static does not connect `{scan}`, the frame of the scans, with `{base}`, that of the base"
-            )),
-            Some(transform) => self.wanted.mounting.difference(&transform),
-        }
+        let transform = self.frames.pose(scan, base).ok_or_else(|| {
+            format!("/tf_static does not connect `{scan}`, the frame of the scans, with `{base}`, that of the base")
+        })?;
+        self.wanted.mounting.rays(&transform)
     }
 }

@@ -52,7 +52,7 @@ fn connect(process: &mut Process) -> anyhow::Result<(Ros2Robot, Orders, RobotSet
         sweep_s: config.sweep_s,
         has_scanner: false,
     };
-    let mounting = Mounting::of(&vehicle, config.scan_yaw_rad, config.scan_sign);
+    let mounting = Mounting::of(&vehicle);
     let (limit_s, domain) = (config.connect_timeout_s, config.domain);
     let timeout_ns = TIMEOUT_PERIODS * process.period_ns();
     let waker = process.waker();

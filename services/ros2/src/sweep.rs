@@ -6,10 +6,10 @@
 use std::f64::consts::TAU;
 
 use driver::beams::{Beams, Fan, Unusable};
-use driver::ros2::Ros2Config;
 use shared_types::BEAMS;
 
 use crate::message::LaserScan;
+use crate::transforms::Rays;
 
 /// A sweep, resampled.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,32 +25,33 @@ pub(crate) struct Sweep {
 /// Resamples the sweeps of one scanner.
 #[derive(Debug, Default)]
 pub(crate) struct Resampler {
-    beams: Option<Beams>,
+    /// With the sign of the angles that they were made for.
+    beams: Option<(f64, Beams)>,
 }
 
 impl Resampler {
-    /// The sweep of a message.
+    /// The sweep of a message; `sweep_s` is its duration where the message has none [s].
     ///
     /// # Errors
     /// [`Unusable`] for a geometry that is none, or that does not cover what the stages need.
-    pub(crate) fn sweep(&mut self, config: &Ros2Config, message: &LaserScan) -> Result<Sweep, Unusable> {
-        let (count, sign) = (message.ranges.len(), config.scan_sign);
+    pub(crate) fn sweep(&mut self, sweep_s: f64, rays: Rays, message: &LaserScan) -> Result<Sweep, Unusable> {
+        let (count, sign) = (message.ranges.len(), rays.sign);
         let step_rad = step_rad(message);
-        // A ray points to the angle `scan_yaw_rad + sign * its own`, seen from straight ahead of the scan.
-        let first_rad = f64::from(message.angle_min) + sign * config.scan_yaw_rad;
+        let first_rad = f64::from(message.angle_min) + sign * rays.yaw_rad;
         let fan = Fan {
             first_rad,
             last_rad: first_rad + step_rad * count.saturating_sub(1) as f64,
             min_range_m: f64::from(message.range_min.max(0.0)),
             max_range_m: f64::from(message.range_max),
         };
-        let beams = match self.beams.take().filter(|beams| beams.fits(&fan, count)) {
+        let known = self.beams.take().filter(|(of, beams)| *of == sign && beams.fits(&fan, count));
+        let (_, beams) = match known {
             Some(known) => self.beams.insert(known),
-            None => self.beams.insert(Beams::new(fan, count, sign)?),
+            None => self.beams.insert((sign, Beams::new(fan, count, sign)?)),
         };
         let mut ranges_mm = [0; BEAMS];
         beams.fill(|ray| f64::from(message.ranges[ray]), &mut ranges_mm);
-        let ray_s = ray_s(config, message);
+        let ray_s = ray_s(sweep_s, message);
         // A first ray that is the front one but for its rounding is not a whole turn away from it.
         let front = (-first_rad / step_rad + 0.5).rem_euclid(TAU / step_rad.abs()) - 0.5;
         Ok(Sweep {
@@ -71,15 +72,17 @@ fn step_rad(message: &LaserScan) -> f64 {
 }
 
 /// The time between two rays [s].
-fn ray_s(config: &Ros2Config, message: &LaserScan) -> f64 {
+fn ray_s(sweep_s: f64, message: &LaserScan) -> f64 {
     let increment = f64::from(message.time_increment);
     let count = message.ranges.len().max(1) as f64;
     // A whole sweep takes less than a second, so a larger one is an error of its driver.
-    if increment > 0.0 && increment * count <= 1.0 { increment } else { config.sweep_s / count }
+    if increment > 0.0 && increment * count <= 1.0 { increment } else { sweep_s / count }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::PI;
+
     use shared_types::{FRONT_BEAM, ScanGeometry};
 
     use super::*;
@@ -101,15 +104,16 @@ mod tests {
         }
     }
 
-    fn swept(config: &Ros2Config, message: &LaserScan) -> Sweep {
-        Resampler::default().sweep(config, message).unwrap()
+    const AHEAD: Rays = Rays { yaw_rad: 0.0, sign: 1.0 };
+
+    fn swept(sweep_s: f64, message: &LaserScan) -> Sweep {
+        Resampler::default().sweep(sweep_s, AHEAD, message).unwrap()
     }
 
     #[test]
     fn the_stamp_is_that_of_the_front_ray() {
-        let config = Ros2Config::default();
         // 90 rays of 0.5 ms before the front one.
-        let sweep = swept(&config, &LaserScan { time_increment: 0.0005, ..message() });
+        let sweep = swept(0.0, &LaserScan { time_increment: 0.0005, ..message() });
         assert!((sweep.front_s - 100.045).abs() < 1e-6, "{}", sweep.front_s);
         assert!((90_400_000..90_600_000).contains(&sweep.sweep_ns), "{}", sweep.sweep_ns);
         // Backwards from the left: the front ray is the same.
@@ -120,7 +124,7 @@ mod tests {
             time_increment: 0.0005,
             ..message()
         };
-        assert!((swept(&config, &clockwise).front_s - 100.045).abs() < 1e-6);
+        assert!((swept(0.0, &clockwise).front_s - 100.045).abs() < 1e-6);
     }
 
     #[test]
@@ -128,20 +132,19 @@ mod tests {
         for angle_min in [0.0, 1e-6, -1e-6] {
             let all_around =
                 LaserScan { angle_min, time_increment: 0.0002, ranges: vec![2.0; 360], ..message() };
-            let front_s = swept(&Ros2Config::default(), &all_around).front_s;
+            let front_s = swept(0.0, &all_around).front_s;
             assert!((front_s - 100.0).abs() < 1e-6, "{angle_min}: {front_s}");
         }
     }
 
     #[test]
     fn without_increments_the_settings_and_the_limits_count() {
-        let config = Ros2Config { sweep_s: 0.181, ..Ros2Config::default() };
         for time_increment in [0.0, f32::NAN, -1.0, 1.0] {
-            let sweep = swept(&config, &LaserScan { time_increment, angle_increment: 0.0, ..message() });
+            let sweep = swept(0.181, &LaserScan { time_increment, angle_increment: 0.0, ..message() });
             assert!((sweep.front_s - 100.09).abs() < 1e-4, "{time_increment}: {}", sweep.front_s);
             assert_eq!((sweep.ranges_mm[FRONT_BEAM], sweep.sweep_ns), (2000, 181_000_000));
         }
-        assert_eq!(swept(&Ros2Config::default(), &message()).sweep_ns, 0);
+        assert_eq!(swept(0.0, &message()).sweep_ns, 0);
     }
 
     #[test]
@@ -151,7 +154,7 @@ mod tests {
             // A beam has up to two neighbours a degree apart.
             message.ranges[ray - 1..=ray + 1].fill(range);
         }
-        let sweep = swept(&Ros2Config::default(), &message);
+        let sweep = swept(0.0, &message);
         // 10 degrees are 28.4 beams.
         let at =
             |degrees: f64| sweep.ranges_mm[(FRONT_BEAM as f64 + degrees * 1024.0 / 360.0).round() as usize];
@@ -170,8 +173,10 @@ mod tests {
             ..message()
         };
         all_around.ranges[200] = 1.0;
-        let seen_at = |config: Ros2Config| {
-            let sweep = swept(&config, &all_around);
+        // One resampler: the turn may become known later.
+        let mut resampler = Resampler::default();
+        let mut seen_at = |yaw_rad: f64, sign: f64| {
+            let sweep = resampler.sweep(0.0, Rays { yaw_rad, sign }, &all_around).unwrap();
             let hit: Vec<f64> = (0..BEAMS)
                 .filter(|beam| sweep.ranges_mm[*beam] == 1000)
                 .map(|beam| ScanGeometry::URG_04LX.yaw_rad(beam).to_degrees())
@@ -180,17 +185,17 @@ mod tests {
             hit.iter().sum::<f64>() / hit.len() as f64
         };
         // Looking backwards: 200 degrees are 20 to the left of ahead.
-        let turned = Ros2Config { scan_yaw_rad: std::f64::consts::PI, ..Ros2Config::default() };
-        assert!((seen_at(turned.clone()) - 20.0).abs() < 0.3);
-        assert!((seen_at(Ros2Config { scan_sign: -1.0, ..turned }) + 20.0).abs() < 0.3);
+        assert!((seen_at(PI, 1.0) - 20.0).abs() < 0.3);
+        assert!((seen_at(PI, -1.0) + 20.0).abs() < 0.3);
+        // 200 degrees to the right of ahead are 160 to the left, where no beam is; turned by -140, they are 20 to the left.
+        assert!((seen_at(-140.0_f64.to_radians(), -1.0) - 20.0).abs() < 0.3);
     }
 
     #[test]
     fn a_narrow_scanner_is_refused_with_its_numbers_and_nonsense_with_its_own() {
         let narrow = LaserScan { ranges: vec![2.0; 91], angle_min: -45.0_f32.to_radians(), ..message() };
-        let refused = |message: &LaserScan| {
-            Resampler::default().sweep(&Ros2Config::default(), message).unwrap_err().to_string()
-        };
+        let refused =
+            |message: &LaserScan| Resampler::default().sweep(0.0, AHEAD, message).unwrap_err().to_string();
         assert_eq!(
             refused(&narrow),
             "the scanner covers -45.0 to 45.0 degrees, but at least -60 to 60 are needed"

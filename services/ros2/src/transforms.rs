@@ -6,8 +6,10 @@ use vehicle::Description;
 
 use crate::message::{Quaternion, TFMessage, Transform, Vector3};
 
-/// Poses may differ by this [m, rad].
-const TOLERANCE: f64 = 0.01;
+/// Places may differ by this [m].
+const TOLERANCE_M: f64 = 0.01;
+/// A scanner that is tilted more sees the floor, or misses what is low: at 5 degrees a ray has risen by 0.4 m after 5 m [deg].
+const MAX_TILT_DEG: f64 = 5.0;
 /// Longest chain of frames: more is a circle.
 const MAX_FRAMES: usize = 64;
 
@@ -46,42 +48,53 @@ impl Frames {
     }
 }
 
-/// Where the settings have the scanner: on the robot, its angle zero against the front beam, and the sign of its angles.
+/// Where the rays of a message point: that at angle `a` to `yaw_rad + sign * a`, seen from straight ahead of the scan.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Rays {
+    /// Where the angle zero points [rad].
+    pub(crate) yaw_rad: f64,
+    /// -1 for a scanner that is upside down.
+    pub(crate) sign: f64,
+}
+
+/// Where `[vehicle]` has the scanner: all processes of the loop compute with this place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Mounting {
     x_m: f64,
     y_m: f64,
     yaw_rad: f64,
-    sign: f64,
 }
 
 impl Mounting {
-    /// That of a description, with the settings `scan_yaw_rad` and `scan_sign`.
-    pub(crate) fn of(vehicle: &Description, scan_yaw_rad: f64, scan_sign: f64) -> Self {
-        Self {
-            x_m: vehicle.scanner_x_m,
-            y_m: vehicle.scanner_y_m,
-            yaw_rad: vehicle.scanner_yaw_rad + scan_yaw_rad,
-            sign: scan_sign,
-        }
+    /// That of a description.
+    pub(crate) fn of(vehicle: &Description) -> Self {
+        Self { x_m: vehicle.scanner_x_m, y_m: vehicle.scanner_y_m, yaw_rad: vehicle.scanner_yaw_rad }
     }
 
-    /// What differs from a transform; `None` when nothing does.
-    pub(crate) fn difference(&self, transform: &Transform) -> Option<String> {
+    /// Where the rays point of a scanner with this transform.
+    ///
+    /// # Errors
+    /// A scanner that is elsewhere, or that is tilted, with its numbers.
+    pub(crate) fn rays(&self, transform: &Transform) -> Result<Rays, String> {
         let up = transform.rotation.rotate(&Vector3 { z: 1.0, ..Vector3::default() }).z;
+        let tilt_deg = up.abs().min(1.0).acos().to_degrees();
+        // NaN is no pose.
+        if tilt_deg.is_nan() || tilt_deg > MAX_TILT_DEG {
+            return Err(format!(
+                "the scanner is tilted by {tilt_deg:.1} degrees by /tf_static, but at most {MAX_TILT_DEG} are allowed"
+            ));
+        }
         let Vector3 { x, y, .. } = transform.translation;
-        let yaw_rad = transform.rotation.yaw_rad();
-        let turned = driver::motion::wrapped(yaw_rad - self.yaw_rad).abs();
-        let sign = if up < 0.0 { -1.0 } else { 1.0 };
-        let differs = (x - self.x_m).abs() > TOLERANCE || (y - self.y_m).abs() > TOLERANCE;
-        (differs || turned > TOLERANCE || sign != self.sign).then(|| {
-            format!(
-                "the scanner is at x {x:.3} m, y {y:.3} m, yaw {yaw_rad:.3} rad, sign {sign} by /tf_static, but at x {:.3} m, \
-                 y {:.3} m, yaw {:.3} rad, sign {} by vehicle.scanner_x_m, scanner_y_m, scanner_yaw_rad + \
-                 ros2.scan_yaw_rad, ros2.scan_sign",
-                self.x_m, self.y_m, self.yaw_rad, self.sign
-            )
-        })
+        let is_here = (x - self.x_m).abs() <= TOLERANCE_M && (y - self.y_m).abs() <= TOLERANCE_M;
+        if !is_here {
+            return Err(format!(
+                "the scanner is at x {x:.3} m, y {y:.3} m by /tf_static, but at x {:.3} m, y {:.3} m by [vehicle]: set \
+                 vehicle.scanner_x_m and scanner_y_m",
+                self.x_m, self.y_m
+            ));
+        }
+        let yaw_rad = driver::motion::wrapped(transform.rotation.yaw_rad() - self.yaw_rad);
+        Ok(Rays { yaw_rad, sign: if up < 0.0 { -1.0 } else { 1.0 } })
     }
 }
 
@@ -115,18 +128,43 @@ mod tests {
         assert!((pose.translation.x - 0.2).abs() < 1e-12 && (pose.translation.y - 0.1).abs() < 1e-12);
         assert!(pose.rotation.yaw_rad().abs() < 1e-12);
         assert!(frames.pose("laser", "map").is_none() && frames.pose("round", "base_link").is_none());
-        let mut mounting = Mounting { x_m: 0.2, y_m: 0.1, yaw_rad: 0.0, sign: 1.0 };
-        assert_eq!(mounting.difference(&pose), None);
+        let mut mounting = Mounting { x_m: 0.2, y_m: 0.1, yaw_rad: 0.0 };
+        assert_eq!(mounting.rays(&pose), Ok(Rays { yaw_rad: 0.0, sign: 1.0 }));
         mounting.x_m = 0.0;
-        assert!(mounting.difference(&pose).unwrap().contains("at x 0.200 m, y 0.100 m"));
+        let elsewhere = mounting.rays(&pose).unwrap_err();
+        assert!(elsewhere.contains("at x 0.200 m, y 0.100 m by /tf_static, but at x 0.000 m"), "{elsewhere}");
     }
 
     #[test]
-    fn a_scanner_upside_down_needs_the_other_sign() {
-        let rotation = Quaternion { x: 1.0, ..Quaternion::default() };
-        let over = Transform { translation: Vector3::default(), rotation };
-        let mounting = |sign| Mounting { x_m: 0.0, y_m: 0.0, yaw_rad: 0.0, sign };
-        assert!(mounting(1.0).difference(&over).is_some());
-        assert_eq!(mounting(-1.0).difference(&over), None);
+    fn the_rays_of_a_scanner_follow_its_turn_also_upside_down() {
+        let mounting = Mounting { x_m: 0.0, y_m: 0.0, yaw_rad: 0.5 };
+        let over = Quaternion { x: 1.0, ..Quaternion::default() };
+        for (rotation, sign) in [
+            (Quaternion::of_yaw(2.0), 1.0),
+            // First over, then to the left.
+            (Quaternion::of_yaw(2.0).after(&over), -1.0),
+        ] {
+            let rays =
+                mounting.rays(&Transform { rotation: rotation.clone(), ..Transform::default() }).unwrap();
+            assert!((rays.yaw_rad - 1.5).abs() < 1e-12 && rays.sign == sign, "{rays:?}");
+            // A ray to the left of the scanner's own zero, by the definition of a rotation.
+            let (sin, cos) = 0.3_f64.sin_cos();
+            let ray = rotation.rotate(&Vector3 { x: cos, y: sin, z: 0.0 });
+            let points_rad = mounting.yaw_rad + rays.yaw_rad + rays.sign * 0.3;
+            assert!(driver::motion::wrapped(ray.y.atan2(ray.x) - points_rad).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_tilted_scanner_is_refused_with_its_angle() {
+        let mounting = Mounting { x_m: 0.0, y_m: 0.0, yaw_rad: 0.0 };
+        let tilted = |degrees: f64| {
+            let (y, w) = (degrees.to_radians() / 2.0).sin_cos();
+            mounting
+                .rays(&Transform { rotation: Quaternion { x: 0.0, y, z: 0.0, w }, ..Transform::default() })
+        };
+        assert_eq!(tilted(4.0).unwrap().sign, 1.0);
+        assert!(tilted(20.0).unwrap_err().contains("tilted by 20.0 degrees"));
+        assert!(tilted(f64::NAN).is_err());
     }
 }
