@@ -134,8 +134,8 @@ impl Drawing {
         MarkerArray { markers: std::iter::once(clear).chain(markers).collect() }
     }
 
-    /// What each process of the loop did for the scan of an actuation.
-    pub(crate) fn states(&self, actuation: &Actuation) -> DiagnosticArray {
+    /// What each process of the loop did for the scan of an actuation, and why the newest goal of a tool was not taken.
+    pub(crate) fn states(&self, actuation: &Actuation, refused_goal: Option<&str>) -> DiagnosticArray {
         let SampleHeader { acquired_ns, scan_id, .. } = actuation.header;
         let is_blocked = actuation.kind == ActuationKind::Block.wire();
         let value = |key: &str, value: String| KeyValue { key: key.to_owned(), value };
@@ -163,9 +163,16 @@ impl Drawing {
                 values,
             }
         };
+        let goal = refused_goal.map(|reason| DiagnosticStatus {
+            level: WARN,
+            name: "scanloop: goal".to_owned(),
+            message: reason.to_owned(),
+            hardware_id: "scanloop".to_owned(),
+            values: Vec::new(),
+        });
         DiagnosticArray {
             header: self.header(acquired_ns, ""),
-            status: Role::ALL.iter().copied().map(state).collect(),
+            status: Role::ALL.iter().copied().map(state).chain(goal).collect(),
         }
     }
 }
@@ -231,11 +238,17 @@ mod tests {
         actuation.header.acquired_ns = 1_000_000_000;
         let stamps = actuation.header.stage_mut(Role::Controller);
         (stamps.taken_ns, stamps.published_ns) = (1_001_000_000, 1_003_500_000);
-        let states = DRAWING.states(&actuation).status;
+        let states = DRAWING.states(&actuation, None).status;
         let controller = &states[Role::Controller.index()];
         assert_eq!((controller.level, controller.name.as_str()), (OK, "scanloop: controller"));
         assert_eq!(controller.values[1].value, "3.500");
         assert_eq!(controller.values[2].value, "2.500");
         assert_eq!((states[0].level, states[0].message.as_str()), (WARN, "no output for this scan"));
+        let with_goal = DRAWING.states(&actuation, Some("not taken")).status;
+        let goal = with_goal.last().unwrap();
+        assert_eq!(
+            (with_goal.len(), goal.level, goal.message.as_str()),
+            (states.len() + 1, WARN, "not taken")
+        );
     }
 }

@@ -14,6 +14,8 @@ const SHOWN: usize = 1000;
 const STATES_NS: u64 = 1_000_000_000;
 /// Where the topics are, unless an argument says otherwise: the robot may have a `/scan` of its own.
 const NAMESPACE: &str = "/scanloop";
+/// Where tools for ROS 2 send a goal.
+const GOAL: &str = "/goal_pose";
 
 /// Where the topics are, of the arguments `KEY=VALUE`: those of the table `[ros2]` with these names.
 ///
@@ -60,14 +62,21 @@ pub(crate) fn run(config: &Ros2Config, scanner: [f64; 3]) -> anyhow::Result<()> 
     let plan = node.advertise(&config.topic("plan"), reliable())?;
     let obstacles = node.advertise(&config.topic("obstacles"), reliable())?;
     let states = node.advertise("/diagnostics", reliable())?;
+    let goals = node.subscribe::<PoseStamped>(GOAL, best_effort())?;
     if !companion.start()? {
         return Ok(());
     }
     let drawing = Drawing { offset_s: node.now_s() - monotonic_ns() as f64 * 1e-9, scanner };
     let mut driven: Vec<PoseStamped> = Vec::with_capacity(SHOWN + 1);
     let mut told_ns = 0;
+    let mut refused = None;
     // What no node takes is lost: a view is no part of the drive.
     while companion.wait(None)? {
+        while let Ok(Some((goal, _))) = goals.take() {
+            let reason = not_taken(&goal);
+            tracing::warn!("{reason}");
+            refused = Some(reason);
+        }
         while let Some(sample) = scans.take()? {
             let _ = scan.publish(drawing.scan(&sample));
         }
@@ -91,11 +100,20 @@ pub(crate) fn run(config: &Ros2Config, scanner: [f64; 3]) -> anyhow::Result<()> 
         while let Some(sample) = actuations.take()? {
             if monotonic_ns() >= told_ns + STATES_NS {
                 told_ns = monotonic_ns();
-                let _ = states.publish(drawing.states(&sample));
+                let _ = states.publish(drawing.states(&sample, refused.as_deref()));
             }
         }
     }
     Ok(())
+}
+
+/// What is said of a goal that a tool has sent: one that is ignored without a word would be taken for the goal of the drive.
+fn not_taken(goal: &PoseStamped) -> String {
+    let (place, frame) = (&goal.pose.position, &goal.header.frame_id);
+    format!(
+        "the goal x {:.2} m, y {:.2} m in `{frame}` from {GOAL} was not taken: the goal of a run is that of its scenario",
+        place.x, place.y
+    )
 }
 
 #[cfg(test)]
