@@ -7,6 +7,7 @@ import threading
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -28,7 +29,19 @@ class Listener(Node):
             self.counts[name] = 0
             self.create_subscription(kind, f"/scanloop/{name}", lambda message, name=name: self.take(name, message), qos_profile_sensor_data)
 
-        self.create_subscription(DiagnosticArray, "/diagnostics", lambda message: self.states.append(message.status), 10)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self.take_states, 10)
+        self.goals = self.create_publisher(PoseStamped, "/goal_pose", 10)
+        self.goal, self.topics = None, {}
+
+    def take_states(self, message):
+        """States; after the first ones it sends a goal, and notes what there is."""
+        self.states.append(message.status)
+        self.goal = next((state.message for state in message.status if state.name == "scanloop: goal"), self.goal)
+        self.topics.update({name: types[0] for name, types in self.get_topic_names_and_types()})
+        if self.goal is None:
+            goal = PoseStamped()
+            goal.header.frame_id, goal.pose.position.x, goal.pose.position.y = "track", 7.0, -1.0
+            self.goals.publish(goal)
 
     def take(self, name, message):
         """A message."""
@@ -37,7 +50,7 @@ class Listener(Node):
 
     def report(self):
         """What has come."""
-        found = {"counts": self.counts}
+        found = {"counts": self.counts, "goal": self.goal, "topics": self.topics}
         if "scan" in self.newest:
             scan = self.newest["scan"]
             found["rays"], found["returns"] = len(scan.ranges), sum(1 for r in scan.ranges if scan.range_min <= r <= scan.range_max)

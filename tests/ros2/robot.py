@@ -19,8 +19,8 @@ from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
-from sensor_msgs.msg import LaserScan
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from sensor_msgs.msg import LaserScan, Range
 
 STEP_S = 0.01
 ODOMETRY_STEPS = 2
@@ -41,6 +41,10 @@ def parse():
     parser.add_argument("--half-angle", type=float, default=135.0, help="the scanner sees so far to each side; 180 is all around [deg]")
     parser.add_argument("--from-zero", action="store_true", help="angles from 0 to 2 pi instead of -pi to pi")
     parser.add_argument("--clockwise", action="store_true", help="rays from left to right, with a negative increment")
+    parser.add_argument("--mounting", default="0,0,1", metavar="X,YAW,SIGN", help="the scanner on the robot; -1 is upside down [m, deg]")
+    parser.add_argument("--open", action="store_true", help="no walls")
+    parser.add_argument("--scan-type", choices=["scan", "range"], default="scan", help="another message on the topic of the scans")
+    parser.add_argument("--latched", action="store_true", help="publishes scans reliably, and the newest to those that come later")
     parser.add_argument("--stamped", action="store_true", help="takes TwistStamped instead of Twist")
     parser.add_argument("--best-effort", action="store_true", help="takes commands as they come")
     parser.add_argument("--stall", metavar="AT,FOR", help="hangs after AT seconds for FOR seconds; its wheels obey their timeout")
@@ -53,12 +57,14 @@ def parse():
 class Hall:
     """Walls and boxes, all axis-parallel."""
 
-    def __init__(self, length_m, boxes):
-        sides = [(-BEHIND_M, -SIDE_M, length_m, SIDE_M)]
+    def __init__(self, length_m, boxes, is_open):
+        # Walls that the scanner never reaches are none.
+        far_m = 1e3 if is_open else 0.0
+        sides = [(-BEHIND_M - far_m, -SIDE_M - far_m, length_m + far_m, SIDE_M + far_m)]
         for x, y, length, width in boxes:
             sides.append((x - length / 2, y - width / 2, x + length / 2, y + width / 2))
         self.boxes = sides[1:]
-        for step in range(int((length_m + BEHIND_M) / PILLARS_M)):
+        for step in range(0 if is_open else int((length_m + BEHIND_M) / PILLARS_M)):
             at, half = step * PILLARS_M - BEHIND_M / 2, PILLAR_M / 2
             for y in (-SIDE_M + half, SIDE_M - half):
                 sides.append((at - half, y - half, at + half, y + half))
@@ -102,8 +108,10 @@ class Robot(Node):
     def __init__(self, options):
         super().__init__("robot")
         self.options = options
-        self.hall = Hall(options.length, [tuple(map(float, box.split(","))) for box in options.box])
-        self.scans = self.create_publisher(LaserScan, "scan", qos_profile_sensor_data)
+        self.hall = Hall(options.length, [tuple(map(float, box.split(","))) for box in options.box], options.open)
+        kind = LaserScan if options.scan_type == "scan" else Range
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.scans = self.create_publisher(kind, "scan", latched if options.latched else qos_profile_sensor_data)
         self.odometry = self.create_publisher(Odometry, "odom", 10)
         kind = TwistStamped if options.stamped else Twist
         reliability = ReliabilityPolicy.BEST_EFFORT if options.best_effort else ReliabilityPolicy.RELIABLE
@@ -114,6 +122,7 @@ class Robot(Node):
         self.steps = self.swept = 0
         self.commanded = None
         self.events = []
+        self.published_s = []
         self.least_clearance = math.inf
         self.offset_s = 0.0
         self.create_timer(STEP_S, self.advance)
@@ -123,9 +132,13 @@ class Robot(Node):
         self.first = 0.0 if options.from_zero else -span / 2
         if options.clockwise:
             self.first, self.increment = -self.first, -self.increment
-        self.angles = self.first + self.increment * numpy.arange(options.rays)
+        self.ahead, yaw, sign = map(float, options.mounting.split(","))
+        # Where each ray points on the robot.
+        self.angles = math.radians(yaw) + sign * (self.first + self.increment * numpy.arange(options.rays))
+        # Stamps of DDS are of the wall clock, those of the events of the monotonic one.
+        self.wall = time.time() - time.monotonic()
 
-    def obey(self, message):
+    def obey(self, message, info):
         """A command."""
         twist = message.twist if self.options.stamped else message
         now = time.monotonic()
@@ -135,7 +148,8 @@ class Robot(Node):
             lag = self.now_s() - (stamp.sec + stamp.nanosec * 1e-9)
         self.commanded = now
         self.wanted = (twist.linear.x, twist.angular.z)
-        self.events.append(("command", now, twist.linear.x, twist.angular.z, lag))
+        sent, received = (1e-9 * info[key] - self.wall for key in ("source_timestamp", "received_timestamp"))
+        self.events.append(("command", now, twist.linear.x, twist.angular.z, lag, sent, received))
 
     def now_s(self):
         """The clock of the robot [s]."""
@@ -201,17 +215,23 @@ class Robot(Node):
 
     def publish_scan(self):
         """A sweep that takes no time."""
+        if self.options.scan_type != "scan":
+            self.scans.publish(Range())
+            return
         message = LaserScan()
         self.stamp(message.header, "laser")
         message.angle_min, message.angle_increment = self.first, self.increment
         message.angle_max = self.first + self.increment * (self.options.rays - 1)
         message.range_min, message.range_max = 0.05, RANGE_M
         message.scan_time = 1.0 / self.options.rate
-        ranges = self.hall.ranges(self.x, self.y, self.angles + self.yaw)
+        at = (self.x + self.ahead * math.cos(self.yaw), self.y + self.ahead * math.sin(self.yaw))
+        ranges = self.hall.ranges(*at, self.angles + self.yaw)
         message.ranges = ranges.astype(numpy.float32).tolist()
         # Before it goes out: the answer may come before `publish` returns.
-        self.events.append(("scan", time.monotonic()))
+        begun = time.monotonic()
+        self.events.append(("scan", begun))
         self.scans.publish(message)
+        self.published_s.append(time.monotonic() - begun)
 
     def report(self):
         """What it has seen."""
@@ -221,6 +241,7 @@ class Robot(Node):
             "speed_mps": self.speed,
             "clearance_m": self.least_clearance if self.hall.boxes else None,
             "events": self.events,
+            "published_s": self.published_s,
         }
 
 
