@@ -77,7 +77,7 @@ impl Mounting {
     /// A scanner that is elsewhere, or that is tilted, with its numbers.
     pub(crate) fn rays(&self, transform: &Transform) -> Result<Rays, String> {
         let up = transform.rotation.rotate(&Vector3 { z: 1.0, ..Vector3::default() }).z;
-        let tilt_deg = up.abs().min(1.0).acos().to_degrees();
+        let tilt_deg = up.abs().clamp(0.0, 1.0).acos().to_degrees();
         // NaN is no pose.
         if tilt_deg.is_nan() || tilt_deg > MAX_TILT_DEG {
             return Err(format!(
