@@ -231,10 +231,12 @@ impl InputAccount {
     }
 
     /// Counts overwritten samples, which are not missing, after at least as many came since `before` as the buffer of
-    /// the reader holds. A sample is overwritten only when `capacity` newer ones wait; a gap that fewer follow stays.
-    pub fn overflowed_since(&mut self, before: &Self, capacity: u64) {
+    /// the reader holds. A sample is overwritten only when `capacity` newer ones wait; a gap that fewer follow stays,
+    /// unless samples still wait (`is_all` is false): those behind the newest gap may be among them.
+    pub fn overflowed_since(&mut self, before: &Self, capacity: u64, is_all: bool) {
         let newest = self.from(self.hole.incarnation).map_or(0, |span| span.last);
-        let stays = self.hole != before.hole && newest < self.hole.last.saturating_add(capacity);
+        let is_behind = is_all && newest < self.hole.last.saturating_add(capacity);
+        let stays = self.hole != before.hole && is_behind;
         let missing = before.missing + if stays { self.hole.count() } else { 0 };
         self.overwritten += self.missing.saturating_sub(missing);
         self.missing = self.missing.min(missing);
@@ -370,7 +372,7 @@ mod tests {
         let before = account(&[1, 2, 4]);
         let mut after = before;
         (9..=24).for_each(|sequence| assert_eq!(after.arrive(&header(7, sequence)), None));
-        after.overflowed_since(&before, 16);
+        after.overflowed_since(&before, 16, true);
         assert_eq!((after.overwritten, after.missing, after.hole), (4, 1, Span::of(7, 3, 3)));
     }
 
@@ -381,8 +383,11 @@ mod tests {
         (9..=30).filter(|sequence| *sequence != 20).for_each(|sequence| {
             after.arrive(&header(7, sequence));
         });
-        after.overflowed_since(&before, 16);
+        let mut with_more = after;
+        after.overflowed_since(&before, 16, true);
         assert_eq!((after.overwritten, after.missing, after.hole), (7, 1, Span::of(7, 20, 20)));
+        with_more.overflowed_since(&before, 16, false);
+        assert_eq!((with_more.overwritten, with_more.missing, with_more.hole), (8, 0, Span::default()));
     }
 
     #[test]

@@ -277,9 +277,10 @@ impl<B: Deref<Target = [u8]>> Inbox<B> {
         account
     }
 
-    /// Counts numbers that are missing since `before` as overwritten in a queue of `capacity` that was full.
-    pub fn overflowed_since(&mut self, before: &InputAccount, capacity: u64) {
-        self.account.overflowed_since(before, capacity);
+    /// Counts numbers that are missing since `before` as overwritten in a queue of `capacity` that was full; see
+    /// [`InputAccount::overflowed_since`].
+    pub fn overflowed_since(&mut self, before: &InputAccount, capacity: u64, is_all: bool) {
+        self.account.overflowed_since(before, capacity, is_all);
     }
 }
 

@@ -126,7 +126,7 @@ impl Process {
                 }
             }
             if came >= PROCESS_QUEUE {
-                port.account.overflowed_since(&before, PROCESS_QUEUE as u64);
+                port.account.overflowed_since(&before, PROCESS_QUEUE as u64, true);
             }
             let forgets = |header: &Header| {
                 let me = Role::ALL.iter().position(|role| *role == self.role).unwrap();

@@ -84,14 +84,14 @@ impl<S: Sample> Observer<S> {
         Ok(invalid)
     }
 
-    /// Hands all waiting samples to `each`, with the result of their check.
+    /// Hands all waiting samples to `each`, with the result of their check; returns whether none waits any more.
     ///
     /// A publisher that floods the topic delays neither this call nor the samples of others: each round takes a
     /// limited number of samples per publisher, and the number of rounds is limited.
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when receiving fails.
-    pub fn poll_checked(&self, mut each: impl FnMut(&S, Result<(), Fault>)) -> Result<(), RuntimeError> {
+    pub fn poll_checked(&self, mut each: impl FnMut(&S, Result<(), Fault>)) -> Result<bool, RuntimeError> {
         self.0.poll(&mut |sample| {
             let sample = view::<S>(sample);
             each(sample, sample.check());
@@ -139,7 +139,7 @@ impl TopicObserver {
     /// # Errors
     /// [`RuntimeError::Bus`] when receiving fails.
     pub fn poll(&self, each: &mut dyn FnMut(&[u8])) -> Result<(), RuntimeError> {
-        self.0.poll(each)
+        self.0.poll(each).map(|_| ())
     }
 }
 
@@ -195,7 +195,7 @@ impl Source {
         Ok(self.subscriber.receive()?.map(Enclosed::new))
     }
 
-    fn poll(&self, each: &mut dyn FnMut(&[u8])) -> Result<(), RuntimeError> {
+    fn poll(&self, each: &mut dyn FnMut(&[u8])) -> Result<bool, RuntimeError> {
         self.mark_seen();
         let mut borrowed = self.borrowed.borrow_mut();
         for _ in 0..MAX_ROUNDS {
@@ -205,10 +205,10 @@ impl Source {
             })?;
             borrowed.clear();
             if is_all {
-                break;
+                return Ok(true);
             }
         }
-        Ok(())
+        Ok(false)
     }
 
     /// From here on, a ring or a notification means new samples.

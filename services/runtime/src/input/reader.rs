@@ -135,12 +135,12 @@ impl Reader {
         self.polled_ns.set([self.polled_ns.get()[1], monotonic_ns()]);
         // Samples are overwritten only when as many newer ones have come as the buffer holds.
         let capacity = self.qos.of_a_process();
-        let (before, mut received) = (self.account(), 0);
+        let (before, mut received, mut is_all) = (self.account(), 0, false);
         // Dropped samples return to their publisher at the end of each round only. A publisher has a limited number of
         // samples to borrow, so one that floods the topic can neither keep this loop busy nor, as the bus polls the
         // connections in a fixed order, hold up another's samples. So many rounds empty the longest queue.
         for _ in 0..capacity.div_ceil(self.qos.borrowed.saturating_sub(QUEUE_DEPTH + ASIDE_DEPTH).max(1)) {
-            let is_all = self.subscriber.receive_all(|sample| {
+            is_all = self.subscriber.receive_all(|sample| {
                 received += 1;
                 self.arrive(sample);
             })?;
@@ -150,7 +150,7 @@ impl Reader {
             }
         }
         if received >= capacity {
-            self.inbox.borrow_mut().overflowed_since(&before, capacity as u64);
+            self.inbox.borrow_mut().overflowed_since(&before, capacity as u64, is_all);
         }
         Ok(())
     }

@@ -167,10 +167,10 @@ impl<S: Sample> Feed for Source<S> {
     fn poll(&self) -> Result<(), RuntimeError> {
         let before = self.port.borrow().account;
         self.received.set(0);
-        self.observer.poll_checked(|sample, check| self.arrive(sample, check))?;
+        let is_all = self.observer.poll_checked(|sample, check| self.arrive(sample, check))?;
         let port = &mut *self.port.borrow_mut();
         if self.received.get() >= self.observer.capacity() {
-            port.account.overflowed_since(&before, self.observer.capacity() as u64);
+            port.account.overflowed_since(&before, self.observer.capacity() as u64, is_all);
         }
         let gaps = |account: &InputAccount| account.missing + account.overwritten;
         let missed = gaps(&port.account).saturating_sub(gaps(&before));

@@ -81,10 +81,8 @@ impl OwnReader {
             self.arrive(sample);
         }
         if received >= self.row.queue {
-            // With more samples than one poll takes, those behind the newest gap still wait.
             let is_all = received < MAX_QUEUES * self.row.queue;
-            let capacity = if is_all { self.row.queue as u64 } else { 0 };
-            self.port.borrow_mut().account.overflowed_since(&before, capacity);
+            self.port.borrow_mut().account.overflowed_since(&before, self.row.queue as u64, is_all);
         }
         self.show();
         let gaps = |account: &InputAccount| account.missing + account.overwritten;
