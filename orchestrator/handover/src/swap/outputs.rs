@@ -140,7 +140,8 @@ fn collect<S: Sample>(
             put(parts, sample);
             parts.fault = parts.fault.or(checked.err());
         }
-    })
+    })?;
+    Ok(())
 }
 
 fn take<S: Sample>(
@@ -159,7 +160,8 @@ where
             let header = sample.header();
             each(header.incarnation, output_of(header, role, checked.map(|()| OutputSummary::from(sample))));
         }
-    })
+    })?;
+    Ok(())
 }
 
 /// Whether a sample has a number that no scan can have: it answers none.
