@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 import faults
+import foreign
 import latency
 import robots
 import tools
@@ -33,6 +34,7 @@ CASES = {
     "missing": faults.missing,
     "two": faults.two,
     "view": tools.view,
+    "foreign": foreign.foreign,
 }
 
 
