@@ -8,7 +8,7 @@ use figures::Figures;
 
 use crate::latency::STAGES;
 use crate::report::{
-    DelayRow, LatencyReport, LedgerReport, LedgerRow, NO_OBSTACLE_M, PerStage, Report, ScanReport,
+    DelayRow, Landing, LatencyReport, LedgerReport, LedgerRow, NO_OBSTACLE_M, PerStage, Report, ScanReport,
     ScannerReport, SelfCheckReport, TrueDrive,
 };
 
@@ -17,6 +17,9 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
     let mut rows = vec![("outcome", outcome(report))];
     rows.push(("driven", format!("{:.1} s, {:.2} m", report.duration_s, report.drive.path_length_m)));
     rows.push(("to the goal", format!("{:.3} m", report.drive.final_distance_m)));
+    if report.goals.len() > 1 || report.goals.iter().any(|goal| goal.yaw_error_rad.is_some()) {
+        rows.extend(report.goals.iter().map(|goal| ("goal", landing(goal))));
+    }
     match &report.drive.truth {
         Some(truth) => rows.push(("clearance", clearance(truth))),
         None => rows.push((
@@ -71,6 +74,15 @@ fn outcome(report: &Report) -> String {
     let simulated = if report.lockstep { " (simulated time)" } else { "" };
     let reason = if report.reason.is_empty() { String::new() } else { format!(": {}", report.reason) };
     format!("{}{reason}{simulated}", report.outcome)
+}
+
+/// What became of one goal of several, or of one with a direction.
+fn landing(goal: &Landing) -> String {
+    let Landing { reached_s, distance_m, yaw_error_rad } = goal;
+    let reached = reached_s.map_or("not reached".to_owned(), |at_s| format!("reached after {at_s:.1} s"));
+    let distance = distance_m.map_or_else(String::new, |distance_m| format!(", {distance_m:.3} m away"));
+    let yaw = yaw_error_rad.map_or_else(String::new, |rad| format!(", {rad:.3} rad off"));
+    reached + &distance + &yaw
 }
 
 /// For how many scans the wheels were blocked, for each reason.
@@ -264,6 +276,18 @@ mod tests {
         report.latency_us.stages.compute.controller =
             Figures { count: 127, p50: 1234.5, p90: 2000.0, p99: 3000.0, p999: 4000.0, max: 12345.6 };
         report
+    }
+
+    #[test]
+    fn goals_have_a_row_each_where_they_are_several_or_have_a_direction() {
+        let landed = Landing { reached_s: Some(9.64), distance_m: Some(0.0123), yaw_error_rad: Some(0.05) };
+        let rows = |goals: Vec<Landing>| {
+            let text = text(&Report { goals, ..report() }, None);
+            text.lines().filter(|line| line.starts_with("goal ")).map(str::to_owned).collect::<Vec<_>>()
+        };
+        assert_eq!(rows(vec![Landing { yaw_error_rad: None, ..landed }]), [""; 0]);
+        let first = "goal            reached after 9.6 s, 0.012 m away, 0.050 rad off";
+        assert_eq!(rows(vec![landed, Landing::default()]), [first, "goal            not reached"]);
     }
 
     #[test]
