@@ -5,11 +5,13 @@
 //! plant, so a run in lock-step ends like one in real time.
 
 mod estimate;
+mod progress;
 
 use serde::{Deserialize, Serialize};
 use shared_types::{Actuation, ActuationKind, BlockReason, StopReason, Truth, named_enum};
 
 use self::estimate::Wheels;
+use self::progress::Progress;
 use crate::scenario::{Goal, Scenario};
 
 pub use self::estimate::EstimatedScan;
@@ -54,6 +56,8 @@ named_enum! {
 #[derive(Debug, Clone)]
 pub struct Referee {
     goals: Vec<Goal>,
+    /// How far the robot has come along the course.
+    progress: Progress,
     /// What became of the goals so far: all but the last one of a drive that is not over are reached.
     landings: Vec<Landing>,
     /// Whether the robot has landed without driving since.
@@ -120,6 +124,7 @@ impl Referee {
     pub fn new(scenario: &Scenario) -> Self {
         Self {
             goals: scenario.goal.all().to_vec(),
+            progress: Progress::new(scenario),
             landings: Vec::with_capacity(scenario.goal.all().len()),
             has_landed: false,
             timeout_s: scenario.timeout_s,
@@ -194,6 +199,7 @@ impl Referee {
 
     fn decide(&mut self, sight: &Sight, contact: Option<(Outcome, String)>) -> Option<Outcome> {
         self.blocked_since_s = sight.blocked.then(|| self.blocked_since_s.unwrap_or(sight.time_s));
+        self.progress.follow(sight.place);
         let (outcome, reason) = contact.or_else(|| self.judge(sight))?;
         self.reason = reason;
         Some(outcome)
@@ -231,7 +237,8 @@ impl Referee {
         let index = self.landings.len();
         let goal = *self.goals.get(index)?;
         let (distance_m, yaw_error_rad) = of(&goal);
-        let is_reached = goal.is_reached(distance_m, yaw_error_rad);
+        let left_m = self.progress.left_m(index);
+        let is_reached = goal.is_reached(distance_m, yaw_error_rad) && left_m == 0.0;
         // A controller that has lost its state lands once more where it stays.
         if !is_reached && index > 0 && self.goals[index - 1].is_reached(of(&self.goals[index - 1]).0, None) {
             return None;
@@ -250,6 +257,9 @@ impl Referee {
                 ", and {error_rad:.3} rad from its direction, {} rad are allowed",
                 goal.yaw_tolerance_rad
             );
+        }
+        if left_m > 0.0 {
+            reason += &format!(", with {left_m:.1} m of the course before it not driven");
         }
         Some((if is_reached { Outcome::Reached } else { Outcome::Missed }, reason))
     }

@@ -30,6 +30,9 @@ pub use outline::{CourseOutline, ellipse_point};
 /// How far from where a position was a moment ago it is looked for, behind and ahead [m].
 const NEAR_M: [f64; 2] = [2.0, 3.0];
 
+/// Places of a course that are no further apart are one: where a lap ends, the next one begins [m].
+const SAME_M: f64 = 1.0;
+
 /// The way that the robot follows.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(try_from = "CourseKeys", into = "CourseKeys")]
@@ -214,15 +217,23 @@ impl Course {
         State { x: point.x, y: point.y, yaw: tangent.yaw + state.yaw, ..*state }
     }
 
-    /// The place of a state in the plane on the whole course: near it, and in its direction.
+    /// The place of a state in the plane on the whole course: near it, and in its direction. Where the course comes by
+    /// again, it is the first of these places, so a robot that stands a little before the start has all laps to drive.
     pub fn find(&self, state: &State) -> f64 {
         let point = Vector2::new(state.x, state.y);
         let misfit = |along: f64| {
             let tangent = self.at(along);
             (tangent.point - point).norm() + wrap_angle(state.yaw - tangent.yaw).abs()
         };
-        let places = self.pieces.iter().map(|piece| piece.begin_m + piece.nearest(point));
-        places.min_by(|one, other| misfit(*one).total_cmp(&misfit(*other))).unwrap_or(state.x)
+        let mut places = self.pieces.iter().map(|piece| piece.begin_m + piece.nearest(point));
+        let best = places.clone().min_by(|one, other| misfit(*one).total_cmp(&misfit(*other)));
+        let Some(best) = best else { return state.x };
+        let is_same = |along: f64| {
+            let apart = (self.at(along).point - self.at(best).point).norm();
+            apart <= SAME_M && misfit(along) <= misfit(best) + SAME_M
+        };
+        let first = places.find(|along| is_same(*along)).unwrap_or(best);
+        self.within(point, [first, first + 2.0 * SAME_M])[0]
     }
 }
 

@@ -111,6 +111,24 @@ fn a_closed_course_is_driven_in_laps() {
 }
 
 #[test]
+fn a_robot_at_the_start_of_a_closed_course_has_all_laps_before_it() {
+    let circle = [0.0_f64, 1.5, 3.0, 4.5].map(|angle| waypoint(5.0 * angle.cos(), 5.0 * angle.sin(), None));
+    let waypoints: Vec<_> = circle.into_iter().chain([circle[0]]).collect();
+    for laps in [1, 3] {
+        let keys = CourseKeys { waypoints: waypoints.clone(), laps, ..CourseKeys::default() };
+        let course = Course::try_from(keys).unwrap();
+        for (behind_m, left_m) in [(0.0, 0.0), (0.001, 0.0), (0.02, -0.1), (0.5, 0.2), (-0.3, 0.1)] {
+            // The first waypoint is at (5, 0), and the course leads along y there.
+            let state = State { x: 5.0 - left_m, y: -behind_m, yaw: FRAC_PI_2, ..State::default() };
+            let along = course.find(&state);
+            assert!((along + behind_m).abs() < 0.05, "{laps} laps, {behind_m} m behind: {along}");
+        }
+        let half = State { x: -5.0, y: 0.0, yaw: -FRAC_PI_2, ..State::default() };
+        assert!((course.find(&half) - 5.0 * PI).abs() < 1e-6);
+    }
+}
+
+#[test]
 fn waypoints_that_make_no_course_are_refused_by_number() {
     let refused = |waypoints: &[Waypoint]| {
         let keys = CourseKeys { waypoints: waypoints.to_vec(), ..CourseKeys::default() };

@@ -1,0 +1,45 @@
+//! How far a robot has come along the course: a goal where the course passes more than once is reached in its own lap.
+
+use vehicle::{Course, State};
+
+use crate::scenario::Scenario;
+
+/// A goal may be landed at so much earlier, by its tolerance and by what is cut at bends [m].
+const EARLY_M: f64 = 1.5;
+/// A robot this far beside the course was put elsewhere [m].
+const ASTRAY_M: f64 = 5.0;
+
+/// The place of the robot on the course.
+#[derive(Debug, Clone)]
+pub(super) struct Progress {
+    course: Option<Course>,
+    along_m: f64,
+    /// Where the goals are [m].
+    goals_m: Vec<f64>,
+}
+
+impl Progress {
+    /// At the start of a scenario; without a course there is nothing to follow.
+    pub(super) fn new(scenario: &Scenario) -> Self {
+        Self {
+            course: scenario.course.clone(),
+            along_m: scenario.start_on_course().x_m,
+            goals_m: scenario.goals_on_course().iter().map(|goal| goal.x_m).collect(),
+        }
+    }
+
+    /// Follows the robot to a position and direction in the plane.
+    pub(super) fn follow(&mut self, [x, y, yaw]: [f64; 3]) {
+        let Some(course) = self.course.as_ref().filter(|_| x.is_finite() && y.is_finite()) else { return };
+        let pose = State { x, y, yaw, ..State::default() };
+        let near = course.on_course(&pose, self.along_m);
+        let is_near = near.y.abs() < ASTRAY_M;
+        self.along_m = if is_near { near.x } else { course.find(&pose) };
+    }
+
+    /// Length of the course before a goal that is not driven yet, zero near the goal [m].
+    pub(super) fn left_m(&self, goal: usize) -> f64 {
+        let left_m = self.goals_m.get(goal).map_or(0.0, |goal_m| goal_m - self.along_m);
+        if self.course.is_some() && left_m > EARLY_M { left_m } else { 0.0 }
+    }
+}
