@@ -61,12 +61,12 @@ impl ObstacleDetector {
             fixed: vec![false; BEAMS],
             way: Way::new(&config),
             tracks: Tracks::new(config.clone()),
+            outlines: Outlines::with_capacity(config.vehicle.scanner_yaw_rad),
             config,
             beams: Beams::new(),
             acquired_ns: 0,
             pose: [0.0; 3],
             points: Vec::with_capacity(BEAMS),
-            outlines: Outlines::with_capacity(),
             drawn: Vec::with_capacity(TRACKS * MAX_PIECES),
         })
     }

@@ -16,12 +16,13 @@ mod sectors;
 mod snapshot;
 mod verdict;
 
-use shared_types::{BEAMS, PITCH_RAD, SECTOR_BEAMS, SECTORS, Scan, ScannerHealth, WINDOW, plain_state};
+use shared_types::{BEAMS, PITCH_RAD, SECTOR_BEAMS, SECTORS, Scan, ScannerHealth, plain_state};
 use std::ops::RangeInclusive;
 use vehicle::geometry::Rectangle;
 use vehicle::{Description, Surroundings};
 
 use crate::points::{Beams, Place, Point, range_of};
+use crate::segment::ahead;
 use crate::way::Way;
 use calibration::{CalibrationState, Errors, index_beams};
 use returns::Returns;
@@ -181,8 +182,9 @@ impl Evidence {
         points: &[Point],
         elapsed: f64,
     ) -> bool {
-        let window = WINDOW.filter(|beam| range_of(scan, *beam).is_some()).count();
-        self.valid_share = window as f64 / WINDOW.count() as f64;
+        let [first, last] = ahead(self.vehicle.scanner_yaw_rad);
+        let valid = (first..=last).filter(|beam| range_of(scan, *beam).is_some()).count();
+        self.valid_share = valid as f64 / (last + 1 - first) as f64;
         self.is_empty = self.vehicle.surroundings == Surroundings::Hall
             && (points.len() as f64) < SWEEP_SHARE * BEAMS as f64;
         (self.silent, self.gone) = (0, 0);

@@ -21,7 +21,7 @@ const ENOUGH: usize = 3;
 impl Segments {
     /// Parts the clusters at their hollows.
     pub(crate) fn part_at_hollows(&mut self, range_noise: f64) {
-        let Self { members, clusters, parts, front, .. } = self;
+        let Self { members, clusters, parts, front, ahead, .. } = self;
         let depth = HOLLOW_M.max(HOLLOW_SIGMAS * range_noise);
         parts.clear();
         for cluster in clusters.iter() {
@@ -34,7 +34,7 @@ impl Segments {
                 part.ends[1] = end(right, left);
                 (rest.first, rest.ends[0]) = (at, end(left, right));
                 for part in [&mut part, &mut rest] {
-                    part.may_start &= may_start(&members[part.first..part.end], range_noise);
+                    part.may_start &= may_start(&members[part.first..part.end], *ahead, range_noise);
                 }
                 parts.push(part);
             }
@@ -103,7 +103,7 @@ mod tests {
     use nalgebra::Vector2;
 
     use super::*;
-    use crate::segment::Cluster;
+    use crate::segment::{Cluster, ahead};
 
     /// Returns along straight lines from corner to corner, 5 cm apart.
     fn along(corners: &[[f64; 2]]) -> Vec<Point> {
@@ -119,7 +119,7 @@ mod tests {
 
     /// Where the surface is cut.
     fn cuts(corners: &[[f64; 2]]) -> Vec<[f64; 2]> {
-        let mut segments = Segments::with_capacity();
+        let mut segments = Segments::with_capacity(ahead(0.0));
         segments.members = along(corners);
         let end = segments.members.len();
         segments.clusters = vec![Cluster { first: 0, end, may_start: true, ends: [End::Seen; 2] }];
@@ -155,7 +155,7 @@ mod tests {
     #[test]
     fn a_shallow_hollow_and_a_wrong_return_part_nothing() {
         assert!(cuts(&[[4.0, -1.0], [4.09, 0.0], [4.0, 1.0]]).is_empty());
-        let mut segments = Segments::with_capacity();
+        let mut segments = Segments::with_capacity(ahead(0.0));
         segments.members = along(&[[4.0, -1.0], [4.0, 1.0]]);
         segments.members[20].at.x = 4.3;
         assert_eq!(deepest(&segments.members, HOLLOW_M, &mut Vec::new()), None);

@@ -8,7 +8,7 @@ use crate::hull::{HOLLOW_M, Hull};
 use crate::outline::{Vertex, trace};
 use crate::part::Known;
 use crate::points::{Place, Point};
-use crate::segment::Segments;
+use crate::segment::{Segments, ahead};
 use crate::state::TRACKS;
 use crate::walls::Walls;
 use crate::way::Way;
@@ -49,11 +49,11 @@ pub(crate) struct Outlines {
 }
 
 impl Outlines {
-    /// Buffers large enough for any scan.
-    pub(crate) fn with_capacity() -> Self {
+    /// Buffers large enough for any scan of a scanner that is turned by `yaw_rad`.
+    pub(crate) fn with_capacity(yaw_rad: f64) -> Self {
         Self {
             list: Vec::with_capacity(BEAMS),
-            segments: Segments::with_capacity(),
+            segments: Segments::with_capacity(ahead(yaw_rad)),
             vertices: Vec::with_capacity(4 * BEAMS),
             expected: Vec::with_capacity(TRACKS + 1),
             beside: Vec::with_capacity(TRACKS + 1),

@@ -17,6 +17,8 @@ const GRAZING: f64 = 0.174;
 const MAX_GAP_M: f64 = 0.35;
 /// Largest step in beams from one return to the next of a body: four dropouts in a row are one in 160 000 at 5 %.
 const MAX_BEAM_STEP: usize = 5;
+/// A body this near counts wherever the scanner sees it [m].
+const BESIDE_M: f64 = 1.5;
 /// Bodies nearer than this show at least three beams when they are 3 cm wide [m].
 const SPARSE_M: f64 = 3.0;
 /// A neighbour nearer than the end of a body by this hides what is behind it [m].
@@ -55,6 +57,8 @@ pub(crate) struct Segments {
     pub(crate) members: Vec<Point>,
     /// The clusters from right to left.
     pub(crate) clusters: Vec<Cluster>,
+    /// The first and the last beam that look ahead.
+    pub(crate) ahead: [usize; 2],
     // Buffers of the parting.
     pub(crate) parts: Vec<Cluster>,
     pub(crate) owners: Vec<Option<usize>>,
@@ -62,9 +66,10 @@ pub(crate) struct Segments {
 }
 
 impl Segments {
-    /// Buffers large enough for any scan.
-    pub(crate) fn with_capacity() -> Self {
+    /// Buffers large enough for any scan; `ahead` are the beams that look ahead.
+    pub(crate) fn with_capacity(ahead: [usize; 2]) -> Self {
         Self {
+            ahead,
             members: Vec::with_capacity(BEAMS),
             clusters: Vec::with_capacity(BEAMS),
             parts: Vec::with_capacity(BEAMS),
@@ -122,7 +127,7 @@ impl Segments {
             self.members.truncate(start);
             return;
         }
-        let may_start = may_start(members, range_noise);
+        let may_start = may_start(members, self.ahead, range_noise);
         let mut ends = [end_of(scan, &members[0], false), end_of(scan, &members[members.len() - 1], true)];
         for (end, continues) in ends.iter_mut().zip(continues) {
             if continues {
@@ -133,13 +138,20 @@ impl Segments {
     }
 }
 
-/// Whether returns of one surface are evidence enough for a new body.
-pub(crate) fn may_start(members: &[Point], range_noise: f64) -> bool {
-    let in_window = members.iter().filter(|point| WINDOW.contains(&point.beam)).count();
+/// The first and the last beam within 60 degrees to each side of straight ahead, of a scanner that is turned by `yaw_rad`.
+pub(crate) fn ahead(yaw_rad: f64) -> [usize; 2] {
+    let turned = (yaw_rad / PITCH_RAD).round() as i64;
+    [*WINDOW.start(), *WINDOW.end()].map(|beam| (beam as i64 - turned).clamp(0, BEAMS as i64 - 1) as usize)
+}
+
+/// Whether returns of one surface are evidence enough for a new body: it is ahead, or so near that it may come from the side.
+pub(crate) fn may_start(members: &[Point], [first, last]: [usize; 2], range_noise: f64) -> bool {
+    let is_in_view = |point: &&Point| (first..=last).contains(&point.beam) || point.range < BESIDE_M;
+    let in_view = members.iter().filter(is_in_view).count();
     // A few returns one behind the other are mixed pixels between an edge and its background.
     let nearest = members.iter().map(|point| point.range).fold(f64::INFINITY, f64::min);
     let farthest = members.iter().map(|point| point.range).fold(0.0, f64::max);
-    in_window >= 2 && (members.len() > 3 || farthest - nearest < 6.0 * range_noise)
+    in_view >= 2 && (members.len() > 3 || farthest - nearest < 6.0 * range_noise)
 }
 
 /// Whether two returns can lie on one surface.
@@ -198,7 +210,7 @@ mod tests {
         scan.ranges_mm[340..340 + lost].fill(0);
         let mut points = Vec::new();
         Beams::new().place(&scan, &Place::standing(Vector2::zeros(), 0.0), &mut points);
-        let mut segments = Segments::with_capacity();
+        let mut segments = Segments::with_capacity(ahead(0.0));
         segments.find(&scan, &points, 0.01, |point| point.at.y.abs() > 2.0);
         segments.clusters.len()
     }
@@ -214,7 +226,7 @@ mod tests {
         scan.ranges_mm[300..=340].fill(2000);
         let mut points = Vec::new();
         Beams::new().place(&scan, &Place::standing(Vector2::zeros(), 0.0), &mut points);
-        let mut segments = Segments::with_capacity();
+        let mut segments = Segments::with_capacity(ahead(0.0));
         // 20 beams to the right of the front is 0.245 m across.
         segments.find(&scan, &points, 0.01, |point| !(-0.24..=2.0).contains(&point.at.y));
         let ends: Vec<_> = segments.clusters.iter().map(|cluster| cluster.ends).collect();

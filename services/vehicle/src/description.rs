@@ -1,10 +1,11 @@
 //! What the stack believes about the robot: the table `[vehicle]` of the system file.
 
-use std::f64::consts::PI;
-
 use key_table::settings;
 
 use crate::{Bounds, Parameters, Surroundings};
+
+/// A scanner sees 120 degrees to each side; turned further, it would not see 60 degrees to each side ahead [rad].
+const SCANNER_YAW_MAX_RAD: f64 = 1.04;
 
 settings! {
     /// The vehicle description; every stage reads the robot's properties here. The defaults describe the SUMMIT.
@@ -52,8 +53,9 @@ settings! {
         pub scanner_x_m: f64 = 0.0, -2.0..=2.0;
         /// Position of the scanner to the left of the robot's centre [m].
         pub scanner_y_m: f64 = 0.0, -2.0..=2.0;
-        /// Direction of the scanner's front beam, counter-clockwise from straight ahead [rad].
-        pub scanner_yaw_rad: f64 = 0.0, -PI..=PI;
+        /// Direction of the scanner's front beam, counter-clockwise from straight ahead; it has to see 60 degrees to each
+        /// side ahead [rad].
+        pub scanner_yaw_rad: f64 = 0.0, -SCANNER_YAW_MAX_RAD..=SCANNER_YAW_MAX_RAD;
         /// How near in front of the body something may appear that was not seen before [m].
         pub sudden_m: f64 = 1.2, 0.1..=100.0;
         /// What the scanner sees where the track is empty; without the key `track.surroundings` of the scenario holds.

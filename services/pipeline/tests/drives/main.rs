@@ -1,6 +1,7 @@
 //! Whole drives of one process: the shipped scenarios with every preset, gaps, and stops in time.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod beside;
 mod gaps;
 mod hostile;
 mod presets;
