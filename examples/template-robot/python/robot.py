@@ -36,6 +36,7 @@ MAX_MISSING = 3  # periods without data, or broken sweeps in a row, that are a f
 MAX_STATES = 256  # states of the base, more than it sends in two scan periods
 MAX_DELAY_NS = 1_000_000_000  # no message is delayed by more: an older stamp is one of a device that was restarted
 WINDOW_NS, JUMP_NS = 5_000_000_000, 20_000_000  # when all messages of a window are this late, the device's clock stood still
+BACK_NS, BACK_FOR_NS = 100_000_000, 500_000_000  # one that went back is set back when all are as late for this time
 
 
 class DeviceClock:
@@ -44,6 +45,7 @@ class DeviceClock:
     def __init__(self):
         self._offset_ns, self._stamp_ns, self._arrived_ns = None, 0, 0
         self._window_ns, self._least_ns = 0, 0  # the smallest arrival minus stamp since the start of a window
+        self._back = None  # since a stamp went back: when that was, the smallest and the largest arrival minus stamp
         self.restarts, self.overtaken = 0, 0
 
     def map(self, stamp_ns, arrived_ns):
@@ -51,14 +53,19 @@ class DeviceClock:
 
         None for a message that was overtaken by others: its data are old."""
         since_ns, found_ns = arrived_ns - self._arrived_ns, arrived_ns - stamp_ns
-        if stamp_ns < self._stamp_ns:
+        is_overtaken = stamp_ns < self._stamp_ns
+        if is_overtaken:
             delay_ns = since_ns + self._stamp_ns - stamp_ns
             # A restarted device has lost most of its count. Nothing newer comes from one whose clock was set back.
             has_lost_count = stamp_ns < self._stamp_ns // 2
             if delay_ns <= MAX_DELAY_NS or not (has_lost_count or since_ns > MAX_DELAY_NS):
                 self.overtaken += 1
-                return None
-            self.restarts, self._offset_ns = self.restarts + 1, None
+            else:
+                is_overtaken, self.restarts, self._offset_ns = False, self.restarts + 1, None
+        if self._offset_ns is not None and self._is_set_back(found_ns, arrived_ns, is_overtaken):
+            is_overtaken, self._offset_ns = False, None
+        if is_overtaken:
+            return None
         if self._offset_ns is None:
             self._offset_ns, self._window_ns, self._least_ns = found_ns, arrived_ns, found_ns
         drifted_ns = since_ns // 5000  # 200 ppm: more than two crystals drift apart
@@ -70,6 +77,23 @@ class DeviceClock:
             self._window_ns, self._least_ns = arrived_ns, found_ns
         self._stamp_ns, self._arrived_ns = stamp_ns, arrived_ns
         return stamp_ns + self._offset_ns
+
+    def _is_set_back(self, found_ns, arrived_ns, is_overtaken):
+        """Whether all messages are late by the same time, since one whose stamp went back: the clock was set back."""
+        if found_ns - self._offset_ns < BACK_NS:
+            self._back = None
+            return False
+        since_ns, least_ns, most_ns = self._back or (arrived_ns, found_ns, found_ns)
+        least_ns, most_ns = min(least_ns, found_ns), max(most_ns, found_ns)
+        if most_ns - least_ns > JUMP_NS:
+            since_ns, least_ns, most_ns = arrived_ns, found_ns, found_ns
+            self._back = None
+        if self._back or is_overtaken:
+            self._back = (since_ns, least_ns, most_ns)
+        is_set_back = self._back is not None and arrived_ns - since_ns >= BACK_FOR_NS
+        if is_set_back:
+            self._back = None
+        return is_set_back
 
 
 def wrap(angle):

@@ -2,6 +2,7 @@
 
 use crate::counter::{Counter, Order};
 use crate::envelope::{Envelope, Line, SETTLED};
+use crate::set_back::SetBack;
 use crate::settings::ClockSettings;
 
 /// Times after this are taken as this: 73 years, so that no sum of times overflows [ns].
@@ -89,6 +90,7 @@ pub struct DeviceClock {
     delay: Delay,
     samples: u32,
     late: Option<LateRun>,
+    set_back: SetBack,
 }
 
 impl DeviceClock {
@@ -106,6 +108,7 @@ impl DeviceClock {
             },
             samples: 0,
             late: None,
+            set_back: SetBack::default(),
         }
     }
 
@@ -138,7 +141,13 @@ impl DeviceClock {
     pub fn arrival(&mut self, ticks: u64, arrived_ns: u64) -> Mapped {
         let arrived_ns = arrived_ns.min(MAX_TIME_NS);
         let stamp_ns = self.counter.extend(ticks, arrived_ns);
-        let mut event = match self.counter.keep(stamp_ns, arrived_ns) {
+        let offset_ns = arrived_ns.cast_signed().saturating_sub(stamp_ns);
+        let order = self.counter.keep(stamp_ns, arrived_ns);
+        let mut event = match order {
+            Order::Newest | Order::Overtaken if self.is_set_back(offset_ns, arrived_ns, order) => {
+                self.counter.begin_at(stamp_ns, arrived_ns);
+                self.restart(ClockEvent::Backwards)
+            }
             Order::Newest => ClockEvent::Regular,
             Order::Overtaken => {
                 let (time_ns, error_ns) = self.mapped(stamp_ns, arrived_ns);
@@ -146,7 +155,6 @@ impl DeviceClock {
             }
             Order::Restarted => self.restart(ClockEvent::Backwards),
         };
-        let offset_ns = arrived_ns.cast_signed().saturating_sub(stamp_ns);
         let excess_ns = self.excess_ns(offset_ns, arrived_ns);
         if self.is_ahead(stamp_ns, excess_ns, arrived_ns) {
             event = self.restart(ClockEvent::Jumped(excess_ns.saturating_neg()));
@@ -197,6 +205,13 @@ impl DeviceClock {
         self.samples = 0;
         self.late = None;
         event
+    }
+
+    /// Whether the clock of the device was set back, by less than what overtaking explains.
+    fn is_set_back(&mut self, offset_ns: i64, arrived_ns: u64, order: Order) -> bool {
+        let excess_ns = self.excess_ns(offset_ns, arrived_ns);
+        let spread_ns = self.settings.jump_ns.cast_signed();
+        self.set_back.decides([offset_ns, excess_ns], arrived_ns, order == Order::Overtaken, spread_ns)
     }
 
     /// Whether the clock of the device has jumped ahead: data can't arrive before they are stamped.

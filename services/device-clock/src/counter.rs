@@ -37,6 +37,11 @@ impl Counter {
         }
     }
 
+    /// Takes a stamp as the newest one [ns].
+    pub(crate) fn begin_at(&mut self, stamp_ns: i64, arrived_ns: u64) {
+        self.last = Some((stamp_ns / self.tick_ns, arrived_ns));
+    }
+
     /// The stamp that a device should have at `time_ns`, extended [ns].
     pub(crate) fn expected_ns(&self, time_ns: u64) -> Option<i64> {
         self.last.map(|(ticks, last_ns)| {

@@ -37,7 +37,8 @@
 //! Messages may overtake each other: one whose stamp is before the newest has the event [`ClockEvent::Overtaken`],
 //! changes nothing, and is to be dropped. A stamp that is so old that no delay explains it
 //! ([`ClockSettings::max_overtaken_ns`]), and one that differs from its
-//! expected value, start the mapping anew ([`ClockEvent`]). A jump back by less than [`ClockSettings::jump_ns`] is not
+//! expected value, start the mapping anew ([`ClockEvent`]). So does a stamp that went back when all samples of half a
+//! second after it are late by the same time, of more than 100 ms. A jump back by less than [`ClockSettings::jump_ns`] is not
 //! seen as one; the mapping follows it within three minutes. Not seen either is a device that restarts within a second
 //! of its start: its data seem overtaken until they reach the newest stamp, and late after that, until they count as a
 //! jump.
@@ -45,6 +46,7 @@
 mod clock;
 mod counter;
 mod envelope;
+mod set_back;
 mod settings;
 
 pub use clock::{ClockEvent, DeviceClock, Mapped};
