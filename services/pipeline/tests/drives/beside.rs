@@ -1,7 +1,8 @@
 //! Bodies that come from the side, where no body is ahead, and scanners that are turned.
 
 use emulator::Outcome;
-use pipeline::PipelineSettings;
+use pipeline::{PipelineSettings, Tuning};
+use vehicle::Description;
 
 use crate::{end, parse, seeds, shipped};
 
@@ -36,7 +37,8 @@ fn a_scanner_that_is_turned_as_far_as_allowed_finds_what_is_ahead() {
             let mut scenario = shipped("corridor");
             (scenario.seed, scenario.robot.scanner_yaw_rad) = (seed, Some(yaw_rad));
             let mut settings = PipelineSettings::of(scenario);
-            settings.obstacles.vehicle.scanner_yaw_rad = yaw_rad;
+            let vehicle = Description { scanner_yaw_rad: yaw_rad, ..settings.tuning.vehicle };
+            settings.tuning = Tuning::of(vehicle);
             end(&settings)
         }) {
             assert!(end.is_untouched() && end.outcome == Outcome::Reached, "{yaw_rad}, seed {seed}: {end:?}");
