@@ -31,7 +31,7 @@ use place::{Place, begin, random};
 pub enum Existing {
     /// It stays; the new one is refused.
     Keep,
-    /// The new one takes its place and its mode.
+    /// The new one takes its place and its mode, and as far as the kernel allows its owner and group.
     Replace,
 }
 

@@ -3,7 +3,7 @@
 //! The table of old keys is `OLD_KEYS`, by which files are read, too. A key moves within its stage, because there it
 //! holds for that stage alone; so the new file gives every stage what the old one gave it, which is checked.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 
 use toml::Table;
 use toml_edit::{DocumentMut, Item, Key, RawString, TableLike, Value};
@@ -30,14 +30,21 @@ pub struct Migration {
 pub fn migrate(text: &str) -> Result<Migration, String> {
     let before = vehicle::parse(text)?;
     let mut document: DocumentMut = text.parse().map_err(|error| format!("{error}"))?;
-    let (mut changes, mut taken) = (Vec::new(), BTreeSet::new());
-    // Of two old keys for one place the later row holds.
-    for old in OLD_KEYS.iter().rev() {
-        let Some(stage) = document.get_mut(old.stage).and_then(Item::as_table_like_mut) else { continue };
-        let Some((key, item)) = take(stage, old.key) else { continue };
-        let place = [&[VEHICLE], old.place].concat();
-        move_to(stage, &place, &key, scaled(item, old), &mut taken, old.stage);
-        changes.push(format!("{0}.{1} is now {0}.{2}", old.stage, old.key, place.join(".")));
+    let (mut changes, mut taken) = (Vec::new(), Taken::default());
+    let stages: Vec<String> = document.iter().map(|(name, _)| name.to_owned()).collect();
+    for name in stages {
+        let Some(stage) = document.get_mut(&name).and_then(Item::as_table_like_mut) else { continue };
+        // Keys follow each other in their new place as they did in the old one.
+        let keys: Vec<String> = stage.iter().map(|(key, _)| key.to_owned()).collect();
+        let row = |key: &String| OLD_KEYS.iter().position(|old| old.stage == name && old.key == key);
+        for row in keys.iter().filter_map(row) {
+            let old = &OLD_KEYS[row];
+            let Some((key, item)) = take(stage, old.key) else { continue };
+            let place = [&[VEHICLE], old.place].concat();
+            taken.row = row;
+            move_to(stage, &place, &key, scaled(item, old), &mut taken, old.stage);
+            changes.push(format!("{0}.{1} is now {0}.{2}", old.stage, old.key, place.join(".")));
+        }
     }
     let (stage, key, why) = WITHOUT_EFFECT;
     if let Some(stage) = document.get_mut(stage).and_then(Item::as_table_like_mut)
@@ -45,7 +52,6 @@ pub fn migrate(text: &str) -> Result<Migration, String> {
     {
         changes.push(format!("{}.{key} is removed: it {why}", WITHOUT_EFFECT.0));
     }
-    changes.reverse();
     let rewritten = || {
         let new = document.to_string();
         // The document ends its lines as Unix does.
@@ -57,6 +63,23 @@ pub fn migrate(text: &str) -> Result<Migration, String> {
         return Err("the rewritten file would mean something else; move its old keys by hand".to_owned());
     }
     Ok(Migration { text, changes })
+}
+
+/// The places that have a value of an old key, each with the row of that key; of two old keys for one place the later row
+/// holds.
+#[derive(Default)]
+struct Taken {
+    row: usize,
+    rows: BTreeMap<String, usize>,
+}
+
+impl Taken {
+    /// Whether a value of the present row holds at a place, which it then takes.
+    fn take(&mut self, place: String) -> bool {
+        let row = self.rows.entry(place).or_insert(self.row);
+        *row = self.row.max(*row);
+        *row == self.row
+    }
 }
 
 /// What every stage gets from a file.
@@ -75,15 +98,8 @@ fn take(table: &mut dyn TableLike, key: &str) -> Option<(Key, Item)> {
     Some((key, item))
 }
 
-/// Puts an item at a place below `table`, with the comments of its old key; what is at a place in `taken` stays.
-fn move_to(
-    table: &mut dyn TableLike,
-    place: &[&str],
-    key: &Key,
-    item: Item,
-    taken: &mut BTreeSet<String>,
-    path: &str,
-) {
+/// Puts an item at a place below `table`, with the comments of its old key, unless what is there holds.
+fn move_to(table: &mut dyn TableLike, place: &[&str], key: &Key, item: Item, taken: &mut Taken, path: &str) {
     let [name, rest @ ..] = place else { return };
     let path = format!("{path}.{name}");
     if let [_, ..] = rest {
@@ -120,7 +136,7 @@ fn move_to(
             }
         }
         (_, item) => {
-            if !item.is_table_like() && !taken.insert(path.clone()) {
+            if !item.is_table_like() && !taken.take(path.clone()) {
                 return;
             }
             note_values(&item, &path, taken);
@@ -133,12 +149,12 @@ fn move_to(
 }
 
 /// Notes the places of all values in a table that has moved as a whole.
-fn note_values(item: &Item, path: &str, taken: &mut BTreeSet<String>) {
+fn note_values(item: &Item, path: &str, taken: &mut Taken) {
     for (name, item) in item.as_table_like().into_iter().flat_map(TableLike::iter) {
         let path = format!("{path}.{name}");
         note_values(item, &path, taken);
         if !item.is_table_like() {
-            taken.insert(path);
+            taken.take(path);
         }
     }
 }
@@ -203,7 +219,7 @@ mod tests {
         let Migration { text, changes } = migrate(old).unwrap();
         let expected = "# lab\nrate_hz = 10.0\n\n[estimator]\n\n[estimator.vehicle]\n# measured\n\
                         command_delay_s = 0.03 # with a stopwatch\n\n[controller]\ncruise_mps = 0.8 # slow\n\n\
-                        # of the scales\n[controller.vehicle]\nmass_kg = 20\n# with bumpers\nwidth_m = 0.6 # tape\n\n\
+                        # of the scales\n[controller.vehicle]\n# with bumpers\nwidth_m = 0.6 # tape\nmass_kg = 20\n\n\
                         [controller.vehicle.bounds] # of the yard\nvelocity_max_mps = 1.5\n\n[obstacles]\n\n\
                         [obstacles.vehicle]\nlength_m = 0.7\n";
         assert_eq!(text, expected);
@@ -215,6 +231,21 @@ mod tests {
         let mut table: Table = text.parse().unwrap();
         assert_eq!(distribute(&mut table).unwrap(), [""; 0]);
         assert_eq!(migrate(&text).unwrap(), Migration { text, changes: Vec::new() });
+    }
+
+    #[test]
+    fn keys_follow_each_other_as_they_did() {
+        let rows = "body_length_m = 0.7\nbody_width_m = 0.5\ndeceleration_mps2 = 4";
+        let text = format!("[controller]\n{rows}\nbounds = {{ velocity_max_mps = 1.5 }}\n");
+        let Migration { text, changes } = migrate(&text).unwrap();
+        let rows = "length_m = 0.7\nwidth_m = 0.5\nblocked_deceleration_mps2 = 4";
+        let expected =
+            format!("[controller]\n\n[controller.vehicle]\n{rows}\nbounds = {{ velocity_max_mps = 1.5 }}\n");
+        assert_eq!(text, expected);
+        assert!(
+            changes[0].starts_with("controller.body_length_m ")
+                && changes[3].starts_with("controller.bounds ")
+        );
     }
 
     #[test]
@@ -268,6 +299,10 @@ mod tests {
         let Migration { text, .. } = migrate(text).unwrap();
         assert_eq!(text.parse::<Table>().unwrap()["controller"]["vehicle"]["width_m"].as_float(), Some(0.5));
         assert_eq!(text.matches("width_m").count(), 1, "{text}");
+        // Also where it was written first.
+        let text = "controller.parameters = { width_m = 0.5 }\ncontroller.body_width_m = 0.6\n";
+        let Migration { text, .. } = migrate(text).unwrap();
+        assert_eq!(text.parse::<Table>().unwrap()["controller"]["vehicle"]["width_m"].as_float(), Some(0.5));
     }
 
     #[test]

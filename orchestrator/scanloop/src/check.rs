@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use console::answer;
@@ -18,6 +19,9 @@ use toml::Table;
 use vehicle::Setting;
 
 use crate::cli::CheckArguments;
+
+/// What some editors write before the text of a file.
+const MARK: &[u8] = "\u{feff}".as_bytes();
 
 /// Validates all files named, or the default scenario and system, and prints the graph.
 ///
@@ -81,7 +85,15 @@ fn migrate(file: &str) -> anyhow::Result<()> {
         answer!(false, "{file}: nothing to change")?;
         return Ok(());
     }
-    new_file::write(&path, migration.text.as_bytes())?;
+    let (owner, user) = (path.metadata()?.uid(), rustix::process::geteuid());
+    if owner != user.as_raw() && !user.is_root() {
+        return Err(refuse(format!(
+            "it belongs to the user {owner}, who has to migrate it: no other one can keep it theirs"
+        )));
+    }
+    // A byte order mark is no part of the text.
+    let mark = user_file::read_start(&path, MARK.len() as u64).is_ok_and(|start| start == MARK);
+    new_file::write(&path, &[if mark { MARK } else { &[] }, migration.text.as_bytes()].concat())?;
     migration.changes.iter().try_for_each(|change| answer!(false, "{file}: {change}").map(drop))
 }
 

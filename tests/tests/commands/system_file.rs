@@ -1,7 +1,11 @@
 //! A file has only what differs, a refusal names what was written and where, and a name that is nearly right is guessed.
 
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::os::unix::process::CommandExt;
+use std::process::Command;
+
 use emulator::Outcome;
-use scanloop_tests::TestSystem;
+use scanloop_tests::{TestSystem, printed};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
@@ -120,4 +124,37 @@ fn check_migrate_rewrites_a_file_in_its_place_and_leaves_one_of_today_alone() {
     // A shipped scenario is no file that could be rewritten.
     let (code, text) = check(&["--migrate", "corridor"]);
     assert_eq!((code, text.contains("corridor: ")), (Some(2), true), "{text}");
+}
+
+#[test]
+fn a_file_that_check_migrate_rewrites_keeps_its_mark_the_order_of_its_keys_its_mode_and_its_owner() {
+    let system = TestSystem::new(EXECUTABLE);
+    let file = system.folder().join("lab.toml");
+    let old = "\u{feff}rate_hz = 10.0\r\n[controller]\r\nbody_length_m = 0.7\r\nbody_width_m = 0.45\r\n";
+    std::fs::write(&file, old).unwrap();
+    std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o640)).unwrap();
+    let is_root = file.metadata().unwrap().uid() == 0;
+    if is_root {
+        std::os::unix::fs::chown(&file, Some(1000), Some(1001)).unwrap();
+    }
+    let before = file.metadata().unwrap();
+    let output = system.run(&["check", "--migrate", "lab.toml"]);
+    assert_eq!(output.status.code(), Some(0), "{}", printed(&output));
+    let new = "\u{feff}rate_hz = 10.0\r\n[controller]\r\n\r\n[controller.vehicle]\r\nlength_m = 0.7\r\nwidth_m = 0.45\r\n";
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), new);
+    let after = file.metadata().unwrap();
+    assert_ne!(after.ino(), before.ino(), "a new file in its place");
+    assert_eq!((after.mode(), after.uid(), after.gid()), (before.mode(), before.uid(), before.gid()));
+    // A user who can't give the new file to its owner leaves the old one.
+    if is_root {
+        std::fs::write(&file, old).unwrap();
+        std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o666)).unwrap();
+        std::fs::set_permissions(system.folder(), std::fs::Permissions::from_mode(0o777)).unwrap();
+        let mut command = Command::new(system.executable_alone("scanloop"));
+        command.args(["check", "--migrate", "lab.toml"]).current_dir(system.folder());
+        let output = command.uid(4242).gid(4242).output().unwrap();
+        let text = printed(&output);
+        assert!(output.status.code() == Some(2) && text.contains("it belongs to the user 1000"), "{text}");
+        assert_eq!(std::fs::read_to_string(&file).unwrap(), old);
+    }
 }

@@ -7,7 +7,7 @@ use std::os::fd::{AsRawFd, OwnedFd};
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
-use rustix::fs::{AtFlags, CWD, Mode, OFlags, RenameFlags};
+use rustix::fs::{AtFlags, CWD, Gid, Mode, OFlags, RenameFlags, Uid};
 use rustix::io::Errno;
 
 use super::Existing;
@@ -80,7 +80,7 @@ fn temporary() -> rustix::io::Result<String> {
     Ok(format!(".scanloop-{}", random()?))
 }
 
-/// Makes the file in the folder of `path`, without a name where that is possible, with the mode of the one that it replaces.
+/// Makes the file in the folder of `path`, without a name where that is possible, with mode, owner and group of the one that it replaces.
 pub(super) fn begin(path: &Path, replaced: Option<&Metadata>) -> io::Result<(File, Option<Place>)> {
     let name = path.file_name().ok_or(io::ErrorKind::IsADirectory)?.to_owned();
     let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -94,6 +94,12 @@ pub(super) fn begin(path: &Path, replaced: Option<&Metadata>) -> io::Result<(Fil
         None => named(&folder).map(|(file, name)| (file, Some(name)))?,
     };
     if let Some(replaced) = replaced.filter(|found| found.is_file()) {
+        let own = file.metadata()?;
+        if (own.uid(), own.gid()) != (replaced.uid(), replaced.gid()) {
+            let (owner, group) = (Uid::from_raw(replaced.uid()), Gid::from_raw(replaced.gid()));
+            // Only root can give a file to another user.
+            let _ = rustix::fs::fchown(&file, Some(owner), Some(group));
+        }
         // On a file system without modes all files have the same.
         let _ = rustix::fs::fchmod(&file, Mode::from_raw_mode(replaced.mode() & 0o777));
     }
