@@ -11,7 +11,7 @@ const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 const LABORATORY: &str = env!("CARGO_BIN_EXE_scanloop-under-test-lab");
 
 /// What is typed before the tabulator key, and what the shell then has.
-const TYPED: [(&str, &str); 9] = [
+const TYPED: [(&str, &str); 11] = [
     ("scanloop sw", "scanloop swap "),
     ("scanloop run corr", "scanloop run corridor "),
     ("scanloop swap contr", "scanloop swap controller "),
@@ -20,6 +20,8 @@ const TYPED: [(&str, &str); 9] = [
     ("scanloop set controller.profile=so", "scanloop set controller.profile=source "),
     ("scanloop topic echo obsta", "scanloop topic echo obstacles "),
     ("scanloop campaign --fam", "scanloop campaign --family "),
+    ("scanloop faults --only brake", "scanloop faults --only brake-weak "),
+    ("scanloop faults --only brake-weak/la", "scanloop faults --only brake-weak/landing "),
     ("scanloop-lab compa", "scanloop-lab compare "),
 ];
 

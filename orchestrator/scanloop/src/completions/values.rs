@@ -47,6 +47,8 @@ enum Values {
     /// Shipped ones, and files.
     Scenarios,
     Faults,
+    /// Of the matrix: `pose-late-50ms`, and then its phases.
+    Cells,
     /// `robot.velocity_factor=`, and then its values.
     Keys,
     KeyNames,
@@ -70,6 +72,7 @@ const ARGUMENTS: &[(&str, &str, Values)] = &[
     ("", "scenarios", Values::Scenarios),
     ("check", "files", Values::Scenarios),
     ("", "fault", Values::Faults),
+    ("faults", "only", Values::Cells),
     ("", "overrides", Values::Keys),
     ("", "set", Values::Keys),
     ("reference", "text", Values::KeyNames),
@@ -90,6 +93,7 @@ fn with_values_of(command: &str, arg: Arg, context: &Context) -> Arg {
     match ARGUMENTS.iter().find(is_it).filter(|_| takes_values) {
         Some((_, _, Values::Paths)) => arg.value_hint(ValueHint::AnyPath),
         Some((_, _, Values::Scenarios)) => arg.add(ArgValueCompleter::new(scenarios)),
+        Some((_, _, Values::Cells)) => arg.add(ArgValueCompleter::new(cells)),
         Some((_, _, Values::Keys)) => arg.add(ArgValueCompleter::new(keys)),
         Some((_, _, values)) => {
             let (values, context) = (*values, context.clone());
@@ -124,7 +128,7 @@ impl Values {
             }
             Self::Faults => plain(faults::live_names().unwrap_or_default()),
             Self::KeyNames => plain(reference::settable().into_iter().map(|key| key.path)),
-            Self::Scenarios | Self::Keys | Self::Paths => Vec::new(),
+            Self::Scenarios | Self::Cells | Self::Keys | Self::Paths => Vec::new(),
         }
     }
 }
@@ -141,6 +145,21 @@ fn scenarios(typed: &std::ffi::OsStr) -> Vec<CompletionCandidate> {
     // In a folder with many files the names alone are of use.
     if !typed.is_empty() {
         found.extend(PathCompleter::any().complete(typed));
+    }
+    found
+}
+
+/// Names of faults, and the phases of a whole name.
+fn cells(typed: &std::ffi::OsStr) -> Vec<CompletionCandidate> {
+    let typed = typed.to_string_lossy();
+    let mut found = Vec::new();
+    for fault in faults::all().unwrap_or_default() {
+        if fault.name.starts_with(&*typed) {
+            found.push(CompletionCandidate::new(&fault.name));
+        } else if typed.strip_prefix(&*fault.name).is_some_and(|rest| rest.starts_with('/')) {
+            let names = fault.phases().map(|phase| format!("{}/{phase}", fault.name));
+            found.extend(plain(names.filter(|name| name.starts_with(&*typed))));
+        }
     }
     found
 }
