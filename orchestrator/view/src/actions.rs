@@ -7,6 +7,7 @@ use std::sync::Mutex;
 use serde::Deserialize;
 use serde_json::{Value, json};
 use shared_types::{Role, named_enum};
+use supervision::child::this_program;
 
 use crate::http::{Response, Status};
 
@@ -119,7 +120,7 @@ fn arguments(verbs: &[Verb], body: &[u8]) -> Result<Vec<String>, String> {
 
 /// Runs a command of this program to its end.
 fn run(system_id: &str, arguments: &[String]) -> anyhow::Result<Value> {
-    let output = Command::new(std::env::current_exe()?)
+    let output = Command::new(this_program())
         .args(["--system-id", system_id])
         .args(arguments)
         .stdin(Stdio::null())

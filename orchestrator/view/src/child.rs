@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 
 use runtime::Domain;
 use rustix::process::{Pid, Signal, getppid, kill_process};
+use supervision::child::this_program;
 
 use crate::arguments::listen;
 
@@ -27,7 +28,7 @@ impl ViewOfRun {
     /// A port that is in use (exit code 2), and a process that can't be started.
     pub fn start(system_id: &str, port: u16) -> anyhow::Result<Self> {
         let listener = listen(IpAddr::V4(Ipv4Addr::LOCALHOST), port)?;
-        let mut command = Command::new(std::env::current_exe()?);
+        let mut command = Command::new(this_program());
         command.args(["--system-id", system_id, "view", "--for-run"]);
         // In a group of its own, the Ctrl-C that ends the drive does not end the page before.
         command.stdin(Stdio::from(OwnedFd::from(listener))).process_group(0);

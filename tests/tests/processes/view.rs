@@ -26,7 +26,10 @@ pub(crate) struct View {
 
 impl View {
     pub(crate) fn start(system: &TestSystem, options: &[&str]) -> Self {
-        let mut command = system.command(&[&["view", "--port", "0"], options].concat());
+        Self::of(system.command(&[&["view", "--port", "0"], options].concat()))
+    }
+
+    fn of(mut command: Command) -> Self {
         let mut process = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let mut link = String::new();
         BufReader::new(process.stdout.as_mut().unwrap()).read_line(&mut link).unwrap();
@@ -207,6 +210,25 @@ fn the_page_shows_what_status_prints_and_survives_deaths_and_the_end_of_a_run() 
         system.signal(system.orchestrator(), Signal::INT);
         system.wait();
         assert_eq!(system.report().scans.unaccounted, 0);
+        system.assert_nothing_left();
+    });
+}
+
+#[test]
+fn a_page_whose_program_was_removed_still_acts() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        system.start(&["endless"]);
+        let program = system.executable_alone("scanloop");
+        let mut command = Command::new(&program);
+        command.args(["--system-id", system.id(), "view", "--port", "0", "--control"]);
+        let view = View::of(command);
+        std::fs::remove_file(program).unwrap();
+        let (code, stopped) = view.act(r#"{"action":"stop"}"#, true);
+        let stopped: Value = serde_json::from_str(&stopped).unwrap();
+        assert_eq!((code, &stopped["exit_code"]), (200, &0.into()), "{stopped}");
+        system.wait();
+        assert_eq!(view.end().0.code(), Some(0));
         system.assert_nothing_left();
     });
 }
