@@ -7,7 +7,7 @@
 //! The file with the run id marks the directory as one of ours: it is the first file that is written and the last that is
 //! removed. A directory without it belongs to somebody else, whatever its name: it is refused and left as it is.
 
-use std::io::{ErrorKind, Read};
+use std::io::{self, ErrorKind, Read};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -172,6 +172,15 @@ impl Domain {
         (found, refused)
     }
 
+    /// Passes when the directory of a new system can be made; nothing is made or changed.
+    ///
+    /// # Errors
+    /// [`RuntimeError::NotPrivate`] when `SCANLOOP_RUNTIME_DIR`, or the last place, can't be used, and errors of the file
+    /// system.
+    pub fn examine_place() -> Result<(), RuntimeError> {
+        place::examine()
+    }
+
     /// The system whose orchestrator started this process.
     ///
     /// # Errors
@@ -258,7 +267,11 @@ impl Domain {
     /// [`RuntimeError::NotPrivate`], and [`RuntimeError::File`] when it is not there.
     pub(crate) fn bus_folder(&self) -> Result<Folder, RuntimeError> {
         let path = self.bus_directory();
-        let missing = || RuntimeError::file(&path, ErrorKind::NotFound);
+        let missing = || {
+            let reason = "it is not there: the system has ended, or has its shared memory in another mount namespace, in which \
+                          this command has to run";
+            RuntimeError::file(&path, io::Error::new(ErrorKind::NotFound, reason))
+        };
         Folder::open(&path)?.ok_or_else(missing)
     }
 
@@ -429,6 +442,16 @@ mod tests {
         let next = domain("dm");
         assert_ne!(next.run_id(), made.run_id());
         next.remove().unwrap();
+    }
+
+    #[test]
+    fn shared_memory_that_is_not_there_may_be_in_another_namespace() {
+        let made = domain("ns");
+        std::fs::remove_dir_all(made.bus_directory()).unwrap();
+        let error = crate::Bus::open(&made, "observer").unwrap_err();
+        assert!(matches!(&error, RuntimeError::File { source, .. } if source.kind() == ErrorKind::NotFound));
+        assert!(error.to_string().contains("in another mount namespace"), "{error}");
+        made.remove().unwrap();
     }
 
     #[test]

@@ -11,6 +11,8 @@
 
 use std::path::{Path, PathBuf};
 
+use rustix::fs::{Access, access};
+
 use crate::folder::Folder;
 use crate::{RUNTIME_DIR_VARIABLE, RuntimeError};
 
@@ -129,6 +131,34 @@ pub(crate) fn make() -> Result<Folder, RuntimeError> {
         path: "/tmp".into(),
         reason: "does not exist".to_owned(),
     }))
+}
+
+/// Passes when a new system can be made in its place, which is neither made nor changed.
+///
+/// # Errors
+/// As [`make`].
+pub(crate) fn examine() -> Result<(), RuntimeError> {
+    let mut refused = None;
+    for place in places()? {
+        let (is_chosen, opened) = (matches!(place, Place::Named(_) | Place::Last(_)), place.open());
+        // One that is missing is made in the folder around it.
+        let folder = match (&place, &opened) {
+            (Place::Named(path) | Place::Last(path), Ok(None)) => path.parent().map(Path::to_owned),
+            (Place::Within(path), Ok(None)) => Some(path.clone()).filter(|path| path.is_dir()),
+            (_, Ok(Some(folder))) => Some(folder.path().to_owned()),
+            (_, Err(_)) => None,
+        };
+        match (opened, folder) {
+            (Err(error), _) if is_chosen || error.is_shortage() => return Err(error),
+            (Err(error), _) => refused = Some(error),
+            (Ok(_), None) => {}
+            (Ok(_), Some(folder)) => {
+                let rights = Access::WRITE_OK | Access::EXEC_OK;
+                return access(&folder, rights).map_err(|error| RuntimeError::file(&folder, error));
+            }
+        }
+    }
+    refused.map_or(Ok(()), Err)
 }
 
 /// All places in which systems may be, default ones that are not private left out.
