@@ -98,9 +98,11 @@ pub fn exit_of(error: &anyhow::Error) -> Exit {
     }
 }
 
-/// Whether the machine, or a limit of this process, allows no more files, processes or memory, or no larger file.
+/// Whether the machine, or a limit of this process, allows no more files, processes or memory, or no larger file, or the disk is
+/// full.
 fn is_shortage(error: &std::io::Error) -> bool {
-    const SHORTAGES: [Errno; 5] = [Errno::MFILE, Errno::NFILE, Errno::NOMEM, Errno::AGAIN, Errno::FBIG];
+    const SHORTAGES: [Errno; 7] =
+        [Errno::MFILE, Errno::NFILE, Errno::NOMEM, Errno::AGAIN, Errno::FBIG, Errno::NOSPC, Errno::DQUOT];
     Errno::from_io_error(error).is_some_and(|errno| SHORTAGES.contains(&errno))
 }
 

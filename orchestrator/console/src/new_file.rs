@@ -2,17 +2,19 @@
 //!
 //! So a file of that name is whole, before and after; an output never destroys its input, because what is read stays open;
 //! and nothing is left of a command that is ended. Where a file system keeps no files without a name, it is a random one in
-//! the same folder, made with `O_EXCL`: no link that another user has put there is followed. A link of the wanted name is
-//! replaced itself, not what it leads to.
+//! the same folder, made with `O_EXCL`: no link that another user has put there is followed, nor one on the way to the folder. A
+//! link of the wanted name is replaced itself, not what it leads to.
 //!
 //! Three kinds of files are written in another way: logs and live recordings, which are read while they grow, and devices,
 //! pipes and open files such as `/dev/stdout`, which nothing can be renamed to.
 
 mod device;
+mod folder;
 mod place;
 
 use std::fs::{File, Metadata, OpenOptions};
 use std::io::{self, Write};
+use std::os::fd::AsRawFd;
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
@@ -23,6 +25,8 @@ use rustix::io::Errno;
 use crate::exit::{Failure, Unwritable};
 pub(crate) use device::leads_to_device;
 use device::open_device;
+pub use folder::make_folder;
+use folder::open_folder;
 pub(crate) use place::probe;
 use place::{Place, begin, random};
 
@@ -71,7 +75,7 @@ impl NewFile {
             true => open_device(path).map(|file| (file, None)),
             false => begin(path, there.as_ref()),
         };
-        let (file, place) = made.map_err(|error| refusal(path, error))?;
+        let (file, place) = made.map_err(|error| failure(path, error))?;
         Ok(Self { file, path: path.to_owned(), existing, place })
     }
 
@@ -88,7 +92,7 @@ impl NewFile {
         if self.place.is_none() {
             return Ok(());
         }
-        self.file.sync_all().map_err(|error| refusal(&self.path, error))?;
+        self.file.sync_all().map_err(|error| failure(&self.path, error))?;
         self.require_name()
     }
 
@@ -115,11 +119,11 @@ impl NewFile {
         if let Some(place) = &mut self.place {
             place.name(&self.file, self.existing).map_err(|error| match error {
                 Errno::EXIST => refusal(&self.path, TAKEN),
-                error => refusal(&self.path, io::Error::from(error)),
+                error => failure(&self.path, error.into()),
             })?;
             self.place = None;
         }
-        self.file.try_clone().map_err(|error| refusal(&self.path, error))
+        self.file.try_clone().map_err(|error| failure(&self.path, error))
     }
 }
 
@@ -129,7 +133,7 @@ impl Drop for NewFile {
     }
 }
 
-/// Its errors name the file, and end a command with exit code 2.
+/// Its errors name the file, and end a command with exit code 2, or 4 where the disk is full or a limit is reached.
 impl Write for NewFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.file.write(bytes).map_err(|error| Unwritable::wrap(&self.path, error))
@@ -172,7 +176,7 @@ const TAKEN: &str = "the file exists; name another one, or replace it with --for
 /// The first error of the file system, with the file; exit code 2.
 pub fn write(path: &Path, content: &[u8]) -> anyhow::Result<()> {
     let mut file = NewFile::create(path, Existing::Replace, &[])?;
-    file.write_all(content).map_err(Failure::bad_input)?;
+    file.write_all(content)?;
     file.finish()
 }
 
@@ -192,13 +196,24 @@ pub fn require_apart(output: &Path, inputs: &[&Path]) -> anyhow::Result<()> {
     }
 }
 
-/// Opens a log, which grows under its name; never through a link, except to a device.
+/// Opens a log, which grows under its name; never through a link, except to a device, nor in a folder behind a link of another
+/// user.
 ///
 /// # Errors
 /// Those of the file system.
 pub fn open_log(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
-    let flags = if leads_to_device(path) { OFlags::empty() } else { OFlags::NOFOLLOW };
-    options.custom_flags(flags.bits().cast_signed()).open(path)
+    if leads_to_device(path) {
+        return options.custom_flags(0).open(path);
+    }
+    let name = path.file_name().ok_or(io::ErrorKind::IsADirectory)?;
+    let folder = open_folder(path.parent().unwrap_or(Path::new("")))?;
+    let path = PathBuf::from(format!("/proc/self/fd/{}", folder.as_raw_fd())).join(name);
+    options.custom_flags(OFlags::NOFOLLOW.bits().cast_signed()).open(path)
+}
+
+/// An error of the file system about a new file: exit code 4 where the disk is full or a limit is reached, else 2.
+fn failure(path: &Path, error: io::Error) -> anyhow::Error {
+    Unwritable::wrap(path, error).into()
 }
 
 fn refusal(path: &Path, reason: impl std::fmt::Display) -> anyhow::Error {
@@ -234,7 +249,6 @@ impl Drop for Scratch {
 
 #[cfg(test)]
 mod tests {
-    use std::os::fd::AsRawFd;
     use std::os::unix::fs::{PermissionsExt, symlink};
 
     use super::*;
@@ -361,12 +375,16 @@ mod tests {
         symlink("/dev/full", folder.path().join("full")).unwrap();
         let full = folder.path().join("full");
         let expected = format!("{}: No space left on device (os error 28)", full.display());
-        assert_eq!(write(&full, b"lost").unwrap_err().to_string(), expected);
+        let error = write(&full, b"lost").unwrap_err();
+        assert_eq!(
+            (crate::limits::text_of(&error), exit_of(&error)),
+            (expected.clone(), Exit::ProcessFailed)
+        );
         let mut file = std::io::BufWriter::new(NewFile::create(&full, Existing::Replace, &[]).unwrap());
         let error = file.write_all(b"lost").and_then(|()| file.flush()).unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::StorageFull);
         let error = anyhow::Error::from(error);
-        assert_eq!((crate::limits::text_of(&error), exit_of(&error)), (expected, Exit::BadInput));
+        assert_eq!((crate::limits::text_of(&error), exit_of(&error)), (expected, Exit::ProcessFailed));
         assert!(folder.path().join("full").is_symlink(), "a device is written to, not replaced");
     }
 }

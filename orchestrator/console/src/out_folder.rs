@@ -9,7 +9,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use crate::exit::Failure;
-use crate::new_file::{self, leads_to_device, open_log, require_apart};
+use crate::new_file::{self, leads_to_device, make_folder, open_log, require_apart};
 use crate::user_file::{self, TEXT_BYTES};
 
 /// The list of what was written.
@@ -49,7 +49,7 @@ impl OutFolder {
         let path = self.folder.join(name);
         let refuse = |error: std::io::Error| Failure::bad_input(format!("{}: {error}", path.display()));
         self.require_own(name)?;
-        path.parent().map_or(Ok(()), std::fs::create_dir_all).map_err(refuse)?;
+        path.parent().map_or(Ok(()), make_folder).map_err(refuse)?;
         // First the line, then the file: after a power failure between them the old file is still known.
         self.note(&line(name, content)).map_err(refuse)?;
         new_file::write(&path, content)?;
@@ -92,7 +92,7 @@ impl OutFolder {
         {
             return Err(foreign(&path));
         }
-        let noted = std::fs::create_dir_all(&self.folder).and_then(|()| self.note(&line(name, b"")));
+        let noted = make_folder(&self.folder).and_then(|()| self.note(&line(name, b"")));
         noted.map_err(|error| Failure::bad_input(format!("{}: {error}", path.display())))
     }
 

@@ -11,6 +11,7 @@ use rustix::fs::{AtFlags, CWD, Gid, Mode, OFlags, RenameFlags, Uid};
 use rustix::io::Errno;
 
 use super::Existing;
+use super::folder::open_folder;
 
 /// Mode of a new file, from which the mask of the process takes what it takes from every file.
 const MODE: Mode = Mode::from_raw_mode(0o666);
@@ -83,12 +84,10 @@ fn temporary() -> rustix::io::Result<String> {
 /// Makes the file in the folder of `path`, without a name where that is possible, with mode, owner and group of the one that it replaces.
 pub(super) fn begin(path: &Path, replaced: Option<&Metadata>) -> io::Result<(File, Option<Place>)> {
     let name = path.file_name().ok_or(io::ErrorKind::IsADirectory)?.to_owned();
-    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     if replaced.is_some_and(|found| !found.is_file() && !found.is_symlink()) {
         return Err(io::Error::other("it is no regular file"));
     }
-    let flags = OFlags::PATH | OFlags::DIRECTORY | OFlags::CLOEXEC;
-    let folder = rustix::fs::openat(CWD, parent, flags, Mode::empty())?;
+    let folder = open_folder(path.parent().unwrap_or(Path::new("")))?;
     let (file, temporary) = match unnamed(&folder) {
         Some(file) => (file, None),
         None => named(&folder).map(|(file, name)| (file, Some(name)))?,
