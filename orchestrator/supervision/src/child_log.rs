@@ -18,7 +18,7 @@ use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError, Weak};
 
 use anyhow::Context;
 use console::exit::Failure;
-use console::new_file::open_log;
+use console::new_file::{make_folder, open_log};
 use console::user_file::read_start;
 use runtime::wait_for;
 
@@ -74,7 +74,7 @@ impl ChildLog {
 
     fn open_untrimmed(path: &Path) -> io::Result<Self> {
         if let Some(folder) = path.parent() {
-            std::fs::create_dir_all(folder)?;
+            make_folder(folder)?;
         }
         let append = open_log(path, OpenOptions::new().create(true).append(true).read(true))?;
         let edit = Mutex::new(open_log(path, OpenOptions::new().write(true))?);
@@ -88,6 +88,7 @@ impl ChildLog {
     /// A file of somebody else, exit code 2, and those of the file system.
     pub fn of_run(path: &Path, continues: bool) -> anyhow::Result<Arc<Self>> {
         let name = path.display();
+        path.parent().map_or(Ok(()), make_folder).with_context(|| name.to_string())?;
         // A link in the place of the log is removed, whatever it leads to; one to a device is a choice of the user.
         if path.is_symlink() && !path.metadata().is_ok_and(|target| target.file_type().is_char_device()) {
             std::fs::remove_file(path).with_context(|| name.to_string())?;
