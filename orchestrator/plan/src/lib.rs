@@ -119,6 +119,7 @@ impl Plan {
         vehicle_table::fit_velocities(&mut system);
         // The file that it names was read: from here on the system is what counts.
         let mut scenario = Scenario { system: None, ..Scenario::checked(scenario)? };
+        require_name_of_folder(&scenario.name)?;
         let mut warnings = vehicle_table::distribute(&mut system)?;
         if system.get("controller").is_some_and(|table| table.get("period_s").is_some()) {
             let (stage, key, why) = migrate::WITHOUT_EFFECT;
@@ -218,6 +219,14 @@ fn read_scenario(name: &str) -> anyhow::Result<SourceFile> {
     SourceFile::parse(text, name.to_owned())
 }
 
+/// Passes when the results of a run can be in a folder of this name: `..` is another one.
+fn require_name_of_folder(name: &str) -> Result<(), Invalid> {
+    match name.bytes().all(|letter| b" .".contains(&letter)) {
+        true => Err(Invalid::new("name", name, "a name with more than dots and blanks")),
+        false => Ok(()),
+    }
+}
+
 /// The system file that a scenario names: beside its own file, or a shipped one.
 fn named_system(scenario: &SourceFile) -> anyhow::Result<Option<PathBuf>> {
     let Some(value) = scenario.table.get(SYSTEM) else { return Ok(None) };
@@ -256,6 +265,20 @@ mod tests {
         let worn = plan(&["robot.preset=worn"]);
         assert!(keys(&worn).len() > 10);
         assert_ne!(worn.scenario.robot, plan(&["robot.preset=worn", "seed=2"]).scenario.robot);
+    }
+
+    #[test]
+    fn a_name_of_dots_only_is_refused_because_it_is_another_folder() {
+        let read = |name: &str| {
+            let overrides = vec![format!("name={name}")];
+            Plan::read(Some("free"), &Choice { overrides, ..Choice::default() })
+        };
+        for name in [".", "..", "...", ". ."] {
+            let message = read(name).unwrap_err().to_string();
+            let expected = format!("name = {name} is not allowed: a name with more than dots and blanks");
+            assert!(message.ends_with(&expected), "{message}");
+        }
+        assert_eq!(read("..a").unwrap().scenario.name, "..a");
     }
 
     #[test]
