@@ -130,6 +130,7 @@ fn write(
     copied.is_loss = is_loss(&copied.gaps, copied.missing_messages, copied.missing_attachments);
     match copy {
         Some(copy) => files.push(copy.finish(&reader, ended..all.end, &axis, &mut copied)?),
+        None if times == (0..=u64::MAX) => return Err(refuse(from, &"it holds not one message")),
         None => return Err(refuse(from, &"no whole second of this time is in the recording")),
     }
     Ok((copied, files))

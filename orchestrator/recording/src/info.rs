@@ -67,7 +67,8 @@ impl Info {
         recording.require_a_second()?;
         let files = recording.files();
         let contents = &files[0];
-        let duration_ns: u64 = read.iter().map(|(_, [first, last])| last.saturating_sub(*first)).sum();
+        let durations_ns = read.iter().map(|(_, [first, last])| last.saturating_sub(*first));
+        let duration_ns = durations_ns.fold(0, u64::saturating_add);
         let of = |name: &str, key: &str| metadata(contents, name, key).unwrap_or_default().to_owned();
         let layout_differences = match Recording::layout_differences(contents) {
             Ok(found) => found.iter().map(ToString::to_string).collect(),
@@ -91,7 +92,7 @@ impl Info {
             run_id: of("recording", "run_id"),
             program: of("recording", "program"),
             machine: of("recording", "machine"),
-            lost: files.iter().map(lost).sum(),
+            lost: files.iter().try_fold(0_u64, |sum, contents| Some(sum.saturating_add(lost(contents)?))),
             missing: missing.collect::<Vec<_>>().join("; "),
             layout_difference: layout_differences.first().cloned(),
             layout_differences,
@@ -108,7 +109,7 @@ impl Info {
 fn lost(contents: &Contents) -> Option<u64> {
     let of = |name: &str| metadata(contents, name, "lost").map(|lost| lost.parse::<u64>().ok());
     let repaired = of(REPAIRED).unwrap_or(Some(0))?;
-    Some(of("end")?? + repaired)
+    Some(of("end")??.saturating_add(repaired))
 }
 
 impl std::fmt::Display for Info {
@@ -123,10 +124,13 @@ impl std::fmt::Display for Info {
         writeln!(formatter, "{}: {state}, {:.1} s in {time}, {megabytes:.2} MB", self.file, self.duration_s)?;
         let [run_id, program, machine] =
             [&self.run_id, &self.program, &self.machine].map(|word| one_line(word));
-        writeln!(formatter, "run {run_id} of {program} on {machine}")?;
+        match self.run_id.is_empty() {
+            false => writeln!(formatter, "run {run_id} of {program} on {machine}")?,
+            true => writeln!(formatter, "no recording of a drive")?,
+        }
         match self.lost {
             Some(lost) => writeln!(formatter, "{lost} samples lost")?,
-            None if self.missing.is_empty() => {
+            None if self.missing.is_empty() && !self.complete => {
                 writeln!(formatter, "lost samples are not known: the end is missing")?;
             }
             None => writeln!(formatter, "lost samples are not known")?,
@@ -139,5 +143,22 @@ impl std::fmt::Display for Info {
         }
         let mut channels = self.channels.iter();
         channels.try_for_each(|(topic, count)| writeln!(formatter, "{count:>9} {}", one_line(topic)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mcap::handmade::{begun, channel, chunk, end, message};
+
+    #[test]
+    fn the_largest_times_of_joined_files_are_added_up() {
+        let path = std::env::temp_dir().join(format!("scanloop-info-{}.mcap", std::process::id()));
+        let messages = [channel(1, 0, "/a"), message(1, 0, b"a"), message(1, u64::MAX, b"a")].concat();
+        let one = [begun("other"), chunk(&messages, "", [0, u64::MAX]), end()].concat();
+        std::fs::write(&path, one.repeat(2)).unwrap();
+        let info = Info::read(&path).unwrap();
+        assert_eq!((info.files, info.duration_s), (2, u64::MAX as f64 * 1e-9));
+        std::fs::remove_file(&path).unwrap();
     }
 }

@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use console::exit::Failure;
-use console::new_file::{Existing, NewFile};
+use console::new_file::{Existing, NewFile, make_folder};
 use runtime::{
     Bus, Domain, OwnObserver, OwnTopics, PROCESSES_FILE, Shutdown, TopicObserver, monotonic_ns, wait_for,
 };
@@ -206,7 +206,7 @@ pub fn record(domain: &Domain, options: &RecorderOptions, shutdown: &Shutdown) -
 fn create(path: &Path, force: bool) -> anyhow::Result<NewFile> {
     let refuse = |reason: &dyn std::fmt::Display| Failure::bad_input(format!("{}: {reason}", path.display()));
     if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder).map_err(|error| refuse(&error))?;
+        make_folder(folder).map_err(|error| refuse(&error))?;
     }
     NewFile::create(path, Existing::forced(force), &[])
 }

@@ -21,6 +21,8 @@ const CHUNK_BYTES: usize = 4 << 20;
 const CHECKPOINT_NS: u64 = 1_000_000_000;
 /// In simulated time, a stamp that lies further ahead needs one of another role that agrees with it [ns].
 const AHEAD_NS: u64 = 10_000_000_000;
+/// Samples lie at most so far before the newest one of the batch before: topics are read one after the other [ns].
+const LATE_NS: u64 = 10_000_000_000;
 /// No drive in simulated time lasts longer: a year [ns].
 const MAX_SIMULATED_NS: u64 = 365 * 24 * 3600 * 1_000_000_000;
 /// What the file names as its writer.
@@ -121,6 +123,8 @@ pub struct Tape<T: TapeTarget> {
     now_ns: u64,
     /// The time of the machine, where that of the loop can't be later [ns].
     clock_ns: Option<u64>,
+    /// No sample was published before this time [ns].
+    earliest_ns: u64,
     /// The last stamp that lay too far ahead, and the role that wrote it [ns].
     ahead: Option<(Option<Role>, u64)>,
     /// The newest checkpoint of each role, and when the last one was recorded.
@@ -143,6 +147,7 @@ impl<T: TapeTarget> Tape<T> {
             chunk_start_ns: None,
             now_ns,
             clock_ns: None,
+            earliest_ns: now_ns.saturating_sub(CHUNK_NS),
             ahead: None,
             checkpoints,
             authority: [0; ROLES],
@@ -152,9 +157,11 @@ impl<T: TapeTarget> Tape<T> {
         }
     }
 
-    /// Tells the time of the machine [ns]: in real time, stamps that lie after it are of a wrong clock.
-    pub(crate) fn set_clock(&mut self, clock_ns: u64) {
+    /// Begins a batch of samples, at a time of the machine [ns]: in real time, stamps that lie after it are of a wrong clock,
+    /// as are those long before what the batches before held.
+    pub(crate) fn begin_batch(&mut self, clock_ns: u64) {
         self.clock_ns = (!self.simulated).then_some(clock_ns);
+        self.earliest_ns = self.earliest_ns.max(self.now_ns.saturating_sub(LATE_NS));
     }
 
     /// Adds a file as an attachment.
@@ -218,7 +225,8 @@ impl<T: TapeTarget> Tape<T> {
         self.samples[0] += 1;
         // A stamp that lies far ahead is of another clock: that of a sample by hand in lock-step.
         let stamp_ns = published_ns_of(bytes);
-        let is_near = stamp_ns > 0 && stamp_ns <= self.now_ns.saturating_add(CHUNK_NS);
+        let latest_ns = self.now_ns.saturating_add(CHUNK_NS);
+        let is_near = stamp_ns > 0 && (self.earliest_ns..=latest_ns).contains(&stamp_ns);
         let log_ns = if is_near { stamp_ns } else { self.now_ns };
         let channel = TOPICS.len() + foxglove::CHANNELS.len() + index;
         self.message(channel as u16, header.sequence as u32, log_ns, &[&ENCAPSULATION, bytes])
@@ -320,6 +328,9 @@ impl<T: TapeTarget> Tape<T> {
     /// Whether the loop can have reached the time of a stamp. One wrong clock never moves the time of the recording; a pause
     /// of the recorder itself does, as then the stamps of all roles lie ahead.
     fn is_plausible(&mut self, writer: Option<Role>, stamp_ns: u64) -> bool {
+        if stamp_ns < self.earliest_ns {
+            return false;
+        }
         if let Some(clock_ns) = self.clock_ns {
             return stamp_ns <= clock_ns.saturating_add(CHUNK_NS);
         }
@@ -401,16 +412,37 @@ mod tests {
     fn a_stamp_of_a_wrong_clock_does_not_move_the_time_of_a_recording() {
         let now_ns = 500 * SECOND_NS;
         let mut tape = Tape::new(Times::default(), false, now_ns);
-        tape.set_clock(now_ns);
+        tape.begin_batch(now_ns);
         for stamp_ns in [u64::MAX, u64::MAX, now_ns + 2 * SECOND_NS] {
             assert_eq!(put(&mut tape, Topic::Odometry, stamp_ns), (now_ns, now_ns));
             assert_eq!(put(&mut tape, Topic::Command, stamp_ns), (now_ns, now_ns));
         }
         // The recorder stood still for a minute.
         let later_ns = now_ns + 60 * SECOND_NS;
-        tape.set_clock(later_ns);
+        tape.begin_batch(later_ns);
         assert_eq!(put(&mut tape, Topic::Odometry, later_ns), (later_ns, later_ns));
         assert_eq!(put(&mut tape, Topic::Command, now_ns), (now_ns, later_ns));
+    }
+
+    #[test]
+    fn a_stamp_of_long_ago_is_recorded_at_the_newest_time() {
+        for simulated in [false, true] {
+            let start_ns = 500 * SECOND_NS;
+            let mut tape = Tape::new(Times::default(), simulated, start_ns);
+            for now_ns in (0..40).map(|second| start_ns + second * SECOND_NS) {
+                tape.begin_batch(now_ns);
+                assert_eq!(put(&mut tape, Topic::Odometry, now_ns), (now_ns, now_ns));
+                let long_ago = [1, 65_535, start_ns - 2 * SECOND_NS, now_ns.saturating_sub(12 * SECOND_NS)];
+                for stamp_ns in long_ago {
+                    assert_eq!(put(&mut tape, Topic::Actuation, stamp_ns), (now_ns, now_ns), "{stamp_ns}");
+                }
+                assert_eq!(put(&mut tape, Topic::Command, now_ns - 1), (now_ns - 1, now_ns));
+            }
+            let mut sample = [0_u64; 48];
+            sample[47] = 1;
+            tape.own_sample(0, &Header::default(), bytemuck::bytes_of(&sample)).unwrap();
+            assert_eq!(tape.target().0.last(), Some(&(start_ns + 39 * SECOND_NS)));
+        }
     }
 
     #[test]

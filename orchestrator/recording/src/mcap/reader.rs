@@ -189,7 +189,7 @@ impl<R: Read + Seek> McapReader<R> {
     /// Messages of these files that are missing by what the summaries count, of the channels that `counts`; `None` when a
     /// summary is missing.
     pub fn missing(&self, mut files: Range<usize>, counts: impl Fn(&str) -> bool) -> Option<u64> {
-        files.try_fold(0, |sum, file| Some(sum + self.missing_in(file, &counts)?))
+        files.try_fold(0_u64, |sum, file| Some(sum.saturating_add(self.missing_in(file, &counts)?)))
     }
 
     fn missing_in(&self, file: usize, counts: impl Fn(&str) -> bool) -> Option<u64> {

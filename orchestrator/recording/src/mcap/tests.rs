@@ -226,6 +226,48 @@ fn pairs_of_damaged_places_and_cuts_lose_no_intact_chunk() {
 }
 
 #[test]
+fn the_largest_number_at_any_place_loses_no_intact_chunk() {
+    let (whole, chunks) = many();
+    for at in MAGIC.len()..whole.len() - 8 {
+        let mut damaged = whole.clone();
+        damaged[at..at + 8].fill(255);
+        let (times, ..) = salvage(&damaged).unwrap();
+        for (number, chunk) in (1..).zip(&chunks) {
+            let is_hit = chunk.end > at && chunk.start < at + 8;
+            assert!(is_hit || times.contains(&(1000 * number)), "{at}: {times:?}");
+        }
+    }
+    // The length of the compressed records of a chunk.
+    let stored = chunks[2].start + Head::BYTES as usize + 28 + 4 + "lz4".len();
+    let mut damaged = whole;
+    damaged[stored..stored + 8].fill(255);
+    let (times, gaps, missing) = salvage(&damaged).unwrap();
+    assert_eq!((times.len(), gaps.len(), missing), (7, 1, Some(1)));
+    assert!(!is_whole(&damaged));
+}
+
+#[test]
+fn a_length_that_no_record_has_is_damage_and_no_cut() {
+    for opcode in [opcode::CHUNK, opcode::CHANNEL, opcode::ATTACHMENT] {
+        let mut bytes = begun();
+        let at = bytes.len();
+        bytes.push(opcode);
+        bytes.u64(u64::MAX);
+        let message = McapReader::new(Cursor::new(&bytes)).unwrap_err().to_string();
+        assert!(message.starts_with(&format!("damaged at byte {at}")), "{message}");
+    }
+}
+
+#[test]
+fn counts_of_joined_summaries_end_at_the_largest_number() {
+    let one = [handmade::channel(1, 0, "/a"), handmade::message(1, 7, b"a")].concat();
+    let one = [begun(), one, handmade::counted_end(u64::MAX, 0, [7; 2])].concat();
+    let mut reader = McapReader::salvage(Cursor::new(one.repeat(2))).unwrap();
+    while reader.next_message().unwrap().is_some() {}
+    assert_eq!(reader.missing(0..2, |_| true), Some(u64::MAX));
+}
+
+#[test]
 fn joined_files_are_read_one_after_the_other_and_a_damaged_joint_costs_nothing() {
     let one = file();
     let joined = [&one[..], &many().0].concat();

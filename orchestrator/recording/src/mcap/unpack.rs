@@ -48,7 +48,7 @@ impl ChunkHead {
         let compression = String::from_utf8_lossy(fields.take(name as usize)?).into_owned();
         let stored = fields.u64()?;
         let stored_at = bytes.len() - fields.0.len();
-        if stored_at as u64 + stored != head.length {
+        if (stored_at as u64).checked_add(stored) != Some(head.length) {
             return Err(Damage::Length.into());
         }
         if length.max(stored) > MAX_CHUNK {

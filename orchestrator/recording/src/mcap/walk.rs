@@ -163,7 +163,8 @@ impl<R: Read + Seek> Walk<'_, R> {
             Err(Fault::Io(error)) => return Err(error.into()),
             Err(fault) => fault,
         };
-        let is_cut_off = head.end() > length && sound::is_known(head.opcode);
+        // No record is longer than what is held at most: its length is damaged.
+        let is_cut_off = head.end() > length && head.length <= MAX_HELD && sound::is_known(head.opcode);
         if is_cut_off && self.next_record(at + 1)?.is_none() {
             if self.is_salvage {
                 // How much followed is not known.

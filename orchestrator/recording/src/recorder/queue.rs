@@ -246,7 +246,7 @@ impl Batches {
 
 /// Puts a batch on a tape, up to the first error.
 fn put<T: TapeTarget>(tape: &mut Tape<T>, batch: &Batch) -> io::Result<()> {
-    tape.set_clock(monotonic_ns());
+    tape.begin_batch(monotonic_ns());
     batch.samples().try_for_each(|(topic, bytes)| match TOPICS.get(topic) {
         Some(topic) => tape.sample(*topic, bytes),
         None => {
