@@ -49,6 +49,9 @@ pub struct Attribution {
     pub stages: [StageTimes; STAGES.len()],
 }
 
+/// No scan is older when it is answered: a process that stands still for so long was replaced, or its run has ended [ns].
+const MAX_AGE_NS: u64 = 60_000_000_000;
+
 /// Why a chain can't be attributed to stages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Incomplete {
@@ -58,6 +61,9 @@ pub enum Incomplete {
     /// A stamp lies before the one it must follow.
     #[error("stamps of {0} run backwards")]
     Backwards(Role),
+    /// A stamp lies longer before the answer than any scan is on its way.
+    #[error("a stamp of {0} lies too far back")]
+    TooOld(Role),
 }
 
 /// Attributes the reaction time of an answer to its stages.
@@ -69,6 +75,7 @@ pub fn attribute(header: &Header) -> Result<Attribution, Incomplete> {
     if scan_published_ns == 0 {
         return Err(Incomplete::Missing(Role::Robot));
     }
+    require_recent(header)?;
     let mut stages = [StageTimes::default(); STAGES.len()];
     let mut previous_ns = scan_published_ns;
     for (role, times) in STAGES.into_iter().zip(&mut stages) {
@@ -80,7 +87,24 @@ pub fn attribute(header: &Header) -> Result<Attribution, Incomplete> {
     Ok(Attribution { reaction_ns, transport_ns: reaction_ns - compute_ns, stages })
 }
 
-/// From the publication of the scan to that of its actuation [ns]; `None` when a stamp is missing or runs backwards.
+/// Passes when no stamp lies further back than a scan may be old.
+fn require_recent(header: &Header) -> Result<(), Incomplete> {
+    let oldest_ns = header.stage(Role::Actuator).published_ns.saturating_sub(MAX_AGE_NS);
+    let of_stages = Role::ALL.iter().flat_map(|role| {
+        let StageStamps { woken_ns, taken_ns, computed_ns, published_ns } = *header.stage(*role);
+        [woken_ns, taken_ns, computed_ns, published_ns].map(|stamp_ns| (*role, stamp_ns))
+    });
+    // Zero is a stamp that is missing.
+    let mut old = of_stages.filter(|(_, stamp_ns)| *stamp_ns > 0 && *stamp_ns < oldest_ns);
+    match old.next() {
+        Some((role, _)) => Err(Incomplete::TooOld(role)),
+        None if header.acquired_ns < oldest_ns => Err(Incomplete::TooOld(Role::Robot)),
+        None => Ok(()),
+    }
+}
+
+/// From the publication of the scan to that of its actuation [ns]; `None` when a stamp is missing, runs backwards or lies too far
+/// back.
 pub fn reaction_ns(header: &Header) -> Option<u64> {
     since(header.scan_published_ns(), header.stage(Role::Actuator).published_ns)
 }
@@ -89,7 +113,8 @@ pub fn reaction_ns(header: &Header) -> Option<u64> {
 pub fn data_age_ns(header: &Header) -> Option<u64> {
     // The first front beam of a run may be at zero, so the acquisition has no mark for "missing".
     let published_ns = header.stage(Role::Actuator).published_ns;
-    if published_ns == 0 { None } else { published_ns.checked_sub(header.acquired_ns) }
+    let age_ns = if published_ns == 0 { None } else { published_ns.checked_sub(header.acquired_ns) };
+    age_ns.filter(|age_ns| *age_ns <= MAX_AGE_NS)
 }
 
 /// Distributions of all these times over a run.
@@ -202,7 +227,8 @@ fn stage_times(role: Role, stamps: &StageStamps, previous_ns: u64) -> Result<Sta
 }
 
 fn since(from_ns: u64, until_ns: u64) -> Option<u64> {
-    if from_ns == 0 { None } else { until_ns.checked_sub(from_ns) }
+    let span_ns = if from_ns == 0 { None } else { until_ns.checked_sub(from_ns) };
+    span_ns.filter(|span_ns| *span_ns <= MAX_AGE_NS)
 }
 
 #[cfg(test)]
@@ -273,6 +299,30 @@ pub(crate) mod tests {
         let mut header = chain(1, 5000);
         header.stage_mut(Role::Actuator).published_ns = 4000;
         assert_eq!(reaction_ns(&header), None);
+    }
+
+    #[test]
+    fn an_age_that_no_scan_has_is_counted_as_incomplete_and_is_in_no_figure() {
+        let start = 3_600_000_000_000;
+        let mut latencies = Latencies::new(false);
+        latencies.record(&chain(1, start));
+        let change: [fn(&mut Header); 3] = [
+            |header| header.acquired_ns = 1000,
+            |header| header.stage_mut(Role::Robot).published_ns = 1,
+            |header| header.stage_mut(Role::Obstacles).woken_ns = 1,
+        ];
+        for (change, role) in change.into_iter().zip([Role::Robot, Role::Robot, Role::Obstacles]) {
+            let mut header = chain(2, start);
+            change(&mut header);
+            assert_eq!(attribute(&header), Err(Incomplete::TooOld(role)));
+            latencies.record(&header);
+        }
+        let report = latencies.report();
+        assert_eq!((report.complete_chains, report.incomplete_chains), (1, 3));
+        for figures in [&report.data_age, &report.scan_to_actuation, &report.waits.obstacles] {
+            assert!(figures.max < 10.0, "{figures:?}");
+        }
+        assert_eq!((report.data_age.count, report.scan_to_actuation.count), (3, 3));
     }
 
     #[test]

@@ -65,6 +65,7 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
     line(&mut text, format_args!(""));
     text += &latency_table(&report.latency_us);
     if let Some(folder) = folder {
+        let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
         line(&mut text, format_args!("\n{:<15} {}", "files", folder.display()));
     }
     text
