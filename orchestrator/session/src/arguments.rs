@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use console::exit::Failure;
+use console::new_file::make_folder;
 use console::output::require_writable;
 use plan::Choice;
 
@@ -87,6 +88,6 @@ pub fn out_folder(out: PathBuf) -> anyhow::Result<PathBuf> {
     if let Err(reason) = require_writable(&out) {
         return Err(Failure::bad_input(format!("--out {}: {reason}", out.display())));
     }
-    let made = std::fs::create_dir_all(&out).and_then(|()| std::path::absolute(&out));
+    let made = make_folder(&out).and_then(|()| std::path::absolute(&out));
     made.map_err(|error| Failure::bad_input(format!("--out {}: {error}", out.display())))
 }

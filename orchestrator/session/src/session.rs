@@ -368,6 +368,9 @@ impl Session {
         for incarnation in departed {
             self.audit.samples.ended(incarnation, monotonic_ns());
         }
+        if !ended.is_empty() {
+            self.heed_stop();
+        }
         for (role, incarnation, exit) in ended {
             self.audit.samples.ended(incarnation, monotonic_ns());
             if self.candidate_ended(role, incarnation, exit)? {

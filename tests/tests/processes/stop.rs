@@ -91,6 +91,27 @@ fn processes_that_are_suspended_as_well_are_woken_and_stop() {
 }
 
 #[test]
+fn a_stop_of_a_paused_run_names_no_process_that_has_obeyed_as_the_reason() {
+    repeat_when_late(|| {
+        let (mut system, watch) = driving(&["--set", "orphan_timeout_s=1.0", "--set", "orphan_stop_s=0.5"]);
+        let estimator = system.pid(Role::Estimator);
+        let paused = [system.pid(Role::Robot), system.orchestrator()];
+        paused.iter().for_each(|pid| system.signal(*pid, Signal::STOP));
+        system.wait_until("the estimator has ended", |_| {
+            let stat = std::fs::read_to_string(format!("/proc/{estimator}/stat")).unwrap_or_default();
+            stat.rsplit(')').next().is_some_and(|rest| rest.trim_start().starts_with('Z'))
+        });
+        stop(&system);
+        wait_for_rest(&system, &watch);
+        system.wait();
+        assert!(!system.stderr().contains("the run ends"), "{}", system.stderr());
+        assert_eq!(system.report().reason, "stopped by command");
+        drop(watch);
+        system.assert_nothing_left();
+    });
+}
+
+#[test]
 fn a_system_that_lost_its_orchestrator_is_stopped_without_its_directory() {
     repeat_when_late(|| {
         let (mut system, watch) = driving(&[]);

@@ -80,15 +80,18 @@ impl Session {
                 self.publish_directive()?;
             }
             Action::AllStopped => {}
-            Action::Log(severity, text) => match severity {
-                Severity::Info => {
-                    tracing::debug!("{text}");
-                    self.keep(false, &text);
+            Action::Log(Severity::Info, text) => {
+                tracing::debug!("{text}");
+                self.keep(false, &text);
+            }
+            Action::Log(Severity::Warn | Severity::Error, text) => {
+                // A run that was stopped meanwhile ends because of that, not because its processes obey.
+                self.heed_stop();
+                match self.conclusion.is_open() {
+                    true => self.warn(&text),
+                    false => self.recorder.iter_mut().for_each(|recorder| recorder.note(&text)),
                 }
-                Severity::Warn if self.conclusion.is_open() => self.warn(&text),
-                Severity::Error => self.warn(&text),
-                Severity::Warn => self.recorder.iter_mut().for_each(|recorder| recorder.note(&text)),
-            },
+            }
         }
         Ok(None)
     }
