@@ -175,7 +175,7 @@ impl ReplayDrive {
     /// In a replay in real time, waits until as much time has passed since the first scan as in the drive.
     pub(crate) fn keep_pace(&self, header: &Header) {
         let Some([started_ns, first_ns]) = self.pace_ns else { return };
-        let due_ns = started_ns + header.acquired_ns.saturating_sub(first_ns);
+        let due_ns = started_ns.saturating_add(header.acquired_ns.saturating_sub(first_ns));
         while let Some(left_ns) = due_ns.checked_sub(monotonic_ns()).filter(|left_ns| *left_ns > 0) {
             wait_for(&[], left_ns);
         }
@@ -250,6 +250,16 @@ impl ReplayDrive {
     /// The journals of a process in their order.
     pub(crate) fn journals(&self, incarnation: u32) -> impl Iterator<Item = &Journal> {
         self.journals.get(&incarnation).into_iter().flat_map(BTreeMap::values)
+    }
+
+    /// The same, and whether each follows the one before, or is the first of its process. None follows the largest number.
+    pub(crate) fn numbered_journals(&self, incarnation: u32) -> impl Iterator<Item = (&Journal, bool)> {
+        let mut next = Some(1);
+        self.journals(incarnation).map(move |journal| {
+            let follows = next == Some(journal.header.sequence);
+            next = journal.header.sequence.checked_add(1);
+            (journal, follows)
+        })
     }
 
     /// What a process is, if it is no implementation of this program.

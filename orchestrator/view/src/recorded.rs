@@ -99,7 +99,7 @@ impl RecordedDrive {
             "time_s": reading.frames.last().map(|frame| frame.row.time_s),
             "file": path.file_name().map(|name| name.to_string_lossy()),
             "complete": recording.files().iter().all(|contents| contents.is_complete),
-            "lost": recording.files().iter().map(lost).sum::<Option<u64>>(),
+            "lost": recording.files().iter().try_fold(0_u64, |sum, file| Some(sum.saturating_add(lost(file)?))),
             "scenario": scenario.and_then(toml::Value::as_str),
             "system_id": of("recording", "system_id"),
             "run_id": of("recording", "run_id"),
@@ -189,7 +189,7 @@ impl RecordedDrive {
                 scene.take(news, &mut unused, row.time_s);
             }
         }
-        let now_ns = self.start_ns + (row.time_s * 1e9) as u64;
+        let now_ns = self.start_ns.saturating_add((row.time_s * 1e9) as u64);
         let mut frame = scene.samples.json(&row);
         let directives = self.directives.until(newest);
         frame["system"] = json!({
@@ -229,7 +229,7 @@ impl Shifts {
     /// Takes in a sample while the file is read.
     fn note(&mut self, recorded: &recording::RecordedSample<'_>) {
         if self.by_file.len() <= recorded.file {
-            let after_ns = if recorded.file == 0 { 0 } else { self.newest_ns + JOINT_NS };
+            let after_ns = if recorded.file == 0 { 0 } else { self.newest_ns.saturating_add(JOINT_NS) };
             self.by_file.resize(recorded.file + 1, after_ns.saturating_sub(recorded.log_ns));
         }
         self.newest_ns = self.newest_ns.max(self.moved(*recorded).log_ns);
@@ -288,7 +288,7 @@ impl Reading {
 
     fn take(&mut self, sample: &OwnedSample) {
         let start_ns = *self.start_ns.get_or_insert(sample.key.0);
-        let now_s = (sample.key.0 - start_ns) as f64 * 1e-9;
+        let now_s = sample.key.0.saturating_sub(start_ns) as f64 * 1e-9;
         self.events.set_time(now_s);
         if let Some(news) = sample.news(&self.scene.directive) {
             match news {

@@ -86,7 +86,7 @@ impl<'a> Inputs<'a> {
         let (events, place) = self.saved(state);
         place
             .and_then(|place| events[place..].iter().find_map(Event::scan))
-            .unwrap_or(state.header.scan_id + 1)
+            .unwrap_or(state.header.scan_id.saturating_add(1))
     }
 
     /// From now on, leaves out what a state contains.
@@ -208,12 +208,11 @@ fn process<'p>(
     incarnation: u32,
 ) -> &'p mut Process {
     processes.entry(incarnation).or_insert_with(|| {
-        let (mut events, mut next) = (Vec::new(), 1);
-        for journal in drive.journals(incarnation) {
-            if journal.header.sequence != next {
+        let mut events = Vec::new();
+        for (journal, follows) in drive.numbered_journals(incarnation) {
+            if !follows {
                 events.push(Event::Gap);
             }
-            next = journal.header.sequence + 1;
             events.extend(journal.used().iter().filter_map(Event::of));
             if journal.output > 0 {
                 events.push(Event::Output(journal.output, journal.header.scan_id));

@@ -41,7 +41,7 @@ impl Clocks {
 
     /// The sample as a process has it on its host; `None` when its clock in that scan is not known.
     pub(crate) fn to_local<S: Sample>(&self, incarnation: u32, sample: &S) -> Option<S> {
-        Some(moved(sample, -self.offset_ns(incarnation, sample.header().scan_id)?))
+        Some(moved(sample, self.offset_ns(incarnation, sample.header().scan_id)?.checked_neg()?))
     }
 
     /// A sample that a process has published, as it was recorded; `None` when its clock in that scan is not known.
@@ -82,5 +82,17 @@ mod tests {
         assert!(clocks.to_common(8, &local).is_some());
         clocks.add(&ClockOffset::new("lab", 3, 9_200, -501, 1));
         assert_eq!(clocks.to_common(8, &local), None);
+    }
+
+    #[test]
+    fn an_offset_that_has_no_opposite_is_not_known() {
+        let mut clocks = Clocks::default();
+        clocks.hosts.insert(8, "lab".to_owned());
+        let mut offset = ClockOffset::new("lab", 3, 0, 0, 1);
+        (offset.common_ns, offset.host_ns) = (1 << 63, 0);
+        clocks.add(&offset);
+        let mut pose = Pose::default();
+        pose.header.scan_id = 3;
+        assert_eq!(clocks.to_local(8, &pose), None);
     }
 }

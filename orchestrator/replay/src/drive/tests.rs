@@ -44,3 +44,19 @@ pub(crate) fn late_actuation() -> ReplayDrive {
     }
     drive
 }
+
+#[test]
+fn journals_with_any_number_are_in_order_and_those_behind_a_gap_are_marked() {
+    let mut drive = late_actuation();
+    for sequence in [0, u64::MAX - 1, u64::MAX] {
+        let header = Header { sequence, incarnation: ESTIMATOR, ..Header::default() };
+        drive.add(Topic::Journal, 0, bytes_of(&Journal { header, ..Journal::default() }));
+    }
+    let found: Vec<(u64, bool)> = drive
+        .numbered_journals(ESTIMATOR)
+        .map(|(journal, follows)| (journal.header.sequence, follows))
+        .collect();
+    let last = u64::MAX;
+    let expected = [(0, false), (1, true), (2, true), (3, true), (4, true), (last - 1, false), (last, true)];
+    assert_eq!(found, expected);
+}

@@ -189,12 +189,10 @@ where
         nearest,
         unknown: nearest.map(|_| NO_STATE),
     };
-    let mut next = 1;
-    for journal in drive.journals(incarnation) {
-        if journal.header.sequence != next {
-            process.unknown = Some(if next == 1 { NO_STATE } else { LOST });
+    for (place, (journal, follows)) in drive.numbered_journals(incarnation).enumerate() {
+        if !follows {
+            process.unknown = Some(if place == 0 { NO_STATE } else { LOST });
         }
-        next = journal.header.sequence + 1;
         journal.used().iter().for_each(|entry| process.follow(entry));
         if journal.output == 0 {
             continue;

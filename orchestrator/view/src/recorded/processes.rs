@@ -92,7 +92,7 @@ impl Outputs {
     /// Those of the last second.
     fn recent(&self, role: Role, incarnation: u32, now_ns: u64) -> Vec<u64> {
         let times = self.0.get(&(role, incarnation)).map_or(&[][..], Vec::as_slice);
-        times.iter().copied().filter(|time_ns| time_ns + RATE_NS >= now_ns).collect()
+        times.iter().copied().filter(|time_ns| time_ns.saturating_add(RATE_NS) >= now_ns).collect()
     }
 
     fn age_ms(&self, role: Role, incarnation: u32, now_ns: u64) -> Option<f64> {

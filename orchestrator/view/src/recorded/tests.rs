@@ -33,6 +33,11 @@ fn header<S: Sample>(scan_id: u64, incarnation: u32, role: Role) -> Header {
 /// Twelve seconds: the pose moves a decimetre per scan, the estimator is restarted at scan 60, and the controller is
 /// silent from scan 80 on.
 fn drive(name: &str) -> File {
+    drive_with(name, |_| {})
+}
+
+/// The same, and what `change` makes of the actuations.
+fn drive_with(name: &str, change: impl Fn(&mut Actuation)) -> File {
     let file = file(name);
     let mut tape =
         recording::Tape::new(recording::writer(std::fs::File::create(&file.0).unwrap()).unwrap(), false, 0);
@@ -79,12 +84,13 @@ fn drive(name: &str) -> File {
             tape.log("robot", " WARN no directives: wheels are blocked").unwrap();
         }
         let kind = ActuationKind::Drive.wire();
-        let actuation = Actuation {
+        let mut actuation = Actuation {
             header: header::<Actuation>(scan_id, of(Role::Actuator), Role::Actuator),
             kind,
             answers: 1,
             ..Actuation::default()
         };
+        change(&mut actuation);
         tape.sample(Topic::Actuation, bytes_of(&actuation)).unwrap();
     }
     tape.into_target().finish().unwrap();
@@ -158,4 +164,16 @@ fn a_file_without_a_drive_is_refused() {
     tape.into_target().finish().unwrap();
     let error = RecordedDrive::open(&file.0).err().unwrap().to_string();
     assert!(error.contains("holds no scan"), "{error}");
+}
+
+#[test]
+fn a_sample_that_was_recorded_at_a_time_of_long_ago_ends_no_page() {
+    let file = drive_with("long-ago", |actuation| {
+        if actuation.header.scan_id == 60 {
+            actuation.header.chain[Role::Actuator.index()].published_ns = 1;
+        }
+    });
+    let mut drive = RecordedDrive::open(&file.0).unwrap();
+    assert_eq!(json(&drive.history(None))["recording"]["frames"], 120);
+    assert_eq!(json(&drive.frame(1e9).unwrap())["row"]["number"], 120);
 }
