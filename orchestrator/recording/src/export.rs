@@ -1,24 +1,36 @@
 //! Recordings for other programs: tables of comma-separated values, and bags of ROS 2.
 
 use std::borrow::Cow;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::io::{BufWriter, IntoInnerError, Write};
 use std::path::Path;
 
 use console::exit::Failure;
-use console::new_file::{Existing, NewFile, finish_all};
+use console::new_file::{Existing, NewFile, finish_all, make_folder};
 use shared_types::{Field, Kind, Topic};
 
 use crate::copy::{Summary, prepare};
+use crate::foxglove;
+use crate::mcap::{Channel, Contents};
 use crate::read::Recording;
+use crate::tape::PREFIX;
 
-/// Exports each topic as a table, one column per number; returns the number of rows. Checkpoints have no columns. Where
-/// joined recordings have other columns of a topic, these are a table of their own: `TOPIC.2.csv`.
+/// What became tables.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Exported {
+    /// Rows of all tables.
+    pub rows: u64,
+    /// Topics of other programs, and those whose samples have another layout: they have no table.
+    pub left_out: Vec<String>,
+}
+
+/// Exports each topic as a table, one column per number. Checkpoints have no columns. Where joined recordings have other
+/// columns of a topic, these are a table of their own: `TOPIC.2.csv`.
 ///
 /// # Errors
 /// A recording that can't be read, and a folder or file that can't be written; exit code 2.
-pub fn csv(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
+pub fn csv(from: &Path, folder: &Path, force: bool) -> anyhow::Result<Exported> {
     let mut recording = Recording::open(from)?;
     make(folder)?;
     let mut tables = Tables { from, folder, force, of_topics: BTreeMap::new(), rows: 0 };
@@ -27,10 +39,11 @@ pub fn csv(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
         topic => tables.add(topic.name(), topic.fields(), sample.log_ns, sample.bytes),
     })?;
     recording.own_samples(|name, fields, log_ns, bytes| tables.add(name, fields, log_ns, bytes))?;
+    let left_out = tables.left_out(recording.files());
     let files = tables.of_topics.into_values().flatten();
     let files = files.map(|table| table.file.into_inner().map_err(IntoInnerError::into_error));
     finish_all(files.collect::<Result<_, _>>()?)?;
-    Ok(tables.rows)
+    Ok(Exported { rows: tables.rows, left_out })
 }
 
 /// The tables of an export, by topic.
@@ -70,6 +83,27 @@ impl Tables<'_> {
         writeln!(table.file, "{row}")?;
         self.rows += 1;
         Ok(())
+    }
+
+    /// The topics with messages that have no table, but for states and for what is drawn of samples.
+    fn left_out(&self, files: &[Contents]) -> Vec<String> {
+        let mut found = BTreeSet::new();
+        for contents in files {
+            let counts = contents.statistics.as_ref().map(|counted| &counted.channels);
+            let counts = counts.filter(|counts| !counts.is_empty());
+            let has_messages = |number| counts.is_none_or(|counts| counts.contains_key(number));
+            let channels = contents.channels.iter().filter(|(number, _)| has_messages(number));
+            for (_, Channel { topic, .. }) in channels {
+                let name = topic.strip_prefix(PREFIX);
+                let is_known = name.is_some_and(|name| {
+                    name == Topic::Checkpoint.name() || self.of_topics.contains_key(name)
+                });
+                if !is_known && !foxglove::CHANNELS.iter().any(|(drawn, ..)| drawn == topic) {
+                    found.insert(topic.clone());
+                }
+            }
+        }
+        found.into_iter().collect()
     }
 
     /// The table of a topic with these columns.
@@ -153,8 +187,7 @@ pub fn rosbag2(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
 }
 
 fn make(folder: &Path) -> anyhow::Result<()> {
-    std::fs::create_dir_all(folder)
-        .map_err(|error| Failure::bad_input(format!("{}: {error}", folder.display())))
+    make_folder(folder).map_err(|error| Failure::bad_input(format!("{}: {error}", folder.display())))
 }
 
 /// A text as a value of YAML: names of other programs may hold anything.

@@ -371,4 +371,17 @@ mod tests {
         let help = Cli::command().render_long_help().to_string();
         assert_eq!(help, HELP);
     }
+
+    #[test]
+    fn options_of_check_live_are_refused_without_it() {
+        for given in ["--json", "--drive", "--speed=0.3", "--stops=4", "--observe=5", "--by-hand=30"] {
+            for other in [&[][..], &["corridor"], &["--list"]] {
+                let words = [&["scanloop", "check", given], other].concat();
+                assert!(Cli::try_parse_from(&words).is_err(), "{words:?}");
+            }
+        }
+        assert!(
+            Cli::try_parse_from(["scanloop", "check", "--live", "--drive", "--speed=0.3", "--json"]).is_ok()
+        );
+    }
 }

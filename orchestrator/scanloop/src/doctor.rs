@@ -18,6 +18,7 @@ use std::path::Path;
 use clap::Args;
 use console::answer;
 use console::exit::Exit;
+use runtime::Domain;
 use rustix::termios::{isatty, tcgetwinsize};
 use serde::Serialize;
 
@@ -76,6 +77,7 @@ fn examine(root: &Root) -> Vec<Check> {
         systems::running(),
         systems::left_overs(),
     ]);
+    checks.extend(surroundings::runtime_directory(Domain::examine_place()));
     checks
 }
 

@@ -29,29 +29,33 @@ use bench::Bench;
 use feed::Feed;
 use finding::{Finding, Outcome};
 
+/// What `check` does without `--live`. The options of `--live` are refused with it by themselves: beside what excludes
+/// `--live`, it is not asked for.
+const NOT_LIVE: [&str; 2] = ["files", "list"];
+
 /// Arguments of `check --live`.
 #[derive(Debug, Args, Clone)]
 pub struct LiveArguments {
     /// Check a robot and its scanner: of the running system, or of the given one, which is started with blocked wheels.
-    #[arg(long, conflicts_with_all = ["files", "list"])]
+    #[arg(long, conflicts_with_all = NOT_LIVE)]
     pub live: bool,
     /// Drive about 2 m, first straight on and then to the left, and measure the stops. Without it the robot never drives.
-    #[arg(long, requires = "live")]
+    #[arg(long, requires = "live", conflicts_with_all = NOT_LIVE)]
     pub drive: bool,
     /// Speed of `--drive`, 0.1 to 1 m/s; it is sent without a calibration.
-    #[arg(long, value_name = "MPS", default_value_t = 0.3, requires = "drive")]
+    #[arg(long, value_name = "MPS", default_value_t = 0.3, requires = "drive", conflicts_with_all = NOT_LIVE)]
     pub speed: f64,
     /// Stops of `--drive`, 1 to 20, from the speed and from half of it in turn, as far as the way is free.
-    #[arg(long, value_name = "N", default_value_t = 4, requires = "drive")]
+    #[arg(long, value_name = "N", default_value_t = 4, requires = "drive", conflicts_with_all = NOT_LIVE)]
     pub stops: usize,
     /// Time to observe scanner and odometry, 1 to 3600 s.
-    #[arg(long, value_name = "S", default_value_t = 5.0, requires = "live")]
+    #[arg(long, value_name = "S", default_value_t = 5.0, requires = "live", conflicts_with_all = NOT_LIVE)]
     pub observe: f64,
     /// Time for each motion by hand, up to 600 s; 0 skips them.
-    #[arg(long, value_name = "S", default_value_t = 30.0, requires = "live", conflicts_with = "drive")]
+    #[arg(long, value_name = "S", default_value_t = 30.0, requires = "live", conflicts_with_all = ["drive", "files", "list"])]
     pub by_hand: f64,
     /// Print the findings as JSON to standard output.
-    #[arg(long, requires = "live")]
+    #[arg(long, requires = "live", conflicts_with_all = NOT_LIVE)]
     pub json: bool,
 }
 

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Command};
 use clap_mangen::Man;
 use console::exit::{Exit, Failure};
-use console::new_file::{Existing, NewFile};
+use console::new_file::{Existing, NewFile, make_folder};
 use console::note;
 
 use crate::laboratory;
@@ -45,8 +45,7 @@ pub(crate) fn man(root: Command, arguments: &ManArguments) -> anyhow::Result<Exi
 /// # Errors
 /// A file that can't be written; exit code 2.
 pub fn write_pages(root: Command, folder: &Path, wanted: impl Fn(&str) -> bool) -> anyhow::Result<()> {
-    std::fs::create_dir_all(folder)
-        .map_err(|error| Failure::bad_input(format!("{}: {error}", folder.display())))?;
+    make_folder(folder).map_err(|error| Failure::bad_input(format!("{}: {error}", folder.display())))?;
     let mut root = root.disable_help_subcommand(true);
     root.build();
     for command in with_those_below(&root) {

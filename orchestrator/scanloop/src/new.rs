@@ -12,7 +12,7 @@ use std::path::{Component, Path, PathBuf};
 use clap::{Args, ValueEnum};
 use console::answer;
 use console::exit::{Exit, Failure};
-use console::new_file::{Existing, NewFile};
+use console::new_file::{Existing, NewFile, make_folder};
 use supervision::entry::{NAME_RULE, is_name};
 
 use template::{TEMPLATES, Template};
@@ -117,7 +117,7 @@ fn write(
 
 fn write_file(path: &Path, content: &[u8]) -> anyhow::Result<()> {
     if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder)?;
+        make_folder(folder)?;
     }
     let mut file = NewFile::create(path, Existing::Keep, &[])?;
     file.write_all(content)?;

@@ -10,7 +10,7 @@ use console::{answer, note};
 use recording::info::Info;
 use recording::recorder::{RecorderOptions, record as record_system};
 use recording::{copy, export};
-use runtime::Shutdown;
+use runtime::{Shutdown, one_line};
 use session::arguments::check_duration;
 
 use crate::print_json;
@@ -172,7 +172,15 @@ pub(crate) fn recording(command: &RecordingCommand) -> anyhow::Result<Exit> {
         }
         RecordingCommand::Export { file, csv, rosbag2, force } => {
             if let Some(folder) = csv {
-                answer!(false, "{}: {} rows", folder.display(), export::csv(file, folder, *force)?)?;
+                let exported = export::csv(file, folder, *force)?;
+                answer!(false, "{}: {} rows", folder.display(), exported.rows)?;
+                if !exported.left_out.is_empty() {
+                    let topics = one_line(&exported.left_out.join(", "));
+                    let text = format!(
+                        "not exported, because their samples are not those of this program: {topics}"
+                    );
+                    runtime::print(runtime::Priority::Warning, &text);
+                }
             }
             if let Some(folder) = rosbag2 {
                 answer!(false, "{}: {} messages", folder.display(), export::rosbag2(file, folder, *force)?)?;

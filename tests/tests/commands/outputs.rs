@@ -1,7 +1,7 @@
 //! Files that commands write: never over their own input, never over a file of the user unasked, never through a link.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use std::os::unix::fs::symlink;
+use std::os::unix::fs::{PermissionsExt, lchown, symlink};
 use std::path::Path;
 use std::process::Stdio;
 
@@ -168,5 +168,34 @@ fn links_in_a_shared_folder_are_not_followed() {
     symlink("../../victim", place("shared/logs/controller.log")).unwrap();
     succeeds(&system, &["run", "--lockstep", "--quiet", "--out", "shared", "free", "--set", "goal.x_m=4"]);
     assert_eq!(std::fs::read_to_string(place("victim")).unwrap(), "stays");
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_link_to_a_folder_that_another_user_has_placed_is_refused() {
+    if !rustix::process::geteuid().is_root() {
+        return;
+    }
+    let system = TestSystem::new(EXECUTABLE);
+    let place = |name: &str| system.folder().join(name);
+    for name in ["shared", "theirs"] {
+        std::fs::create_dir(place(name)).unwrap();
+        std::fs::set_permissions(place(name), PermissionsExt::from_mode(0o777)).unwrap();
+    }
+    let link = place("shared/logs");
+    symlink(place("theirs"), &link).unwrap();
+    lchown(&link, Some(65_534), None).unwrap();
+    let free = ["free", "--set", "goal.x_m=4"];
+    for out in ["shared", "shared/logs"] {
+        let message =
+            refused(&system, &[&["run", "--lockstep", "--quiet", "--out", out], &free[..]].concat());
+        assert!(message.contains("logs: a link of user 65534, which is not followed"), "{message}");
+    }
+    let message = refused(&system, &["man", "shared/logs/pages"]);
+    assert!(message.contains("which is not followed"), "{message}");
+    assert_eq!(files(&place("theirs")), [""; 0]);
+    lchown(&link, Some(0), None).unwrap();
+    succeeds(&system, &[&["run", "--lockstep", "--quiet", "--out", "shared"], &free[..]].concat());
+    assert!(files(&place("theirs")).contains(&"controller.log".to_owned()));
     system.assert_nothing_left();
 }

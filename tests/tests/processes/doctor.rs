@@ -1,6 +1,8 @@
 //! `doctor` on this machine, with what is really missing: a limit that is too small, and what a dead system has left.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
 use std::process::{Command, Output};
 
 use scanloop_tests::machine::repeat_when_late;
@@ -114,4 +116,31 @@ fn what_a_dead_system_has_left_is_named_with_the_command_that_clears_it() {
         assert!(!is_named, "{}", printed(&stop));
         system.assert_nothing_left();
     });
+}
+
+#[test]
+fn a_directory_for_systems_that_run_refuses_fails() {
+    let system = TestSystem::new(EXECUTABLE);
+    let open = system.folder().join("open");
+    std::fs::create_dir(&open).unwrap();
+    std::fs::set_permissions(&open, std::fs::Permissions::from_mode(0o755)).unwrap();
+    for (place, reason) in [
+        (open.as_path(), "open has mode"),
+        (Path::new("relative"), "relative is no absolute path"),
+        (&system.folder().join("missing/inner"), "missing: No such file"),
+    ] {
+        let command = |words: &[&str]| {
+            let mut command = Command::new(EXECUTABLE);
+            command.args(words).current_dir(system.folder()).env("SCANLOOP_RUNTIME_DIR", place);
+            command.output().unwrap()
+        };
+        let (found, code) = check(&command(&["doctor", "--json"]), "runtime_directory");
+        assert_eq!((found["state"].as_str(), code), (Some("fail"), Some(1)), "{found}");
+        assert!(found["detail"].as_str().unwrap().contains(reason), "{found}");
+        assert!(found["fix"].as_str().unwrap().contains("SCANLOOP_RUNTIME_DIR"), "{found}");
+        let run = command(&["--system-id", system.id(), "run", "--quiet", "--lockstep", "free"]);
+        assert!(![Some(0), Some(1)].contains(&run.status.code()), "{}", printed(&run));
+        assert!(!system.folder().join("missing").exists(), "nothing is made");
+    }
+    system.assert_nothing_left();
 }

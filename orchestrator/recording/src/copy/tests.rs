@@ -274,6 +274,21 @@ fn names_of_attached_files_are_counted() {
 }
 
 #[test]
+fn topics_of_other_programs_are_named_by_an_export_as_tables() {
+    let files = Files::new();
+    let sample = [&crate::schema::ENCAPSULATION[..], &vec![0; shared_types::Topic::Pose.size()]].concat();
+    let definitions =
+        [channel(1, 0, "/imu"), channel(2, 0, "/scanloop/pose"), channel(4, 0, "/foxglove/scan")];
+    let messages = [message(1, SECOND, b"imu"), message(2, SECOND, &sample), message(4, SECOND, b"drawn")];
+    let content = [definitions.concat(), messages.concat()].concat();
+    let input = files.input(&[begun("other"), chunk(&content, "", [SECOND; 2]), end()].concat());
+    let exported = crate::export::csv(&input, &files.path("tables"), false).unwrap();
+    assert_eq!((exported.rows, exported.left_out), (1, vec!["/imu".to_owned()]));
+    let text = crate::info::Info::read(&input).unwrap().to_string();
+    assert!(text.contains("\nno recording of a drive\nlost samples are not known\n"), "{text}");
+}
+
+#[test]
 fn of_several_new_files_none_is_there_when_one_is_refused() {
     let files = Files::new();
     let (new, second) = (files.path("new.mcap"), files.path("new-2.mcap"));

@@ -3,6 +3,8 @@
 use std::ffi::OsStr;
 use std::path::PathBuf;
 
+use runtime::{RUNTIME_DIR_VARIABLE, RuntimeError};
+
 use super::check::Check;
 use super::root::Root;
 
@@ -82,6 +84,18 @@ pub(super) fn laboratory(found: anyhow::Result<PathBuf>) -> Check {
 /// The bridge between hosts.
 pub(super) fn link(found: anyhow::Result<PathBuf>) -> Check {
     program("link", found, "no systems on several hosts")
+}
+
+/// Where the directory of a new system can't be made; `None` where it can, so that all fits on a screen.
+pub(super) fn runtime_directory(examined: Result<(), RuntimeError>) -> Option<Check> {
+    let detail = match examined.err()? {
+        RuntimeError::NotPrivate { path, reason } => format!("{} {reason}", path.display()),
+        error => error.to_string(),
+    };
+    let fix = format!(
+        "`export {RUNTIME_DIR_VARIABLE}=DIR` with the absolute path of a directory of this user with mode 0700, or unset it"
+    );
+    Some(Check::fail("runtime_directory", detail, fix))
 }
 
 fn program(name: &'static str, found: anyhow::Result<PathBuf>, without: &str) -> Check {
