@@ -55,7 +55,8 @@ def solve(plan):
             if before is not None:
                 objective += weights["change"][component] * (control[component] - before[component]) ** 2
         before = control
-        state = interval(program, state, control, length, plan, index, lower, upper)
+        guess = [0.0, 0.0, 0.0, *plan["states"][index + 1][3:]]
+        state = interval(program, state, control, length, guess, lower, upper)
         node = weights["terminal"] if index + 1 == count else weights["node"]
         for component in range(5):
             objective += node[component] * (state[component] - plan["references"][index][component]) ** 2
@@ -63,12 +64,11 @@ def solve(plan):
             x, y = ellipse["centres_m"][index + 1]
             value = ((state[3] - x) / ellipse["a_m"]) ** 2 + ((state[4] - y) / ellipse["b_m"]) ** 2
             program.constrain(value - 1, 0, math.inf)
-    return minimise(program, objective)
+    return minimise(program, objective)[:2]
 
 
-def interval(program, start, control, length, plan, index, lower, upper):
+def interval(program, start, control, length, guess, lower, upper):
     """The state at the end of an interval: Radau collocation with three stages, the last of which is the end."""
-    guess = [0.0, 0.0, 0.0, *plan["states"][index + 1][3:]]
     inner = [[program.variable("stage", value) for value in guess] for _ in range(2)]
     end = [program.variable("node", *limits) for limits in zip(guess, lower, upper)]
     stages = [*inner, end]
@@ -81,11 +81,11 @@ def interval(program, start, control, length, plan, index, lower, upper):
 
 
 def minimise(program, objective):
-    """The least objective of a program, and the message of IPOPT."""
+    """The least objective of a program, the message of IPOPT, and the values of the variables."""
     nlp = {"x": ca.vertcat(*program.variables), "f": objective, "g": ca.vertcat(*program.constraints)}
     solver = ca.nlpsol("solver", "ipopt", nlp, OPTIONS)
     solution = solver(x0=program.start, lbx=program.low, ubx=program.high, lbg=program.least, ubg=program.most)
-    return float(solution["f"]), solver.stats()["return_status"]
+    return float(solution["f"]), solver.stats()["return_status"], solution["x"]
 
 
 def main(files):
