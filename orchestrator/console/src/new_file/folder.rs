@@ -95,7 +95,7 @@ fn names(path: &Path) -> VecDeque<OsString> {
     path.components().filter(is_name).map(|part| OsStr::to_owned(part.as_os_str())).collect()
 }
 
-/// Whether a link is of this user or of root, or of the owner of its folder, in which nobody else can place one.
+/// Whether a link is of this user or of root, or of the owner of its folder, in which no other user can place one.
 fn is_trusted(link: &Stat, folder: &Stat) -> bool {
     let is_own = [0, rustix::process::geteuid().as_raw()].contains(&link.st_uid);
     is_own || link.st_uid == folder.st_uid && folder.st_mode & 0o022 == 0
@@ -162,7 +162,7 @@ mod tests {
         symlink("open/logs", scratch.path().join("way")).unwrap();
         assert!(make_folder(&scratch.path().join("way/inner")).is_err());
         assert_eq!(std::fs::read_dir(&target).unwrap().count(), 0);
-        // In a folder of its own, in which nobody else places links.
+        // In a folder of its own, in which no other user places links.
         lchown(&open, Some(1234), None).unwrap();
         std::fs::set_permissions(&open, PermissionsExt::from_mode(0o755)).unwrap();
         assert_eq!(inode_of(&open_folder(&link).unwrap()), inode(&target));
