@@ -59,7 +59,7 @@ pub(crate) fn read(scenario: &mut Table, scenario_file: &str) -> anyhow::Result<
         user_file::read_table(&file).map_err(|error| Failure::bad_input(format!("{name}: {error}")))?;
     let points: Vec<PathPoint> =
         record::read(&text, &name).map_err(|error| Failure::bad_input(error.to_string()))?;
-    let waypoints = waypoints(&points).map_err(|reason| Failure::bad_input(format!("{name}: {reason}")))?;
+    let waypoints = waypoints(&points, &name).map_err(Failure::bad_input)?;
     let written = waypoints.iter().map(Value::try_from).collect::<Result<Vec<_>, _>>()?;
     course.remove("path");
     course.insert("waypoints".to_owned(), Value::Array(written));
@@ -67,13 +67,18 @@ pub(crate) fn read(scenario: &mut Table, scenario_file: &str) -> anyhow::Result<
 }
 
 /// As few of the points as make a course that leads past all of them.
-fn waypoints(points: &[PathPoint]) -> Result<Vec<Waypoint>, String> {
+fn waypoints(points: &[PathPoint], file: &str) -> Result<Vec<Waypoint>, String> {
     if !(2..=MAX_POINTS).contains(&points.len()) {
-        return Err(format!("{} points are not allowed: 2 to {MAX_POINTS}", points.len()));
+        return Err(format!("{file}: {} points are not allowed: 2 to {MAX_POINTS}", points.len()));
     }
-    for point in points {
-        if !(point.x_m.abs() <= 1e4 && point.y_m.abs() <= 1e4) {
-            return Err(format!("{}: a position beyond 10 km", point.place));
+    for PathPoint { x_m, y_m, speed_mps, place } in points {
+        for (name, value) in [("x_m", x_m), ("y_m", y_m)] {
+            if !(-1e4..=1e4).contains(value) {
+                return Err(format!("{place}: {name} = {value} is not allowed: -10000 to 10000"));
+            }
+        }
+        if let Some(speed_mps) = speed_mps.filter(|speed_mps| !(0.01..=10.0).contains(speed_mps)) {
+            return Err(format!("{place}: speed_mps = {speed_mps} is not allowed: 0.01 to 10"));
         }
     }
     let mut farthest = None;
@@ -94,7 +99,7 @@ fn waypoints(points: &[PathPoint]) -> Result<Vec<Waypoint>, String> {
         }
     }
     let Some((beside_m, point)) = farthest else {
-        return Err("no course leads through its points: they turn back or jump".to_owned());
+        return Err(format!("{file}: no course leads through its points: they turn back or jump"));
     };
     let place = &point.place;
     Err(format!(
@@ -148,7 +153,7 @@ mod tests {
             let x = index * 0.05;
             [x + noise(index), (x * std::f64::consts::PI / 8.0).sin() + noise(index + 0.5)]
         });
-        let waypoints = waypoints(&points).unwrap();
+        let waypoints = waypoints(&points, "a.csv").unwrap();
         assert!((8..=22).contains(&waypoints.len()), "{}", waypoints.len());
         let course =
             Course::try_from(CourseKeys { waypoints, width_m: 0.5, ..CourseKeys::default() }).unwrap();
@@ -161,14 +166,20 @@ mod tests {
     fn a_corner_is_refused_with_its_line_and_a_velocity_holds_from_its_point_on() {
         let corner =
             points(200, |index| if index < 100.0 { [index * 0.1, 0.0] } else { [9.9, (index - 99.0) * 0.1] });
-        let sharp = waypoints(&corner).unwrap_err();
+        let sharp = waypoints(&corner, "a.csv").unwrap_err();
         assert!(sharp.starts_with("a.csv: line 101: the point is 0."), "{sharp}");
         let jump = points(40, |index| [index * 0.1, if index == 20.0 { 0.3 } else { 0.0 }]);
-        let refused = waypoints(&jump).unwrap_err();
+        let refused = waypoints(&jump, "a.csv").unwrap_err();
         assert!(refused.starts_with("a.csv: line 2"), "{refused}");
+        let slow = [None, Some(0.0)].map(|speed_mps| PathPoint { speed_mps, ..corner[3].clone() });
+        let refused = waypoints(&slow, "a.csv").unwrap_err();
+        assert_eq!(refused, "a.csv: line 5: speed_mps = 0 is not allowed: 0.01 to 10");
+        let refused =
+            waypoints(&[PathPoint { x_m: f64::NAN, ..corner[3].clone() }, corner[4].clone()], "a.csv");
+        assert_eq!(refused.unwrap_err(), "a.csv: line 5: x_m = NaN is not allowed: -10000 to 10000");
         let mut line = points(101, |index| [index * 0.1, 0.0]);
         (line[30].speed_mps, line[37].speed_mps) = (Some(0.5), Some(0.3));
-        let limited = waypoints(&line).unwrap();
+        let limited = waypoints(&line, "a.csv").unwrap();
         assert_eq!(
             limited.iter().map(|waypoint| waypoint.speed_mps).collect::<Vec<_>>(),
             [None, Some(0.3), None, None, None, None]

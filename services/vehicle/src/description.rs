@@ -5,7 +5,7 @@ use key_table::settings;
 use crate::{Bounds, Parameters, Surroundings};
 
 /// A scanner sees 120 degrees to each side; turned further, it would not see 60 degrees to each side ahead [rad].
-const SCANNER_YAW_MAX_RAD: f64 = 1.04;
+pub const SCANNER_YAW_MAX_RAD: f64 = 1.04;
 
 settings! {
     /// The vehicle description; every stage reads the robot's properties here. The defaults describe the SUMMIT.

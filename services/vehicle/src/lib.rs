@@ -23,7 +23,7 @@ pub mod tyre;
 
 pub use bounds::Bounds;
 pub use course::Course;
-pub use description::Description;
+pub use description::{Description, SCANNER_YAW_MAX_RAD};
 pub use goal::{Goal, Goals};
 pub use key_table::{
     Ascending, Documented, Invalid, Key, KeyRule, Setting, did_you_mean, of_text, parse, read, require,

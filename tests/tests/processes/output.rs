@@ -133,10 +133,10 @@ fn commands_whose_reader_goes_end_without_a_panic() {
             let status = system.command(arguments).stdout(closed()).stderr(closed()).status().unwrap();
             assert_eq!(status.code(), Some(0), "{arguments:?}");
         }
-        // Data that was asked for and is not there is an error.
+        // Data that was asked for and is not there is an error, of a disk that is full.
         let full = File::options().write(true).open("/dev/full").unwrap();
         let output = system.command(&["topic", "list"]).stdout(full).output().unwrap();
-        assert_eq!(output.status.code(), Some(5), "{output:?}");
+        assert_eq!(output.status.code(), Some(4), "{output:?}");
         system.wait();
         system.assert_nothing_left();
     });

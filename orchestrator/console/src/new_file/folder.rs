@@ -42,7 +42,8 @@ pub(super) fn open_folder(path: &Path) -> io::Result<OwnedFd> {
 fn walk(path: &Path, makes: bool) -> io::Result<OwnedFd> {
     let open = |name: &str| rustix::fs::openat(CWD, name, FOLDER, Mode::empty());
     let mut folder = open(if path.is_absolute() { "/" } else { "." })?;
-    let (mut rest, mut shown, mut links) = (names(path), PathBuf::new(), 0);
+    let mut shown = PathBuf::from(if path.is_absolute() { "/" } else { "" });
+    let (mut rest, mut links) = (names(path), 0);
     while let Some(name) = rest.pop_front() {
         let entry = match rustix::fs::openat(&folder, &name, ENTRY, Mode::empty()) {
             Err(Errno::NOENT) if makes => {
@@ -77,7 +78,7 @@ fn walk(path: &Path, makes: bool) -> io::Result<OwnedFd> {
                 let target = rustix::fs::readlinkat(&entry, "", Vec::new())?;
                 let target = PathBuf::from(OsString::from_vec(target.into_bytes()));
                 if target.is_absolute() {
-                    folder = open("/")?;
+                    (folder, shown) = (open("/")?, PathBuf::from("/"));
                 }
                 let mut names = names(&target);
                 names.append(&mut rest);

@@ -219,9 +219,9 @@ fn beams_start_at_the_scanner_and_turn_with_it() {
     assert_eq!(mounted("scanner_x_m = 0.25")[FRONT_BEAM], 1650);
     // 0.05 m to the left of the line, the post is hit 2 - sqrt(0.01 - 0.0025) ahead.
     assert_eq!(mounted("scanner_y_m = 0.05")[FRONT_BEAM], 1913);
-    // A quarter turn to the left is 256 pitches: the post comes 256 beams earlier.
-    let turned = mounted("scanner_yaw_rad = 1.5707963267948966");
-    assert_eq!((turned[FRONT_BEAM], turned[FRONT_BEAM - 256]), (NO_RETURN, 1900));
+    // An eighth of a turn to the left is 128 pitches: the post comes 128 beams earlier.
+    let turned = mounted("scanner_yaw_rad = 0.7853981633974483");
+    assert_eq!((turned[FRONT_BEAM], turned[FRONT_BEAM - 128]), (NO_RETURN, 1900));
     // Ahead of a robot that looks to the left is to the left of the track.
     let mut history = History::new(node(0, State::default()), 1_000_000_000);
     history.push(node(1, State { yaw: std::f64::consts::FRAC_PI_2, ..State::default() }));

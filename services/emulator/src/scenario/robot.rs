@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
-use vehicle::{Setting, settings};
+use vehicle::{SCANNER_YAW_MAX_RAD, Setting, settings};
 
 use crate::steering_map::SteeringMap;
 
@@ -136,7 +136,7 @@ settings! {
         /// Position of the scanner to the left of the robot's centre [m].
         pub scanner_y_m: Option<f64> = None, -2.0..=2.0;
         /// Direction of the scanner's front beam, counter-clockwise from straight ahead [rad].
-        pub scanner_yaw_rad: Option<f64> = None, -PI..=PI;
+        pub scanner_yaw_rad: Option<f64> = None, -SCANNER_YAW_MAX_RAD..=SCANNER_YAW_MAX_RAD;
     }
 }
 
