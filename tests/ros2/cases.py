@@ -44,8 +44,11 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scanloop", type=Path, default=ROOT / "target/debug/scanloop")
     parser.add_argument("--ros2", type=Path, default=ROOT / "services/ros2/target/debug/scanloop-ros2")
-    parser.add_argument("case", nargs="*", default=["minute"], choices=[*CASES, "all"])
+    # No `choices`: they refuse the default of a list.
+    parser.add_argument("case", nargs="*", default=["minute"], help=f"of {', '.join(CASES)}; or all")
     options = parser.parse_args()
+    for name in {*options.case} - {*CASES, "all"}:
+        parser.error(f"case {name} is not one of {', '.join(CASES)}, all")
     options.scanloop, options.ros2 = options.scanloop.resolve(), options.ros2.resolve()
     failed = False
     for name in CASES if "all" in options.case else options.case:
