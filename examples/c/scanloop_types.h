@@ -447,6 +447,29 @@ _Static_assert(offsetof(scanloop_authority, previous) == 4, "scanloop_authority.
 _Static_assert(offsetof(scanloop_authority, from_scan) == 8, "scanloop_authority.from_scan");
 
 /* A part of samples. */
+typedef struct scanloop_given_goal {
+    uint64_t from_scan; /* The first scan for which it counts; later goals count from later scans */
+    uint32_t index; /* Which goal of the drive it replaces, from 0 */
+    uint32_t has_yaw; /* 1 when the robot has to stand there in the direction `yaw_rad` */
+    double x_m; /* Position along the course; on a line that of the track [m] */
+    double y_m; /* Position to the left of the course [m] */
+    double tolerance_m; /* Distance within which it is reached [m] */
+    double yaw_rad; /* Direction of the robot there, in the plane [rad] */
+    double yaw_tolerance_rad; /* Largest difference from that direction [rad] */
+    double stay_s; /* How long the robot stands there before it drives to the next goal [s] */
+} scanloop_given_goal;
+_Static_assert(sizeof(scanloop_given_goal) == 64, "scanloop_given_goal");
+_Static_assert(offsetof(scanloop_given_goal, from_scan) == 0, "scanloop_given_goal.from_scan");
+_Static_assert(offsetof(scanloop_given_goal, index) == 8, "scanloop_given_goal.index");
+_Static_assert(offsetof(scanloop_given_goal, has_yaw) == 12, "scanloop_given_goal.has_yaw");
+_Static_assert(offsetof(scanloop_given_goal, x_m) == 16, "scanloop_given_goal.x_m");
+_Static_assert(offsetof(scanloop_given_goal, y_m) == 24, "scanloop_given_goal.y_m");
+_Static_assert(offsetof(scanloop_given_goal, tolerance_m) == 32, "scanloop_given_goal.tolerance_m");
+_Static_assert(offsetof(scanloop_given_goal, yaw_rad) == 40, "scanloop_given_goal.yaw_rad");
+_Static_assert(offsetof(scanloop_given_goal, yaw_tolerance_rad) == 48, "scanloop_given_goal.yaw_tolerance_rad");
+_Static_assert(offsetof(scanloop_given_goal, stay_s) == 56, "scanloop_given_goal.stay_s");
+
+/* A part of samples. */
 typedef struct scanloop_journal_entry {
     uint16_t kind; /* What it states, `JournalKind` */
     uint16_t topic; /* Topic of the sample, by its place in the table of topics */
@@ -719,8 +742,9 @@ typedef struct scanloop_directive {
     uint64_t issued_ns; /* When it was published [ns of CLOCK_MONOTONIC] */
     uint64_t orchestrator_pid; /* Process id of the orchestrator */
     scanloop_authority authority[8]; /* Whose samples count, by slot */
+    scanloop_given_goal goal; /* The goal that was given last while the system drives */
 } scanloop_directive;
-_Static_assert(sizeof(scanloop_directive) == 448, "scanloop_directive");
+_Static_assert(sizeof(scanloop_directive) == 512, "scanloop_directive");
 _Static_assert(offsetof(scanloop_directive, header) == 0, "scanloop_directive.header");
 _Static_assert(offsetof(scanloop_directive, phase) == 288, "scanloop_directive.phase");
 _Static_assert(offsetof(scanloop_directive, stop) == 292, "scanloop_directive.stop");
@@ -728,6 +752,7 @@ _Static_assert(offsetof(scanloop_directive, granted_scan) == 296, "scanloop_dire
 _Static_assert(offsetof(scanloop_directive, issued_ns) == 304, "scanloop_directive.issued_ns");
 _Static_assert(offsetof(scanloop_directive, orchestrator_pid) == 312, "scanloop_directive.orchestrator_pid");
 _Static_assert(offsetof(scanloop_directive, authority) == 320, "scanloop_directive.authority");
+_Static_assert(offsetof(scanloop_directive, goal) == 448, "scanloop_directive.goal");
 
 /* Topic checkpoint, published once per scan by each stateful process. */
 typedef struct scanloop_checkpoint {
@@ -1137,7 +1162,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "device.reserved", device.reserved),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "device.since_ns", device.since_ns),
     SCANLOOP_VALUES("heartbeat", scanloop_heartbeat, "device.reason", device.reason),
-    SCANLOOP_SAMPLE("directive", scanloop_directive, "scanloop.Directive.v2"),
+    SCANLOOP_SAMPLE("directive", scanloop_directive, "scanloop.Directive.v3"),
     SCANLOOP_STRUCT("directive", scanloop_directive, "header", "Header", header),
     SCANLOOP_VALUE("directive", scanloop_directive, "header.layout", header.layout),
     SCANLOOP_VALUE("directive", scanloop_directive, "header.incarnation", header.incarnation),
@@ -1158,6 +1183,16 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("directive", scanloop_directive, "authority.incarnation", authority[0].incarnation),
     SCANLOOP_VALUE("directive", scanloop_directive, "authority.previous", authority[0].previous),
     SCANLOOP_VALUE("directive", scanloop_directive, "authority.from_scan", authority[0].from_scan),
+    SCANLOOP_STRUCT("directive", scanloop_directive, "goal", "GivenGoal", goal),
+    SCANLOOP_VALUE("directive", scanloop_directive, "goal.from_scan", goal.from_scan),
+    SCANLOOP_VALUE("directive", scanloop_directive, "goal.index", goal.index),
+    SCANLOOP_VALUE("directive", scanloop_directive, "goal.has_yaw", goal.has_yaw),
+    SCANLOOP_VALUE("directive", scanloop_directive, "goal.x_m", goal.x_m),
+    SCANLOOP_VALUE("directive", scanloop_directive, "goal.y_m", goal.y_m),
+    SCANLOOP_VALUE("directive", scanloop_directive, "goal.tolerance_m", goal.tolerance_m),
+    SCANLOOP_VALUE("directive", scanloop_directive, "goal.yaw_rad", goal.yaw_rad),
+    SCANLOOP_VALUE("directive", scanloop_directive, "goal.yaw_tolerance_rad", goal.yaw_tolerance_rad),
+    SCANLOOP_VALUE("directive", scanloop_directive, "goal.stay_s", goal.stay_s),
     SCANLOOP_SAMPLE("checkpoint", scanloop_checkpoint, "scanloop.Checkpoint.v4"),
     SCANLOOP_STRUCT("checkpoint", scanloop_checkpoint, "header", "Header", header),
     SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "header.layout", header.layout),

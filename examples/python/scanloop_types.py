@@ -378,6 +378,22 @@ class Authority(ctypes.Structure):
     ]
 
 
+class GivenGoal(ctypes.Structure):
+    """A part of samples."""
+
+    _fields_ = [
+        ("from_scan", ctypes.c_uint64),  # The first scan for which it counts; later goals count from later scans
+        ("index", ctypes.c_uint32),  # Which goal of the drive it replaces, from 0
+        ("has_yaw", ctypes.c_uint32),  # 1 when the robot has to stand there in the direction `yaw_rad`
+        ("x_m", ctypes.c_double),  # Position along the course; on a line that of the track [m]
+        ("y_m", ctypes.c_double),  # Position to the left of the course [m]
+        ("tolerance_m", ctypes.c_double),  # Distance within which it is reached [m]
+        ("yaw_rad", ctypes.c_double),  # Direction of the robot there, in the plane [rad]
+        ("yaw_tolerance_rad", ctypes.c_double),  # Largest difference from that direction [rad]
+        ("stay_s", ctypes.c_double),  # How long the robot stands there before it drives to the next goal [s]
+    ]
+
+
 class JournalEntry(ctypes.Structure):
     """A part of samples."""
 
@@ -592,7 +608,7 @@ class Directive(ctypes.Structure):
     """Topic directive, published ten times a second by the orchestrator, and at each change."""
 
     TOPIC = "directive"
-    LAYOUT = 0xd55a1d60
+    LAYOUT = 0x4a8b3c66
     _fields_ = [
         ("header", Header),  # Identity; the chain is unused
         ("phase", ctypes.c_uint32),  # What the system is doing, `Phase`
@@ -601,11 +617,12 @@ class Directive(ctypes.Structure):
         ("issued_ns", ctypes.c_uint64),  # When it was published [ns of CLOCK_MONOTONIC]
         ("orchestrator_pid", ctypes.c_uint64),  # Process id of the orchestrator
         ("authority", Authority * 8),  # Whose samples count, by slot
+        ("goal", GivenGoal),  # The goal that was given last while the system drives
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Directive.v2"
+        return "scanloop.Directive.v3"
 
 
 class Checkpoint(ctypes.Structure):

@@ -33,6 +33,8 @@ pub trait Stage: Clone + Send + Sync + 'static {
     /// Inputs that are handed over one by one as they come, before newer ones of [`Stage::ANSWERS`]. In lock-step the
     /// stage gets those of the scan before first.
     const NOTES: &'static [&'static SampleType] = &[];
+    /// Whether goals are given to it while it drives: it takes each [`crate::Directive`] with a new one.
+    const TAKES_GOALS: bool = false;
     /// Whether the wheels obey its outputs: it is told to stop, and looks at its timeouts ten times per scan.
     const HOLDS_WHEELS: bool = false;
 
@@ -259,6 +261,8 @@ pub struct StageShape {
     pub output: &'static SampleType,
     /// [`Stage::HOLDS_WHEELS`].
     pub holds_wheels: bool,
+    /// [`Stage::TAKES_GOALS`].
+    pub takes_goals: bool,
 }
 
 /// Any [`Stage`], so that a runner is compiled once for all; the methods that are not explained are those of the stage.
@@ -297,6 +301,7 @@ impl<T: Stage> AnyStage for T {
             notes: T::NOTES,
             output: T::Output::TYPE,
             holds_wheels: T::HOLDS_WHEELS,
+            takes_goals: T::TAKES_GOALS,
         }
     }
 

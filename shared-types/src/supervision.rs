@@ -3,8 +3,8 @@
 use crate::named::wire_enum;
 use crate::sample::sample;
 use crate::{
-    Authority, Device, DeviceState, Fault, Header, InputAccount, MAX_NUMBER, MAX_STAMP_NS, PORTS, Refusal,
-    Role, SLOTS, Topic,
+    Authority, Device, DeviceState, Fault, GivenGoal, Header, InputAccount, MAX_NUMBER, MAX_STAMP_NS, PORTS,
+    Refusal, Role, SLOTS, Topic,
 };
 
 wire_enum! {
@@ -37,7 +37,7 @@ wire_enum! {
 
 sample! {
     /// What the orchestrator tells all processes.
-    pub struct Directive(448, Directive, 0xd55a_1d60, "scanloop.Directive.v2", check) {
+    pub struct Directive(512, Directive, 0x4a8b_3c66, "scanloop.Directive.v3", check) {
         /// Identity; the chain is unused
         pub header: Header,
         /// What the system is doing, `Phase`
@@ -52,6 +52,8 @@ sample! {
         pub orchestrator_pid: u64,
         /// Whose samples count, by slot
         pub authority: [Authority; SLOTS],
+        /// The goal that was given last while the system drives
+        pub goal: GivenGoal,
     }
 }
 
@@ -132,7 +134,8 @@ sample! {
 
 fn check(directive: &Directive) -> Result<(), Fault> {
     directive.header.check::<Directive>()?;
-    Phase::try_from(directive.phase).map(|_| ())
+    Phase::try_from(directive.phase)?;
+    directive.goal.check()
 }
 
 fn check_heartbeat(heartbeat: &Heartbeat) -> Result<(), Fault> {

@@ -2,13 +2,14 @@
 //!
 //! The settings file of the role holds all keys with the values that hold, so the change starts from there.
 
+use anyhow::Context;
 use console::exit::Failure;
 use emulator::Scenario;
 use runtime::{Domain, RuntimeError, own_settings_file, settings_file, settings_table};
 use serde::Serialize;
 use shared_types::{Role, did_you_mean};
 use toml::{Table, Value};
-use vehicle::{Invalid, Setting, read};
+use vehicle::{Goal, Invalid, Setting, read};
 
 use crate::overrides::{parse_override, set};
 use crate::rate::require_rate;
@@ -115,6 +116,21 @@ pub fn settings(role: Role, file: &str, overrides: &[String]) -> anyhow::Result<
     let rate_hz = rate_hz.map_or(0.0, |period_ns| 1e9 / period_ns as f64);
     let own = checked(role, &file, rate_hz)?;
     file.insert(settings_table(role).to_owned(), own);
+    Ok(toml::to_string(&file)?)
+}
+
+/// The settings file of the controller with another goal, along and across the course.
+///
+/// # Errors
+/// A file without goals.
+pub fn with_goal(file: &str, index: usize, goal: &Goal) -> anyhow::Result<String> {
+    let mut file: Table = file.parse()?;
+    let own = file.get_mut(settings_table(Role::Controller)).and_then(Value::as_table_mut);
+    let place = own.and_then(|own| match index.checked_sub(1) {
+        None => own.get_mut("goal"),
+        Some(index) => own.get_mut("next_goals")?.get_mut(index),
+    });
+    *place.context("the settings of the controller have no such goal")? = Value::try_from(goal)?;
     Ok(toml::to_string(&file)?)
 }
 

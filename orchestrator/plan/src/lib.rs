@@ -4,6 +4,7 @@ pub mod calibration_file;
 pub mod change;
 pub mod difference;
 mod driven_robot;
+pub mod goal;
 pub mod hosts;
 pub mod migrate;
 pub mod overrides;

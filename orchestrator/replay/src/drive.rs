@@ -39,6 +39,8 @@ pub struct ReplayDrive {
     pub(crate) commands: Lane<Command>,
     pub(crate) actuations: Lane<Actuation>,
     pub(crate) checkpoints: Lane<Checkpoint>,
+    /// Those with a goal that was given while driving.
+    pub(crate) directives: Lane<Directive>,
     pub(crate) clocks: Clocks,
     /// The journals of each process, by number.
     journals: BTreeMap<u32, BTreeMap<u64, Journal>>,
@@ -294,6 +296,9 @@ impl ReplayDrive {
                     if known.last().map(|(_, newest)| newest) != Some(&authority) {
                         known.push((log_ns, authority));
                     }
+                }
+                if directive.goal.from_scan > 0 {
+                    self.directives.add(bytes);
                 }
             }
             Topic::Journal => {

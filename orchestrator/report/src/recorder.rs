@@ -17,6 +17,9 @@ mod tally;
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::RangeInclusive;
 
+use vehicle::Goal;
+
+use crate::report::GoalChange;
 use crate::ride::RideRecording;
 use audit::ledger::Ledger;
 use emulator::JudgedBy;
@@ -62,6 +65,7 @@ pub struct Recorder {
     estimated: Option<Estimated>,
     pose: Option<Pose>,
     actuation: Option<Actuation>,
+    goal_changes: Vec<GoalChange>,
     ellipses: BTreeMap<u32, Ellipse>,
     recent: VecDeque<(u64, u64)>,
     first_acquired_ns: Option<u64>,
@@ -86,6 +90,7 @@ impl Recorder {
             estimated: None,
             pose: None,
             actuation: None,
+            goal_changes: Vec::new(),
             ellipses: BTreeMap::new(),
             recent: VecDeque::new(),
             first_acquired_ns: None,
@@ -268,11 +273,28 @@ impl Recorder {
         self.truth.as_ref().map_or_else(acquired, |truth| truth.time_s)
     }
 
-    fn goal_distance_m(&self) -> Option<f64> {
-        if let Some(truth) = &self.truth {
-            return Some(truth.goal_distance_m);
+    /// From a scan on another goal is the one with this index.
+    pub fn change_goal(&mut self, change: GoalChange, goal: Goal) {
+        if let Some(place) = self.info.goals.all_mut().get_mut(change.goal) {
+            *place = goal;
         }
-        self.pose.as_ref().map(|pose| self.info.goals.last().distance_m(pose.x_m, pose.y_m))
+        self.goal_changes.push(change);
+    }
+
+    /// The goals as they are now.
+    pub fn goals(&self) -> &[Goal] {
+        self.info.goals.all()
+    }
+
+    /// The newest estimate, if any.
+    pub fn last_pose(&self) -> Option<&Pose> {
+        self.pose.as_ref()
+    }
+
+    fn goal_distance_m(&self) -> Option<f64> {
+        let truth = self.truth.as_ref().map(|truth| [truth.x_m, truth.y_m]);
+        let place = truth.or(self.pose.as_ref().map(|pose| [pose.x_m, pose.y_m]));
+        place.map(|[x_m, y_m]| self.info.goals.last().distance_m(x_m, y_m))
     }
 
     fn acquired(&mut self, acquired_ns: u64) {

@@ -24,8 +24,8 @@ use vehicle::Surroundings;
 use self::write::join_leaves;
 
 pub use self::parts::{
-    BlockingReport, CompanionReport, DifferenceReport, MarginReport, RecordingReport, ScannerReport,
-    ScannerStatus,
+    BlockingReport, CompanionReport, DifferenceReport, GoalChange, MarginReport, RecordingReport,
+    ScannerReport, ScannerStatus,
 };
 
 /// Version of the fields; it grows when a field changes its meaning, not when one is added.
@@ -77,6 +77,9 @@ pub struct Report {
     pub ride: Option<Option<RideFigures>>,
     /// What became of each goal.
     pub goals: Vec<Landing>,
+    /// Goals that changed while the robot drove.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub goal_changes: Vec<GoalChange>,
     /// How the scanner was.
     pub scanner: ScannerReport,
     /// The obstacle of the last stop that had one.

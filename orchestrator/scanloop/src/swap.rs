@@ -8,6 +8,7 @@ use console::exit::{Exit, Failure};
 use console::{answer, note};
 use handover::swap::{Certificate, MAX_TOLERANCE, SwapOutcome};
 use plan::change;
+use plan::goal::is_of_goal;
 use runtime::{Domain, OwnTopics, RuntimeError};
 use session::control::{Reply, Request, Successor, SwapRequest, ask};
 use shared_types::Role;
@@ -36,7 +37,8 @@ pub struct SwapArguments {
 /// Arguments of `set`.
 #[derive(Debug, Args)]
 pub struct SetArguments {
-    /// Keys of one role with their new values, for example `controller.intervals=7`; `scanloop reference` lists the keys.
+    /// Keys of one role with their new values, for example `controller.intervals=7`; `scanloop reference` lists the keys. Or
+    /// keys of a goal, `goal.x_m=8`: they swap no process.
     #[arg(value_name = "KEY=VALUE", required = true)]
     pub set: Vec<String>,
     /// When the new process takes over.
@@ -91,10 +93,26 @@ pub(crate) fn swap(system_id: &str, arguments: &SwapArguments) -> anyhow::Result
 /// # Errors
 /// Keys that do not belong to one role, values that are not allowed, and as [`swap`]; exit code 2.
 pub(crate) fn set(system_id: &str, arguments: &SetArguments) -> anyhow::Result<Exit> {
+    if arguments.set.iter().any(|text| is_of_goal(text)) {
+        return set_goal(system_id, arguments);
+    }
     let role = change::role_of(&arguments.set)?;
     let successor = Successor { role, implementation: None, command: None, host: None };
     let request = arguments.gate.request(successor, arguments.set.clone())?;
     finish(&supervision::runs::existing(system_id)?, request, arguments.gate.json)
+}
+
+/// Changes a goal: controller and referee have it from one scan on, and no process is swapped.
+fn set_goal(system_id: &str, arguments: &SetArguments) -> anyhow::Result<Exit> {
+    if let Some(other) = arguments.set.iter().find(|text| !is_of_goal(text)) {
+        return Err(Failure::bad_input(format!("{other} is no key of a goal: set goals alone")));
+    }
+    let request = Request::Goal { set: arguments.set.clone() };
+    let from_scan = begin(&supervision::runs::existing(system_id)?, &request)?;
+    let json = arguments.gate.json;
+    print_json(json, &serde_json::json!({ "set": arguments.set, "from_scan": from_scan }))?;
+    answer!(json, "{} from scan {from_scan} on", arguments.set.join(", "))?;
+    Ok(Exit::Done)
 }
 
 /// Requests the swap, waits for its certificate and prints it.

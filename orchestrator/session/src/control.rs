@@ -58,7 +58,7 @@ pub enum Reply {
         /// Process id of the orchestrator.
         orchestrator: u32,
     },
-    /// A swap or a shadow was accepted; ask for its result by this number.
+    /// A swap or a shadow was accepted; ask for its result by this number. For a goal the first scan that it counts for.
     Accepted(u64),
     /// It is in progress.
     Pending,

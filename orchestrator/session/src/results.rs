@@ -12,6 +12,7 @@ use plan::difference::Property;
 use report::recorder::Recorder;
 use report::{DifferenceReport, Report, picture, summary};
 use supervision::runs::{LivingRun, RunProcess};
+use vehicle::Goal;
 use vehicle::frame::to_track;
 
 use crate::session::Session;
@@ -96,7 +97,7 @@ fn write_results(
         written.map(drop).inspect_err(|_| out.remove(name))
     };
     let report_written = write(REPORT, &report.to_json()?);
-    let drawing = picture::draw(&scene_of(scenario, report), &recorder.drive())?;
+    let drawing = picture::draw(&scene_of(scenario, recorder.goals(), report), &recorder.drive())?;
     report_written.and(write(PICTURE, &drawing))
 }
 
@@ -107,7 +108,7 @@ fn near(path: &Path) -> PathBuf {
 }
 
 /// The part of a scenario that the picture shows.
-fn scene_of(scenario: &Scenario, report: &Report) -> picture::PictureScene {
+fn scene_of(scenario: &Scenario, goals: &[Goal], report: &Report) -> picture::PictureScene {
     picture::PictureScene {
         title: format!("{}: {}", report.scenario, report.outcome),
         subtitle: report.reason.clone(),
@@ -117,7 +118,7 @@ fn scene_of(scenario: &Scenario, report: &Report) -> picture::PictureScene {
         walls: scenario.track.walls,
         obstacles: shapes(scenario, report),
         start_m: [scenario.start.x_m, scenario.start.y_m],
-        goals: scenario.goal.all().to_vec(),
+        goals: goals.to_vec(),
         body_length_m: scenario.robot.length_m,
         body_width_m: scenario.robot.width_m,
     }

@@ -11,6 +11,7 @@ mod companions;
 mod conclusion;
 mod ending;
 mod events;
+mod goals;
 mod incidents;
 mod injection;
 mod judge;

@@ -190,6 +190,19 @@ impl Referee {
         &self.reason
     }
 
+    /// Number of goals that were reached.
+    pub fn reached(&self) -> usize {
+        self.landings.iter().filter(|landing| landing.reached_s.is_some()).count()
+    }
+
+    /// From now on another goal is the one with this index; `along_m` is its place on the course.
+    pub fn change_goal(&mut self, index: usize, goal: Goal, along_m: f64) {
+        if let Some(place) = self.goals.get_mut(index) {
+            *place = goal;
+            self.progress.change_goal(index, along_m);
+        }
+    }
+
     /// What became of each goal.
     pub fn landings(&self) -> Vec<Landing> {
         let mut landings = self.landings.clone();

@@ -14,8 +14,8 @@
 
 use ocp::Budget;
 use shared_types::{
-    Alarm, Blocking, Command, CommandKind, Level, MAX_OBSTACLES, Obstacles, PLAN_NODES, PlanNode, Pose,
-    StopReason,
+    Alarm, Blocking, Command, CommandKind, GivenGoal, Level, MAX_OBSTACLES, Obstacles, PLAN_NODES, PlanNode,
+    Pose, StopReason,
 };
 use vehicle::{Control, Goal, Invalid, State};
 
@@ -61,6 +61,8 @@ pub struct Controller {
     /// The settings, with the goal that the robot drives to.
     config: ControllerConfig,
     goals: Vec<Goal>,
+    /// The first scan of the given goal that is among `goals`; 0 while none is.
+    given_from: u64,
     search: Search,
     planner: Planner,
     state: ControllerState,
@@ -83,6 +85,7 @@ impl Controller {
         reference_path.set_line(0.0, config.goal.y_m, config.cruise_mps);
         Ok(Self {
             goals: std::iter::once(config.goal).chain(config.next_goals.iter().copied()).collect(),
+            given_from: 0,
             search: Search::default(),
             planner: Planner::new(&config),
             state: ControllerState::default(),
@@ -125,12 +128,21 @@ impl Controller {
         }
     }
 
+    /// Gives a goal that counts from its scan on; one that is not newer than the last is no other.
+    pub fn give(&mut self, goal: &GivenGoal) {
+        if goal.is_newer(&self.state.given) {
+            self.state.given = *goal;
+        }
+    }
+
     /// Starts without the state of the controller before: stops the robot, then plans afresh.
     ///
     /// At rest nothing of the lost state matters: sides are chosen anew, the last controls are zero, and a landed
     /// robot lands again.
     pub fn start_in_stop(&mut self) {
-        self.state = ControllerState { arrival: Arrival::StateLost.wire(), ..ControllerState::default() };
+        let ControllerState { given, .. } = self.state;
+        self.state =
+            ControllerState { arrival: Arrival::StateLost.wire(), given, ..ControllerState::default() };
     }
 
     /// The command for one scan. `solve_ns` and the stamps of the header are left to the caller.
@@ -142,6 +154,7 @@ impl Controller {
             ..Command::default()
         };
         let period_s = self.period(pose);
+        self.heed_goal(obstacles.header.scan_id);
         self.config.goal = self.goals[self.goal_index()];
         self.state.acquired_ns = pose.header.acquired_ns;
         match self.decide(pose, obstacles, period_s, budget, &mut command) {
@@ -353,6 +366,26 @@ impl Controller {
     /// Which goal the robot drives to, or stands at.
     fn goal_index(&self) -> usize {
         usize::try_from(self.state.goal).map_or(0, |index| index.min(self.goals.len() - 1))
+    }
+
+    /// Puts the given goal in its place from its scan on. A robot that stood at the one before drives again.
+    fn heed_goal(&mut self, scan_id: u64) {
+        let given = self.state.given;
+        if given.from_scan <= self.given_from || scan_id < given.from_scan {
+            return;
+        }
+        self.given_from = given.from_scan;
+        let index = usize::try_from(given.index).unwrap_or(usize::MAX);
+        let Some(goal) = self.goals.get_mut(index) else { return };
+        let replaced = std::mem::replace(goal, goal_of(&given));
+        let arrival = self.state.arrival();
+        // A successor that finds the goal in its settings has nothing to leave.
+        if index == self.goal_index()
+            && replaced != self.goals[index]
+            && matches!(arrival, Arrival::Landed | Arrival::Passed)
+        {
+            (self.state.arrival, self.state.rested_ns) = (Arrival::OnTheWay.wire(), 0);
+        }
     }
 
     /// Stays at a goal as long as it demands, then drives to the next one; at the last one for good.
@@ -608,6 +641,13 @@ impl Controller {
         (state.velocity_mps, state.steering_rad) = (0.0, 0.0);
         state.plan_length = 0;
     }
+}
+
+/// A given goal as one of the settings.
+fn goal_of(given: &GivenGoal) -> Goal {
+    let GivenGoal { x_m, y_m, tolerance_m, yaw_rad, yaw_tolerance_rad, stay_s, .. } = *given;
+    let yaw_rad = (given.has_yaw == 1).then_some(yaw_rad);
+    Goal { x_m, y_m, tolerance_m, yaw_rad, yaw_tolerance_rad, stay_s }
 }
 
 /// Slows down along a path that was searched for the slowest speed, only where the margin of a faster one does not fit.

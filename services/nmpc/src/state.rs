@@ -1,6 +1,6 @@
 //! State of the controller that its successor continues from.
 
-use shared_types::{PLAN_NODES, PlanNode, plain_state};
+use shared_types::{GivenGoal, PLAN_NODES, PlanNode, plain_state};
 
 use crate::side::Sides;
 use crate::smoothing::SmoothedEllipses;
@@ -72,6 +72,8 @@ plain_state! {
         pub sides: Sides,
         /// Ellipses of the last scan
         pub ellipses: SmoothedEllipses,
+        /// The goal that was given last while driving
+        pub given: GivenGoal,
         /// The last verified plan, on the course
         pub plan: [PlanNode; PLAN_NODES],
     }

@@ -12,8 +12,9 @@ use bytemuck::Pod;
 use iceoryx2::prelude::{Node, ipc};
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Actuation, Checkpoint, Described, Device, DeviceState, Directive, Heartbeat, Journal, JournalKind,
-    KnownScan, LayoutRow, Layouts, Phase, ProcessState, Role, Sample, SampleType, StageStamps, Topic,
+    Actuation, Checkpoint, Described, Device, DeviceState, Directive, Header, Heartbeat, Journal,
+    JournalKind, KnownScan, LayoutRow, Layouts, Phase, ProcessState, Role, Sample, SampleType, StageStamps,
+    Topic,
 };
 
 use self::waiting::Need;
@@ -212,6 +213,11 @@ impl Process {
     /// Notes in the journal what outputs follow from and no sample shows.
     pub fn note(&self, kind: JournalKind, value: u64) {
         self.shared.notes.note(kind, value);
+    }
+
+    /// Notes in the journal that the newest directive, which has this header, was taken.
+    pub(crate) fn note_taken(&self, directive: &Header) {
+        self.shared.notes.note_sample(JournalKind::Taken, Topic::Directive, directive);
     }
 
     /// The newest directive; its `stop` is 1 also when [`Process::must_stop`].

@@ -126,6 +126,9 @@ struct Runner<'s> {
     output: Enclosed<Rc<Writer>>,
     output_type: &'static SampleType,
     holds_wheels: bool,
+    takes_goals: bool,
+    /// The first scan of the goal that was handed over last.
+    goal_scan: u64,
     /// The scan of what was noted last.
     noted: u64,
     /// The scan that was answered last.
@@ -151,6 +154,8 @@ impl<'s> Runner<'s> {
             output,
             output_type: shape.output,
             holds_wheels: shape.holds_wheels,
+            takes_goals: shape.takes_goals,
+            goal_scan: 0,
             noted: 0,
             answered: 0,
             dropped: 0,
@@ -221,8 +226,16 @@ impl<'s> Runner<'s> {
         process.wait_preparing(deadline_ns, &mut prepare)
     }
 
-    /// Tells the stage to stop or to continue, and that samples were dropped.
+    /// Tells the stage to stop or to continue, which goal was given, and that samples were dropped.
     fn follow_directive(&mut self) -> Result<(), RuntimeError> {
+        if self.takes_goals {
+            let directive = self.process.directive();
+            if directive.goal.from_scan > self.goal_scan {
+                self.goal_scan = directive.goal.from_scan;
+                self.process.note_taken(&directive.header);
+                self.stage.take(AnySample::of(&directive), self.process.clock().now_ns());
+            }
+        }
         if self.holds_wheels {
             match (self.process.directive().stop == 1, self.stage.is_stopped()) {
                 (true, false) => self.follow(StageEvent::Stopped(self.process.clock().now_ns()))?,

@@ -68,6 +68,12 @@ impl Goals {
         self.goals.last().copied().unwrap_or_default()
     }
 
+    /// Those from one on, at least the last.
+    pub fn left(&self, index: usize) -> Self {
+        let index = index.min(self.goals.len() - 1);
+        Self { goals: self.goals[index..].to_vec(), ..self.clone() }
+    }
+
     /// Its key in messages.
     pub fn key(&self, index: usize) -> String {
         if self.is_list { format!("goal[{index}]") } else { "goal".to_owned() }

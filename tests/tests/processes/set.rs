@@ -112,6 +112,44 @@ fn what_a_setting_is_meant_to_change_is_no_disagreement() {
 }
 
 #[test]
+fn a_goal_changes_while_the_robot_drives_and_no_process_is_swapped() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        system.start(&["free", "--record"]);
+        system
+            .wait_until("the robot drives", |system| system.status().is_some_and(|status| status.scan > 15));
+        let old = system.pid(Role::Controller);
+        for (arguments, reason) in [
+            (&["goal.x_m=0.5"][..], "m further on than the robot"),
+            (&["goal.y_m=40"], "goal.y_m = 40 is not allowed: "),
+            (&["goal.x_m=7", "controller.cruise_mps=0.9"], "set goals alone"),
+        ] {
+            let output = system.run(&[&["set"], arguments].concat());
+            let text = String::from_utf8_lossy(&output.stderr).into_owned();
+            assert!(output.status.code() == Some(2) && text.contains(reason), "{arguments:?}: {text}");
+        }
+        let output = system.run(&["set", "--json", "goal.x_m=6", "goal.y_m=0.3"]);
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        let set: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        let from_scan = set["from_scan"].as_u64().unwrap();
+        // A controller that starts again has it among its settings.
+        kill_controller(&system);
+        assert_ne!(system.pid(Role::Controller), old);
+        assert_eq!(system.wait().code(), Some(0));
+        let report = system.report();
+        let [.., [_, x_m, y_m, _]] = report.trajectory[..] else { panic!("{report:?}") };
+        assert!((x_m - 6.0).hypot(y_m - 0.3) < 0.1, "({x_m}, {y_m})");
+        let [change] = report.goal_changes[..] else { panic!("{:?}", report.goal_changes) };
+        assert_eq!((change.from_scan, change.x_m, change.y_m), (from_scan, 6.0, 0.3));
+        assert_eq!(report.swaps, []);
+        let recording = report.recording.unwrap().file;
+        let replayed = system.run(&["replay", recording.to_str().unwrap()]);
+        assert_eq!(replayed.status.code(), Some(0), "{replayed:?}");
+        system.assert_nothing_left();
+    });
+}
+
+#[test]
 fn what_is_not_allowed_is_named_with_the_reason() {
     repeat_when_late(|| {
         let mut system = TestSystem::new(EXECUTABLE);

@@ -73,6 +73,13 @@ impl Taking<'_> {
             Some(Topic::Obstacles) => self.give_from(&drive.obstacles, waiting, now_ns, stage),
             Some(Topic::Command) => self.give_from(&drive.commands, waiting, now_ns, stage),
             Some(Topic::Actuation) => self.give_from(&drive.actuations, waiting, now_ns, stage),
+            Some(Topic::Directive) => {
+                // The scans of a goal are the same on all hosts.
+                let Waiting { entry, .. } = waiting;
+                let taken = drive.directives.of_number(entry.incarnation, entry.value);
+                stage.take(AnySample::of(taken.ok_or(Missing::Input)?), now_ns);
+                Ok(())
+            }
             _ => Err(Missing::Input),
         }
     }

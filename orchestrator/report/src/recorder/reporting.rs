@@ -36,8 +36,9 @@ impl Recorder {
 
     /// The report of the run.
     pub fn report(&self, result: &RunResult) -> Report {
-        // The figures are of a line along x to one goal.
-        let is_line = self.info.course.is_none() && self.info.goals.all().len() == 1;
+        // The figures are of a line along x to one goal, known from the start.
+        let is_line =
+            self.info.course.is_none() && self.info.goals.all().len() == 1 && self.goal_changes.is_empty();
         let has_ride = self.estimated.is_none() && is_line;
         Report {
             schema: SCHEMA,
@@ -62,6 +63,7 @@ impl Recorder {
             margin_m: self.margins.means(),
             ride: has_ride.then(|| measure(&self.ride.drive(), &self.info.goals.last())),
             goals: result.goals.clone(),
+            goal_changes: self.goal_changes.clone(),
             scanner: self.scanner.report(),
             blocking: self.blocking.map(|(blocking, _)| blocking.into()),
             differences: Vec::new(),

@@ -32,6 +32,20 @@ impl fmt::Display for RecordingReport {
     }
 }
 
+/// A goal that changed while the robot drove.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct GoalChange {
+    /// The first scan for which it counted.
+    pub from_scan: u64,
+    /// Which goal of the drive, from 0.
+    pub goal: usize,
+    /// Where it is since [m].
+    pub x_m: f64,
+    /// Where it is since [m].
+    pub y_m: f64,
+}
+
 /// The clearance that the driven plans kept, as the mean of each part over all commands that drive [m].
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]

@@ -37,6 +37,11 @@ pub enum Request {
     },
     /// Replace one process by another.
     Swap(SwapRequest),
+    /// Change keys of a goal.
+    Goal {
+        /// `KEY=VALUE` each.
+        set: Vec<String>,
+    },
     /// Ask for the certificate of a swap.
     SwapResult {
         /// Its number, from [`Reply::Accepted`].

@@ -4,8 +4,9 @@ use audit::digest::Digests;
 use audit::samples::ScanRecord;
 use emulator::referee::Landing;
 use emulator::{EstimatedScan, Referee, Scenario};
-use report::Outcome;
 use report::recorder::{Recorder, RunInfo};
+use report::{GoalChange, Outcome};
+use vehicle::Goal;
 
 use crate::startup::RunOptions;
 
@@ -20,8 +21,19 @@ pub(crate) struct Recording {
     lockstep: bool,
     duration_s: Option<f64>,
     period_ns: u64,
+    /// A goal that counts from its scan on.
+    awaited: Option<AwaitedGoal>,
     /// Receives every recorded scan: for benches.
     pub(crate) observer: Option<ScanObserver>,
+}
+
+/// A goal that counts from its scan on.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct AwaitedGoal {
+    pub(super) change: GoalChange,
+    pub(super) goal: Goal,
+    /// Where it is on the course [m].
+    pub(super) along_m: f64,
 }
 
 impl Recording {
@@ -50,8 +62,24 @@ impl Recording {
             lockstep: options.lockstep,
             duration_s: options.duration_s,
             period_ns,
+            awaited: None,
             observer: None,
         }
+    }
+
+    /// Whether a goal was given that does not count yet.
+    pub(super) fn awaits_goal(&self) -> bool {
+        self.awaited.is_some()
+    }
+
+    /// From a scan on another goal counts.
+    pub(super) fn change_goal(&mut self, goal: AwaitedGoal) {
+        self.awaited = Some(goal);
+    }
+
+    /// Number of goals that were reached.
+    pub(super) fn reached(&self) -> usize {
+        self.referee.reached()
     }
 
     /// What became of each goal.
@@ -96,6 +124,12 @@ impl Recording {
 
     /// How the run ends and why, if this scan, which was added, decides it.
     pub(super) fn judge(&mut self, scan: &ScanRecord) -> Option<(Outcome, String)> {
+        if let Some(AwaitedGoal { change, goal, along_m }) =
+            self.awaited.take_if(|awaited| scan.header.scan_id >= awaited.change.from_scan)
+        {
+            self.referee.change_goal(change.goal, goal, along_m);
+            self.recorder.change_goal(change, goal);
+        }
         let time_s = self.recorder.duration_s();
         let decided = match &scan.truth {
             Some(truth) => self.referee.observe(truth, self.recorder.last_actuation()),

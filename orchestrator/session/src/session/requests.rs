@@ -9,6 +9,7 @@ use supervision::supervisor::Event;
 
 use super::Session;
 use super::candidates::Live;
+use super::goals::GoalParts;
 use super::injection::inject;
 use super::swaps::Changed;
 use crate::companion_swaps::CompanionSwaps;
@@ -23,8 +24,11 @@ impl Session {
         let now_ns = monotonic_ns();
         let stopped = !self.run.stop_word.is_armed();
         let (mut restarts, mut injected, mut is_stop) = (Vec::new(), Vec::new(), false);
+        let (mut notes, drives) = (Vec::new(), self.drives());
         let status = Reply::Status(Box::new(self.status()));
         let Self { control, swaps, shadows, companions, fleet, supervisor, run, .. } = self;
+        let Self { recording, samples, directives, .. } = self;
+        let mut goals = GoalParts { run, recording, samples, directives };
         let live = |role| Live::of(role, fleet, supervisor, &run.hosts);
         control.serve(|request| match request {
             Request::Status => status.clone(),
@@ -33,6 +37,7 @@ impl Session {
             | Request::Restart { .. }
             | Request::Inject { .. }
             | Request::ReplaceCompanion { .. }
+            | Request::Goal { .. }
                 if stopped =>
             {
                 Reply::Refused("the run was stopped".to_owned())
@@ -69,6 +74,19 @@ impl Session {
             Request::SwapResult { number } if CompanionSwaps::is_of_companion(number) => {
                 companions.swaps().result(number)
             }
+            Request::Goal { .. } if !drives => {
+                Reply::Refused("a goal is set while the system drives: it does not".to_owned())
+            }
+            Request::Goal { .. } if swaps.concern(Role::Controller) => {
+                Reply::Refused("controller is being swapped: wait for the certificate".to_owned())
+            }
+            Request::Goal { set } => match goals.change(&set) {
+                Ok((from_scan, text)) => {
+                    notes.push(text);
+                    Reply::Accepted(from_scan)
+                }
+                Err(reason) => Reply::Refused(reason),
+            },
             Request::Inject { .. } if run.lockstep => Reply::Refused(
                 "faults are injected into runs in real time; `scanloop faults` has them in simulated time"
                     .to_owned(),
@@ -110,6 +128,7 @@ impl Session {
         for text in injected {
             self.warn(&text);
         }
+        notes.iter().for_each(|text| self.note(text));
         restarts.into_iter().try_for_each(|role| self.handle(Event::RestartRequested { role }))
     }
 }

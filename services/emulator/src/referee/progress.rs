@@ -37,6 +37,11 @@ impl Progress {
         self.along_m = if is_near { near.x } else { course.find(&pose) };
     }
 
+    /// From now on a goal is elsewhere [m].
+    pub(super) fn change_goal(&mut self, index: usize, along_m: f64) {
+        self.goals_m.get_mut(index).into_iter().for_each(|place| *place = along_m);
+    }
+
     /// Length of the course before a goal that is not driven yet, zero near the goal [m].
     pub(super) fn left_m(&self, goal: usize) -> f64 {
         let left_m = self.goals_m.get(goal).map_or(0.0, |goal_m| goal_m - self.along_m);

@@ -286,3 +286,43 @@ fn the_last_rung_is_a_stop_also_after_a_stop() {
     let command = case.step(&mut controller, 4, &BUDGET);
     assert_eq!(command.kind, CommandKind::Drive.wire(), "a good plan is driven again");
 }
+
+/// A pose on the line with nothing in the way, in a scan every 0.1 s.
+fn seen(scan_id: u64, x_m: f64, speed_mps: f64) -> (Pose, Obstacles) {
+    let header = shared_types::Header { scan_id, acquired_ns: scan_id * 100_000_000, ..Default::default() };
+    let scanner = ScannerHealth::default();
+    let pose = Pose {
+        header,
+        x_m,
+        speed_mps,
+        predicted_x_m: x_m,
+        predicted_speed_mps: speed_mps,
+        predicted_ns: header.acquired_ns,
+        ..Pose::default()
+    };
+    (pose, Obstacles { header, scanner, ..Obstacles::default() })
+}
+
+#[test]
+fn a_given_goal_counts_from_its_scan_on_also_for_a_successor() {
+    let given = GivenGoal { from_scan: 5, x_m: 3.0, tolerance_m: 0.1, ..GivenGoal::default() };
+    let lands = |controller: &mut Controller, scan_id| {
+        let (pose, obstacles) = seen(scan_id, 2.999, 0.1);
+        controller.step(&pose, &obstacles, &BUDGET).kind == CommandKind::Land.wire()
+    };
+    let mut controller = Controller::new(ControllerConfig::default()).unwrap();
+    controller.give(&given);
+    assert!(!lands(&mut controller, 4), "at 10 m is the goal still");
+    let mut successor = Controller::new(ControllerConfig::default()).unwrap();
+    successor.resume(&controller.state());
+    assert!(lands(&mut controller, 5) && lands(&mut successor, 5));
+    // Once more the same, or an older one, is no other.
+    controller.give(&GivenGoal { x_m: 8.0, ..given });
+    controller.give(&GivenGoal { from_scan: 4, x_m: 8.0, ..given });
+    assert!(lands(&mut controller, 6));
+    // A newer one lets a robot that has landed drive again; one that no drive has changes nothing.
+    controller.give(&GivenGoal { from_scan: 7, x_m: 8.0, ..given });
+    assert!(!lands(&mut controller, 7));
+    controller.give(&GivenGoal { from_scan: 8, index: 9, ..given });
+    assert!(!lands(&mut controller, 8));
+}
