@@ -3,14 +3,16 @@
 //! A filter with a correct model has innovations that scatter about zero. Four residuals are monitored: speed at the
 //! wheels against the speed desired (while it changes, against the range from the speed that the lag explains to the
 //! desired one), and the innovations of the filter ahead, to the left and in yaw, each in units of
-//! its expected standard deviation. The median over the last [`WINDOW`] scans decides: it ignores single outliers (a
+//! its expected standard deviation. The median over the last [`WINDOW`] pieces of time decides, each of one scan or, at fast
+//! rates, of some: it ignores single outliers (a
 //! command that came late, a wheel that slipped), and with a correct model it has a standard deviation of 0.28. A sudden
 //! jump is detected earlier: three measurements in a row that the gate refuses are enough.
 //!
 //! A speed is a way by a time, so stamps that jitter spread it widely, but their errors cancel over the window: the speed
 //! is suspected only if the ways of the window, summed up, differ as well.
 //!
-//! While a residual is beyond its tolerance the alarm is [`Alarm::Slow`]. When that has lasted for [`TIMEOUT_S`], or the
+//! While a residual is beyond its tolerance the alarm is [`Alarm::Slow`]. When that has lasted for [`TIMEOUT_S`] of time
+//! that shows something (a speed that is too slow to tell anything does not count), or the
 //! estimate had to restart from refused measurements, it is [`Alarm::Stop`] and stays: the position is not known then.
 //!
 //! Assumptions: the noise is at most that of R (less noise delays the detection, more causes false alarms); the speed
@@ -19,8 +21,11 @@
 
 use shared_types::{Alarm, Suspect, plain_state};
 
-/// Scans that a median is taken over.
+/// Pieces of time that a median is taken over.
 pub const WINDOW: usize = 20;
+
+/// A piece ends with the scan nearest to this time [s]: the window is 1.5 s long at least, and of one scan each at 10 Hz.
+const PIECE_S: f64 = 0.08;
 
 /// Share by which the median of the speed may differ from the one desired. A worn drive is up to 5 % off, which is
 /// tolerated; an error of kv by 10 % is to be detected.
@@ -64,8 +69,12 @@ plain_state! {
         pub count: [u64; RESIDUALS],
         /// Measurements refused in a row
         pub refused: u64,
-        /// Since when the alarm lasts [ns]
-        pub since_ns: u64,
+        /// For how long the alarm has lasted while the scans told something of what is suspected [ns]
+        pub lasted_ns: u64,
+        /// Piece of the speed that has begun: its time [s], its way, and how much longer the way is than the right one [m]
+        pub piece: [f64; 3],
+        /// Piece of the innovations that has begun: its time [s]
+        pub innovation_s: f64,
         /// What is suspected, `Suspect`
         pub suspect: u32,
         /// What the robot should do, `Alarm`
@@ -111,15 +120,28 @@ impl Evidence {
 impl SelfCheckState {
     /// Takes the evidence of one scan and decides about the alarm.
     pub fn observe(&mut self, evidence: &Evidence) {
-        if let Some((residual, way_m)) = evidence.speed_residual() {
-            self.way_m[self.slot(SPEED)] = way_m;
-            self.push(SPEED, residual);
+        let speed = evidence.speed_residual();
+        if let Some((residual, way_m)) = speed {
+            let [time_s, sum_m, excess_m] = self.piece;
+            self.piece = [time_s + evidence.dt_s, sum_m + way_m, excess_m + residual * way_m];
+            if ends(self.piece[0], evidence.dt_s) {
+                let [_, sum_m, excess_m] = std::mem::take(&mut self.piece);
+                // A scan at the time of the one before shows no way.
+                let residual = if sum_m > 0.0 { excess_m / sum_m } else { residual };
+                self.way_m[self.slot(SPEED)] = sum_m;
+                self.push(SPEED, residual);
+            }
         }
         // At standstill odometry measures no motion, so it is no evidence.
-        if let Some([ahead, left, yaw]) = evidence.innovation.filter(|_| evidence.speed_mps > 0.0) {
-            self.push(AHEAD, ahead);
-            self.push(LEFT, left);
-            self.push(YAW, yaw);
+        let innovation = evidence.innovation.filter(|_| evidence.speed_mps > 0.0);
+        if let Some([ahead, left, yaw]) = innovation {
+            self.innovation_s += evidence.dt_s;
+            if ends(self.innovation_s, evidence.dt_s) {
+                self.innovation_s = 0.0;
+                self.push(AHEAD, ahead);
+                self.push(LEFT, left);
+                self.push(YAW, yaw);
+            }
         }
         self.refused = if evidence.refused { self.refused + 1 } else { 0 };
         let suspect = if evidence.restarted || self.refused >= JUMP {
@@ -127,7 +149,14 @@ impl SelfCheckState {
         } else {
             self.drifted()
         };
-        self.decide(suspect, evidence);
+        let is_told = |suspect| match suspect {
+            Suspect::VelocityFactor => speed.is_some(),
+            Suspect::OdometryLateral | Suspect::OdometryLongitudinal | Suspect::Steering => {
+                innovation.is_some()
+            }
+            _ => true,
+        };
+        self.decide(suspect, evidence, is_told);
     }
 
     /// What is suspected.
@@ -140,7 +169,7 @@ impl SelfCheckState {
         Alarm::try_from(self.alarm).unwrap_or(Alarm::Stop)
     }
 
-    fn decide(&mut self, suspect: Suspect, evidence: &Evidence) {
+    fn decide(&mut self, suspect: Suspect, evidence: &Evidence, is_told: impl Fn(Suspect) -> bool) {
         if self.alarm() == Alarm::Stop {
             return;
         }
@@ -152,12 +181,14 @@ impl SelfCheckState {
             return;
         }
         if self.alarm() == Alarm::None {
-            self.since_ns = evidence.acquired_ns;
+            self.lasted_ns = 0;
             // The first residual beyond its tolerance shows the cause; others may follow from it.
             self.suspect = suspect.wire();
             self.alarm = Alarm::Slow.wire();
+        } else if is_told(self.suspect()) {
+            self.lasted_ns = self.lasted_ns.saturating_add((evidence.dt_s * 1e9).round() as u64);
         }
-        let lasted_s = evidence.acquired_ns.saturating_sub(self.since_ns) as f64 * 1e-9;
+        let lasted_s = self.lasted_ns as f64 * 1e-9;
         if evidence.restarted || lasted_s >= TIMEOUT_S {
             self.alarm = Alarm::Stop.wire();
         }
@@ -207,6 +238,11 @@ impl SelfCheckState {
         self.residuals[residual][self.slot(residual)] = value;
         self.count[residual] += 1;
     }
+}
+
+/// Whether a piece of time that has got so long ends with a scan that came `dt_s` after the one before.
+fn ends(piece_s: f64, dt_s: f64) -> bool {
+    piece_s + dt_s / 2.0 >= PIECE_S
 }
 
 /// Which part of a pose jumped.
@@ -279,6 +315,29 @@ mod tests {
         };
         assert_eq!(drive(1.0), (Alarm::None, Suspect::None));
         assert_eq!(drive(0.9), (Alarm::Stop, Suspect::VelocityFactor));
+    }
+
+    #[test]
+    fn at_a_fast_rate_half_a_second_of_braking_is_no_wrong_factor() {
+        for rate_hz in [35.0, 40.0, 100.0, 1000.0] {
+            let mut check = SelfCheckState::default();
+            let mut alarms = |seconds: f64, evidence: Evidence| {
+                let scans = (seconds * rate_hz) as usize;
+                let each = Evidence { dt_s: 1.0 / rate_hz, ..evidence };
+                (0..scans).map(|_| (check.observe(&each), check.alarm()).1).max_by_key(|alarm| alarm.wire())
+            };
+            assert_eq!(alarms(4.0, GOOD), Some(Alarm::None));
+            // Faster than it should be while it brakes; then too slow to tell anything, for longer than the alarm may last.
+            let braking = Evidence { speed_mps: 0.2, desired_mps: Some(0.17), expected_mps: 0.18, ..GOOD };
+            let creeping = Evidence { speed_mps: 0.1, desired_mps: Some(0.1), expected_mps: 0.1, ..GOOD };
+            assert_eq!(alarms(0.5, braking), Some(Alarm::None), "{rate_hz}");
+            assert_eq!(alarms(5.0, creeping), Some(Alarm::None), "{rate_hz}");
+            // A wrong factor slows, and stops when it has been shown for long enough.
+            let wrong = Evidence { speed_mps: 0.81, ..GOOD };
+            assert_eq!(alarms(2.0, wrong), Some(Alarm::Slow), "{rate_hz}");
+            assert_eq!(alarms(5.0, creeping), Some(Alarm::Slow), "{rate_hz}: no time with evidence");
+            assert_eq!(alarms(2.1, wrong), Some(Alarm::Stop), "{rate_hz}");
+        }
     }
 
     #[test]

@@ -65,6 +65,8 @@ impl EstimatorState {
         finite("correction", bytemuck::cast_ref::<_, [f64; 9]>(&self.correction))?;
         let residuals: &[f64; 4 * WINDOW] = bytemuck::cast_ref(&self.self_check.residuals);
         finite("self_check", residuals)?;
+        finite("self_check", &self.self_check.piece)?;
+        finite("self_check", &[self.self_check.innovation_s])?;
         let motion = &self.motion;
         let MotionState { speed_mps, expected_mps, steering_rad, sideslip_rad, yaw_rate_radps, .. } = *motion;
         finite("motion", &[speed_mps, expected_mps, steering_rad, sideslip_rad, yaw_rate_radps])?;
