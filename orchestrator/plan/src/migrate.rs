@@ -33,6 +33,7 @@ pub fn migrate(text: &str) -> Result<Migration, String> {
     let (mut changes, mut taken) = (Vec::new(), Taken::default());
     let stages: Vec<String> = document.iter().map(|(name, _)| name.to_owned()).collect();
     for name in stages {
+        taken.in_lines = document.get(&name).is_some_and(Item::is_table);
         let Some(stage) = document.get_mut(&name).and_then(Item::as_table_like_mut) else { continue };
         // Keys follow each other in their new place as they did in the old one.
         let keys: Vec<String> = stage.iter().map(|(key, _)| key.to_owned()).collect();
@@ -58,8 +59,8 @@ pub fn migrate(text: &str) -> Result<Migration, String> {
         if text.contains("\r\n") { new.replace("\r\n", "\n").replace('\n', "\r\n") } else { new }
     };
     let text = if changes.is_empty() { text.to_owned() } else { rewritten() };
-    let after = vehicle::parse(&text)?;
-    if meaning(before)? != meaning(after)? {
+    let before = meaning(before)?;
+    if !vehicle::parse(&text).and_then(meaning).is_ok_and(|after| after == before) {
         return Err("the rewritten file would mean something else; move its old keys by hand".to_owned());
     }
     Ok(Migration { text, changes })
@@ -71,6 +72,8 @@ pub fn migrate(text: &str) -> Result<Migration, String> {
 struct Taken {
     row: usize,
     rows: BTreeMap<String, usize>,
+    /// Whether the stage is written in lines, not as a table in one line.
+    in_lines: bool,
 }
 
 impl Taken {
@@ -102,6 +105,9 @@ fn take(table: &mut dyn TableLike, key: &str) -> Option<(Key, Item)> {
 fn move_to(table: &mut dyn TableLike, place: &[&str], key: &Key, item: Item, taken: &mut Taken, path: &str) {
     let [name, rest @ ..] = place else { return };
     let path = format!("{path}.{name}");
+    if taken.in_lines && (!rest.is_empty() || item.is_table_like()) {
+        spread(table, name);
+    }
     if let [_, ..] = rest {
         if !table.contains_key(name) {
             let inner = empty_like(table);
@@ -122,6 +128,9 @@ fn move_to(table: &mut dyn TableLike, place: &[&str], key: &Key, item: Item, tak
                 else {
                     continue;
                 };
+                if taken.in_lines {
+                    without_blanks(&mut key, &mut item);
+                }
                 if let Some(lead) = lead.as_ref().filter(|_| index == 0) {
                     key.leaf_decor_mut().set_prefix(lead.clone());
                 }
@@ -169,6 +178,46 @@ fn take_header(there: &mut Item, from: &Item) -> bool {
         there.set_position(from.position());
     }
     takes
+}
+
+/// A table in one line becomes one of lines, because those that come to it may have comments. One with comments inside
+/// stays: they have no place among lines.
+fn spread(table: &mut dyn TableLike, name: &str) {
+    let Some((key, item)) = table.get_key_value(name) else { return };
+    let [lead, trail] = comments(key, item);
+    let Item::Value(Value::InlineTable(inline)) = item else { return };
+    let mut inline = inline.clone();
+    inline.decor_mut().clear();
+    if inline.to_string().contains('#') || inline.is_empty() && (lead.is_some() || trail.is_some()) {
+        return;
+    }
+    let mut lines = inline.into_table();
+    lines.set_dotted(true);
+    let names: Vec<String> = lines.iter().map(|(name, _)| name.to_owned()).collect();
+    if let (Some(lead), Some(mut first)) = (lead, names.first().and_then(|name| lines.key_mut(name))) {
+        first.leaf_decor_mut().set_prefix(lead);
+    }
+    if let (Some(trail), Some(last)) =
+        (trail, names.last().and_then(|name| lines.get_mut(name)?.as_value_mut()))
+    {
+        last.decor_mut().set_suffix(trail);
+    }
+    table.insert(name, Item::Table(lines));
+}
+
+/// Takes away the blanks that a key and its value had in a table in one line.
+fn without_blanks(key: &mut Key, item: &mut Item) {
+    let is_blank = |text: Option<&RawString>| {
+        text.and_then(RawString::as_str).is_some_and(|text| text.trim().is_empty())
+    };
+    if is_blank(key.leaf_decor().prefix()) {
+        key.leaf_decor_mut().set_prefix("");
+    }
+    if let Item::Value(value) = item
+        && is_blank(value.decor().suffix())
+    {
+        value.decor_mut().set_suffix("");
+    }
 }
 
 /// The comments before and behind the name of a table, which goes into another one.
@@ -245,6 +294,31 @@ mod tests {
         assert!(
             changes[0].starts_with("controller.body_length_m ")
                 && changes[3].starts_with("controller.bounds ")
+        );
+    }
+
+    #[test]
+    fn a_key_with_a_comment_goes_into_a_table_in_one_line() {
+        for (key, expected) in [
+            ("parameters", "vehicle.mass_kg = 20 # scales\n# with bumpers\nvehicle.width_m = 0.5 # tape\n"),
+            ("vehicle", "vehicle.mass_kg = 20 # scales\n# with bumpers\nvehicle.width_m = 0.5 # tape\n"),
+        ] {
+            let first = format!("{key} = {{ mass_kg = 20 }} # scales\n");
+            let text = format!("[controller]\n{first}# with bumpers\nbody_width_m = 0.5 # tape\n");
+            assert_eq!(migrate(&text).unwrap().text, format!("[controller]\n{expected}"));
+        }
+        let text = "[controller]\nbody_length_m = 0.7 # tape\nparameters = { width_m = 0.5, mass_kg = 20 } # scales\n";
+        let expected = "[controller]\n\n[controller.vehicle]\nlength_m = 0.7 # tape\nwidth_m = 0.5\nmass_kg = 20 # scales\n";
+        assert_eq!(migrate(text).unwrap().text, expected);
+        // Comments inside stay there, and one that has no place in the new text is not dropped.
+        let of = |first: &str| {
+            migrate(&format!("[controller]\nparameters = {first}\nbody_width_m = 0.5 # tape\n"))
+        };
+        let inside = of("{ # first\n mass_kg = 20, # scales\n}").unwrap().text;
+        assert!(["# first", "# tape", "# scales"].iter().all(|comment| inside.contains(comment)), "{inside}");
+        assert!(
+            of("{} # none").unwrap_err().contains("by hand")
+                || of("{} # none").unwrap().text.contains("# none")
         );
     }
 

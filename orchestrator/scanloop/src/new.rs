@@ -68,8 +68,9 @@ pub struct NewArguments {
 pub(crate) fn new(arguments: &NewArguments) -> anyhow::Result<Exit> {
     let NewArguments { name, lang, role, source } = arguments;
     let template = template::find(*lang, *role).ok_or_else(|| no_template(*lang, *role))?;
-    if !is_name(name) || template.uses_crate(name) {
-        let taken = if is_name(name) { ", and no crate that the program uses" } else { "" };
+    if !is_name(name) || template.uses_name(name) {
+        let taken =
+            if is_name(name) { ", and no crate that the program uses or folder of Cargo" } else { "" };
         return Err(Failure::bad_input(format!("NAME = {name} is not allowed: {NAME_RULE}{taken}")));
     }
     let folder = Path::new(name);

@@ -2,6 +2,9 @@
 
 use super::{Language, ProjectRole};
 
+/// Names that Cargo allows no program.
+const FOLDERS_OF_CARGO: [&str; 4] = ["build", "deps", "examples", "incremental"];
+
 /// A project.
 pub(super) struct Template {
     pub lang: Language,
@@ -34,10 +37,11 @@ impl File {
 }
 
 impl Template {
-    /// Whether the program uses a crate of that name, which it then can't have itself.
-    pub(super) fn uses_crate(&self, name: &str) -> bool {
+    /// Whether a program of that name can't be built: it uses a crate of the name, or Cargo a folder beside the program.
+    pub(super) fn uses_name(&self, name: &str) -> bool {
         let manifest = self.files.iter().find(|file| file.path == "Cargo.toml");
-        manifest.is_some_and(|file| file.text.lines().any(|line| line.starts_with(&format!("{name} = "))))
+        let is_crate = |line: &str| line.starts_with(&format!("{name} = "));
+        manifest.is_some_and(|file| FOLDERS_OF_CARGO.contains(&name) || file.text.lines().any(is_crate))
     }
 
     /// What a user types next.
@@ -275,7 +279,10 @@ mod tests {
         }
         assert!(find(Language::C, ProjectRole::Companion).is_none());
         let controller = find(Language::Rust, ProjectRole::Controller).unwrap();
-        assert!(controller.uses_crate("serde") && !controller.uses_crate("my-serde"));
+        assert!(
+            ["serde", "deps"].into_iter().all(|name| controller.uses_name(name))
+                && !controller.uses_name("my-serde")
+        );
         assert!(
             controller.next_steps("mine").contains("conformance controller -- mine/target/release/mine\n")
         );
