@@ -137,10 +137,10 @@ impl Realtime {
     }
 }
 
+/// Asks the kernel itself: musl has no `sched_setscheduler`.
 fn set_scheduler(pid: u32, policy: i32, priority: u32) -> std::io::Result<()> {
-    let parameters = libc::sched_param { sched_priority: priority.cast_signed() };
-    // SAFETY: the kernel reads the parameters during the call and keeps no pointer to them.
-    let result = unsafe { libc::sched_setscheduler(pid.cast_signed(), policy, &raw const parameters) };
+    // SAFETY: the kernel's parameters are the priority alone; it reads it during the call and keeps no pointer to it.
+    let result = unsafe { libc::syscall(libc::SYS_sched_setscheduler, pid, policy, &raw const priority) };
     if result == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) }
 }
 
