@@ -120,7 +120,10 @@ impl ChangedGoal {
                 ));
             }
         }
-        let start = Start { x_m: pose.x_m, y_m: pose.y_m, yaw_rad: pose.yaw_rad };
+        // Until the goal counts the robot drives on.
+        let (on_m, (sin, cos)) = (pose.speed_mps * drive.notice_s, pose.yaw_rad.sin_cos());
+        let (x_m, y_m) = (pose.x_m + on_m * cos, pose.y_m + on_m * sin);
+        let start = Start { x_m, y_m, yaw_rad: pose.yaw_rad };
         let left = Scenario { start, goal: goals.left(drive.reached), ..scenario.clone() };
         require_goals(&left, &tuning.controller).map_err(|invalid| renamed(invalid, goals, drive.reached))
     }

@@ -377,7 +377,7 @@ mod tests {
     use crate::drive::tests::{ESTIMATOR, late_actuation};
 
     /// Fields of states that end with `_ns` and hold no point in time of a clock: spans, and times since the start of a run.
-    const SPANS: [&str; 8] = [
+    const SPANS: [&str; 9] = [
         "usual_age_ns",
         "clock_ns",
         "plant_ns",
@@ -386,6 +386,7 @@ mod tests {
         "longest_blind_ns",
         "arrives_ns",
         "sweep_ns",
+        "lasted_ns",
     ];
 
     fn names(kind: &Kind, found: &mut Vec<&'static str>) {
