@@ -3,6 +3,7 @@
 
 use std::process::Output;
 
+use scanloop_tests::machine::repeat_when_late;
 use scanloop_tests::{TestSystem, system_file};
 use serde_json::Value;
 use shared_types::Role;
@@ -35,6 +36,10 @@ fn assert_nothing_unexplained(results: &Value) {
 
 #[test]
 fn the_pipeline_is_measured_and_the_files_are_those_that_tools_read() {
+    repeat_when_late(measure_the_pipeline);
+}
+
+fn measure_the_pipeline() {
     let system = TestSystem::new(EXECUTABLE);
     let (results, text) = bench(&system, &["--out", "measured"]);
     system.assert_nothing_left();
@@ -94,6 +99,10 @@ fn the_pipeline_is_measured_and_the_files_are_those_that_tools_read() {
 
 #[test]
 fn the_chain_without_compute_carries_any_payload_under_load() {
+    repeat_when_late(carry_any_payload);
+}
+
+fn carry_any_payload() {
     let system = TestSystem::new(EXECUTABLE);
     let (results, text) = bench(&system, &["--compute", "none", "--payload", "100000", "--load"]);
     system.assert_nothing_left();
