@@ -254,8 +254,8 @@ fn s_curve_is_reached() {
 }
 
 #[test]
-fn right_angle_is_reached() {
-    reach("right-angle");
+fn bend_is_reached() {
+    reach("bend");
 }
 
 #[test]

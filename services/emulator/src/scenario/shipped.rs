@@ -22,10 +22,10 @@ pub(super) const SHIPPED: &[(&str, &str)] = shipped![
     "endless",
     "thesis",
     "s-curve",
-    "right-angle",
+    "bend",
     "slalom-arc",
-    "figure-of-eight",
-    "overtaking",
+    "figure-eight",
+    "overtake",
     "intersection",
     "stations",
 ];
