@@ -113,6 +113,7 @@ enum scanloop_level {
     SCANLOOP_LEVEL_CONVERGED = 1, /* The converged and verified solution for this scan. */
     SCANLOOP_LEVEL_BEST_ITERATE = 2, /* The best verified iterate for this scan. */
     SCANLOOP_LEVEL_LAST_PLAN = 3, /* The rest of the last verified plan, verified again against the obstacles of this scan. */
+    SCANLOOP_LEVEL_PERSON = 4, /* What a person asks for, verified. */
 };
 
 /* How the optimal control problem was solved. */
@@ -138,6 +139,15 @@ enum scanloop_stop_reason {
     SCANLOOP_STOP_REASON_NO_SAFE_SPEED = 9, /* At no speed can the robot stop in time: scans are too rare or the data too old. */
     SCANLOOP_STOP_REASON_SCANNER = 10, /* The scanner is blind, stuck or contradictory: obstacles would not be seen. */
     SCANLOOP_STOP_REASON_COVERED_BY_OBSTACLE = 11, /* A described obstacle covers the robot: the obstacle detector is wrong. */
+    SCANLOOP_STOP_REASON_PAUSED = 12, /* A person has paused the drive. */
+    SCANLOOP_STOP_REASON_RELEASED = 13, /* The person who drives asks for no motion, or is silent. */
+};
+
+/* Who drives the robot. */
+enum scanloop_driven_by {
+    SCANLOOP_DRIVEN_BY_CONTROLLER = 0, /* The controller, to its goal. */
+    SCANLOOP_DRIVEN_BY_NOBODY = 1, /* The drive is paused: wheels are blocked, and all processes stay ready. */
+    SCANLOOP_DRIVEN_BY_PERSON = 2, /* A person, by what `GivenControl` says. */
 };
 
 /* What the robot is told. */
@@ -156,6 +166,9 @@ enum scanloop_block_reason {
     SCANLOOP_BLOCK_REASON_STALE_COMMAND = 5, /* The scan behind the command is too old. */
     SCANLOOP_BLOCK_REASON_STOP_REQUESTED = 6, /* The user or the orchestrator asked for a stop. */
     SCANLOOP_BLOCK_REASON_START = 7, /* Nothing has been commanded yet. */
+    SCANLOOP_BLOCK_REASON_PAUSED = 8, /* A person has paused the drive. */
+    SCANLOOP_BLOCK_REASON_RELEASED = 9, /* The person who drives is silent. */
+    SCANLOOP_BLOCK_REASON_EMERGENCY_STOP = 10, /* An emergency stop from outside is pressed, or silent. */
 };
 
 /* The rule that a dropped or refused sample failed. */
@@ -191,6 +204,7 @@ enum scanloop_journal_kind {
     SCANLOOP_JOURNAL_KIND_INJECTED = 13, /* An injected fault has changed a sample behind the process: `topic`, `incarnation`, and its sequence number in `value`. */
     SCANLOOP_JOURNAL_KIND_ALTERED = 14, /* An injected fault alters the emulated robot from now on (`value` 1), or no longer (0). */
     SCANLOOP_JOURNAL_KIND_MOVED = 15, /* The sample or state of the next entry was handed over with its times moved by `value` [ns], in two's complement. */
+    SCANLOOP_JOURNAL_KIND_EMERGENCY_STOP = 16, /* The wheels are blocked for an emergency stop, at the time `value` [ns]. */
 };
 
 /* A part of samples. */
@@ -470,6 +484,19 @@ _Static_assert(offsetof(scanloop_given_goal, yaw_tolerance_rad) == 48, "scanloop
 _Static_assert(offsetof(scanloop_given_goal, stay_s) == 56, "scanloop_given_goal.stay_s");
 
 /* A part of samples. */
+typedef struct scanloop_given_control {
+    uint64_t number; /* Ascends with each that is given */
+    uint64_t given_ns; /* When it was given [ns of the loop's clock] */
+    double velocity_mps; /* Velocity; below the smallest one of the robot it is to stand [m/s] */
+    double steering_rad; /* Steering angle [rad] */
+} scanloop_given_control;
+_Static_assert(sizeof(scanloop_given_control) == 32, "scanloop_given_control");
+_Static_assert(offsetof(scanloop_given_control, number) == 0, "scanloop_given_control.number");
+_Static_assert(offsetof(scanloop_given_control, given_ns) == 8, "scanloop_given_control.given_ns");
+_Static_assert(offsetof(scanloop_given_control, velocity_mps) == 16, "scanloop_given_control.velocity_mps");
+_Static_assert(offsetof(scanloop_given_control, steering_rad) == 24, "scanloop_given_control.steering_rad");
+
+/* A part of samples. */
 typedef struct scanloop_journal_entry {
     uint16_t kind; /* What it states, `JournalKind` */
     uint16_t topic; /* Topic of the sample, by its place in the table of topics */
@@ -658,8 +685,10 @@ typedef struct scanloop_actuation {
     double sent_steering_rad; /* Steering angle sent to the robot, after the correction [rad] */
     uint64_t refused; /* Commands refused since the start: not finite, not verified, stale, out of limits */
     uint64_t gaps; /* Gaps between scans since the start: the wheels were blocked, and the next valid command ended the block */
+    uint32_t driven_by; /* Who drives, `DrivenBy` */
+    uint32_t reserved; /* Unused, zero */
 } scanloop_actuation;
-_Static_assert(sizeof(scanloop_actuation) == 352, "scanloop_actuation");
+_Static_assert(sizeof(scanloop_actuation) == 360, "scanloop_actuation");
 _Static_assert(offsetof(scanloop_actuation, header) == 0, "scanloop_actuation.header");
 _Static_assert(offsetof(scanloop_actuation, kind) == 288, "scanloop_actuation.kind");
 _Static_assert(offsetof(scanloop_actuation, reason) == 292, "scanloop_actuation.reason");
@@ -671,6 +700,8 @@ _Static_assert(offsetof(scanloop_actuation, sent_velocity_mps) == 320, "scanloop
 _Static_assert(offsetof(scanloop_actuation, sent_steering_rad) == 328, "scanloop_actuation.sent_steering_rad");
 _Static_assert(offsetof(scanloop_actuation, refused) == 336, "scanloop_actuation.refused");
 _Static_assert(offsetof(scanloop_actuation, gaps) == 344, "scanloop_actuation.gaps");
+_Static_assert(offsetof(scanloop_actuation, driven_by) == 352, "scanloop_actuation.driven_by");
+_Static_assert(offsetof(scanloop_actuation, reserved) == 356, "scanloop_actuation.reserved");
 
 /* Topic heartbeat, published ten times a second by each process, and at each change of its state. */
 typedef struct scanloop_heartbeat {
@@ -743,8 +774,11 @@ typedef struct scanloop_directive {
     uint64_t orchestrator_pid; /* Process id of the orchestrator */
     scanloop_authority authority[8]; /* Whose samples count, by slot */
     scanloop_given_goal goal; /* The goal that was given last while the system drives */
+    uint32_t driven_by; /* Who drives, `DrivenBy` */
+    uint32_t reserved; /* Unused, zero */
+    scanloop_given_control person; /* What a person who drives asks for */
 } scanloop_directive;
-_Static_assert(sizeof(scanloop_directive) == 512, "scanloop_directive");
+_Static_assert(sizeof(scanloop_directive) == 552, "scanloop_directive");
 _Static_assert(offsetof(scanloop_directive, header) == 0, "scanloop_directive.header");
 _Static_assert(offsetof(scanloop_directive, phase) == 288, "scanloop_directive.phase");
 _Static_assert(offsetof(scanloop_directive, stop) == 292, "scanloop_directive.stop");
@@ -753,6 +787,9 @@ _Static_assert(offsetof(scanloop_directive, issued_ns) == 304, "scanloop_directi
 _Static_assert(offsetof(scanloop_directive, orchestrator_pid) == 312, "scanloop_directive.orchestrator_pid");
 _Static_assert(offsetof(scanloop_directive, authority) == 320, "scanloop_directive.authority");
 _Static_assert(offsetof(scanloop_directive, goal) == 448, "scanloop_directive.goal");
+_Static_assert(offsetof(scanloop_directive, driven_by) == 512, "scanloop_directive.driven_by");
+_Static_assert(offsetof(scanloop_directive, reserved) == 516, "scanloop_directive.reserved");
+_Static_assert(offsetof(scanloop_directive, person) == 520, "scanloop_directive.person");
 
 /* Topic checkpoint, published once per scan by each stateful process. */
 typedef struct scanloop_checkpoint {
@@ -1056,7 +1093,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("command", scanloop_command, "plan.yaw_rate_radps", plan[0].yaw_rate_radps),
     SCANLOOP_VALUE("command", scanloop_command, "plan.velocity_mps", plan[0].velocity_mps),
     SCANLOOP_VALUE("command", scanloop_command, "plan.steering_rad", plan[0].steering_rad),
-    SCANLOOP_SAMPLE("actuation", scanloop_actuation, "scanloop.Actuation.v3"),
+    SCANLOOP_SAMPLE("actuation", scanloop_actuation, "scanloop.Actuation.v4"),
     SCANLOOP_STRUCT("actuation", scanloop_actuation, "header", "Header", header),
     SCANLOOP_VALUE("actuation", scanloop_actuation, "header.layout", header.layout),
     SCANLOOP_VALUE("actuation", scanloop_actuation, "header.incarnation", header.incarnation),
@@ -1078,6 +1115,8 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("actuation", scanloop_actuation, "sent_steering_rad", sent_steering_rad),
     SCANLOOP_VALUE("actuation", scanloop_actuation, "refused", refused),
     SCANLOOP_VALUE("actuation", scanloop_actuation, "gaps", gaps),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "driven_by", driven_by),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "reserved", reserved),
     SCANLOOP_SAMPLE("heartbeat", scanloop_heartbeat, "scanloop.Heartbeat.v5"),
     SCANLOOP_STRUCT("heartbeat", scanloop_heartbeat, "header", "Header", header),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "header.layout", header.layout),
@@ -1162,7 +1201,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "device.reserved", device.reserved),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "device.since_ns", device.since_ns),
     SCANLOOP_VALUES("heartbeat", scanloop_heartbeat, "device.reason", device.reason),
-    SCANLOOP_SAMPLE("directive", scanloop_directive, "scanloop.Directive.v3"),
+    SCANLOOP_SAMPLE("directive", scanloop_directive, "scanloop.Directive.v4"),
     SCANLOOP_STRUCT("directive", scanloop_directive, "header", "Header", header),
     SCANLOOP_VALUE("directive", scanloop_directive, "header.layout", header.layout),
     SCANLOOP_VALUE("directive", scanloop_directive, "header.incarnation", header.incarnation),
@@ -1193,6 +1232,13 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("directive", scanloop_directive, "goal.yaw_rad", goal.yaw_rad),
     SCANLOOP_VALUE("directive", scanloop_directive, "goal.yaw_tolerance_rad", goal.yaw_tolerance_rad),
     SCANLOOP_VALUE("directive", scanloop_directive, "goal.stay_s", goal.stay_s),
+    SCANLOOP_VALUE("directive", scanloop_directive, "driven_by", driven_by),
+    SCANLOOP_VALUE("directive", scanloop_directive, "reserved", reserved),
+    SCANLOOP_STRUCT("directive", scanloop_directive, "person", "GivenControl", person),
+    SCANLOOP_VALUE("directive", scanloop_directive, "person.number", person.number),
+    SCANLOOP_VALUE("directive", scanloop_directive, "person.given_ns", person.given_ns),
+    SCANLOOP_VALUE("directive", scanloop_directive, "person.velocity_mps", person.velocity_mps),
+    SCANLOOP_VALUE("directive", scanloop_directive, "person.steering_rad", person.steering_rad),
     SCANLOOP_SAMPLE("checkpoint", scanloop_checkpoint, "scanloop.Checkpoint.v4"),
     SCANLOOP_STRUCT("checkpoint", scanloop_checkpoint, "header", "Header", header),
     SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "header.layout", header.layout),

@@ -107,6 +107,7 @@ class Level(enum.IntEnum):
     CONVERGED = 1  # The converged and verified solution for this scan.
     BEST_ITERATE = 2  # The best verified iterate for this scan.
     LAST_PLAN = 3  # The rest of the last verified plan, verified again against the obstacles of this scan.
+    PERSON = 4  # What a person asks for, verified.
 
 
 class SolveStatus(enum.IntEnum):
@@ -134,6 +135,16 @@ class StopReason(enum.IntEnum):
     NO_SAFE_SPEED = 9  # At no speed can the robot stop in time: scans are too rare or the data too old.
     SCANNER = 10  # The scanner is blind, stuck or contradictory: obstacles would not be seen.
     COVERED_BY_OBSTACLE = 11  # A described obstacle covers the robot: the obstacle detector is wrong.
+    PAUSED = 12  # A person has paused the drive.
+    RELEASED = 13  # The person who drives asks for no motion, or is silent.
+
+
+class DrivenBy(enum.IntEnum):
+    """Who drives the robot."""
+
+    CONTROLLER = 0  # The controller, to its goal.
+    NOBODY = 1  # The drive is paused: wheels are blocked, and all processes stay ready.
+    PERSON = 2  # A person, by what `GivenControl` says.
 
 
 class ActuationKind(enum.IntEnum):
@@ -154,6 +165,9 @@ class BlockReason(enum.IntEnum):
     STALE_COMMAND = 5  # The scan behind the command is too old.
     STOP_REQUESTED = 6  # The user or the orchestrator asked for a stop.
     START = 7  # Nothing has been commanded yet.
+    PAUSED = 8  # A person has paused the drive.
+    RELEASED = 9  # The person who drives is silent.
+    EMERGENCY_STOP = 10  # An emergency stop from outside is pressed, or silent.
 
 
 class Rule(enum.IntEnum):
@@ -191,6 +205,7 @@ class JournalKind(enum.IntEnum):
     INJECTED = 13  # An injected fault has changed a sample behind the process: `topic`, `incarnation`, and its sequence number in `value`.
     ALTERED = 14  # An injected fault alters the emulated robot from now on (`value` 1), or no longer (0).
     MOVED = 15  # The sample or state of the next entry was handed over with its times moved by `value` [ns], in two's complement.
+    EMERGENCY_STOP = 16  # The wheels are blocked for an emergency stop, at the time `value` [ns].
 
 
 class StageStamps(ctypes.Structure):
@@ -394,6 +409,17 @@ class GivenGoal(ctypes.Structure):
     ]
 
 
+class GivenControl(ctypes.Structure):
+    """A part of samples."""
+
+    _fields_ = [
+        ("number", ctypes.c_uint64),  # Ascends with each that is given
+        ("given_ns", ctypes.c_uint64),  # When it was given [ns of the loop's clock]
+        ("velocity_mps", ctypes.c_double),  # Velocity; below the smallest one of the robot it is to stand [m/s]
+        ("steering_rad", ctypes.c_double),  # Steering angle [rad]
+    ]
+
+
 class JournalEntry(ctypes.Structure):
     """A part of samples."""
 
@@ -543,7 +569,7 @@ class Actuation(ctypes.Structure):
     """Topic actuation, published once per command, and when the actuator blocks the wheels by itself."""
 
     TOPIC = "actuation"
-    LAYOUT = 0x6aa4ccca
+    LAYOUT = 0xcabc5b8a
     _fields_ = [
         ("header", Header),  # Identity and stamps of the command answered
         ("kind", ctypes.c_uint32),  # What the robot is asked to do, `ActuationKind`
@@ -556,11 +582,13 @@ class Actuation(ctypes.Structure):
         ("sent_steering_rad", ctypes.c_double),  # Steering angle sent to the robot, after the correction [rad]
         ("refused", ctypes.c_uint64),  # Commands refused since the start: not finite, not verified, stale, out of limits
         ("gaps", ctypes.c_uint64),  # Gaps between scans since the start: the wheels were blocked, and the next valid command ended the block
+        ("driven_by", ctypes.c_uint32),  # Who drives, `DrivenBy`
+        ("reserved", ctypes.c_uint32),  # Unused, zero
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Actuation.v3"
+        return "scanloop.Actuation.v4"
 
 
 class Heartbeat(ctypes.Structure):
@@ -608,7 +636,7 @@ class Directive(ctypes.Structure):
     """Topic directive, published ten times a second by the orchestrator, and at each change."""
 
     TOPIC = "directive"
-    LAYOUT = 0x4a8b3c66
+    LAYOUT = 0xaed04d98
     _fields_ = [
         ("header", Header),  # Identity; the chain is unused
         ("phase", ctypes.c_uint32),  # What the system is doing, `Phase`
@@ -618,11 +646,14 @@ class Directive(ctypes.Structure):
         ("orchestrator_pid", ctypes.c_uint64),  # Process id of the orchestrator
         ("authority", Authority * 8),  # Whose samples count, by slot
         ("goal", GivenGoal),  # The goal that was given last while the system drives
+        ("driven_by", ctypes.c_uint32),  # Who drives, `DrivenBy`
+        ("reserved", ctypes.c_uint32),  # Unused, zero
+        ("person", GivenControl),  # What a person who drives asks for
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Directive.v3"
+        return "scanloop.Directive.v4"
 
 
 class Checkpoint(ctypes.Structure):

@@ -3,7 +3,7 @@
 use crate::fault::finite;
 use crate::named::wire_enum;
 use crate::sample::sample;
-use crate::{Fault, Header};
+use crate::{DrivenBy, Fault, Header};
 
 wire_enum! {
     /// What the robot is told.
@@ -34,12 +34,18 @@ wire_enum! {
         StopRequested = 6 "stop_requested",
         /// Nothing has been commanded yet.
         Start = 7 "start",
+        /// A person has paused the drive.
+        Paused = 8 "paused",
+        /// The person who drives is silent.
+        Released = 9 "released",
+        /// An emergency stop from outside is pressed, or silent.
+        EmergencyStop = 10 "emergency_stop",
     }
 }
 
 sample! {
     /// One answer per command, or a block that the actuator decides by itself.
-    pub struct Actuation(352, Actuation, 0x6aa4_ccca, "scanloop.Actuation.v3", check, is_answer) {
+    pub struct Actuation(360, Actuation, 0xcabc_5b8a, "scanloop.Actuation.v4", check, is_answer) {
         /// Identity and stamps of the command answered
         pub header: Header,
         /// What the robot is asked to do, `ActuationKind`
@@ -62,6 +68,10 @@ sample! {
         pub refused: u64,
         /// Gaps between scans since the start: the wheels were blocked, and the next valid command ended the block
         pub gaps: u64,
+        /// Who drives, `DrivenBy`
+        pub driven_by: u32,
+        /// Unused, zero
+        pub reserved: u32,
     }
 }
 
@@ -87,6 +97,7 @@ fn check(actuation: &Actuation) -> Result<(), Fault> {
     actuation.header.check::<Actuation>()?;
     ActuationKind::try_from(actuation.kind)?;
     BlockReason::try_from(actuation.reason)?;
+    DrivenBy::try_from(actuation.driven_by)?;
     let Actuation {
         desired_velocity_mps, desired_steering_rad, sent_velocity_mps, sent_steering_rad, ..
     } = *actuation;

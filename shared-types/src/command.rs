@@ -50,6 +50,8 @@ wire_enum! {
         BestIterate = 2 "best_iterate",
         /// The rest of the last verified plan, verified again against the obstacles of this scan.
         LastPlan = 3 "last_plan",
+        /// What a person asks for, verified.
+        Person = 4 "person",
     }
 }
 
@@ -80,6 +82,10 @@ wire_enum! {
         Scanner = 10 "scanner",
         /// A described obstacle covers the robot: the obstacle detector is wrong.
         Covered = 11 "covered_by_obstacle",
+        /// A person has paused the drive.
+        Paused = 12 "paused",
+        /// The person who drives asks for no motion, or is silent.
+        Released = 13 "released",
     }
 }
 

@@ -2,13 +2,13 @@
 
 use crate::{
     ActuationKind, Alarm, BEAMS, BlockReason, CHECKPOINT_BYTES, CommandKind, DEVICE_REASON_BYTES,
-    DeviceState, Enumeration, FIRST_BEAM_YAW_RAD, FRONT_BEAM, JOURNAL_ENTRIES, JournalKind, Level, MAX_BEAMS,
-    MAX_OBSTACLES, MIN_RANGE_MM, PITCH_RAD, PLAN_NODES, Phase, ProcessState, ROLES, Role, Rule, SECTOR_BEAMS,
-    SLOTS, ScannerState, SolveStatus, StopReason, Suspect, WINDOW,
+    DeviceState, DrivenBy, Enumeration, FIRST_BEAM_YAW_RAD, FRONT_BEAM, JOURNAL_ENTRIES, JournalKind, Level,
+    MAX_BEAMS, MAX_OBSTACLES, MIN_RANGE_MM, PITCH_RAD, PLAN_NODES, Phase, ProcessState, ROLES, Role, Rule,
+    SECTOR_BEAMS, SLOTS, ScannerState, SolveStatus, StopReason, Suspect, WINDOW,
 };
 
 /// All enumerations of the samples.
-pub const ENUMERATIONS: [Enumeration; 15] = [
+pub const ENUMERATIONS: [Enumeration; 16] = [
     Role::ENUMERATION,
     Phase::ENUMERATION,
     ProcessState::ENUMERATION,
@@ -20,6 +20,7 @@ pub const ENUMERATIONS: [Enumeration; 15] = [
     Level::ENUMERATION,
     SolveStatus::ENUMERATION,
     StopReason::ENUMERATION,
+    DrivenBy::ENUMERATION,
     ActuationKind::ENUMERATION,
     BlockReason::ENUMERATION,
     Rule::ENUMERATION,

@@ -43,6 +43,8 @@ wire_enum! {
         Altered = 14 "altered",
         /// The sample or state of the next entry was handed over with its times moved by `value` [ns], in two's complement.
         Moved = 15 "moved",
+        /// The wheels are blocked for an emergency stop, at the time `value` [ns].
+        EmergencyStop = 16 "emergency_stop",
     }
 }
 

@@ -19,6 +19,7 @@ mod command;
 mod constants;
 mod describe;
 mod device;
+mod driven_by;
 mod fault;
 mod given_goal;
 mod header;
@@ -56,6 +57,7 @@ pub use command::{
 pub use constants::{CONSTANTS, Constant, ENUMERATIONS, Number};
 pub use describe::{Described, Enumeration, EnumerationValue, Field, Flag, Kind};
 pub use device::{DEVICE_REASON_BYTES, Device, DeviceState};
+pub use driven_by::{DrivenBy, GivenControl};
 pub use fault::{Fault, finite};
 pub use given_goal::GivenGoal;
 pub use header::{Header, StageStamps, YOUNG_NS};

@@ -33,8 +33,8 @@ pub trait Stage: Clone + Send + Sync + 'static {
     /// Inputs that are handed over one by one as they come, before newer ones of [`Stage::ANSWERS`]. In lock-step the
     /// stage gets those of the scan before first.
     const NOTES: &'static [&'static SampleType] = &[];
-    /// Whether goals are given to it while it drives: it takes each [`crate::Directive`] with a new one.
-    const TAKES_GOALS: bool = false;
+    /// Whether it takes each [`crate::Directive`] with other [`crate::Directive::orders`].
+    const TAKES_ORDERS: bool = false;
     /// Whether the wheels obey its outputs: it is told to stop, and looks at its timeouts ten times per scan.
     const HOLDS_WHEELS: bool = false;
 
@@ -142,6 +142,8 @@ pub enum StageEvent {
     Timer(u64),
     /// The wheels have to be blocked, at this time [ns].
     Stopped(u64),
+    /// An emergency stop from outside asks for it, at this time [ns].
+    EmergencyStop(u64),
     /// They need not any more.
     Released,
     /// Samples of its inputs were dropped because of their content.
@@ -161,6 +163,7 @@ impl StageEvent {
             JournalKind::Begun => Self::Begun(value),
             JournalKind::Timer => Self::Timer(value),
             JournalKind::Stopped => Self::Stopped(value),
+            JournalKind::EmergencyStop => Self::EmergencyStop(value),
             JournalKind::Released => Self::Released,
             JournalKind::Dropped => Self::Dropped,
             JournalKind::BegunInStop => Self::StateLost { in_charge: true },
@@ -174,6 +177,7 @@ impl StageEvent {
             Self::Begun(at_ns) => (JournalKind::Begun, at_ns),
             Self::Timer(at_ns) => (JournalKind::Timer, at_ns),
             Self::Stopped(at_ns) => (JournalKind::Stopped, at_ns),
+            Self::EmergencyStop(at_ns) => (JournalKind::EmergencyStop, at_ns),
             Self::Released => (JournalKind::Released, 0),
             Self::Dropped => (JournalKind::Dropped, 0),
             Self::StateLost { .. } => (JournalKind::BegunInStop, 0),
@@ -261,8 +265,8 @@ pub struct StageShape {
     pub output: &'static SampleType,
     /// [`Stage::HOLDS_WHEELS`].
     pub holds_wheels: bool,
-    /// [`Stage::TAKES_GOALS`].
-    pub takes_goals: bool,
+    /// [`Stage::TAKES_ORDERS`].
+    pub takes_orders: bool,
 }
 
 /// Any [`Stage`], so that a runner is compiled once for all; the methods that are not explained are those of the stage.
@@ -301,7 +305,7 @@ impl<T: Stage> AnyStage for T {
             notes: T::NOTES,
             output: T::Output::TYPE,
             holds_wheels: T::HOLDS_WHEELS,
-            takes_goals: T::TAKES_GOALS,
+            takes_orders: T::TAKES_ORDERS,
         }
     }
 
@@ -388,6 +392,7 @@ mod tests {
             StageEvent::Begun(7),
             StageEvent::Timer(8),
             StageEvent::Stopped(9),
+            StageEvent::EmergencyStop(10),
             StageEvent::Released,
             StageEvent::Dropped,
             StageEvent::StateLost { in_charge: true },

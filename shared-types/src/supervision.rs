@@ -3,8 +3,8 @@
 use crate::named::wire_enum;
 use crate::sample::sample;
 use crate::{
-    Authority, Device, DeviceState, Fault, GivenGoal, Header, InputAccount, MAX_NUMBER, MAX_STAMP_NS, PORTS,
-    Refusal, Role, SLOTS, Topic,
+    Authority, Device, DeviceState, DrivenBy, Fault, GivenControl, GivenGoal, Header, InputAccount,
+    MAX_NUMBER, MAX_STAMP_NS, PORTS, Refusal, Role, SLOTS, Topic,
 };
 
 wire_enum! {
@@ -37,7 +37,7 @@ wire_enum! {
 
 sample! {
     /// What the orchestrator tells all processes.
-    pub struct Directive(512, Directive, 0x4a8b_3c66, "scanloop.Directive.v3", check) {
+    pub struct Directive(552, Directive, 0xaed0_4d98, "scanloop.Directive.v4", check) {
         /// Identity; the chain is unused
         pub header: Header,
         /// What the system is doing, `Phase`
@@ -54,10 +54,21 @@ sample! {
         pub authority: [Authority; SLOTS],
         /// The goal that was given last while the system drives
         pub goal: GivenGoal,
+        /// Who drives, `DrivenBy`
+        pub driven_by: u32,
+        /// Unused, zero
+        pub reserved: u32,
+        /// What a person who drives asks for
+        pub person: GivenControl,
     }
 }
 
 impl Directive {
+    /// What stages follow: the first scan of the goal, who drives, and the number of what a person asks for.
+    pub fn orders(&self) -> (u64, u32, u64) {
+        (self.goal.from_scan, self.driven_by, self.person.number)
+    }
+
     /// Whose samples count on a topic; `None` for a topic that several processes write, where all do.
     pub fn authority_over(&self, topic: Topic) -> Option<&Authority> {
         topic.writer().map(|role| &self.authority[role.index()])
@@ -135,7 +146,9 @@ sample! {
 fn check(directive: &Directive) -> Result<(), Fault> {
     directive.header.check::<Directive>()?;
     Phase::try_from(directive.phase)?;
-    directive.goal.check()
+    DrivenBy::try_from(directive.driven_by)?;
+    directive.goal.check()?;
+    directive.person.check()
 }
 
 fn check_heartbeat(heartbeat: &Heartbeat) -> Result<(), Fault> {

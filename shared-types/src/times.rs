@@ -4,7 +4,7 @@ use crate::SampleType;
 use crate::describe::{Field, Kind};
 
 /// Fields that hold a point in time of the clock of their host; zero means that it is not known.
-const TIMES: [&str; 10] = [
+const TIMES: [&str; 11] = [
     "woken_ns",
     "taken_ns",
     "computed_ns",
@@ -15,6 +15,7 @@ const TIMES: [&str; 10] = [
     "since_ns",
     "predicted_ns",
     "plan_start_ns",
+    "given_ns",
 ];
 
 /// The same in the state of a checkpoint, in addition.

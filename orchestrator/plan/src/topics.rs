@@ -56,6 +56,12 @@ pub fn read_layout(path: &Path) -> Result<LayoutFile, String> {
 /// The first layout that is missing or not allowed, and topics that take too much memory; exit code 2.
 pub fn read(system: &System, file: &str) -> anyhow::Result<OwnTopics> {
     let table = table(system, read_layouts(system, file)?);
+    let buttons = system.entry(Role::Actuator).filter(|entry| entry.command.is_none());
+    for also in buttons.iter().flat_map(|entry| &entry.also_reads) {
+        if let Some(row) = table.find(&also.topic) {
+            row.pressed_at().map_err(|error| Failure::bad_input(format!("{file}: also_reads: {error}")))?;
+        }
+    }
     if !table.topic.is_empty() {
         require_memory(&table, file)?;
     }

@@ -41,6 +41,7 @@ pub struct ReplayDrive {
     pub(crate) checkpoints: Lane<Checkpoint>,
     /// Those with a goal that was given while driving.
     pub(crate) directives: Lane<Directive>,
+    has_orders: bool,
     pub(crate) clocks: Clocks,
     /// The journals of each process, by number.
     journals: BTreeMap<u32, BTreeMap<u64, Journal>>,
@@ -297,7 +298,9 @@ impl ReplayDrive {
                         known.push((log_ns, authority));
                     }
                 }
-                if directive.goal.from_scan > 0 {
+                // A stage takes one from the first on that orders something.
+                self.has_orders |= directive.orders() != Directive::default().orders();
+                if self.has_orders {
                     self.directives.add(bytes);
                 }
             }

@@ -19,12 +19,12 @@ use std::ops::RangeInclusive;
 
 use vehicle::Goal;
 
-use crate::report::GoalChange;
+use crate::report::{DriverChange, GoalChange};
 use crate::ride::RideRecording;
 use audit::ledger::Ledger;
 use emulator::JudgedBy;
 use shared_types::{
-    Actuation, BlockReason, Blocking, Command, Header, Obstacles, Pose, Role, Rule, ScannerHealth,
+    Actuation, BlockReason, Blocking, Command, DrivenBy, Header, Obstacles, Pose, Role, Rule, ScannerHealth,
     StopReason, Truth,
 };
 
@@ -66,6 +66,7 @@ pub struct Recorder {
     pose: Option<Pose>,
     actuation: Option<Actuation>,
     goal_changes: Vec<GoalChange>,
+    driver_changes: Vec<DriverChange>,
     ellipses: BTreeMap<u32, Ellipse>,
     recent: VecDeque<(u64, u64)>,
     first_acquired_ns: Option<u64>,
@@ -91,6 +92,7 @@ impl Recorder {
             pose: None,
             actuation: None,
             goal_changes: Vec::new(),
+            driver_changes: Vec::new(),
             ellipses: BTreeMap::new(),
             recent: VecDeque::new(),
             first_acquired_ns: None,
@@ -220,6 +222,15 @@ impl Recorder {
             BlockReason::try_from(actuation.reason)
         {
             self.ledger.refused(header.scan_id, reason.name());
+        }
+        let drove = self.actuation.map_or(DrivenBy::Controller.wire(), |before| before.driven_by);
+        if actuation.driven_by != drove {
+            let driven_by = DrivenBy::try_from(actuation.driven_by).map_or("unknown", DrivenBy::name);
+            self.driver_changes.push(DriverChange {
+                from_scan: header.scan_id,
+                from_s: self.duration_s(),
+                driven_by: driven_by.to_owned(),
+            });
         }
         self.tally.actuation(actuation);
         self.ride.actuation(actuation);

@@ -24,8 +24,8 @@ use vehicle::Surroundings;
 use self::write::join_leaves;
 
 pub use self::parts::{
-    BlockingReport, CompanionReport, DifferenceReport, GoalChange, MarginReport, RecordingReport,
-    ScannerReport, ScannerStatus,
+    BlockingReport, CompanionReport, DifferenceReport, DriverChange, GoalChange, MarginReport,
+    RecordingReport, ScannerReport, ScannerStatus,
 };
 
 /// Version of the fields; it grows when a field changes its meaning, not when one is added.
@@ -80,6 +80,9 @@ pub struct Report {
     /// Goals that changed while the robot drove.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub goal_changes: Vec<GoalChange>,
+    /// When another drove than before; first the controller does.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub driver_changes: Vec<DriverChange>,
     /// How the scanner was.
     pub scanner: ScannerReport,
     /// The obstacle of the last stop that had one.

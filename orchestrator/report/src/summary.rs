@@ -8,15 +8,21 @@ use figures::Figures;
 
 use crate::latency::STAGES;
 use crate::report::{
-    DelayRow, Landing, LatencyReport, LedgerReport, LedgerRow, NO_OBSTACLE_M, PerStage, Report, ScanReport,
-    ScannerReport, SelfCheckReport, TrueDrive,
+    DelayRow, DriverChange, Landing, LatencyReport, LedgerReport, LedgerRow, NO_OBSTACLE_M, PerStage, Report,
+    ScanReport, ScannerReport, SelfCheckReport, TrueDrive,
 };
+
+/// Changes of who drives in a summary.
+const MAX_DRIVERS: usize = 6;
 
 /// The summary of a run; `folder` is where its files are, if any were written.
 pub fn text(report: &Report, folder: Option<&Path>) -> String {
     let mut rows = vec![("outcome", outcome(report))];
     rows.push(("driven", format!("{:.1} s, {:.2} m", report.duration_s, report.drive.path_length_m)));
     rows.push(("to the goal", format!("{:.3} m", report.drive.final_distance_m)));
+    if !report.driver_changes.is_empty() {
+        rows.push(("driven by", drivers(&report.driver_changes)));
+    }
     if report.goals.len() > 1 || report.goals.iter().any(|goal| goal.yaw_error_rad.is_some()) {
         rows.extend(report.goals.iter().map(|goal| ("goal", landing(goal))));
     }
@@ -69,6 +75,15 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
         line(&mut text, format_args!("\n{:<15} {}", "files", folder.display()));
     }
     text
+}
+
+/// Who drove since when.
+fn drivers(changes: &[DriverChange]) -> String {
+    let since = |change: &DriverChange| format!("{} from {:.1} s", change.driven_by, change.from_s);
+    let shown = changes.iter().take(MAX_DRIVERS).map(since);
+    let more = changes.len().saturating_sub(MAX_DRIVERS);
+    let more = (more > 0).then(|| format!("{more} changes more"));
+    std::iter::once("controller".to_owned()).chain(shown).chain(more).collect::<Vec<_>>().join(", ")
 }
 
 fn outcome(report: &Report) -> String {

@@ -22,6 +22,7 @@ use crate::reference::ReferenceArguments;
 use crate::replay::ReplayArguments;
 use crate::shadow::ShadowArguments;
 use crate::swap::{SetArguments, SwapArguments};
+use crate::teleop::TeleopArguments;
 use crate::top::TopArguments;
 use crate::types::TypesArguments;
 use crate::urg::UrgCommand;
@@ -107,6 +108,20 @@ pub enum CliCommand {
     /// that a process of the system has started is ended too, and waited for; exit code 4 if it lives after that. A stop
     /// can't be taken back: `run` starts the system again. This does not replace a hardware emergency stop.
     Stop(StopArguments),
+    /// Block the wheels of a running system until `resume`; all processes stay ready.
+    ///
+    /// Time limits of the run do not count meanwhile. The end of an orchestrator does not hand back to the controller: one
+    /// that adopts the run keeps it paused. In lock-step time stands once the robot does.
+    Pause,
+    /// Let the controller drive again, after `pause` or `teleop`.
+    Resume,
+    /// Drive a running system by hand: with the keys of this terminal, or with `--for` for a time.
+    ///
+    /// What a person asks for has the limits, the verification and the stop of the controller's commands: the robot drives
+    /// slower before an obstacle, and stands where no speed is verified. Keys drive only while they are held. Without a
+    /// new control for 1.5 scan periods, or 25 ms, the wheels are blocked. Afterwards the drive is paused: only `resume`
+    /// hands back to the controller. In lock-step each control is for one scan. Exit code 2 if another person drives.
+    Teleop(TeleopArguments),
     /// Restart one process of a running system without losing a scan.
     ///
     /// If the process works, the new one takes over first and then the old one ends. Exit code 1 if the new one does not

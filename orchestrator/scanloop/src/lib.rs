@@ -22,6 +22,7 @@ mod status;
 mod stop;
 pub mod successor;
 pub mod swap;
+pub mod teleop;
 pub mod top;
 mod topic;
 mod types;
@@ -154,6 +155,9 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         CliCommand::Top(arguments) => top::top(&cli.system_id, arguments),
         CliCommand::View(arguments) => view::serve(&cli.system_id, arguments, &verbs()),
         CliCommand::Stop(arguments) => stop::stop(&cli.system_id, arguments),
+        CliCommand::Pause => teleop::pause(&cli.system_id),
+        CliCommand::Resume => teleop::resume(&cli.system_id),
+        CliCommand::Teleop(arguments) => teleop::teleop(&cli.system_id, arguments),
         CliCommand::Latency { duration, json } => live_latency::watch(&cli.system_id, *duration, *json),
         CliCommand::Restart { role } => swap::restart(&cli.system_id, role),
         CliCommand::Swap(arguments) => swap::swap(&cli.system_id, arguments),

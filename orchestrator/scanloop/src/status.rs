@@ -94,11 +94,16 @@ fn table(status: &SystemStatus) -> String {
     let scan = if is_known { format!(", scan {}", status.scan) } else { String::new() };
     let judged_by = status.judged_by.filter(|judged_by| *judged_by == JudgedBy::Estimate);
     let judged_by = judged_by.map_or("", |_| ", judged by the estimate");
+    let driven_by = match status.driven_by.as_deref() {
+        Some("nobody") => ", paused: `scanloop resume`",
+        Some("person") => ", driven by a person",
+        _ => "",
+    };
     let blocking = status.blocking.map(|blocking| format!("stopped: blocked by {blocking}\n"));
     let scanner = status.scanner.as_ref().filter(|scanner| scanner.state != ScannerState::Healthy.name());
     let scanner = scanner.map(|scanner| format!("scanner {}\n", scanner.explanation));
     let mut text = format!(
-        "system {system_id}: {state}, scenario {scenario}{scan}{judged_by}\n{}{}\
+        "system {system_id}: {state}, scenario {scenario}{scan}{judged_by}{driven_by}\n{}{}\
          {:<11} {:<16} {:>7}  {:<9} {:>8} {:>8} {:>8} {:>6} {:>9}\n",
         blocking.unwrap_or_default(),
         scanner.unwrap_or_default(),

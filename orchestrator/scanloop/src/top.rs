@@ -134,6 +134,8 @@ fn answer_keys(keyboard: &mut Keyboard, model: &mut Model, notes: &Sender<String
             Key::Role(index) => model.selected = index.min(Role::ALL.len() - 1),
             Key::Stop => request(model, notes, &["stop"]),
             Key::Restart => request(model, notes, &["restart", role.name()]),
+            Key::Pause => request(model, notes, &["pause"]),
+            Key::Resume => request(model, notes, &["resume"]),
             Key::Swap => request(model, notes, &["swap", role.name(), "--to", built_in(role)]),
         }
     }

@@ -149,6 +149,7 @@ pub(crate) fn take_over(
     if plan.system.recording.ring_s > 0.0 {
         session.keep_ring(&options.out, plan.system.recording.ring_s);
     }
+    session.resume_driver(registry.driven_by);
     session.resume_end(registry.outcome, registry.reason);
     conclude(session, &plan, &results)
 }

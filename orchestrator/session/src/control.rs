@@ -62,6 +62,15 @@ pub enum Reply {
     Accepted(u64),
     /// It is in progress.
     Pending,
+    /// A person drives by hand.
+    Teleop {
+        /// The number of the person, for [`Request::Control`].
+        person: u64,
+        /// The scan period [ns].
+        period_ns: u64,
+        /// Whether each control is for one scan, because time is simulated.
+        lockstep: bool,
+    },
     /// The report of a shadow.
     Shadow(Box<ShadowReport>),
     /// The certificate of a swap.
@@ -91,6 +100,9 @@ pub struct SystemStatus {
     /// reported since. Null without an orchestrator.
     #[serde(default)]
     pub wheels: Option<Wheels>,
+    /// Who drives: `controller`, `person` or `nobody`. Null without an orchestrator.
+    #[serde(default)]
+    pub driven_by: Option<String>,
     /// The obstacle that the wheels are blocked for now.
     #[serde(default)]
     pub blocking: Option<BlockingReport>,

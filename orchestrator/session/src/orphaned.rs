@@ -102,6 +102,7 @@ fn status(domain: &Domain, state: &str) -> Option<SystemStatus> {
         // A run in lock-step does not move without an orchestrator.
         lockstep: false,
         wheels: None,
+        driven_by: None,
         // No process records the drive, so neither the obstacle of a stop nor the scanner is known.
         blocking: None,
         scanner: None,

@@ -47,6 +47,9 @@ pub(crate) struct ProcessRegistry {
     pub phase: u32,
     /// 1 when the wheels are to be blocked.
     pub stop: u32,
+    /// `DrivenBy`.
+    #[serde(default)]
+    pub driven_by: u32,
     /// What decides the outcome, once the robot is connected.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub judged_by: Option<JudgedBy>,

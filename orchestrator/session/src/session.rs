@@ -16,6 +16,7 @@ mod incidents;
 mod injection;
 mod judge;
 mod memory;
+mod person;
 mod reconciliation;
 mod recording;
 mod registry_file;
@@ -55,6 +56,7 @@ use conclusion::Conclusion;
 use events::Events;
 use incidents::Noticed;
 use memory::MemoryWatch;
+use person::Person;
 use reconciliation::Reconciliation;
 use recording::{Recording, ScanObserver};
 use registry_file::RegistryFile;
@@ -82,6 +84,8 @@ pub struct Session {
     limits: RunLimits,
     audit: Reconciliation,
     recording: Recording,
+    /// The person who drives by hand.
+    person: Person,
     vitals: Vitals,
     samples: Samples,
     watches: Watches,
@@ -168,6 +172,7 @@ impl Session {
             limits: RunLimits::new(&plan.scenario, options.duration_s, period_ns),
             audit: Reconciliation::new(audit, lockstep),
             recording: Recording::new(domain.run_id(), &plan.scenario, options, first_scan, period_ns),
+            person: Person::default(),
             vitals: Vitals::new(&bus)?,
             samples: Samples::new(&bus, period_ns)?,
             watches: Watches::default(),

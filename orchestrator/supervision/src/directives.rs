@@ -1,7 +1,7 @@
 //! The directive to all processes: published when it changes, and from time to time for processes that missed it.
 
 use runtime::{Bus, Publisher, RuntimeError};
-use shared_types::{Directive, Phase};
+use shared_types::{Directive, DrivenBy, GivenControl, Phase};
 
 /// Time between two publications of an unchanged directive [ns].
 const REPEAT_NS: u64 = 100_000_000;
@@ -44,6 +44,18 @@ impl Directives {
             self.current.granted_scan = scan_id;
             self.changed = true;
         }
+    }
+
+    /// Another drives from now on. What a person has asked for before counts no more.
+    pub fn let_drive(&mut self, driven_by: DrivenBy) {
+        self.current.driven_by = driven_by.wire();
+        self.forget_person();
+        self.changed = true;
+    }
+
+    /// What a person has asked for counts no more: it is asked for anew, of the processes that are in charge now.
+    pub fn forget_person(&mut self) {
+        self.current.person = GivenControl::default();
     }
 
     /// Whether it is to be published now.

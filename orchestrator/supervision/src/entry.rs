@@ -243,8 +243,9 @@ impl ProcessEntry {
         if let Some((key, _)) = of_companions.into_iter().find(|(_, is_set)| *is_set) {
             return Err(Invalid::new(key, format!("a key of role {role}"), "a key of role companion only"));
         }
-        if self.command.is_none() && !self.also_reads.is_empty() {
-            let allowed = "a key of a `command` of your own: built-in implementations read nothing else";
+        let reads_buttons = self.implementation.as_deref() == Some("actuation");
+        if self.command.is_none() && !reads_buttons && !self.also_reads.is_empty() {
+            let allowed = "a key of a `command` of your own, and of `actuation`, for emergency stops";
             return Err(Invalid::new("also_reads", format!("a key of {}", self.label()), allowed));
         }
         self.require_ranges()

@@ -19,6 +19,10 @@ named_enum! {
     pub enum Verb {
         /// Block the wheels and end the run.
         Stop "stop",
+        /// Block the wheels until `resume`.
+        Pause "pause",
+        /// Let the controller drive again.
+        Resume "resume",
         /// Restart one process.
         Restart "restart",
         /// Replace one process by a built-in implementation.
@@ -66,8 +70,9 @@ impl Actions {
             Ok(arguments) => arguments,
             Err(reason) => return Response::text(Status::BadRequest, &reason),
         };
-        // A stop never waits for another action.
-        let is_stop = arguments.first().is_some_and(|verb| verb == Verb::Stop.name());
+        // What blocks the wheels never waits for another action.
+        let blocks = [Verb::Stop.name(), Verb::Pause.name()];
+        let is_stop = arguments.first().is_some_and(|verb| blocks.contains(&verb.as_str()));
         let turn = if is_stop { None } else { Some(self.turn.try_lock()) };
         if matches!(turn, Some(Err(_))) {
             return Response::text(Status::Conflict, "another action is not finished yet");
@@ -106,7 +111,7 @@ fn arguments(verbs: &[Verb], body: &[u8]) -> Result<Vec<String>, String> {
     let role =
         || asked.role.parse::<Role>().map(|role| role.name().to_owned()).map_err(|error| error.to_string());
     let rest = match verb {
-        Verb::Stop => vec![],
+        Verb::Stop | Verb::Pause | Verb::Resume => vec![],
         Verb::Restart => vec![role()?],
         Verb::Swap => vec![role()?, "--to".to_owned(), name("to", &asked.to)?, "--json".to_owned()],
         Verb::Set => {

@@ -145,6 +145,9 @@ impl Events {
         match BlockReason::try_from(actuation.reason) {
             Ok(BlockReason::Landed) => self.note(Kind::Good, "landed: wheels blocked at the goal".to_owned()),
             Ok(BlockReason::Start) | Err(_) => {}
+            Ok(reason @ (BlockReason::Paused | BlockReason::Released | BlockReason::EmergencyStop)) => {
+                self.note(Kind::Info, format!("wheels blocked: {}", words(reason.name())))
+            }
             Ok(BlockReason::StopRequested) => {
                 self.note(Kind::Info, "wheels blocked: stop requested".to_owned())
             }

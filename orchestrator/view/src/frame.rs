@@ -106,7 +106,13 @@ impl Samples {
 fn blocked(actuation: &Actuation) -> u32 {
     match BlockReason::try_from(actuation.reason) {
         _ if actuation.kind == ActuationKind::Drive.wire() => 0,
-        Ok(BlockReason::Start | BlockReason::Landed | BlockReason::StopRequested) => 2,
+        Ok(
+            BlockReason::Start
+            | BlockReason::Landed
+            | BlockReason::StopRequested
+            | BlockReason::Paused
+            | BlockReason::Released,
+        ) => 2,
         _ => 1,
     }
 }

@@ -9,7 +9,12 @@
 //!   come within half a period count as one, because they were delayed together;
 //! * gap, a silence because the scanner took no scan: with the next command that passes;
 //! * refused: with the next command that passes; when the scan has no other, its refusal is a silence as well;
+//! * paused: when the controller or a person drives, [`Actuator::obey`];
+//! * released: with a command that a person asks for anew;
 //! * explicit stop: with [`Actuator::release`] only.
+//!
+//! Who drives is told by the orchestrator. While a person does, only commands that state it turn the wheels, and only
+//! for so long as what was given is fresh.
 //!
 //! Blocked wheels keep their steering angle, so that a robot which still turns its axles does not swerve while it
 //! brakes. Assumption: `now_ns` and the stamps of commands are of one clock. If the clock jumps ahead, the wheels are
@@ -17,7 +22,10 @@
 
 use std::hint::black_box;
 
-use shared_types::{Actuation, ActuationKind, BlockReason, Command, Fault, Header, StopReason, YOUNG_NS};
+use shared_types::{
+    Actuation, ActuationKind, BlockReason, Command, DrivenBy, Fault, GivenControl, Header, Level, StopReason,
+    YOUNG_NS,
+};
 use vehicle::correction::{CommandCorrection, Correction, Linkage};
 use vehicle::{Control, Invalid};
 
@@ -75,6 +83,7 @@ impl Actuator {
         }
         self.state.told_ns = now_ns;
         self.state.awake = true.into();
+        self.state.turning = 0;
 
         self.refusal = None;
         if let Some(fault) = self.distrust(&command.header, now_ns) {
@@ -98,12 +107,20 @@ impl Actuator {
             Ok(desired) => {
                 self.accept(now_ns);
                 self.state.gaps += u64::from(is_gap);
+                let by_person = command.level == Level::Person.wire();
+                let held = self.hold(by_person, now_ns);
                 match desired {
                     DesiredCommand::Block(reason) => self.block(reason, stop_reason),
                     DesiredCommand::Drive(_) if self.state.silenced.is_set() => {
                         self.block(BlockReason::NoCommand, stop_reason)
                     }
-                    DesiredCommand::Drive(desired) => self.drive(desired, stop_reason),
+                    DesiredCommand::Drive(desired) => match held {
+                        Some(reason) => self.block(reason, stop_reason),
+                        None => {
+                            let driver = if by_person { DrivenBy::Person.wire() } else { 1 };
+                            self.drive(desired, stop_reason, driver)
+                        }
+                    },
                 }
             }
         }
@@ -139,7 +156,7 @@ impl Actuator {
             return None;
         }
         if self.silence_ns(now_ns) <= self.timeout_ns {
-            return None;
+            return self.look_at_driver(now_ns);
         }
         let reason = match self.state.commanded.is_set() {
             _ if self.dropped => BlockReason::InvalidCommand,
@@ -150,6 +167,17 @@ impl Actuator {
             return None;
         }
         self.state.told_ns = now_ns;
+        self.state.turning = 0;
+        Some(self.block_by_itself(reason))
+    }
+
+    /// The block when wheels turn that must not any more: the drive was paused, another drives, or the person who drives is
+    /// silent.
+    fn look_at_driver(&mut self, now_ns: u64) -> Option<Actuation> {
+        let by_person = self.state.turning == DrivenBy::Person.wire();
+        let reason = self.hold(by_person, now_ns).filter(|_| self.state.turning != 0)?;
+        self.state.turning = 0;
+        self.state.told_ns = now_ns;
         Some(self.block_by_itself(reason))
     }
 
@@ -158,11 +186,20 @@ impl Actuator {
         self.state.awake.is_set()
     }
 
-    /// Blocks the wheels until [`Self::release`], whatever is commanded.
-    pub fn stop(&mut self, now_ns: u64) -> Actuation {
+    /// Blocks the wheels until [`Self::release`], whatever is commanded; for an emergency stop from outside, or because the
+    /// user or the orchestrator asked for it.
+    pub fn stop(&mut self, now_ns: u64, is_emergency: bool) -> Actuation {
         self.state.stopped = true.into();
+        self.state.emergency = is_emergency.into();
+        self.state.turning = 0;
         self.state.told_ns = now_ns;
         self.block_by_itself(BlockReason::StopRequested)
+    }
+
+    /// Who drives from now on, and what a person asks for.
+    pub fn obey(&mut self, driven_by: u32, person: &GivenControl) {
+        self.state.driven_by = driven_by;
+        self.state.given_ns = if person.number == 0 { 0 } else { person.given_ns };
     }
 
     /// Ends an explicit stop: the next valid command drives again.
@@ -192,6 +229,22 @@ impl Actuator {
 
     fn silence_ns(&self, now_ns: u64) -> u64 {
         now_ns.saturating_sub(self.state.valid_ns)
+    }
+
+    /// Why a valid command must not turn the wheels, as another drives than it states; `None` where it may.
+    fn hold(&self, by_person: bool, now_ns: u64) -> Option<BlockReason> {
+        match DrivenBy::try_from(self.state.driven_by) {
+            Ok(DrivenBy::Controller) if !by_person => None,
+            Ok(DrivenBy::Person) if by_person && self.is_fresh(now_ns) => None,
+            Ok(DrivenBy::Person) if by_person => Some(BlockReason::Released),
+            _ => Some(BlockReason::Paused),
+        }
+    }
+
+    /// Whether the person who drives has given a control lately.
+    fn is_fresh(&self, now_ns: u64) -> bool {
+        let age_ns = now_ns.saturating_sub(self.state.given_ns);
+        self.state.given_ns != 0 && age_ns <= GivenControl::valid_ns(self.period_ns)
     }
 
     /// Whether the scanner explains a silence: the command answers the very next scan, and the scans are as far apart as
@@ -237,13 +290,14 @@ impl Actuator {
         }
     }
 
-    fn drive(&mut self, desired: Control, stop_reason: StopReason) -> Actuation {
+    fn drive(&mut self, desired: Control, stop_reason: StopReason, driver: u32) -> Actuation {
         let linkage = Linkage { shaft: self.state.shaft_rad, wheels: self.state.wheels_rad };
         let Correction { velocity, steering, linkage } = self.correction.correct(desired, linkage);
         let sendable = velocity.is_finite() && steering.is_finite();
         if self.is_stopped() || !sendable {
             return self.block(BlockReason::InvalidCommand, stop_reason);
         }
+        self.state.turning = driver;
         self.state.steering_rad = desired.steering;
         self.state.sent_steering_rad = steering;
         (self.state.shaft_rad, self.state.wheels_rad) = (linkage.shaft, linkage.wheels);
@@ -258,7 +312,12 @@ impl Actuator {
 
     /// Blocked wheels in answer to a command; an explicit stop is named before any other reason.
     fn block(&self, reason: BlockReason, stop_reason: StopReason) -> Actuation {
-        let reason = if self.is_stopped() { BlockReason::StopRequested } else { reason };
+        let reason = match DrivenBy::try_from(self.state.driven_by) {
+            _ if self.is_stopped() && self.state.emergency.is_set() => BlockReason::EmergencyStop,
+            _ if self.is_stopped() => BlockReason::StopRequested,
+            Ok(DrivenBy::Nobody) => BlockReason::Paused,
+            _ => reason,
+        };
         self.actuation(ActuationKind::Block, reason, stop_reason, [0.0; 2])
     }
 
@@ -282,6 +341,8 @@ impl Actuator {
             sent_steering_rad: self.state.sent_steering_rad,
             refused: self.state.refused,
             gaps: self.state.gaps,
+            driven_by: self.state.driven_by,
+            reserved: 0,
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The actuator as a stage of the loop: command in, actuation out, and the stop that always wins.
 
 use shared_types::{
-    Actuation, AnySample, Command, Fault, Role, Sample, SampleType, Stage, StageEvent, Stopwatch,
+    Actuation, AnySample, Command, Directive, Fault, Role, Sample, SampleType, Stage, StageEvent, Stopwatch,
 };
 use vehicle::Invalid;
 
@@ -24,6 +24,7 @@ impl Stage for ActuatorStage {
 
     const ROLE: Role = Role::Actuator;
     const ANSWERS: &'static [&'static SampleType] = &[Command::TYPE];
+    const TAKES_ORDERS: bool = true;
     const HOLDS_WHEELS: bool = true;
 
     fn begin(settings: ActuatorConfig, period_ns: u64) -> Result<Self, Invalid> {
@@ -42,6 +43,8 @@ impl Stage for ActuatorStage {
     fn take(&mut self, sample: AnySample<'_>, now_ns: u64) {
         if let Some(command) = sample.get() {
             self.output = Some(self.actuator.answer(command, now_ns));
+        } else if let Some(Directive { driven_by, person, .. }) = sample.get() {
+            self.actuator.obey(*driven_by, person);
         }
     }
 
@@ -56,7 +59,8 @@ impl Stage for ActuatorStage {
                 self.output = self.actuator.tick(now_ns);
                 return self.output.is_some() || !was_awake;
             }
-            StageEvent::Stopped(now_ns) => self.output = Some(self.actuator.stop(now_ns)),
+            StageEvent::Stopped(now_ns) => self.output = Some(self.actuator.stop(now_ns, false)),
+            StageEvent::EmergencyStop(now_ns) => self.output = Some(self.actuator.stop(now_ns, true)),
             StageEvent::Released => self.actuator.release(),
             StageEvent::Dropped => self.actuator.note_dropped(),
             // It was stopped for it.

@@ -36,8 +36,14 @@ plain_state! {
         pub commanded: Flag,
         /// 1 once the clock was read
         pub awake: Flag,
-        /// Unused, zero
-        pub reserved: u32,
+        /// 1 while a command of the controller turns the wheels, 2 while one of a person does; else 0
+        pub turning: u32,
+        /// Who drives, `DrivenBy`
+        pub driven_by: u32,
+        /// 1 while the stop is an emergency stop from outside
+        pub emergency: Flag,
+        /// When the person who drives gave a control last [ns]; 0 before the first
+        pub given_ns: u64,
     }
 }
 

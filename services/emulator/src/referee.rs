@@ -8,7 +8,7 @@ mod estimate;
 mod progress;
 
 use serde::{Deserialize, Serialize};
-use shared_types::{Actuation, ActuationKind, BlockReason, StopReason, Truth, named_enum};
+use shared_types::{Actuation, ActuationKind, BlockReason, DrivenBy, StopReason, Truth, named_enum};
 
 use self::estimate::Wheels;
 use self::progress::Progress;
@@ -66,6 +66,11 @@ pub struct Referee {
     stop_final_s: f64,
     /// Since when the wheels have been blocked without a break [s].
     blocked_since_s: Option<f64>,
+    /// Whether the controller drives, by the last actuation.
+    is_driven: bool,
+    /// Time of the last scan, and how long another than the controller drove until then [s].
+    seen_s: f64,
+    by_hand_s: f64,
     /// The last actuation, if it blocks the wheels.
     block: Option<Block>,
     /// The last scan that was answered with turning wheels.
@@ -130,6 +135,9 @@ impl Referee {
             timeout_s: scenario.timeout_s,
             stop_final_s: scenario.stop_final_s,
             blocked_since_s: None,
+            is_driven: true,
+            seen_s: 0.0,
+            by_hand_s: 0.0,
             block: None,
             driven_scan: 0,
             turned_scan: 0,
@@ -149,7 +157,7 @@ impl Referee {
             self.turned_scan = self.driven_scan;
         }
         if let Some(actuation) = actuation {
-            self.block = Block::of(actuation);
+            self.note(actuation);
             if self.block.is_none() && actuation.answers == 1 {
                 self.driven_scan = actuation.header.scan_id;
             }
@@ -175,7 +183,7 @@ impl Referee {
         let sight = self.wheels.at(scan);
         since.iter().for_each(|actuation| self.wheels.note(actuation));
         if let Some(newest) = scan.actuations.last() {
-            self.block = Block::of(newest);
+            self.note(newest);
         }
         self.decide(&sight, None)
     }
@@ -210,8 +218,17 @@ impl Referee {
         landings
     }
 
+    fn note(&mut self, actuation: &Actuation) {
+        self.block = Block::of(actuation);
+        self.is_driven = actuation.driven_by == DrivenBy::Controller.wire();
+    }
+
     fn decide(&mut self, sight: &Sight, contact: Option<(Outcome, String)>) -> Option<Outcome> {
-        self.blocked_since_s = sight.blocked.then(|| self.blocked_since_s.unwrap_or(sight.time_s));
+        let passed_s = (sight.time_s - self.seen_s).max(0.0);
+        self.seen_s = sight.time_s;
+        self.by_hand_s += if self.is_driven { 0.0 } else { passed_s };
+        self.blocked_since_s =
+            (sight.blocked && self.is_driven).then(|| self.blocked_since_s.unwrap_or(sight.time_s));
         self.progress.follow(sight.place);
         let (outcome, reason) = contact.or_else(|| self.judge(sight))?;
         self.reason = reason;
@@ -219,6 +236,9 @@ impl Referee {
     }
 
     fn judge(&mut self, sight: &Sight) -> Option<(Outcome, String)> {
+        if !self.is_driven {
+            return None;
+        }
         let Sight { time_s, stands, .. } = *sight;
         let lands = self.block.is_some_and(Block::lands);
         self.has_landed &= lands && sight.blocked;
@@ -238,7 +258,7 @@ impl Referee {
             let reason = format!("wheels blocked for {} s: {}", self.stop_final_s, self.block_name(sight));
             return Some((Outcome::Stopped, reason));
         }
-        (time_s >= self.timeout_s).then(|| {
+        (time_s - self.by_hand_s >= self.timeout_s).then(|| {
             (Outcome::Timeout, format!("{} s are over, {name} is {distance:.3} m away", self.timeout_s))
         })
     }
@@ -591,6 +611,31 @@ mod tests {
             blind.referee.observe_estimate(&silent) == Some(Outcome::Stopped)
         });
         assert_eq!((ended, blind.referee.reason()), (Some(53), "wheels blocked for 5 s: dead_man"));
+    }
+
+    #[test]
+    fn while_a_person_has_paused_or_drives_nothing_but_a_contact_ends_a_run_and_no_time_counts() {
+        let of = |driven_by: DrivenBy, stop| Actuation {
+            driven_by: driven_by.wire(),
+            ..block(BlockReason::Paused, stop)
+        };
+        let mut referee = referee();
+        for second in 0..100 {
+            let by = if second % 2 == 0 { DrivenBy::Nobody } else { DrivenBy::Person };
+            for stop in [StopReason::Blocked, StopReason::GoalPassed, StopReason::Landed] {
+                let seen = referee.observe(&truth(f64::from(second), 4.0, 1), Some(&of(by, stop)));
+                assert_eq!(seen, None, "{second} s");
+            }
+        }
+        let blocked = block(BlockReason::Commanded, StopReason::Blocked);
+        assert_eq!(referee.clone().observe(&truth(99.1, 9.0, 0), Some(&drive())), None);
+        assert_eq!(referee.clone().observe(&truth(160.0, 9.0, 0), Some(&drive())), Some(Outcome::Timeout));
+        assert_eq!(referee.observe(&truth(99.1, 9.0, 1), Some(&blocked)), None);
+        assert_eq!(referee.clone().observe(&truth(104.0, 9.0, 1), Some(&blocked)), None);
+        assert_eq!(referee.observe(&truth(104.2, 9.0, 1), Some(&blocked)), Some(Outcome::Stopped));
+        let hit = Truth { collided: 1, ..truth(105.0, 9.0, 0) };
+        let by_person = of(DrivenBy::Person, StopReason::None);
+        assert_eq!(referee.observe(&hit, Some(&by_person)), Some(Outcome::Collision));
     }
 
     #[test]

@@ -14,13 +14,14 @@
 
 use ocp::Budget;
 use shared_types::{
-    Alarm, Blocking, Command, CommandKind, GivenGoal, Level, MAX_OBSTACLES, Obstacles, PLAN_NODES, PlanNode,
-    Pose, StopReason,
+    Alarm, Blocking, Command, CommandKind, DrivenBy, GivenControl, GivenGoal, Level, MAX_OBSTACLES,
+    Obstacles, PLAN_NODES, PlanNode, Pose, StopReason,
 };
 use vehicle::{Control, Goal, Invalid, State};
 
 use crate::blocking::blocking;
 use crate::braking::STOP_MARGIN_M;
+use crate::by_person;
 use crate::config::{ControllerConfig, SideRule};
 use crate::contest::Contest;
 use crate::escape::struck_at_rest;
@@ -135,14 +136,19 @@ impl Controller {
         }
     }
 
+    /// Who drives from now on, and what a person asks for.
+    pub fn obey(&mut self, driven_by: u32, person: GivenControl) {
+        (self.state.driven_by, self.state.person) = (driven_by, person);
+    }
+
     /// Starts without the state of the controller before: stops the robot, then plans afresh.
     ///
     /// At rest nothing of the lost state matters: sides are chosen anew, the last controls are zero, and a landed
     /// robot lands again.
     pub fn start_in_stop(&mut self) {
-        let ControllerState { given, .. } = self.state;
-        self.state =
-            ControllerState { arrival: Arrival::StateLost.wire(), given, ..ControllerState::default() };
+        let ControllerState { given, driven_by, person, .. } = self.state;
+        let arrival = Arrival::StateLost.wire();
+        self.state = ControllerState { arrival, given, driven_by, person, ..ControllerState::default() };
     }
 
     /// The command for one scan. `solve_ns` and the stamps of the header are left to the caller.
@@ -157,7 +163,8 @@ impl Controller {
         self.heed_goal(obstacles.header.scan_id);
         self.config.goal = self.goals[self.goal_index()];
         self.state.acquired_ns = pose.header.acquired_ns;
-        match self.decide(pose, obstacles, period_s, budget, &mut command) {
+        let decided = self.decide(pose, obstacles, period_s, budget, &mut command);
+        match decided.and_then(|choice| self.may_drive(choice)) {
             Ok(choice) => self.drive(choice, &mut command),
             Err(reason) => self.stop(reason, &mut command),
         }
@@ -175,7 +182,10 @@ impl Controller {
     ) -> Result<Choice, StopReason> {
         let rests = pose.speed_mps.abs() < REST_MPS && pose.predicted_speed_mps.abs() < REST_MPS;
         let arrival = self.state.arrival();
+        let by_person = self.state.driven_by == DrivenBy::Person.wire();
         match arrival {
+            // A person may drive on from there; the controller decides anew when it drives again.
+            Arrival::Landed if by_person => {}
             Arrival::Landed => self.leave(pose.header.acquired_ns, rests)?,
             Arrival::StateLost if !rests => return Err(StopReason::StateLost),
             Arrival::StateLost => self.state.arrival = Arrival::OnTheWay.wire(),
@@ -189,13 +199,18 @@ impl Controller {
             self.find_goal(initial.x);
         }
         self.smooth(pose.predicted_ns);
-        self.arrive(&initial, pose.predicted_speed_mps, period_s)?;
+        if !by_person {
+            self.arrive(&initial, pose.predicted_speed_mps, period_s)?;
+        }
         if pose.alarm == Alarm::Stop.wire() {
             return Err(StopReason::SelfCheck);
         }
         let mut start = Start::new(&self.config, pose, scanner, initial, period_s)?;
         (command.speed_limit_mps, command.margin) =
             (start.limit_mps, start.margin.at(0.0, pose.predicted_speed_mps.abs()));
+        if by_person {
+            return self.follow_person(&start, pose, command);
+        }
         self.find_reference_path(&start);
         command.side = self.nearest_side(&initial);
         if (!self.reference_path.clear || !self.reference_path.limits.is_empty())
@@ -220,6 +235,31 @@ impl Controller {
         // The solver may have chosen another side than the search.
         command.side = self.nearest_side(&initial);
         Ok(choice)
+    }
+
+    /// What a person asks for as a plan of one interval, which is verified as any other; slower where that is not refused.
+    fn follow_person(
+        &mut self,
+        start: &Start,
+        pose: &Pose,
+        command: &mut Command,
+    ) -> Result<Choice, StopReason> {
+        let Self { config, predicted, planner, state, .. } = self;
+        let scene = start.scene(config, predicted);
+        let period_ns = (config.period_s * 1e9) as u64;
+        let asked = by_person::asked(&scene, &state.person, pose.header.acquired_ns, period_ns);
+        by_person::follow(&scene, asked.ok_or(StopReason::Released)?, planner).map_err(|index| {
+            command.blocking = index.map(|index| blocking(&scene, index)).unwrap_or_default();
+            StopReason::Blocked
+        })
+    }
+
+    /// Passes unless the drive is paused: then a plan is made, so that all is ready, and not driven.
+    fn may_drive(&self, choice: Choice) -> Result<Choice, StopReason> {
+        match DrivenBy::try_from(self.state.driven_by) {
+            Ok(DrivenBy::Controller | DrivenBy::Person) => Ok(choice),
+            Ok(DrivenBy::Nobody) | Err(_) => Err(StopReason::Paused),
+        }
     }
 
     /// A plan that may be driven, unless the path is blocked, or was until lately.

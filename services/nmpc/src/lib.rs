@@ -7,6 +7,7 @@
 
 mod blocking;
 mod braking;
+mod by_person;
 mod config;
 mod contest;
 mod controller;

@@ -39,7 +39,7 @@ impl Stage for ControllerStage {
 
     const ROLE: Role = Role::Controller;
     const ANSWERS: &'static [&'static SampleType] = &[Pose::TYPE, Obstacles::TYPE];
-    const TAKES_GOALS: bool = true;
+    const TAKES_ORDERS: bool = true;
 
     fn begin(settings: ControllerConfig, period_ns: u64) -> Result<Self, Invalid> {
         let budget_ns = (settings.budget_ms * 1e6).min(settings.budget_share * period_ns as f64) as u64;
@@ -68,8 +68,9 @@ impl Stage for ControllerStage {
             *self.pose.get_or_insert_default() = *pose;
         } else if let Some(obstacles) = sample.get() {
             *self.obstacles.get_or_insert_default() = *obstacles;
-        } else if let Some(Directive { goal, .. }) = sample.get() {
-            self.controller.give(goal);
+        } else if let Some(directive) = sample.get::<Directive>() {
+            self.controller.give(&directive.goal);
+            self.controller.obey(directive.driven_by, directive.person);
         }
     }
 

@@ -1,6 +1,6 @@
 //! State of the controller that its successor continues from.
 
-use shared_types::{GivenGoal, PLAN_NODES, PlanNode, plain_state};
+use shared_types::{GivenControl, GivenGoal, PLAN_NODES, PlanNode, plain_state};
 
 use crate::side::Sides;
 use crate::smoothing::SmoothedEllipses;
@@ -74,6 +74,12 @@ plain_state! {
         pub ellipses: SmoothedEllipses,
         /// The goal that was given last while driving
         pub given: GivenGoal,
+        /// Who drives, `DrivenBy`
+        pub driven_by: u32,
+        /// Unused, zero
+        pub reserved: u32,
+        /// What a person who drives asked for last
+        pub person: GivenControl,
         /// The last verified plan, on the course
         pub plan: [PlanNode; PLAN_NODES],
     }

@@ -11,6 +11,7 @@
 
 mod builtin;
 mod companion;
+mod emergency;
 mod member;
 mod page;
 mod ports;
@@ -29,6 +30,7 @@ pub use table::{
 };
 pub use topic::{ByteTopic, NamedTopic, OwnTaken, TakenBytes};
 
+pub(crate) use emergency::EmergencyStop;
 pub(crate) use member::{Member, Place};
 
 pub use reader::OwnObserver;

@@ -28,7 +28,7 @@ use crate::input::{Input, Reader};
 use crate::journal::{Notes, Publish};
 use crate::orphan::OrphanCleanup;
 use crate::output::{Connect, Output, Writer, may_write};
-use crate::own::{ByteTopic, Member, NamedTopic, Place};
+use crate::own::{ByteTopic, EmergencyStop, Member, NamedTopic, OwnTopics, Place};
 use crate::reserve::require_room_of;
 use crate::settings::{self, RunSettings};
 use crate::shared::Shared;
@@ -322,6 +322,26 @@ impl Process {
         let port = topic.clone();
         self.on_connect(move || port.connect());
         Ok(topic)
+    }
+
+    /// The emergency stops that the system file gives to this process, before [`Process::start`].
+    ///
+    /// # Errors
+    /// A topic that says of no button whether it is pressed, and errors of the bus.
+    pub(crate) fn open_emergency_stops(&mut self) -> Result<Vec<EmergencyStop>, RuntimeError> {
+        let table = OwnTopics::of(&self.domain)?;
+        let role = self.shared.role;
+        let of_role = |table: &OwnTopics| {
+            let rows = table.also_reads.iter().filter(|also| also.role == role.name());
+            rows.map(|also| also.topic.clone()).collect::<Vec<_>>()
+        };
+        let mut stops = Vec::new();
+        for name in table.as_ref().map(of_role).unwrap_or_default() {
+            let (stop, topic) = EmergencyStop::open(&self.bus, &self.member()?, &name)?;
+            self.on_connect(move || topic.connect());
+            stops.push(stop);
+        }
+        Ok(stops)
     }
 
     /// This process as a user of topics of your own.

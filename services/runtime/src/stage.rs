@@ -49,13 +49,15 @@ use std::rc::Rc;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Actuation, AnySample, AnyStage, Header, JournalKind, SampleType, Stage, StageEvent, Stopwatch, Topic,
+    Actuation, AnySample, AnyStage, Directive, DrivenBy, Header, JournalKind, SampleType, Stage, StageEvent,
+    Stopwatch, Topic,
 };
 
 use crate::enclosed::Enclosed;
 use crate::handover::Handover;
 use crate::input::{Reader, join_readers};
 use crate::output::Writer;
+use crate::own::EmergencyStop;
 use crate::port::Received;
 use crate::settings::settings_table;
 use crate::{Process, RuntimeError, monotonic_ns};
@@ -126,14 +128,18 @@ struct Runner<'s> {
     output: Enclosed<Rc<Writer>>,
     output_type: &'static SampleType,
     holds_wheels: bool,
-    takes_goals: bool,
-    /// The first scan of the goal that was handed over last.
-    goal_scan: u64,
+    takes_orders: bool,
+    /// [`Directive::orders`] that were handed over last; `None` after a state that has some of its own.
+    orders: Option<(u64, u32, u64)>,
     /// The scan of what was noted last.
     noted: u64,
     /// The scan that was answered last.
     answered: u64,
     dropped: u64,
+    /// Buttons of a stage that holds the wheels.
+    emergency_stops: Vec<EmergencyStop>,
+    /// One of them was pressed, and the orchestrator has not seen it.
+    is_emergency: bool,
 }
 
 impl<'s> Runner<'s> {
@@ -146,6 +152,7 @@ impl<'s> Runner<'s> {
         };
         let (answers, notes) = (open(shape.answers)?, open(shape.notes)?);
         let output = process.open_output(shape.output)?;
+        let emergency_stops = if shape.holds_wheels { process.open_emergency_stops()? } else { Vec::new() };
         let mut runner = Self {
             process,
             stage,
@@ -154,17 +161,22 @@ impl<'s> Runner<'s> {
             output,
             output_type: shape.output,
             holds_wheels: shape.holds_wheels,
-            takes_goals: shape.takes_goals,
-            goal_scan: 0,
+            takes_orders: shape.takes_orders,
+            orders: Some(Directive::default().orders()),
             noted: 0,
             answered: 0,
             dropped: 0,
+            emergency_stops,
+            is_emergency: false,
         };
         let is_lost = match runner.process.resume_checkpoint()? {
             Handover::FirstStart => false,
             Handover::Lost => true,
             Handover::State(checkpoint) => match runner.stage.resume(&checkpoint) {
-                Ok(()) => false,
+                Ok(()) => {
+                    runner.orders = None;
+                    false
+                }
                 Err(error) => {
                     tracing::warn!(%error, "the state of the process before this one can't be used");
                     true
@@ -198,7 +210,7 @@ impl<'s> Runner<'s> {
 
     /// In a swap, continues from the newest state of the process in charge.
     fn join(&mut self) -> Result<(), RuntimeError> {
-        let Self { process, stage, answers, notes, .. } = self;
+        let Self { process, stage, answers, notes, orders, .. } = self;
         let mut joined = None;
         process.join_checkpoint(&mut |checkpoint| {
             if stage.resume(checkpoint).is_ok() {
@@ -207,6 +219,7 @@ impl<'s> Runner<'s> {
             joined.is_some()
         })?;
         let (Some(scan_id), Some(first)) = (joined, answers.first()) else { return Ok(()) };
+        *orders = None;
         match notes.is_empty() {
             true => first.skip_to(scan_id),
             false => first.skip(&|bytes| stage.contains(AnySample::new(first.of(), bytes))),
@@ -226,19 +239,30 @@ impl<'s> Runner<'s> {
         process.wait_preparing(deadline_ns, &mut prepare)
     }
 
-    /// Tells the stage to stop or to continue, which goal was given, and that samples were dropped.
+    /// Tells the stage to stop or to continue, its orders, and that samples were dropped.
     fn follow_directive(&mut self) -> Result<(), RuntimeError> {
-        if self.takes_goals {
+        if self.takes_orders {
             let directive = self.process.directive();
-            if directive.goal.from_scan > self.goal_scan {
-                self.goal_scan = directive.goal.from_scan;
+            if self.orders != Some(directive.orders()) {
+                self.orders = Some(directive.orders());
+                let now_ns = self.process.clock().now_ns();
                 self.process.note_taken(&directive.header);
-                self.stage.take(AnySample::of(&directive), self.process.clock().now_ns());
+                self.process.note(JournalKind::Used, now_ns);
+                self.stage.take(AnySample::of(&directive), now_ns);
             }
         }
         if self.holds_wheels {
-            match (self.process.directive().stop == 1, self.stage.is_stopped()) {
-                (true, false) => self.follow(StageEvent::Stopped(self.process.clock().now_ns()))?,
+            let was_emergency = self.is_emergency;
+            self.look_at_emergency_stops()?;
+            let now_ns = self.process.clock().now_ns();
+            let is_stop = self.process.directive().stop == 1;
+            match (is_stop || self.is_emergency, self.stage.is_stopped()) {
+                (true, false) if !is_stop => self.follow(StageEvent::EmergencyStop(now_ns))?,
+                (true, false) => self.follow(StageEvent::Stopped(now_ns))?,
+                // The stop of the user or the orchestrator is named first.
+                (true, true) if is_stop && was_emergency && !self.is_emergency => {
+                    self.follow(StageEvent::Stopped(now_ns))?
+                }
                 (false, true) => self.follow(StageEvent::Released)?,
                 _ => {}
             }
@@ -248,6 +272,18 @@ impl<'s> Runner<'s> {
             self.dropped = dropped;
             self.follow(StageEvent::Dropped)?;
         }
+        Ok(())
+    }
+
+    /// A button that was pressed holds the wheels also when it is released, until the orchestrator has seen it: then nobody
+    /// drives, or a person, and the controller does not drive on by itself.
+    fn look_at_emergency_stops(&mut self) -> Result<(), RuntimeError> {
+        let mut is_pressed = false;
+        for stop in &mut self.emergency_stops {
+            is_pressed |= stop.blocks(monotonic_ns())?;
+        }
+        let is_seen = self.process.directive().driven_by != DrivenBy::Controller.wire();
+        self.is_emergency = is_pressed || self.is_emergency && !is_seen;
         Ok(())
     }
 

@@ -103,6 +103,7 @@ fn shipped() -> Vec<(PathBuf, String, String)> {
         "examples/c",
         "examples/player",
         "examples/python",
+        "examples/python/emergency-stop",
         "examples/python/speed-limit",
         "examples/ros2",
         "examples/rust/dead-reckoning",

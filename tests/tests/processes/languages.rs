@@ -3,6 +3,7 @@
 
 mod advisor;
 mod bytes;
+mod emergency_stop;
 mod new;
 mod refusals;
 mod robots;

@@ -26,6 +26,7 @@ mod other_user;
 mod output;
 mod pages;
 mod pauses;
+mod person;
 mod player;
 mod possible_poses;
 mod private_place;

@@ -39,7 +39,7 @@ impl Recorder {
         // The figures are of a line along x to one goal, known from the start.
         let is_line =
             self.info.course.is_none() && self.info.goals.all().len() == 1 && self.goal_changes.is_empty();
-        let has_ride = self.estimated.is_none() && is_line;
+        let has_ride = self.estimated.is_none() && is_line && self.driver_changes.is_empty();
         Report {
             schema: SCHEMA,
             run_id: self.info.run_id.clone(),
@@ -64,6 +64,7 @@ impl Recorder {
             ride: has_ride.then(|| measure(&self.ride.drive(), &self.info.goals.last())),
             goals: result.goals.clone(),
             goal_changes: self.goal_changes.clone(),
+            driver_changes: self.driver_changes.clone(),
             scanner: self.scanner.report(),
             blocking: self.blocking.map(|(blocking, _)| blocking.into()),
             differences: Vec::new(),

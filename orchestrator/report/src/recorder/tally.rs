@@ -85,7 +85,8 @@ impl Tally {
         }
         count(&mut self.level, Level::try_from(command.level).map_or("unknown", Level::name));
         match StopReason::try_from(command.reason) {
-            Ok(StopReason::None) => {}
+            // Who drives is reported apart.
+            Ok(StopReason::None | StopReason::Paused | StopReason::Released) => {}
             reason => count(&mut self.stops, reason.map_or("unknown", StopReason::name)),
         }
         if !matches!(status, Ok(SolveStatus::NotSolved)) {

@@ -46,6 +46,18 @@ pub struct GoalChange {
     pub y_m: f64,
 }
 
+/// From when on another drove.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct DriverChange {
+    /// The first scan that was answered so.
+    pub from_scan: u64,
+    /// Driven time then [s].
+    pub from_s: f64,
+    /// `controller`, `person` or `nobody`.
+    pub driven_by: String,
+}
+
 /// The clearance that the driven plans kept, as the mean of each part over all commands that drive [m].
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]

@@ -252,7 +252,7 @@ fn events(area: Rect, buffer: &mut Buffer, model: &Model) {
 
 fn keys(area: Rect, buffer: &mut Buffer, model: &Model) {
     let end = if model.of_run { "q leave  ^C end run" } else { "q quit" };
-    let text = format!(" ? help  s STOP  \u{2191}\u{2193} role  r restart, w swap {}  {end}", model.role());
+    let text = format!(" ? help  s STOP  p pause  \u{2191}\u{2193} role  r, w {}  {end}", model.role());
     buffer.set_style(area, Style::new().add_modifier(Modifier::REVERSED));
     print(buffer, area, 0, &text, Style::new().add_modifier(Modifier::REVERSED));
 }
@@ -261,6 +261,7 @@ fn help(area: Rect, buffer: &mut Buffer, model: &Model) {
     let built_in = built_in(model.role());
     let lines = [
         " s       blocks the wheels at once and ends the system; it can't be taken back".to_owned(),
+        " p       pauses: the wheels are blocked until c lets the controller drive again".to_owned(),
         " \u{2191} \u{2193}     selects a role; so do k, j and the digits 1 to 5".to_owned(),
         " r       restarts the process of the role: a new one takes over first".to_owned(),
         format!(" w       swaps it for a process of the built-in implementation ({built_in})"),

@@ -17,6 +17,10 @@ pub(super) enum Key {
     Restart,
     /// Swap the process of the role.
     Swap,
+    /// Block the wheels until [`Key::Resume`].
+    Pause,
+    /// Let the controller drive again.
+    Resume,
     /// Select the role before.
     Up,
     /// Select the role after.
@@ -30,7 +34,7 @@ pub(super) enum Key {
 impl Key {
     /// Whether it changes more than what is shown.
     fn acts(self) -> bool {
-        matches!(self, Self::Quit | Self::Interrupt | Self::Stop | Self::Restart | Self::Swap)
+        !matches!(self, Self::Help | Self::Up | Self::Down | Self::Role(_) | Self::Text)
     }
 }
 
@@ -223,6 +227,8 @@ fn key(byte: u8) -> Option<Key> {
         b's' => Key::Stop,
         b'r' => Key::Restart,
         b'w' => Key::Swap,
+        b'p' => Key::Pause,
+        b'c' => Key::Resume,
         b'k' => Key::Up,
         b'j' => Key::Down,
         b'1'..=b'5' => Key::Role(usize::from(byte - b'1')),

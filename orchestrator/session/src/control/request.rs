@@ -42,6 +42,23 @@ pub enum Request {
         /// `KEY=VALUE` each.
         set: Vec<String>,
     },
+    /// Block the wheels until [`Request::Resume`]; all processes stay ready.
+    Pause,
+    /// Let the controller drive again.
+    Resume,
+    /// Drive by hand from now on.
+    Teleop,
+    /// What the person who drives by hand asks for.
+    Control {
+        /// The number of the person, from [`Reply::Teleop`].
+        person: u64,
+        /// Velocity [m/s]; zero to stand.
+        velocity_mps: f64,
+        /// Steering angle [rad].
+        steering_rad: f64,
+        /// When it was asked for [ns of CLOCK_MONOTONIC].
+        given_ns: u64,
+    },
     /// Ask for the certificate of a swap.
     SwapResult {
         /// Its number, from [`Reply::Accepted`].

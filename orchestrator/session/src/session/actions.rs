@@ -27,6 +27,7 @@ impl Session {
             Action::Grant { role, incarnation } => {
                 let authority = &mut self.directives.current.authority[role.index()];
                 *authority = Authority { incarnation, ..Authority::default() };
+                self.directives.forget_person();
                 self.directives.changed = true;
                 self.publish_directive()?;
             }

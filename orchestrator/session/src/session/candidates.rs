@@ -186,7 +186,7 @@ impl Session {
             let copied = self.recorder.as_mut().and_then(RunRecorder::copied_scan);
             let recorded =
                 copied.map_or(scan, |copied| scan.min(copied + self.companions.ahead(GRANT_AHEAD)));
-            self.directives.grant(recorded.min(held));
+            self.directives.grant(self.may_be_granted(recorded.min(held)));
         }
         for asked in self.shadows.take_asked() {
             let incarnation = self.supervisor.next_incarnation();
@@ -229,6 +229,7 @@ impl Session {
                     let current = &mut self.directives.current.authority[role.index()];
                     if parties.contains(&current.incarnation) && *current != authority {
                         *current = authority;
+                        self.directives.forget_person();
                         self.directives.changed = true;
                         self.publish_directive()?;
                         self.authorised = self.directives.current.header.sequence;

@@ -3,7 +3,7 @@
 use audit::samples::{MAX_DEVIATING, ScanRecord};
 use report::Outcome;
 use runtime::{Wheels, monotonic_ns};
-use shared_types::{Phase, Role, StopReason};
+use shared_types::{DrivenBy, Phase, Role, StopReason};
 use supervision::supervisor::{Event, ProcessExit};
 
 use super::Session;
@@ -12,7 +12,9 @@ use super::conclusion::Step;
 impl Session {
     /// Ends a run in real time by the clock of this computer, where no stamps of scans do.
     pub(super) fn end_by_clock(&mut self) {
-        if !self.run.lockstep
+        if self.driven_by() != DrivenBy::Controller {
+            self.limits.hold(monotonic_ns());
+        } else if !self.run.lockstep
             && self.drives()
             && let Some((outcome, reason)) = self.limits.count(monotonic_ns())
         {

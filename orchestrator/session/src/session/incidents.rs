@@ -28,9 +28,13 @@ impl Session {
     /// Notices wheels that are blocked while they turn, but for landing.
     pub(super) fn notice_stop(&mut self, scan: &ScanRecord) {
         let Some(actuation) = scan.actuations.last() else { return };
+        if actuation.reason == BlockReason::EmergencyStop.wire() {
+            self.notice_emergency();
+        }
         let drives = actuation.kind == ActuationKind::Drive.wire();
         let drove = std::mem::replace(&mut self.noticed.drove, drives);
-        if drove && !drives && actuation.reason != BlockReason::Landed.wire() && self.conclusion.is_open() {
+        let is_meant = actuation.reason == BlockReason::Landed.wire() || actuation.driven_by != 0;
+        if drove && !drives && !is_meant && self.conclusion.is_open() {
             self.incident();
         }
     }

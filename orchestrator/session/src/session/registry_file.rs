@@ -11,8 +11,8 @@ use crate::process_registry::{ProcessRegistry, Right, RoleRow};
 /// Pause before a registry that could not be written is written again [ns].
 const REWRITE_NS: u64 = 1_000_000_000;
 
-/// The registry is written when one of these changes: phase, stop, authority, whether the run ends.
-type Content = (u32, u32, [Authority; SLOTS], bool);
+/// The registry is written when one of these changes: phase, stop, who drives, authority, whether the run ends.
+type Content = (u32, u32, u32, [Authority; SLOTS], bool);
 
 /// The content that was written last.
 #[derive(Default)]
@@ -46,7 +46,8 @@ impl Session {
     /// Those of the file system; what could not be written is written by the next call.
     pub(super) fn write_registry(&mut self) -> anyhow::Result<()> {
         let directive = &self.directives.current;
-        let content = (directive.phase, directive.stop, directive.authority, !self.conclusion.is_open());
+        let is_decided = !self.conclusion.is_open();
+        let content = (directive.phase, directive.stop, directive.driven_by, directive.authority, is_decided);
         let has_changed = self.fleet.has_changed();
         if !has_changed && self.registry_file.written == Some(content) {
             return Ok(());
@@ -74,6 +75,7 @@ impl Session {
             last_incarnation: self.supervisor.last_incarnation(),
             phase: directive.phase,
             stop: directive.stop,
+            driven_by: directive.driven_by,
             judged_by: self.judged_by,
             outcome,
             reason: reason.to_owned(),

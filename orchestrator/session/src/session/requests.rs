@@ -11,6 +11,7 @@ use super::Session;
 use super::candidates::Live;
 use super::goals::GoalParts;
 use super::injection::inject;
+use super::person::PersonParts;
 use super::swaps::Changed;
 use crate::companion_swaps::CompanionSwaps;
 use crate::control::{Reply, Request, SwapRequest};
@@ -27,8 +28,7 @@ impl Session {
         let (mut notes, drives) = (Vec::new(), self.drives());
         let status = Reply::Status(Box::new(self.status()));
         let Self { control, swaps, shadows, companions, fleet, supervisor, run, .. } = self;
-        let Self { recording, samples, directives, .. } = self;
-        let mut goals = GoalParts { run, recording, samples, directives };
+        let Self { recording, samples, directives, person, .. } = self;
         let live = |role| Live::of(role, fleet, supervisor, &run.hosts);
         control.serve(|request| match request {
             Request::Status => status.clone(),
@@ -38,6 +38,10 @@ impl Session {
             | Request::Inject { .. }
             | Request::ReplaceCompanion { .. }
             | Request::Goal { .. }
+            | Request::Pause
+            | Request::Resume
+            | Request::Teleop
+            | Request::Control { .. }
                 if stopped =>
             {
                 Reply::Refused("the run was stopped".to_owned())
@@ -80,13 +84,26 @@ impl Session {
             Request::Goal { .. } if swaps.concern(Role::Controller) => {
                 Reply::Refused("controller is being swapped: wait for the certificate".to_owned())
             }
-            Request::Goal { set } => match goals.change(&set) {
+            Request::Goal { set } => match (GoalParts { run, recording, samples, directives }).change(&set) {
                 Ok((from_scan, text)) => {
                     notes.push(text);
                     Reply::Accepted(from_scan)
                 }
                 Err(reason) => Reply::Refused(reason),
             },
+            Request::Pause | Request::Resume | Request::Teleop | Request::Control { .. } if !drives => {
+                Reply::Refused("a person takes over while the system drives: it does not".to_owned())
+            }
+            Request::Pause | Request::Resume | Request::Teleop | Request::Control { .. } => {
+                let mut parts = PersonParts { run, recording, samples, directives, person };
+                match parts.answer(&request) {
+                    Ok((reply, text)) => {
+                        notes.extend(text.map(str::to_owned));
+                        reply
+                    }
+                    Err(reason) => Reply::Refused(reason),
+                }
+            }
             Request::Inject { .. } if run.lockstep => Reply::Refused(
                 "faults are injected into runs in real time; `scanloop faults` has them in simulated time"
                     .to_owned(),

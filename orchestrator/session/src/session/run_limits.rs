@@ -51,6 +51,13 @@ impl RunLimits {
         self.judged_ns = Some(self.driven_ns);
     }
 
+    /// In this turn of the loop the controller does not drive: no limit counts.
+    pub(super) fn hold(&mut self, now_ns: u64) {
+        self.counted_ns = Some(now_ns);
+        self.turned_ns = self.driven_ns;
+        self.judged_ns = self.judged_ns.map(|_| self.driven_ns);
+    }
+
     /// How the run ends and why, if a limit is over; call it in each turn of the loop while the system drives.
     pub(super) fn count(&mut self, now_ns: u64) -> Option<(Outcome, String)> {
         let passed_ns = self.counted_ns.map_or(0, |counted_ns| now_ns.saturating_sub(counted_ns));

@@ -56,6 +56,7 @@ impl Session {
             judged_by: self.judged_by,
             lockstep: self.run.lockstep,
             wheels: Some(self.wheels()),
+            driven_by: Some(self.driven_by().name().to_owned()),
             blocking: self.recording.recorder.stopped_for().map(Into::into),
             scanner: self.recording.recorder.scanner().map(Into::into),
             processes,

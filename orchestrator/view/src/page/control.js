@@ -1,4 +1,4 @@
-// Control: stop, restart, swap, set and inject, each with its certificate or its refusal.
+// Control: stop, pause, resume, restart, swap, set and inject, each with its certificate or its refusal.
 
 import { ask, hasToken, urgent } from "./link.js";
 
@@ -13,7 +13,7 @@ export function control(panel, form, result, stop) {
     result.hidden = false;
     result.textContent = `${action.action} …`;
     try {
-      const send = action.action === "stop" ? urgent : ask;
+      const send = ["stop", "pause"].includes(action.action) ? urgent : ask;
       const response = await send("/control", { method: "POST", body: JSON.stringify(action), headers: { "Content-Type": "application/json" } });
       const text = await response.text();
       result.textContent = response.ok ? describe(JSON.parse(text)) : `refused: ${text}`;
@@ -48,6 +48,8 @@ export function control(panel, form, result, stop) {
     // It stands where it is always seen.
     stop.hidden = !has("stop");
     stop.onclick = () => send({ action: "stop" }, stop);
+    if (has("pause")) group("pause", [], () => ({}));
+    if (has("resume")) group("resume", [], () => ({}));
     const [role, to] = [roles(), input("to", "implementation")];
     if (has("restart")) group("restart", [role], () => ({ role: role.value }));
     if (has("swap")) group("swap", [to], () => ({ role: role.value, to: to.value }));

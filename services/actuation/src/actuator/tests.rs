@@ -411,7 +411,7 @@ fn before_the_first_command_the_robot_is_told_to_wait() {
 #[test]
 fn an_explicit_stop_holds_against_all_commands_until_it_is_released() {
     let mut actuator = driving(1);
-    assert_blocked(&actuator.stop(arrival(1) + 1), BlockReason::StopRequested, 0);
+    assert_blocked(&actuator.stop(arrival(1) + 1, false), BlockReason::StopRequested, 0);
     for scan in 2..20 {
         assert_blocked(&actuator.answer(&drive(scan), arrival(scan)), BlockReason::StopRequested, 1);
     }
@@ -424,7 +424,7 @@ fn an_explicit_stop_holds_against_all_commands_until_it_is_released() {
 #[test]
 fn a_stop_holds_across_a_restart() {
     let mut actuator = driving(1);
-    actuator.stop(arrival(1) + 1);
+    actuator.stop(arrival(1) + 1, false);
     let mut restarted = self::actuator();
     assert_eq!(restarted.resume(&actuator.state()), Ok(()));
     assert_blocked(&restarted.answer(&drive(2), arrival(2)), BlockReason::StopRequested, 1);
@@ -437,7 +437,7 @@ fn a_stop_holds_across_a_restart() {
 #[test]
 fn what_is_sent_passes_the_check_of_its_sample() {
     let mut actuator = driving(1);
-    let mut sent = vec![actuator.answer(&drive(2), arrival(2)), actuator.stop(arrival(2))];
+    let mut sent = vec![actuator.answer(&drive(2), arrival(2)), actuator.stop(arrival(2), false)];
     sent.extend(actuator.tick(arrival(9)));
     for mut actuation in sent {
         actuation.header.layout = Actuation::LAYOUT;
@@ -501,7 +501,7 @@ proptest! {
             let mut admissible = false;
             let actuation = match event {
                 Event::Tick => actuator.tick(now),
-                Event::Stop => { stopped = true; Some(actuator.stop(now)) }
+                Event::Stop => { stopped = true; Some(actuator.stop(now, false)) }
                 Event::Release => { stopped = false; actuator.release(); None }
                 Event::Command { skip, kind, verified, velocity, steering, age_ns } => {
                     scan += skip;
@@ -562,4 +562,74 @@ fn drive_at(scan: u64, now_ns: u64) -> Command {
     let mut command = drive(scan);
     command.header.acquired_ns = now_ns - PERIOD_NS / 3;
     command
+}
+
+/// A command that states that a person asked for it.
+fn by_hand(scan: u64) -> Command {
+    Command { level: Level::Person.wire(), ..drive(scan) }
+}
+
+/// What a person asked for at this time.
+fn given(number: u64, given_ns: u64) -> GivenControl {
+    GivenControl { number, given_ns, velocity_mps: 0.4, steering_rad: 0.0 }
+}
+
+#[test]
+fn a_pause_blocks_at_once_and_until_another_drives_also_after_a_restart() {
+    let mut actuator = driving(1);
+    actuator.obey(DrivenBy::Nobody.wire(), &GivenControl::default());
+    let block = actuator.tick(arrival(1) + PERIOD_NS / 10).unwrap();
+    assert_blocked(&block, BlockReason::Paused, 0);
+    assert_eq!((block.driven_by, actuator.tick(arrival(1) + PERIOD_NS / 5)), (1, None), "it is told once");
+    for scan in 2..10 {
+        assert_blocked(&actuator.answer(&drive(scan), arrival(scan)), BlockReason::Paused, 1);
+        assert_eq!(actuator.tick(arrival(scan) + PERIOD_NS / 2), None);
+    }
+    let mut restarted = self::actuator();
+    assert_eq!(restarted.resume(&actuator.state()), Ok(()));
+    assert_blocked(&restarted.answer(&drive(10), arrival(10)), BlockReason::Paused, 1);
+    restarted.obey(DrivenBy::Controller.wire(), &GivenControl::default());
+    assert!(turns(&restarted.answer(&drive(11), arrival(11))));
+    // A number that says nothing blocks as well.
+    restarted.obey(77, &given(1, arrival(12)));
+    assert_blocked(&restarted.answer(&by_hand(12), arrival(12)), BlockReason::Paused, 1);
+}
+
+#[test]
+fn only_who_drives_turns_the_wheels() {
+    let mut actuator = driving(1);
+    assert_blocked(&actuator.answer(&by_hand(2), arrival(2)), BlockReason::Paused, 1);
+    actuator.obey(DrivenBy::Person.wire(), &given(1, arrival(3)));
+    assert_blocked(&actuator.answer(&drive(3), arrival(3)), BlockReason::Paused, 1);
+    let turned = actuator.answer(&by_hand(4), arrival(4));
+    assert!(turns(&turned) && turned.driven_by == DrivenBy::Person.wire(), "{turned:?}");
+    // A controller that does not know of the person turns nothing.
+    actuator.obey(DrivenBy::Person.wire(), &given(2, arrival(5)));
+    assert_blocked(&actuator.answer(&drive(5), arrival(5)), BlockReason::Paused, 1);
+}
+
+#[test]
+fn a_person_who_is_silent_for_a_period_and_a_half_drives_no_more() {
+    let mut actuator = driving(1);
+    actuator.obey(DrivenBy::Person.wire(), &given(1, arrival(2)));
+    assert!(turns(&actuator.answer(&by_hand(2), arrival(2))));
+    assert!(turns(&actuator.answer(&by_hand(3), arrival(3))), "one period ago");
+    assert_eq!(actuator.tick(arrival(2) + PERIOD_NS * 3 / 2), None);
+    assert_blocked(&actuator.tick(arrival(2) + PERIOD_NS * 3 / 2 + 1).unwrap(), BlockReason::Released, 0);
+    assert_blocked(&actuator.answer(&by_hand(4), arrival(4)), BlockReason::Released, 1);
+    // Whatever was given before another drove counts no more, and neither does nothing.
+    actuator.obey(DrivenBy::Person.wire(), &GivenControl::default());
+    assert_blocked(&actuator.answer(&by_hand(5), arrival(5)), BlockReason::Released, 1);
+    actuator.obey(DrivenBy::Person.wire(), &given(3, arrival(6)));
+    assert!(turns(&actuator.answer(&by_hand(6), arrival(6))));
+}
+
+#[test]
+fn an_emergency_stop_has_its_own_reason_until_another_stop_or_its_release() {
+    let mut actuator = driving(1);
+    assert_blocked(&actuator.stop(arrival(1) + 1, true), BlockReason::EmergencyStop, 0);
+    assert_blocked(&actuator.answer(&drive(2), arrival(2)), BlockReason::EmergencyStop, 1);
+    assert_blocked(&actuator.stop(arrival(2) + 1, false), BlockReason::StopRequested, 0);
+    actuator.release();
+    assert!(turns(&actuator.answer(&drive(3), arrival(3))));
 }

@@ -326,3 +326,94 @@ fn a_given_goal_counts_from_its_scan_on_also_for_a_successor() {
     controller.give(&GivenGoal { from_scan: 8, index: 9, ..given });
     assert!(!lands(&mut controller, 8));
 }
+
+/// The same by a scanner that works.
+fn seen_well(scan_id: u64, x_m: f64, speed_mps: f64) -> (Pose, Obstacles) {
+    let (pose, mut obstacles) = seen(scan_id, x_m, speed_mps);
+    obstacles.scanner = ScannerHealth { seen_ahead_m: 5.0, ..ScannerHealth::default() };
+    (pose, obstacles)
+}
+
+/// A person who asks for this at the scan of `pose`.
+fn by_person(controller: &mut Controller, pose: &Pose, [velocity_mps, steering_rad]: [f64; 2]) {
+    let given_ns = pose.header.acquired_ns.max(1);
+    let person = GivenControl { number: pose.header.scan_id, given_ns, velocity_mps, steering_rad };
+    controller.obey(DrivenBy::Person.wire(), person);
+}
+
+#[test]
+fn a_person_drives_within_the_bounds_and_is_told_apart() {
+    let mut controller = Controller::new(ControllerConfig::default()).unwrap();
+    let bounds = controller.config.vehicle.bounds;
+    for (scan_id, asked, driven) in [
+        (1, [0.4, 0.05], Some([0.4, 0.05])),
+        (2, [50.0, -3.0], Some([f64::NAN, -bounds.steering_max_rad])),
+        (3, [0.0, 0.05], None),
+        (4, [-0.5, 0.0], None),
+        (5, [f64::NAN, 0.0], None),
+        (6, [0.4, f64::NAN], None),
+    ] {
+        let (pose, obstacles) = seen_well(scan_id, 1.0, 0.4);
+        by_person(&mut controller, &pose, asked);
+        let command = controller.step(&pose, &obstacles, &BUDGET);
+        let Some([velocity, steering]) = driven else {
+            assert_eq!(command.reason, StopReason::Released.wire(), "{asked:?}");
+            continue;
+        };
+        assert_eq!((command.kind, command.level), (CommandKind::Drive.wire(), Level::Person.wire()));
+        assert_eq!((command.verified, command.plan_length), (1, 2), "{asked:?}");
+        assert!(command.velocity_mps <= command.speed_limit_mps, "never faster than the controller");
+        assert!(velocity.is_nan() || command.velocity_mps == velocity, "{}", command.velocity_mps);
+        assert_eq!(command.steering_rad, steering);
+    }
+}
+
+#[test]
+fn a_person_who_was_silent_for_a_period_and_a_half_asks_for_nothing() {
+    let mut controller = Controller::new(ControllerConfig::default()).unwrap();
+    let (pose, obstacles) = seen_well(30, 1.0, 0.4);
+    by_person(&mut controller, &pose, [0.4, 0.0]);
+    assert_eq!(controller.step(&pose, &obstacles, &BUDGET).kind, CommandKind::Drive.wire());
+    let mut successor = controller.clone();
+    let (pose, obstacles) = seen_well(31, 1.0, 0.4);
+    assert_eq!(controller.step(&pose, &obstacles, &BUDGET).kind, CommandKind::Drive.wire());
+    let (pose, obstacles) = seen_well(32, 1.0, 0.4);
+    assert_eq!(successor.step(&pose, &obstacles, &BUDGET).reason, StopReason::Released.wire());
+}
+
+#[test]
+fn a_person_gets_slower_before_an_obstacle_and_stands_where_no_speed_is_verified() {
+    let mut controller = Controller::new(ControllerConfig::default()).unwrap();
+    let mut faster = f64::INFINITY;
+    for (scan_id, gap_m) in [(1, 3.0), (2, 0.25), (3, 0.02)] {
+        let (pose, mut obstacles) = seen_well(scan_id, 1.0, 0.4);
+        let front_m = pose.predicted_x_m + controller.config.vehicle.length_m / 2.0;
+        obstacles.count = 1;
+        obstacles.items[0] = obstacle(front_m + gap_m + 0.2, 0.0, [0.55, 0.55], [0.4, 0.4]);
+        by_person(&mut controller, &pose, [0.8, 0.0]);
+        let command = controller.step(&pose, &obstacles, &BUDGET);
+        if gap_m > 0.1 {
+            assert_eq!(command.kind, CommandKind::Drive.wire(), "{gap_m} m: {}", command.reason);
+            assert!(command.velocity_mps <= faster && command.velocity_mps > 0.0);
+            faster = command.velocity_mps;
+        } else {
+            assert_eq!(command.reason, StopReason::Blocked.wire(), "{gap_m} m");
+            assert_eq!(command.blocking.id, obstacles.items[0].id);
+        }
+    }
+    assert!(faster < 0.8, "{faster}");
+}
+
+#[test]
+fn a_paused_drive_is_planned_and_not_driven_and_continues() {
+    let mut controller = Controller::new(ControllerConfig::default()).unwrap();
+    controller.obey(DrivenBy::Nobody.wire(), GivenControl::default());
+    let (pose, obstacles) = seen_well(1, 1.0, 0.0);
+    let command = controller.step(&pose, &obstacles, &BUDGET);
+    assert_eq!((command.kind, command.reason), (CommandKind::Stop.wire(), StopReason::Paused.wire()));
+    assert_eq!((command.velocity_mps, controller.state().plan_length), (0.0, 0));
+    controller.obey(DrivenBy::Controller.wire(), GivenControl::default());
+    let (pose, obstacles) = seen_well(2, 1.0, 0.0);
+    let command = controller.step(&pose, &obstacles, &BUDGET);
+    assert_eq!((command.kind, command.level), (CommandKind::Drive.wire(), Level::Converged.wire()));
+}

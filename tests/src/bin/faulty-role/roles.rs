@@ -146,7 +146,7 @@ pub(crate) fn actuator(trouble: Trouble) -> Ended {
     let poll_ns = process.period_ns() / 10;
     while process.wait(Some(process.clock().now_ns() + poll_ns))? {
         if process.directive().stop == 1 && !actuator.is_stopped() {
-            actuations.publish(&mut actuator.stop(process.clock().now_ns()))?;
+            actuations.publish(&mut actuator.stop(process.clock().now_ns(), false))?;
         }
         while let Some(scan_id) = commands.next_scan() {
             actuations.before_take(scan_id);
@@ -160,7 +160,7 @@ pub(crate) fn actuator(trouble: Trouble) -> Ended {
             actuations.publish(&mut block)?;
         }
     }
-    actuations.publish(&mut actuator.stop(process.clock().now_ns()))?;
+    actuations.publish(&mut actuator.stop(process.clock().now_ns(), false))?;
     Ok(())
 }
 

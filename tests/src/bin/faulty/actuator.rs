@@ -39,7 +39,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
         let now_ns = process.clock().now_ns();
         let stop = process.directive().stop == 1 && fault != "ignores-stop";
         if stop && !actuator.is_stopped() {
-            actuations.publish(&mut actuator.stop(now_ns))?;
+            actuations.publish(&mut actuator.stop(now_ns, false))?;
         } else if !stop && actuator.is_stopped() {
             actuator.release();
         }
@@ -75,7 +75,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
         }
     }
     if fault != "wordless" {
-        actuations.publish(&mut actuator.stop(process.clock().now_ns()))?;
+        actuations.publish(&mut actuator.stop(process.clock().now_ns(), false))?;
     }
     Ok(())
 }

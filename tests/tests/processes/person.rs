@@ -1,0 +1,159 @@
+//! A person takes over: pauses the drive, drives by hand, and hands back to the controller.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::process::Child;
+
+use rustix::process::Signal;
+use scanloop_tests::TestSystem;
+use scanloop_tests::machine::repeat_when_late;
+use shared_types::Role;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+
+/// Exit code and messages of a command.
+fn run(system: &TestSystem, arguments: &[&str]) -> (Option<i32>, String) {
+    let output = system.run(arguments);
+    (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+}
+
+fn driven_by(system: &TestSystem) -> String {
+    system.status().and_then(|status| status.driven_by).unwrap_or_default()
+}
+
+/// The newest sample of a topic.
+fn newest(system: &TestSystem, topic: &str) -> serde_json::Value {
+    let output = system.run(&["topic", "echo", topic, "-n", "1", "--short"]);
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn scan(system: &TestSystem) -> u64 {
+    system.status().map_or(0, |status| status.scan)
+}
+
+/// Waits until the true wheels are blocked and the robot stands.
+fn await_rest(system: &TestSystem) -> [f64; 2] {
+    system.wait_until("the robot stands", |system| {
+        let truth = newest(system, "truth");
+        truth["blocked"] == 1 && truth["speed_mps"].as_f64() == Some(0.0)
+    });
+    place(system)
+}
+
+/// Where the robot is.
+fn place(system: &TestSystem) -> [f64; 2] {
+    let truth = newest(system, "truth");
+    [truth["x_m"].as_f64().unwrap(), truth["y_m"].as_f64().unwrap()]
+}
+
+/// `teleop` with arguments, as a process.
+fn teleop(system: &TestSystem, arguments: &[&str]) -> Child {
+    system.command(&[&["teleop"], arguments].concat()).spawn().unwrap()
+}
+
+/// Who drove, one after the other.
+fn drivers(system: &TestSystem) -> Vec<String> {
+    system.report().driver_changes.into_iter().map(|change| change.driven_by).collect()
+}
+
+fn assert_replayed(system: &TestSystem) {
+    let recording = system.report().recording.unwrap().file;
+    let output = system.run(&["replay", "--json", recording.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let replayed: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((&replayed["skipped"], &replayed["differences"]), (&0.into(), &serde_json::json!([])));
+}
+
+#[test]
+fn a_drive_is_paused_driven_by_hand_around_a_corner_and_resumed_to_its_goal() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        system.start(&["bend", "--record"]);
+        system.wait_until("the robot drives", |system| scan(system) > 10);
+        assert_eq!(run(&system, &["resume"]).0, Some(2), "the controller drives");
+        assert_eq!(run(&system, &["pause"]).0, Some(0));
+        let rest = await_rest(&system);
+        assert_eq!(driven_by(&system), "nobody");
+        assert_eq!(newest(&system, "actuation")["reason"], "paused");
+        // All processes answer each scan meanwhile.
+        let before = scan(&system);
+        system.wait_until("scans go by", |system| scan(system) > before + 10);
+        assert_eq!(place(&system), rest);
+        assert_eq!(run(&system, &["teleop", "--velocity=0.5", "--steering=0.06", "--for=2.5"]).0, Some(0));
+        let [x_m, y_m] = await_rest(&system);
+        assert!((x_m - rest[0]).hypot(y_m - rest[1]) > 0.6, "({x_m}, {y_m}) after {rest:?}");
+        assert_eq!(driven_by(&system), "nobody");
+        assert_eq!(run(&system, &["resume"]).0, Some(0));
+        assert_eq!(system.wait().code(), Some(0));
+        assert_eq!(drivers(&system), ["nobody", "person", "nobody", "controller"]);
+        assert_replayed(&system);
+        system.assert_nothing_left();
+    });
+}
+
+#[test]
+fn in_lockstep_a_person_drives_scan_by_scan_and_time_stands_while_the_drive_is_paused() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        system.start(&["figure-eight", "--lockstep", "--record"]);
+        system.wait_until("the drive is paused", |system| run(system, &["pause"]).0 == Some(0));
+        system.wait_until("time stands", |system| {
+            // A command takes tens of scans of a drive that continues.
+            let before = scan(system);
+            let _ = run(system, &["status"]);
+            before > 0 && driven_by(system) == "nobody" && scan(system) == before
+        });
+        let before = scan(&system);
+        assert_eq!(run(&system, &["teleop", "--velocity=0.5", "--steering=0.02", "--for=2"]).0, Some(0));
+        let after = scan(&system);
+        assert!((20..60).contains(&(after - before)), "20 scans and the way to stop, not {}", after - before);
+        assert_eq!(run(&system, &["resume"]).0, Some(0));
+        assert_eq!(system.wait().code(), Some(0));
+        assert_eq!(drivers(&system), ["nobody", "person", "nobody", "controller"]);
+        assert_replayed(&system);
+        system.assert_nothing_left();
+    });
+}
+
+#[test]
+fn without_a_person_the_wheels_are_blocked_and_only_resume_gives_them_back() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        system.start(&["endless", "--record"]);
+        system.wait_until("the robot drives", |system| scan(system) > 10);
+        let mut person = teleop(&system, &["--velocity=0.4", "--for=600"]);
+        system.wait_until("a person drives", |system| newest(system, "actuation")["driven_by"] == "person");
+        system.wait_until("the wheels turn by hand", |system| {
+            let actuation = newest(system, "actuation");
+            actuation["driven_by"] == "person" && actuation["kind"] == "drive"
+        });
+        // No other person may drive meanwhile.
+        let (code, text) = run(&system, &["teleop", "--for=1"]);
+        assert!(code == Some(2) && text.contains("another person drives"), "{text}");
+        // The person's program dies, without a word: dead man.
+        person.kill().unwrap();
+        person.wait().unwrap();
+        await_rest(&system);
+        assert_eq!(driven_by(&system), "person", "nothing is handed back by itself");
+        assert_eq!(newest(&system, "command")["reason"], "released");
+        // A controller that starts again does not drive either, and neither does another orchestrator.
+        let old = system.pid(Role::Controller);
+        system.signal(old, Signal::KILL);
+        system.wait_until("the controller is restarted", |system| system.pid(Role::Controller) != old);
+        await_rest(&system);
+        system.kill_orchestrator();
+        system.adopt(&[]);
+        system.wait_until("nobody drives", |system| driven_by(system) == "nobody");
+        await_rest(&system);
+        let before = scan(&system);
+        system.wait_until("scans go by", |system| scan(system) > before + 10);
+        await_rest(&system);
+        assert_eq!(run(&system, &["resume"]).0, Some(0));
+        system.wait_until("the controller drives", |system| newest(system, "actuation")["kind"] == "drive");
+        assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+        for verb in [&["pause"][..], &["resume"], &["teleop", "--for=1"]] {
+            assert_eq!(run(&system, verb).0, Some(2), "{verb:?} of what is stopped");
+        }
+        system.wait();
+        system.assert_nothing_left();
+    });
+}
