@@ -5,6 +5,7 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod network;
+mod person;
 mod refusals;
 mod replay;
 mod robot;
