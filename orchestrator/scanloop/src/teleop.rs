@@ -34,6 +34,8 @@ const LOOK: Duration = Duration::from_millis(300);
 const POLL: Duration = Duration::from_millis(1);
 /// Bytes of keys that are taken at once.
 const KEY_BYTES: usize = 256;
+/// Longest line of standard input [bytes].
+const MAX_LINE: usize = 256;
 /// Largest numbers that are sent: limits are those of the system.
 const MAX_VELOCITY_MPS: f64 = 10.0;
 const MAX_STEERING_RAD: f64 = 1.0;
@@ -51,6 +53,10 @@ pub struct TeleopArguments {
     /// Without keys: drive so for this time [s], then pause; in lock-step simulated time.
     #[arg(long = "for", value_name = "S")]
     pub for_s: Option<f64>,
+    /// Without keys: each line of standard input is one control, `VELOCITY STEERING`, until its end: for programs in any
+    /// language.
+    #[arg(long, conflicts_with = "for_s")]
+    pub stdin: bool,
     /// Use the terminal in this process; `teleop` starts itself with this option.
     #[arg(long, hide = true)]
     pub draw: bool,
@@ -81,7 +87,7 @@ pub(crate) fn resume(system_id: &str) -> anyhow::Result<Exit> {
 /// # Errors
 /// Arguments that are not allowed, no terminal, a system that does not drive; exit code 2.
 pub(crate) fn teleop(system_id: &str, arguments: &TeleopArguments) -> anyhow::Result<Exit> {
-    let TeleopArguments { velocity, steering, for_s, draw } = *arguments;
+    let TeleopArguments { velocity, steering, for_s, stdin, draw } = *arguments;
     for (name, value, highest, lowest) in [
         ("velocity", velocity, MAX_VELOCITY_MPS, 0.0),
         ("steering", steering, MAX_STEERING_RAD, -MAX_STEERING_RAD),
@@ -94,18 +100,28 @@ pub(crate) fn teleop(system_id: &str, arguments: &TeleopArguments) -> anyhow::Re
         }
     }
     let domain = existing(system_id)?;
-    if for_s.is_none() && !(io::stdin().is_terminal() && io::stderr().is_terminal()) {
+    if for_s.is_none() && !stdin && !(io::stdin().is_terminal() && io::stderr().is_terminal()) {
         return Err(Failure::bad_input(
-            "teleop needs a terminal as standard input and standard error, or --for S",
+            "teleop needs a terminal as standard input and standard error, --for S or --stdin",
         ));
     }
     let shutdown = Shutdown::of_orchestrator()?;
+    if stdin {
+        return drive(&domain, |teleop| teleop.by_lines(&shutdown));
+    }
     if for_s.is_some() || draw {
         if draw {
             set_parent_process_death_signal(Some(Signal::TERM))?;
         }
         let hand = Hand::new([velocity, steering], for_s.is_none());
-        return drive(&domain, &shutdown, hand, for_s);
+        return drive(&domain, |teleop| match for_s {
+            Some(for_s) if teleop.lockstep => {
+                let scans = (for_s * 1e9 / teleop.period_ns as f64).round() as u64;
+                teleop.for_scans(&shutdown, &hand, scans)
+            }
+            Some(for_s) => teleop.for_time(&shutdown, &hand, Duration::from_secs_f64(for_s)),
+            None => teleop.by_keys(&shutdown, hand),
+        });
     }
     let mut command = Command::new(this_program());
     command.args(["--system-id", system_id, "teleop", "--draw"]);
@@ -124,32 +140,24 @@ pub(crate) fn teleop(system_id: &str, arguments: &TeleopArguments) -> anyhow::Re
 }
 
 /// Asks for controls until the end, then pauses the drive.
-fn drive(domain: &Domain, shutdown: &Shutdown, hand: Hand, for_s: Option<f64>) -> anyhow::Result<Exit> {
+fn drive(
+    domain: &Domain,
+    ask_for: impl FnOnce(&mut Teleop<'_>) -> anyhow::Result<()>,
+) -> anyhow::Result<Exit> {
     let reply = request(domain, &Request::Teleop)?;
     let Reply::Teleop { person, period_ns, lockstep } = reply else {
         anyhow::bail!("the orchestrator gives an answer of another version")
     };
     let interval = Duration::from_nanos(period_ns / 2).clamp(INTERVAL.0, INTERVAL.1);
-    let mut teleop = Teleop { domain, person, interval, lockstep, refused_since: None };
-    let given = match for_s {
-        Some(for_s) if lockstep => {
-            let scans = (for_s * 1e9 / period_ns as f64).round() as u64;
-            teleop.for_scans(shutdown, &hand, scans)
-        }
-        Some(for_s) => teleop.for_time(shutdown, &hand, Duration::from_secs_f64(for_s)),
-        None => teleop.by_keys(shutdown, hand),
-    };
+    let mut teleop = Teleop { domain, person, interval, period_ns, lockstep, refused_since: None };
+    let given = ask_for(&mut teleop);
     // Another may have taken over or resumed meanwhile: that one is not paused.
     let is_own = teleop.refused_since.is_none();
     if is_own && let Err(error) = ask(domain, &Request::Pause) {
         tracing::debug!(%error, "the drive is over");
     }
     given?;
-    if for_s.is_some() {
-        answer!(false, "driven by hand; paused: the wheels are blocked until `scanloop resume`")?;
-    } else {
-        print(Priority::Notice, "paused: the wheels are blocked until `scanloop resume`");
-    }
+    print(Priority::Notice, "paused: the wheels are blocked until `scanloop resume`");
     Ok(Exit::Done)
 }
 
@@ -158,6 +166,7 @@ struct Teleop<'d> {
     domain: &'d Domain,
     person: u64,
     interval: Duration,
+    period_ns: u64,
     lockstep: bool,
     /// Since when controls have been refused.
     refused_since: Option<Instant>,
@@ -183,6 +192,42 @@ impl Teleop<'_> {
             }
         }
         Ok(())
+    }
+
+    /// One control for each line.
+    fn by_lines(&mut self, shutdown: &Shutdown) -> anyhow::Result<()> {
+        let (mut text, mut number) = (Vec::new(), 0);
+        loop {
+            wait_for(&[io::stdin().as_fd(), shutdown.descriptor()], LOOK.as_nanos() as u64);
+            if shutdown.requested() {
+                return Ok(());
+            }
+            if !wait_for(&[io::stdin().as_fd()], 0) {
+                continue;
+            }
+            let mut bytes = [0; KEY_BYTES];
+            let count = rustix::io::read(io::stdin(), &mut bytes)?;
+            if count == 0 {
+                return Ok(());
+            }
+            text.extend_from_slice(&bytes[..count]);
+            while let Some(end) = text.iter().position(|byte| *byte == b'\n') {
+                let line: Vec<u8> = text.drain(..=end).collect();
+                number += 1;
+                let asked = keys::of_line(&String::from_utf8_lossy(&line)).map_err(|reason| {
+                    Failure::bad_input(format!("standard input, line {number}: {reason}"))
+                })?;
+                while !self.give(asked)? && self.lockstep && !shutdown.requested() {
+                    wait_for(&[shutdown.descriptor()], POLL.as_nanos() as u64);
+                }
+            }
+            if text.len() > MAX_LINE {
+                return Err(Failure::bad_input(format!(
+                    "standard input, line {}: longer than {MAX_LINE} bytes",
+                    number + 1
+                )));
+            }
+        }
     }
 
     fn by_keys(&mut self, shutdown: &Shutdown, mut hand: Hand) -> anyhow::Result<()> {
@@ -227,16 +272,17 @@ impl Teleop<'_> {
     fn give(&mut self, [velocity_mps, steering_rad]: [f64; 2]) -> anyhow::Result<bool> {
         let given_ns = monotonic_ns();
         let request = Request::Control { person: self.person, velocity_mps, steering_rad, given_ns };
-        match ask(self.domain, &request)? {
-            Reply::Refused(reason) => {
-                let since = *self.refused_since.get_or_insert_with(Instant::now);
-                if since.elapsed() > REFUSED { Err(Failure::bad_input(reason)) } else { Ok(false) }
-            }
-            reply => {
+        let reason = match ask(self.domain, &request) {
+            Ok(Reply::Refused(reason)) => Failure::bad_input(reason),
+            // An orchestrator that is suspended for a moment.
+            Err(error) => error,
+            Ok(reply) => {
                 self.refused_since = None;
-                Ok(reply != Reply::Pending)
+                return Ok(reply != Reply::Pending);
             }
-        }
+        };
+        let since = *self.refused_since.get_or_insert_with(Instant::now);
+        if since.elapsed() > REFUSED { Err(reason) } else { Ok(false) }
     }
 
     /// What the robot does, for the person.

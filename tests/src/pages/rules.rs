@@ -29,6 +29,7 @@ const BUILD: &str = "builds or tests the repository";
 const PEERS: &str = "needs programs of others, which setup.sh builds";
 const INSTALL: &str = "installs packages; tried by packaging/try";
 const CONTAINER: &str = "needs containers";
+const PERSON: &str = "lets a person drive; tested in processes/person.rs";
 const FOREVER: &str = "runs until it is ended; tested in processes/view.rs";
 
 /// How commands that begin so are tried; the first that fits counts.
@@ -73,6 +74,10 @@ const RULES: &[(&str, How)] = &[
     ("scanloop check --live", Read(DEVICE)),
     ("target/release/scanloop", Not(BUILD)),
     ("curl ", Not(FOREVER)),
+    ("scanloop pause", Read(PERSON)),
+    ("scanloop resume", Read(PERSON)),
+    ("scanloop teleop", Read(PERSON)),
+    ("my-gamepad", Not(OWN)),
     // Programs and files of the reader.
     ("scanloop swap controller -- ./my-controller", Read(OWN)),
     ("scanloop swap controller -- target/python", Read(OWN)),

@@ -1,7 +1,8 @@
 //! A person takes over: pauses the drive, drives by hand, and hands back to the controller.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use std::process::Child;
+use std::io::Write;
+use std::process::{Child, Stdio};
 
 use rustix::process::Signal;
 use scanloop_tests::TestSystem;
@@ -87,6 +88,31 @@ fn a_drive_is_paused_driven_by_hand_around_a_corner_and_resumed_to_its_goal() {
         assert_eq!(drivers(&system), ["nobody", "person", "nobody", "controller"]);
         assert_replayed(&system);
         system.assert_nothing_left();
+    });
+}
+
+#[test]
+fn a_program_drives_by_lines_and_a_line_that_is_none_ends_it_with_blocked_wheels() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        system.start(&["free", "--lockstep"]);
+        system.wait_until("the drive is paused", |system| run(system, &["pause"]).0 == Some(0));
+        let drive = |text: &str| {
+            let mut command = system.command(&["teleop", "--stdin"]);
+            let mut person = command.stdin(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+            person.stdin.take().unwrap().write_all(text.as_bytes()).unwrap();
+            let output = person.wait_with_output().unwrap();
+            (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+        };
+        let before = scan(&system);
+        let (code, text) = drive(&"0.4 0.0\n".repeat(20));
+        assert_eq!(code, Some(0), "{text}");
+        assert!(scan(&system) >= before + 20, "a scan for each line");
+        let (code, text) = drive("0.4 0.0\n0.4\n");
+        assert!(code == Some(2) && text.contains("standard input, line 2: \"0.4\""), "{text}");
+        assert_eq!(driven_by(&system), "nobody");
+        assert_eq!(run(&system, &["resume"]).0, Some(0));
+        assert_eq!(system.wait().code(), Some(0));
     });
 }
 

@@ -1,4 +1,4 @@
-//! What the keys of a person who drives ask for.
+//! What the keys, or the lines, of a person who drives ask for.
 
 use std::time::{Duration, Instant};
 
@@ -16,6 +16,27 @@ const MAX_KEYS: usize = 3;
 /// The keys, shown at the start.
 pub(super) const HELP: &str = "up or w: drive while held    left, right or a, d: steer    + and -: velocity\n\
     down, s or space: stand      x: straight                   q: pause and leave\n";
+
+/// Velocity and steering angle of a line.
+///
+/// # Errors
+/// What stands there instead of two numbers.
+pub(super) fn of_line(line: &str) -> Result<[f64; 2], String> {
+    let numbers: Vec<f64> = line.split_whitespace().map_while(|word| word.parse().ok()).collect();
+    match numbers[..] {
+        [velocity, steering]
+            if velocity.is_finite()
+                && steering.is_finite()
+                && line.split_whitespace().count() == numbers.len() =>
+        {
+            Ok([velocity, steering])
+        }
+        _ => Err(format!(
+            "{:?} is not allowed: two numbers, a velocity [m/s] and a steering angle [rad]",
+            line.trim()
+        )),
+    }
+}
 
 /// What a person asks for.
 #[derive(Debug, Clone)]
@@ -146,6 +167,14 @@ mod tests {
         let (mut hand, now) = (hand(), Instant::now());
         assert!(hand.take(b"\x1b[200~w", now) && hand.take(b"ww", now) && hand.asked()[0] == 0.0);
         assert!(hand.take(b"\x1b[201~", now) && hand.take(b"w", now) && hand.asked()[0] == 0.3);
+    }
+
+    #[test]
+    fn a_line_is_two_finite_numbers() {
+        assert_eq!(of_line("0.3 -0.05\n"), Ok([0.3, -0.05]));
+        for line in ["", "0.3", "0.3 0 1", "0.3 x", "nan 0", "inf 0", "0,3 0"] {
+            assert!(of_line(line).is_err(), "{line}");
+        }
     }
 
     #[test]
