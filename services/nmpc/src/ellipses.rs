@@ -1,21 +1,19 @@
 //! The ellipses of the optimal control problem, (7.34).
 
 use ocp::EllipsePath;
-use vehicle::State;
 
-use crate::config::ControllerConfig;
 use crate::predicted_obstacle::PredictedObstacle;
+use crate::scene::Scene;
 
-/// Fills the ellipses that the horizon can reach, nearest first.
+/// Fills the ellipses that the horizon can reach before the goal, nearest first.
 pub(crate) fn fill_ellipses(
-    config: &ControllerConfig,
-    predicted: &[PredictedObstacle],
-    initial: &State,
+    scene: &Scene,
     margin: impl Fn(&PredictedObstacle, f64) -> f64,
     ellipses: &mut Vec<EllipsePath>,
     owners: &mut Vec<usize>,
 ) {
     owners.clear();
+    let Scene { config, predicted, initial, .. } = *scene;
     let reach = config.vehicle.bounds.velocity_max_mps * config.horizon_s;
     let in_reach = |obstacle: &PredictedObstacle| {
         let [x, y] = obstacle.centre;
@@ -23,6 +21,7 @@ pub(crate) fn fill_ellipses(
         (x - initial.x).abs() < reach + obstacle.a + travel
             && (y - initial.y).abs() < reach + obstacle.b + travel
             && x + obstacle.a + travel > initial.x
+            && !scene.is_beyond_goal(obstacle)
     };
     let distance =
         |obstacle: &PredictedObstacle| (obstacle.centre[0] - initial.x).hypot(obstacle.centre[1] - initial.y);
@@ -62,7 +61,9 @@ pub(crate) fn fill_ellipses(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::ControllerConfig;
     use nalgebra::Vector2;
+    use vehicle::State;
     use vehicle::geometry::Rectangle;
 
     #[test]
@@ -84,7 +85,8 @@ mod tests {
             ..ControllerConfig::default()
         };
         let mut ellipses = Vec::new();
-        fill_ellipses(&config, &predicted, &State::default(), |_, _| 0.02, &mut ellipses, &mut Vec::new());
+        let scene = Scene::new(&config, &predicted, State::default());
+        fill_ellipses(&scene, |_, _| 0.02, &mut ellipses, &mut Vec::new());
         let centres: Vec<f64> = ellipses.iter().map(|ellipse| ellipse.centres[0][0]).collect();
         assert_eq!(centres, [1.0, 2.0]);
         // Two thirds of the sagitta of 0.4533 m, where the radius is a^2 / b.

@@ -61,7 +61,8 @@ impl Chosen {
     /// `approach_m` at both ends [m].
     fn free(&self, scene: &Scene, x: f64, t: f64, approach_m: f64) -> [f64; 2] {
         let mut free = [f64::NEG_INFINITY, f64::INFINITY];
-        for (side, obstacle) in self.sides.iter().zip(scene.predicted) {
+        let before_goal = |(_, obstacle): &(&Passing, &PredictedObstacle)| !scene.is_beyond_goal(obstacle);
+        for (side, obstacle) in self.sides.iter().zip(scene.predicted).filter(before_goal) {
             let [centre_x, centre_y] = obstacle.centre_at(t);
             let along = (x - centre_x) / (obstacle.a + approach_m);
             if along.abs() < 1.0 {

@@ -69,7 +69,7 @@ impl ObstacleCost {
             let along = half as f64 * step / 2.0;
             let t = along / query.speed;
             let growth = query.scene.margin.growth(t, query.speed);
-            for obstacle in predicted {
+            for obstacle in predicted.iter().filter(|obstacle| !query.scene.is_beyond_goal(obstacle)) {
                 // Around a robot already inside, the ellipse is shrunk until it is just outside: it must not go deeper.
                 // The box of a straight body has the clearance; the ellipses of others have it.
                 let grown = if is_straight(obstacle) { 0.0 } else { growth };

@@ -280,7 +280,7 @@ impl Planner {
                 + task.scene.margin.growth(if is_wide { way_m / cruise } else { 0.0 }, speed)
                 + GROWN_SHARE * grown(&last.ellipses, obstacle.id)
         };
-        fill_ellipses(config, predicted, &initial, margin, &mut problem.ellipses, &mut self.owners);
+        fill_ellipses(&task.scene, margin, &mut problem.ellipses, &mut self.owners);
         self.grown.clear();
         self.grown.extend(
             self.owners.iter().map(|owner| GROWN_SHARE * grown(&last.ellipses, predicted[*owner].id)),

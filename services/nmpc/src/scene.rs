@@ -18,6 +18,8 @@ use crate::sampled::Sampled;
 /// Curvature of a robot that does not turn [1/m]: others divide by it.
 const HARDLY_PER_M: f64 = 1e-6;
 
+/// How far behind the goal a plan is still checked [m].
+pub(crate) const BEHIND_GOAL_M: f64 = 0.03;
 /// How much deeper than now an ellipse may be entered, in units of (7.34).
 const DEEPER: f64 = 0.01;
 /// How far a bound of the position may be exceeded [m].
@@ -103,6 +105,16 @@ impl<'a> Scene<'a> {
         Bounds { velocity_max_mps: bounds.velocity_max_mps.min(self.limit_mps), ..bounds }
     }
 
+    /// Whether a body is and stays behind the robot's place at the goal: the robot rests there before it gets to the body.
+    pub(crate) fn is_beyond_goal(&self, obstacle: &PredictedObstacle) -> bool {
+        let rest_x =
+            self.config.goal.x_m + BEHIND_GOAL_M + self.config.vehicle.length_m / 2.0 + self.margin.base();
+        [0.0, self.config.horizon_s].into_iter().all(|t| {
+            let corners = obstacle.body_at(t).corners();
+            corners.into_iter().all(|corner| corner.x > rest_x)
+        })
+    }
+
     /// Limits as they are at the start of the plan.
     pub(crate) fn baseline(&self) -> Baseline {
         let mut baseline = Baseline {
@@ -116,7 +128,11 @@ impl<'a> Scene<'a> {
         };
         let State { x, y, .. } = self.initial;
         for (index, obstacle) in self.predicted.iter().enumerate().take(shared_types::MAX_OBSTACLES) {
-            baseline.values[index] = obstacle.value(0.0, x, y).min(1.0) - DEEPER;
+            baseline.values[index] = if self.is_beyond_goal(obstacle) {
+                f64::NEG_INFINITY
+            } else {
+                obstacle.value(0.0, x, y).min(1.0) - DEEPER
+            };
             baseline.gaps[index] =
                 self.body_at(&self.initial).distance_to_rectangle(&self.in_plane(obstacle.body));
         }
@@ -312,4 +328,26 @@ pub(crate) struct Baseline {
 /// How far `value` is outside of `range` [m].
 pub(crate) fn excess(value: f64, range: [f64; 2]) -> f64 {
     (range[0] - value).max(value - range[1]).max(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use vehicle::Goal;
+
+    #[test]
+    fn a_body_is_beyond_the_goal_where_the_robot_rests_before_it_and_it_stays_there() {
+        let config =
+            ControllerConfig { goal: Goal { x_m: 6.0, ..Goal::default() }, ..ControllerConfig::default() };
+        let is_beyond = |front_m: f64, yaw: f64, velocity: [f64; 2]| {
+            let body = Rectangle { centre: Vector2::new(front_m + 0.1, 0.0), yaw, length: 0.2, width: 0.6 };
+            let obstacle =
+                PredictedObstacle { id: 1, centre: [front_m + 0.1, 0.0], velocity, a: 1.2, b: 0.8, body };
+            Scene::new(&config, &[], State::default()).is_beyond_goal(&obstacle)
+        };
+        // 0.03 m behind the goal, 0.28 m of the robot and 0.05 m.
+        assert_eq!([6.35, 6.37].map(|front_m| is_beyond(front_m, 0.0, [0.0; 2])), [false, true]);
+        assert!(!is_beyond(6.37, 0.5, [0.0; 2]), "a corner is nearer");
+        assert!(is_beyond(6.37, 0.0, [0.2, -0.5]) && !is_beyond(7.0, 0.0, [-0.2, 0.0]));
+    }
 }

@@ -45,7 +45,9 @@ pub(crate) fn blocked_by(scene: &Scene, plan: &[Sampled], stop_m: f64, slack: f6
         .predicted
         .iter()
         .filter(|obstacle| {
-            ahead(obstacle.centre[0]) && obstacle.centre[0] - obstacle.a < scene.config.goal.x_m
+            ahead(obstacle.centre[0])
+                && obstacle.centre[0] - obstacle.a < scene.config.goal.x_m
+                && !scene.is_beyond_goal(obstacle)
         })
         .map(|obstacle| obstacle.centre[0] + obstacle.a / 2.0)
         .reduce(f64::max)?;
@@ -118,6 +120,10 @@ impl Turns<'_> {
                     Violation::Ellipse(index) | Violation::Obstacle(index) => Some(index),
                     _ => None,
                 };
+                // Before that body the robot lands.
+                if obstacle.is_some_and(|index| self.scene.is_beyond_goal(&self.scene.predicted[index])) {
+                    return Reach::Past;
+                }
                 return Reach::Hit { x: state.x, obstacle };
             }
             let turn = if driven < LAG_M {
@@ -327,7 +333,10 @@ mod tests {
         assert_eq!(blocked(&[closed(4.4), closed(3.0)], 15.0), Some(1));
         assert_eq!(blocked(&[closed(3.0), closed(4.4)], 15.0), Some(0));
         // What begins behind the goal, and what is behind the robot, blocks nothing.
-        assert_eq!(blocked(&[closed(3.0)], 2.5), Some(0));
+        assert_eq!(blocked(&[closed(3.0)], 2.7), Some(0));
+        // Where the robot lands before the body, only another one blocks.
+        assert_eq!(blocked(&[closed(3.0)], 2.5), None);
+        assert_eq!(blocked(&[closed(2.0), closed(3.0)], 2.5), Some(0));
         assert_eq!(blocked(&[closed(3.8)], 2.5), None);
         assert_eq!(blocked(&[closed(-0.5)], 15.0), None);
         // Nor does what is level with the robot, what is out of sight, and what begins at the goal.

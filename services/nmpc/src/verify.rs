@@ -16,10 +16,7 @@ use crate::braking::Stopping;
 use crate::config::ControllerConfig;
 use crate::rollout::{PIECES, Rollout, advance_on_course};
 use crate::sampled::Sampled;
-use crate::scene::{Baseline, Scene, Violation};
-
-/// How far behind the goal the plan is still checked [m].
-const BEHIND_GOAL_M: f64 = 0.03;
+use crate::scene::{BEHIND_GOAL_M, Baseline, Scene, Violation};
 
 /// The part of a plan that must be clear [s]: about 20 scans, and four times as long as a stop from full speed.
 pub(crate) const VERIFIED_S: f64 = 2.72;

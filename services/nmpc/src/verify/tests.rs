@@ -122,7 +122,10 @@ fn a_robot_outside_of_its_bounds_may_come_back_but_not_go_further() {
 
 #[test]
 fn behind_the_goal_the_plan_is_cut_and_not_refused() {
-    let mut fixture = Fixture::new(vec![obstacle(2.6, 0.0, 1.0, 0.8)]);
+    let mut beside = obstacle(2.6, 0.0, 1.0, 0.8);
+    // The ellipse of a body that is wholly behind the goal would not count.
+    beside.body.centre = [1.6, 1.5].into();
+    let mut fixture = Fixture::new(vec![beside]);
     fixture.config.goal = Goal { x_m: 1.3, ..Goal::default() };
     let verdict = verdict(&fixture.scene(), &straight(1.0));
     assert!(verdict.holds());

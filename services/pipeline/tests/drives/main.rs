@@ -3,6 +3,7 @@
 
 mod beside;
 mod gaps;
+mod goal;
 mod hostile;
 mod presets;
 mod released;
