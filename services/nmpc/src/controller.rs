@@ -514,7 +514,7 @@ impl Controller {
             };
             let moving = predicted.iter().any(PredictedObstacle::moves);
             if moving {
-                let _ = SLOWER.iter().any(|share| find((cruise * share).max(slowest), true));
+                self.find_way_past_moving(start, [slowest, cruise]);
             } else if !find(cruise, false) && find(slowest, true) {
                 slow_down(&mut self.reference_path, &scene, [slowest, cruise]);
             }
@@ -531,6 +531,26 @@ impl Controller {
         self.find_alternative(start);
         let choose = |obstacle: &PredictedObstacle| self.reference_path.side_of(obstacle);
         side::renew(&mut self.state.sides, &self.predicted, choose);
+    }
+
+    /// The fastest path past bodies that move which leads to the goal; without one, the fastest that is clear.
+    fn find_way_past_moving(&mut self, start: &Start, [slowest, cruise]: [f64; 2]) {
+        let Self { config, search, predicted, reference_path, alternative, state, .. } = self;
+        let scene = start.scene(config, predicted);
+        let mut is_found = false;
+        for share in SLOWER {
+            let speed = (cruise * share).max(slowest);
+            let query = Query { scene, speed, narrow: true, sides: &state.sides, forced: None };
+            search.find(&query, alternative);
+            let arrives = alternative.clear && !alternative.misses_goal;
+            if arrives || !is_found {
+                std::mem::swap(reference_path, alternative);
+                is_found = reference_path.clear;
+            }
+            if arrives {
+                break;
+            }
+        }
     }
 
     /// Where the path passes the goal too far away: one that leads to it, between ellipses that are no longer than they must

@@ -1,4 +1,4 @@
-//! Bodies at the goal: the robot lands before what is behind it.
+//! Bodies at the goal: the robot lands before what is behind it, and after what crosses.
 
 use emulator::Outcome;
 use pipeline::PipelineSettings;
@@ -8,7 +8,7 @@ use crate::{End, end, parse, seeds};
 /// Where the robot lands [m], and how far its body reaches ahead then [m].
 const GOAL_M: f64 = 6.0;
 const FRONT_M: f64 = 0.28;
-/// The presets whose odometry finds the goal; `worn` counts wrongly.
+/// One for each seed.
 const PRESETS: [&str; 3] = ["ideal", "summit", "worn"];
 
 /// A drive to the goal with these obstacles, at a scan rate; preset and seed change together.
@@ -64,5 +64,18 @@ fn a_robot_passes_a_body_and_lands_before_another_one() {
     for side in [1.0, -1.0] {
         let passed = body([3.0, 0.3 * side], [0.3, 0.4], 0.0);
         all_land(&(passed + &body([GOAL_M + FRONT_M + 0.55, -0.3 * side], [0.3, 0.8], 0.0)));
+    }
+}
+
+#[test]
+fn a_robot_lets_a_body_cross_at_the_goal_and_lands() {
+    // How far behind the goal it crosses [m], how fast, and how long after the robot would be there [s].
+    for (behind_m, speed_mps, late_s) in
+        [(-0.15, 0.8, 0.5), (-0.4, 0.3, 1.5), (-0.5, 0.5, 0.5), (0.0, 0.5, 0.5)]
+    {
+        for side in [1.0, -1.0] {
+            let y_m = -side * speed_mps * (GOAL_M + late_s);
+            all_land(&body([GOAL_M + behind_m, y_m], [0.4, 0.8], side * speed_mps));
+        }
     }
 }
