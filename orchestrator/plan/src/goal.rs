@@ -8,7 +8,7 @@ use vehicle::{Goal, Goals, Invalid, State};
 
 use crate::Plan;
 use crate::overrides::{parse_override, set};
-use crate::possible::require_goals;
+use crate::possible::{legs, require_legs};
 
 /// A goal that takes the place of another.
 #[derive(Debug, Clone)]
@@ -33,6 +33,8 @@ impl ChangedGoal {
 pub struct DriveSoFar<'p> {
     /// How many goals were reached.
     pub reached: usize,
+    /// How far it has come along the course, in its lap [m].
+    pub along_m: f64,
     /// Where the robot is.
     pub pose: &'p Pose,
     /// How long it drives on before a new goal counts [s].
@@ -54,6 +56,7 @@ pub fn change(plan: &Plan, overrides: &[String], drive: &DriveSoFar<'_>) -> anyh
     let mut index = None;
     for text in overrides {
         let (key, value) = parse_override(text)?;
+        let key = key_among(&key, &plan.scenario.goal, drive.reached);
         let part = key.split('.').nth(1).unwrap_or_default();
         let of = part.parse().unwrap_or(0_usize);
         if index.is_some_and(|index| index != of) {
@@ -72,43 +75,59 @@ pub fn change(plan: &Plan, overrides: &[String], drive: &DriveSoFar<'_>) -> anyh
         ));
     }
     let scenario = Scenario::checked(table).map_err(Failure::bad_input)?;
-    let Some(on_course) = scenario.goals_on_course().get(index).copied() else {
-        return Err(Failure::bad_input(format!("goal {index} is no goal of the scenario")));
-    };
-    if index < drive.reached {
+    let Some(later) = index.checked_sub(drive.reached) else {
         return Err(Failure::bad_input(format!(
             "goal {} of {} was reached before",
             index + 1,
             scenario.goal.all().len()
         )));
-    }
+    };
+    let ahead = scenario.goals_ahead(drive.reached, drive.along_m);
+    let Some(on_course) = ahead.get(later).copied() else {
+        return Err(Failure::bad_input(format!("goal {index} is no goal of the scenario")));
+    };
     let changed = ChangedGoal { scenario, index, on_course };
-    changed.require_reachable(plan, drive).map_err(Failure::bad_input)?;
+    changed.require_reachable(plan, drive, &ahead).map_err(Failure::bad_input)?;
     Ok(changed)
 }
 
+/// The key with the number of its goal where the scenario has `[[goal]]`, and without where it has `[goal]`. A key without
+/// a number is of the goal that is next.
+fn key_among(key: &str, goals: &Goals, reached: usize) -> String {
+    let Some(rest) = key.strip_prefix("goal.") else { return key.to_owned() };
+    let (first, after) = rest.split_once('.').unwrap_or((rest, ""));
+    match (goals.is_list(), first.parse::<usize>()) {
+        (true, Err(_)) => format!("goal.{}.{rest}", reached.min(goals.all().len() - 1)),
+        (false, Ok(0)) if !after.is_empty() => format!("goal.{after}"),
+        _ => key.to_owned(),
+    }
+}
+
 impl ChangedGoal {
-    /// Passes when the robot can land at each goal that is left, from where it is, on an empty track.
-    fn require_reachable(&self, plan: &Plan, drive: &DriveSoFar<'_>) -> Result<(), Invalid> {
-        let Self { scenario, index, on_course } = self;
+    /// Passes when the robot can land at each goal that is left, those of `ahead`, from where it is, on an empty track.
+    fn require_reachable(&self, plan: &Plan, drive: &DriveSoFar<'_>, ahead: &[Goal]) -> Result<(), Invalid> {
+        let Self { scenario, index, on_course: goal } = self;
         let tuning = plan.system.tuning().for_scenario(scenario);
         let (goals, pose) = (&scenario.goal, drive.pose);
+        let on_course = |start: &Start| {
+            let state = State { x: start.x_m, y: start.y_m, yaw: start.yaw_rad, ..State::default() };
+            let course = scenario.course.as_ref();
+            let State { x, y, yaw, .. } =
+                course.map_or(state, |course| course.on_course(&state, drive.along_m));
+            Start { x_m: x, y_m: y, yaw_rad: yaw }
+        };
         if *index == drive.reached {
-            let here = scenario.course.as_ref().map_or([pose.x_m, pose.y_m, pose.yaw_rad], |course| {
-                let state = State { x: pose.x_m, y: pose.y_m, yaw: pose.yaw_rad, ..State::default() };
-                let on = course.on_course(&state, course.find(&state));
-                [on.x, on.y, on.yaw]
-            });
+            let here = on_course(&Start { x_m: pose.x_m, y_m: pose.y_m, yaw_rad: pose.yaw_rad });
             let speed_mps = pose.speed_mps.abs();
             let vehicle = &tuning.controller.vehicle;
             let stop_m =
                 speed_mps * drive.notice_s + speed_mps * speed_mps / (2.0 * vehicle.deceleration_max_mps2);
-            let ahead_m = on_course.x_m - here[0];
-            if ahead_m + on_course.tolerance_m < stop_m {
+            let ahead_m = goal.x_m - here.x_m;
+            if ahead_m + goal.tolerance_m < stop_m {
                 let allowed = format!(
                     "at least {:.2} m further on than the robot, which drives {speed_mps:.2} m/s at ({:.2}, {:.2}): this goal \
                      is {ahead_m:.2} m further on",
-                    stop_m - on_course.tolerance_m,
+                    stop_m - goal.tolerance_m,
                     pose.x_m,
                     pose.y_m
                 );
@@ -124,16 +143,7 @@ impl ChangedGoal {
         let (on_m, (sin, cos)) = (pose.speed_mps * drive.notice_s, pose.yaw_rad.sin_cos());
         let (x_m, y_m) = (pose.x_m + on_m * cos, pose.y_m + on_m * sin);
         let start = Start { x_m, y_m, yaw_rad: pose.yaw_rad };
-        let left = Scenario { start, goal: goals.left(drive.reached), ..scenario.clone() };
-        require_goals(&left, &tuning.controller).map_err(|invalid| renamed(invalid, goals, drive.reached))
+        let left = legs(on_course(&start), (drive.reached..).zip(ahead.iter().copied()), goals);
+        require_legs(&Scenario { start, ..scenario.clone() }, &tuning.controller, &left)
     }
-}
-
-/// A refusal of the goals that are left, with the number of the goal among all.
-fn renamed(invalid: Invalid, goals: &Goals, reached: usize) -> Invalid {
-    let named = (0..goals.all().len()).find_map(|index| {
-        let rest = invalid.key.strip_prefix(&goals.key(index))?;
-        Some(format!("{}{rest}", goals.key(index + reached)))
-    });
-    Invalid { key: named.unwrap_or_else(|| invalid.key.clone()), ..invalid }
 }

@@ -13,8 +13,8 @@ use vehicle::correction::SENT_VELOCITY_MAX_MPS;
 
 use crate::System;
 
-pub(crate) use legs::require_goals;
-use legs::{ceil, floor, legs};
+use legs::{ceil, floor};
+pub(crate) use legs::{legs, require_goals, require_legs};
 
 /// Passes when the velocities that the controller may desire can be sent.
 ///
@@ -43,7 +43,7 @@ pub(crate) fn require_velocity(system: &System) -> Result<(), Invalid> {
 
 /// What ends otherwise than the user may think.
 pub(crate) fn warnings(scenario: &Scenario, controller: &ControllerConfig) -> Vec<String> {
-    let legs = legs(scenario);
+    let legs = legs::all(scenario);
     let limit_mps = speed_limit(controller);
     let speed_mps = controller.cruise_mps.min(limit_mps);
     let way_m: f64 = legs.iter().map(|leg| leg.goal.distance_m(leg.start.x_m, leg.start.y_m)).sum();

@@ -211,6 +211,11 @@ impl Referee {
         }
     }
 
+    /// How far the robot has come along the course, in its lap [m].
+    pub fn along_m(&self) -> f64 {
+        self.progress.along_m()
+    }
+
     /// What became of each goal.
     pub fn landings(&self) -> Vec<Landing> {
         let mut landings = self.landings.clone();

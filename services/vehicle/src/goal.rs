@@ -74,6 +74,11 @@ impl Goals {
         Self { goals: self.goals[index..].to_vec(), ..self.clone() }
     }
 
+    /// Whether a file has them as `[[goal]]`.
+    pub fn is_list(&self) -> bool {
+        self.is_list
+    }
+
     /// Its key in messages.
     pub fn key(&self, index: usize) -> String {
         if self.is_list { format!("goal[{index}]") } else { "goal".to_owned() }

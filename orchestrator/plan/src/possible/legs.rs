@@ -10,7 +10,7 @@ use std::f64::consts::FRAC_PI_2;
 use emulator::Scenario;
 use emulator::scenario::{Goal, Start};
 use nmpc::ControllerConfig;
-use vehicle::{Control, Course, Invalid};
+use vehicle::{Control, Course, Goals, Invalid};
 
 /// By how much a turn is larger than a steady one, because the robot has to get into it.
 const ENTRY_SHARE: f64 = 1.04;
@@ -27,7 +27,7 @@ const STRAIGHT_M: f64 = 1e6;
 const STEP_M: f64 = 0.01;
 
 /// The way from one place to land at to the next one, along and across the course.
-pub(super) struct Leg {
+pub(crate) struct Leg {
     pub(super) start: Start,
     pub(super) goal: Goal,
     /// Keys of the two in messages.
@@ -35,12 +35,17 @@ pub(super) struct Leg {
     to: String,
 }
 
-/// The legs of a drive in their order.
-pub(super) fn legs(scenario: &Scenario) -> Vec<Leg> {
-    let (mut start, mut from) = (scenario.start_on_course(), "start".to_owned());
+/// All legs of a drive in their order.
+pub(super) fn all(scenario: &Scenario) -> Vec<Leg> {
     let goals = scenario.goals_on_course().into_iter().enumerate();
+    legs(scenario.start_on_course(), goals, &scenario.goal)
+}
+
+/// The legs from a place through goals with their numbers among all; places are along and across the course.
+pub(crate) fn legs(mut start: Start, goals: impl Iterator<Item = (usize, Goal)>, all: &Goals) -> Vec<Leg> {
+    let mut from = "start".to_owned();
     let leg = |(index, goal): (usize, Goal)| {
-        let to = scenario.goal.key(index);
+        let to = all.key(index);
         let leg = Leg { start, goal, from: from.clone(), to: to.clone() };
         (start, from) = (Start { x_m: goal.x_m, y_m: goal.y_m, yaw_rad: 0.0 }, to);
         leg
@@ -56,8 +61,19 @@ pub(super) fn legs(scenario: &Scenario) -> Vec<Leg> {
 /// # Errors
 /// [`Invalid`] with a key of the scenario, its value and what is possible.
 pub(crate) fn require_goals(scenario: &Scenario, controller: &ControllerConfig) -> Result<(), Invalid> {
+    require_legs(scenario, controller, &all(scenario))
+}
+
+/// The same for these legs of the drive.
+///
+/// # Errors
+/// As [`require_goals`].
+pub(crate) fn require_legs(
+    scenario: &Scenario,
+    controller: &ControllerConfig,
+    legs: &[Leg],
+) -> Result<(), Invalid> {
     require_speeds(scenario, controller)?;
-    let legs = legs(scenario);
     legs.iter().enumerate().try_for_each(|(index, leg)| require_goal(scenario, controller, leg, index == 0))
 }
 
@@ -91,10 +107,11 @@ fn require_goal(
     if is_first {
         require_heading(scenario, controller, ENTRY_SHARE * radius_m)?;
     }
-    if let Some(course) = &scenario.course {
-        return require_bends(course, controller, radius_m);
-    }
     let turns = Turns::new(start, goal, controller, ENTRY_SHARE * radius_m);
+    if let Some(course) = &scenario.course {
+        require_bends(course, controller, radius_m)?;
+        return require_beside(course, leg, turns);
+    }
     if turns.reach(goal.x_m, goal.y_m) {
         return Ok(());
     }
@@ -160,6 +177,27 @@ fn require_bends(course: &Course, controller: &ControllerConfig, radius_m: f64) 
         controller.cruise_mps
     );
     Err(Invalid::new(&format!("course.waypoints[{}]", sharpest.waypoint), value, allowed))
+}
+
+/// Passes when a turn leads to a goal that is beside the course. In its bends the robot turns with the course, so the turn is
+/// taken as sharper by the sharpest bend, and the way as longer by the outer side of it.
+fn require_beside(course: &Course, leg: &Leg, mut turns: Turns) -> Result<(), Invalid> {
+    let Leg { start, goal, from, to } = leg;
+    let turn_m = turns.radius_m;
+    let curvature = 1.0 / course.sharpest().radius_m;
+    turns.radius_m = 1.0 / (1.0 / turn_m + curvature);
+    let outer = 1.0 + curvature * start.y_m.abs().max(goal.y_m.abs());
+    if turns.reach(start.x_m + (goal.x_m - start.x_m) * outer, goal.y_m) {
+        return Ok(());
+    }
+    let allowed = format!(
+        "farther along the course, or nearer to it: from {from} it is {} m along and {} m to the left, and the smallest planned \
+         turn has {} m radius",
+        floor(goal.x_m - start.x_m),
+        floor(goal.y_m - start.y_m),
+        ceil(turn_m)
+    );
+    Err(Invalid::new(to, format!("{} m along the course", floor(goal.x_m)), allowed))
 }
 
 /// Passes when the robot can turn into the direction of the track or the course before it leaves it.
@@ -448,6 +486,24 @@ mod tests {
             ceil(smallest_m)
         );
         assert_eq!(message, format!("course.waypoints[1] = {expected}"));
+    }
+
+    #[test]
+    fn a_goal_beside_a_course_that_no_turn_leads_to_is_refused_with_its_place() {
+        let refused = |goal: &str| {
+            let scenario = corner(4.0, goal);
+            let controller =
+                ControllerConfig { track: scenario.track_on_course(), ..ControllerConfig::default() };
+            require_goals(&scenario, &controller).err().map(|refused| refused.to_string())
+        };
+        assert_eq!(refused("[goal]\nx_m = 4\ny_m = 1"), None);
+        let message = refused("[goal]\nx_m = 1\ny_m = 1").unwrap();
+        assert!(
+            message.contains(
+                "from start it is 1 m along and 1 m to the left, and the smallest planned turn has 3.394"
+            ),
+            "{message}"
+        );
     }
 
     #[test]

@@ -46,7 +46,8 @@ impl GoalParts<'_> {
         let notice = NOTICE_SCANS.max(NOTICE_NS.div_ceil(*period_ns));
         let notice_s = (notice * period_ns) as f64 * 1e-9;
         let (mut run, plan) = RunFile::read(domain)?;
-        let drive = DriveSoFar { reached: self.recording.reached(), pose, notice_s };
+        let (reached, along_m) = (self.recording.reached(), self.recording.along_m());
+        let drive = DriveSoFar { reached, along_m, pose, notice_s };
         let changed = plan::goal::change(&plan, overrides, &drive)?;
         // In lock-step no scan after the granted one is published before the next directive.
         let newest = self.samples.newest_scan().max(self.directives.current.granted_scan);

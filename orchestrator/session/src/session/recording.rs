@@ -82,6 +82,11 @@ impl Recording {
         self.referee.reached()
     }
 
+    /// How far the robot has come along the course [m].
+    pub(super) fn along_m(&self) -> f64 {
+        self.referee.along_m()
+    }
+
     /// What became of each goal.
     pub(super) fn landings(&self) -> Vec<Landing> {
         self.referee.landings()

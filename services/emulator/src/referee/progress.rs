@@ -42,6 +42,11 @@ impl Progress {
         self.goals_m.get_mut(index).into_iter().for_each(|place| *place = along_m);
     }
 
+    /// Where the robot is on the course [m].
+    pub(super) fn along_m(&self) -> f64 {
+        self.along_m
+    }
+
     /// Length of the course before a goal that is not driven yet, zero near the goal [m].
     pub(super) fn left_m(&self, goal: usize) -> f64 {
         let left_m = self.goals_m.get(goal).map_or(0.0, |goal_m| goal_m - self.along_m);

@@ -384,3 +384,17 @@ fn a_scenario_with_a_course_reads_back_identically_and_has_no_track_in_its_file(
     let changed = scenario.with(&toml::from_str("[goal]\ntolerance_m = 0.2").unwrap()).unwrap();
     assert_eq!((changed.goal.last().tolerance_m, changed.goal.last().x_m), (0.2, scenario.goal.last().x_m));
 }
+
+#[test]
+fn a_goal_in_laps_is_the_next_place_ahead_of_the_robot() {
+    let mut scenario = Scenario::parse(Scenario::shipped("figure-of-eight").unwrap(), "eight").unwrap();
+    let lap_m = scenario.course.as_ref().unwrap().length_m() / 3.0;
+    // The first quarter of the eight.
+    (scenario.goal.all_mut()[0].x_m, scenario.goal.all_mut()[0].y_m) = (4.5, 4.5);
+    let quarter_m = scenario.goals_on_course()[0].x_m;
+    assert!((quarter_m - lap_m / 8.0).abs() < 0.1, "{quarter_m} of {lap_m}");
+    for (robot_m, laps) in [(1.0, 0.0), (lap_m / 2.0, 1.0), (1.05 * lap_m, 1.0), (1.5 * lap_m, 2.0)] {
+        let [goal] = scenario.goals_ahead(0, robot_m)[..] else { panic!("one goal") };
+        assert!((goal.x_m - quarter_m - laps * lap_m).abs() < 1e-6, "{goal:?} from {robot_m}");
+    }
+}

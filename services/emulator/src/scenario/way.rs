@@ -114,10 +114,19 @@ impl Scenario {
     /// The goals along and across the course, each behind the one before it where the course passes there again. A last goal
     /// at the last waypoint is the end of the course.
     pub fn goals_on_course(&self) -> Vec<Goal> {
-        let Some(course) = &self.course else { return self.goal.all().to_vec() };
+        self.goals_behind(0, None)
+    }
+
+    /// The goals that are left along and across the course, each behind the one before it, and the first of them not before
+    /// `along_m`, where the robot is.
+    pub fn goals_ahead(&self, reached: usize, along_m: f64) -> Vec<Goal> {
+        self.goals_behind(reached, Some(along_m - BETWEEN_M))
+    }
+
+    fn goals_behind(&self, first: usize, mut before_m: Option<f64>) -> Vec<Goal> {
+        let Some(course) = &self.course else { return self.goal.left(first).all().to_vec() };
         let last = self.goal.all().len() - 1;
-        let mut before_m = None;
-        let goals = self.goal.all().iter().enumerate().map(|(index, goal)| {
+        let goals = self.goal.all().iter().enumerate().skip(first).map(|(index, goal)| {
             let point = Vector2::new(goal.x_m, goal.y_m);
             let is_end = index == last && (course.at(course.length_m()).point - point).norm() < SAME_M;
             let [x_m, y_m] = match before_m {
