@@ -218,8 +218,8 @@ fn reread<T: Setting + Serialize>(
 pub fn keep(domain: &Domain, role: Role, incarnation: u32) -> Result<(), RuntimeError> {
     let (folder, own) = (domain.folder(), own_settings_file(incarnation));
     if folder.contains(&own) {
-        folder.write(&settings_file(role), &folder.read(&own)?)?;
-        folder.remove(&own)?;
+        // A copy would need room on the disk.
+        folder.rename(&own, &settings_file(role))?;
     }
     Ok(())
 }

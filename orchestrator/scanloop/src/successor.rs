@@ -62,11 +62,12 @@ impl SuccessorArguments {
 /// Requests a swap or a shadow; returns its number.
 ///
 /// # Errors
-/// A refused request, exit code 2, and a system that is not running.
+/// A refused request, exit code 2, one that could not be carried out, exit code 4, and a system that is not running.
 pub(crate) fn begin(domain: &Domain, request: &Request) -> anyhow::Result<u64> {
     match ask(domain, request)? {
         Reply::Accepted(number) => Ok(number),
         Reply::Refused(reason) => Err(Failure::bad_input(reason)),
+        Reply::Failed(reason) => Err(Failure::process(reason)),
         _ => anyhow::bail!("the orchestrator did not answer the request"),
     }
 }

@@ -77,6 +77,8 @@ pub enum Reply {
     Certificate(Box<Certificate>),
     /// The request is refused, with the reason.
     Refused(String),
+    /// The request is right, but could not be carried out, as on a full disk; with the reason.
+    Failed(String),
 }
 
 /// The state of a system, `status --json`.

@@ -18,7 +18,7 @@ use supervision::entry::{ProcessEntry, ProcessRow, role_name};
 use toml::{Table, Value};
 use vehicle::{of_text, text_of};
 
-const RUN_FILE: &str = "run.toml";
+pub(crate) const RUN_FILE: &str = "run.toml";
 
 /// The run: scenario, system and options.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -146,6 +146,14 @@ impl RunFile {
     /// # Errors
     /// Those of the file system.
     pub(crate) fn write(&self, domain: &Domain) -> anyhow::Result<()> {
+        Ok(domain.folder().write(RUN_FILE, self.text()?.as_bytes())?)
+    }
+
+    /// The content of the file.
+    ///
+    /// # Errors
+    /// A path that is no text.
+    pub(crate) fn text(&self) -> anyhow::Result<String> {
         let Self { out, lockstep, duration_s, system, scenario } = self;
         let mut table = Table::new();
         table.insert("out".to_owned(), Value::try_from(out)?);
@@ -153,7 +161,7 @@ impl RunFile {
         table.extend(duration_s.map(|time_s| ("duration_s".to_owned(), time_s.into())));
         table.insert("system".to_owned(), system.to_table().into());
         table.insert("scenario".to_owned(), scenario.to_table().into());
-        Ok(domain.folder().write(RUN_FILE, table.to_string().as_bytes())?)
+        Ok(table.to_string())
     }
 
     /// Reads the options of a run, and its plan.

@@ -112,15 +112,37 @@ impl Folder {
     /// # Errors
     /// [`RuntimeError::File`].
     pub fn write(&self, name: &str, bytes: &[u8]) -> Result<(), RuntimeError> {
-        let unfinished = format!("{name}.tmp");
-        let written = self.open_file(&unfinished, OFlags::WRONLY | OFlags::CREATE | OFlags::TRUNC);
+        self.write_all(&[(name, bytes)])
+    }
+
+    /// Writes several files, or none of them where the disk has no room for all.
+    ///
+    /// # Errors
+    /// [`RuntimeError::File`].
+    pub fn write_all(&self, files: &[(&str, &[u8])]) -> Result<(), RuntimeError> {
+        let unfinished = |name: &str| format!("{name}.tmp");
+        let write = |(name, bytes): &(&str, &[u8])| {
+            let flags = OFlags::WRONLY | OFlags::CREATE | OFlags::TRUNC;
+            let written = self.open_file(&unfinished(name), flags).and_then(|mut file| file.write_all(bytes));
+            written.map_err(|source| self.error(name, source))
+        };
+        // What takes room comes first; a name in place of another takes none.
+        let written = files.iter().try_for_each(write);
         let renamed = written
-            .and_then(|mut file| file.write_all(bytes))
-            .and_then(|()| Ok(rustix::fs::renameat(&self.descriptor, &*unfinished, &self.descriptor, name)?));
-        renamed.map_err(|source| {
-            let _ = self.remove(&unfinished);
-            self.error(name, source)
-        })
+            .and_then(|()| files.iter().try_for_each(|(name, _)| self.rename(&unfinished(name), name)));
+        if renamed.is_err() {
+            files.iter().for_each(|(name, _)| _ = self.remove(&unfinished(name)));
+        }
+        renamed
+    }
+
+    /// Puts a file in the place of another.
+    ///
+    /// # Errors
+    /// [`RuntimeError::File`].
+    pub fn rename(&self, from: &str, to: &str) -> Result<(), RuntimeError> {
+        let renamed = rustix::fs::renameat(&self.descriptor, from, &self.descriptor, to);
+        renamed.map_err(|error| self.error(to, error.into()))
     }
 
     /// Opens a file of this directory, never through a link; a new one gets mode 0600.
@@ -326,6 +348,19 @@ mod tests {
         assert_eq!(folder.read_text("settings").unwrap(), "mine");
         let mode = std::fs::metadata(folder.path().join("settings")).unwrap().permissions().mode();
         assert_eq!(mode & 0o777, 0o600);
+    }
+
+    #[test]
+    fn of_several_files_all_are_written_or_none() {
+        let scratch = Scratch::new("several");
+        let folder = Folder::make(&scratch.0.join("private")).unwrap();
+        folder.write_all(&[("one", b"old"), ("two", b"old")]).unwrap();
+        // The unfinished second file can't be made: its name is taken by a directory.
+        folder.make_folder("two.tmp").unwrap();
+        assert!(folder.write_all(&[("one", b"new"), ("two", b"new")]).is_err());
+        let texts = ["one", "two"].map(|name| folder.read_text(name).unwrap());
+        assert_eq!(texts, ["old", "old"]);
+        assert!(!folder.contains("one.tmp"), "nothing is left");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use handover::swap::{Certificate, SwapOutcome};
-use rustix::process::Signal;
+use rustix::process::{Pid, Resource, Rlimit, Signal, getrlimit, prlimit};
 use scanloop_tests::TestSystem;
 use scanloop_tests::machine::repeat_when_late;
 use scanloop_tests::swaps::{
@@ -145,6 +145,40 @@ fn a_goal_changes_while_the_robot_drives_and_no_process_is_swapped() {
         let recording = report.recording.unwrap().file;
         let replayed = system.run(&["replay", recording.to_str().unwrap()]);
         assert_eq!(replayed.status.code(), Some(0), "{replayed:?}");
+        system.assert_nothing_left();
+    });
+}
+
+#[test]
+fn a_goal_that_can_not_be_written_is_written_nowhere_and_one_line_says_why() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        system.start(&["free"]);
+        system.wait_until("the robot drives", |system| system.status().is_some_and(|status| status.scan > 5));
+        let files = || {
+            let folder = system.domain().folder().clone();
+            ["settings-controller.toml", "run.toml"].map(|name| folder.read_text(name).unwrap())
+        };
+        let before = files();
+        let [settings, run] = before.each_ref().map(|text| text.len() as u64);
+        assert!(settings + 200 < run, "the second file is the larger one");
+        let orchestrator = Pid::from_raw(system.orchestrator());
+        let limit = |current| {
+            let maximum = getrlimit(Resource::Fsize).maximum;
+            prlimit(orchestrator, Resource::Fsize, Rlimit { current, maximum }).unwrap();
+        };
+        limit(Some(settings + 100));
+        let refused = system.run(&["set", "goal.x_m=7"]);
+        let text = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert_eq!(refused.status.code(), Some(4), "{text}");
+        assert!(text.contains("run.toml: File too large") && text.lines().count() == 1, "{text}");
+        assert_eq!(text.matches("File too large").count(), 1, "{text}");
+        assert_eq!(files(), before);
+        limit(None);
+        let set = system.run(&["set", "goal.x_m=7"]);
+        assert_eq!(set.status.code(), Some(0), "{set:?}");
+        assert!(files().iter().zip(&before).all(|(new, old)| new != old));
+        assert_eq!(system.wait().code(), Some(0));
         system.assert_nothing_left();
     });
 }

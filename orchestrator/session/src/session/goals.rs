@@ -2,17 +2,18 @@
 //! scan on, and in the files from which a process starts again or another orchestrator adopts the run.
 
 use audit::samples::Samples;
+use console::exit::Failure;
 use plan::change;
 use plan::goal::{ChangedGoal, DriveSoFar};
 use report::GoalChange;
 use runtime::settings_file;
-use shared_types::{GivenGoal, Pose, Role};
+use shared_types::{GivenGoal, Role};
 use supervision::directives::Directives;
 use vehicle::Goal;
 
 use super::Run;
 use super::recording::{AwaitedGoal, Recording};
-use crate::process_registry::RunFile;
+use crate::process_registry::{RUN_FILE, RunFile};
 
 /// So many scans after the newest one a goal counts: all processes have the directive by then.
 const NOTICE_SCANS: u64 = 2;
@@ -32,16 +33,12 @@ impl GoalParts<'_> {
     ///
     /// # Errors
     /// Why it does not change.
-    pub(super) fn change(&mut self, overrides: &[String]) -> Result<(u64, String), String> {
+    pub(super) fn change(&mut self, overrides: &[String]) -> anyhow::Result<(u64, String)> {
         if self.recording.awaits_goal() {
-            return Err("the goal that was set before does not count yet: try again".to_owned());
+            return Err(Failure::bad_input("the goal that was set before does not count yet: try again"));
         }
-        let pose = self.recording.recorder.last_pose().copied();
-        let pose = pose.ok_or("the robot has no pose yet: try again")?;
-        self.change_from(&pose, overrides).map_err(|error| format!("{error:#}"))
-    }
-
-    fn change_from(&mut self, pose: &Pose, overrides: &[String]) -> anyhow::Result<(u64, String)> {
+        let pose = &self.recording.recorder.last_pose().copied();
+        let pose = pose.as_ref().ok_or_else(|| Failure::bad_input("the robot has no pose yet: try again"))?;
         let Run { domain, period_ns, lockstep, .. } = self.run;
         let notice = NOTICE_SCANS.max(NOTICE_NS.div_ceil(*period_ns));
         let notice_s = (notice * period_ns) as f64 * 1e-9;
@@ -55,9 +52,9 @@ impl GoalParts<'_> {
         // A controller that starts again has the goal among its settings.
         let (folder, name) = (domain.folder(), settings_file(Role::Controller));
         let settings = change::with_goal(&folder.read_text(&name)?, changed.index, &changed.on_course)?;
-        folder.write(&name, settings.as_bytes())?;
         run.scenario = changed.scenario.clone();
-        run.write(domain)?;
+        let run = run.text()?;
+        folder.write_all(&[(&name, settings.as_bytes()), (RUN_FILE, run.as_bytes())])?;
         Ok((from_scan, self.announce(&changed, from_scan)))
     }
 

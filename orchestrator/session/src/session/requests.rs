@@ -1,5 +1,7 @@
 //! The requests of commands over the control socket, and the answers of a session.
 
+use console::exit::{Exit, exit_of};
+use console::limits::text_of;
 use handover::swap::{KeyChange, Meant};
 use plan::change;
 use report::Outcome;
@@ -50,12 +52,12 @@ impl Session {
                 let role = request.successor.role;
                 match shadows.concern(role) {
                     true => Reply::Refused(format!("a process runs in the shadow of {role}: end that first")),
-                    false => live(role)
-                        .and_then(|live| {
-                            let settings = changed_settings(&run.domain, &request)?;
-                            swaps.ask(now_ns, &request, settings, &live)
-                        })
-                        .into(),
+                    false => match changed_settings(&run.domain, &request) {
+                        Ok(settings) => {
+                            live(role).and_then(|live| swaps.ask(now_ns, &request, settings, &live)).into()
+                        }
+                        Err(error) => Reply::without(&error),
+                    },
                 }
             }
             Request::Shadow(_) if run.lockstep => Reply::Refused(
@@ -89,7 +91,7 @@ impl Session {
                     notes.push(text);
                     Reply::Accepted(from_scan)
                 }
-                Err(reason) => Reply::Refused(reason),
+                Err(error) => Reply::without(&error),
             },
             Request::Pause | Request::Resume | Request::Teleop | Request::Control { .. } if !drives => {
                 Reply::Refused("a person takes over while the system drives: it does not".to_owned())
@@ -154,18 +156,26 @@ impl Session {
 ///
 /// # Errors
 /// A key or value that is not allowed, or a file that can't be read.
-fn changed_settings(domain: &Domain, request: &SwapRequest) -> Result<Option<Changed>, String> {
+fn changed_settings(domain: &Domain, request: &SwapRequest) -> anyhow::Result<Option<Changed>> {
     if request.set.is_empty() {
         return Ok(None);
     }
     let role = request.successor.role;
-    let text = domain.folder().read_text(&settings_file(role)).map_err(|error| error.to_string())?;
-    let changed = change::settings(role, &text, &request.set).and_then(|settings| {
-        let amounts = change::amounts(role, [&text, &settings], &request.set)?;
-        let changes: Vec<KeyChange> = amounts.into_iter().map(|(key, by)| KeyChange { key, by }).collect();
-        Ok(Changed { settings, meant: Meant::of(&changes) })
-    });
-    changed.map(Some).map_err(|error| format!("{error:#}"))
+    let text = domain.folder().read_text(&settings_file(role))?;
+    let settings = change::settings(role, &text, &request.set)?;
+    let amounts = change::amounts(role, [&text, &settings], &request.set)?;
+    let changes: Vec<KeyChange> = amounts.into_iter().map(|(key, by)| KeyChange { key, by }).collect();
+    Ok(Some(Changed { settings, meant: Meant::of(&changes) }))
+}
+
+impl Reply {
+    /// The answer to a request that an error ended.
+    fn without(error: &anyhow::Error) -> Self {
+        match exit_of(error) {
+            Exit::BadInput => Self::Refused(text_of(error)),
+            _ => Self::Failed(text_of(error)),
+        }
+    }
 }
 
 impl From<Result<u64, String>> for Reply {
