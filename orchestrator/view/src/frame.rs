@@ -25,6 +25,8 @@ pub(crate) struct Samples {
     /// Longest reaction since the frame before [ns].
     pub(crate) reaction_ns: Option<u64>,
     pub(crate) truth: Option<Truth>,
+    /// All goals, once one has changed.
+    pub(crate) goals: Option<Value>,
     /// In lock-step the stamps are simulated, so they say nothing about time.
     pub(crate) simulated: bool,
 }
@@ -70,6 +72,7 @@ impl Samples {
             "truth": self.truth.as_ref().map(truth),
             "obstacles": self.obstacles.as_deref().map(|all| all.list().iter().map(obstacle).collect::<Vec<_>>()),
             "scanner": self.obstacles.as_deref().map(scanner),
+            "goals": self.goals,
             "command": self.command.as_deref().map(command),
             "actuation": self.actuation.as_ref().map(actuation),
             "latency_us": self.actuation.as_ref().filter(|_| !self.simulated).and_then(latency),

@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 use shared_types::Role;
 
 use crate::actions::Verb;
-use crate::course::course;
+use crate::course::{Goals, course};
 use crate::events::Events;
 use crate::follower::{Follower, News};
 use crate::scene::Scene;
@@ -21,6 +21,7 @@ pub(crate) struct Live {
     scene: Scene,
     events: Events,
     course: Value,
+    goals: Goals,
     had_one: bool,
     next_system_s: f64,
 }
@@ -38,6 +39,7 @@ impl Live {
             scene: Scene::default(),
             events: Events::default(),
             course: Value::Null,
+            goals: Goals::default(),
             had_one: false,
             next_system_s: 0.0,
         })
@@ -60,7 +62,7 @@ impl Live {
         let domain = self.follower.domain();
         if let Some(domain) = domain.filter(|_| self.course.is_null()) {
             let file = runtime::settings_file(Role::Controller);
-            self.course = course(&domain.folder().read_text(&file).unwrap_or_default());
+            (self.course, self.goals) = course(&domain.folder().read_text(&file).unwrap_or_default());
         }
         json!({
             "time_s": now_s,
@@ -80,7 +82,7 @@ impl Live {
 
 impl Source for Live {
     fn poll(&mut self, now_s: f64) -> Update {
-        let Self { follower, scene, events, course, next_system_s, system_id, .. } = self;
+        let Self { follower, scene, events, course, goals, next_system_s, system_id, .. } = self;
         events.set_time(now_s);
         follower.poll(|news| {
             match news {
@@ -96,6 +98,7 @@ impl Source for Live {
             }
             scene.take(news, events, now_s);
         });
+        scene.show_goals(goals);
         let row = follower.domain().and_then(|_| scene.next_row(now_s));
         let mut update = Update { frame: row.map(|row| scene.samples.frame(row)), ..Update::default() };
         if now_s >= self.next_system_s {

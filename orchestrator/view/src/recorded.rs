@@ -18,7 +18,7 @@ use shared_types::Role;
 
 use self::processes::{Outputs, Processes};
 use self::samples::{Directives, Key, OwnedSample, SHOWN};
-use crate::course::course;
+use crate::course::{Goals, course};
 use crate::events::{Event, Events};
 use crate::follower::News;
 use crate::history::Row;
@@ -41,6 +41,7 @@ pub(crate) struct RecordedDrive {
     frames: Vec<Frame>,
     events: Vec<Event>,
     directives: Directives,
+    goals: Goals,
     /// Of each of the recordings that were joined.
     processes: Vec<Processes>,
     shifts: Shifts,
@@ -94,6 +95,7 @@ impl RecordedDrive {
             attachment(contents, RUN).and_then(|text| text.parse().ok()).unwrap_or_default();
         let scenario = run.get("scenario").and_then(|scenario| scenario.get("name"));
         let simulated = reading.scene.samples.simulated;
+        let (course, goals) = course(settings);
         let system = json!({
             "connection": "recording",
             "time_s": reading.frames.last().map(|frame| frame.row.time_s),
@@ -103,7 +105,7 @@ impl RecordedDrive {
             "scenario": scenario.and_then(toml::Value::as_str),
             "system_id": of("recording", "system_id"),
             "run_id": of("recording", "run_id"),
-            "course": course(settings),
+            "course": course,
             "latency_us": (!simulated).then(|| reading.latencies.report()),
             "actions": [],
         });
@@ -121,6 +123,7 @@ impl RecordedDrive {
             frames,
             events,
             directives,
+            goals,
             processes,
             shifts,
             start_ns,
@@ -190,8 +193,10 @@ impl RecordedDrive {
             }
         }
         let now_ns = self.start_ns.saturating_add((row.time_s * 1e9) as u64);
-        let mut frame = scene.samples.json(&row);
         let directives = self.directives.until(newest);
+        directives.iter().for_each(|(_, directive)| scene.give(&directive.goal));
+        scene.show_goals(&self.goals);
+        let mut frame = scene.samples.json(&row);
         frame["system"] = json!({
             "status": self.processes[file].status(directives, &outputs, now_ns),
             "authority": self.directives.at(newest).authority.map(|authority| authority.incarnation),

@@ -1,11 +1,12 @@
 //! The newest samples of a drive, and when they make a frame. Samples come from a running system or from a recording.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use report::latency::Latencies;
 use serde_json::Value;
-use shared_types::{Command, Directive, Header};
+use shared_types::{Command, Directive, GivenGoal, Header};
 
+use crate::course::Goals;
 use crate::events::Events;
 use crate::follower::News;
 use crate::frame::Samples;
@@ -25,6 +26,10 @@ const CHAINS: usize = 600;
 pub(crate) struct Scene {
     pub(crate) samples: Samples,
     pub(crate) directive: Directive,
+    /// The goal that was given last; it counts from its scan on.
+    given: GivenGoal,
+    /// Those before it, by their index.
+    given_before: BTreeMap<u32, GivenGoal>,
     /// Headers of the newest actuations.
     chains: VecDeque<Header>,
     /// When the newest scan came that no frame shows yet [s].
@@ -52,6 +57,7 @@ impl Scene {
             News::Directive(new) => {
                 events.directive(new);
                 self.directive = *new;
+                self.give(&new.goal);
             }
             News::Scan(new) => keep(&mut samples.scan, new),
             News::Pose(new) => keep(&mut samples.pose, new),
@@ -90,6 +96,22 @@ impl Scene {
         let row = self.samples.row(self.frames, now_s);
         (self.scan_came_s, self.has_actuation, self.samples.reaction_ns) = (None, false, None);
         Some(row)
+    }
+
+    /// Takes a goal that counts from its scan on; one that is not newer than the last is no other.
+    pub(crate) fn give(&mut self, goal: &GivenGoal) {
+        if goal.is_newer(&self.given) {
+            let before = std::mem::replace(&mut self.given, *goal);
+            self.given_before.insert(before.index, before);
+        }
+    }
+
+    /// Shows the goals that count for the newest scan, where they are not those of the start.
+    pub(crate) fn show_goals(&mut self, goals: &Goals) {
+        let newest = self.samples.newest_scan();
+        let all = self.given_before.values().chain([&self.given]);
+        let mut counting = all.filter(|given| (1..=newest).contains(&given.from_scan)).peekable();
+        self.samples.goals = counting.peek().is_some().then(|| goals.with(counting));
     }
 
     /// The incarnations in charge, in the order of the roles.

@@ -31,9 +31,12 @@ impl Feed {
             News::Found(domain) => model.course = course(domain).unwrap_or_default(),
             News::Gone => has_ended = true,
             News::Status(status) => model.status = Some(status.clone()),
-            News::Directive(_) => {}
+            News::Directive(directive) => model.course.give(&directive.goal),
             News::Scan(scan) => newest_scan = Some(*scan),
-            News::Pose(pose) => model.pose = Some(*pose),
+            News::Pose(pose) => {
+                model.course.heed_goal(pose.header.scan_id);
+                model.pose = Some(*pose);
+            }
             News::Obstacles(obstacles) => model.obstacles = Some(Box::new(*obstacles)),
             News::Command(command) => model.command = Some(Box::new(*command)),
             News::Truth(truth) => model.truth = Some(*truth),

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use session::control::{EventRow, SystemStatus};
-use shared_types::{Actuation, ActuationKind, Command, Obstacles, Pose, Role, Scan, Truth};
+use shared_types::{Actuation, ActuationKind, Command, GivenGoal, Obstacles, Pose, Role, Scan, Truth};
 use vehicle::course::CourseOutline;
 use vehicle::frame::to_track;
 use vehicle::{Description, Goal, State, Track};
@@ -51,6 +51,8 @@ pub(super) struct Course {
     /// The bounds and the goals, along and across the way.
     pub(super) track: Track,
     pub(super) goals: Vec<Goal>,
+    /// The goal that was given last; it counts from its scan on.
+    given: GivenGoal,
     pub(super) way: vehicle::Course,
     /// The way as lines; none of the line along x.
     pub(super) outline: Option<CourseOutline>,
@@ -60,7 +62,23 @@ pub(super) struct Course {
 impl Course {
     pub(super) fn new(track: Track, goals: Vec<Goal>, way: vehicle::Course, vehicle: Description) -> Self {
         let outline = (!way.is_line()).then(|| way.outline(track.x_m));
-        Self { track, goals, way, outline, vehicle }
+        Self { track, goals, given: GivenGoal::default(), way, outline, vehicle }
+    }
+
+    /// Takes a goal that counts from its scan on; one that is not newer than the last is no other.
+    pub(super) fn give(&mut self, goal: &GivenGoal) {
+        if goal.is_newer(&self.given) {
+            self.given = *goal;
+        }
+    }
+
+    /// Puts the given goal in its place when a scan has come from which it counts.
+    pub(super) fn heed_goal(&mut self, scan_id: u64) {
+        let GivenGoal { from_scan, index, x_m, y_m, tolerance_m, .. } = self.given;
+        if let Some(goal) = self.goals.get_mut(index as usize).filter(|_| (1..=scan_id).contains(&from_scan))
+        {
+            *goal = Goal { x_m, y_m, tolerance_m, ..*goal };
+        }
     }
 
     /// The goals in the plane.

@@ -169,8 +169,9 @@ function paint(now_ms) {
   const frame = page.shown_s == null ? page.frame : page.past ?? page.frame;
   let moves;
   [body, moves] = glide(frame, now_ms);
-  const course = page.system?.course ?? page.course;
-  if (course) page.course = course;
+  page.course = page.system?.course ?? page.course;
+  // A frame has the goals once one of them has changed.
+  const course = page.course && frame?.goals ? { ...page.course, goals: frame.goals, goal: frame.goals.at(-1) } : page.course;
   const track = course?.track?.y_m;
   const centre_y = course?.way ? body?.y_m : track ? (track[0] + track[1]) / 2 : 0;
   const isMoving = eye.step(seconds, body, centre_y);

@@ -70,9 +70,10 @@ impl OwnedSample {
 pub(super) struct Directives(Vec<(Key, Directive)>);
 
 impl Directives {
-    /// Adds a newer one, if it differs in phase or authority.
+    /// Adds a newer one, if it differs in phase, authority or goal.
     pub(super) fn add(&mut self, key: Key, new: &Directive) {
-        let is_same = |(_, old): &(Key, Directive)| (old.phase, old.authority) == (new.phase, new.authority);
+        let of = |directive: &Directive| (directive.phase, directive.authority, directive.goal);
+        let is_same = |(_, old): &(Key, Directive)| of(old) == of(new);
         if !self.0.last().is_some_and(is_same) {
             self.0.push((key, *new));
         }

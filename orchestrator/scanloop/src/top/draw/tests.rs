@@ -5,8 +5,8 @@ use ratatui_core::terminal::Terminal;
 use report::BlockingReport;
 use session::control::EventRow;
 use shared_types::{
-    Actuation, ActuationKind, Command, CommandKind, Obstacle, Obstacles, PlanNode, Pose, Scan, ScanGeometry,
-    StopReason, Truth,
+    Actuation, ActuationKind, Command, CommandKind, GivenGoal, Obstacle, Obstacles, PlanNode, Pose, Scan,
+    ScanGeometry, StopReason, Truth,
 };
 use supervision::supervisor::VisibleState;
 use vehicle::course::{CourseKeys, Waypoint};
@@ -133,6 +133,22 @@ fn a_course_is_drawn_with_its_bounds_and_the_distance_to_the_goal_is_along_it() 
     assert!(with_course.contains("goal 11.4 m"), "{with_course}");
     model.course.outline = None;
     assert_ne!(with_course, picture(&model, [80, 24]), "the bounds of the way are drawn");
+}
+
+#[test]
+fn a_goal_that_was_given_is_drawn_from_its_scan_on() {
+    let mut model = driving();
+    model.course.goals = vec![Goal::default()];
+    model.pose = Some(Pose::default());
+    model.course.give(&GivenGoal { from_scan: 7, x_m: 8.0, tolerance_m: 0.2, ..GivenGoal::default() });
+    let shows = |model: &mut Model, scan_id| {
+        model.course.heed_goal(scan_id);
+        picture(model, [80, 24]).contains("goal 8.0 m")
+    };
+    assert!(!shows(&mut model, 6) && shows(&mut model, 7));
+    // One that is not newer is no other.
+    model.course.give(&GivenGoal { from_scan: 7, x_m: 9.0, ..GivenGoal::default() });
+    assert!(shows(&mut model, 8));
 }
 
 #[test]
