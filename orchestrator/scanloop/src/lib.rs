@@ -204,7 +204,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
 /// The commands that a page with `--control` may run.
 fn verbs() -> Vec<Verb> {
     let commands = Cli::command();
-    Verb::ALL.iter().copied().filter(|verb| commands.find_subcommand(verb.name()).is_some()).collect()
+    Verb::ALL.iter().copied().filter(|verb| commands.find_subcommand(verb.command()).is_some()).collect()
 }
 
 /// Prints what a command was asked for.

@@ -29,8 +29,20 @@ named_enum! {
         Swap "swap",
         /// Change a setting of one role.
         Set "set",
+        /// Move the goal that is next.
+        Goal "goal",
         /// Inject a fault.
         Inject "inject",
+    }
+}
+
+impl Verb {
+    /// The command of this program that does it.
+    pub fn command(self) -> &'static str {
+        match self {
+            Self::Goal => Self::Set.name(),
+            verb => verb.name(),
+        }
     }
 }
 
@@ -46,6 +58,9 @@ struct Asked {
     /// Of `set`.
     key: String,
     value: String,
+    /// Of `goal`: its place in the plane.
+    x_m: Option<f64>,
+    y_m: Option<f64>,
     /// Of `inject`.
     fault: String,
 }
@@ -111,6 +126,13 @@ fn arguments(verbs: &[Verb], body: &[u8]) -> Result<Vec<String>, String> {
     let role =
         || asked.role.parse::<Role>().map(|role| role.name().to_owned()).map_err(|error| error.to_string());
     let rest = match verb {
+        Verb::Goal => {
+            let place = |key: &str, metres: Option<f64>| {
+                let metres = metres.ok_or_else(|| format!("{key} is missing"))?;
+                Ok::<_, String>(format!("goal.{key}={metres:?}"))
+            };
+            vec![place("x_m", asked.x_m)?, place("y_m", asked.y_m)?, "--json".to_owned()]
+        }
         Verb::Stop | Verb::Pause | Verb::Resume => vec![],
         Verb::Restart => vec![role()?],
         Verb::Swap => vec![role()?, "--to".to_owned(), name("to", &asked.to)?, "--json".to_owned()],
@@ -120,7 +142,7 @@ fn arguments(verbs: &[Verb], body: &[u8]) -> Result<Vec<String>, String> {
         }
         Verb::Inject => vec![name("fault", &asked.fault)?],
     };
-    Ok(std::iter::once(verb.name().to_owned()).chain(rest).collect())
+    Ok(std::iter::once(verb.command().to_owned()).chain(rest).collect())
 }
 
 /// Runs a command of this program to its end.
@@ -146,8 +168,8 @@ mod tests {
     use super::*;
 
     fn of(body: &str) -> Result<String, String> {
-        arguments(&[Verb::Stop, Verb::Restart, Verb::Swap, Verb::Set], body.as_bytes())
-            .map(|parts| parts.join(" "))
+        let verbs = [Verb::Stop, Verb::Restart, Verb::Swap, Verb::Set, Verb::Goal];
+        arguments(&verbs, body.as_bytes()).map(|parts| parts.join(" "))
     }
 
     #[test]
@@ -158,6 +180,8 @@ mod tests {
         assert_eq!(swap, "swap estimator --to ekf --json");
         let set = of(r#"{"action":"set","key":"controller.theta_m","value":"-0.25"}"#).unwrap();
         assert_eq!(set, "set controller.theta_m=-0.25 --json");
+        let goal = of(r#"{"action":"goal","x_m":8,"y_m":-0.3}"#).unwrap();
+        assert_eq!(goal, "set goal.x_m=8.0 goal.y_m=-0.3 --json");
     }
 
     #[test]
@@ -173,6 +197,8 @@ mod tests {
             r#"{"action":"swap","role":"controller","to":"a/../../bin/sh"}"#,
             r#"{"action":"swap","role":"controller","to":""}"#,
             r#"{"action":"set","key":"-x","value":"1"}"#,
+            r#"{"action":"goal","x_m":8}"#,
+            r#"{"action":"goal","x_m":"8","y_m":0}"#,
             r#"{"action":"set","key":"x","value":"$(reboot)"}"#,
         ] {
             assert!(of(body).is_err(), "{body}");

@@ -234,6 +234,44 @@ fn a_page_whose_program_was_removed_still_acts() {
 }
 
 #[test]
+fn a_click_on_the_map_moves_the_goal_and_what_is_shown_of_it() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        let view = View::start(&system, &["--control"]);
+        system.start(&["free", "--record=drive.mcap"]);
+        let shown = view.wait_for(&system, "the page shows the drive", is_driving);
+        assert!(shown["actions"].as_array().unwrap().contains(&"goal".into()), "{shown}");
+        assert_eq!(frames(&view.address, 1)[0]["goals"], Value::Null, "those of the settings");
+        let near = r#"{"action":"goal","x_m":0.1,"y_m":0}"#;
+        let far = r#"{"action":"goal","x_m":6.5,"y_m":0.3}"#;
+        assert_ne!(view.act(far, false).0, 200, "without the token");
+        let act = |body: &str| serde_json::from_str::<Value>(&view.act(body, true).1).unwrap();
+        let refused = act(near);
+        assert_eq!(refused["exit_code"], 2, "{refused}");
+        assert!(refused["messages"].as_str().unwrap().contains("m further on than the robot"), "{refused}");
+        let moved = act(far);
+        assert_eq!(moved["exit_code"], 0, "{moved}");
+        let from_scan = moved["certificate"]["from_scan"].as_u64().unwrap();
+        let goals = serde_json::json!([{ "x_m": 6.5, "y_m": 0.3, "tolerance_m": 0.1, "along_m": 6.5 }]);
+        system.wait_until("the page shows the new goal", |_| frames(&view.address, 1)[0]["goals"] == goals);
+        assert_eq!(system.wait().code(), Some(0));
+        let change = system.report().goal_changes[0];
+        assert_eq!((change.from_scan, change.x_m, change.y_m), (from_scan, 6.5, 0.3));
+        assert_eq!(view.end().0.code(), Some(0));
+
+        let view = View::start(&system, &[system.folder().join("drive.mcap").to_str().unwrap()]);
+        for row in view.json("/history")["rows"].as_array().unwrap() {
+            let at_ms = (row["time_s"].as_f64().unwrap() * 1e3).ceil();
+            let frame = view.json(&format!("/frame?at_ms={at_ms}"));
+            let expected = if row["scan_id"].as_u64().unwrap() < from_scan { &Value::Null } else { &goals };
+            assert_eq!(&frame["goals"], expected, "{row}");
+        }
+        assert_eq!(view.end().0.code(), Some(0));
+        system.assert_nothing_left();
+    });
+}
+
+#[test]
 fn a_run_serves_its_page_until_it_ends() {
     repeat_when_late(|| {
         let mut system = TestSystem::new(EXECUTABLE);

@@ -5,14 +5,18 @@ import { sizeOf } from "./charts.js";
 // Ten kilometres on a small screen.
 const MIN_SCALE = 0.02;
 const MAX_SCALE = 400;
+// A pointer that moves less is a click.
+const MAX_CLICK_PX = 4;
 
-/** A camera over a canvas; calls `changed` when it has moved by hand. */
-export function camera(canvas, changed) {
+/** A camera over a canvas; calls `changed` when it has moved by hand, and `clicked` with a place of the plane. */
+export function camera(canvas, changed, clicked) {
   const now = { x: 2, y: 0, scale: 90 };
   const goal = { ...now };
   let follows = true;
   let isSet = false;
   const pointers = new Map();
+  // Where the only pointer went down, until it has moved.
+  let pressed = null;
 
   const size = () => sizeOf(canvas);
   const clamp = (scale) => Math.min(MAX_SCALE, Math.max(MIN_SCALE, scale));
@@ -52,14 +56,17 @@ export function camera(canvas, changed) {
   canvas.addEventListener("pointerdown", (event) => {
     canvas.setPointerCapture(event.pointerId);
     pointers.set(event.pointerId, [event.offsetX, event.offsetY]);
+    pressed = pointers.size === 1 && event.button === 0 ? [event.offsetX, event.offsetY] : null;
   });
   canvas.addEventListener("pointermove", (event) => {
     const before = pointers.get(event.pointerId);
     if (!before) return;
     const here = [event.offsetX, event.offsetY];
+    if (pressed) {
+      if (Math.hypot(here[0] - pressed[0], here[1] - pressed[1]) < MAX_CLICK_PX) return;
+      pressed = null;
+    }
     if (pointers.size === 1) {
-      const far = Math.hypot(here[0] - before[0], here[1] - before[1]);
-      if (follows && far < 4) return;
       release();
       now.x -= (here[0] - before[0]) / now.scale;
       now.y += (here[1] - before[1]) / now.scale;
@@ -71,6 +78,10 @@ export function camera(canvas, changed) {
       zoom(distance(here) / Math.max(1, distance(before)), (here[0] + other[0]) / 2, (here[1] + other[1]) / 2);
     }
     pointers.set(event.pointerId, here);
+  });
+  canvas.addEventListener("pointerup", () => {
+    if (pressed) clicked(toPlane(...pressed));
+    pressed = null;
   });
   for (const end of ["pointerup", "pointercancel"]) {
     canvas.addEventListener(end, (event) => pointers.delete(event.pointerId));

@@ -1,12 +1,21 @@
-// Control: stop, pause, resume, restart, swap, set and inject, each with its certificate or its refusal.
+// Control: stop, pause, resume, restart, swap, set, goal and inject, each with its certificate or its refusal.
 
 import { ask, hasToken, urgent } from "./link.js";
 
 const ROLES = ["estimator", "obstacles", "controller", "actuator", "robot"];
 
-/** The panel, and the button that stops; returns a function that shows what the server allows. */
+/** The panel, and the button that stops: `show` takes what the server allows, `click` a place on the map. */
 export function control(panel, form, result, stop) {
   let allowed = "";
+  // While it is pressed, a click on the map sets the goal.
+  const aim = Object.assign(document.createElement("button"), {
+    type: "button", textContent: "goal", className: "goal", title: "Set the goal that is next: then click its place on the map",
+  });
+  const press = (on) => {
+    aim.setAttribute("aria-pressed", String(on));
+    document.body.classList.toggle("aiming", on);
+  };
+  aim.addEventListener("click", () => press(aim.getAttribute("aria-pressed") !== "true"));
 
   async function send(action, button) {
     button.disabled = true;
@@ -37,7 +46,7 @@ export function control(panel, form, result, stop) {
     form.append(...parts, button);
   }
 
-  return (actions) => {
+  function show(actions) {
     const wanted = hasToken ? actions : [];
     if (wanted.join() === allowed) return;
     allowed = wanted.join();
@@ -55,9 +64,20 @@ export function control(panel, form, result, stop) {
     if (has("swap")) group("swap", [to], () => ({ role: role.value, to: to.value }));
     const [key, value] = [input("key", "controller.theta_m"), input("value", "value")];
     if (has("set")) group("set", [key, value], () => ({ key: key.value, value: value.value }));
+    press(false);
+    if (has("goal")) form.append(aim);
     const fault = input("fault", "fault");
     if (has("inject")) group("inject", [fault], () => ({ fault: fault.value }));
-  };
+  }
+
+  function click([x, y]) {
+    if (aim.getAttribute("aria-pressed") !== "true") return;
+    press(false);
+    const centimetres = (metres) => Math.round(metres * 100) / 100;
+    send({ action: "goal", x_m: centimetres(x), y_m: centimetres(y) }, aim);
+  }
+
+  return { show, click };
 }
 
 function describe({ action, exit_code: code, certificate, messages }) {

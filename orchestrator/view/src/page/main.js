@@ -29,11 +29,11 @@ let last_ms = 0;
 const costs = [];
 
 const changed = () => { isDirty = true; };
-const eye = camera(by("map"), () => { followButton(); changed(); });
+const eye = camera(by("map"), () => { followButton(); changed(); }, (place) => controls.click(place));
 const show = panels(by);
 const showLoop = loop(by("loop"), by("loop-note"));
 const showLatency = latency(by("latency"), by("latency-note"));
-const showControl = control(by("control"), by("control-form"), by("control-result"), by("stop"));
+const controls = control(by("control"), by("control-form"), by("control-result"), by("stop"));
 const showTimeline = timeline(by("timeline"), choose);
 const play = player(by, choose);
 const fetchPast = past(page, (frame) => {
@@ -212,7 +212,7 @@ function paintPanels(frame, course) {
   showTimeline({ rows: page.overview ?? page.rows, events: page.events, from_s, to_s, shown_s, isRecording }, colour);
   by("live").hidden = isRecording;
   play.show(shown_s == null ? null : { from_s: Math.max(0, from_s), to_s, shown_s, isRecording });
-  showControl(page.system?.actions ?? []);
+  controls.show(page.system?.actions ?? []);
 }
 
 // The cost of drawing, for tests: the 95th percentile of the last 300 frames [ms].
