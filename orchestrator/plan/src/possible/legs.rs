@@ -500,7 +500,7 @@ mod tests {
         let message = refused("[goal]\nx_m = 1\ny_m = 1").unwrap();
         assert!(
             message.contains(
-                "from start it is 1 m along and 1 m to the left, and the smallest planned turn has 3.394"
+                "from start it is 1 m along and 1 m to the left, and the smallest planned turn has 3.39"
             ),
             "{message}"
         );
