@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::Context;
-use clap::Parser;
 use clap::builder::{OsStringValueParser, TypedValueParser};
+use clap::{ColorChoice, Parser};
 
 use runtime::printable;
 
@@ -66,7 +66,8 @@ pub fn redraw(text: &str) -> anyhow::Result<bool> {
 
 /// The arguments of a command; without them it ends here, as clap has it.
 pub fn arguments<A: Parser>() -> A {
-    A::try_parse().unwrap_or_else(|error| {
+    let matches = A::command().color(colours()).try_get_matches();
+    matches.and_then(|matches| A::from_arg_matches(&matches)).unwrap_or_else(|error| {
         if !error.use_stderr() {
             error.exit();
         }
@@ -74,6 +75,12 @@ pub fn arguments<A: Parser>() -> A {
         runtime::print(runtime::Priority::Error, &error.render().to_string());
         std::process::exit(error.exit_code());
     })
+}
+
+/// Whether help has colours. `CLICOLOR_FORCE=0` forces none: the library takes any value for force.
+fn colours() -> ColorChoice {
+    let is_forced = std::env::var_os("CLICOLOR_FORCE").is_none_or(|value| value != "0");
+    if is_forced || io::stdout().is_terminal() { ColorChoice::Auto } else { ColorChoice::Never }
 }
 
 fn write(before: &str, text: &str) -> anyhow::Result<bool> {

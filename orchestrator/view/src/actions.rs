@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 use shared_types::{Role, named_enum};
 use supervision::child::this_program;
 
+use crate::hand::{Hand, Held};
 use crate::http::{Response, Status};
 
 /// Longest argument [bytes].
@@ -23,6 +24,8 @@ named_enum! {
         Pause "pause",
         /// Let the controller drive again.
         Resume "resume",
+        /// Drive by hand, while buttons are held.
+        Teleop "teleop",
         /// Restart one process.
         Restart "restart",
         /// Replace one process by a built-in implementation.
@@ -61,6 +64,9 @@ struct Asked {
     /// Of `goal`: its place in the plane.
     x_m: Option<f64>,
     y_m: Option<f64>,
+    /// Of `teleop`: what is held [m/s], [rad]; without a velocity nothing is.
+    velocity: Option<f64>,
+    steering: f64,
     /// Of `inject`.
     fault: String,
 }
@@ -71,18 +77,20 @@ pub(crate) struct Actions {
     system_id: String,
     verbs: Vec<Verb>,
     turn: Mutex<()>,
+    hand: Hand,
 }
 
 impl Actions {
     /// Actions on a system; without `verbs` all are refused.
     pub(crate) fn new(system_id: &str, verbs: Vec<Verb>) -> Self {
-        Self { system_id: system_id.to_owned(), verbs, turn: Mutex::new(()) }
+        Self { system_id: system_id.to_owned(), verbs, turn: Mutex::new(()), hand: Hand::default() }
     }
 
     /// Carries out what the body of a request asks for.
     pub(crate) fn answer(&self, body: &[u8]) -> Response {
         let arguments = match arguments(&self.verbs, body) {
-            Ok(arguments) => arguments,
+            Ok(Asking::Hold(held)) => return self.hand.hold(&self.system_id, held),
+            Ok(Asking::Run(arguments)) => arguments,
             Err(reason) => return Response::text(Status::BadRequest, &reason),
         };
         // What blocks the wheels never waits for another action.
@@ -101,8 +109,16 @@ impl Actions {
     }
 }
 
-/// The command line of an action; nothing in it can be an option.
-fn arguments(verbs: &[Verb], body: &[u8]) -> Result<Vec<String>, String> {
+/// What an action asks for.
+enum Asking {
+    /// A command line; nothing in it can be an option.
+    Run(Vec<String>),
+    /// To drive by hand.
+    Hold(Held),
+}
+
+/// What an action asks for.
+fn arguments(verbs: &[Verb], body: &[u8]) -> Result<Asking, String> {
     let asked: Asked = serde_json::from_slice(body).map_err(|error| format!("not an action: {error}"))?;
     let names = || verbs.iter().map(|verb| verb.name()).collect::<Vec<_>>().join(", ");
     let verb = verbs.iter().find(|verb| verb.name() == asked.action);
@@ -133,6 +149,11 @@ fn arguments(verbs: &[Verb], body: &[u8]) -> Result<Vec<String>, String> {
             };
             vec![place("x_m", asked.x_m)?, place("y_m", asked.y_m)?, "--json".to_owned()]
         }
+        Verb::Teleop => {
+            let is_finite = asked.steering.is_finite() && asked.velocity.is_none_or(f64::is_finite);
+            let held = asked.velocity.map(|velocity| [velocity, asked.steering]);
+            return if is_finite { Ok(Asking::Hold(held)) } else { Err("no numbers".to_owned()) };
+        }
         Verb::Stop | Verb::Pause | Verb::Resume => vec![],
         Verb::Restart => vec![role()?],
         Verb::Swap => vec![role()?, "--to".to_owned(), name("to", &asked.to)?, "--json".to_owned()],
@@ -142,7 +163,7 @@ fn arguments(verbs: &[Verb], body: &[u8]) -> Result<Vec<String>, String> {
         }
         Verb::Inject => vec![name("fault", &asked.fault)?],
     };
-    Ok(std::iter::once(verb.command().to_owned()).chain(rest).collect())
+    Ok(Asking::Run(std::iter::once(verb.command().to_owned()).chain(rest).collect()))
 }
 
 /// Runs a command of this program to its end.
@@ -168,8 +189,11 @@ mod tests {
     use super::*;
 
     fn of(body: &str) -> Result<String, String> {
-        let verbs = [Verb::Stop, Verb::Restart, Verb::Swap, Verb::Set, Verb::Goal];
-        arguments(&verbs, body.as_bytes()).map(|parts| parts.join(" "))
+        let verbs = [Verb::Stop, Verb::Restart, Verb::Swap, Verb::Set, Verb::Goal, Verb::Teleop];
+        arguments(&verbs, body.as_bytes()).map(|asking| match asking {
+            Asking::Run(parts) => parts.join(" "),
+            Asking::Hold(held) => format!("{held:?}"),
+        })
     }
 
     #[test]
@@ -182,6 +206,15 @@ mod tests {
         assert_eq!(set, "set controller.theta_m=-0.25 --json");
         let goal = of(r#"{"action":"goal","x_m":8,"y_m":-0.3}"#).unwrap();
         assert_eq!(goal, "set goal.x_m=8.0 goal.y_m=-0.3 --json");
+    }
+
+    #[test]
+    fn what_is_held_is_two_numbers_or_nothing() {
+        let held = of(r#"{"action":"teleop","velocity":0.3,"steering":-0.05}"#);
+        assert_eq!(held.unwrap(), "Some([0.3, -0.05])");
+        assert_eq!(of(r#"{"action":"teleop"}"#).unwrap(), "None");
+        assert!(of(r#"{"action":"teleop","velocity":"fast"}"#).is_err());
+        assert!(of(r#"{"action":"teleop","velocity":1e999}"#).is_err());
     }
 
     #[test]

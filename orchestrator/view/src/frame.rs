@@ -5,8 +5,8 @@ use base64::engine::general_purpose::STANDARD;
 use report::latency::{Attribution, STAGES, attribute, data_age_ns, reaction_ns};
 use serde_json::{Value, json};
 use shared_types::{
-    Actuation, ActuationKind, BlockReason, Command, CommandKind, Header, Obstacle, Obstacles, Pose, Role,
-    Scan, ScannerState, StopReason, Truth,
+    Actuation, ActuationKind, BlockReason, Command, CommandKind, DrivenBy, Header, Obstacle, Obstacles, Pose,
+    Role, Scan, ScannerState, StopReason, Truth,
 };
 
 use crate::history::{Row, Stored};
@@ -221,6 +221,7 @@ fn actuation(actuation: &Actuation) -> Value {
         "scan_id": actuation.header.scan_id,
         "kind": ActuationKind::try_from(actuation.kind).map_or("unknown", ActuationKind::name),
         "reason": BlockReason::try_from(actuation.reason).map_or("unknown", BlockReason::name),
+        "driven_by": DrivenBy::try_from(actuation.driven_by).map_or("unknown", DrivenBy::name),
         "stop_reason": StopReason::try_from(actuation.stop_reason).map_or("unknown", StopReason::name),
         "desired_velocity_mps": round(actuation.desired_velocity_mps),
         "desired_steering_rad": round(actuation.desired_steering_rad),

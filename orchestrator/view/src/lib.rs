@@ -18,6 +18,7 @@ mod course;
 mod events;
 pub mod follower;
 mod frame;
+mod hand;
 mod history;
 mod http;
 mod hub;

@@ -200,6 +200,7 @@ fn the_help_has_colours_where_the_user_wants_them() {
     assert!(!help_of(&system, &[]).contains('\u{1b}'), "a pipe");
     assert!(help_of(&system, &[("CLICOLOR_FORCE", "1")]).contains('\u{1b}'));
     assert!(!help_of(&system, &[("NO_COLOR", "1"), ("CLICOLOR_FORCE", "0")]).contains('\u{1b}'));
+    assert!(!help_of(&system, &[("CLICOLOR_FORCE", "0")]).contains('\u{1b}'), "zero forces nothing");
     for (no_color, has_colours) in [("", true), ("1", false)] {
         let terminal = Terminal::new(100, 50);
         let mut command = system.command(&["run", "--help"]);

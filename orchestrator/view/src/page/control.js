@@ -1,7 +1,10 @@
-// Control: stop, pause, resume, restart, swap, set, goal and inject, each with its certificate or its refusal.
+// Control: stop, pause, resume, teleop, restart, swap, set, goal and inject, each with its certificate or its refusal.
 
 import { ask, hasToken, urgent } from "./link.js";
 
+// A button that is held asks so often, and steers so far to a side [rad]; the system limits it.
+const HOLD_MS = 50;
+const HAND_RAD = 0.05;
 const ROLES = ["estimator", "obstacles", "controller", "actuator", "robot"];
 
 /** The panel, and the button that stops: `show` takes what the server allows, `click` a place on the map. */
@@ -46,6 +49,48 @@ export function control(panel, form, result, stop) {
     form.append(...parts, button);
   }
 
+  // Buttons that drive while they are held, in this window and with the focus.
+  function hand() {
+    const speed = Object.assign(input("speed", "m/s"), { value: "0.3", title: "velocity by hand [m/s]" });
+    let held = null, timer = 0, inFlight = false;
+    const post = async (body) => {
+      try {
+        const response = await ask("/control", { method: "POST", body: JSON.stringify({ action: "teleop", ...body }), headers: { "Content-Type": "application/json" } });
+        if (!response.ok) { release(); result.hidden = false; result.textContent = `refused: ${await response.text()}`; }
+      } catch (error) {
+        release();
+      }
+    };
+    const give = async () => {
+      if (inFlight || held === null) return;
+      inFlight = true;
+      await post({ velocity: Math.max(0, Number(speed.value) || 0), steering: held });
+      inFlight = false;
+    };
+    const release = () => {
+      if (held === null) return;
+      held = null;
+      clearInterval(timer);
+      post({});
+    };
+    const button = (name, title, steering) => {
+      const made = Object.assign(document.createElement("button"), { type: "button", textContent: name, className: "hand", title });
+      made.addEventListener("pointerdown", (event) => {
+        made.setPointerCapture(event.pointerId);
+        held = steering;
+        clearInterval(timer);
+        timer = setInterval(give, HOLD_MS);
+        give();
+      });
+      for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) made.addEventListener(end, release);
+      return made;
+    };
+    addEventListener("blur", release);
+    addEventListener("pagehide", release);
+    document.addEventListener("visibilitychange", release);
+    return [speed, button("◀", "drive to the left while held", HAND_RAD), button("▲", "drive straight while held", 0), button("▶", "drive to the right while held", -HAND_RAD)];
+  }
+
   function show(actions) {
     const wanted = hasToken ? actions : [];
     if (wanted.join() === allowed) return;
@@ -59,6 +104,7 @@ export function control(panel, form, result, stop) {
     stop.onclick = () => send({ action: "stop" }, stop);
     if (has("pause")) group("pause", [], () => ({}));
     if (has("resume")) group("resume", [], () => ({}));
+    if (has("teleop")) form.append(...hand());
     const [role, to] = [roles(), input("to", "implementation")];
     if (has("restart")) group("restart", [role], () => ({ role: role.value }));
     if (has("swap")) group("swap", [to], () => ({ role: role.value, to: to.value }));

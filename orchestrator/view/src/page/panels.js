@@ -7,7 +7,7 @@ const BLOCKED = {
   stop_requested: "stop requested", start: "waiting for the first commands",
 };
 const MARKS = {
-  waiting: "…", starting: "…", driving: "▶", blocked: "■", landed: "✓", stopping: "■", over: "○", lost: "✕",
+  waiting: "…", starting: "…", driving: "▶", blocked: "■", paused: "❚❚", landed: "✓", stopping: "■", over: "○", lost: "✕",
   orphaned: "!", silent: "!", collision: "✕", connecting: "…",
 };
 
@@ -29,7 +29,13 @@ export function stateOf(system, frame, lost) {
   if (hasLanded && actuation?.kind === "block") return ["landed", "Landed", "the goal is reached by the robot's own estimate"];
   if (status?.state === "stopping") return ["stopping", "Ending", detail(frame)];
   if (!actuation || status?.state === "starting" || status?.state === "connecting") return ["starting", "Starting", ""];
-  if (actuation.kind === "drive") return ["driving", frame.command?.kind === "land" ? "Landing" : "Driving", detail(frame)];
+  const byHand = actuation.driven_by === "person";
+  if (actuation.kind === "drive") {
+    const text = byHand ? "Driven by hand" : frame.command?.kind === "land" ? "Landing" : "Driving";
+    return ["driving", text, detail(frame)];
+  }
+  if (actuation.reason === "paused") return ["paused", "Paused", "the wheels are blocked until resume"];
+  if (byHand && ["released", "commanded"].includes(actuation.reason)) return ["paused", "Held by hand", detail(frame)];
   return ["blocked", "Wheels blocked", detail(frame)];
 }
 
