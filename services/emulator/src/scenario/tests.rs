@@ -387,7 +387,7 @@ fn a_scenario_with_a_course_reads_back_identically_and_has_no_track_in_its_file(
 
 #[test]
 fn a_goal_in_laps_is_the_next_place_ahead_of_the_robot() {
-    let mut scenario = Scenario::parse(Scenario::shipped("figure-of-eight").unwrap(), "eight").unwrap();
+    let mut scenario = Scenario::parse(Scenario::shipped("figure-eight").unwrap(), "eight").unwrap();
     let lap_m = scenario.course.as_ref().unwrap().length_m() / 3.0;
     // The first quarter of the eight.
     (scenario.goal.all_mut()[0].x_m, scenario.goal.all_mut()[0].y_m) = (4.5, 4.5);
