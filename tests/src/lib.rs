@@ -17,6 +17,7 @@ pub mod swaps;
 pub mod terminal;
 mod turns;
 mod watch;
+mod watched;
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;

@@ -21,29 +21,8 @@ fn driven_by(system: &TestSystem) -> String {
     system.status().and_then(|status| status.driven_by).unwrap_or_default()
 }
 
-/// The newest sample of a topic.
-fn newest(system: &TestSystem, topic: &str) -> serde_json::Value {
-    let output = system.run(&["topic", "echo", topic, "-n", "1", "--short"]);
-    serde_json::from_slice(&output.stdout).unwrap()
-}
-
 fn scan(system: &TestSystem) -> u64 {
     system.status().map_or(0, |status| status.scan)
-}
-
-/// Waits until the true wheels are blocked and the robot stands.
-fn await_rest(system: &TestSystem) -> [f64; 2] {
-    system.wait_until("the robot stands", |system| {
-        let truth = newest(system, "truth");
-        truth["blocked"] == 1 && truth["speed_mps"].as_f64() == Some(0.0)
-    });
-    place(system)
-}
-
-/// Where the robot is.
-fn place(system: &TestSystem) -> [f64; 2] {
-    let truth = newest(system, "truth");
-    [truth["x_m"].as_f64().unwrap(), truth["y_m"].as_f64().unwrap()]
 }
 
 /// `teleop` with arguments, as a process.
@@ -56,14 +35,6 @@ fn drivers(system: &TestSystem) -> Vec<String> {
     system.report().driver_changes.into_iter().map(|change| change.driven_by).collect()
 }
 
-fn assert_replayed(system: &TestSystem) {
-    let recording = system.report().recording.unwrap().file;
-    let output = system.run(&["replay", "--json", recording.to_str().unwrap()]);
-    assert_eq!(output.status.code(), Some(0), "{output:?}");
-    let replayed: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!((&replayed["skipped"], &replayed["differences"]), (&0.into(), &serde_json::json!([])));
-}
-
 #[test]
 fn a_drive_is_paused_driven_by_hand_around_a_corner_and_resumed_to_its_goal() {
     repeat_when_late(|| {
@@ -72,21 +43,21 @@ fn a_drive_is_paused_driven_by_hand_around_a_corner_and_resumed_to_its_goal() {
         system.wait_until("the robot drives", |system| scan(system) > 10);
         assert_eq!(run(&system, &["resume"]).0, Some(2), "the controller drives");
         assert_eq!(run(&system, &["pause"]).0, Some(0));
-        let rest = await_rest(&system);
+        let rest = system.await_rest();
         assert_eq!(driven_by(&system), "nobody");
-        assert_eq!(newest(&system, "actuation")["reason"], "paused");
+        assert_eq!(system.newest("actuation")["reason"], "paused");
         // All processes answer each scan meanwhile.
         let before = scan(&system);
         system.wait_until("scans go by", |system| scan(system) > before + 10);
-        assert_eq!(place(&system), rest);
+        assert_eq!(system.await_rest(), rest);
         assert_eq!(run(&system, &["teleop", "--velocity=0.5", "--steering=0.06", "--for=2.5"]).0, Some(0));
-        let [x_m, y_m] = await_rest(&system);
+        let [x_m, y_m] = system.await_rest();
         assert!((x_m - rest[0]).hypot(y_m - rest[1]) > 0.6, "({x_m}, {y_m}) after {rest:?}");
         assert_eq!(driven_by(&system), "nobody");
         assert_eq!(run(&system, &["resume"]).0, Some(0));
         assert_eq!(system.wait().code(), Some(0));
         assert_eq!(drivers(&system), ["nobody", "person", "nobody", "controller"]);
-        assert_replayed(&system);
+        system.assert_replayed();
         system.assert_nothing_left();
     });
 }
@@ -135,7 +106,7 @@ fn in_lockstep_a_person_drives_scan_by_scan_and_time_stands_while_the_drive_is_p
         assert_eq!(run(&system, &["resume"]).0, Some(0));
         assert_eq!(system.wait().code(), Some(0));
         assert_eq!(drivers(&system), ["nobody", "person", "nobody", "controller"]);
-        assert_replayed(&system);
+        system.assert_replayed();
         system.assert_nothing_left();
     });
 }
@@ -147,9 +118,9 @@ fn without_a_person_the_wheels_are_blocked_and_only_resume_gives_them_back() {
         system.start(&["endless", "--record"]);
         system.wait_until("the robot drives", |system| scan(system) > 10);
         let mut person = teleop(&system, &["--velocity=0.4", "--for=600"]);
-        system.wait_until("a person drives", |system| newest(system, "actuation")["driven_by"] == "person");
+        system.wait_until("a person drives", |system| system.newest("actuation")["driven_by"] == "person");
         system.wait_until("the wheels turn by hand", |system| {
-            let actuation = newest(system, "actuation");
+            let actuation = system.newest("actuation");
             actuation["driven_by"] == "person" && actuation["kind"] == "drive"
         });
         // No other person may drive meanwhile.
@@ -158,23 +129,23 @@ fn without_a_person_the_wheels_are_blocked_and_only_resume_gives_them_back() {
         // The person's program dies, without a word: dead man.
         person.kill().unwrap();
         person.wait().unwrap();
-        await_rest(&system);
+        system.await_rest();
         assert_eq!(driven_by(&system), "person", "nothing is handed back by itself");
-        assert_eq!(newest(&system, "command")["reason"], "released");
+        assert_eq!(system.newest("command")["reason"], "released");
         // A controller that starts again does not drive either, and neither does another orchestrator.
         let old = system.pid(Role::Controller);
         system.signal(old, Signal::KILL);
         system.wait_until("the controller is restarted", |system| system.pid(Role::Controller) != old);
-        await_rest(&system);
+        system.await_rest();
         system.kill_orchestrator();
         system.adopt(&[]);
         system.wait_until("nobody drives", |system| driven_by(system) == "nobody");
-        await_rest(&system);
+        system.await_rest();
         let before = scan(&system);
         system.wait_until("scans go by", |system| scan(system) > before + 10);
-        await_rest(&system);
+        system.await_rest();
         assert_eq!(run(&system, &["resume"]).0, Some(0));
-        system.wait_until("the controller drives", |system| newest(system, "actuation")["kind"] == "drive");
+        system.wait_until("the controller drives", |system| system.newest("actuation")["kind"] == "drive");
         assert_eq!(system.run(&["stop"]).status.code(), Some(0));
         for verb in [&["pause"][..], &["resume"], &["teleop", "--for=1"]] {
             assert_eq!(run(&system, verb).0, Some(2), "{verb:?} of what is stopped");

@@ -10,27 +10,14 @@ fn a_person_drives_by_a_controller_on_another_host_whose_clock_is_another() {
         let Some(mut hosts) = TwoHosts::ahead("a person and a controller on another host") else { return };
         hosts.start(&["bend"]);
         let system = &hosts.system;
-        let newest = |topic: &str| -> serde_json::Value {
-            let output = system.run(&["topic", "echo", topic, "-n", "1", "--short"]);
-            serde_json::from_slice(&output.stdout).unwrap_or_default()
-        };
-        let place = || ["x_m", "y_m"].map(|key| newest("truth")[key].as_f64().unwrap_or(f64::NAN));
-        let await_rest = || {
-            system.wait_until("the robot stands", |_| {
-                let truth = newest("truth");
-                truth["blocked"] == 1 && truth["speed_mps"].as_f64() == Some(0.0)
-            });
-        };
         system.wait_until("the robot drives", |system| {
             system.status().is_some_and(|status| status.state == "driving" && status.scan > 10)
         });
         assert_eq!(system.run(&["pause"]).status.code(), Some(0));
-        await_rest();
-        let [x_m, y_m] = place();
+        let [x_m, y_m] = system.await_rest();
         let driven = system.run(&["teleop", "--velocity=0.4", "--steering=0.05", "--for=2.5"]);
         assert_eq!(driven.status.code(), Some(0), "{driven:?}");
-        await_rest();
-        let [to_x_m, to_y_m] = place();
+        let [to_x_m, to_y_m] = system.await_rest();
         assert!((to_x_m - x_m).hypot(to_y_m - y_m) > 0.4, "({x_m}, {y_m}) to ({to_x_m}, {to_y_m})");
         assert_eq!(system.run(&["resume"]).status.code(), Some(0));
         assert_eq!(hosts.system.wait().code(), Some(0));

@@ -6,23 +6,8 @@ use scanloop_tests::machine::repeat_when_late;
 
 use super::tools::{EXECUTABLE, examples, python};
 
-/// The newest actuation.
-fn actuation(system: &TestSystem) -> serde_json::Value {
-    let output = system.run(&["topic", "echo", "actuation", "-n", "1", "--short"]);
-    serde_json::from_slice(&output.stdout).unwrap_or_default()
-}
-
 fn drives(system: &TestSystem) -> bool {
-    actuation(system)["kind"] == "drive"
-}
-
-/// Waits until the true robot stands with blocked wheels.
-fn await_rest(system: &TestSystem) {
-    system.wait_until("the robot stands", |system| {
-        let output = system.run(&["topic", "echo", "truth", "-n", "1", "--short"]);
-        let truth: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap_or_default();
-        truth["blocked"] == 1 && truth["speed_mps"].as_f64() == Some(0.0)
-    });
+    system.newest("actuation")["kind"] == "drive"
 }
 
 #[test]
@@ -49,28 +34,24 @@ fn a_button_that_is_pressed_or_silent_blocks_the_wheels_until_a_person_resumes()
         resume(&system);
         for text in ["1\n", "", "no contact"] {
             press(text);
-            await_rest(&system);
-            assert_eq!(actuation(&system)["reason"], "emergency_stop", "{text:?}");
+            system.await_rest();
+            assert_eq!(system.newest("actuation")["reason"], "emergency_stop", "{text:?}");
             // While it is pressed nobody drives on.
             let _ = system.run(&["resume"]);
-            system.wait_until("it holds", |system| actuation(system)["driven_by"] == "nobody");
-            await_rest(&system);
+            system.wait_until("it holds", |system| system.newest("actuation")["driven_by"] == "nobody");
+            system.await_rest();
             press("0\n");
-            system.wait_until("it is released", |system| actuation(system)["reason"] == "paused");
-            await_rest(&system);
+            system.wait_until("it is released", |system| system.newest("actuation")["reason"] == "paused");
+            system.await_rest();
             resume(&system);
         }
         let pid = system.status().unwrap().companions[0].pid;
         system.signal(i32::try_from(pid).unwrap(), Signal::STOP);
-        await_rest(&system);
-        assert_eq!(actuation(&system)["reason"], "emergency_stop", "it is silent");
+        system.await_rest();
+        assert_eq!(system.newest("actuation")["reason"], "emergency_stop", "it is silent");
         assert_eq!(system.run(&["stop"]).status.code(), Some(0));
         system.wait();
-        let recording = system.report().recording.unwrap().file;
-        let output = system.run(&["replay", "--json", recording.to_str().unwrap()]);
-        assert_eq!(output.status.code(), Some(0), "{output:?}");
-        let replayed: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-        assert_eq!((&replayed["skipped"], &replayed["differences"]), (&0.into(), &serde_json::json!([])));
+        system.assert_replayed();
     });
 }
 
