@@ -17,6 +17,14 @@ const LANDING_M: f64 = 0.8;
 const SWAP_M: f64 = 1.0;
 /// Scans from the request of a swap to the fault.
 pub(crate) const SHADOWED: u64 = 6;
+/// Where a person takes over [m].
+const PERSON_M: f64 = 1.0;
+/// What the person asks for [m/s]: the robot is behind the obstacle to the end of a cell with real processes.
+pub const BY_HAND_MPS: f64 = 0.3;
+/// Scans that the person drives before the fault.
+pub(crate) const BY_HAND: u64 = 6;
+/// Scans that the person drives at all, before the controller drives again.
+pub(crate) const HANDS_BACK: u64 = 14;
 
 /// The scenario that is driven.
 ///
@@ -48,14 +56,14 @@ pub fn stage_settings(role: Role) -> Option<String> {
 pub fn live_scenario(phase: DrivePhase) -> Scenario {
     let mut scenario = scenario();
     match phase {
-        DrivePhase::Start | DrivePhase::Straight | DrivePhase::Swap => {}
+        DrivePhase::Start | DrivePhase::Straight | DrivePhase::Swap | DrivePhase::Person => {}
         DrivePhase::Beside => (scenario.start.x_m, scenario.start.y_m) = (2.7, 0.75),
         DrivePhase::Landing => scenario.start.x_m = scenario.goal.last().x_m - 2.0,
     }
     scenario
 }
 
-/// Whether a phase begins with the scan after this one; for [`DrivePhase::Swap`] its request.
+/// Whether a phase begins with the scan after this one; for [`DrivePhase::Swap`] and [`DrivePhase::Person`] the request.
 pub fn begins(phase: DrivePhase, scenario: &Scenario, truth: &Truth) -> bool {
     match phase {
         DrivePhase::Start => true,
@@ -63,6 +71,7 @@ pub fn begins(phase: DrivePhase, scenario: &Scenario, truth: &Truth) -> bool {
         DrivePhase::Beside => scenario.obstacles.first().is_some_and(|body| truth.x_m >= body.x_m - BESIDE_M),
         DrivePhase::Landing => truth.goal_distance_m <= LANDING_M,
         DrivePhase::Swap => truth.x_m >= SWAP_M,
+        DrivePhase::Person => truth.x_m >= PERSON_M,
     }
 }
 

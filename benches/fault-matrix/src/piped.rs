@@ -226,7 +226,7 @@ fn shape(outline: &StageOutline) -> Result<StageShape, String> {
         notes: of(&outline.notes),
         output: TOPICS[outline.output as usize].sample_type(),
         holds_wheels: outline.holds_wheels,
-        takes_orders: false,
+        takes_orders: outline.takes_orders,
     })
 }
 

@@ -8,6 +8,7 @@
 
 mod inject;
 mod judge;
+mod person;
 mod swap;
 
 use emulator::{Outcome, Referee, Scenario};
@@ -16,6 +17,7 @@ use shared_types::{Actuation, AnyStage, Truth};
 use vehicle::Invalid;
 
 use self::judge::Judge;
+use self::person::Person;
 use self::swap::ControllerSwap;
 use crate::finding::{FindingPlace, Findings};
 
@@ -28,6 +30,7 @@ pub struct Rig {
     simulation: SimulatedLoop,
     judge: Judge,
     swap: ControllerSwap,
+    person: Option<Person>,
     scenario: Scenario,
     period_ns: u64,
     referee: Referee,
@@ -49,6 +52,7 @@ impl Rig {
         Ok(Self {
             judge: Judge::new(*period_ns),
             swap: ControllerSwap::new(*period_ns),
+            person: None,
             simulation,
             scenario: scenario.clone(),
             period_ns: *period_ns,
@@ -111,11 +115,19 @@ impl Rig {
         self.swap.is_swapped
     }
 
+    /// Lets a person drive, who hands back after some scans.
+    pub fn take_over(&mut self) {
+        self.person = Some(Person::default());
+    }
+
     /// Goes to the next time at which something happens, and lets it happen.
     fn advance(&mut self) {
         let is_scan = self.simulation.move_on();
         self.judge.place = self.place();
         if is_scan {
+            if let Some(directive) = self.person.as_mut().and_then(|person| person.asks(self.simulation.now_ns())) {
+                self.simulation.order(&directive);
+            }
             self.simulation.measure(&mut self.judge);
         }
         self.simulation.settle(&mut self.judge);

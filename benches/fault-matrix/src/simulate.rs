@@ -8,7 +8,7 @@ use shared_types::{AnyStage, Role};
 use vehicle::Invalid;
 
 use crate::cell::{Cell, DetectionLimits, DrivenWay, Observed, Passed, judge};
-use crate::course::{SHADOWED, begins, settings};
+use crate::course::{BY_HAND, SHADOWED, begins, settings};
 use crate::finding::{Finding, Findings};
 use crate::piped::PipedStage;
 use crate::rig::Rig;
@@ -56,12 +56,16 @@ impl Simulation {
         self.programs.iter().find_map(|program| Some((program.shape().role, program.failure()?)))
     }
 
-    /// The way of a robot on a course without a fault, by the number of the scan.
+    /// The way of a robot on a course without a fault, from its start on; a person drives in the phase of that name.
     ///
     /// # Errors
     /// The first setting that is not allowed.
-    pub fn unaffected(settings: &PipelineSettings) -> Result<DrivenWay, Invalid> {
-        Ok(finish(&mut Rig::new(settings)?).0)
+    pub fn unaffected(settings: &PipelineSettings, phase: DrivePhase) -> Result<DrivenWay, Invalid> {
+        let mut rig = Rig::new(settings)?;
+        if phase == DrivePhase::Person {
+            lead_to(phase, &mut rig, &settings.scenario);
+        }
+        Ok(finish(&mut rig).0)
     }
 
     /// Drives one cell; `None` for a fault that needs real processes, or that the course does not allow.
@@ -97,10 +101,18 @@ fn lead_to(phase: DrivePhase, rig: &mut Rig, scenario: &Scenario) {
         return;
     }
     while rig.scan().is_none() && !begins(phase, scenario, rig.truth()) {}
-    if phase == DrivePhase::Swap {
-        rig.begin_swap();
-        (0..SHADOWED).for_each(|_| _ = rig.scan());
-    }
+    let scans = match phase {
+        DrivePhase::Swap => {
+            rig.begin_swap();
+            SHADOWED
+        }
+        DrivePhase::Person => {
+            rig.take_over();
+            BY_HAND
+        }
+        _ => 0,
+    };
+    (0..scans).for_each(|_| _ = rig.scan());
 }
 
 /// Drives to the end: where the robot was at each scan, how the drive ended, and the digest of the truth.

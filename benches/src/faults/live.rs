@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use commands::inject::act::{act, faulty_role};
 use console::new_file::Scratch;
-use fault_matrix::course::{begins, live_scenario, settings};
+use fault_matrix::course::{BY_HAND_MPS, begins, live_scenario, settings};
 use fault_matrix::{DetectionLimits, DrivenWay, Finding, FindingPlace, Observed, Simulation, judge};
 use faults::{DrivePhase, InjectedFault, Injection, ProcessAction, ProcessFault};
 use pipeline::PipelineSettings;
@@ -61,7 +61,7 @@ impl Live {
         if let Some(course) = self.unaffected.get(&phase) {
             return Ok(course.clone());
         }
-        let course = Simulation::unaffected(settings)?;
+        let course = Simulation::unaffected(settings, phase)?;
         self.unaffected.insert(phase, course.clone());
         Ok(course)
     }
@@ -73,9 +73,14 @@ fn drive(fault: &ProcessFault, phase: DrivePhase, settings: &PipelineSettings) -
     let domain = system.wait_until_driving()?;
     let mut watch = Watch::new(&domain)?;
     wait_for(&mut watch, phase, settings)?;
-    let mut swap = None;
-    if phase == DrivePhase::Swap {
-        swap = Some(system.begin(&["swap", "controller", "--to", "nmpc"])?);
+    let velocity = format!("--velocity={BY_HAND_MPS}");
+    let mut asking = match phase {
+        DrivePhase::Swap => Some(system.begin(&["swap", "controller", "--to", "nmpc"])?),
+        // It ends with the system.
+        DrivePhase::Person => Some(system.begin(&["teleop", &velocity, "--for=60"])?),
+        _ => None,
+    };
+    if asking.is_some() {
         let requested = watch.passed.len();
         wait_until(&mut watch, |watch| watch.passed.len() >= requested + SHADOWED)?;
     }
@@ -100,8 +105,8 @@ fn drive(fault: &ProcessFault, phase: DrivePhase, settings: &PipelineSettings) -
     acting.release();
     drop(acting);
     drop(system);
-    if let Some(mut swap) = swap {
-        let _ = swap.wait();
+    if let Some(asking) = &mut asking {
+        let _ = asking.wait();
     }
     let course = DrivenWay(watch.passed.split_off(before.min(watch.passed.len())));
     let stands = watch.newest.speed_mps <= 0.0;

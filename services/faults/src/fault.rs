@@ -26,11 +26,14 @@ pub enum DrivePhase {
     Landing,
     /// While the controller is replaced by another process.
     Swap,
+    /// While a person drives.
+    Person,
 }
 
 impl DrivePhase {
     /// All phases, in the order of a drive.
-    pub const ALL: [Self; 5] = [Self::Start, Self::Straight, Self::Beside, Self::Landing, Self::Swap];
+    pub const ALL: [Self; 6] =
+        [Self::Start, Self::Straight, Self::Beside, Self::Landing, Self::Swap, Self::Person];
 
     /// Its name in the name of a cell.
     pub const fn name(self) -> &'static str {
@@ -40,6 +43,7 @@ impl DrivePhase {
             Self::Beside => "beside",
             Self::Landing => "landing",
             Self::Swap => "swap",
+            Self::Person => "person",
         }
     }
 }
@@ -80,6 +84,16 @@ pub enum Injection {
     Scenario(ScenarioFault),
     /// On a process.
     Process(ProcessFault),
+    /// On a person who drives.
+    Person(PersonFault),
+}
+
+/// A person who asks for nothing new any more, or for what is old.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PersonFault {
+    /// How old what it asks for is when it arrives [ms]; without it, it asks for nothing new.
+    pub delay_ms: Option<u64>,
 }
 
 /// Other values of keys of the scenario.
@@ -216,7 +230,9 @@ impl InjectedFault {
     /// The phases in which it can begin.
     pub fn phases(&self) -> impl Iterator<Item = DrivePhase> + '_ {
         let is_skipped = |phase: &DrivePhase| self.in_phase.get(phase).is_some_and(|differs| differs.skip);
-        DrivePhase::ALL.into_iter().filter(move |phase| !is_skipped(phase))
+        let is_of_person = matches!(self.inject, Injection::Person(_));
+        let begins = move |phase: &DrivePhase| !is_of_person || *phase == DrivePhase::Person;
+        DrivePhase::ALL.into_iter().filter(begins).filter(move |phase| !is_skipped(phase))
     }
 
     /// Whether it needs real processes.
@@ -254,7 +270,7 @@ impl InjectedFault {
                     "inject.process.seconds = {seconds} is not allowed: above 0, up to {MAX_SECONDS}"
                 ))
             }
-            Injection::Process(_) | Injection::Scenario(_) => Ok(()),
+            Injection::Process(_) | Injection::Scenario(_) | Injection::Person(_) => Ok(()),
         }
     }
 }

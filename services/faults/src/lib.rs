@@ -1,11 +1,12 @@
 //! The faults that are injected into the loop, and what is expected of it then.
 //!
 //! Each file in `faults/` is one fault: what fails and by how much, how a drive may end, which part must detect it, and
-//! within what time. The name of the file is the name of the fault. A fault acts at one of three places:
+//! within what time. The name of the file is the name of the fault. A fault acts at one of four places:
 //!
 //! * on the samples of a topic, [`SampleFault`]: [`Change`] applies it to the bytes of a sample;
 //! * in the emulated robot, as other values of keys of the scenario;
-//! * on a process, [`ProcessFault`]: it is killed, suspended, or floods its topic.
+//! * on a process, [`ProcessFault`]: it is killed, suspended, or floods its topic;
+//! * on a person who drives, [`PersonFault`].
 //!
 //! This crate only reads the table and changes samples. It starts nothing and knows no process, so whatever injects
 //! faults can use it.
@@ -17,8 +18,8 @@ mod sample_fault;
 
 pub use change::{Change, Changed, UnknownField};
 pub use fault::{
-    DrivePhase, Expectation, FaultError, InPhase, InjectedFault, Injection, ProcessAction, ProcessFault,
-    ProcessName, ScenarioFault,
+    DrivePhase, Expectation, FaultError, InPhase, InjectedFault, Injection, PersonFault, ProcessAction,
+    ProcessFault, ProcessName, ScenarioFault,
 };
 pub use live::{ActiveFault, PERMIT_FILE, fault_file, live_names};
 pub use sample_fault::{SampleAction, SampleFault};

@@ -70,6 +70,7 @@ impl InjectedFault {
                 ProcessAction::Fill => Some("it fills the memory of all programs of this machine"),
                 ProcessAction::Kill | ProcessAction::Hang | ProcessAction::Flood => None,
             },
+            Injection::Person(_) => Some("it acts on what a person asks for: end or suspend `scanloop teleop`"),
         }
     }
 
@@ -78,7 +79,7 @@ impl InjectedFault {
         match &self.inject {
             Injection::Sample(fault) => fault.topic.writer(),
             Injection::Scenario(_) => Some(Role::Robot),
-            Injection::Process(_) => None,
+            Injection::Process(_) | Injection::Person(_) => None,
         }
     }
 
@@ -88,6 +89,7 @@ impl InjectedFault {
             Injection::Sample(fault) => fault.scans.map(|scans| scans as f64 * period_s),
             Injection::Scenario(fault) => fault.scans.map(|scans| scans as f64 * period_s),
             Injection::Process(fault) => fault.seconds,
+            Injection::Person(_) => None,
         }
         .unwrap_or(LASTS_S)
     }

@@ -3,7 +3,7 @@
 use std::cell::Cell;
 
 use shared_types::{
-    AnySample, AnyStage, Authority, Fate, Header, Inbox, InboxArrival, InboxRules, KnownScan, Role,
+    AnySample, AnyStage, Authority, Directive, Fate, Header, Inbox, InboxArrival, InboxRules, KnownScan, Role,
     SampleType, StageEvent, StageShape, StageStamps, Stopwatch, Topic, YOUNG_NS,
 };
 
@@ -191,6 +191,13 @@ impl Node {
         }
         self.is_dropped |= is_dropped;
         found
+    }
+
+    /// Takes in the orders of a directive, if its stage takes any.
+    pub(crate) fn order(&mut self, directive: &Directive, now_ns: u64) {
+        if self.shape.takes_orders {
+            self.stage.take(AnySample::of(directive), now_ns);
+        }
     }
 
     /// Does all that its inputs allow; whether it did something.

@@ -8,7 +8,7 @@ use estimator::EstimatorStage;
 use nmpc::ControllerStage;
 use obstacles::DetectorStage;
 use shared_types::{
-    Actuation, AnySample, AnyStage, Authority, Header, Odometry, Role, SLOTS, Sample, Scan, Stage, TOPICS,
+    Actuation, AnySample, AnyStage, Authority, Directive, Header, Odometry, Role, SLOTS, Sample, Scan, Stage, TOPICS,
     Topic, Truth,
 };
 use vehicle::Invalid;
@@ -189,6 +189,13 @@ impl SimulatedLoop {
             for topic in TOPICS.into_iter().filter(|topic| topic.writer() == Some(role)) {
                 node.inputs(topic).for_each(|input| input.review(authority, self.time));
             }
+        }
+    }
+
+    /// Tells the stages that take orders who drives, and what a person asks for.
+    pub fn order(&mut self, directive: &Directive) {
+        for node in &mut self.nodes {
+            node.order(directive, self.time.now_ns);
         }
     }
 

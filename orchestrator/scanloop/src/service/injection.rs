@@ -71,14 +71,14 @@ fn read(domain: &Domain, role: Role) -> Option<ActiveFault> {
 fn of_samples(fault: &InjectedFault) -> Option<&SampleFault> {
     match &fault.inject {
         Injection::Sample(fault) => Some(fault),
-        Injection::Scenario(_) | Injection::Process(_) => None,
+        Injection::Scenario(_) | Injection::Process(_) | Injection::Person(_) => None,
     }
 }
 
 fn of_robot(fault: &InjectedFault) -> toml::Table {
     match &fault.inject {
         Injection::Scenario(fault) => fault.set.clone(),
-        Injection::Sample(_) | Injection::Process(_) => toml::Table::new(),
+        Injection::Sample(_) | Injection::Process(_) | Injection::Person(_) => toml::Table::new(),
     }
 }
 

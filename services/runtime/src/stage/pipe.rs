@@ -61,6 +61,8 @@ pub struct StageOutline {
     pub output: u32,
     /// Whether it holds the wheels.
     pub holds_wheels: bool,
+    /// Whether it takes orders.
+    pub takes_orders: bool,
     /// Numbers of the topics of [`Stage::ANSWERS`].
     pub answers: Vec<u32>,
     /// Numbers of the topics of [`Stage::NOTES`].
@@ -75,14 +77,15 @@ impl StageOutline {
             role: shape.role.wire(),
             output: shape.output.topic as u32,
             holds_wheels: shape.holds_wheels,
+            takes_orders: shape.takes_orders,
             answers: topics(shape.answers),
             notes: topics(shape.notes),
         }
     }
 
     fn to_numbers(&self) -> Vec<u32> {
-        let mut numbers =
-            vec![self.role, self.output, u32::from(self.holds_wheels), self.answers.len() as u32];
+        let flags = [self.holds_wheels, self.takes_orders].map(u32::from);
+        let mut numbers = vec![self.role, self.output, flags[0], flags[1], self.answers.len() as u32];
         numbers.extend(self.answers.iter().chain(&self.notes));
         numbers
     }
@@ -90,13 +93,14 @@ impl StageOutline {
     /// Reads it back; `None` when it is none.
     pub fn read(bytes: &[u8]) -> Option<Self> {
         let numbers: Vec<u32> = bytes.chunks_exact(4).map(bytemuck::pod_read_unaligned).collect();
-        let (&[role, output, holds_wheels, answers], topics) = numbers.split_first_chunk()?;
+        let (&[role, output, holds_wheels, takes_orders, answers], topics) = numbers.split_first_chunk()?;
         let (answers, notes) = topics.split_at_checked(answers as usize)?;
         let is_known = topics.iter().chain([&output]).all(|topic| (*topic as usize) < TOPICS.len());
         is_known.then(|| Self {
             role,
             output,
             holds_wheels: holds_wheels == 1,
+            takes_orders: takes_orders == 1,
             answers: answers.to_vec(),
             notes: notes.to_vec(),
         })
