@@ -25,6 +25,8 @@ pub const BY_HAND_MPS: f64 = 0.3;
 pub(crate) const BY_HAND: u64 = 6;
 /// Scans that the person drives at all, before the controller drives again.
 pub(crate) const HANDS_BACK: u64 = 14;
+/// Scans that outlast a cell with real processes, in which the person does not hand back.
+pub(crate) const OUTLASTS: u64 = 60;
 
 /// The scenario that is driven.
 ///

@@ -115,9 +115,9 @@ impl Rig {
         self.swap.is_swapped
     }
 
-    /// Lets a person drive, who hands back after some scans.
-    pub fn take_over(&mut self) {
-        self.person = Some(Person::default());
+    /// Lets a person drive, who hands back after so many scans.
+    pub fn take_over(&mut self, hands_back: u64) {
+        self.person = Some(Person::new(hands_back));
     }
 
     /// Goes to the next time at which something happens, and lets it happen.
@@ -125,7 +125,9 @@ impl Rig {
         let is_scan = self.simulation.move_on();
         self.judge.place = self.place();
         if is_scan {
-            if let Some(directive) = self.person.as_mut().and_then(|person| person.asks(self.simulation.now_ns())) {
+            if let Some(directive) =
+                self.person.as_mut().and_then(|person| person.asks(self.simulation.now_ns()))
+            {
                 self.simulation.order(&directive);
             }
             self.simulation.measure(&mut self.judge);

@@ -8,7 +8,7 @@ use shared_types::{AnyStage, Role};
 use vehicle::Invalid;
 
 use crate::cell::{Cell, DetectionLimits, DrivenWay, Observed, Passed, judge};
-use crate::course::{BY_HAND, SHADOWED, begins, settings};
+use crate::course::{BY_HAND, HANDS_BACK, OUTLASTS, SHADOWED, begins, settings};
 use crate::finding::{Finding, Findings};
 use crate::piped::PipedStage;
 use crate::rig::Rig;
@@ -56,14 +56,15 @@ impl Simulation {
         self.programs.iter().find_map(|program| Some((program.shape().role, program.failure()?)))
     }
 
-    /// The way of a robot on a course without a fault, from its start on; a person drives in the phase of that name.
+    /// The way of a robot on a course without a fault, from its start on, or from where a person takes over.
     ///
     /// # Errors
     /// The first setting that is not allowed.
     pub fn unaffected(settings: &PipelineSettings, phase: DrivePhase) -> Result<DrivenWay, Invalid> {
         let mut rig = Rig::new(settings)?;
         if phase == DrivePhase::Person {
-            lead_to(phase, &mut rig, &settings.scenario);
+            while rig.scan().is_none() && !begins(phase, &settings.scenario, rig.truth()) {}
+            rig.take_over(OUTLASTS);
         }
         Ok(finish(&mut rig).0)
     }
@@ -107,7 +108,7 @@ fn lead_to(phase: DrivePhase, rig: &mut Rig, scenario: &Scenario) {
             SHADOWED
         }
         DrivePhase::Person => {
-            rig.take_over();
+            rig.take_over(HANDS_BACK);
             BY_HAND
         }
         _ => 0,

@@ -12,10 +12,10 @@ use super::case::{After, Case, Entry, Own, Play, Started};
 use super::controller::not_driven_on;
 use super::obstacles::scanner;
 use super::robot::{device, motion};
-use super::{actuator, answers, controller, estimator, intake, lifecycle, obstacles, robot};
+use super::{actuator, answers, controller, estimator, intake, lifecycle, obstacles, person, robot};
 
 /// How each case is played, by group and name.
-const FUNCTIONS: [(&str, &str, Play); 84] = [
+const FUNCTIONS: [(&str, &str, Play); 88] = [
     ("every role", "states", Own(lifecycle::states)),
     ("every role", "heartbeats", Started(lifecycle::heartbeats)),
     ("every role", "joins-late", Started(lifecycle::joins_late)),
@@ -87,6 +87,7 @@ const FUNCTIONS: [(&str, &str, Play); 84] = [
     ("controller", "obeys-alarm", Own(|suite| not_driven_on(suite, &controller::ALARM))),
     ("controller", "obeys-the-scanner", Own(|suite| not_driven_on(suite, &controller::BAD_SCANNERS))),
     ("controller", "degraded-scanner", Started(controller::degraded_scanner)),
+    ("controller", "by-hand", After(person::commanded, person::follows)),
     ("controller", "names-its-reason", Own(controller::names_its_reason)),
     ("controller", "plan", Started(controller::plan)),
     ("actuator", "limits", After(actuator::driving, actuator::limits)),
@@ -94,6 +95,9 @@ const FUNCTIONS: [(&str, &str, Play); 84] = [
     ("actuator", "calibration", Started(actuator::sends)),
     ("actuator", "obeys-stop", Own(actuator::obeys_stop)),
     ("actuator", "stop-wins", After(actuator::driving, actuator::stop_wins)),
+    ("actuator", "paused", After(actuator::driving, person::paused)),
+    ("actuator", "by-hand", After(actuator::driving, person::by_hand)),
+    ("actuator", "emergency-stop", Started(person::emergency_stop)),
     ("actuator", "silence", After(actuator::driving, actuator::silence)),
     ("actuator", "two-after-silence", After(actuator::driving, actuator::two_after_silence)),
     ("actuator", "gap", After(actuator::driving, actuator::gap)),

@@ -22,6 +22,7 @@ mod intake;
 mod lifecycle;
 mod message;
 mod obstacles;
+mod person;
 mod ports;
 mod ranges;
 mod report;

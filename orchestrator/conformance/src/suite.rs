@@ -12,6 +12,7 @@ use shared_types::Role;
 use supervision::lock::{SystemLock, clear};
 
 use super::drive::{Course, Drive};
+use super::test_bench::Button;
 
 /// What all cases of a suite share.
 pub(crate) struct Suite {
@@ -42,11 +43,19 @@ pub(crate) struct Setup {
     pub(crate) orphan_ns: u64,
     /// The first scan that is played.
     pub(crate) first_scan: u64,
+    /// Whether an actuator has an emergency stop from outside.
+    pub(crate) button: bool,
 }
 
 impl Default for Setup {
     fn default() -> Self {
-        Self { course: Course::Corridor, lockstep: false, orphan_ns: 30_000_000_000, first_scan: 1 }
+        Self {
+            course: Course::Corridor,
+            lockstep: false,
+            orphan_ns: 30_000_000_000,
+            first_scan: 1,
+            button: false,
+        }
     }
 }
 
@@ -79,6 +88,9 @@ impl Suite {
             orphan_stop_ns: setup.orphan_ns,
             orphan_timeout_ns: setup.orphan_ns,
         };
+        if setup.button {
+            Button::write(domain, run.clone())?;
+        }
         let tuning = tuning.clone().for_scenario(scenario);
         settings::write(domain, &run, &Realtime::default(), scenario, &tuning, self.driver.as_ref())
     }

@@ -7,6 +7,7 @@
 //! Waiting never depends on how fast the machine is: it ends with what is waited for, or after seconds. Scans are
 //! published when they are due; when the machine delayed the bench, all later scans move back.
 
+mod button;
 mod candidate;
 mod play;
 mod robot;
@@ -21,6 +22,7 @@ use supervision::child_log::ChildLog;
 use supervision::directives::Directives;
 use supervision::private_system::{Order, PrivateSystem, poll_until};
 
+pub(crate) use self::button::Button;
 use super::case::{Tried, failed};
 use super::drive::{Course, Drive};
 use super::message::Message;
@@ -61,6 +63,8 @@ pub(crate) struct TestBench<'a> {
     /// The machine's time when the drive's own time was zero [ns].
     offset_ns: u64,
     pub(crate) log: Arc<ChildLog>,
+    /// An emergency stop from outside, if the setup has one.
+    pub(crate) button: Option<Button>,
     publishers: TopicPublishers,
     subscribers: Subscribers,
     checkpoint_observer: Observer<Checkpoint>,
@@ -96,8 +100,10 @@ impl<'a> TestBench<'a> {
             |role| if role == suite.role { CANDIDATE } else { incarnation_of(role) },
             |domain| suite.write_settings(domain, &drive, setup),
         )?;
+        let button = setup.button.then(|| Button::open(&system.bus, &system.domain)).transpose()?;
         Ok(Self {
             child: None,
+            button,
             log: ChildLog::open(&system.domain.directory().join("candidate.log"))?,
             publishers: TopicPublishers::open(&system.domain, "conformance", &PLAYED)?,
             subscribers: Subscribers::new(&system.bus, suite.role)?,
@@ -162,6 +168,9 @@ impl<'a> TestBench<'a> {
         let is_own = |beat: &Heartbeat| beat.header.incarnation == own;
         let keep = |beat: &Heartbeat| self.heartbeats.extend(is_own(beat).then_some(*beat));
         self.system.turn(&self.suite.shutdown, keep)?;
+        if let Some(button) = &mut self.button {
+            button.turn()?;
+        }
         self.subscribers.receive(|message| self.received.push(message))?;
         self.checkpoint_observer.poll(|checkpoint| self.checkpoints.push(*checkpoint))?;
         match if self.may_end { None } else { self.exit()? } {

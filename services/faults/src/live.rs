@@ -70,7 +70,9 @@ impl InjectedFault {
                 ProcessAction::Fill => Some("it fills the memory of all programs of this machine"),
                 ProcessAction::Kill | ProcessAction::Hang | ProcessAction::Flood => None,
             },
-            Injection::Person(_) => Some("it acts on what a person asks for: end or suspend `scanloop teleop`"),
+            Injection::Person(_) => {
+                Some("it acts on what a person asks for: end or suspend `scanloop teleop`")
+            }
         }
     }
 

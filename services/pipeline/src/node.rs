@@ -3,8 +3,8 @@
 use std::cell::Cell;
 
 use shared_types::{
-    AnySample, AnyStage, Authority, Directive, Fate, Header, Inbox, InboxArrival, InboxRules, KnownScan, Role,
-    SampleType, StageEvent, StageShape, StageStamps, Stopwatch, Topic, YOUNG_NS,
+    AnySample, AnyStage, Authority, Directive, Fate, Header, Inbox, InboxArrival, InboxRules, KnownScan,
+    Role, SampleType, StageEvent, StageShape, StageStamps, Stopwatch, Topic, YOUNG_NS,
 };
 
 use crate::wire::SampleBytes;

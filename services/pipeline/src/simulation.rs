@@ -8,8 +8,8 @@ use estimator::EstimatorStage;
 use nmpc::ControllerStage;
 use obstacles::DetectorStage;
 use shared_types::{
-    Actuation, AnySample, AnyStage, Authority, Directive, Header, Odometry, Role, SLOTS, Sample, Scan, Stage, TOPICS,
-    Topic, Truth,
+    Actuation, AnySample, AnyStage, Authority, Directive, Header, Odometry, Role, SLOTS, Sample, Scan, Stage,
+    TOPICS, Topic, Truth,
 };
 use vehicle::Invalid;
 

@@ -17,7 +17,9 @@ impl Rig {
             Injection::Sample(fault) => self.inject_into_samples(fault, from_ns),
             Injection::Scenario(fault) => self.inject_into_robot(fault),
             Injection::Process(_) => false,
-            Injection::Person(fault) => self.person.as_mut().map(|person| person.fault = Some(*fault)).is_some(),
+            Injection::Person(fault) => {
+                self.person.as_mut().map(|person| person.fault = Some(*fault)).is_some()
+            }
         };
         is_injected.then_some(from_ns)
     }
