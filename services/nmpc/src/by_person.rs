@@ -2,10 +2,12 @@
 //!
 //! A person decides where to; the limits of speed, the bounds, the clearance and the stop are those of the controller. Held
 //! for one interval, what was asked for must leave room to stop behind it, at each time at which the wheels may be blocked.
+//! With `person_margin = "close"` it may pass closer to what it sees, never faster.
 
 use shared_types::{GivenControl, Level};
 use vehicle::Control;
 
+use crate::config::PersonMargin;
 use crate::planner::{Choice, Planner};
 use crate::scene::Scene;
 use crate::verify::verify;
@@ -32,6 +34,10 @@ pub(crate) fn asked(
 /// # Errors
 /// When it may not be driven at any speed; with the obstacle, if one is the reason.
 pub(crate) fn follow(scene: &Scene, asked: Control, planner: &mut Planner) -> Result<Choice, Option<usize>> {
+    let scene = &match scene.config.person_margin {
+        PersonMargin::Whole => *scene,
+        PersonMargin::Close => Scene { escapes: true, ..scene.keeping(scene.margin.close(), scene.speed) },
+    };
     let mut refused = None;
     for share in SLOWER {
         let control = scene.bounds().clamp(Control { velocity: share * asked.velocity, ..asked });

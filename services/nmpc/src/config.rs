@@ -58,6 +58,19 @@ pub enum SideRule {
 
 impl Setting for SideRule {}
 
+/// What a robot that a person drives keeps from obstacles.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PersonMargin {
+    /// The whole margin, and the ellipses, as the controller's own plans.
+    #[default]
+    Whole,
+    /// `clearance_m` and the way of the robot while the data age, from the bodies as they are described.
+    Close,
+}
+
+impl Setting for PersonMargin {}
+
 settings! {
     /// Settings of the rule that stops in front of a blocked path.
     #[derive(Copy)]
@@ -106,6 +119,9 @@ settings! {
         pub clearance_m: f64 = 0.05, 0.0..=1.0;
         /// What is kept in addition to `clearance_m`.
         pub margin: MarginSettings = MarginSettings::default();
+        /// What a robot that a person drives keeps from obstacles: `whole` is what the controller keeps, `close` lets it
+        /// pass closer, for a person who sees them.
+        pub person_margin: PersonMargin = PersonMargin::Whole;
         /// Length of the horizon, tf [s].
         pub horizon_s: f64 = 5.44, (0.5..=10.0, "at least `controller.intervals` / `rate_hz`");
         /// Number of intervals of the horizon, N.

@@ -44,7 +44,7 @@ mod warm;
 mod weights;
 
 pub use braking::speed_limit;
-pub use config::{ControllerConfig, ControllerProfile, MarginSettings, SideRule, StopSettings};
+pub use config::{ControllerConfig, ControllerProfile, MarginSettings, PersonMargin, SideRule, StopSettings};
 pub use controller::Controller;
 pub use ocp::Budget;
 pub use reference_path::LatticeSettings;

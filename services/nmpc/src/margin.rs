@@ -48,6 +48,11 @@ impl MarginModel {
         Self { settings, age_s: 0.0, ..self }
     }
 
+    /// What a person keeps who may pass closer: nothing for what is uncertain but the age of the data.
+    pub(crate) fn close(self) -> Self {
+        Self { settings: self.bare().settings, ..self }
+    }
+
     /// No margin at all: for a robot that would be struck if it stopped.
     pub(crate) fn none(self) -> Self {
         Self { base_m: 0.0, ..self.bare() }

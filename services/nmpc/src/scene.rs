@@ -53,7 +53,8 @@ pub(crate) struct Scene<'a> {
     pub(crate) speed: f64,
     /// Largest velocity from which the robot stops in time [m/s].
     pub(crate) limit_mps: f64,
-    /// Whether the robot gets out of the way of a body: then the bodies count, and their ellipses do not.
+    /// Whether the robot gets out of the way of a body, or a person drives close to one: then the bodies count, and their
+    /// ellipses do not.
     pub(crate) escapes: bool,
 }
 
