@@ -16,6 +16,7 @@ mod incidents;
 mod injection;
 mod judge;
 mod memory;
+mod moved;
 mod person;
 mod reconciliation;
 mod recording;
@@ -56,6 +57,7 @@ use conclusion::Conclusion;
 use events::Events;
 use incidents::Noticed;
 use memory::MemoryWatch;
+use moved::MovedWatch;
 use person::Person;
 use reconciliation::Reconciliation;
 use recording::{Recording, ScanObserver};
@@ -86,6 +88,7 @@ pub struct Session {
     recording: Recording,
     /// The person who drives by hand.
     person: Person,
+    moved: MovedWatch,
     vitals: Vitals,
     samples: Samples,
     watches: Watches,
@@ -173,6 +176,7 @@ impl Session {
             audit: Reconciliation::new(audit, lockstep),
             recording: Recording::new(domain.run_id(), &plan.scenario, options, first_scan, period_ns),
             person: Person::default(),
+            moved: MovedWatch::default(),
             vitals: Vitals::new(&bus)?,
             samples: Samples::new(&bus, period_ns)?,
             watches: Watches::default(),
@@ -248,6 +252,7 @@ impl Session {
             self.serve()?;
             self.record(false)?;
             self.end_by_clock();
+            self.notice_moved()?;
             self.require_truth();
             self.advance_audit();
             self.advance_end()?;

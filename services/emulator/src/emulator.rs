@@ -18,7 +18,7 @@ use crate::history::{History, Node};
 use crate::laser::{Laser, Sweep};
 use crate::odometer::{Odometer, Reckoning};
 use crate::plant::{Plant, STEP_NS};
-use crate::scenario::{Scenario, Start};
+use crate::scenario::{Robot, Scenario, Start};
 use crate::scene::Scene;
 use crate::schedule::Schedule;
 use way::Way;
@@ -287,6 +287,10 @@ impl Emulator {
         if !self.plant.is_blocked() && self.state.plant_ns >= self.dead_man_ns() {
             self.plant.block();
             self.state.dead_man = true.into();
+        }
+        let Robot { pushed_s, pushed_left_m, .. } = self.scenario.robot;
+        if (self.state.plant_ns..end_ns).contains(&((pushed_s * 1e9) as u64)) && pushed_s > 0.0 {
+            self.plant.push(pushed_left_m);
         }
         let turned = !self.plant.is_blocked() && self.plant.speed() > 0.0;
         let distance = move_on(&mut self.plant, &mut self.reckoning, self.state.plant_ns, end_ns);

@@ -105,6 +105,14 @@ impl Plant {
         self.blocked = true;
     }
 
+    /// Pushes a robot that stands with blocked wheels to its left [m]: its wheels slide.
+    pub fn push(&mut self, left_m: f64) {
+        if self.blocked && self.speed <= 0.0 && !self.wrecked {
+            self.state.x -= left_m * self.state.yaw.sin();
+            self.state.y += left_m * self.state.yaw.cos();
+        }
+    }
+
     /// Stops the body at once and for good: it has run into something.
     pub fn wreck(&mut self) {
         self.wrecked = true;

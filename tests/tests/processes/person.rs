@@ -70,7 +70,30 @@ fn a_drive_is_paused_driven_by_hand_around_a_corner_and_resumed_to_its_goal() {
         assert_eq!(run(&system, &["resume"]).0, Some(0));
         assert_eq!(system.wait().code(), Some(0));
         assert_eq!(drivers(&system), ["nobody", "person", "nobody", "controller"]);
+        assert!(!system.stderr().contains("was moved"), "{}", system.stderr());
         system.assert_replayed();
+        system.assert_nothing_left();
+    });
+}
+
+#[test]
+fn a_paused_robot_that_is_pushed_with_blocked_wheels_says_so_and_stands() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        // Pushed after 5 s: it is paused and stands by then.
+        system.start(&["walls", "--set", "robot.pushed_s=5", "--set", "robot.pushed_left_m=0.3"]);
+        system.wait_until("the robot drives", |system| scan(system) > 10);
+        assert_eq!(run(&system, &["pause"]).0, Some(0));
+        system.await_rest();
+        assert!(!system.stderr().contains("was moved"), "{}", system.stderr());
+        system.wait_until("it is told", |system| {
+            system.stderr().contains("the robot was moved while it stood")
+        });
+        system.await_rest();
+        assert_eq!(driven_by(&system), "nobody");
+        assert_eq!(system.newest("actuation")["reason"], "paused");
+        assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+        assert_eq!(system.wait().code(), Some(1));
         system.assert_nothing_left();
     });
 }

@@ -170,6 +170,22 @@ impl Session {
         }
     }
 
+    /// Tells when a robot that stands, and that the controller does not drive, was moved.
+    ///
+    /// # Errors
+    /// Errors of the bus.
+    pub(super) fn notice_moved(&mut self) -> anyhow::Result<()> {
+        let stands = self.drives() && self.driven_by() != DrivenBy::Controller && self.is_standing();
+        if let Some(share) = self.moved.look(&self.bus, stands)? {
+            let percent = share * 100.0;
+            self.warn(&format!(
+                "the robot was moved while it stood: {percent:.0} % of the scanner's beams changed, and its wheels did not \
+                 turn; its pose may be wrong, `scanloop resume` drives by it"
+            ));
+        }
+        Ok(())
+    }
+
     fn is_standing(&self) -> bool {
         let recorder = &self.recording.recorder;
         let is_slow = recorder.last_pose().is_some_and(|pose| pose.speed_mps.abs() < STANDING_MPS);

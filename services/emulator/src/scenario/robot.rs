@@ -121,6 +121,10 @@ settings! {
         pub odometry_jump_rad: f64 = 0.0, -PI..=PI;
         /// Time at which the reported yaw jumps [s].
         pub odometry_jump_s: f64 = 0.0, 0.0..=1e6;
+        /// Time at which somebody pushes the robot, if it stands with blocked wheels; 0 for never [s].
+        pub pushed_s: f64 = 0.0, 0.0..=1e6;
+        /// How far it is pushed to its left [m].
+        pub pushed_left_m: f64 = 0.0, -10.0..=10.0;
         /// Slip of the wheel encoders: standard deviation of the measured distance after one metre [m].
         pub encoder_slip_m: Option<f64> = None, 0.0..=1.0;
         /// White noise of the gyro: standard deviation of the integrated yaw after one second [rad].

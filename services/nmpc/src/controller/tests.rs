@@ -408,19 +408,21 @@ fn a_person_gets_slower_before_an_obstacle_and_stands_where_no_speed_is_verified
 #[test]
 fn a_person_who_may_pass_closer_keeps_the_clearance_and_is_no_faster() {
     let nearest_m = |person_margin: PersonMargin| {
-        let mut controller = Controller::new(ControllerConfig { person_margin, ..Default::default() }).unwrap();
+        let mut controller =
+            Controller::new(ControllerConfig { person_margin, ..Default::default() }).unwrap();
         let clearance_m = controller.config.clearance_m;
         // The gaps to a body ahead, from afar to the contact, at which a robot at rest still drives towards it.
-        let driven = (1..=60).map(|step| 0.6 - 0.01 * f64::from(step)).enumerate().filter(|(index, gap_m)| {
-            let (pose, mut obstacles) = seen_well(1 + *index as u64, 1.0, 0.0);
-            let front_m = pose.predicted_x_m + controller.config.vehicle.length_m / 2.0;
-            obstacles.count = 1;
-            obstacles.items[0] = obstacle(front_m + gap_m + 0.2, 0.0, [0.55, 0.55], [0.4, 0.4]);
-            by_person(&mut controller, &pose, [0.8, 0.0]);
-            let command = controller.step(&pose, &obstacles, &BUDGET);
-            assert!(command.velocity_mps <= command.speed_limit_mps, "never faster");
-            command.kind == CommandKind::Drive.wire()
-        });
+        let driven =
+            (1..=60).map(|step| 0.6 - 0.01 * f64::from(step)).enumerate().filter(|(index, gap_m)| {
+                let (pose, mut obstacles) = seen_well(1 + *index as u64, 1.0, 0.0);
+                let front_m = pose.predicted_x_m + controller.config.vehicle.length_m / 2.0;
+                obstacles.count = 1;
+                obstacles.items[0] = obstacle(front_m + gap_m + 0.2, 0.0, [0.55, 0.55], [0.4, 0.4]);
+                by_person(&mut controller, &pose, [0.8, 0.0]);
+                let command = controller.step(&pose, &obstacles, &BUDGET);
+                assert!(command.velocity_mps <= command.speed_limit_mps, "never faster");
+                command.kind == CommandKind::Drive.wire()
+            });
         let nearest_m = driven.map(|(_, gap_m)| gap_m).fold(f64::INFINITY, f64::min);
         assert!(nearest_m > clearance_m, "{nearest_m} m");
         nearest_m
