@@ -22,7 +22,7 @@ use session::control::{Reply, Request, ask};
 use supervision::child::this_program;
 use supervision::runs::existing;
 
-use keys::Hand;
+use keys::{Hand, Line};
 
 /// Shortest and longest time between two controls.
 const INTERVAL: (Duration, Duration) = (Duration::from_millis(5), Duration::from_millis(40));
@@ -53,8 +53,9 @@ pub struct TeleopArguments {
     /// Without keys: drive so for this time [s], then pause; in lock-step simulated time.
     #[arg(long = "for", value_name = "S")]
     pub for_s: Option<f64>,
-    /// Without keys: each line of standard input is one control, `VELOCITY STEERING`, until its end: for programs in any
-    /// language.
+    /// Without keys: each line of standard input is one control, `VELOCITY STEERING`, or `pause`, which blocks the wheels until
+    /// the next control, or `resume`, which hands back and ends; for programs in any language. Standard output tells who
+    /// drives: `by hand`, `paused` or `resumed`, a line for each change.
     #[arg(long, conflicts_with = "for_s")]
     pub stdin: bool,
     /// Use the terminal in this process; `teleop` starts itself with this option.
@@ -152,12 +153,14 @@ fn drive(
     let mut teleop = Teleop { domain, person, interval, period_ns, lockstep, refused_since: None };
     let given = ask_for(&mut teleop);
     // Another may have taken over or resumed meanwhile: that one is not paused.
-    let is_own = teleop.refused_since.is_none();
+    let is_own = matches!(ask(domain, &Request::Hold { person }), Ok(Reply::Done));
     if is_own && let Err(error) = ask(domain, &Request::Pause) {
         tracing::debug!(%error, "the drive is over");
     }
     given?;
-    print(Priority::Notice, "paused: the wheels are blocked until `scanloop resume`");
+    if is_own {
+        print(Priority::Notice, "paused: the wheels are blocked until `scanloop resume`");
+    }
     Ok(Exit::Done)
 }
 
@@ -194,9 +197,11 @@ impl Teleop<'_> {
         Ok(())
     }
 
-    /// One control for each line.
+    /// What each line asks for, until one hands back.
     fn by_lines(&mut self, shutdown: &Shutdown) -> anyhow::Result<()> {
         let (mut text, mut number) = (Vec::new(), 0);
+        let hold = Request::Hold { person: self.person };
+        answer!(false, "by hand")?;
         loop {
             wait_for(&[io::stdin().as_fd(), shutdown.descriptor()], LOOK.as_nanos() as u64);
             if shutdown.requested() {
@@ -217,8 +222,23 @@ impl Teleop<'_> {
                 let asked = keys::of_line(&String::from_utf8_lossy(&line)).map_err(|reason| {
                     Failure::bad_input(format!("standard input, line {number}: {reason}"))
                 })?;
-                while !self.give(asked)? && self.lockstep && !shutdown.requested() {
-                    wait_for(&[shutdown.descriptor()], POLL.as_nanos() as u64);
+                match asked {
+                    Line::Control(asked) => {
+                        while !self.give(asked)? && self.lockstep && !shutdown.requested() {
+                            wait_for(&[shutdown.descriptor()], POLL.as_nanos() as u64);
+                        }
+                    }
+                    Line::Pause => {
+                        request(self.domain, &hold)?;
+                        answer!(false, "paused")?;
+                    }
+                    // Not for another person who drives now.
+                    Line::Resume => {
+                        request(self.domain, &hold)?;
+                        request(self.domain, &Request::Resume)?;
+                        answer!(false, "resumed")?;
+                        return Ok(());
+                    }
                 }
             }
             if text.len() > MAX_LINE {

@@ -17,11 +17,27 @@ const MAX_KEYS: usize = 3;
 pub(super) const HELP: &str = "up or w: drive while held    left, right or a, d: steer    + and -: velocity\n\
     down, s or space: stand      x: straight                   q: pause and leave\n";
 
-/// Velocity and steering angle of a line.
+/// What a line asks for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Line {
+    /// A velocity [m/s] and a steering angle [rad].
+    Control([f64; 2]),
+    /// Blocked wheels until the next control.
+    Pause,
+    /// The controller is to drive.
+    Resume,
+}
+
+/// What a line asks for.
 ///
 /// # Errors
-/// What stands there instead of two numbers.
-pub(super) fn of_line(line: &str) -> Result<[f64; 2], String> {
+/// What stands there instead.
+pub(super) fn of_line(line: &str) -> Result<Line, String> {
+    match line.trim() {
+        "pause" => return Ok(Line::Pause),
+        "resume" => return Ok(Line::Resume),
+        _ => {}
+    }
     let numbers: Vec<f64> = line.split_whitespace().map_while(|word| word.parse().ok()).collect();
     match numbers[..] {
         [velocity, steering]
@@ -29,10 +45,10 @@ pub(super) fn of_line(line: &str) -> Result<[f64; 2], String> {
                 && steering.is_finite()
                 && line.split_whitespace().count() == numbers.len() =>
         {
-            Ok([velocity, steering])
+            Ok(Line::Control([velocity, steering]))
         }
         _ => Err(format!(
-            "{:?} is not allowed: two numbers, a velocity [m/s] and a steering angle [rad]",
+            "{:?} is not allowed: two numbers, a velocity [m/s] and a steering angle [rad], or `pause`, or `resume`",
             line.trim()
         )),
     }
@@ -170,9 +186,10 @@ mod tests {
     }
 
     #[test]
-    fn a_line_is_two_finite_numbers() {
-        assert_eq!(of_line("0.3 -0.05\n"), Ok([0.3, -0.05]));
-        for line in ["", "0.3", "0.3 0 1", "0.3 x", "nan 0", "inf 0", "0,3 0"] {
+    fn a_line_is_two_finite_numbers_or_a_word() {
+        assert_eq!(of_line("0.3 -0.05\n"), Ok(Line::Control([0.3, -0.05])));
+        assert_eq!([of_line("pause\n"), of_line(" resume\r\n")], [Ok(Line::Pause), Ok(Line::Resume)]);
+        for line in ["", "0.3", "0.3 0 1", "0.3 x", "nan 0", "inf 0", "0,3 0", "pause 1", "Pause", "resumed"] {
             assert!(of_line(line).is_err(), "{line}");
         }
     }

@@ -48,6 +48,11 @@ pub enum Request {
     Resume,
     /// Drive by hand from now on.
     Teleop,
+    /// Block the wheels until the same person asks for a control, or as [`Request::Pause`].
+    Hold {
+        /// The number of the person, from [`Reply::Teleop`].
+        person: u64,
+    },
     /// What the person who drives by hand asks for.
     Control {
         /// The number of the person, from [`Reply::Teleop`].

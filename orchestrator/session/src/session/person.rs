@@ -33,6 +33,19 @@ pub(super) struct Person {
     granted_scan: u64,
 }
 
+impl Person {
+    /// Passes for the person who drives, also while it holds the wheels.
+    ///
+    /// # Errors
+    /// For any other one.
+    fn require(&self, number: u64) -> Result<(), String> {
+        if number != 0 && number == self.number {
+            return Ok(());
+        }
+        Err("this person does not drive any more: paused, resumed, or another one took over".to_owned())
+    }
+}
+
 /// The parts of a session that a person concerns.
 pub(super) struct PersonParts<'s> {
     pub(super) run: &'s Run,
@@ -55,6 +68,7 @@ impl PersonParts<'_> {
                 let reply = self.take_over()?;
                 Ok((reply, Some("a person drives by hand: `scanloop resume` hands back to the controller")))
             }
+            Request::Hold { person } => self.hold(person).map(|text| (Reply::Done, Some(text))),
             Request::Control { person, velocity_mps, steering_rad, given_ns } => {
                 self.control(person, [velocity_mps, steering_rad], given_ns).map(|reply| (reply, None))
             }
@@ -98,17 +112,24 @@ impl PersonParts<'_> {
         Ok(Reply::Teleop { person: person.number, period_ns, lockstep })
     }
 
+    /// Blocks the wheels until the person who drives asks for a control; returns what the user is told.
+    ///
+    /// # Errors
+    /// When it does not drive.
+    fn hold(&mut self, number: u64) -> Result<&'static str, String> {
+        self.person.require(number)?;
+        self.person.asked_ns = monotonic_ns();
+        self.directives.let_drive(DrivenBy::Nobody);
+        Ok("paused: the wheels are blocked until the person drives on, or `scanloop resume`")
+    }
+
     /// Hands on what a person asks for.
     ///
     /// # Errors
     /// When it does not drive, and for what is too old or no number.
     fn control(&mut self, number: u64, [v, steering]: [f64; 2], at_ns: u64) -> Result<Reply, String> {
         let (now_ns, person) = (monotonic_ns(), &mut self.person);
-        if number == 0 || number != person.number {
-            return Err(
-                "this person does not drive any more: paused, resumed, or another one took over".to_owned()
-            );
-        }
+        person.require(number)?;
         if !(v.is_finite() && steering.is_finite()) {
             return Err(format!("velocity = {v} and steering = {steering} are not allowed: numbers"));
         }
@@ -130,6 +151,9 @@ impl PersonParts<'_> {
             (given_ns, person.granted_scan) = (recorded.acquired_ns.max(1), recorded.scan_id + 1);
         }
         person.controls += 1;
+        if self.directives.current.driven_by != DrivenBy::Person.wire() {
+            self.directives.let_drive(DrivenBy::Person);
+        }
         self.directives.current.person =
             GivenControl { number: person.controls, given_ns, velocity_mps: v, steering_rad: steering };
         self.directives.changed = true;
@@ -145,8 +169,8 @@ impl Session {
 
     /// After an emergency stop from outside nobody drives: the controller does not drive on when the button is released.
     pub(super) fn notice_emergency(&mut self) {
+        self.person.number = 0;
         if self.driven_by() != DrivenBy::Nobody {
-            self.person.number = 0;
             self.directives.let_drive(DrivenBy::Nobody);
             self.warn("emergency stop: pressed or silent; once it is released, `scanloop resume` drives on");
         }

@@ -43,6 +43,7 @@ impl Session {
             | Request::Pause
             | Request::Resume
             | Request::Teleop
+            | Request::Hold { .. }
             | Request::Control { .. }
                 if stopped =>
             {
@@ -93,10 +94,20 @@ impl Session {
                 }
                 Err(error) => Reply::without(&error),
             },
-            Request::Pause | Request::Resume | Request::Teleop | Request::Control { .. } if !drives => {
+            Request::Pause
+            | Request::Resume
+            | Request::Teleop
+            | Request::Hold { .. }
+            | Request::Control { .. }
+                if !drives =>
+            {
                 Reply::Refused("a person takes over while the system drives: it does not".to_owned())
             }
-            Request::Pause | Request::Resume | Request::Teleop | Request::Control { .. } => {
+            Request::Pause
+            | Request::Resume
+            | Request::Teleop
+            | Request::Hold { .. }
+            | Request::Control { .. } => {
                 let mut parts = PersonParts { run, recording, samples, directives, person };
                 match parts.answer(&request) {
                     Ok((reply, text)) => {
