@@ -126,7 +126,7 @@ layout! {
 }
 
 layout! {
-    /// The obstacle that a stop is for.
+    /// The obstacle that a stop is for, or for which a person drives slower than it asks.
     pub struct Blocking(40) {
         /// Position of its centre along the track [m]
         pub x_m: f64,
@@ -200,7 +200,7 @@ sample! {
         pub speed_limit_mps: f64,
         /// The clearance that the plan keeps
         pub margin: Margin,
-        /// The obstacle that a stop is for
+        /// The obstacle that a stop is for, or for which a person drives slower than it asks
         pub blocking: Blocking,
         /// What passing an obstacle on each side would cost
         pub sides: Sides,
@@ -244,10 +244,20 @@ impl Command {
     /// The obstacle that this command blocks the wheels for, if one is the reason and its figures are numbers.
     pub fn stopped_for(&self) -> Option<Blocking> {
         let reasons = [StopReason::Blocked, StopReason::Unverified].map(StopReason::wire);
+        let stops = self.kind == CommandKind::Stop.wire() && reasons.contains(&self.reason);
+        self.named().filter(|_| stops)
+    }
+
+    /// The obstacle for which a person drives slower than it asks, if there is one.
+    pub fn slowed_for(&self) -> Option<Blocking> {
+        let slows = self.kind == CommandKind::Drive.wire() && self.level == Level::Person.wire();
+        self.named().filter(|_| slows)
+    }
+
+    fn named(&self) -> Option<Blocking> {
         let Blocking { x_m, y_m, gap_m, needed_m, id, .. } = self.blocking;
         let is_named = id != 0 && [x_m, y_m, gap_m, needed_m].iter().all(|value| value.is_finite());
-        let stops = self.kind == CommandKind::Stop.wire() && reasons.contains(&self.reason);
-        (stops && is_named).then_some(self.blocking)
+        is_named.then_some(self.blocking)
     }
 
     /// The used nodes of the plan.

@@ -60,6 +60,7 @@ pub struct Recorder {
     scanner: Scanner,
     /// The obstacle of the last stop, and whether the newest command is that stop.
     blocking: Option<(Blocking, bool)>,
+    slowed: Option<Blocking>,
     truth: Option<Truth>,
     /// The drive by the estimate, of a robot that publishes no truth.
     estimated: Option<Estimated>,
@@ -87,6 +88,7 @@ impl Recorder {
             margins: Margins::default(),
             scanner: Scanner::default(),
             blocking: None,
+            slowed: None,
             truth: None,
             estimated: None,
             pose: None,
@@ -192,11 +194,17 @@ impl Recorder {
         self.scanner.stops = command.reason == StopReason::Scanner.wire();
         let last = self.blocking.map(|(blocking, _)| (blocking, false));
         self.blocking = command.stopped_for().map(|blocking| (blocking, true)).or(last);
+        self.slowed = command.slowed_for();
     }
 
     /// The obstacle that the newest command blocks the wheels for.
     pub fn stopped_for(&self) -> Option<Blocking> {
         self.blocking.and_then(|(blocking, is_now)| is_now.then_some(blocking))
+    }
+
+    /// The obstacle that the newest command blocks the wheels for, or for which a person drives slower than it asks.
+    pub fn hindered_by(&self) -> Option<Blocking> {
+        self.stopped_for().or(self.slowed)
     }
 
     /// The newest state of the scanner, if any.

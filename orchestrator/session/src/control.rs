@@ -108,6 +108,9 @@ pub struct SystemStatus {
     /// The obstacle that the wheels are blocked for now.
     #[serde(default)]
     pub blocking: Option<BlockingReport>,
+    /// Why the wheels are blocked, or turn slower than a person asks for; null where they do not.
+    #[serde(default)]
+    pub hindered: Option<String>,
     /// The state of the scanner, once obstacles are described.
     #[serde(default)]
     pub scanner: Option<ScannerStatus>,

@@ -105,6 +105,7 @@ fn status(domain: &Domain, state: &str) -> Option<SystemStatus> {
         driven_by: None,
         // No process records the drive, so neither the obstacle of a stop nor the scanner is known.
         blocking: None,
+        hindered: None,
         scanner: None,
         processes,
         refused: Vec::new(),

@@ -29,11 +29,13 @@ pub(crate) fn asked(
     (asks && asked.is_finite()).then(|| scene.bounds().clamp(asked))
 }
 
-/// The plan that follows it, in the planner.
-///
-/// # Errors
-/// When it may not be driven at any speed; with the obstacle, if one is the reason.
-pub(crate) fn follow(scene: &Scene, asked: Control, planner: &mut Planner) -> Result<Choice, Option<usize>> {
+/// The plan that follows it, in the planner; `None` when it may not be driven at any speed. With the obstacle that allows no
+/// more than that, if one is the reason.
+pub(crate) fn follow(
+    scene: &Scene,
+    asked: Control,
+    planner: &mut Planner,
+) -> (Option<Choice>, Option<usize>) {
     let scene = &match scene.config.person_margin {
         PersonMargin::Whole => *scene,
         PersonMargin::Close => Scene { escapes: true, ..scene.keeping(scene.margin.close(), scene.speed) },
@@ -45,9 +47,9 @@ pub(crate) fn follow(scene: &Scene, asked: Control, planner: &mut Planner) -> Re
         planner.controls.push(control);
         let verdict = verify(scene, &planner.controls, &mut planner.rollout);
         if let Some(verified) = verdict.verified() {
-            return Ok(Choice { level: Level::Person, verified });
+            return (Some(Choice { level: Level::Person, verified }), refused);
         }
         refused = verdict.obstacle();
     }
-    Err(refused)
+    (None, refused)
 }

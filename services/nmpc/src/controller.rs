@@ -248,10 +248,9 @@ impl Controller {
         let scene = start.scene(config, predicted);
         let period_ns = (config.period_s * 1e9) as u64;
         let asked = by_person::asked(&scene, &state.person, pose.header.acquired_ns, period_ns);
-        by_person::follow(&scene, asked.ok_or(StopReason::Released)?, planner).map_err(|index| {
-            command.blocking = index.map(|index| blocking(&scene, index)).unwrap_or_default();
-            StopReason::Blocked
-        })
+        let (choice, index) = by_person::follow(&scene, asked.ok_or(StopReason::Released)?, planner);
+        command.blocking = index.map(|index| blocking(&scene, index)).unwrap_or_default();
+        choice.ok_or(StopReason::Blocked)
     }
 
     /// Passes unless the drive is paused: then a plan is made, so that all is ready, and not driven.

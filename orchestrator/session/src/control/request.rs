@@ -48,10 +48,12 @@ pub enum Request {
     Resume,
     /// Drive by hand from now on.
     Teleop,
-    /// Block the wheels until the same person asks for a control, or as [`Request::Pause`].
+    /// Block the wheels until the person who drives asks for a control, or as [`Request::Pause`].
     Hold {
         /// The number of the person, from [`Reply::Teleop`].
         person: u64,
+        /// Whether it drives no more: then only [`Request::Resume`] or another person drives on.
+        ends: bool,
     },
     /// What the person who drives by hand asks for.
     Control {

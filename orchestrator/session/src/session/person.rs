@@ -6,7 +6,7 @@
 
 use audit::samples::Samples;
 use runtime::monotonic_ns;
-use shared_types::{DrivenBy, GivenControl};
+use shared_types::{Actuation, BlockReason, DrivenBy, GivenControl};
 use supervision::directives::Directives;
 
 use super::recording::Recording;
@@ -17,6 +17,13 @@ use crate::control::{Reply, Request};
 const SILENT_NS: u64 = 1_000_000_000;
 /// A robot that is slower stands, by its estimate [m/s].
 const STANDING_MPS: f64 = 0.02;
+
+/// A controller whose commands are not of a person for so many scans in a row knows of none.
+const MAX_UNHEARD_SCANS: u64 = 10;
+
+/// What a person is told then.
+const UNHEARD: &str = "the controller of this system does not drive by hand: its commands are not of level `person`, so the \
+                       wheels stay blocked; `scanloop swap` puts in another one";
 
 /// The person who drives by hand.
 #[derive(Debug, Clone, Default)]
@@ -31,6 +38,8 @@ pub(super) struct Person {
     controls: u64,
     /// In lock-step: the scan that its last control is for.
     granted_scan: u64,
+    /// The newest scan when the controller was seen to follow it last, or it began to drive.
+    heard_scan: u64,
 }
 
 impl Person {
@@ -68,7 +77,7 @@ impl PersonParts<'_> {
                 let reply = self.take_over()?;
                 Ok((reply, Some("a person drives by hand: `scanloop resume` hands back to the controller")))
             }
-            Request::Hold { person } => self.hold(person).map(|text| (Reply::Done, Some(text))),
+            Request::Hold { person, ends } => self.hold(person, ends).map(|text| (Reply::Done, Some(text))),
             Request::Control { person, velocity_mps, steering_rad, given_ns } => {
                 self.control(person, [velocity_mps, steering_rad], given_ns).map(|reply| (reply, None))
             }
@@ -107,17 +116,22 @@ impl PersonParts<'_> {
         }
         person.persons += 1;
         (person.number, person.asked_ns) = (person.persons, monotonic_ns());
+        person.heard_scan = self.samples.newest_scan();
         self.directives.let_drive(DrivenBy::Person);
         let Run { period_ns, lockstep, .. } = *self.run;
         Ok(Reply::Teleop { person: person.number, period_ns, lockstep })
     }
 
-    /// Blocks the wheels until the person who drives asks for a control; returns what the user is told.
+    /// Blocks the wheels until the person who drives asks for a control, or for good when it `ends`; returns what the user
+    /// is told.
     ///
     /// # Errors
     /// When it does not drive.
-    fn hold(&mut self, number: u64) -> Result<&'static str, String> {
+    fn hold(&mut self, number: u64, ends: bool) -> Result<&'static str, String> {
         self.person.require(number)?;
+        if ends {
+            return Ok(self.pause());
+        }
         self.person.asked_ns = monotonic_ns();
         self.directives.let_drive(DrivenBy::Nobody);
         Ok("paused: the wheels are blocked until the person drives on, or `scanloop resume`")
@@ -140,6 +154,12 @@ impl PersonParts<'_> {
             return Err(format!("it was asked for {age:.0} ms ago, at most {limit:.0} ms are allowed"));
         }
         person.asked_ns = now_ns;
+        let newest = self.samples.newest_scan();
+        if !self.recording.recorder.last_actuation().is_some_and(is_unheard) {
+            person.heard_scan = newest;
+        } else if newest > person.heard_scan + MAX_UNHEARD_SCANS {
+            return Err(UNHEARD.to_owned());
+        }
         let mut given_ns = at_ns;
         if self.run.lockstep {
             // Each control is for one scan, which is published after it.
@@ -157,8 +177,13 @@ impl PersonParts<'_> {
         self.directives.current.person =
             GivenControl { number: person.controls, given_ns, velocity_mps: v, steering_rad: steering };
         self.directives.changed = true;
-        Ok(Reply::Accepted(self.samples.newest_scan()))
+        Ok(Reply::Accepted(newest))
     }
+}
+
+/// Whether the wheels are blocked because a person drives, and the command is not one of a person.
+fn is_unheard(actuation: &Actuation) -> bool {
+    actuation.driven_by == DrivenBy::Person.wire() && actuation.reason == BlockReason::Paused.wire()
 }
 
 impl Session {

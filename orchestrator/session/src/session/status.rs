@@ -4,11 +4,14 @@ use std::time::Instant;
 
 use console::progress::{COLUMNS, ProcessLabel, line};
 use runtime::Wheels;
-use shared_types::{Phase, Role};
+use shared_types::{BlockReason, DrivenBy, Phase, Role, StopReason};
 use supervision::supervisor::VisibleState;
 
 use super::Session;
 use crate::control::{ProcessStatus, SystemStatus};
+
+/// A person who gets less is told [m/s].
+const SLOWER_MPS: f64 = 0.01;
 
 impl Session {
     pub(super) fn show(&mut self) {
@@ -58,6 +61,7 @@ impl Session {
             wheels: Some(self.wheels()),
             driven_by: Some(self.driven_by().name().to_owned()),
             blocking: self.recording.recorder.stopped_for().map(Into::into),
+            hindered: self.hindered(),
             scanner: self.recording.recorder.scanner().map(Into::into),
             processes,
             companions: self.companions.views().into_iter().map(Into::into).collect(),
@@ -65,6 +69,24 @@ impl Session {
             hosts: self.link.as_ref().map_or_else(Vec::new, |link| link.hosts().to_vec()),
             events: self.events.rows(),
         }
+    }
+
+    /// Why the wheels are blocked, or turn slower than a person asks for.
+    fn hindered(&self) -> Option<String> {
+        let recorder = &self.recording.recorder;
+        let actuation = recorder.last_actuation()?;
+        let (driven, asked) = (actuation.desired_velocity_mps, self.directives.current.person.velocity_mps);
+        let obstacle = recorder.hindered_by().map(|obstacle| obstacle.to_string());
+        if actuation.drives() {
+            let is_slower = actuation.driven_by == DrivenBy::Person.wire() && driven < asked - SLOWER_MPS;
+            let reason = obstacle.unwrap_or_else(|| "no more is allowed here".to_owned());
+            return is_slower.then(|| format!("{driven:.2} of {asked:.2} m/s, {reason}"));
+        }
+        let plain = |name: &str| name.replace('_', " ");
+        Some(match (BlockReason::try_from(actuation.reason), StopReason::try_from(actuation.stop_reason)) {
+            (Ok(BlockReason::Commanded), Ok(stop)) => obstacle.unwrap_or_else(|| plain(stop.name())),
+            (reason, _) => plain(reason.map_or("unknown", BlockReason::name)),
+        })
     }
 
     /// What the wheels do, as far as it is known since a stop.
