@@ -20,6 +20,7 @@ extern "C" {
 #endif
 
 enum scanloop_result {
+    SCANLOOP_REFUSED = -6,        /* a person does not drive: the error has the reason */
     SCANLOOP_BUS_ERROR = -5,      /* the bus or a file of the system failed */
     SCANLOOP_BAD_SAMPLE = -4,     /* a sample has a number that is not finite or out of range; nothing was published */
     SCANLOOP_OTHER_LAYOUT = -3,   /* built against other samples than the system: the error names topic and field */
@@ -154,6 +155,21 @@ int scanloop_companion_topic(scanloop_companion *companion, const char *name, co
 int scanloop_companion_start(scanloop_companion *companion);
 int scanloop_companion_wait(scanloop_companion *companion, uint64_t deadline_ns);
 void scanloop_companion_close(scanloop_companion *companion);
+
+/* A person who drives a running system by hand, from any program: a process of `scanloop teleop --stdin`. The executable is
+ * that of the variable SCANLOOP, else `scanloop` in PATH.
+ *
+ * scanloop_person_take_over takes over the drive of a system, of SCANLOOP_SYSTEM_ID for NULL. scanloop_person_give asks for a
+ * velocity [m/s] and a steering angle [rad], positive to the left; it never waits. The wheels are blocked without a new control
+ * within 1.5 scan periods. scanloop_person_pause blocks them until the next one, scanloop_person_resume hands back to the
+ * controller. scanloop_person_close frees the person, and pauses the drive unless it was handed back; NULL is allowed.
+ * SCANLOOP_REFUSED: another person drives, the drive was paused or has ended; scanloop_last_error has the reason. */
+typedef struct scanloop_person scanloop_person;
+int scanloop_person_take_over(const char *system_id, scanloop_person **person);
+int scanloop_person_give(scanloop_person *person, double velocity_mps, double steering_rad);
+int scanloop_person_pause(scanloop_person *person);
+int scanloop_person_resume(scanloop_person *person);
+void scanloop_person_close(scanloop_person *person);
 
 /* Writes a line to the log of the process, logs/ROLE.log; the user sees the last lines of a process that ends. */
 void scanloop_log(int level, const char *text);

@@ -35,6 +35,8 @@ pub(crate) enum Refusal {
     State(CheckpointError),
     #[error(transparent)]
     Runtime(#[from] RuntimeError),
+    #[error("this person has handed back")]
+    HandedBack,
     #[error("the library has panicked; see the log")]
     Panic,
 }
@@ -45,6 +47,7 @@ impl Refusal {
         match self {
             Self::Runtime(RuntimeError::Layout(_)) => -3,
             Self::Runtime(RuntimeError::NotInASystem(_) | RuntimeError::Environment { .. }) => -2,
+            Self::Runtime(RuntimeError::Person(_)) => -6,
             Self::Runtime(_) | Self::Panic => -5,
             Self::Sample(..) => -4,
             _ => -1,

@@ -10,6 +10,7 @@
 
 mod error;
 pub mod own;
+pub mod person;
 mod process;
 
 use std::ffi::{CStr, c_char, c_int, c_void};

@@ -100,7 +100,11 @@ fn rows(layout: *const CLayoutRow, count: usize) -> Result<Vec<LayoutRow>, Refus
 }
 
 /// Hands an object over to C.
-fn hand_over<T>(place: *mut *mut T, name: &'static str, make: impl FnOnce() -> Result<T, Refusal>) -> c_int {
+pub(crate) fn hand_over<T>(
+    place: *mut *mut T,
+    name: &'static str,
+    make: impl FnOnce() -> Result<T, Refusal>,
+) -> c_int {
     answer(|| {
         // SAFETY: C passes the place of a pointer of its own, or null.
         let place = unsafe { place.as_mut() }.ok_or(Refusal::Null(name))?;

@@ -126,6 +126,9 @@ pub enum RuntimeError {
     /// There is not enough shared memory.
     #[error(transparent)]
     SharedMemory(#[from] Shortage),
+    /// A person does not drive, with what `scanloop teleop` says.
+    #[error("{0}")]
+    Person(String),
     /// A system call failed.
     #[error("{action}: {source}")]
     System {

@@ -25,6 +25,7 @@
 //! not in charge, copies stamps, and handles signals.
 
 mod alarm;
+mod axis;
 mod bell;
 mod bus;
 mod clock;
@@ -49,6 +50,7 @@ mod orphan;
 mod output;
 mod own;
 mod peer;
+mod person;
 mod place;
 mod port;
 mod process;
@@ -72,6 +74,7 @@ mod waiter;
 mod wake;
 mod waker;
 
+pub use axis::stick_range;
 pub use bus::Bus;
 pub use clock::{Clock, boottime_ns, monotonic_ns};
 pub use crash::latch_on_crash;
@@ -104,6 +107,7 @@ pub use own::{
     OwnTopics, PortCount, PortTable, TOPICS_FILE, TakenBytes, TopicRow, memory_limit,
 };
 pub use peer::peer_uid;
+pub use person::{EXECUTABLE_VARIABLE, Person};
 pub use process::Process;
 pub use qos::{PROCESS_QUEUE, observer_queue};
 pub use realtime::{Realtime, Scheduler};

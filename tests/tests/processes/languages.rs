@@ -5,6 +5,7 @@ mod advisor;
 mod bytes;
 mod emergency_stop;
 mod new;
+mod person;
 mod refusals;
 mod robots;
 pub(crate) mod swaps;

@@ -19,7 +19,7 @@ fn template(language: &str) -> PathBuf {
 }
 
 /// Language, command, and the rate at which it is tested: lower for an interpreter on a busy machine [Hz].
-fn drivers(system: &TestSystem, test: &str) -> Vec<(&'static str, Vec<String>, &'static str)> {
+pub(super) fn drivers(system: &TestSystem, test: &str) -> Vec<(&'static str, Vec<String>, &'static str)> {
     let program = system.folder().join("robot");
     compile(&template("c").join("robot.c"), &examples("c"), &program);
     let mut all = vec![
