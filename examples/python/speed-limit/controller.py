@@ -12,7 +12,7 @@ from limit import Limit  # noqa: E402
 from own_topics import open_topic  # noqa: E402
 from pure_pursuit import plan  # noqa: E402
 from scanloop import Process, Role, answer  # noqa: E402
-from scanloop_types import Command, CommandKind, Obstacles, Pose  # noqa: E402
+from scanloop_types import Command, CommandKind, DrivenBy, Obstacles, Pose  # noqa: E402
 
 process = Process(Role.CONTROLLER)
 poses, obstacles, commands = process.input(Pose), process.input(Obstacles), process.output(Command)
@@ -26,7 +26,7 @@ if process.start():
             if (newest := limits.newest(pose.header.scan_id)) is not None:
                 limit_mps = newest.speed_mps
             settings["cruise_mps"] = min(cruise_mps, max(limit_mps, settings["vehicle"]["bounds"]["velocity_min_mps"]))
-            if command.kind != CommandKind.LAND:
-                command, line = plan(pose, described, settings, line)
+            if process.directive.driven_by == DrivenBy.PERSON or command.kind != CommandKind.LAND:
+                command, line = plan(pose, described, settings, line, process.directive)
             command.header = answer(described, pose)
             commands.publish(command)

@@ -1,11 +1,12 @@
-//! The decisions for one scan, in their order: stop, land, or drive a verified plan.
+//! The decisions for one scan, in their order: stop, land, or drive a verified plan, one's own or a person's.
 
 use shared_types::{
-    Alarm, Command, CommandKind, Flag, Level, Obstacles, PlanNode, Pose, ScannerHealth, ScannerState,
-    StopReason, plain_state,
+    Alarm, Command, CommandKind, DrivenBy, Flag, GivenControl, Level, Obstacles, PlanNode, Pose,
+    ScannerHealth, ScannerState, StopReason, plain_state,
 };
+use vehicle::Control;
 
-use crate::planner::{Plan, plans};
+use crate::planner::{Plan, hold, plans};
 use crate::settings::Settings;
 use crate::verify::{Scene, Verified};
 
@@ -13,6 +14,8 @@ use crate::verify::{Scene, Verified};
 const ASTRAY_M: f64 = 1.0;
 /// A body that overlaps an obstacle by more contradicts it [m].
 const OVERLAP_M: f64 = 0.03;
+/// Shares of the velocity that a person asks for that are tried: it gets slower before an obstacle.
+const SLOWER: [f64; 4] = [1.0, 0.6, 0.3, 0.1];
 
 plain_state! {
     /// What is saved after each scan. A process that takes the place of this one continues from it.
@@ -21,8 +24,10 @@ plain_state! {
         pub line_m: f64,
         /// Whether the robot has landed: it then stays where it is
         pub landed: Flag,
-        /// Unused, zero: a saved state has no padding
-        pub reserved: u32,
+        /// Who drives, `DrivenBy`
+        pub driven_by: u32,
+        /// What a person who drives asks for
+        pub person: GivenControl,
     }
 }
 
@@ -30,6 +35,7 @@ plain_state! {
 #[derive(Clone)]
 pub(crate) struct Controller {
     settings: Settings,
+    period_ns: u64,
     period_s: f64,
     /// What the next scan depends on.
     pub(crate) memory: Memory,
@@ -39,15 +45,17 @@ impl Controller {
     /// A controller that has not seen a scan.
     pub(crate) fn new(settings: Settings, period_ns: u64) -> Self {
         let memory = Memory { line_m: settings.goal.y_m, ..Memory::default() };
-        Self { settings, period_s: period_ns as f64 * 1e-9, memory }
+        Self { settings, period_ns, period_s: period_ns as f64 * 1e-9, memory }
     }
 
     /// The command for one scan.
     pub(crate) fn step(&mut self, pose: &Pose, obstacles: &Obstacles) -> Command {
         // First the sample that comes last: it has the stamps of more stages.
         let header = obstacles.header.answer_both(&pose.header);
-        let command = match self.decide(pose, obstacles) {
-            Ok((plan, verified)) => drive(&plan, &verified, pose.predicted_ns),
+        let by_person = self.memory.driven_by == DrivenBy::Person.wire();
+        let level = if by_person { Level::Person } else { Level::BestIterate };
+        let command = match self.decide(pose, obstacles, by_person) {
+            Ok((plan, verified)) => drive(&plan, &verified, level, pose.predicted_ns),
             Err(reason) => stop(reason),
         };
         self.memory.landed = (command.kind == CommandKind::Land.wire()).into();
@@ -55,20 +63,31 @@ impl Controller {
     }
 
     /// A plan that has passed the check, or the reason to block the wheels.
-    fn decide(&mut self, pose: &Pose, obstacles: &Obstacles) -> Result<(Plan, Verified), StopReason> {
-        if self.memory.landed.is_set() {
+    fn decide(
+        &mut self,
+        pose: &Pose,
+        obstacles: &Obstacles,
+        by_person: bool,
+    ) -> Result<(Plan, Verified), StopReason> {
+        // A person drives on from the goal, and past it.
+        if self.memory.landed.is_set() && !by_person {
             return Err(StopReason::Landed);
         }
         let scene = Scene::new(&self.settings, pose, obstacles);
         if scene.outside_m(&scene.start) > ASTRAY_M || scene.overlap_m() > OVERLAP_M {
             return Err(StopReason::BadInput);
         }
-        self.arrive(pose)?;
+        if !by_person {
+            self.arrive(pose)?;
+        }
         if pose.alarm == Alarm::Stop.wire() {
             return Err(StopReason::SelfCheck);
         }
         if !self.sees_enough(pose, &obstacles.scanner) {
             return Err(StopReason::Scanner);
+        }
+        if by_person {
+            return self.follow_person(pose, obstacles);
         }
         let velocity_mps = self.velocity_mps(pose, &obstacles.scanner);
         let plans = plans(&self.settings, scene.start, velocity_mps, self.memory.line_m);
@@ -79,6 +98,24 @@ impl Controller {
             }
         }
         Err(StopReason::Blocked)
+    }
+
+    /// What a person asks for, held until the robot could stand behind it; slower where that may not be driven.
+    fn follow_person(&self, pose: &Pose, obstacles: &Obstacles) -> Result<(Plan, Verified), StopReason> {
+        let (person, bounds) = (&self.memory.person, &self.settings.vehicle.bounds);
+        let is_fresh = person.is_fresh(pose.header.acquired_ns, self.period_ns);
+        if !is_fresh || person.velocity_mps < bounds.velocity_min_mps {
+            return Err(StopReason::Released);
+        }
+        let scene = Scene::without_goal(&self.settings, pose, obstacles);
+        let fastest = self.fastest_mps(pose, &obstacles.scanner);
+        let held = SLOWER.into_iter().find_map(|share| {
+            let velocity = share * person.velocity_mps.min(fastest);
+            let control = bounds.clamp(Control { velocity, steering: person.steering_rad });
+            let plan = hold(control, 2.0 * self.period_s * velocity + self.braking_m(velocity));
+            scene.verify(&plan).map(|verified| (plan, verified))
+        });
+        held.ok_or(StopReason::Blocked)
     }
 
     /// Lands when the robot comes to rest nearest to the goal if its wheels are blocked now.
@@ -107,23 +144,26 @@ impl Controller {
         speed * speed / (2.0 * self.settings.vehicle.blocked_deceleration_mps2)
     }
 
-    /// Cruising, slower near the goal, and slower while the estimator suspects its calibration or the scanner is
-    /// degraded.
+    /// Cruising, and slower near the goal.
     fn velocity_mps(&self, pose: &Pose, scanner: &ScannerHealth) -> f64 {
         let settings = &self.settings;
-        let is_careful = pose.alarm != Alarm::None.wire() || scanner.state() != ScannerState::Healthy;
-        let fastest = if is_careful { settings.careful_mps } else { settings.cruise_mps };
         let landing = (settings.goal.x_m - pose.predicted_x_m) / settings.landing_time_s;
-        landing.min(fastest).max(settings.vehicle.bounds.velocity_min_mps)
+        landing.min(self.fastest_mps(pose, scanner)).max(settings.vehicle.bounds.velocity_min_mps)
+    }
+
+    /// Slower while the estimator suspects its calibration or the scanner is degraded.
+    fn fastest_mps(&self, pose: &Pose, scanner: &ScannerHealth) -> f64 {
+        let is_careful = pose.alarm != Alarm::None.wire() || scanner.state() != ScannerState::Healthy;
+        if is_careful { self.settings.careful_mps } else { self.settings.cruise_mps }
     }
 }
 
 /// A command to drive the first control of a plan that has passed, with the plan in it.
-fn drive(plan: &Plan, verified: &Verified, start_ns: u64) -> Command {
+fn drive(plan: &Plan, verified: &Verified, level: Level, start_ns: u64) -> Command {
     let controls = plan.controls();
     let mut command = Command {
         kind: CommandKind::Drive.wire(),
-        level: Level::BestIterate.wire(),
+        level: level.wire(),
         verified: 1,
         velocity_mps: controls[0].velocity,
         steering_rad: controls[0].steering,

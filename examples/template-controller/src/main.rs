@@ -1,6 +1,7 @@
 //! A controller of your own, ready to be copied and changed.
 //!
-//! Once per scan it receives the pose of the robot and the obstacles, and publishes one command.
+//! Once per scan it receives the pose of the robot and the obstacles, and publishes one command. The orders of the system tell
+//! who drives: a person, `scanloop teleop`, gets what it asks for if that passes the same check.
 //!
 //! * `main.rs` says what the stage reads, writes and saves. It stays as it is.
 //! * `controller.rs` is the order of decisions for one scan: stop, land, or drive a verified plan.
@@ -16,7 +17,9 @@ mod verify;
 use std::convert::Infallible;
 use std::process::ExitCode;
 
-use shared_types::{AnySample, Command, Obstacles, Pose, Role, Sample, SampleType, Stage, Stopwatch};
+use shared_types::{
+    AnySample, Command, Directive, Obstacles, Pose, Role, Sample, SampleType, Stage, Stopwatch,
+};
 
 use crate::controller::{Controller, Memory};
 use crate::settings::Settings;
@@ -41,6 +44,7 @@ impl Stage for MyController {
 
     const ROLE: Role = Role::Controller;
     const ANSWERS: &'static [&'static SampleType] = &[Pose::TYPE, Obstacles::TYPE];
+    const TAKES_ORDERS: bool = true;
 
     fn begin(settings: Settings, period_ns: u64) -> Result<Self, Infallible> {
         Ok(Self { controller: Controller::new(settings, period_ns), pose: None, obstacles: None })
@@ -60,6 +64,8 @@ impl Stage for MyController {
             self.pose = Some(*pose);
         } else if let Some(obstacles) = sample.get() {
             self.obstacles = Some(*obstacles);
+        } else if let Some(Directive { driven_by, person, .. }) = sample.get() {
+            (self.controller.memory.driven_by, self.controller.memory.person) = (*driven_by, *person);
         }
     }
 

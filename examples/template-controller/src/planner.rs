@@ -51,6 +51,12 @@ pub(crate) fn plans(
     lines.into_iter().map(move |line| (line, pursue(settings, start, velocity_mps, line)))
 }
 
+/// The plan that holds a control over this way [m].
+pub(crate) fn hold(control: Control, way_m: f64) -> Plan {
+    let count = ((way_m / INTERVAL_M).ceil() as usize).clamp(1, INTERVALS);
+    Plan { controls: [control; INTERVALS], count, interval_s: INTERVAL_M / control.velocity }
+}
+
 /// The plan that leads to a line, up to the goal.
 fn pursue(settings: &Settings, start: State, velocity_mps: f64, line_m: f64) -> Plan {
     let interval_s = INTERVAL_M / velocity_mps;

@@ -44,6 +44,8 @@ pub(crate) struct Scene<'a> {
     pub(crate) start: State,
     /// Time from the scan to the start of the plan [s].
     lead_s: f64,
+    /// Behind it nothing is checked [m].
+    end_m: f64,
     limits: Limits,
 }
 
@@ -91,9 +93,15 @@ impl<'a> Scene<'a> {
             wall_m: settings.clearance_m,
             outside_m: OUTSIDE_M,
         };
-        let mut scene = Self { settings, obstacles: obstacles.list(), start, lead_s, limits };
+        let end_m = settings.goal.x_m + BEHIND_GOAL_M;
+        let mut scene = Self { settings, obstacles: obstacles.list(), start, lead_s, end_m, limits };
         scene.allow_what_is_violated_at_the_start();
         scene
+    }
+
+    /// One that is checked behind the goal too: a person does not land there.
+    pub(crate) fn without_goal(settings: &'a Settings, pose: &Pose, obstacles: &'a Obstacles) -> Self {
+        Self { end_m: f64::INFINITY, ..Self::new(settings, pose, obstacles) }
     }
 
     fn allow_what_is_violated_at_the_start(&mut self) {
@@ -142,7 +150,7 @@ impl<'a> Scene<'a> {
         if !state.is_finite() {
             return false;
         }
-        if state.x > self.settings.goal.x_m + BEHIND_GOAL_M {
+        if state.x > self.end_m {
             return true;
         }
         let keeps = |(index, obstacle): (usize, &Obstacle)| {
@@ -333,5 +341,9 @@ mod tests {
         let (settings, start) = (example(), pose(9.1, 0.0, 0.0));
         assert!(passes(&settings, &start, &obstacle(11.25, 0.0, 1.2, 0.8)));
         assert!(!passes(&settings, &start, &obstacle(11.2, 0.0, 1.2, 0.8)));
+        // A person does not land there.
+        let near = obstacle(11.25, 0.0, 1.2, 0.8);
+        let scene = Scene::without_goal(&settings, &start, &near);
+        assert!(scene.verify(&plans(&settings, scene.start, 1.0, 0.0).next().unwrap().1).is_none());
     }
 }
