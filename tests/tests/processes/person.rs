@@ -2,12 +2,13 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::cell::Cell;
-use std::io::Write;
+use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, Stdio};
 
 use rustix::process::Signal;
 use scanloop_tests::TestSystem;
 use scanloop_tests::machine::repeat_when_late;
+use scanloop_tests::terminal::Terminal;
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -120,6 +121,103 @@ fn a_program_drives_by_lines_and_a_line_that_is_none_ends_it_with_blocked_wheels
         assert_eq!(driven_by(&system), "nobody");
         assert_eq!(run(&system, &["resume"]).0, Some(0));
         assert_eq!(system.wait().code(), Some(0));
+    });
+}
+
+#[test]
+fn a_program_holds_the_wheels_drives_on_and_hands_back_by_words() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        system.start(&["free", "--record"]);
+        let mut command = system.command(&["teleop", "--stdin"]);
+        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut person = command.spawn().unwrap();
+        let mut lines = BufReader::new(person.stdout.take().unwrap()).lines();
+        let input = person.stdin.take().unwrap();
+        let say = |line: &str| (&input).write_all(line.as_bytes()).unwrap();
+        let mut next = || lines.next().unwrap().unwrap();
+        assert_eq!(next(), "by hand");
+        for _ in 0..2 {
+            system.wait_until("a control drives on by hand", |system| {
+                say("0.4 0.0\n");
+                system.newest("actuation")["driven_by"] == "person"
+            });
+            say("pause\n");
+            assert_eq!(next(), "paused");
+            system.await_rest();
+            assert_eq!(system.newest("actuation")["reason"], "paused");
+        }
+        say("resume\n");
+        assert_eq!(next(), "resumed");
+        assert_eq!(person.wait().unwrap().code(), Some(0));
+        assert_eq!(system.wait().code(), Some(0), "the controller drives to its goal");
+        let drivers = drivers(&system);
+        assert_eq!(drivers, ["person", "nobody", "person", "nobody", "controller"]);
+        system.assert_replayed();
+        system.assert_nothing_left();
+    });
+}
+
+#[test]
+fn one_who_does_not_drive_any_more_hands_nothing_back() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        system.start(&["endless"]);
+        let mut command = system.command(&["teleop", "--stdin"]);
+        let mut person = command.stdin(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        system.wait_until("a person drives", |system| driven_by(system) == "person");
+        assert_eq!(run(&system, &["pause"]).0, Some(0));
+        person.stdin.take().unwrap().write_all(b"resume\n").unwrap();
+        let output = person.wait_with_output().unwrap();
+        let text = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.code() == Some(2) && text.contains("does not drive any more"), "{text}");
+        assert_eq!(driven_by(&system), "nobody");
+        assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+        system.wait();
+        system.assert_nothing_left();
+    });
+}
+
+/// Whether the true robot moves.
+fn moves(system: &TestSystem) -> bool {
+    system.newest("truth")["speed_mps"].as_f64().is_some_and(|speed| speed > 0.05)
+}
+
+#[test]
+fn keys_drive_while_they_are_held_and_tell_why_the_wheels_are_blocked() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        system.start(&["endless"]);
+        for (end, code) in [("q", 0), ("\x03", 0), ("", 5)] {
+            let terminal = Terminal::new(120, 24);
+            let mut person = terminal.spawn(system.command(&["teleop"]));
+            system.wait_until("keys are shown", |_| terminal.output().contains("up or w: drive while held"));
+            system.await_rest();
+            assert_eq!(driven_by(&system), "person");
+            system.wait_until("the reason is shown", |_| {
+                terminal.output().contains("wheels resting: released")
+            });
+            for key in ["w", "\x1b[A"] {
+                system.wait_until("a key that is held drives", |system| {
+                    terminal.press(key);
+                    moves(system)
+                });
+                assert!(terminal.output().contains("drives: 0.30 m/s"));
+                system.await_rest();
+            }
+            if end.is_empty() {
+                let children = format!("/proc/{0}/task/{0}/children", person.id());
+                let children = std::fs::read_to_string(children).unwrap();
+                system.signal(children.split_whitespace().next().unwrap().parse().unwrap(), Signal::KILL);
+            }
+            terminal.press(end);
+            system.wait_until("the terminal is restored", |_| terminal.is_restored());
+            assert_eq!(person.wait().unwrap().code(), Some(code), "{end:?}: {}", terminal.output());
+            assert_eq!(driven_by(&system), "nobody", "{end:?}");
+        }
+        assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+        system.wait();
+        system.assert_nothing_left();
     });
 }
 

@@ -5,7 +5,7 @@ use scanloop_tests::machine::repeat_when_late;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::Mutex;
 
 use rustix::process::{Pid, Signal, kill_process};
@@ -272,6 +272,43 @@ fn a_click_on_the_map_moves_the_goal_and_what_is_shown_of_it() {
 }
 
 #[test]
+fn buttons_of_the_page_drive_while_they_are_held() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        let view = View::start(&system, &["--control"]);
+        system.start(&["endless"]);
+        let (held, released) =
+            (r#"{"action":"teleop","velocity":0.3,"steering":0}"#, r#"{"action":"teleop"}"#);
+        let driven_by = |name: &str| {
+            system.wait_until(name, |system| system.status().unwrap().driven_by.as_deref() == Some(name));
+        };
+        assert_ne!(view.act(held, false).0, 200, "without the token");
+        // Released; and without a word, as when the connection is lost.
+        for ends in [Some(released), None] {
+            system.wait_until("the robot drives by hand", |system| {
+                (0..5).for_each(|_| assert_eq!(view.act(held, true).0, 200));
+                let truth = system.newest("truth");
+                truth["speed_mps"].as_f64().is_some_and(|speed| speed > 0.05)
+                    && system.newest("actuation")["driven_by"] == "person"
+            });
+            ends.map(|ends| view.act(ends, true));
+            system.await_rest();
+            driven_by("nobody");
+        }
+        let mut other = system.command(&["teleop", "--for=600"]).spawn().unwrap();
+        driven_by("person");
+        let (code, text) = view.act(held, true);
+        assert!(code == 409 && text.contains("another person drives"), "{code}: {text}");
+        other.kill().unwrap();
+        other.wait().unwrap();
+        assert_eq!(view.end().0.code(), Some(0));
+        assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+        system.wait();
+        system.assert_nothing_left();
+    });
+}
+
+#[test]
 fn a_run_serves_its_page_until_it_ends() {
     repeat_when_late(|| {
         let mut system = TestSystem::new(EXECUTABLE);
@@ -393,6 +430,14 @@ fn browser_test(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("browser").join(name)
 }
 
+/// What a test in a browser says, which is given the page, its token, and the command of the state.
+fn in_browser(name: &str, system: &TestSystem, view: &View) -> Output {
+    let status = system.command(&["status", "--json"]);
+    let mut test = Command::new("python3");
+    test.arg(browser_test(name)).arg(format!("http://{}/", view.address)).arg(&view.token);
+    test.arg(status.get_program()).args(status.get_args()).output().unwrap()
+}
+
 /// Whether there is a browser; in CI it is installed first, by one test at a time. A skip is printed.
 fn has_browser(skipped: &str) -> bool {
     static INSTALLING: Mutex<()> = Mutex::new(());
@@ -423,19 +468,29 @@ fn the_page_works_in_a_browser() {
         let view = View::start(&system, &["--control"]);
         system.start(&["endless"]);
         view.wait_for(&system, "the page shows the drive", is_driving);
-        let status = system.command(&["status", "--json"]);
-        let output = Command::new("python3")
-            .arg(browser_test("page.py"))
-            .arg(format!("http://{}/", view.address))
-            .arg(&view.token)
-            .arg(status.get_program())
-            .args(status.get_args())
-            .output()
-            .unwrap();
+        let output = in_browser("page.py", &system, &view);
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         system.wait_until("the button has stopped the run", |system| system.find().is_none());
         system.wait();
         assert_eq!(system.report().scans.unaccounted, 0);
+    });
+}
+
+#[test]
+fn an_arrow_drives_while_it_is_pressed_in_a_browser() {
+    repeat_when_late(|| {
+        if !has_browser("an_arrow_drives_while_it_is_pressed_in_a_browser") {
+            return;
+        }
+        let mut system = TestSystem::new(EXECUTABLE);
+        let view = View::start(&system, &["--control"]);
+        system.start(&["endless"]);
+        view.wait_for(&system, "the page shows the drive", is_driving);
+        let output = in_browser("hand.py", &system, &view);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+        system.wait();
+        system.assert_nothing_left();
     });
 }
 
