@@ -4,10 +4,13 @@
 //! keys are released, when the program is killed or stopped, when the terminal is gone. As in `top`, a second process of
 //! this program uses the terminal, and the first one restores it.
 
+mod gamepad;
 mod keys;
 
+use std::fs::File;
 use std::io::{self, IsTerminal};
 use std::os::fd::AsFd;
+use std::path::PathBuf;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
@@ -15,13 +18,15 @@ use clap::Args;
 use console::answer;
 use console::exit::{Exit, Failure};
 use console::screen::ScreenGuard;
-use runtime::{Domain, Priority, Shutdown, monotonic_ns, print, wait_for};
+use runtime::{Domain, Priority, Shutdown, monotonic_ns, print, stick_range, wait_for};
+use rustix::io::Errno;
 use rustix::process::{Signal, set_parent_process_death_signal};
 use rustix::termios::{OptionalActions, Termios, tcgetattr, tcsetattr};
 use session::control::{Reply, Request, ask};
 use supervision::child::this_program;
 use supervision::runs::existing;
 
+use gamepad::{Gamepad, open_gamepad};
 use keys::{Hand, Line};
 
 /// Shortest and longest time between two controls.
@@ -44,12 +49,12 @@ const MAX_FOR_S: f64 = 3600.0;
 /// Arguments of `teleop`.
 #[derive(Debug, Clone, Args)]
 pub struct TeleopArguments {
-    /// Velocity while a key is held, or of `--for` [m/s]; the system drives slower where it has to.
+    /// Velocity while a key is held, of `--for`, or of the stick at its end [m/s]; the system drives slower where it has to.
     #[arg(long, value_name = "M/S", default_value_t = 0.3)]
     pub velocity: f64,
-    /// Steering angle at the start [rad]; positive to the left.
-    #[arg(long, value_name = "RAD", default_value_t = 0.0, allow_hyphen_values = true)]
-    pub steering: f64,
+    /// Steering angle at the start [rad]; positive to the left. Of the stick at its end, 0.06 unless given.
+    #[arg(long, value_name = "RAD", allow_hyphen_values = true)]
+    pub steering: Option<f64>,
     /// Without keys: drive so for this time [s], then pause; in lock-step simulated time.
     #[arg(long = "for", value_name = "S")]
     pub for_s: Option<f64>,
@@ -58,6 +63,10 @@ pub struct TeleopArguments {
     /// drives: `by hand`, `paused` or `resumed`, a line for each change.
     #[arg(long, conflicts_with = "for_s")]
     pub stdin: bool,
+    /// By a gamepad: this device or pipe of its events, else the first of the machine. While the left shoulder button is held,
+    /// the left stick drives; select blocks the wheels, start hands back to the controller.
+    #[arg(long, value_name = "DEVICE", num_args = 0..=1, conflicts_with_all = ["for_s", "stdin"])]
+    pub gamepad: Option<Option<PathBuf>>,
     /// Use the terminal in this process; `teleop` starts itself with this option.
     #[arg(long, hide = true)]
     pub draw: bool,
@@ -88,10 +97,10 @@ pub(crate) fn resume(system_id: &str) -> anyhow::Result<Exit> {
 /// # Errors
 /// Arguments that are not allowed, no terminal, a system that does not drive; exit code 2.
 pub(crate) fn teleop(system_id: &str, arguments: &TeleopArguments) -> anyhow::Result<Exit> {
-    let TeleopArguments { velocity, steering, for_s, stdin, draw } = *arguments;
+    let TeleopArguments { velocity, steering, for_s, stdin, ref gamepad, draw } = *arguments;
     for (name, value, highest, lowest) in [
         ("velocity", velocity, MAX_VELOCITY_MPS, 0.0),
-        ("steering", steering, MAX_STEERING_RAD, -MAX_STEERING_RAD),
+        ("steering", steering.unwrap_or_default(), MAX_STEERING_RAD, -MAX_STEERING_RAD),
         ("for", for_s.unwrap_or_default(), MAX_FOR_S, 0.0),
     ] {
         if !(lowest..=highest).contains(&value) {
@@ -101,15 +110,22 @@ pub(crate) fn teleop(system_id: &str, arguments: &TeleopArguments) -> anyhow::Re
         }
     }
     let domain = existing(system_id)?;
-    if for_s.is_none() && !stdin && !(io::stdin().is_terminal() && io::stderr().is_terminal()) {
+    let by_keys = for_s.is_none() && !stdin && gamepad.is_none();
+    if by_keys && !(io::stdin().is_terminal() && io::stderr().is_terminal()) {
         return Err(Failure::bad_input(
-            "teleop needs a terminal as standard input and standard error, --for S or --stdin",
+            "teleop needs a terminal as standard input and standard error, --for S, --stdin or --gamepad",
         ));
     }
     let shutdown = Shutdown::of_orchestrator()?;
     if stdin {
         return drive(&domain, |teleop| teleop.by_lines(&shutdown));
     }
+    if let Some(device) = gamepad {
+        let device = open_gamepad(device.as_deref())?;
+        let gamepad = Gamepad::new(velocity, steering, stick_range(&device));
+        return drive(&domain, |teleop| teleop.by_gamepad(&shutdown, &device, gamepad));
+    }
+    let steering = steering.unwrap_or_default();
     if for_s.is_some() || draw {
         if draw {
             set_parent_process_death_signal(Some(Signal::TERM))?;
@@ -153,12 +169,9 @@ fn drive(
     let mut teleop = Teleop { domain, person, interval, period_ns, lockstep, refused_since: None };
     let given = ask_for(&mut teleop);
     // Another may have taken over or resumed meanwhile: that one is not paused.
-    let is_own = matches!(ask(domain, &Request::Hold { person }), Ok(Reply::Done));
-    if is_own && let Err(error) = ask(domain, &Request::Pause) {
-        tracing::debug!(%error, "the drive is over");
-    }
+    let paused = ask(domain, &Request::Hold { person, ends: true });
     given?;
-    if is_own {
+    if matches!(paused, Ok(Reply::Done)) {
         print(Priority::Notice, "paused: the wheels are blocked until `scanloop resume`");
     }
     Ok(Exit::Done)
@@ -200,7 +213,6 @@ impl Teleop<'_> {
     /// What each line asks for, until one hands back.
     fn by_lines(&mut self, shutdown: &Shutdown) -> anyhow::Result<()> {
         let (mut text, mut number) = (Vec::new(), 0);
-        let hold = Request::Hold { person: self.person };
         answer!(false, "by hand")?;
         loop {
             wait_for(&[io::stdin().as_fd(), shutdown.descriptor()], LOOK.as_nanos() as u64);
@@ -228,17 +240,8 @@ impl Teleop<'_> {
                             wait_for(&[shutdown.descriptor()], POLL.as_nanos() as u64);
                         }
                     }
-                    Line::Pause => {
-                        request(self.domain, &hold)?;
-                        answer!(false, "paused")?;
-                    }
-                    // Not for another person who drives now.
-                    Line::Resume => {
-                        request(self.domain, &hold)?;
-                        request(self.domain, &Request::Resume)?;
-                        answer!(false, "resumed")?;
-                        return Ok(());
-                    }
+                    Line::Pause => self.hold()?,
+                    Line::Resume => return self.hand_back(),
                 }
             }
             if text.len() > MAX_LINE {
@@ -248,6 +251,56 @@ impl Teleop<'_> {
                 )));
             }
         }
+    }
+
+    /// What a gamepad asks for, until it hands back or is gone.
+    fn by_gamepad(&mut self, shutdown: &Shutdown, device: &File, mut gamepad: Gamepad) -> anyhow::Result<()> {
+        answer!(false, "by hand")?;
+        let (mut given, mut was_held, mut is_paused) = (Instant::now(), false, false);
+        loop {
+            wait_for(&[device.as_fd(), shutdown.descriptor()], self.interval.as_nanos() as u64);
+            let mut bytes = [0; KEY_BYTES];
+            let asked = match rustix::io::read(device, &mut bytes) {
+                Err(Errno::AGAIN | Errno::INTR) => None,
+                Ok(count @ 1..) => gamepad.take(&bytes[..count]),
+                Ok(0) | Err(_) => {
+                    print(Priority::Notice, "the gamepad is gone");
+                    return Ok(());
+                }
+            };
+            if shutdown.requested() {
+                return Ok(());
+            }
+            match asked {
+                Some(Line::Resume) => return self.hand_back(),
+                Some(Line::Pause) => self.hold()?,
+                Some(Line::Control(_)) | None => {}
+            }
+            let asks = gamepad.asked();
+            is_paused = asked == Some(Line::Pause) || is_paused && (asks.is_none() || was_held);
+            // In lock-step time stands while it is not held.
+            let is_due = given.elapsed() >= self.interval || was_held != asks.is_some();
+            if is_due && !is_paused && (asks.is_some() || !self.lockstep) {
+                self.give(asks.unwrap_or_default())?;
+                given = Instant::now();
+            }
+            was_held = asks.is_some();
+        }
+    }
+
+    /// Blocks the wheels until the next control.
+    fn hold(&self) -> anyhow::Result<()> {
+        request(self.domain, &Request::Hold { person: self.person, ends: false })?;
+        answer!(false, "paused")?;
+        Ok(())
+    }
+
+    /// Lets the controller drive, unless another person does now.
+    fn hand_back(&self) -> anyhow::Result<()> {
+        request(self.domain, &Request::Hold { person: self.person, ends: false })?;
+        request(self.domain, &Request::Resume)?;
+        answer!(false, "resumed")?;
+        Ok(())
     }
 
     fn by_keys(&mut self, shutdown: &Shutdown, mut hand: Hand) -> anyhow::Result<()> {
@@ -312,8 +365,8 @@ impl Teleop<'_> {
                 let wheels = status
                     .wheels
                     .map_or_else(String::new, |wheels| format!("wheels {wheels:?}").to_lowercase());
-                let blocking = status.blocking.map(|blocking| format!(", blocked by {blocking}"));
-                format!("scan {}, {wheels}{}", status.scan, blocking.unwrap_or_default())
+                let reason = status.hindered.map(|reason| format!(": {reason}"));
+                format!("scan {}, {wheels}{}", status.scan, reason.unwrap_or_default())
             }
             _ => String::new(),
         }

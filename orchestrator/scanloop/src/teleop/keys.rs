@@ -189,7 +189,8 @@ mod tests {
     fn a_line_is_two_finite_numbers_or_a_word() {
         assert_eq!(of_line("0.3 -0.05\n"), Ok(Line::Control([0.3, -0.05])));
         assert_eq!([of_line("pause\n"), of_line(" resume\r\n")], [Ok(Line::Pause), Ok(Line::Resume)]);
-        for line in ["", "0.3", "0.3 0 1", "0.3 x", "nan 0", "inf 0", "0,3 0", "pause 1", "Pause", "resumed"] {
+        for line in ["", "0.3", "0.3 0 1", "0.3 x", "nan 0", "inf 0", "0,3 0", "pause 1", "Pause", "resumed"]
+        {
             assert!(of_line(line).is_err(), "{line}");
         }
     }
