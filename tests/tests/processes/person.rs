@@ -2,9 +2,11 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::cell::Cell;
+use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, Stdio};
 
+use rustix::fs::{CWD, FileType, Mode, mknodat};
 use rustix::process::Signal;
 use scanloop_tests::TestSystem;
 use scanloop_tests::machine::repeat_when_late;
@@ -171,6 +173,62 @@ fn one_who_does_not_drive_any_more_hands_nothing_back() {
         let output = person.wait_with_output().unwrap();
         let text = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(output.status.code() == Some(2) && text.contains("does not drive any more"), "{text}");
+        assert_eq!(driven_by(&system), "nobody");
+        assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+        system.wait();
+        system.assert_nothing_left();
+    });
+}
+
+/// Events of a gamepad: type, code and value each, and a report after them.
+fn events(all: &[(u16, u16, i32)]) -> Vec<u8> {
+    let event = |(kind, code, value): (u16, u16, i32)| {
+        let time = [0; 2 * size_of::<usize>()];
+        [&time[..], &kind.to_ne_bytes(), &code.to_ne_bytes(), &value.to_ne_bytes()].concat()
+    };
+    all.iter().copied().chain([(0, 0, 0)]).flat_map(event).collect()
+}
+
+#[test]
+fn a_gamepad_drives_while_its_dead_man_is_held_and_hands_back() {
+    const DEAD_MAN: (u16, u16) = (1, 0x136);
+    let up = (3, 1, -32768);
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        let refused = run(&system, &["teleop", "--gamepad", "missing"]);
+        assert_eq!(refused.0, Some(2), "{refused:?}");
+        system.start(&["endless"]);
+        let refused = run(&system, &["teleop", "--gamepad", "missing"]);
+        assert!(refused.0 == Some(2) && refused.1.contains("gamepad missing: No such file"), "{refused:?}");
+        let pipe = system.folder().join("pad");
+        mknodat(CWD, &pipe, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).unwrap();
+        let mut pad = File::options().read(true).write(true).open(&pipe).unwrap();
+        let mut send = |all: &[(u16, u16, i32)]| pad.write_all(&events(all)).unwrap();
+        let mut person = teleop(&system, &["--gamepad", pipe.to_str().unwrap(), "--velocity=0.4"]);
+        system.wait_until("a person drives", |system| driven_by(system) == "person");
+        send(&[up]);
+        system.await_rest();
+        for ends in [(DEAD_MAN.0, DEAD_MAN.1, 0), (0, 3, 0), (1, 0x13a, 1)] {
+            send(&[(DEAD_MAN.0, DEAD_MAN.1, 1), up]);
+            system.wait_until("it drives", moves);
+            send(&[ends]);
+            system.await_rest();
+            let paused = if ends.1 == 0x13a { "nobody" } else { "person" };
+            assert_eq!(driven_by(&system), paused);
+            send(&[(DEAD_MAN.0, DEAD_MAN.1, 0)]);
+        }
+        send(&[(1, 0x13b, 1)]);
+        assert_eq!(person.wait().unwrap().code(), Some(0));
+        system
+            .wait_until("the controller drives", |system| driven_by(system) == "controller" && moves(system));
+        // One that goes away while it is held.
+        let mut person = teleop(&system, &["--gamepad", pipe.to_str().unwrap()]);
+        system.wait_until("a person drives", |system| driven_by(system) == "person");
+        send(&[(DEAD_MAN.0, DEAD_MAN.1, 1), up]);
+        system.wait_until("it drives", moves);
+        drop(pad);
+        assert_eq!(person.wait().unwrap().code(), Some(0));
+        system.await_rest();
         assert_eq!(driven_by(&system), "nobody");
         assert_eq!(system.run(&["stop"]).status.code(), Some(0));
         system.wait();
