@@ -639,7 +639,7 @@ typedef struct scanloop_command {
     double plan_interval_s; /* Time between two nodes of the plan [s] */
     double speed_limit_mps; /* Largest velocity at which the robot can still stop in time [m/s] */
     scanloop_margin margin; /* The clearance that the plan keeps */
-    scanloop_blocking blocking; /* The obstacle that a stop is for */
+    scanloop_blocking blocking; /* The obstacle that a stop is for, or for which a person drives slower than it asks */
     scanloop_sides sides; /* What passing an obstacle on each side would cost */
     uint32_t plan_length; /* How many of `plan` are used */
     uint32_t reserved; /* Unused, zero */

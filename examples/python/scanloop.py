@@ -117,6 +117,11 @@ def answer(to: Sample, also: Sample | None = None) -> Header:
     return header
 
 
+def _orders(directive: Directive) -> tuple[int, int, int]:
+    """What tells that a directive has other orders for stages than another."""
+    return directive.goal.from_scan, directive.driven_by, directive.person.number
+
+
 def difference(mine: list[Row], theirs: list[Row], topics: typing.Iterable[str]) -> str | None:
     """The first difference between two tables of layouts, as text; None when `topics` have the same layout."""
     for topic in topics:
@@ -663,8 +668,10 @@ class Process:
         self._woken_ns = self._taken_ns = self.now_ns()
         self._directives._drain()
         if self._directives._kept:
-            self.directive = self._directives._kept[-1]
+            before, self.directive = self.directive, self._directives._kept[-1]
             self._directives._kept.clear()
+            if _orders(before) != _orders(self.directive):
+                self._note_sample(JournalKind.TAKEN, self.directive)
             self._directive_seen_ns, self._absent_ns = time.monotonic_ns(), 0
             for reader in self._inputs:
                 reader._review()

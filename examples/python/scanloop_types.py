@@ -553,7 +553,7 @@ class Command(ctypes.Structure):
         ("plan_interval_s", ctypes.c_double),  # Time between two nodes of the plan [s]
         ("speed_limit_mps", ctypes.c_double),  # Largest velocity at which the robot can still stop in time [m/s]
         ("margin", Margin),  # The clearance that the plan keeps
-        ("blocking", Blocking),  # The obstacle that a stop is for
+        ("blocking", Blocking),  # The obstacle that a stop is for, or for which a person drives slower than it asks
         ("sides", Sides),  # What passing an obstacle on each side would cost
         ("plan_length", ctypes.c_uint32),  # How many of `plan` are used
         ("reserved", ctypes.c_uint32),  # Unused, zero

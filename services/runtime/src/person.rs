@@ -108,7 +108,7 @@ impl Person {
         }
     }
 
-    /// Ends the process; with its last words.
+    /// Ends the process; with its message.
     fn refusal(&mut self) -> RuntimeError {
         self.end();
         let mut text = String::new();
