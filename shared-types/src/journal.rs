@@ -45,6 +45,10 @@ wire_enum! {
         Moved = 15 "moved",
         /// The wheels are blocked for an emergency stop, at the time `value` [ns].
         EmergencyStop = 16 "emergency_stop",
+        /// A sample of a topic of your own was read, of the scan `value`; its fields follow.
+        Own = 17 "own",
+        /// The next field of that sample: the bits of an f64 in `value`.
+        Number = 18 "number",
     }
 }
 

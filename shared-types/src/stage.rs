@@ -33,6 +33,10 @@ pub trait Stage: Clone + Send + Sync + 'static {
     /// Inputs that are handed over one by one as they come, before newer ones of [`Stage::ANSWERS`]. In lock-step the
     /// stage gets those of the scan before first.
     const NOTES: &'static [&'static SampleType] = &[];
+    /// Fields of type f64 that it reads of a topic of your own, if the system file gives it one: for each sample a
+    /// [`StageEvent::Own`] and a [`StageEvent::Number`] per field, before the next of [`Stage::ANSWERS`]. In lock-step
+    /// the stage gets those up to its scan first, in real time those that have come.
+    const OWN_FIELDS: &'static [&'static str] = &[];
     /// Whether it takes each [`crate::Directive`] with other [`crate::Directive::orders`].
     const TAKES_ORDERS: bool = false;
     /// Whether the wheels obey its outputs: it is told to stop, and looks at its timeouts ten times per scan.
@@ -146,6 +150,10 @@ pub enum StageEvent {
     EmergencyStop(u64),
     /// They need not any more.
     Released,
+    /// A sample of a topic of your own, of this scan; its fields follow.
+    Own(u64),
+    /// The next field of that sample, as bits of an f64.
+    Number(u64),
     /// Samples of its inputs were dropped because of their content.
     Dropped,
     /// The process before this one left no state that can be used. One in charge moves the robot again only when that
@@ -165,6 +173,8 @@ impl StageEvent {
             JournalKind::Stopped => Self::Stopped(value),
             JournalKind::EmergencyStop => Self::EmergencyStop(value),
             JournalKind::Released => Self::Released,
+            JournalKind::Own => Self::Own(value),
+            JournalKind::Number => Self::Number(value),
             JournalKind::Dropped => Self::Dropped,
             JournalKind::BegunInStop => Self::StateLost { in_charge: true },
             _ => return None,
@@ -179,6 +189,8 @@ impl StageEvent {
             Self::Stopped(at_ns) => (JournalKind::Stopped, at_ns),
             Self::EmergencyStop(at_ns) => (JournalKind::EmergencyStop, at_ns),
             Self::Released => (JournalKind::Released, 0),
+            Self::Own(scan_id) => (JournalKind::Own, scan_id),
+            Self::Number(bits) => (JournalKind::Number, bits),
             Self::Dropped => (JournalKind::Dropped, 0),
             Self::StateLost { .. } => (JournalKind::BegunInStop, 0),
         }
@@ -261,6 +273,8 @@ pub struct StageShape {
     pub answers: &'static [&'static SampleType],
     /// [`Stage::NOTES`].
     pub notes: &'static [&'static SampleType],
+    /// [`Stage::OWN_FIELDS`].
+    pub own_fields: &'static [&'static str],
     /// The type of [`Stage::Output`].
     pub output: &'static SampleType,
     /// [`Stage::HOLDS_WHEELS`].
@@ -303,6 +317,7 @@ impl<T: Stage> AnyStage for T {
             role: T::ROLE,
             answers: T::ANSWERS,
             notes: T::NOTES,
+            own_fields: T::OWN_FIELDS,
             output: T::Output::TYPE,
             holds_wheels: T::HOLDS_WHEELS,
             takes_orders: T::TAKES_ORDERS,
@@ -394,6 +409,8 @@ mod tests {
             StageEvent::Stopped(9),
             StageEvent::EmergencyStop(10),
             StageEvent::Released,
+            StageEvent::Own(11),
+            StageEvent::Number(12),
             StageEvent::Dropped,
             StageEvent::StateLost { in_charge: true },
         ] {

@@ -225,6 +225,7 @@ fn shape(outline: &StageOutline) -> Result<StageShape, String> {
         answers: of(&outline.answers),
         notes: of(&outline.notes),
         output: TOPICS[outline.output as usize].sample_type(),
+        own_fields: &[],
         holds_wheels: outline.holds_wheels,
         takes_orders: outline.takes_orders,
     })

@@ -5,8 +5,9 @@ use std::path::Path;
 
 use console::exit::Failure;
 use console::user_file::{self, TEXT_BYTES};
+use estimator::EstimatorStage;
 use runtime::{AlsoReads, CompanionRow, LayoutFile, MAX_COMPANIONS, OPERATOR, OwnTopics, TopicRow};
-use shared_types::{Role, TOPICS, Topic, did_you_mean};
+use shared_types::{Role, Stage, TOPICS, Topic, did_you_mean};
 use supervision::entry::{NAME, NAME_RULE, ProcessEntry, is_name};
 use vehicle::{Invalid, settings};
 
@@ -56,10 +57,23 @@ pub fn read_layout(path: &Path) -> Result<LayoutFile, String> {
 /// The first layout that is missing or not allowed, and topics that take too much memory; exit code 2.
 pub fn read(system: &System, file: &str) -> anyhow::Result<OwnTopics> {
     let table = table(system, read_layouts(system, file)?);
-    let buttons = system.entry(Role::Actuator).filter(|entry| entry.command.is_none());
-    for also in buttons.iter().flat_map(|entry| &entry.also_reads) {
-        if let Some(row) = table.find(&also.topic) {
-            row.pressed_at().map_err(|error| Failure::bad_input(format!("{file}: also_reads: {error}")))?;
+    for (role, fields, kind) in [
+        (Role::Actuator, runtime::EMERGENCY_STOP_FIELDS, "u8"),
+        (Role::Estimator, EstimatorStage::OWN_FIELDS, "f64"),
+    ] {
+        let built_in = system.entry(role).filter(|entry| entry.command.is_none());
+        for also in built_in.iter().flat_map(|entry| &entry.also_reads) {
+            let offsets = table.find(&also.topic).map(|row| row.offsets_of(fields, kind));
+            offsets
+                .transpose()
+                .map_err(|error| Failure::bad_input(format!("{file}: also_reads: {error}")))?;
+        }
+        if let Some([_, second, ..]) =
+            built_in.map(|entry| &*entry.also_reads).filter(|_| role == Role::Estimator)
+        {
+            let invalid =
+                Invalid::new("also_reads.topic", &second.topic, "one topic: the estimator reads one gyro");
+            return Err(Failure::bad_input(format!("{file}: {invalid}")));
         }
     }
     if !table.topic.is_empty() {

@@ -67,7 +67,8 @@ settings! {
         pub lockstep: Option<bool> = None, "true, false";
         /// Whether a companion may read the topic `truth`; without the key, false.
         pub reads_truth: Option<bool> = None, "true, false";
-        /// Topics that a command of your own reads in addition to those of its role.
+        /// Topics that a command of your own reads in addition to those of its role; `actuation` reads emergency stops,
+        /// `ekf` one gyro.
         pub also_reads: Vec<AlsoRead> = Vec::new();
     }
 }
@@ -243,9 +244,9 @@ impl ProcessEntry {
         if let Some((key, _)) = of_companions.into_iter().find(|(_, is_set)| *is_set) {
             return Err(Invalid::new(key, format!("a key of role {role}"), "a key of role companion only"));
         }
-        let reads_buttons = self.implementation.as_deref() == Some("actuation");
-        if self.command.is_none() && !reads_buttons && !self.also_reads.is_empty() {
-            let allowed = "a key of a `command` of your own, and of `actuation`, for emergency stops";
+        let reads_own = [Some("actuation"), Some("ekf")].contains(&self.implementation.as_deref());
+        if self.command.is_none() && !reads_own && !self.also_reads.is_empty() {
+            let allowed = "a key of a `command` of your own, of `actuation`, for emergency stops, and of `ekf`, for a gyro";
             return Err(Invalid::new("also_reads", format!("a key of {}", self.label()), allowed));
         }
         self.require_ranges()

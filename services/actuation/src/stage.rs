@@ -64,7 +64,7 @@ impl Stage for ActuatorStage {
             StageEvent::Released => self.actuator.release(),
             StageEvent::Dropped => self.actuator.note_dropped(),
             // It was stopped for it.
-            StageEvent::StateLost { .. } | StageEvent::Begun(_) => return false,
+            _ => return false,
         }
         true
     }

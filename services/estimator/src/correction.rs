@@ -47,7 +47,7 @@ pub struct Drift {
 }
 
 /// Below this speed the robot stands [m/s].
-const STANDSTILL_MPS: f64 = 0.01;
+pub(crate) const STANDSTILL_MPS: f64 = 0.01;
 
 plain_state! {
     /// Sum of the corrections so far, and the report they were made from.

@@ -1,6 +1,6 @@
 //! One odometry sample in, one pose out.
 //!
-//! The order of a step: correct the measurement, predict the estimate to the time of the sample under the controls
+//! The order of a step: replace its yaw by that of the gyro, if there is one, correct the measurement, predict the estimate to the time of the sample under the controls
 //! that were in force, compare, update, and predict to the time at which the command for this scan will act.
 //!
 //! Assumptions: stamps are of one clock; the robot starts at the pose it reports first. Time between samples is
@@ -30,9 +30,10 @@ use vehicle::frame::wrap_angle;
 use vehicle::{Invalid, SIDEWAYS_RAD};
 
 use crate::config::SCALED_NOISE;
-use crate::correction::{CorrectionState, Planar};
+use crate::correction::{CorrectionState, Planar, STANDSTILL_MPS};
 use crate::dead_reckoning::OdometryStep;
 use crate::ekf::{Ekf, Innovation, NotPositive};
+use crate::gyro::{GyroSample, Interval, MAX_BIAS_RADPS};
 use crate::motion::{MotionState, Moved, plausible_speed};
 use crate::observability::motion_jacobian;
 use crate::self_check::Evidence;
@@ -116,8 +117,8 @@ impl Estimator {
         }
         let usable = usable(odometry);
         self.refusal = usable.err();
-        let reported = usable.ok().filter(|_| odometry.header.acquired_ns <= latest(now_ns));
-        let Some(reported) = reported else {
+        let usable = usable.ok().filter(|_| odometry.header.acquired_ns <= latest(now_ns));
+        let Some(mut reported) = usable else {
             self.state.invalid += 1;
             return None;
         };
@@ -134,6 +135,8 @@ impl Estimator {
             let dt = interval_ns as f64 * 1e-9;
             let (is_known, is_cut) = (self.is_known(&odometry.header, age_ns, interval_ns), self.is_cut());
             self.note_age(age_ns, interval_ns);
+            let interval = self.interval(odometry, speed, dt);
+            reported = self.state.gyro.replace(reported, &interval);
             // The speeds at both ends tell nothing about the way between them when the robot may have braked.
             let way_m = is_cut.then(|| self.state.correction.way_m(reported));
             let measured = self.state.correction.correct(&self.settings.drift, reported, speed, dt, way_m);
@@ -156,6 +159,7 @@ impl Estimator {
             self.drift(from, from_mps, dt, is_cut);
             update
         } else {
+            self.state.gyro.begin(odometry.header.scan_id, reported);
             self.state.correction = CorrectionState::begin(reported, speed);
             self.state.usual_age_ns = age_ns;
             self.begin(reported, odometry);
@@ -220,6 +224,16 @@ impl Estimator {
             }
             self.state.motion.note(actuation, self.settings.motion.delay_ns);
         }
+    }
+
+    /// Remembers a sample of the gyro for the step of its scan.
+    pub fn note_gyro(&mut self, sample: GyroSample) {
+        self.state.gyro.note(sample);
+    }
+
+    /// Turns of the odometry that the gyro has not replaced, by [`crate::gyro::GyroFault::ALL`].
+    pub fn kept_turns(&self) -> [u64; 4] {
+        self.state.gyro.kept
     }
 
     /// Why the content of the last odometry sample can't be used.
@@ -289,24 +303,42 @@ impl Estimator {
         };
     }
 
+    /// What is known of the time since the last sample, for the gyro.
+    fn interval(&self, odometry: &Odometry, speed: f64, dt_s: f64) -> Interval {
+        let motion = &self.state.motion;
+        let blocks = |at_ns| motion.in_force(at_ns).is_none_or(|control| control.drives == 0);
+        let is_blocked = blocks(self.state.acquired_ns) && blocks(odometry.header.acquired_ns);
+        Interval {
+            scan_id: odometry.header.scan_id,
+            dt_s,
+            limit_radps: self.fastest(speed) * self.sharpest() + MAX_BIAS_RADPS,
+            is_blocked: is_blocked && speed.abs().max(motion.speed_mps.abs()) <= STANDSTILL_MPS,
+        }
+    }
+
+    /// The largest of the last speed, the measured one, and those sent [m/s].
+    fn fastest(&self, speed: f64) -> f64 {
+        let motion = &self.state.motion;
+        motion.controls().iter().fold(motion.speed_mps.max(speed), |most, sent| most.max(sent.velocity_mps))
+    }
+
+    /// Largest turn of the robot per distance [rad/m].
+    fn sharpest(&self) -> f64 {
+        SENT_STEERING_MAX_RAD * SHARPER * self.settings.motion.parameters.yaw_rate_gain()
+    }
+
     /// Whether the robot can have driven from the estimate to a place within `dt`: forwards, and at most at the largest of
     /// its last speed, its measured speed and the speeds sent.
     fn is_in_reach(&self, place: Planar, speed: f64, dt: f64) -> bool {
-        let motion = &self.state.motion;
-        let fastest = motion
-            .controls()
-            .iter()
-            .fold(motion.speed_mps.max(speed), |most, sent| most.max(sent.velocity_mps));
-        let (way_m, [yaw, x, y]) = (fastest * dt, self.state.estimate);
+        let (way_m, [yaw, x, y]) = (self.fastest(speed) * dt, self.state.estimate);
         let (dx, dy) = (place.x - x, place.y - y);
         let ahead_m = dx * yaw.cos() + dy * yaw.sin();
-        let sharpest = SENT_STEERING_MAX_RAD * SHARPER * self.settings.motion.parameters.yaw_rate_gain();
         let [yaw_margin, x_margin, y_margin] =
             self.settings.measurement_noise.map(|variance| REACH_SIGMA * variance.sqrt());
         let margin_m = x_margin.max(y_margin);
         ahead_m >= -margin_m
             && dx.hypot(dy) <= way_m + margin_m
-            && wrap_angle(place.yaw - yaw).abs() <= way_m * sharpest + yaw_margin
+            && wrap_angle(place.yaw - yaw).abs() <= way_m * self.sharpest() + yaw_margin
     }
 
     fn begin(&mut self, measured: Planar, odometry: &Odometry) {

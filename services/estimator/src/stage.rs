@@ -1,10 +1,11 @@
-//! The estimator as a stage of the loop: odometry and actuation in, pose out.
+//! The estimator as a stage of the loop: odometry, actuation, and the samples of a gyro in, pose out.
 
 use shared_types::{
     Actuation, AnySample, Fault, Odometry, Pose, Role, Sample, SampleType, Stage, StageEvent, Stopwatch,
 };
 use vehicle::Invalid;
 
+use crate::gyro::{GyroFault, GyroSample};
 use crate::{Estimator, EstimatorConfig, EstimatorState};
 
 /// The stage.
@@ -15,7 +16,36 @@ pub struct EstimatorStage {
     /// Without the state of the process before, the correction of the odometry is lost, and with it the position.
     is_lost: bool,
     last: Option<Odometry>,
+    /// The sample of the gyro whose fields come, and how many have come.
+    gyro: (GyroSample, usize),
     pose: Option<Pose>,
+}
+
+impl EstimatorStage {
+    /// The next field of a sample of the gyro; the last one completes it.
+    fn note_field(&mut self, value: f64) {
+        let (sample, count) = &mut self.gyro;
+        *count += 1;
+        match count {
+            1 => sample.yaw_rate_radps = value,
+            2 => {
+                sample.dt_s = value;
+                self.estimator.note_gyro(*sample);
+            }
+            _ => {}
+        }
+    }
+
+    /// Names why turns of the odometry were not replaced: the first of each kind, and then more and more rarely.
+    fn log_gyro(&self, odometry: &Odometry, before: &[u64; 4]) {
+        let kept = self.estimator.kept_turns();
+        for (fault, (count, before)) in GyroFault::ALL.iter().zip(kept.into_iter().zip(before)) {
+            if count > *before && count.is_power_of_two() {
+                let scan_id = odometry.header.scan_id;
+                tracing::warn!(scan_id, ?fault, count, "the odometry takes the place of the gyro");
+            }
+        }
+    }
 }
 
 impl Stage for EstimatorStage {
@@ -26,11 +56,12 @@ impl Stage for EstimatorStage {
 
     const ROLE: Role = Role::Estimator;
     const ANSWERS: &'static [&'static SampleType] = &[Odometry::TYPE];
+    const OWN_FIELDS: &'static [&'static str] = &["yaw_rate_radps", "dt_s"];
     const NOTES: &'static [&'static SampleType] = &[Actuation::TYPE];
 
     fn begin(settings: EstimatorConfig, period_ns: u64) -> Result<Self, Invalid> {
         let estimator = Estimator::new(&settings)?;
-        Ok(Self { estimator, period_ns, is_lost: false, last: None, pose: None })
+        Ok(Self { estimator, period_ns, is_lost: false, last: None, gyro: Default::default(), pose: None })
     }
 
     fn resume(&mut self, state: &EstimatorState) -> bool {
@@ -47,7 +78,9 @@ impl Stage for EstimatorStage {
         if let Some(actuation) = sample.get::<Actuation>() {
             self.estimator.note(actuation, now_ns);
         } else if let Some(odometry) = sample.get::<Odometry>().filter(|_| !self.is_lost) {
+            let kept = self.estimator.kept_turns();
             self.pose = self.estimator.step(odometry, None, now_ns);
+            self.log_gyro(odometry, &kept);
         }
     }
 
@@ -56,11 +89,17 @@ impl Stage for EstimatorStage {
     }
 
     fn follow(&mut self, event: StageEvent) -> bool {
-        if let StageEvent::StateLost { .. } = event {
-            tracing::error!("no fresh state to resume from: no pose will be published");
-            self.is_lost = true;
+        match event {
+            StageEvent::StateLost { .. } => {
+                tracing::error!("no fresh state to resume from: no pose will be published");
+                self.is_lost = true;
+                return false;
+            }
+            StageEvent::Own(scan_id) => self.gyro = (GyroSample { scan_id, ..GyroSample::default() }, 0),
+            StageEvent::Number(bits) => self.note_field(f64::from_bits(bits)),
+            _ => return false,
         }
-        false
+        true
     }
 
     fn keep(&mut self, sample: AnySample<'_>) {

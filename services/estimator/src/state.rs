@@ -5,6 +5,7 @@ use shared_types::{Fault, Flag, finite, plain_state};
 
 use crate::correction::CorrectionState;
 use crate::dead_reckoning::DeadReckoning;
+use crate::gyro::GyroState;
 use crate::motion::{HISTORY, MotionState};
 use crate::self_check::{SelfCheckState, WINDOW};
 
@@ -33,6 +34,8 @@ plain_state! {
         pub misfit: f64,
         /// Accumulated error of the odometry, which the filter cannot see
         pub drift: DeadReckoning,
+        /// The gyro that replaces the yaw of the odometry
+        pub gyro: GyroState,
         /// Correction of measured data
         pub correction: CorrectionState,
         /// Speed, sideslip, yaw rate, and the controls in force
@@ -61,6 +64,7 @@ impl EstimatorState {
         finite("estimate", &self.estimate)?;
         finite("covariance", &self.covariance)?;
         finite("misfit", &[self.misfit])?;
+        self.gyro.check()?;
         finite("drift", &self.drift.covariance)?;
         finite("correction", bytemuck::cast_ref::<_, [f64; 9]>(&self.correction))?;
         let residuals: &[f64; 4 * WINDOW] = bytemuck::cast_ref(&self.self_check.residuals);

@@ -102,9 +102,10 @@ pub use observer::{Checked, Observer, Publisher, TopicObserver, TopicPublishers}
 pub use orphan::LEAVING;
 pub use output::Output;
 pub use own::{
-    AlsoReads, ByteTopic, Companion, CompanionPage, CompanionRow, CompanionSelfReport, Delays, LayoutField,
-    LayoutFile, LoopTopic, MAX_COMPANIONS, NamedTopic, OPERATOR, OwnObserver, OwnPublisher, OwnTaken,
-    OwnTopics, PortCount, PortTable, TOPICS_FILE, TakenBytes, TopicRow, memory_limit,
+    AlsoReads, ByteTopic, Companion, CompanionPage, CompanionRow, CompanionSelfReport, Delays,
+    EMERGENCY_STOP_FIELDS, LayoutField, LayoutFile, LoopTopic, MAX_COMPANIONS, NamedTopic, OPERATOR,
+    OwnObserver, OwnPublisher, OwnTaken, OwnTopics, PortCount, PortTable, TOPICS_FILE, TakenBytes, TopicRow,
+    memory_limit,
 };
 pub use peer::peer_uid;
 pub use person::{EXECUTABLE_VARIABLE, Person};

@@ -12,6 +12,7 @@
 mod builtin;
 mod companion;
 mod emergency;
+mod field;
 mod member;
 mod page;
 mod ports;
@@ -22,6 +23,7 @@ mod writer;
 
 pub use builtin::LoopTopic;
 pub use companion::Companion;
+pub use emergency::EMERGENCY_STOP_FIELDS;
 pub use page::{CompanionPage, CompanionSelfReport, MAX_COMPANIONS};
 pub use ports::{Delays, PortCount, PortTable};
 pub use table::{
@@ -31,6 +33,7 @@ pub use table::{
 pub use topic::{ByteTopic, NamedTopic, OwnTaken, TakenBytes};
 
 pub(crate) use emergency::EmergencyStop;
+pub(crate) use field::OwnFields;
 pub(crate) use member::{Member, Place};
 
 pub use reader::OwnObserver;

@@ -28,7 +28,7 @@ use crate::input::{Input, Reader};
 use crate::journal::{Notes, Publish};
 use crate::orphan::OrphanCleanup;
 use crate::output::{Connect, Output, Writer, may_write};
-use crate::own::{ByteTopic, EmergencyStop, Member, NamedTopic, OwnTopics, Place};
+use crate::own::{ByteTopic, Member, NamedTopic, OwnFields, OwnTopics, Place};
 use crate::reserve::require_room_of;
 use crate::settings::{self, RunSettings};
 use crate::shared::Shared;
@@ -324,24 +324,27 @@ impl Process {
         Ok(topic)
     }
 
-    /// The emergency stops that the system file gives to this process, before [`Process::start`].
+    /// The topics of your own that the system file gives to this process, with these fields, before [`Process::start`].
     ///
     /// # Errors
-    /// A topic that says of no button whether it is pressed, and errors of the bus.
-    pub(crate) fn open_emergency_stops(&mut self) -> Result<Vec<EmergencyStop>, RuntimeError> {
+    /// A topic without one of the fields, and errors of the bus.
+    pub(crate) fn open_own_fields(
+        &mut self,
+        fields: (&[&str], &str),
+    ) -> Result<Vec<OwnFields>, RuntimeError> {
         let table = OwnTopics::of(&self.domain)?;
         let role = self.shared.role;
         let of_role = |table: &OwnTopics| {
             let rows = table.also_reads.iter().filter(|also| also.role == role.name());
             rows.map(|also| also.topic.clone()).collect::<Vec<_>>()
         };
-        let mut stops = Vec::new();
+        let mut opened = Vec::new();
         for name in table.as_ref().map(of_role).unwrap_or_default() {
-            let (stop, topic) = EmergencyStop::open(&self.bus, &self.member()?, &name)?;
+            let (own, topic) = OwnFields::open(&self.bus, &self.member()?, &name, fields)?;
             self.on_connect(move || topic.connect());
-            stops.push(stop);
+            opened.push(own);
         }
-        Ok(stops)
+        Ok(opened)
     }
 
     /// This process as a user of topics of your own.

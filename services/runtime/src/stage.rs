@@ -57,7 +57,7 @@ use crate::enclosed::Enclosed;
 use crate::handover::Handover;
 use crate::input::{Reader, join_readers};
 use crate::output::Writer;
-use crate::own::EmergencyStop;
+use crate::own::{EMERGENCY_STOP_FIELDS, EmergencyStop, OwnFields};
 use crate::port::Received;
 use crate::settings::settings_table;
 use crate::{Process, RuntimeError, monotonic_ns};
@@ -138,6 +138,8 @@ struct Runner<'s> {
     dropped: u64,
     /// Buttons of a stage that holds the wheels.
     emergency_stops: Vec<EmergencyStop>,
+    /// Topics of your own of another stage, with the fields that it reads.
+    own: Vec<OwnFields>,
     /// One of them was pressed, and the orchestrator has not seen it.
     is_emergency: bool,
 }
@@ -152,7 +154,13 @@ impl<'s> Runner<'s> {
         };
         let (answers, notes) = (open(shape.answers)?, open(shape.notes)?);
         let output = process.open_output(shape.output)?;
-        let emergency_stops = if shape.holds_wheels { process.open_emergency_stops()? } else { Vec::new() };
+        let mut own = match (shape.holds_wheels, shape.own_fields) {
+            (true, _) => process.open_own_fields((EMERGENCY_STOP_FIELDS, "u8"))?,
+            (false, []) => Vec::new(),
+            (false, fields) => process.open_own_fields((fields, "f64"))?,
+        };
+        let buttons = if shape.holds_wheels { std::mem::take(&mut own) } else { Vec::new() };
+        let emergency_stops = buttons.into_iter().map(EmergencyStop::of).collect();
         let mut runner = Self {
             process,
             stage,
@@ -167,6 +175,7 @@ impl<'s> Runner<'s> {
             answered: 0,
             dropped: 0,
             emergency_stops,
+            own,
             is_emergency: false,
         };
         let is_lost = match runner.process.resume_checkpoint()? {
@@ -295,6 +304,7 @@ impl<'s> Runner<'s> {
                 return Ok(());
             }
             let Some(samples) = self.take() else { return Ok(()) };
+            self.take_own(&samples)?;
             let now_ns = self.process.now_ns();
             let mut first: Option<Header> = None;
             for (input, sample) in self.answers.iter().zip(samples.iter().flatten()) {
@@ -315,6 +325,26 @@ impl<'s> Runner<'s> {
                 self.stage.keep(AnySample::new(input.of(), sample));
             }
         }
+    }
+
+    /// Hands over the fields of topics of your own, before the samples of a scan.
+    fn take_own(&mut self, samples: &[Option<Enclosed<Received>>; 2]) -> Result<(), RuntimeError> {
+        let Self { process, stage, answers, own, .. } = self;
+        let mut follow = |event: StageEvent| {
+            if stage.follow(event) {
+                let (kind, value) = event.entry();
+                process.note(kind, value);
+            }
+        };
+        let Some((input, sample)) = answers.first().zip(samples[0].as_ref()) else { return Ok(()) };
+        let scan_id = AnySample::new(input.of(), sample).header().scan_id;
+        for topic in own {
+            while let Some(sample) = topic.up_to(scan_id)? {
+                follow(StageEvent::Own(sample.header().scan_id));
+                topic.bits(&sample).for_each(|bits| follow(StageEvent::Number(bits)));
+            }
+        }
+        Ok(())
     }
 
     /// Hands over what is noted as it comes.

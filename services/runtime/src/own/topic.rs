@@ -5,7 +5,7 @@ use std::ops::Deref;
 use std::rc::Rc;
 
 use bytemuck::Pod;
-use shared_types::{Described, LayoutRow};
+use shared_types::{Described, Header, LayoutRow};
 
 use super::member::Member;
 use super::reader::OwnReader;
@@ -28,6 +28,13 @@ impl<S: Pod> Deref for OwnTaken<S> {
 
 /// The bytes of such a sample.
 pub struct TakenBytes(Enclosed<Received>);
+
+impl TakenBytes {
+    /// The header of the sample.
+    pub(crate) fn header(&self) -> &Header {
+        bytemuck::from_bytes(&self[..size_of::<Header>()])
+    }
+}
 
 impl Deref for TakenBytes {
     type Target = [u8];
