@@ -27,6 +27,7 @@ CASES = {
     "twist": robots.twist,
     "jump": robots.jump,
     "frames": robots.frames,
+    "hokuyo": robots.hokuyo,
     "latency": latency.latency,
     "stall": faults.stall,
     "restart": faults.restart,

@@ -1,5 +1,7 @@
 """Robots that work: each is driven to its goal."""
 
+import subprocess
+
 from drive import Drive, answers, reached, require, seen
 
 
@@ -79,3 +81,27 @@ def frames(options):
         found = seen(robot, report)
         reached(drive, found, code)
         return f"{abs(found['x_m'] - 20.0):.3f} m from the goal, clearance {found['clearance_m']:.3f} m"
+
+
+def hokuyo(options):
+    """The robot has no scanner: the scans come from a Hokuyo at this computer, which is pulled out while it drives."""
+    scanner = subprocess.Popen([options.scanloop, "urg", "emulate", "--tcp", "127.0.0.1:0"], stdout=subprocess.PIPE, text=True)
+    try:
+        more = f'scan = "urg"\nurg = "{scanner.stdout.readline().strip()}"'
+        with Drive(options, 95, 0.5, ["--mute=0.001", "--open"], more) as drive:
+            robot, report = drive.start_robot()
+            drive.start()
+            drive.wait("base and scanner run", lambda: drive.device() == ("running", ""))
+            # The emulated scanner stands still, so the robot soon stops for one that is stuck.
+            drive.wait("scans come", lambda: drive.status()["scan"] > 5)
+            scanner.kill()
+            drive.wait("the scanner is named", lambda: drive.device()[0] == "fault" and "scanner" in drive.device()[1])
+            reason = drive.device()[1]
+            drive.finish(60)
+            found = seen(robot, report)
+            require(any(event[0] == "command" and event[2] > 0.0 for event in found["events"]), "no command drove")
+            require(abs(found["speed_mps"]) < 1e-6, "it is not at rest")
+            return f"it drove {found['x_m']:.3f} m by the Hokuyo and stopped: {reason}"
+    finally:
+        scanner.kill()
+        scanner.wait()

@@ -5,6 +5,8 @@
 use key_table::{Invalid, Setting, settings};
 use serde::{Deserialize, Serialize};
 
+use crate::scanner::ScannerSettings;
+
 /// Which message drives the wheels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -25,6 +27,16 @@ pub enum OdometryUse {
     Pose,
     /// The twist only, which is added up to a pose.
     Twist,
+}
+
+/// Where the scans come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Ros2Scan {
+    /// From a topic of the robot.
+    Topic,
+    /// From a Hokuyo scanner that is connected to this computer.
+    Urg,
 }
 
 /// Where the pose of the scanner on the robot comes from.
@@ -49,6 +61,7 @@ pub enum CommandReliability {
 
 impl Setting for CommandType {}
 impl Setting for OdometryUse {}
+impl Setting for Ros2Scan {}
 impl Setting for ScannerPose {}
 impl Setting for CommandReliability {}
 
@@ -80,6 +93,18 @@ settings! {
         pub wheelbase_m: f64 = 0.3, 0.01..=10.0;
         /// What of the odometry is used: its pose, or its twist alone.
         pub odometry: OdometryUse = OdometryUse::Pose;
+        /// Where the scans come from: a topic of the robot, or a Hokuyo scanner at this computer.
+        pub scan: Ros2Scan = Ros2Scan::Topic;
+        /// Device or address of the Hokuyo scanner, with `scan = "urg"`.
+        pub urg: String = "/dev/ttyACM0".to_owned(), "a device, or HOST:PORT";
+        /// Scans of the Hokuyo scanner that are left out after each one; the rate falls by as much.
+        pub urg_skip: u32 = 0, 0.0..=9.0;
+        /// Steps of the Hokuyo scanner that are merged to one range, the smallest: fewer bytes on a slow line.
+        pub urg_cluster: u32 = 1, 1.0..=10.0;
+        /// Whether the Hokuyo scanner sends two characters per range instead of three: a third less, up to 4.09 m.
+        pub urg_two_characters: bool = false;
+        /// Bit rate of a serial line to the Hokuyo scanner; without effect over USB and TCP [bit/s].
+        pub urg_bit_rate: u32 = 115_200, 9_600.0..=4_000_000.0;
         /// `frame_id` that the odometry has to have; empty for any.
         pub odometry_frame: String = String::new(), FRAME;
         /// `child_frame_id` that the odometry has to have; empty for any. Commands have it as `frame_id`.
@@ -137,6 +162,13 @@ impl Ros2Config {
                 return refuse(key, frame, FRAME);
             }
         }
+        ScannerSettings::require_place(&self.urg)?;
+        let is_placed = self.scan_yaw_rad == 0.0 && self.scan_sign == 1.0;
+        if self.has_scanner() && !(is_placed && self.scanner_pose == ScannerPose::Vehicle) {
+            let allowed = "\"topic\" with scan_sign, scan_yaw_rad or scanner_pose, which are of a topic: `[vehicle]` has the \
+                           pose of a scanner at this computer";
+            return Err(Invalid::new("scan", "\"urg\"", allowed));
+        }
         if self.scan_sign.abs() != 1.0 {
             return Err(Invalid::new("scan_sign", self.scan_sign, "1 or -1"));
         }
@@ -154,6 +186,22 @@ impl Ros2Config {
             }
         }
         Ok(())
+    }
+
+    /// Whether the scanner has a connection of its own.
+    pub fn has_scanner(&self) -> bool {
+        self.scan == Ros2Scan::Urg
+    }
+
+    /// The Hokuyo scanner at this computer.
+    pub fn scanner_settings(&self) -> ScannerSettings {
+        ScannerSettings {
+            place: self.urg.clone(),
+            skip: self.urg_skip,
+            cluster: self.urg_cluster,
+            two_characters: self.urg_two_characters,
+            bit_rate: self.urg_bit_rate,
+        }
     }
 
     /// The name of one of [`TOPICS`] with remapping and namespace, beginning with `/`.
@@ -205,6 +253,15 @@ mod tests {
         assert!(refusal("namespace = \"robot1\"").contains("begins with `/`"));
         assert!(refusal("scan_frame = \"a b\"").contains("the name of a frame"));
         assert_eq!(refusal("scan_sign = 0.5"), "ros2.scan_sign = 0.5 is not allowed: 1 or -1");
+        assert_eq!(
+            refusal("urg = \"ttyACM0\""),
+            "ros2.urg = \"ttyACM0\" is not allowed: a device such as /dev/ttyACM0, or HOST:PORT"
+        );
+        for with in ["scan_sign = -1", "scan_yaw_rad = 3.0", "scanner_pose = \"tf\""] {
+            let refused = refusal(&format!("scan = \"urg\"\n{with}"));
+            assert!(refused.starts_with("ros2.scan = \"urg\" is not allowed: \"topic\" with"), "{refused}");
+        }
+        assert_eq!(config("scan = \"urg\"\nurg = \"10.0.0.7:10940\"").validate(), Ok(()));
         let turned = refusal("scanner_pose = \"tf\"\nscan_yaw_rad = 3.0");
         assert_eq!(
             turned,

@@ -5,15 +5,16 @@
 
 mod connection;
 mod lost;
-mod scanner;
 
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use driver::event::RobotEvent;
 use driver::feed::Feed;
 use driver::guard::Orders;
 use driver::motion::BaseState;
-use shared_types::{BEAMS, Device};
+use driver::scanner;
+use shared_types::BEAMS;
 
 use crate::PlayerConfig;
 use crate::config::ScanSource;
@@ -47,21 +48,8 @@ pub enum ClientEvent {
         /// When it arrived, on CLOCK_MONOTONIC [ns].
         arrived_ns: u64,
     },
-    /// A scan of a scanner at this computer.
-    Scan {
-        /// Its ranges, by beam [mm].
-        ranges_mm: [u32; BEAMS],
-        /// The ranges were damaged on the way, and are all zero.
-        is_missing: bool,
-        /// Time of the front beam, on CLOCK_MONOTONIC [ns].
-        front_ns: u64,
-        /// Duration of the sweep [ns].
-        sweep_ns: u64,
-        /// When it arrived, on CLOCK_MONOTONIC [ns].
-        arrived_ns: u64,
-    },
-    /// The state of a scanner at this computer has changed.
-    Scanner(Device),
+    /// What a scanner at this computer reports.
+    Scanner(RobotEvent),
     /// There is no connection, and why.
     Lost(Lost),
 }
@@ -89,10 +77,10 @@ impl Client {
     ) -> std::io::Result<Self> {
         let (mut feed, outlet) = Feed::new(wake);
         if config.scan == ScanSource::Urg {
-            let (config, outlet) = (config.clone(), outlet.clone());
-            // Two periods are the time without an order.
-            let rate_hz = 2e9 / timeout_ns as f64;
-            feed.spawn("scanner", move || scanner::read(&config, rate_hz, &outlet))?;
+            let (settings, outlet) = (config.scanner_settings(), outlet.clone());
+            feed.spawn("scanner", move || {
+                scanner::read(&settings, timeout_ns, &outlet, ClientEvent::Scanner);
+            })?;
         }
         let (config, scanloop) = (config.clone(), scanloop.to_owned());
         feed.spawn("player", move || keep_connected(&config, timeout_ns, &scanloop, &outlet))?;
@@ -115,7 +103,7 @@ impl Client {
                 Some(ClientEvent::Connected(orders, session)) => return Ok((orders, session)),
                 Some(ClientEvent::Lost(lost)) => reason = Some(lost),
                 // A state of the scanner that came before the first connection still counts.
-                Some(ClientEvent::Scanner(device)) => self.feed.put_back(ClientEvent::Scanner(device)),
+                Some(event @ ClientEvent::Scanner(RobotEvent::Scanner(_))) => self.feed.put_back(event),
                 Some(_) => {}
                 None => return Err(reason),
             }

@@ -1,8 +1,8 @@
 //! Settings of the driver, the table `[player]` of the system file.
 
+use driver::scanner::ScannerSettings;
 use key_table::{Documented, Invalid, Setting, settings};
 use serde::{Deserialize, Serialize};
-use urg::ScannerPlace;
 
 use crate::header::{DeviceAddress, interface};
 
@@ -120,13 +120,7 @@ impl PlayerConfig {
         if self.host.trim().is_empty() {
             return Err(Invalid::new("host", "\"\"", "the name or address of a host"));
         }
-        if ScannerPlace::parse(&self.urg).is_err() {
-            return Err(Invalid::new(
-                "urg",
-                format!("{:?}", self.urg),
-                "a device such as /dev/ttyACM0, or HOST:PORT",
-            ));
-        }
+        ScannerSettings::require_place(&self.urg)?;
         let signs = [("velocity_sign", self.velocity_sign), ("steering_sign", self.steering_sign)];
         let signs = signs.into_iter().chain([("scan_sign", self.scan_sign)]);
         let signs = signs.chain(self.odometry_signs.map(|sign| ("odometry_signs", sign)));
@@ -136,6 +130,17 @@ impl PlayerConfig {
             }
         }
         Ok(())
+    }
+
+    /// The Hokuyo scanner at this computer.
+    pub fn scanner_settings(&self) -> ScannerSettings {
+        ScannerSettings {
+            place: self.urg.clone(),
+            skip: self.urg_skip,
+            cluster: self.urg_cluster,
+            two_characters: self.urg_two_characters,
+            bit_rate: self.urg_bit_rate,
+        }
     }
 
     /// The base.

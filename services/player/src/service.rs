@@ -90,10 +90,7 @@ impl ForeignRobot for PlayerRobot {
             ClientEvent::Sweep { ranges_mm, time_s, arrived_ns } => {
                 RobotEvent::Sweep { ranges_mm, time_s, sweep_ns: None, arrived_ns }
             }
-            ClientEvent::Scan { ranges_mm, is_missing, front_ns, sweep_ns, arrived_ns } => {
-                RobotEvent::Scan { ranges_mm, is_missing, front_ns, sweep_ns, arrived_ns }
-            }
-            ClientEvent::Scanner(device) => RobotEvent::Scanner(device),
+            ClientEvent::Scanner(event) => event,
             ClientEvent::Lost(lost) => RobotEvent::Lost(lost.to_string()),
         })
     }

@@ -59,7 +59,8 @@ pub(crate) fn serve(wanted: &Wanted, outlet: &Outlet<RobotEvent>) -> anyhow::Res
 /// The thread with its topics.
 struct Connection<'a> {
     wanted: &'a Wanted,
-    scans: Subscription<LaserScan>,
+    /// Scans of the robot; `None` for a scanner at this computer.
+    scans: Option<Subscription<LaserScan>>,
     odometries: Subscription<Odometry>,
     statics: Option<Subscription<TFMessage>>,
     scan_watch: Watch<Gid>,
@@ -92,7 +93,8 @@ impl<'a> Connection<'a> {
         let mut node = RosNode::open(config, "scanloop")?;
         let silence_ns = ((config.silence_s * 1e9) as u64).max(wanted.timeout_ns);
         let topics = ["scan", "odom"].map(|name| config.topic(name));
-        let scans = node.subscribe(&topics[0], best_effort())?;
+        let reads_scans = !config.has_scanner();
+        let scans = reads_scans.then(|| node.subscribe(&topics[0], best_effort())).transpose()?;
         let odometries = node.subscribe(&topics[1], best_effort())?;
         let is_wanted = config.scanner_pose == ScannerPose::Tf;
         let statics = is_wanted.then(|| node.subscribe(&config.topic("tf_static"), latched())).transpose()?;
@@ -124,7 +126,7 @@ impl<'a> Connection<'a> {
 
     fn register(&mut self, poll: &mut Poll) -> std::io::Result<()> {
         let registry = poll.registry();
-        registry.register(&mut self.scans, Token(0), Interest::READABLE)?;
+        self.scans.iter_mut().try_for_each(|scans| registry.register(scans, Token(0), Interest::READABLE))?;
         registry.register(&mut self.odometries, Token(1), Interest::READABLE)?;
         self.statics
             .iter_mut()
@@ -193,7 +195,7 @@ impl<'a> Connection<'a> {
 
     fn take_scans(&mut self, now_ns: u64, outlet: &Outlet<RobotEvent>) {
         let config = &self.wanted.config;
-        while let Ok(Some((message, info))) = self.scans.take() {
+        while let Some(Ok(Some((message, info)))) = self.scans.as_ref().map(Subscription::take) {
             self.scan_watch.note(info.publisher_gid(), now_ns);
             let topic = &self.scan_watch.topic;
             let frame = wrong_frame(topic, "frame_id", &config.scan_frame, &message.header.frame_id);
@@ -259,7 +261,8 @@ impl<'a> Connection<'a> {
     /// What is wrong with the topics.
     fn wrong(&mut self, now_ns: u64) -> Option<String> {
         let kinds = [Odometry::TYPE, LaserScan::TYPE];
-        for (watch, kind) in [&self.base_watch, &self.scan_watch].into_iter().zip(kinds) {
+        let watched = if self.scans.is_some() { 2 } else { 1 };
+        for (watch, kind) in [&self.base_watch, &self.scan_watch].into_iter().zip(kinds).take(watched) {
             if let Some(wrong) = watch.wrong(now_ns) {
                 let is_silent = !watch.has_come() && now_ns >= self.looked_ns + LOOK_NS;
                 if !is_silent {

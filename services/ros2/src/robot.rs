@@ -7,6 +7,7 @@ use driver::feed::Feed;
 use driver::guard::Orders;
 use driver::motion::{Convention, Turn};
 use driver::ros2::{CommandType, Ros2Config};
+use driver::scanner;
 use driver::service::TIMEOUT_PERIODS;
 use runtime::Process;
 use vehicle::Description;
@@ -50,13 +51,17 @@ fn connect(process: &mut Process) -> anyhow::Result<(Ros2Robot, Orders, RobotSet
         // Stamps are those of the front beam.
         stamp_offset_s: 0.0,
         sweep_s: config.sweep_s,
-        has_scanner: false,
+        has_scanner: config.has_scanner(),
     };
     let mounting = Mounting::of(&vehicle);
     let (limit_s, domain) = (config.connect_timeout_s, config.domain);
     let timeout_ns = TIMEOUT_PERIODS * process.period_ns();
     let waker = process.waker();
     let (mut feed, outlet) = Feed::new(move || waker.wake());
+    if config.has_scanner() {
+        let (settings, outlet) = (config.scanner_settings(), outlet.clone());
+        feed.spawn("scanner", move || scanner::read(&settings, timeout_ns, &outlet, |event| event))?;
+    }
     let wanted = Wanted { config, mounting, timeout_ns };
     feed.spawn("ros2", move || {
         if let Err(error) = serve(&wanted, &outlet) {
@@ -80,6 +85,8 @@ fn connected(feed: &Feed<RobotEvent>, limit_s: f64) -> Result<Orders, String> {
         match feed.wait(end) {
             Some(RobotEvent::Connected(orders)) => return Ok(orders),
             Some(RobotEvent::Lost(lost)) => reason = lost,
+            // A state of the scanner that came before the first connection still counts.
+            Some(event @ RobotEvent::Scanner(_)) => feed.put_back(event),
             Some(_) => {}
             None => return Err(reason),
         }

@@ -90,6 +90,26 @@ fn a_log_has_the_columns_of_the_coreslam_logs() {
     }
 }
 
+/// As a driver in any language reads them: each line when its scan has come, and the numbers alone.
+#[test]
+fn a_pipe_gets_each_scan_at_once() {
+    let system = TestSystem::new(EXECUTABLE);
+    let scanner = Scanner::start(&system, &[]);
+    let mut command = system.command(&["urg", "log", "--device", &scanner.place, "-n", "5", "/dev/stdout"]);
+    let mut log = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut ages_us = Vec::new();
+    for line in BufReader::new(log.stdout.take().unwrap()).lines() {
+        let columns: Vec<u64> = line.unwrap().split_whitespace().map(|word| word.parse().unwrap()).collect();
+        assert_eq!(columns.len(), 707);
+        ages_us.push(runtime::monotonic_ns() / 1000 - columns[1]);
+    }
+    let ended = log.wait_with_output().unwrap();
+    let message = String::from_utf8_lossy(&ended.stderr).into_owned();
+    assert!(ended.status.success() && message.contains("5 scans"), "{message}");
+    // Held back until the end, the first would be 400 ms old.
+    assert!(ages_us.len() == 5 && ages_us[0] < 200_000, "{ages_us:?}");
+}
+
 #[test]
 fn a_plot_shows_the_room() {
     let system = TestSystem::new(EXECUTABLE);

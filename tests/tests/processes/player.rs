@@ -90,7 +90,7 @@ impl Link {
                     self.orders = None;
                     self.lost.push(lost.to_string());
                 }
-                ClientEvent::State { .. } | ClientEvent::Scan { .. } | ClientEvent::Scanner(_) => {}
+                ClientEvent::State { .. } | ClientEvent::Scanner(_) => {}
             }
         }
     }

@@ -6,7 +6,8 @@
 
 use std::fmt::Write as _;
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::Write;
+use std::path::Path;
 
 use console::answer;
 use console::exit::{Exit, Failure};
@@ -17,6 +18,8 @@ use urg::Reading;
 use super::arguments::LogArguments;
 use super::scanner::Scanner;
 
+/// The file with which the lines are the answer, and the summary a note.
+const STANDARD_OUTPUT: &str = "/dev/stdout";
 /// Columns of a line: 24 before the ranges, and one after them.
 const BEFORE: usize = 24;
 
@@ -26,28 +29,26 @@ pub(super) fn log(arguments: &LogArguments) -> anyhow::Result<Exit> {
     let mut scanner = Scanner::open(&arguments.scanner)?;
     let refused =
         |error: std::io::Error| Failure::bad_input(format!("{}: {error}", arguments.file.display()));
-    let mut file: Option<BufWriter<File>> = None;
+    let mut file: Option<File> = None;
     let (mut scan, mut line) = (Scan::default(), String::new());
     let (mut count, mut missing, mut error_ns, mut span_ns) = (0_u64, 0_u64, 0, (u64::MAX, 0));
     while let Some(reading) = scanner.next(&mut scan)? {
         // Not before the scanner has given a scan: a wrong address replaces no file.
         if let Some(new) = new.take() {
-            file = Some(BufWriter::new(new.publish()?));
+            file = Some(new.publish()?);
         }
         write_line(&mut line, &reading, &scan);
+        // Each line at once: a driver may read them from a pipe.
         file.as_mut().map_or(Ok(()), |file| file.write_all(line.as_bytes())).map_err(refused)?;
         count += 1;
         missing += u64::from(reading.is_missing);
         error_ns = error_ns.max(reading.error_ns);
         span_ns = (span_ns.0.min(scan.header.acquired_ns), scan.header.acquired_ns);
     }
-    if let Some(mut file) = file {
-        file.flush().map_err(refused)?;
-    }
     let seconds = span_ns.1.saturating_sub(span_ns.0) as f64 * 1e-9;
     let rate_hz = if seconds > 0.0 { (count - 1) as f64 / seconds } else { 0.0 };
     answer!(
-        false,
+        arguments.file == Path::new(STANDARD_OUTPUT),
         "{}: {count} scans, {rate_hz:.2} a second, {missing} without ranges, stamps within {:.1} ms",
         arguments.file.display(),
         error_ns as f64 * 1e-6

@@ -45,6 +45,7 @@ fn algorithms_read_no_clock_and_no_file() {
             "driver/src/feed.rs",
             "driver/src/guard/held.rs",
             "driver/src/guard/process.rs",
+            "driver/src/scanner.rs",
             "player/src/client",
             "player/src/client.rs",
             "ros2/src/command.rs",

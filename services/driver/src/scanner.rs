@@ -1,54 +1,93 @@
-//! A Hokuyo scanner at this computer, beside a base at the server: read by a thread of its own.
+//! A Hokuyo scanner at this computer, beside a base that a driver is connected to: read by a thread of its own.
 
 use std::fmt::Write as _;
 
+use key_table::Invalid;
 use runtime::monotonic_ns;
 use shared_types::{Device, DeviceState, Scan};
 use urg::{Coding, Reading, ScannerConnection, ScannerPlace, SourceState, UrgError};
 
-use super::{ClientEvent, Outlet};
-use crate::PlayerConfig;
+use crate::event::RobotEvent;
+use crate::feed::Outlet;
 
 /// Longest time in one call [ns].
 const WAIT_NS: u64 = 20_000_000;
 /// So many damaged scans one after the other are a fault: a single one is not.
 const MAX_DAMAGED: u64 = 3;
 
-/// Hands the scans over until the driver ends, or until the scanner can't be used. The crate `urg` connects again by itself.
-pub(super) fn read(config: &PlayerConfig, rate_hz: f64, outlet: &Outlet) {
-    if let Err(error) = follow(config, rate_hz, outlet) {
-        tracing::error!(%error, "the scanner can't be used: there are no scans");
-        let mut device = Device::default();
-        device.note(DeviceState::Fault, &error.to_string(), monotonic_ns());
-        outlet.put(ClientEvent::Scanner(device));
+/// Which scanner, and how it is read.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ScannerSettings {
+    /// Its device, or `HOST:PORT`.
+    pub place: String,
+    /// Scans that are left out after each one.
+    pub skip: u32,
+    /// Steps that are merged to one.
+    pub cluster: u32,
+    /// Whether ranges have two characters instead of three.
+    pub two_characters: bool,
+    /// Bit rate of a serial line [bit/s].
+    pub bit_rate: u32,
+}
+
+impl ScannerSettings {
+    /// The device or address, and what it may be.
+    ///
+    /// # Errors
+    /// A text that is neither.
+    pub fn require_place(place: &str) -> Result<(), Invalid> {
+        let allowed = "a device such as /dev/ttyACM0, or HOST:PORT";
+        ScannerPlace::parse(place).map(|_| ()).map_err(|_| Invalid::new("urg", format!("{place:?}"), allowed))
     }
 }
 
-fn follow(config: &PlayerConfig, rate_hz: f64, outlet: &Outlet) -> Result<(), UrgError> {
+/// Hands scans and states, each made an event of the driver by `event`, over until the driver ends, or until the scanner
+/// can't be used. The crate `urg` connects again by itself. The driver stops its wheels `timeout_ns` after the last scan,
+/// two periods.
+pub fn read<E: Send + 'static>(
+    settings: &ScannerSettings,
+    timeout_ns: u64,
+    outlet: &Outlet<E>,
+    event: impl Fn(RobotEvent) -> E,
+) {
+    if let Err(error) = follow(settings, 2e9 / timeout_ns as f64, outlet, &event) {
+        tracing::error!(%error, "the scanner can't be used: there are no scans");
+        let mut device = Device::default();
+        device.note(DeviceState::Fault, &error.to_string(), monotonic_ns());
+        outlet.put(event(RobotEvent::Scanner(device)));
+    }
+}
+
+fn follow<E: Send + 'static>(
+    settings: &ScannerSettings,
+    rate_hz: f64,
+    outlet: &Outlet<E>,
+    event: &impl Fn(RobotEvent) -> E,
+) -> Result<(), UrgError> {
     let urg = urg::ScannerConfig {
         rate_hz: Some(rate_hz),
-        skip: config.urg_skip as u8,
-        cluster: config.urg_cluster as u8,
-        bit_rate: config.urg_bit_rate,
-        coding: if config.urg_two_characters { Coding::Two } else { Coding::Three },
-        ..urg::ScannerConfig::new(ScannerPlace::parse(&config.urg)?)
+        skip: settings.skip as u8,
+        cluster: settings.cluster as u8,
+        bit_rate: settings.bit_rate,
+        coding: if settings.two_characters { Coding::Two } else { Coding::Three },
+        ..urg::ScannerConfig::new(ScannerPlace::parse(&settings.place)?)
     };
     let mut source = ScannerConnection::open(urg, monotonic_ns);
     let (mut scan, mut health) = (Scan::default(), Health::default());
     while !outlet.is_ended() {
         let reading = source.next(WAIT_NS, &mut scan)?;
         if reading.is_some() {
-            outlet.offer(ClientEvent::Scan {
+            outlet.offer(event(RobotEvent::Scan {
                 ranges_mm: *scan.ranges_mm.first_chunk().expect("a scan has room for more beams"),
                 is_missing: scan.missing.is_set(),
                 front_ns: scan.header.acquired_ns,
                 sweep_ns: scan.sweep_ns,
                 arrived_ns: monotonic_ns(),
-            });
+            }));
         }
         if let Some(device) = health.changed(&source, reading.as_ref()) {
             tracing::info!(state = device.state().name(), reason = device.reason(), "scanner");
-            if !outlet.put(ClientEvent::Scanner(device)) {
+            if !outlet.put(event(RobotEvent::Scanner(device))) {
                 break;
             }
         }
