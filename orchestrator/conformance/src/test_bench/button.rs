@@ -2,8 +2,8 @@
 
 use anyhow::Context;
 use runtime::{
-    AlsoReads, Bus, CompanionPage, Domain, LayoutField, LayoutFile, OPERATOR, OwnPublisher, OwnTopics,
-    PortTable, RunSettings, TopicRow, monotonic_ns,
+    AlsoReads, Bus, CompanionPage, Domain, EMERGENCY_STOP_FIELDS, LayoutField, LayoutFile, OPERATOR,
+    OwnPublisher, OwnTopics, PortTable, RunSettings, TopicRow, monotonic_ns,
 };
 use shared_types::Role;
 
@@ -56,7 +56,12 @@ impl Button {
     /// A button that is not pressed.
     pub(super) fn open(bus: &Bus, domain: &Domain) -> anyhow::Result<Self> {
         let table = OwnTopics::of(domain)?.context("the table of topics is gone")?;
-        let offset = table.find(TOPIC).context("no button")?.pressed_at()?;
+        let offset = *table
+            .find(TOPIC)
+            .context("no button")?
+            .offsets_of(EMERGENCY_STOP_FIELDS, "u8")?
+            .first()
+            .context("no field")?;
         let publisher = OwnPublisher::new(bus, &table, TOPIC)?;
         let words = vec![0; publisher.own_type().size() / size_of::<u64>()];
         Ok(Self { publisher, words, offset, sequence: 0, due_ns: 0, is_pressed: Some(false) })
