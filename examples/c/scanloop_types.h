@@ -205,6 +205,8 @@ enum scanloop_journal_kind {
     SCANLOOP_JOURNAL_KIND_ALTERED = 14, /* An injected fault alters the emulated robot from now on (`value` 1), or no longer (0). */
     SCANLOOP_JOURNAL_KIND_MOVED = 15, /* The sample or state of the next entry was handed over with its times moved by `value` [ns], in two's complement. */
     SCANLOOP_JOURNAL_KIND_EMERGENCY_STOP = 16, /* The wheels are blocked for an emergency stop, at the time `value` [ns]. */
+    SCANLOOP_JOURNAL_KIND_OWN = 17, /* A sample of a topic of your own was read, of the scan `value`; its fields follow. */
+    SCANLOOP_JOURNAL_KIND_NUMBER = 18, /* The next field of that sample: the bits of an f64 in `value`. */
 };
 
 /* A part of samples. */

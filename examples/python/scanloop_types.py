@@ -206,6 +206,8 @@ class JournalKind(enum.IntEnum):
     ALTERED = 14  # An injected fault alters the emulated robot from now on (`value` 1), or no longer (0).
     MOVED = 15  # The sample or state of the next entry was handed over with its times moved by `value` [ns], in two's complement.
     EMERGENCY_STOP = 16  # The wheels are blocked for an emergency stop, at the time `value` [ns].
+    OWN = 17  # A sample of a topic of your own was read, of the scan `value`; its fields follow.
+    NUMBER = 18  # The next field of that sample: the bits of an f64 in `value`.
 
 
 class StageStamps(ctypes.Structure):
