@@ -264,8 +264,14 @@ mod tests {
 
     #[test]
     fn an_outline_is_read_back_and_an_unknown_topic_is_none() {
-        let outline =
-            StageOutline { role: 2, output: 3, holds_wheels: true, takes_orders: false, answers: vec![0, 2], notes: vec![5] };
+        let outline = StageOutline {
+            role: 2,
+            output: 3,
+            holds_wheels: true,
+            takes_orders: false,
+            answers: vec![0, 2],
+            notes: vec![5],
+        };
         let mut numbers = outline.to_numbers();
         assert_eq!(StageOutline::read(cast_slice(&numbers)), Some(outline));
         numbers[1] = 99;
