@@ -95,7 +95,7 @@ pub(crate) fn emergency_stop(bench: &mut TestBench<'_>) -> Verdict {
             format!("reason {reason:?} {when}, not `emergency_stop`")
         })?;
         press(bench, Some(false))?;
-        no_wheels(bench, "when the button is released and nobody has taken note of it")?;
+        no_wheels(bench, "when the button is released, before the orchestrator takes note of it")?;
         resume(bench)?;
     }
     Ok("pressed and silent".to_owned())

@@ -83,7 +83,7 @@ fn a_drive_is_paused_driven_by_hand_around_a_corner_and_resumed_to_its_goal() {
 fn a_paused_robot_that_is_pushed_with_blocked_wheels_says_so_and_stands() {
     repeat_when_late(|| {
         let mut system = TestSystem::new(EXECUTABLE);
-        // Pushed after 5 s: it is paused and stands by then.
+        // Pushed after 5 s: it is paused and at rest by then.
         system.start(&["walls", "--set", "robot.pushed_s=5", "--set", "robot.pushed_left_m=0.3"]);
         system.wait_until("the robot drives", |system| scan(system) > 10);
         assert_eq!(run(&system, &["pause"]).0, Some(0));
