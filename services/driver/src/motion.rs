@@ -60,6 +60,15 @@ impl Convention {
     }
 }
 
+/// The steering angle of both axles that makes this yaw rate at this velocity [rad], the inverse of a command with
+/// [`Turn::YawRate`]; zero where nothing drives, as such a robot does not turn on the spot.
+pub fn steering_of(axle_distance_m: f64, velocity_mps: f64, yaw_rate_radps: f64) -> f64 {
+    if velocity_mps == 0.0 {
+        return 0.0;
+    }
+    (axle_distance_m * yaw_rate_radps / (2.0 * velocity_mps)).atan()
+}
+
 /// A pose and the velocities there, at one time.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Motion {
@@ -176,6 +185,16 @@ mod tests {
         assert_eq!(config.sent(AXLES_M, 0.8, 0.06), [0.8, -(0.37 * curvature).atan()]);
         let config = Convention { turn: Turn::YawRate, ..usual() };
         assert_eq!(config.sent(AXLES_M, 0.8, 0.06), [0.8, 0.8 * curvature]);
+    }
+
+    #[test]
+    fn a_yaw_rate_is_made_by_the_steering_angle_that_is_sent_as_this_yaw_rate() {
+        let config = Convention { turn: Turn::YawRate, ..usual() };
+        let [velocity, yaw_rate] = config.sent(AXLES_M, 0.8, -0.06);
+        assert!((steering_of(AXLES_M, velocity, yaw_rate) + 0.06).abs() < 1e-12);
+        // A circle of 2 m radius, with axles 1 m apart: each steers by atan(0.5 / 2).
+        assert!((steering_of(1.0, 1.0, 0.5) - 0.25_f64.atan()).abs() < 1e-12);
+        assert_eq!([steering_of(1.0, 0.0, 0.5), steering_of(1.0, 1.0, 0.0)], [0.0, 0.0]);
     }
 
     #[test]

@@ -219,7 +219,7 @@ impl Ros2Config {
 }
 
 /// Whether a text is the name of a topic, or a namespace.
-fn is_name(text: &str) -> bool {
+pub fn is_name(text: &str) -> bool {
     let is_part = |part: &str| {
         part.starts_with(|first: char| first.is_ascii_alphabetic() || first == '_')
             && part.chars().all(|letter| letter.is_ascii_alphanumeric() || letter == '_')

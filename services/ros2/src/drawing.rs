@@ -5,13 +5,12 @@ use shared_types::{
     Odometry as Reported, Pose as Estimated, Role, Scan,
 };
 
+use crate::goal::FRAME as TRACK;
 use crate::message::{
     ColorRGBA, DiagnosticArray, DiagnosticStatus, Duration, Header, KeyValue, LaserScan, Marker, MarkerArray,
     Odometry, Path, Pose, PoseStamped, Quaternion, TFMessage, Time, Transform, TransformStamped, Vector3,
 };
 
-/// The frame of the track.
-const TRACK: &str = "track";
 /// The frame in which the robot reports its pose.
 const REPORTED: &str = "odom";
 /// The frame of the robot.

@@ -82,6 +82,20 @@ messages! {
     }
     /// The same with a stamp.
     "ackermann_msgs" AckermannDriveStamped { header: Header, drive: AckermannDrive }
+    /// A truth; not zero for true.
+    "std_msgs" Bool { data: u8 }
+    /// A gamepad or joystick.
+    "sensor_msgs" Joy { header: Header, axes: Vec<f32>, buttons: Vec<i32> }
+    /// What an inertial sensor measures; a negative first covariance says that there is none.
+    "sensor_msgs" Imu {
+        header: Header,
+        orientation: Quaternion,
+        orientation_covariance: [f64; 9],
+        angular_velocity: Vector3,
+        angular_velocity_covariance: [f64; 9],
+        linear_acceleration: Vector3,
+        linear_acceleration_covariance: [f64; 9],
+    }
     /// A colour.
     "std_msgs" ColorRGBA { r: f32, g: f32, b: f32, a: f32 }
     /// A length of time.
