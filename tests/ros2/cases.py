@@ -15,6 +15,7 @@ from pathlib import Path
 import faults
 import foreign
 import latency
+import person
 import robots
 import tools
 from drive import ROOT, Failed
@@ -28,6 +29,7 @@ CASES = {
     "jump": robots.jump,
     "frames": robots.frames,
     "hokuyo": robots.hokuyo,
+    "imu": robots.imu,
     "latency": latency.latency,
     "stall": faults.stall,
     "restart": faults.restart,
@@ -37,6 +39,10 @@ CASES = {
     "missing": faults.missing,
     "two": faults.two,
     "view": tools.view,
+    "hand": person.hand,
+    "gamepad": person.gamepad,
+    "button": person.button,
+    "goal": person.goal,
     "foreign": foreign.foreign,
 }
 

@@ -62,7 +62,7 @@ class Drive:
         (self.folder / "ros2.toml").write_text(SCENARIO.format(track=goal_m + 12.0, goal=goal_m))
         self.environment = {**os.environ, **ENVIRONMENT, "ROS_DOMAIN_ID": str(domain)}
         self.environment["SCANLOOP_SYSTEM_ID"] = f"ros2-{os.getpid()}"
-        self.environment["PATH"] = f"{options.ros2.parent}:{os.environ['PATH']}"
+        self.environment["PATH"] = f"{options.ros2.parent}:{options.scanloop.parent}:{os.environ['PATH']}"
         self.robots = 0
         self.arguments = list(robot)
         self.run = None
@@ -100,10 +100,13 @@ class Drive:
         self.stack.callback(end, program)
         return program
 
-    def scanloop(self, *arguments):
+    def scanloop(self, *arguments, seconds=DEADLINE_S):
         """Runs a command."""
         command = [self.options.scanloop, *arguments]
-        return subprocess.run(command, cwd=self.folder, env=self.environment, capture_output=True, text=True)
+        try:
+            return subprocess.run(command, cwd=self.folder, env=self.environment, capture_output=True, text=True, timeout=seconds)
+        except subprocess.TimeoutExpired:
+            raise Failed(f"{arguments} does not end within {seconds} s: {self.output()}") from None
 
     def start(self, *arguments, scenario="ros2.toml"):
         """Starts the drive."""

@@ -20,7 +20,7 @@ from nav_msgs.msg import Odometry
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
-from sensor_msgs.msg import LaserScan, Range
+from sensor_msgs.msg import Imu, LaserScan, Range
 
 STEP_S = 0.01
 ODOMETRY_STEPS = 2
@@ -43,6 +43,8 @@ def parse():
     parser.add_argument("--clockwise", action="store_true", help="rays from left to right, with a negative increment")
     parser.add_argument("--mounting", default="0,0,1", metavar="X,YAW,SIGN", help="the scanner on the robot; -1 is upside down [m, deg]")
     parser.add_argument("--open", action="store_true", help="no walls")
+    parser.add_argument("--noise", type=float, default=0.0, help="standard deviation of the ranges [m]")
+    parser.add_argument("--imu", action="store_true", help="publishes /imu, a hundred times per second")
     parser.add_argument("--scan-type", choices=["scan", "range"], default="scan", help="another message on the topic of the scans")
     parser.add_argument("--latched", action="store_true", help="publishes scans reliably, and the newest to those that come later")
     parser.add_argument("--stamped", action="store_true", help="takes TwistStamped instead of Twist")
@@ -125,6 +127,8 @@ class Robot(Node):
         self.published_s = []
         self.least_clearance = math.inf
         self.offset_s = 0.0
+        self.random = numpy.random.default_rng(1)
+        self.imu = self.create_publisher(Imu, "imu", qos_profile_sensor_data) if options.imu else None
         self.create_timer(STEP_S, self.advance)
         full = options.half_angle >= 180
         span = 2 * math.radians(options.half_angle)
@@ -185,6 +189,12 @@ class Robot(Node):
         if self.steps // ODOMETRY_STEPS > getattr(self, "reported", -1):
             self.reported = self.steps // ODOMETRY_STEPS
             self.publish_odometry()
+        if self.imu:
+            message = Imu()
+            self.stamp(message.header, "imu")
+            # It is mounted upside down.
+            message.angular_velocity.z = -self.turn
+            self.imu.publish(message)
         due = int(elapsed * self.options.rate)
         if due > self.swept and not (self.options.mute and elapsed > self.options.mute):
             self.swept = due
@@ -226,6 +236,7 @@ class Robot(Node):
         message.scan_time = 1.0 / self.options.rate
         at = (self.x + self.ahead * math.cos(self.yaw), self.y + self.ahead * math.sin(self.yaw))
         ranges = self.hall.ranges(*at, self.angles + self.yaw)
+        ranges += self.options.noise * self.random.standard_normal(ranges.size)
         message.ranges = ranges.astype(numpy.float32).tolist()
         # Before it goes out: the answer may come before `publish` returns.
         begun = time.monotonic()

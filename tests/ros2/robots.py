@@ -1,8 +1,17 @@
 """Robots that work: each is driven to its goal."""
 
+import contextlib
+import json
 import subprocess
 
 from drive import Drive, answers, reached, require, seen
+from person import NOISE, add
+
+IMU = """
+[[topic]]
+name = "imu"
+layout = "{root}/examples/rust/imu/imu.toml"
+"""
 
 
 def minute(options):
@@ -105,3 +114,36 @@ def hokuyo(options):
     finally:
         scanner.kill()
         scanner.wait()
+
+
+def imu(options):
+    """A gyro that is mounted upside down: its samples say how far the robot has turned from scan to scan, as the odometry does."""
+    with Drive(options, 94, 12.0, [*NOISE, "--imu"], boxes=["--box=6,0.3,0.2,0.4"]) as drive:
+        add(drive, "imu", 'reads = ["odometry"]\nwrites = ["imu"]', ["up=0,0,-1"], IMU)
+        drive.start_robot()
+        drive.start()
+        drive.wait("its devices run", lambda: drive.device()[0] == "running")
+        echoes = []
+        for topic in ("imu", "odometry"):
+            with open(drive.folder / topic, "w") as file:
+                command = [options.scanloop, "topic", "echo", topic, "--short"]
+                echoes.append(subprocess.Popen(command, env=drive.environment, stdout=file, stderr=subprocess.DEVNULL))
+        code = drive.finish(60)
+        require(code == 0, f"exit code {code}: {drive.output()}")
+        for echo in echoes:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                echo.wait(5)
+            echo.kill()
+            echo.wait()
+        found = {}
+        for topic in ("imu", "odometry"):
+            samples = [json.loads(line) for line in (drive.folder / topic).read_text().splitlines() if line.endswith("}")]
+            found[topic] = {sample["header"]["scan_id"]: sample for sample in samples}
+        both = sorted(found["imu"].keys() & found["odometry"].keys())
+        require(len(both) > 0.9 * len(found["odometry"]), f"{len(both)} samples for {len(found['odometry'])} scans")
+        turned = {scan: sample["yaw_rate_radps"] * sample["dt_s"] for scan, sample in found["imu"].items()}
+        require(max(map(abs, turned.values())) > 0.02, f"it has not turned: {max(turned.values())}")
+        wrong = max(abs(turned[scan] - found["odometry"][scan]["dyaw_rad"]) for scan in both)
+        # A message of the gyro is 10 ms old at most, in which the yaw rate changes by 0.06 rad/s.
+        require(wrong < 5e-3, f"between two scans both differ by {wrong} rad")
+        return f"{len(both)} of {len(found['odometry'])} scans, at most {1e3 * wrong:.2f} mrad from the odometry of the same scan"
