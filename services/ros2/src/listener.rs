@@ -16,6 +16,8 @@ use crate::watch::Watch;
 
 /// Longest sleep.
 const SLEEP: Duration = Duration::from_millis(20);
+/// A sleep that lasts for so long was none [ns].
+const SUSPENDED_NS: u64 = 1_000_000_000;
 /// Messages that wait to be read: a tenth of a second of an inertial sensor with 1 kHz.
 const DEPTH: usize = 100;
 /// A message that is older is late: networks without wires delay by tens of milliseconds [ns].
@@ -79,12 +81,19 @@ impl<M: Named + DeserializeOwned + 'static> Listener<M> {
     /// Sleeps until a message may have come, 20 ms at most.
     ///
     /// # Errors
-    /// Those of the kernel.
-    pub(crate) fn sleep(&mut self) -> std::io::Result<()> {
+    /// Those of the kernel, and a process that was suspended meanwhile.
+    pub(crate) fn sleep(&mut self) -> anyhow::Result<()> {
+        let begun_ns = monotonic_ns();
         match self.poll.poll(&mut self.events, Some(SLEEP)) {
-            Err(error) if error.kind() != std::io::ErrorKind::Interrupted => Err(error),
-            _ => Ok(()),
+            Err(error) if error.kind() != std::io::ErrorKind::Interrupted => return Err(error.into()),
+            _ => {}
         }
+        // The threads of DDS end then, and no message would come any more.
+        anyhow::ensure!(
+            monotonic_ns() - begun_ns < SUSPENDED_NS,
+            "this program was suspended, which its connection to ROS 2 does not survive: start it again"
+        );
+        Ok(())
     }
 
     /// The oldest message that was not taken.
