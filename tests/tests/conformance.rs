@@ -24,7 +24,7 @@ const BUILT_IN: [(&str, &str); 5] = [
 ];
 
 /// Role, the faulty program, its fault, and the cases that must find it.
-const FAULTS: [(&str, &str, &str, &[&str]); 60] = [
+const FAULTS: [(&str, &str, &str, &[&str]); 62] = [
     ("estimator", "loner", "unready", &["states"]),
     ("estimator", "loner", "silent", &["heartbeats"]),
     ("estimator", "loner", "early-only", &["joins-late"]),
@@ -76,10 +76,12 @@ const FAULTS: [(&str, &str, &str, &[&str]); 60] = [
     ("controller", "controller", "mute", &["names-its-reason"]),
     ("controller", "controller", "planless", &["plan"]),
     ("controller", "controller", "unverified", &["verified"]),
+    ("controller", "controller", "alone", &["by-hand"]),
     ("actuator", "actuator", "clamps", &["limits"]),
     ("actuator", "actuator", "factor", &["sends-what-is-desired", "calibration"]),
     ("actuator", "actuator", "drives-on", &["obeys-stop"]),
     ("actuator", "actuator", "ignores-stop", &["stop-wins"]),
+    ("actuator", "actuator", "alone", &["paused", "by-hand", "emergency-stop"]),
     ("actuator", "actuator", "patient", &["silence"]),
     ("actuator", "actuator", "hasty", &["two-after-silence"]),
     ("actuator", "actuator", "wary", &["gap"]),

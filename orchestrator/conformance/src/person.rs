@@ -12,6 +12,8 @@ use super::test_bench::TestBench;
 const ASKED: (f64, f64) = (0.3, 0.02);
 /// Scans in which a change takes effect, and some more in which it must last.
 const SCANS: usize = 6;
+/// A button that is silent for so long counts as pressed [ns].
+const SILENT_NS: u64 = 600_000_000;
 /// Scans until a change must have taken effect.
 const ON_ITS_WAY: usize = 2;
 
@@ -86,8 +88,7 @@ pub(crate) fn emergency_stop(bench: &mut TestBench<'_>) -> Verdict {
         [(Some(true), "while the button is pressed"), (None, "while the button is silent")]
     {
         press(bench, is_pressed)?;
-        // Silence counts after half a second.
-        bench.rounds(SCANS)?;
+        bench.rounds((SILENT_NS / bench.suite.period_ns) as usize + 1)?;
         no_wheels(bench, when)?;
         let reason =
             bench.received.last().and_then(Message::get).map(|actuation: &Actuation| actuation.reason);

@@ -8,7 +8,7 @@ use vehicle::correction::Calibration;
 use crate::Outcome;
 
 /// Faults: `clamps`, `factor`, `uncalibrated`, `drives-on`, `ignores-stop`, `patient`, `hasty`, `believes`, `wordless`,
-/// `eager`, `wary`.
+/// `eager`, `wary`, and `alone`, which knows of no person and no button, as all of them.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Actuator)?;
     let mut config = process.settings::<ActuatorConfig>("actuator")?;

@@ -10,7 +10,7 @@ use crate::Outcome;
 const LAST_SCAN: u64 = 25;
 
 /// Faults: `never`, `blind`, `never-lands`, `careless`, `mute`, `planless`, `unverified`, `too-fast`, `not-finite`,
-/// `bad-state`, `halts`.
+/// `bad-state`, `halts`, and `alone`, which knows of no person, as all of them.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Controller)?;
     let config = process.settings::<nmpc::ControllerConfig>("controller")?;
