@@ -27,15 +27,16 @@ pub(super) struct MovedWatch {
 }
 
 impl MovedWatch {
+    /// Forgets everything: the controller drives.
+    pub(super) fn end(&mut self) {
+        *self = Self::default();
+    }
+
     /// Looks at the scans of a robot that stands, or not; the share of beams that changed, once, when it was moved.
     ///
     /// # Errors
     /// Errors of the bus.
     pub(super) fn look(&mut self, bus: &Bus, is_standing: bool) -> Result<Option<f64>, RuntimeError> {
-        if !is_standing {
-            *self = Self::default();
-            return Ok(None);
-        }
         let Self { scans, first, differing } = self;
         let observer = match scans {
             Some(observer) => observer,
@@ -43,6 +44,13 @@ impl MovedWatch {
         };
         let mut moved = None;
         observer.poll(|scan| {
+            if !is_standing {
+                *first = None;
+                return;
+            }
+            if scan.missing.is_set() {
+                return;
+            }
             let Some(before) = first.as_deref().filter(|before| before.ranges().len() == scan.ranges().len())
             else {
                 (*first, *differing) = (Some(Box::new(*scan)), 0);

@@ -224,7 +224,11 @@ impl Session {
     /// # Errors
     /// Errors of the bus.
     pub(super) fn notice_moved(&mut self) -> anyhow::Result<()> {
-        let stands = self.drives() && self.driven_by() != DrivenBy::Controller && self.is_standing();
+        if !self.drives() || self.driven_by() == DrivenBy::Controller {
+            self.moved.end();
+            return Ok(());
+        }
+        let stands = self.is_standing();
         if let Some(share) = self.moved.look(&self.bus, stands)? {
             let percent = share * 100.0;
             self.warn(&format!(
