@@ -77,7 +77,7 @@ const RULES: &[(&str, How)] = &[
     ("scanloop pause", Read(PERSON)),
     ("scanloop resume", Read(PERSON)),
     ("scanloop teleop", Read(PERSON)),
-    ("my-gamepad", Not(OWN)),
+    ("my-program", Not(OWN)),
     // Programs and files of the reader.
     ("scanloop swap controller -- ./my-controller", Read(OWN)),
     ("scanloop swap controller -- target/python", Read(OWN)),
