@@ -12,7 +12,7 @@
 //! It replaces and is not fused by covariances, because the errors are not independent: many an odometry has a gyro in it.
 //! A sample that comes after its scan replaces the turn of the odometry later, for up to [`TURNS`] scans.
 //!
-//! The bias b is the mean rate while the robot stands: blocked wheels, no speed, no turn. It counts after [`MIN_REST_S`],
+//! The bias b is the mean rate while the robot stands: blocked wheels, no speed, no turn. It counts after two seconds,
 //! because the white noise of a short rest is larger than the bias of a good gyro. A robot that stands does not turn.
 //!
 //! The turn of the odometry stays when a sample is missing, does not fit its interval, is faster than the robot can turn,
