@@ -12,6 +12,7 @@
 
 mod biarc;
 mod keys;
+mod legs;
 mod outline;
 
 use std::f64::consts::TAU;
@@ -25,6 +26,7 @@ use crate::frame::{heading, wrap_angle};
 use crate::state::State;
 
 pub use keys::{CourseKeys, Waypoint};
+pub use legs::{Follower, Leg};
 pub use outline::{CourseOutline, ellipse_point};
 
 /// How far from where a position was a moment ago it is looked for, behind and ahead [m].
@@ -39,6 +41,9 @@ const SAME_M: f64 = 1.0;
 pub struct Course {
     keys: CourseKeys,
     pieces: Arc<[Piece]>,
+    /// Where its first piece begins: not zero for a later leg of another course [m].
+    begin_m: f64,
+    /// Where its last piece ends [m].
     length_m: f64,
 }
 
@@ -51,7 +56,7 @@ pub(crate) struct Piece {
     length_m: f64,
     /// Where it begins [m].
     point: Vector2<f64>,
-    /// Its direction there [rad].
+    /// The direction in which it is driven there [rad].
     yaw: f64,
     /// To the left [1/m].
     curvature: f64,
@@ -59,6 +64,23 @@ pub(crate) struct Piece {
     waypoint: usize,
     /// Largest velocity there; infinite without one [m/s].
     speed_mps: f64,
+    /// Whether it is driven backwards.
+    is_reverse: bool,
+}
+
+impl Default for Piece {
+    fn default() -> Self {
+        Self {
+            begin_m: 0.0,
+            length_m: 0.0,
+            point: Vector2::zeros(),
+            yaw: 0.0,
+            curvature: 0.0,
+            waypoint: 0,
+            speed_mps: f64::INFINITY,
+            is_reverse: false,
+        }
+    }
 }
 
 /// The course at one length along it.
@@ -66,7 +88,8 @@ pub(crate) struct Piece {
 pub struct Tangent {
     /// The point in the plane [m].
     pub point: Vector2<f64>,
-    /// The direction; it grows beyond a half turn on a course that turns round [rad].
+    /// The direction in which the course is driven; it grows beyond a half turn on a course that turns round. A robot that
+    /// drives backwards there looks the other way [rad].
     pub yaw: f64,
     /// To the left [1/m].
     pub curvature: f64,
@@ -176,7 +199,7 @@ impl Course {
                 best = (distance, piece.begin_m + along);
             }
         }
-        let [from_m, to_m] = [from_m.max(0.0), to_m.min(self.length_m)];
+        let [from_m, to_m] = [from_m.max(self.begin_m), to_m.min(self.length_m)];
         let along_m = best.1.max(from_m).min(to_m.max(from_m));
         let [ahead, left] = self.at(along_m).offset(point);
         // At an end of the range the course continues straight; elsewhere the point is beside it.

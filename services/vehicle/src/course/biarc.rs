@@ -99,5 +99,5 @@ fn arc(from: Vector2<f64>, yaw: f64, to: Vector2<f64>, begin_m: f64, waypoint: u
     let straight = half.abs() < 1e-9 || chord < 1e-9;
     let (length_m, curvature) =
         if straight { (chord, 0.0) } else { (chord * half / half.sin(), 2.0 * half.sin() / chord) };
-    Piece { begin_m, length_m, point: from, yaw, curvature, waypoint, speed_mps: f64::INFINITY }
+    Piece { begin_m, length_m, point: from, yaw, curvature, waypoint, ..Piece::default() }
 }

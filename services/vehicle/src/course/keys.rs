@@ -2,7 +2,7 @@
 
 use key_table::{Invalid, settings};
 
-use super::{Course, biarc};
+use super::{Course, biarc, legs};
 use crate::track::{Surroundings, Track};
 
 /// Most waypoints.
@@ -24,13 +24,16 @@ settings! {
         pub yaw_rad: Option<f64> = None, (-7.0..=7.0, "with bends that the robot can follow");
         /// Largest velocity from there to the next waypoint; without the key `controller.cruise_mps` [m/s].
         pub speed_mps: Option<f64> = None, (0.01..=10.0, "at least `vehicle.bounds.velocity_min_mps`");
+        /// Whether the way to it from the waypoint before is driven backwards. Where the robot changes between forwards and
+        /// backwards, it stands for a moment; `yaw_rad` is the direction of the robot there.
+        pub reverse: bool = false;
     }
 }
 
 impl Waypoint {
     /// A point that the course leads through, in a direction if one is given.
     pub fn new(x_m: f64, y_m: f64, yaw_rad: Option<f64>) -> Self {
-        Self { x_m, y_m, yaw_rad, speed_mps: None }
+        Self { x_m, y_m, yaw_rad, ..Self::default() }
     }
 }
 
@@ -82,7 +85,14 @@ impl TryFrom<CourseKeys> for Course {
             let allowed = "1 where the last waypoint is another place than the first one";
             return Err(Invalid::new("laps", keys.laps, allowed));
         }
-        let pieces = biarc::through(points, is_closed);
+        if points[1].reverse {
+            let allowed = "a course that begins forwards: what is behind the robot at the start was not seen";
+            return Err(Invalid::new("waypoints[1].reverse", true, allowed));
+        }
+        if keys.laps > 1 && points.iter().any(|point| point.reverse) {
+            return Err(Invalid::new("laps", keys.laps, "1 where a part of the course is driven backwards"));
+        }
+        let pieces = legs::through(points, is_closed);
         for (index, (pair, arcs)) in points.windows(2).zip(pieces.chunks(2)).enumerate() {
             let apart_m = (pair[1].x_m - pair[0].x_m).hypot(pair[1].y_m - pair[0].y_m);
             if arcs.iter().map(|arc| arc.length_m).sum::<f64>() > MAX_DETOUR * apart_m {
@@ -96,7 +106,7 @@ impl TryFrom<CourseKeys> for Course {
             piece.speed_mps = points[piece.waypoint].speed_mps.unwrap_or(f64::INFINITY);
         }
         let length_m = pieces.last().map_or(0.0, |piece| piece.begin_m + piece.length_m);
-        let course = Self { pieces: pieces.into(), length_m, keys };
+        let course = Self { pieces: pieces.into(), begin_m: 0.0, length_m, keys };
         let (bend, half_m) = (course.sharpest(), course.keys.width_m / 2.0);
         if bend.radius_m <= half_m {
             let value = format!("a bend with a radius of {:.2} m", bend.radius_m);
