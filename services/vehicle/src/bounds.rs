@@ -27,6 +27,10 @@ settings! {
                 BOUND_MIN_MPS..=SENT_VELOCITY_MAX_MPS,
                 "at least `velocity_min_mps`; by the factor of `actuator.calibration` at most 2 m/s",
             );
+        /// Largest velocity backwards, at most `velocity_max_mps`; below `velocity_min_mps`, as 0, the vehicle cannot drive
+        /// backwards [m/s].
+        pub reverse_max_mps: f64 = 0.3,
+            (0.0..=SENT_VELOCITY_MAX_MPS, "by the factor of `actuator.calibration` at most 2 m/s");
         /// Largest steering angle to either side, (7.41) [rad].
         pub steering_max_rad: f64 = STEERING_MAX_RAD, 0.001..=SENT_STEERING_MAX_RAD;
         /// Largest sideslip angle to either side, (7.42) [rad].
@@ -47,7 +51,14 @@ impl Bounds {
         require("velocity_min_mps", self.velocity_min_mps, BOUND_MIN_MPS..=self.velocity_max_mps)
     }
 
-    /// The nearest admissible control.
+    /// Those of the vehicle turned round, whose velocities are the ones backwards; `None` where it cannot drive backwards.
+    #[must_use]
+    pub fn mirrored(&self) -> Option<Self> {
+        let velocity_max_mps = self.reverse_max_mps.min(self.velocity_max_mps);
+        (velocity_max_mps >= self.velocity_min_mps).then_some(Self { velocity_max_mps, ..*self })
+    }
+
+    /// The nearest admissible control forwards.
     #[must_use]
     pub fn clamp(&self, control: Control) -> Control {
         Control {
@@ -56,7 +67,7 @@ impl Bounds {
         }
     }
 
-    /// Whether the control is admissible up to `tolerance`; false for NaN.
+    /// Whether the control is admissible forwards up to `tolerance`; false for NaN.
     pub fn contains(&self, control: Control, tolerance: f64) -> bool {
         control.velocity >= self.velocity_min_mps - tolerance
             && control.velocity <= self.velocity_max_mps + tolerance
@@ -76,6 +87,14 @@ mod tests {
         for end in [0.02, 1.0] {
             assert_eq!(bounds(end).require_ranges().and_then(|()| bounds(end).require_order()), Ok(()));
         }
+    }
+
+    #[test]
+    fn a_vehicle_drives_backwards_from_its_smallest_velocity_on() {
+        let backwards = |reverse_max_mps| Bounds { reverse_max_mps, ..Bounds::default() }.mirrored();
+        assert_eq!(backwards(0.3).map(|bounds| bounds.velocity_max_mps), Some(0.3));
+        assert_eq!(backwards(1.5).map(|bounds| bounds.velocity_max_mps), Some(1.0));
+        assert_eq!([backwards(0.0), backwards(0.09)], [None; 2]);
     }
 
     #[test]

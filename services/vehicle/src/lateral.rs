@@ -36,11 +36,11 @@ pub struct Lateral {
 }
 
 impl Lateral {
-    /// The motion with this cosine of the sideslip; `stiffness` of the front and rear axle [N/rad].
+    /// The motion with this cosine of the sideslip; `stiffness` of the front and rear axle [N/rad], positive.
     pub fn new(parameters: &Parameters, stiffness: [f64; 2], control: &Control, cosine: f64) -> Self {
         let Parameters { mass_kg, rear_m, front_m, inertia_kgm2, .. } = *parameters;
         let Control { velocity, steering } = *control;
-        let [front, rear] = stiffness.map(|stiffness| stiffness * steering.cos());
+        let [front, rear] = stiffness.map(|stiffness| stiffness.copysign(velocity) * steering.cos());
         let mobility = 1.0 / (mass_kg * velocity * cosine);
         let couple = rear * rear_m - front * front_m;
         let damping = rear * rear_m * rear_m + front * front_m * front_m;

@@ -1,17 +1,27 @@
 //! The model (7.27)-(7.31) and its Jacobians.
 //!
 //! Lateral forces are linear in the slip angles of the two axles, so the model holds for small slip and for
-//! velocities above zero: u1 divides. It is stiff: the eigenvalues of (sideslip, yaw rate) are -34 1/s at
+//! velocities other than zero: u1 divides. It is stiff: the eigenvalues of (sideslip, yaw rate) are -34 1/s at
 //! 1 m/s and -350 1/s at 0.1 m/s.
+//!
+//! A robot that drives backwards is one that is turned round and drives forwards: [`Parameters::mirrored`],
+//! [`State::mirrored`], [`Control::mirrored`]. Written out, (7.27) and (7.29) stay as they are but for the sign of the
+//! stiffness, because the forces of tyres are against their motion to the side: [`Parameters::stiffness_at`].
 
 use nalgebra::SVector;
 
 use crate::state::SIDEWAYS_RAD;
 use crate::{Control, Parameters, State};
 
-/// Velocity below which the lateral part of the model is not slowed down further [m/s]: RK4 is stable there in steps of
-/// up to 3.9 ms.
+/// Velocity to either side below which the lateral part of the model is not slowed down further [m/s]: RK4 is stable there
+/// in steps of up to 3.9 ms.
 pub const SLOWEST_MPS: f64 = 0.05;
+
+/// The velocity of the lateral part of the model for a robot at `speed`: at least [`SLOWEST_MPS`], in its direction; forwards
+/// at rest [m/s].
+pub fn lateral_velocity(speed: f64) -> f64 {
+    if speed < 0.0 { speed.min(-SLOWEST_MPS) } else { speed.max(SLOWEST_MPS) }
+}
 
 /// Time derivative of the state, (7.27)-(7.31).
 ///
@@ -21,10 +31,9 @@ pub fn derivative(parameters: &Parameters, state: &State, control: &Control) -> 
     derivative_under(parameters, state, control, control.velocity)
 }
 
-/// [`derivative`] of a robot that drives at any speed from zero on: below [`SLOWEST_MPS`] its lateral part is that of a
-/// robot that drives that fast.
+/// [`derivative`] of a robot that drives at any speed, with the lateral part of [`lateral_velocity`].
 pub fn derivative_at(parameters: &Parameters, state: &State, speed: f64, steering: f64) -> SVector<f64, 5> {
-    derivative_under(parameters, state, &Control { velocity: speed.max(SLOWEST_MPS), steering }, speed)
+    derivative_under(parameters, state, &Control { velocity: lateral_velocity(speed), steering }, speed)
 }
 
 fn derivative_under(
@@ -41,9 +50,9 @@ fn derivative_under(
 
 /// Derivatives of sideslip (7.27) and yaw rate (7.29): the stiff part, which depends on nothing else.
 pub fn lateral(parameters: &Parameters, sideslip: f64, yaw_rate: f64, control: &Control) -> [f64; 2] {
-    let Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2 } = *parameters;
+    let Parameters { mass_kg, rear_m, front_m, inertia_kgm2, .. } = *parameters;
     let Control { velocity, steering } = *control;
-    let force = stiffness_n_per_rad * steering.cos();
+    let force = parameters.stiffness_at(velocity) * steering.cos();
     let curvature = yaw_rate / velocity;
     let sideslip_rate = force * (-2.0 * sideslip + curvature * (rear_m - front_m))
         / (mass_kg * velocity * cosine_of(sideslip))
@@ -67,17 +76,18 @@ pub fn lateral_jacobians(
     yaw_rate: f64,
     control: &Control,
 ) -> ([[f64; 2]; 2], [[f64; 2]; 2]) {
-    let Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2 } = *parameters;
+    let Parameters { mass_kg, rear_m, front_m, inertia_kgm2, .. } = *parameters;
     let Control { velocity, steering } = *control;
+    let stiffness = parameters.stiffness_at(velocity);
     let (sin, cos) = steering.sin_cos();
     let (sum, difference) = (rear_m + front_m, rear_m - front_m);
     let square = rear_m * rear_m + front_m * front_m;
     let curvature = yaw_rate / velocity;
 
-    let scale = stiffness_n_per_rad / (mass_kg * velocity * sideslip.cos());
+    let scale = stiffness / (mass_kg * velocity * sideslip.cos());
     let slip = -2.0 * sideslip + curvature * difference;
     let moment = steering * sum + sideslip * difference - curvature * square;
-    let torque = stiffness_n_per_rad / inertia_kgm2;
+    let torque = stiffness / inertia_kgm2;
 
     let by_state = [
         [cos * scale * (-2.0 + slip * sideslip.tan()), cos * scale * difference / velocity - 1.0],
@@ -92,12 +102,13 @@ pub fn lateral_jacobians(
 
 /// Steady sideslip and yaw rate under a constant control, for small angles.
 pub fn steady_turn(parameters: &Parameters, control: &Control) -> (f64, f64) {
-    let Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, .. } = *parameters;
+    let Parameters { mass_kg, rear_m, front_m, .. } = *parameters;
+    let stiffness = parameters.stiffness_at(control.velocity);
     let difference = rear_m - front_m;
     let square = rear_m * rear_m + front_m * front_m;
     // (7.27) = 0 gives the sideslip per yaw rate, (7.29) = 0 then the yaw rate.
     let slope = (difference / control.velocity
-        - mass_kg * control.velocity / (stiffness_n_per_rad * control.steering.cos()))
+        - mass_kg * control.velocity / (stiffness * control.steering.cos()))
         / 2.0;
     let yaw_rate = control.steering * (rear_m + front_m) / (square / control.velocity - difference * slope);
     (slope * yaw_rate, yaw_rate)
@@ -144,8 +155,9 @@ mod tests {
         #[test]
         fn jacobians_agree_with_central_differences(
             sideslip in -0.15..0.15f64, yaw in -3.0..3.0f64, yaw_rate in -0.8..0.8f64,
-            velocity in 0.1..1.0f64, steering in -0.06..0.06f64,
+            speed in 0.1..1.0f64, is_backwards in any::<bool>(), steering in -0.06..0.06f64,
         ) {
+            let velocity = if is_backwards { -speed } else { speed };
             let parameters = Parameters::default();
             let state = State { sideslip, yaw, yaw_rate, x: 1.0, y: 0.2 };
             let control = Control { velocity, steering };

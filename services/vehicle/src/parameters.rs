@@ -22,6 +22,18 @@ settings! {
 }
 
 impl Parameters {
+    /// Those of the robot turned round: front is rear.
+    #[must_use]
+    pub fn mirrored(self) -> Self {
+        Self { rear_m: self.front_m, front_m: self.rear_m, ..self }
+    }
+
+    /// Lateral tyre stiffness in (7.27) and (7.29) at a velocity [N/rad]: negative backwards, where a slip angle is the
+    /// opposite motion of the tyre to the side.
+    pub fn stiffness_at(&self, velocity: f64) -> f64 {
+        self.stiffness_n_per_rad.copysign(velocity)
+    }
+
     /// Steady yaw rate per velocity and steering angle for small angles: x3 = gain * u1 * u2 [1/m].
     pub fn yaw_rate_gain(&self) -> f64 {
         let (sum, difference) = (self.rear_m + self.front_m, self.rear_m - self.front_m);

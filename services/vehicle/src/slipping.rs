@@ -82,13 +82,14 @@ impl Slipping<'_> {
     /// Size of the residual at a place, as an angle, and the step of Newton's method from there.
     fn newton(&self, start: [f64; 2], at: [f64; 2], seconds: f64) -> (f64, [f64; 2]) {
         let Self { parameters, control, limits_n, mobility, agility } = self;
-        let Parameters { rear_m, front_m, stiffness_n_per_rad, .. } = **parameters;
+        let Parameters { rear_m, front_m, .. } = **parameters;
         let velocity = control.velocity;
+        let stiffness = parameters.stiffness_at(velocity);
         let state = State { sideslip: at[0], yaw_rate: at[1], ..State::default() };
         let slips = slip_angles(parameters, &state, control);
-        let forces = [0, 1].map(|axle| axle_force(stiffness_n_per_rad, slips[axle], limits_n[axle]));
+        let forces = [0, 1].map(|axle| axle_force(stiffness, slips[axle], limits_n[axle]));
         let [front, rear] =
-            [0, 1].map(|axle| stiffness_n_per_rad * (1.0 - (forces[axle] / limits_n[axle]).powi(2)).max(0.0));
+            [0, 1].map(|axle| stiffness * (1.0 - (forces[axle] / limits_n[axle]).powi(2)).max(0.0));
         let (move_s, turn_s) = (mobility * seconds, agility * seconds);
         let residual = [
             at[0] - start[0] - move_s * (forces[0] + forces[1]) + seconds * at[1],
@@ -110,6 +111,6 @@ impl Slipping<'_> {
             (residual[1] * matrix[0][1] - residual[0] * matrix[1][1]) / determinant,
             (residual[0] * matrix[1][0] - residual[1] * matrix[0][0]) / determinant,
         ];
-        (residual[0].abs() + residual[1].abs() * rear_m.max(front_m) / velocity, change)
+        (residual[0].abs() + residual[1].abs() * rear_m.max(front_m) / velocity.abs(), change)
     }
 }

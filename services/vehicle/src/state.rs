@@ -1,6 +1,10 @@
 //! State and control of the model as named values.
 
+use std::f64::consts::PI;
+
 use nalgebra::SVector;
+
+use crate::frame::wrap_angle;
 
 /// Largest sideslip that the model keeps [rad]: it divides by the cosine, and describes no robot that slides sideways. What
 /// grows beyond stays there.
@@ -27,7 +31,7 @@ pub struct State {
 /// Control of (7.27)-(7.31).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Control {
-    /// Velocity, u1 [m/s].
+    /// Velocity, u1; negative backwards [m/s].
     pub velocity: f64,
     /// Steering angle of the front axle, u2 [rad]; the rear axle steers by the opposite angle.
     pub steering: f64,
@@ -54,6 +58,12 @@ impl State {
         }
     }
 
+    /// The same motion of the robot turned round: it drives forwards where this one drives backwards.
+    #[must_use]
+    pub fn mirrored(self) -> Self {
+        Self { yaw: wrap_angle(self.yaw + PI), ..self }
+    }
+
     /// Whether all components are finite.
     pub fn is_finite(&self) -> bool {
         self.to_vector().iter().all(|value| value.is_finite())
@@ -61,6 +71,12 @@ impl State {
 }
 
 impl Control {
+    /// The same control for the robot turned round, whose front axle is the rear one.
+    #[must_use]
+    pub fn mirrored(self) -> Self {
+        Self { velocity: -self.velocity, steering: -self.steering }
+    }
+
     /// Whether both components are finite.
     pub fn is_finite(&self) -> bool {
         self.velocity.is_finite() && self.steering.is_finite()

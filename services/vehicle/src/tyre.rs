@@ -2,13 +2,13 @@
 
 use nalgebra::SVector;
 
-use crate::model::{SLOWEST_MPS, cosine_of, derivative_at};
+use crate::model::{cosine_of, derivative_at, lateral_velocity};
 use crate::{Control, Parameters, State};
 
 /// Gravity [m/s^2].
 pub const GRAVITY_MPS2: f64 = 9.81;
 
-/// Lateral force of an axle [N]: mu Fz tanh(c alpha / (mu Fz)).
+/// Lateral force of an axle [N]: mu Fz tanh(c alpha / (mu Fz)); c is negative backwards, [`Parameters::stiffness_at`].
 pub fn axle_force(stiffness_n_per_rad: f64, slip_rad: f64, limit_n: f64) -> f64 {
     limit_n * (stiffness_n_per_rad * slip_rad / limit_n).tanh()
 }
@@ -30,18 +30,19 @@ pub fn derivative_with_friction(
 ) -> SVector<f64, 5> {
     let mut rates = derivative_at(parameters, state, speed, steering);
     if friction > 0.0 {
-        [rates[0], rates[2]] = lateral(parameters, friction, state, speed.max(SLOWEST_MPS), steering);
+        [rates[0], rates[2]] = lateral(parameters, friction, state, lateral_velocity(speed), steering);
     }
     rates
 }
 
 /// Derivatives of sideslip and yaw rate, as (7.27) and (7.29) before the forces are made linear.
 fn lateral(parameters: &Parameters, friction: f64, state: &State, speed: f64, steering: f64) -> [f64; 2] {
-    let Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2 } = *parameters;
+    let Parameters { mass_kg, rear_m, front_m, inertia_kgm2, .. } = *parameters;
     let State { sideslip, yaw_rate, .. } = *state;
+    let stiffness = parameters.stiffness_at(speed);
     let slips = slip_angles(parameters, state, &Control { velocity: speed, steering });
     let limits = axle_limits(parameters, friction);
-    let [front, rear] = [0, 1].map(|axle| axle_force(stiffness_n_per_rad, slips[axle], limits[axle]));
+    let [front, rear] = [0, 1].map(|axle| axle_force(stiffness, slips[axle], limits[axle]));
     let cos = steering.cos();
     [
         cos * (front + rear) / (mass_kg * speed * cosine_of(sideslip)) - yaw_rate,

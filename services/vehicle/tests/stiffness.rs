@@ -5,9 +5,10 @@
 
 use nalgebra::{SMatrix, SVector};
 use proptest::prelude::*;
+use vehicle::frame::wrap_angle;
 use vehicle::integrate::{MAX_STEP_S, integrate, is_stiff, runge_kutta, stiff_step};
 use vehicle::lateral::Lateral;
-use vehicle::model::{derivative, steady_turn};
+use vehicle::model::{derivative, lateral_velocity, steady_turn};
 use vehicle::tyre::derivative_with_friction;
 use vehicle::{Control, Description, Parameters, State};
 
@@ -219,6 +220,55 @@ proptest! {
         // The start may be one that friction ends within a part of a step, and what it leaves is as small.
         let off = difference(&end, &states, 0.02);
         prop_assert!(off.iter().all(|share| *share <= TOLERANCE), "{off:?} {end:?} {:?}", states.last());
+    }
+
+    #[test]
+    fn a_robot_drives_backwards_as_its_mirror_image_drives_forwards(
+        wide in any_vehicle(), usual in any_shape(), is_wide in any::<bool>(), control in any_control(),
+        start in any_start(), friction in prop_oneof![Just(0.0), 0.05..5.0f64], exponent in -3.0..-0.3f64,
+    ) {
+        let (vehicle, duration) = (if is_wide { wide } else { usual }, 10f64.powf(exponent));
+        let (backwards, turned) = (control.mirrored(), vehicle.mirrored());
+        // Rounding grows in the vehicles that turn round by themselves.
+        let rates = Lateral::new(&vehicle, [vehicle.stiffness_n_per_rad; 2], &backwards, 1.0);
+        prop_assume!(rates.is_stable());
+        let pairs = [
+            (
+                integrate(&vehicle, &start, &backwards, duration),
+                integrate(&turned, &start.mirrored(), &control, duration),
+            ),
+            (
+                stiff_step(&vehicle, friction, &start, &backwards, backwards.velocity, duration / 10.0),
+                stiff_step(&turned, friction, &start.mirrored(), &control, control.velocity, duration / 10.0),
+            ),
+        ];
+        for (end, mirror) in pairs {
+            prop_assert!(end.is_finite() && mirror.is_finite());
+            let mirror = mirror.mirrored();
+            let off = difference(&State { yaw: mirror.yaw, ..end }, &[start, mirror], 1e-3);
+            prop_assert!(off.iter().all(|share| *share <= 1e-6), "{off:?} {end:?} {mirror:?}");
+            prop_assert!(wrap_angle(end.yaw - mirror.yaw).abs() <= 1e-6 * (1.0 + end.yaw.abs()));
+        }
+        let speed = control.velocity;
+        let slope = derivative_with_friction(&vehicle, friction, &start, -speed, control.steering);
+        let mirror = derivative_with_friction(&turned, friction, &start.mirrored(), speed, -control.steering);
+        prop_assert!((slope - mirror).amax() <= 1e-9 * (1.0 + slope.amax()), "{slope} {mirror}");
+        let [(sideslip, yaw_rate), (to_side, turn)] =
+            [steady_turn(&vehicle, &backwards), steady_turn(&turned, &control)];
+        prop_assert!((sideslip - to_side).abs() <= 1e-9 * sideslip.abs() && (yaw_rate - turn).abs() <= 1e-9 * turn.abs());
+    }
+
+    #[test]
+    fn a_robot_that_changes_its_direction_moves_finitely_through_rest(
+        shape in any_shape(), start in any_start(), steering in -0.12..=0.12f64, friction in prop_oneof![Just(0.0), 0.05..5.0f64],
+    ) {
+        // From 0.3 m/s to -0.3 m/s in 0.6 s.
+        let end = (0..600).fold(start, |state, step| {
+            let speed = 0.3 - 1e-3 * f64::from(step);
+            let control = Control { velocity: lateral_velocity(speed), steering };
+            stiff_step(&shape, friction, &state, &control, speed, 1e-3)
+        });
+        prop_assert!(end.is_finite() && end.x.hypot(end.y) <= 0.1, "{end:?}");
     }
 
     /// At the velocity where one takes over from the other, from a state that is off the steady turn.
