@@ -45,6 +45,13 @@ pub enum Fault {
         /// The highest value allowed.
         highest: f64,
     },
+    /// A command to drive one way while the robot still rolls the other way.
+    StillRolling {
+        /// The velocity found [m/s].
+        value: f64,
+        /// The velocity that the wheels were last told [m/s].
+        rolling_mps: f64,
+    },
     /// The scan behind it is too old.
     TooOld {
         /// Its age [ms].
@@ -80,6 +87,7 @@ impl Fault {
             Self::UnknownValue { field, value } => (field, f64::from(value)),
             Self::Layout { found, .. } => ("header.layout", f64::from(found)),
             Self::NotVerified { value } => ("verified", f64::from(value)),
+            Self::StillRolling { value, .. } => ("velocity_mps", value),
             Self::TooOld { age_ms } => ("age_ms", age_ms),
             Self::FromTheFuture { ahead_ms } => ("ahead_ms", ahead_ms),
             Self::AnsweredBefore { newest } => ("header.scan_id", newest as f64),
@@ -103,6 +111,12 @@ impl std::fmt::Display for Fault {
             }
             Self::OutsideBounds { field, value, lowest, highest } => {
                 write!(formatter, "outside bounds: {field} = {value} is not within {lowest} to {highest}")
+            }
+            Self::StillRolling { value, rolling_mps } => {
+                write!(
+                    formatter,
+                    "still rolling: velocity_mps = {value} before the robot rests from {rolling_mps} m/s"
+                )
             }
             Self::TooOld { age_ms } => write!(formatter, "too old: its scan was taken {age_ms} ms ago"),
             Self::FromTheFuture { ahead_ms } => {

@@ -28,6 +28,8 @@ wire_enum! {
         AnsweredBefore = 9 "answered_before",
         /// Its numbers are such as its scan and its publisher can have reached.
         ImpossibleNumber = 10 "impossible_number",
+        /// A command to drive the other way finds the robot at rest.
+        StillRolling = 11 "still_rolling",
     }
 }
 
@@ -47,7 +49,7 @@ impl Rule {
 
     /// Whether the publisher of the sample is at fault; age and number may also be due to earlier stages.
     pub const fn is_of_writer(self) -> bool {
-        self.is_of_content() || matches!(self, Self::OutsideBounds)
+        self.is_of_content() || matches!(self, Self::OutsideBounds | Self::StillRolling)
     }
 }
 
@@ -66,6 +68,7 @@ impl Fault {
             Self::Layout { .. } => Rule::Layout,
             Self::NotVerified { .. } => Rule::NotVerified,
             Self::OutsideBounds { .. } => Rule::OutsideBounds,
+            Self::StillRolling { .. } => Rule::StillRolling,
             Self::TooOld { .. } => Rule::TooOld,
             Self::FromTheFuture { .. } => Rule::FromTheFuture,
             Self::AnsweredBefore { .. } => Rule::AnsweredBefore,

@@ -243,6 +243,7 @@ fn fault_of(rule: Rule) -> Option<Fault> {
         Rule::OutsideBounds => {
             Fault::OutsideBounds { field: "sample", value: 0.0, lowest: 0.0, highest: 0.0 }
         }
+        Rule::StillRolling => Fault::StillRolling { value: 0.0, rolling_mps: 0.0 },
         Rule::TooOld => Fault::TooOld { age_ms: 0.0 },
         Rule::FromTheFuture => Fault::FromTheFuture { ahead_ms: 0.0 },
         Rule::AnsweredBefore => Fault::AnsweredBefore { newest: 0 },

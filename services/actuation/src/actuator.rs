@@ -16,6 +16,9 @@
 //! Who drives is told by the orchestrator. While a person does, only commands that state it turn the wheels, and only
 //! for so long as what was given is fresh.
 //!
+//! The other way is driven from rest only: until blocked wheels have had the time to stop the robot, a command to drive
+//! backwards after one to drive forwards is refused, and the reverse.
+//!
 //! Blocked wheels keep their steering angle, so that a robot which still turns its axles does not swerve while it
 //! brakes. Assumption: `now_ns` and the stamps of commands are of one clock. If the clock jumps ahead, the wheels are
 //! blocked for silence; if it jumps back, commands seem to come from the future and are refused.
@@ -97,7 +100,7 @@ impl Actuator {
         let verdict = if age_ns > self.max_age_ns {
             Err(Fault::TooOld { age_ms: milliseconds(age_ns) })
         } else {
-            judge(command, &self.config.vehicle.bounds)
+            judge(command, &self.config.vehicle.bounds).and_then(|desired| self.require_rest(desired, now_ns))
         };
         match verdict {
             Err(fault) => {
@@ -271,6 +274,26 @@ impl Actuator {
         (!passes).then_some(Fault::AnsweredBefore { newest })
     }
 
+    /// Passes a command unless it drives the other way while the robot may still roll.
+    fn require_rest(&self, desired: DesiredCommand, now_ns: u64) -> Result<DesiredCommand, Fault> {
+        let rolling_mps = self.state.velocity_mps;
+        match desired {
+            DesiredCommand::Drive(Control { velocity: value, .. })
+                if value * rolling_mps < 0.0 && now_ns < self.state.rolls_until_ns =>
+            {
+                Err(Fault::StillRolling { value, rolling_mps })
+            }
+            _ => Ok(desired),
+        }
+    }
+
+    /// Time in which blocked wheels stop the robot, from when the block is sent [ns].
+    fn slide_ns(&self) -> u64 {
+        let vehicle = &self.config.vehicle;
+        let slide_s = self.state.velocity_mps.abs() / vehicle.blocked_deceleration_mps2;
+        ((vehicle.command_delay_s + slide_s) * 1e9) as u64
+    }
+
     fn refuse(&mut self, fault: Fault) {
         self.refusal = Some(fault);
         self.state.refused += 1;
@@ -298,6 +321,7 @@ impl Actuator {
             return self.block(BlockReason::InvalidCommand, stop_reason);
         }
         self.state.turning = driver;
+        (self.state.velocity_mps, self.state.rolls_until_ns) = (desired.velocity, u64::MAX);
         self.state.steering_rad = desired.steering;
         self.state.sent_steering_rad = steering;
         (self.state.shaft_rad, self.state.wheels_rad) = (linkage.shaft, linkage.wheels);
@@ -306,12 +330,14 @@ impl Actuator {
     }
 
     /// Blocked wheels that answer no command.
-    fn block_by_itself(&self, reason: BlockReason) -> Actuation {
+    fn block_by_itself(&mut self, reason: BlockReason) -> Actuation {
         Actuation { answers: 0, ..self.block(reason, StopReason::None) }
     }
 
     /// Blocked wheels in answer to a command; an explicit stop is named before any other reason.
-    fn block(&self, reason: BlockReason, stop_reason: StopReason) -> Actuation {
+    fn block(&mut self, reason: BlockReason, stop_reason: StopReason) -> Actuation {
+        let rests_ns = self.state.told_ns.saturating_add(self.slide_ns());
+        self.state.rolls_until_ns = self.state.rolls_until_ns.min(rests_ns);
         let reason = match DrivenBy::try_from(self.state.driven_by) {
             _ if self.is_stopped() && self.state.emergency.is_set() => BlockReason::EmergencyStop,
             _ if self.is_stopped() => BlockReason::StopRequested,

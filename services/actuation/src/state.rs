@@ -26,6 +26,10 @@ plain_state! {
         pub shaft_rad: f64,
         /// Angle that the wheels have, by what was sent [rad]
         pub wheels_rad: f64,
+        /// Velocity desired while driving last [m/s]
+        pub velocity_mps: f64,
+        /// Until when the robot may roll with it: it drives, or slides with blocked wheels [ns]
+        pub rolls_until_ns: u64,
         /// Valid commands in a row
         pub streak: u32,
         /// 1 after silence, until enough valid commands came in a row
@@ -64,6 +68,6 @@ impl ActuatorState {
                 return Err(Fault::OutOfRange { field, value });
             }
         }
-        Ok(())
+        finite("velocity_mps", &[self.velocity_mps])
     }
 }

@@ -40,10 +40,18 @@ pub(crate) fn judge(command: &Command, bounds: &Bounds) -> Result<DesiredCommand
         CommandKind::Drive if stop_reason != StopReason::None => {
             Err(Fault::OutOfRange { field: "reason", value: f64::from(command.reason) })
         }
-        CommandKind::Drive if bounds.contains(desired, ROUNDING) => {
-            Ok(DesiredCommand::Drive(bounds.clamp(desired)))
+        CommandKind::Drive => within(desired, bounds).map(DesiredCommand::Drive),
+    }
+}
+
+/// The control without the rounding beyond its limits; backwards, by those of the vehicle turned round.
+fn within(desired: Control, bounds: &Bounds) -> Result<Control, Fault> {
+    match bounds.mirrored().filter(|_| desired.velocity < 0.0) {
+        Some(backwards) if backwards.contains(desired.mirrored(), ROUNDING) => {
+            Ok(backwards.clamp(desired.mirrored()).mirrored())
         }
-        CommandKind::Drive => Err(outside(desired, bounds)),
+        None if bounds.contains(desired, ROUNDING) => Ok(bounds.clamp(desired)),
+        backwards => Err(outside(desired, bounds, backwards)),
     }
 }
 
@@ -60,9 +68,13 @@ fn require_own_plan(command: &Command) -> Result<(), Fault> {
     Err(Fault::OutOfRange { field: "plan_start_ms", value })
 }
 
-/// Which of the two is outside of its limits.
-fn outside(desired: Control, bounds: &Bounds) -> Fault {
+/// Which of the two is outside of its limits; `backwards` has those of a velocity backwards.
+fn outside(desired: Control, bounds: &Bounds, backwards: Option<Bounds>) -> Fault {
     let Bounds { velocity_min_mps, velocity_max_mps, steering_max_rad, .. } = *bounds;
+    let [velocity_min_mps, velocity_max_mps] = match backwards {
+        Some(backwards) => [-backwards.velocity_max_mps, -velocity_min_mps],
+        None => [velocity_min_mps, velocity_max_mps],
+    };
     let velocities = velocity_min_mps - ROUNDING..=velocity_max_mps + ROUNDING;
     let (field, value, lowest, highest) = if velocities.contains(&desired.velocity) {
         ("steering_rad", desired.steering, -steering_max_rad, steering_max_rad)

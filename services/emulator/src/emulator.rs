@@ -148,7 +148,7 @@ impl Emulator {
         let kind = ActuationKind::try_from(actuation.kind);
         let (velocity, steering) = (actuation.sent_velocity_mps, actuation.sent_steering_rad);
         // NaN is in no range.
-        let is_possible = (-LIMIT_SLACK..=SENT_VELOCITY_MAX_MPS + LIMIT_SLACK).contains(&velocity)
+        let is_possible = velocity.abs() <= SENT_VELOCITY_MAX_MPS + LIMIT_SLACK
             && steering.abs() <= SENT_STEERING_MAX_RAD + LIMIT_SLACK;
         self.step_to(self.state.clock_ns);
         let blocks = match kind {
@@ -160,7 +160,7 @@ impl Emulator {
             }
         };
         // The numbers of a block may be anything.
-        let (velocity_mps, steering_rad) = if blocks { (0.0, 0.0) } else { (velocity.max(0.0), steering) };
+        let (velocity_mps, steering_rad) = if blocks { (0.0, 0.0) } else { (velocity, steering) };
         if let Some(arrives_ns) = self.way.arrives_ns(actuation, self.state.clock_ns) {
             let answered_scan = if actuation.answers == 1 { actuation.header.scan_id } else { 0 };
             let travelling = Travelling {
@@ -292,16 +292,16 @@ impl Emulator {
         if (self.state.plant_ns..end_ns).contains(&((pushed_s * 1e9) as u64)) && pushed_s > 0.0 {
             self.plant.push(pushed_left_m);
         }
-        let turned = !self.plant.is_blocked() && self.plant.speed() > 0.0;
+        let turned = !self.plant.is_blocked() && self.plant.speed() != 0.0;
         let distance = move_on(&mut self.plant, &mut self.reckoning, self.state.plant_ns, end_ns);
         self.state.plant_ns = end_ns;
         self.state.steps += 1;
-        self.state.path_length_m += distance;
+        self.state.path_length_m += distance.abs();
         if turned {
             self.state.longest_blind_ns =
                 self.state.longest_blind_ns.max(end_ns - self.state.last_actuation_ns);
         }
-        self.check_contact(distance > 0.0);
+        self.check_contact(distance != 0.0);
         self.history.push(node(end_ns, &self.plant, &self.reckoning));
     }
 
@@ -335,7 +335,7 @@ impl Emulator {
     }
 }
 
-/// Moves the robot and its odometry; returns the distance driven [m].
+/// Moves the robot and its odometry; returns the distance driven, negative backwards [m].
 fn move_on(plant: &mut Plant, reckoning: &mut Reckoning, start_ns: u64, end_ns: u64) -> f64 {
     let (before, duration) = (*plant.state(), seconds(end_ns - start_ns));
     let distance = plant.step(duration);

@@ -81,7 +81,7 @@ impl Reckoning {
         }
     }
 
-    /// Follows one plant step from `start_ns` on, of `duration` seconds over `distance` metres.
+    /// Follows one plant step from `start_ns` on, of `duration` seconds over `distance` metres, negative backwards.
     ///
     /// The errors of encoders and gyro are drawn for the time at which the step begins.
     pub fn step(&mut self, start_ns: u64, before: &State, after: &State, distance: f64, duration: f64) {
@@ -97,7 +97,7 @@ impl Reckoning {
                 self.integrate(start_ns, after.yaw - before.yaw, distance, duration);
             }
         }
-        if distance > 0.0 || self.drift == DriftGrowth::Time {
+        if distance != 0.0 || self.drift == DriftGrowth::Time {
             self.lateral += self.values.odometry_lateral_rate * duration;
         }
     }
@@ -111,8 +111,8 @@ impl Reckoning {
         let (yaw, counted_m) = (self.yaw, self.encoder_m());
         self.yaw += turn + self.bias * duration + gyro_noise_rad * root_s * noise.normal();
         self.bias += gyro_bias_walk_radps * root_s * noise.normal();
-        self.wheels_m +=
-            distance * (1.0 - odometry_longitudinal) + encoder_slip_m * distance.sqrt() * noise.normal();
+        self.wheels_m += distance * (1.0 - odometry_longitudinal)
+            + encoder_slip_m * distance.abs().sqrt() * noise.normal();
         let mean = f64::midpoint(yaw, self.yaw);
         self.reported += heading(mean) * (self.encoder_m() - counted_m);
         self.reported -= to_track(mean, 0.0, self.lateral) * distance;

@@ -5,15 +5,18 @@
 //! tyres are linear, as in the model, or limited by friction. The robot has no brake: it stops by blocking its wheels,
 //! which slide with a constant deceleration while the steering angle stays as it was.
 //!
+//! It drives backwards as it drives forwards, and changes its direction at rest: by the drive, or at once where that has no
+//! lag.
+//!
 //! The model divides by the velocity. Below [`vehicle::model::SLOWEST_MPS`], 0.05 m/s, the lateral part is computed as
 //! if the robot drove that fast, which keeps it stable; at standstill sideslip and yaw rate are zero. So yaw rates are
 //! too large below 0.05 m/s, where a blocked robot spends 10 ms.
 
 use nalgebra::SVector;
 use vehicle::integrate::{is_stiff, runge_kutta, runge_kutta_vector, stiff_step};
-use vehicle::model::SLOWEST_MPS;
+use vehicle::model::lateral_velocity;
 use vehicle::tyre::{GRAVITY_MPS2, derivative_with_friction};
-use vehicle::{Control, Lag, Parameters, State};
+use vehicle::{Control, Lag, Parameters, State, slid};
 
 use crate::scenario::{Scenario, Values};
 use crate::steering_map::SteeringMap;
@@ -64,7 +67,7 @@ impl Plant {
         &self.state
     }
 
-    /// Speed over ground [m/s].
+    /// Speed over ground, negative backwards [m/s].
     pub fn speed(&self) -> f64 {
         self.speed
     }
@@ -107,7 +110,7 @@ impl Plant {
 
     /// Pushes a robot that stands with blocked wheels to its left [m]: its wheels slide.
     pub fn push(&mut self, left_m: f64) {
-        if self.blocked && self.speed <= 0.0 && !self.wrecked {
+        if self.blocked && self.speed == 0.0 && !self.wrecked {
             self.state.x -= left_m * self.state.yaw.sin();
             self.state.y += left_m * self.state.yaw.cos();
         }
@@ -121,7 +124,7 @@ impl Plant {
         self.settle();
     }
 
-    /// Moves on by `duration` seconds, at most a plant step; returns the distance driven [m].
+    /// Moves on by `duration` seconds, at most a plant step; returns the distance driven, negative backwards [m].
     pub fn step(&mut self, duration: f64) -> f64 {
         match self.blocked {
             true => self.slide(duration),
@@ -144,11 +147,11 @@ impl Plant {
     /// Slides with blocked wheels.
     fn slide(&mut self, duration: f64) -> f64 {
         let (before, deceleration) = (self.speed, self.sliding_mps2());
-        if before <= 0.0 {
+        if before == 0.0 {
             return 0.0;
         }
         let (after, moving) =
-            ((before - deceleration * duration).max(0.0), duration.min(before / deceleration));
+            (slid(before, deceleration, duration), duration.min(before.abs() / deceleration));
         if self.follows_at_once() {
             self.speed = after;
             // The mean speed over the step gives the distance of a constant deceleration exactly: v^2 / (2 a).
@@ -171,7 +174,7 @@ impl Plant {
 
     /// Moves with a constant speed and steering angle; returns the distance [m].
     fn roll(&mut self, speed: f64, duration: f64) -> f64 {
-        if speed <= 0.0 {
+        if speed == 0.0 {
             return 0.0;
         }
         self.state = if self.is_stiff(speed, duration) {
@@ -198,42 +201,42 @@ impl Plant {
         start.fixed_rows_mut::<5>(0).copy_from(&self.state.to_vector());
         (start[5], start[6]) = (self.speed, self.steering);
         let end = runge_kutta_vector(start, duration, |vector| self.rates(&vector));
-        if start[5] > 0.0 || end[5] > 0.0 {
+        if start[5] != 0.0 || end[5] != 0.0 {
             self.state = State::from_vector(&end.fixed_rows::<5>(0).into_owned()).bounded();
         }
         (self.speed, self.steering) = (end[5], end[6]);
         self.settle();
-        end[7].max(0.0)
+        end[7]
     }
 
     fn follow_stiff(&mut self, duration: f64) -> f64 {
         let (from_mps, from_rad) = (self.speed, self.steering);
         if self.blocked {
-            self.speed = (from_mps - self.sliding_mps2() * duration).max(0.0);
+            self.speed = slid(from_mps, self.sliding_mps2(), duration);
         } else {
             self.speed = self.velocity_lag().after(from_mps, self.target_speed, duration);
             self.steering = self.steering_lag().after(from_rad, self.wheels_target(), duration);
         }
         let mean_mps = f64::midpoint(from_mps, self.speed);
-        if mean_mps > 0.0 {
+        if mean_mps != 0.0 {
             self.state = self.stiff_step(mean_mps, f64::midpoint(from_rad, self.steering), duration);
         }
         self.settle();
-        mean_mps.max(0.0) * duration
+        mean_mps * duration
     }
 
     /// Whether a step of so many seconds is too long for an explicit method.
     fn is_stiff(&self, speed: f64, duration: f64) -> bool {
         let Values { velocity_lag_s, steering_lag_s, .. } = self.values;
         let is_short = |lag_s: f64| lag_s > 0.0 && duration > lag_s;
-        let control = Control { velocity: speed.max(SLOWEST_MPS), steering: self.steering };
+        let control = Control { velocity: lateral_velocity(speed), steering: self.steering };
         is_short(velocity_lag_s)
             || is_short(steering_lag_s)
             || is_stiff(&self.parameters, &self.state, &control, duration)
     }
 
     fn stiff_step(&self, speed: f64, steering: f64, duration: f64) -> State {
-        let control = Control { velocity: speed.max(SLOWEST_MPS), steering };
+        let control = Control { velocity: lateral_velocity(speed), steering };
         stiff_step(&self.parameters, self.values.tyre_friction, &self.state, &control, speed, duration)
     }
 
@@ -266,12 +269,17 @@ impl Plant {
         rates.fixed_rows_mut::<5>(0).copy_from(&motion);
         rates[7] = speed;
         if self.blocked {
-            rates[5] = -self.sliding_mps2();
+            rates[5] = (-self.sliding_mps2()).copysign(-self.speed);
             return rates;
         }
         if velocity_lag_s > 0.0 {
             let wanted = (self.target_speed - speed) / velocity_lag_s;
-            rates[5] = wanted.clamp(-deceleration_max_mps2, acceleration_max_mps2);
+            let is_backwards = speed < 0.0 || speed == 0.0 && self.target_speed < 0.0;
+            rates[5] = if is_backwards {
+                wanted.clamp(-acceleration_max_mps2, deceleration_max_mps2)
+            } else {
+                wanted.clamp(-deceleration_max_mps2, acceleration_max_mps2)
+            };
         }
         if steering_lag_s > 0.0 {
             let wanted = (self.wheels_target() - steering) / steering_lag_s;
@@ -282,7 +290,7 @@ impl Plant {
 
     /// At standstill nothing turns.
     fn settle(&mut self) {
-        if self.speed <= 0.0 {
+        if self.speed == 0.0 {
             self.speed = 0.0;
             self.state.sideslip = 0.0;
             self.state.yaw_rate = 0.0;

@@ -179,7 +179,7 @@ impl Robot {
     /// What the wheels do.
     fn wheels(&self) -> Wheels {
         let plant = self.emulator.plant();
-        match (plant.is_blocked(), plant.speed() > 0.0) {
+        match (plant.is_blocked(), plant.speed() != 0.0) {
             (false, _) => Wheels::Turning,
             (true, true) => Wheels::Blocked,
             (true, false) => Wheels::Resting,
@@ -326,7 +326,7 @@ impl Robot {
             header.acquired_ns = self.state.origin_ns + self.emulator.stamp_ns(scan_id);
         }
         (self.change)(&mut scan, &mut odometry, &mut truth);
-        self.rest_published |= self.stopped && truth.speed_mps <= 0.0;
+        self.rest_published |= self.stopped && truth.speed_mps == 0.0;
         if let Some(truths) = &self.truths {
             truths.publish_silently(&mut truth)?;
         }

@@ -17,7 +17,7 @@
 
 use serde::{Deserialize, Serialize};
 use shared_types::plain_state;
-use vehicle::frame::{to_track, wrap_angle};
+use vehicle::frame::{to_robot, to_track, wrap_angle};
 
 /// How measured data are corrected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -96,14 +96,16 @@ impl CorrectionState {
         }
     }
 
-    /// Distance from the last report to the next one [m].
-    pub fn way_m(&self, reported: Planar) -> f64 {
-        (reported.x - self.reported_x_m).hypot(reported.y - self.reported_y_m)
+    /// Distance from the last report to the next one, negative backwards where the robot may reverse [m].
+    pub fn way_m(&self, reported: Planar, reverses: bool) -> f64 {
+        let (dx, dy) = (reported.x - self.reported_x_m, reported.y - self.reported_y_m);
+        let is_behind = to_robot(self.reported_yaw_rad, dx, dy).x < 0.0;
+        if reverses && is_behind { -dx.hypot(dy) } else { dx.hypot(dy) }
     }
 
     /// The corrected pose for the next report, `dt` seconds after the one before, at `speed` [m/s].
     ///
-    /// The distance driven is `way_m` [m], or without it that of a speed which changed evenly.
+    /// The distance driven is `way_m`, negative backwards [m], or without it that of a speed which changed evenly.
     ///
     /// Source note: (7.39) and (7.40) take drift and yaw at the beginning of the interval. Here both, and the speed,
     /// are means of beginning and end: at 100 ms the printed form lags by dds dt / 2 of the distance, 0.1 m over 40 s.
@@ -130,7 +132,7 @@ impl CorrectionState {
         match drift.mode {
             CorrectionMode::Off => {}
             CorrectionMode::Time | CorrectionMode::Moving => {
-                let grows = drift.mode == CorrectionMode::Time || distance > STANDSTILL_MPS * dt;
+                let grows = drift.mode == CorrectionMode::Time || distance.abs() > STANDSTILL_MPS * dt;
                 let growth = if grows { self.grow(drift, dt) } else { 0.0 };
                 let missed = to_track(middle_yaw, drift.longitudinal, self.lateral - growth / 2.0) * distance;
                 self.x_m += missed.x;

@@ -34,7 +34,7 @@ use crate::correction::{CorrectionState, Planar, STANDSTILL_MPS};
 use crate::dead_reckoning::OdometryStep;
 use crate::ekf::{Ekf, Innovation, NotPositive};
 use crate::gyro::{GyroSample, Interval, MAX_BIAS_RADPS};
-use crate::motion::{MotionState, Moved, plausible_speed};
+use crate::motion::{MotionState, Moved};
 use crate::observability::motion_jacobian;
 use crate::self_check::Evidence;
 use crate::{EstimatorConfig, EstimatorState, FilterSettings};
@@ -127,7 +127,7 @@ impl Estimator {
             return None;
         }
         let acquired_ns = odometry.header.acquired_ns;
-        let speed = plausible_speed(odometry.speed_mps).unwrap_or(self.state.motion.speed_mps);
+        let speed = self.speed(odometry);
         let (from, from_mps) = (self.state.estimate, self.state.motion.speed_mps);
         let age_ns = now_ns.saturating_sub(acquired_ns);
         let update = if self.state.initialised.is_set() {
@@ -138,7 +138,8 @@ impl Estimator {
             let interval = self.interval(odometry, speed, dt);
             reported = self.state.gyro.replace(reported, &interval);
             // The speeds at both ends tell nothing about the way between them when the robot may have braked.
-            let way_m = is_cut.then(|| self.state.correction.way_m(reported));
+            let reverses = self.state.motion.slowest(self.state.acquired_ns) < 0.0;
+            let way_m = is_cut.then(|| self.state.correction.way_m(reported, reverses));
             let measured = self.state.correction.correct(&self.settings.drift, reported, speed, dt, way_m);
             let before = self.state;
             let can_be_there = self.is_in_reach(measured, speed, dt);
@@ -316,10 +317,17 @@ impl Estimator {
         }
     }
 
-    /// The largest of the last speed, the measured one, and those sent [m/s].
+    /// The measured speed, or without a plausible one the estimated speed [m/s].
+    fn speed(&self, odometry: &Odometry) -> f64 {
+        let motion = &self.state.motion;
+        motion.plausible_speed(self.state.acquired_ns, odometry.speed_mps).unwrap_or(motion.speed_mps)
+    }
+
+    /// The largest of the last speed, the measured one, and those sent, in either direction [m/s].
     fn fastest(&self, speed: f64) -> f64 {
         let motion = &self.state.motion;
-        motion.controls().iter().fold(motion.speed_mps.max(speed), |most, sent| most.max(sent.velocity_mps))
+        let driven = motion.speed_mps.abs().max(speed.abs());
+        motion.controls().iter().fold(driven, |most, sent| most.max(sent.velocity_mps.abs()))
     }
 
     /// Largest turn of the robot per distance [rad/m].
@@ -327,8 +335,8 @@ impl Estimator {
         SENT_STEERING_MAX_RAD * SHARPER * self.settings.motion.parameters.yaw_rate_gain()
     }
 
-    /// Whether the robot can have driven from the estimate to a place within `dt`: forwards, and at most at the largest of
-    /// its last speed, its measured speed and the speeds sent.
+    /// Whether the robot can have driven from the estimate to a place within `dt`: forwards unless it was told otherwise, and
+    /// at most at the largest of its last speed, its measured speed and the speeds sent.
     fn is_in_reach(&self, place: Planar, speed: f64, dt: f64) -> bool {
         let (way_m, [yaw, x, y]) = (self.fastest(speed) * dt, self.state.estimate);
         let (dx, dy) = (place.x - x, place.y - y);
@@ -336,7 +344,8 @@ impl Estimator {
         let [yaw_margin, x_margin, y_margin] =
             self.settings.measurement_noise.map(|variance| REACH_SIGMA * variance.sqrt());
         let margin_m = x_margin.max(y_margin);
-        ahead_m >= -margin_m
+        let behind_m = if self.state.motion.slowest(self.state.acquired_ns) < 0.0 { way_m } else { 0.0 };
+        ahead_m >= -behind_m - margin_m
             && dx.hypot(dy) <= way_m + margin_m
             && wrap_angle(place.yaw - yaw).abs() <= way_m * self.sharpest() + yaw_margin
     }
@@ -365,7 +374,11 @@ impl Estimator {
         let slid_m = UNIFORM * lost / (2.0 * self.settings.motion.blocked_deceleration_mps2);
         let step = OdometryStep {
             seconds,
-            distance_m: if is_cut { dx_m.hypot(dy_m) } else { f64::midpoint(from_mps, to_mps) * seconds },
+            distance_m: if is_cut {
+                dx_m.hypot(dy_m)
+            } else {
+                f64::midpoint(from_mps, to_mps).abs() * seconds
+            },
             slid_m: if is_cut && self.settings.noise_turns { slid_m } else { 0.0 },
             dx_m,
             dy_m,
@@ -415,7 +428,7 @@ impl Estimator {
         let update = self.update(measured, odometry);
         if self.settings.self_check {
             let acquired_ns = odometry.header.acquired_ns;
-            let speed_mps = plausible_speed(odometry.speed_mps).unwrap_or(self.state.motion.speed_mps);
+            let speed_mps = self.speed(odometry);
             if !is_known {
                 // Nothing shows what the speed should be.
                 self.state.motion.expected_mps = speed_mps;

@@ -10,6 +10,9 @@
 //! estimate follows a robot that is slower than desired, or that stopped by itself. The steering angle is not measured:
 //! it is what the lag makes of the angles sent.
 //!
+//! Speeds backwards are negative. A robot whose wheels were not told to drive backwards does not: a negative speed is noise
+//! at standstill or a fault then, and the estimate does not go below zero.
+//!
 //! The model divides by the velocity; below [`SLOWEST_MPS`] its lateral part is computed as if the robot drove that
 //! fast, and at standstill sideslip and yaw rate are zero. Where it fails: an unknown offset of the steering;
 //! the filter corrects its effect.
@@ -17,8 +20,8 @@
 use shared_types::{Actuation, ActuationKind, Role, plain_state};
 use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 use vehicle::integrate::{MAX_STEP_S, is_stiff, stiff_step};
-use vehicle::model::{SLOWEST_MPS, derivative_at};
-use vehicle::{Control, Parameters, State};
+use vehicle::model::{SLOWEST_MPS, derivative_at, lateral_velocity};
+use vehicle::{Control, Parameters, State, slid};
 
 use crate::correction::Planar;
 
@@ -50,7 +53,7 @@ plain_state! {
 plain_state! {
     /// Speed, sideslip and yaw rate, and the controls of the recent past.
     pub struct MotionState {
-        /// Speed over ground [m/s]
+        /// Speed over ground, negative backwards [m/s]
         pub speed_mps: f64,
         /// Speed that the controls alone explain, without the measured one [m/s]
         pub expected_mps: f64,
@@ -152,11 +155,11 @@ impl MotionState {
 
     /// Begins at a measured speed, with sideslip and yaw rate settled under the control in force.
     pub fn begin(&mut self, model: &MotionModel, at_ns: u64, measured_mps: f64) {
-        self.speed_mps = plausible_speed(measured_mps).unwrap_or(0.0);
+        self.speed_mps = self.plausible_speed(at_ns, measured_mps).unwrap_or(0.0);
         (self.sideslip_rad, self.yaw_rate_radps) = (0.0, 0.0);
         let steering = self.in_force(at_ns).map_or(0.0, |control| control.steering_rad);
         (self.expected_mps, self.steering_rad) = (self.speed_mps, steering);
-        if self.speed_mps >= SLOWEST_MPS {
+        if self.speed_mps.abs() >= SLOWEST_MPS {
             let control = Control { velocity: self.speed_mps, steering };
             (self.sideslip_rad, self.yaw_rate_radps) =
                 vehicle::model::steady_turn(&model.parameters, &control);
@@ -181,12 +184,13 @@ impl MotionState {
             x: pose.x,
             y: pose.y,
         };
-        let measured = measured_mps.and_then(plausible_speed);
+        let measured = measured_mps.and_then(|measured_mps| self.plausible_speed(from_ns, measured_mps));
+        let floor_mps = self.floor_mps(from_ns);
         (self.expected_mps, _) = self.speed_after(model, self.expected_mps, from_ns, to_ns);
         let (state, ahead_m, yaw_rad) = if model.lags() {
-            self.follow(model, start, from_ns, to_ns, measured)
+            self.follow(model, start, [from_ns, to_ns], measured, floor_mps)
         } else {
-            (self.follow_at_once(model, start, from_ns, to_ns, measured), 0.0, 0.0)
+            (self.follow_at_once(model, start, [from_ns, to_ns], measured, floor_mps), 0.0, 0.0)
         };
         (self.sideslip_rad, self.yaw_rate_radps) = (state.sideslip, state.yaw_rate);
         Moved { pose: Planar { yaw: state.yaw, x: state.x, y: state.y }, ahead_m, yaw_rad }
@@ -197,9 +201,9 @@ impl MotionState {
         &mut self,
         model: &MotionModel,
         mut state: State,
-        from_ns: u64,
-        to_ns: u64,
+        [from_ns, to_ns]: [u64; 2],
         measured: Option<f64>,
+        floor_mps: f64,
     ) -> State {
         let mut speed = self.speed_mps;
         let mut start_ns = from_ns;
@@ -216,15 +220,15 @@ impl MotionState {
             let steering_rad = control.map_or(0.0, |control| control.steering_rad);
             match control {
                 Some(ControlInForce { drives: 0, .. }) => {
-                    let slide = seconds.min(speed / model.blocked_deceleration_mps2);
-                    let end = (speed - model.blocked_deceleration_mps2 * slide).max(0.0);
+                    let slide = seconds.min(speed.abs() / model.blocked_deceleration_mps2);
+                    let end = slid(speed, model.blocked_deceleration_mps2, slide);
                     let piece = Piece { duration_s: slide, from_mps: speed, to_mps: end, steering_rad };
                     state = integrate(&model.parameters, state, &piece);
                     // Where the slide ends within the piece, rounding may leave a speed of 1e-17.
                     speed = blend(if slide < seconds { 0.0 } else { end });
                 }
                 _ => {
-                    let desired = control.map_or(speed, |control| control.velocity_mps.max(0.0));
+                    let desired = control.map_or(speed, |control| control.velocity_mps);
                     let end = blend(if continues { speed } else { desired });
                     let from_mps = if continues { speed } else { end };
                     let piece = Piece { duration_s: seconds, from_mps, to_mps: end, steering_rad };
@@ -232,13 +236,13 @@ impl MotionState {
                     speed = end;
                 }
             }
-            if speed <= 0.0 {
+            if speed == 0.0 {
                 (state.sideslip, state.yaw_rate) = (0.0, 0.0);
             }
             self.steering_rad = steering_rad;
             start_ns = end_ns;
         }
-        self.speed_mps = speed.max(0.0);
+        self.speed_mps = speed.max(floor_mps);
         state
     }
 
@@ -252,12 +256,28 @@ impl MotionState {
     pub(crate) fn in_force(&self, at_ns: u64) -> Option<&ControlInForce> {
         self.controls().iter().rev().find(|control| control.from_ns <= at_ns)
     }
-}
 
-/// The measured speed if it is plausible: the robot does not reverse, and at standstill reads zero with a little noise.
-pub(crate) fn plausible_speed(measured_mps: f64) -> Option<f64> {
-    (measured_mps.is_finite() && measured_mps > -0.1 && measured_mps <= FASTEST_MPS)
-        .then(|| measured_mps.max(0.0))
+    /// The lowest speed that the robot can have had since a time: zero, or below it what it was told to drive backwards, or
+    /// still did [m/s].
+    pub(crate) fn slowest(&self, since_ns: u64) -> f64 {
+        let in_force = self.in_force(since_ns).into_iter();
+        let later = self.controls().iter().filter(|control| control.from_ns > since_ns);
+        let still_mps = self.expected_mps.min(0.0);
+        in_force.chain(later).fold(still_mps, |slowest, sent| slowest.min(sent.velocity_mps))
+    }
+
+    /// The lowest plausible speed since a time [m/s].
+    fn floor_mps(&self, since_ns: u64) -> f64 {
+        if self.slowest(since_ns) < 0.0 { -FASTEST_MPS } else { 0.0 }
+    }
+
+    /// The measured speed if it is plausible: a robot reverses only where it was told to since a time, and at standstill reads
+    /// zero with a little noise.
+    pub(crate) fn plausible_speed(&self, since_ns: u64, measured_mps: f64) -> Option<f64> {
+        let floor_mps = self.floor_mps(since_ns);
+        (measured_mps.is_finite() && measured_mps > floor_mps - 0.1 && measured_mps <= FASTEST_MPS)
+            .then(|| measured_mps.max(floor_mps))
+    }
 }
 
 impl MotionModel {
@@ -269,7 +289,7 @@ impl MotionModel {
 
 /// The state after a piece, in steps of at most [`MAX_STEP_S`], each with the speed of its middle.
 fn integrate(parameters: &Parameters, state: State, piece: &Piece) -> State {
-    if piece.duration_s <= 0.0 || (piece.from_mps <= 0.0 && piece.to_mps <= 0.0) {
+    if piece.duration_s <= 0.0 || (piece.from_mps == 0.0 && piece.to_mps == 0.0) {
         return state;
     }
     let steps = (piece.duration_s / MAX_STEP_S).ceil();
@@ -283,7 +303,7 @@ fn integrate(parameters: &Parameters, state: State, piece: &Piece) -> State {
 
 /// One step of the classical Runge-Kutta method on the model; where that is stiff, the closed form.
 fn step(parameters: &Parameters, state: &State, speed: f64, steering: f64, step_s: f64) -> State {
-    let lateral_control = Control { velocity: speed.max(SLOWEST_MPS), steering };
+    let lateral_control = Control { velocity: lateral_velocity(speed), steering };
     if is_stiff(parameters, state, &lateral_control, step_s) {
         return stiff_step(parameters, 0.0, state, &lateral_control, speed, step_s);
     }

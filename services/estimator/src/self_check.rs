@@ -105,15 +105,17 @@ pub struct Evidence {
 }
 
 impl Evidence {
-    /// Share by which the speed is beyond the range from the expected to the desired one, where both are large enough, and
+    /// Share by which the speed, in the direction of the desired one, is beyond the range from the expected to the desired one, where both are large enough, and
     /// the way [m] that it is a share of.
     ///
     /// A drive that is quicker than described is no fault, so a speed within that range is as it should be.
     fn speed_residual(&self) -> Option<(f64, f64)> {
         let desired = self.desired_mps?;
-        let (low, high) = (desired.min(self.expected_mps), desired.max(self.expected_mps));
-        let right_mps = self.speed_mps.clamp(low, high);
-        (low >= SLOWEST_MPS).then(|| (self.speed_mps / right_mps - 1.0, right_mps * self.dt_s))
+        let ahead = 1.0_f64.copysign(desired);
+        let [desired, expected, speed] = [desired, self.expected_mps, self.speed_mps].map(|mps| mps * ahead);
+        let (low, high) = (desired.min(expected), desired.max(expected));
+        let right_mps = speed.clamp(low, high);
+        (low >= SLOWEST_MPS).then(|| (speed / right_mps - 1.0, right_mps * self.dt_s))
     }
 }
 
@@ -133,7 +135,7 @@ impl SelfCheckState {
             }
         }
         // At standstill odometry measures no motion, so it is no evidence.
-        let innovation = evidence.innovation.filter(|_| evidence.speed_mps > 0.0);
+        let innovation = evidence.innovation.filter(|_| evidence.speed_mps != 0.0);
         if let Some([ahead, left, yaw]) = innovation {
             self.innovation_s += evidence.dt_s;
             if ends(self.innovation_s, evidence.dt_s) {
@@ -299,6 +301,15 @@ mod tests {
         let off = |speed_mps| Evidence { speed_mps, ..ramp }.speed_residual().unwrap().0;
         assert!((off(0.54) + 0.1).abs() < 1e-12 && (off(1.1) - 0.1).abs() < 1e-12);
         assert_eq!(Evidence { expected_mps: 0.1, ..ramp }.speed_residual(), None);
+    }
+
+    #[test]
+    fn backwards_the_speed_is_compared_in_its_direction() {
+        let back = |speed_mps| Evidence { speed_mps, desired_mps: Some(-0.3), expected_mps: -0.3, ..GOOD };
+        assert_eq!(back(-0.3).speed_residual(), Some((0.0, 0.3 * 0.1)));
+        assert!((back(-0.27).speed_residual().unwrap().0 + 0.1).abs() < 1e-12);
+        assert!(back(0.3).speed_residual().unwrap().0 < -1.0, "it drives forwards");
+        assert_eq!(Evidence { expected_mps: 0.3, ..back(-0.3) }.speed_residual(), None, "it changes");
     }
 
     #[test]

@@ -16,11 +16,11 @@ use vehicle::Description;
 fn desired(scan: u64, period_s: f64) -> Option<(f64, f64)> {
     let time = scan as f64 * period_s;
     match time {
-        ..0.3 => None,
+        ..0.3 | 12.0..12.5 | 16.0.. => None,
         ..8.0 => Some((0.55 + 0.45 * (1.3 * time).sin(), 0.06 * (2.0 * time).cos())),
         ..9.0 => None,
         ..12.0 => Some((1.0, if time < 10.0 { 0.06 } else { -0.06 })),
-        _ => None,
+        _ => Some((-0.2 - 0.1 * (1.3 * time).sin(), 0.06 * (2.0 * time).cos())),
     }
 }
 
@@ -42,7 +42,7 @@ fn drive(scenario: &Scenario, config: &EstimatorConfig, period_ns: u64) -> Error
     let mut errors = Errors::default();
     let period_s = period_ns as f64 * 1e-9;
     let mut actuation = None;
-    for scan_id in 1..=(13.0 / period_s) as u64 {
+    for scan_id in 1..=(17.0 / period_s) as u64 {
         let now_ns = robot.scan_ready_ns(scan_id);
         robot.advance_to(now_ns);
         let mut odometry = Odometry::default();

@@ -29,8 +29,7 @@ settings! {
             );
         /// Largest velocity backwards, at most `velocity_max_mps`; below `velocity_min_mps`, as 0, the vehicle cannot drive
         /// backwards [m/s].
-        pub reverse_max_mps: f64 = 0.3,
-            (0.0..=SENT_VELOCITY_MAX_MPS, "by the factor of `actuator.calibration` at most 2 m/s");
+        pub reverse_max_mps: f64 = 0.3, 0.0..=SENT_VELOCITY_MAX_MPS;
         /// Largest steering angle to either side, (7.41) [rad].
         pub steering_max_rad: f64 = STEERING_MAX_RAD, 0.001..=SENT_STEERING_MAX_RAD;
         /// Largest sideslip angle to either side, (7.42) [rad].

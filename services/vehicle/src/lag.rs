@@ -60,6 +60,13 @@ impl Lag {
     }
 }
 
+/// The speed of wheels that have slid, blocked, for some seconds with a constant deceleration [m/s^2]: to rest at most, from
+/// either direction [m/s].
+pub fn slid(speed: f64, deceleration_mps2: f64, seconds: f64) -> f64 {
+    let left = (speed.abs() - deceleration_mps2 * seconds).max(0.0);
+    if speed < 0.0 { 0.0 - left } else { left }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -29,7 +29,7 @@ pub use key_table::{
     Ascending, Documented, Invalid, Key, KeyRule, Setting, did_you_mean, of_text, parse, read, require,
     schema_of, set_range, settings, text_of, toml_fault, toml_text,
 };
-pub use lag::Lag;
+pub use lag::{Lag, slid};
 pub use parameters::Parameters;
 pub use state::{Control, SIDEWAYS_RAD, State};
 pub use track::{Surroundings, Track};

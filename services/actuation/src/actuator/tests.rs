@@ -133,7 +133,7 @@ fn whatever_is_wrong_with_a_command_blocks_the_wheels() {
 #[test]
 fn a_refused_command_is_told_which_rule_it_fails() {
     type Spoil = fn(&mut Command);
-    let wrong: [(Rule, &str, Spoil); 10] = [
+    let wrong: [(Rule, &str, Spoil); 12] = [
         (Rule::NotFinite, "steering_rad", |c| c.steering_rad = f64::NAN),
         (Rule::NotVerified, "verified", |c| c.verified = 0),
         (Rule::UnknownValue, "Level", |c| c.level = 9),
@@ -145,7 +145,9 @@ fn a_refused_command_is_told_which_rule_it_fails() {
         }),
         (Rule::OutOfRange, "reason", |c| c.reason = StopReason::Blocked.wire()),
         (Rule::OutsideBounds, "velocity_mps", |c| c.velocity_mps = 1.5),
+        (Rule::OutsideBounds, "velocity_mps", |c| c.velocity_mps = -0.31),
         (Rule::OutsideBounds, "steering_rad", |c| c.steering_rad = -0.5),
+        (Rule::StillRolling, "velocity_mps", |c| c.velocity_mps = -0.3),
         (Rule::AnsweredBefore, "header.scan_id", |c| c.header.scan_id = 1),
         (Rule::FromTheFuture, "ahead_ms", |c| c.header.acquired_ns += 10 * PERIOD_NS),
     ];
@@ -163,6 +165,41 @@ fn a_refused_command_is_told_which_rule_it_fails() {
     let mut actuator = driving(1);
     actuator.answer(&drive(2), arrival(9));
     assert_eq!(actuator.refusal().map(Fault::rule), Some(Rule::TooOld));
+}
+
+/// A command to drive backwards.
+fn reverse(scan: u64) -> Command {
+    Command { velocity_mps: -0.2, ..drive(scan) }
+}
+
+#[test]
+fn a_robot_drives_the_other_way_only_after_blocked_wheels_have_stopped_it() {
+    let mut actuator = driving(1);
+    // 0.5 m/s at 5 m/s^2 and the delay: 120 ms after the first block, which the refusal is itself.
+    for scan in [2, 3] {
+        assert_blocked(&actuator.answer(&reverse(scan), arrival(scan)), BlockReason::InvalidCommand, 1);
+        assert_eq!(actuator.refusal().map(Fault::rule), Some(Rule::StillRolling));
+    }
+    actuator.answer(&command(4, CommandKind::Stop), arrival(4));
+    let backwards = actuator.answer(&reverse(5), arrival(5));
+    assert!(turns(&backwards));
+    assert!((backwards.desired_velocity_mps, backwards.sent_velocity_mps) == (-0.2, 1.4 * -0.2));
+    assert!(turns(&actuator.answer(&reverse(6), arrival(6))));
+    assert_blocked(&actuator.answer(&drive(7), arrival(7)), BlockReason::InvalidCommand, 1);
+    // 0.2 m/s: 60 ms.
+    actuator.answer(&command(8, CommandKind::Stop), arrival(8));
+    assert!(turns(&actuator.answer(&drive(9), arrival(9))));
+}
+
+#[test]
+fn a_vehicle_without_reverse_refuses_to_drive_backwards() {
+    let bounds = vehicle::Bounds { reverse_max_mps: 0.0, ..vehicle::Bounds::default() };
+    let vehicle = vehicle::Description { bounds, ..vehicle::Description::default() };
+    let mut actuator =
+        Actuator::new(ActuatorConfig { vehicle, ..ActuatorConfig::default() }, PERIOD_NS).unwrap();
+    assert_blocked(&actuator.answer(&reverse(1), arrival(1)), BlockReason::InvalidCommand, 1);
+    let fault = Fault::OutsideBounds { field: "velocity_mps", value: -0.2, lowest: 0.1, highest: 1.0 };
+    assert_eq!(actuator.refusal(), Some(&fault));
 }
 
 #[test]
@@ -496,6 +533,7 @@ proptest! {
         let calibration = if identity { Calibration::Identity } else { Calibration::Default };
         let mut actuator = Actuator::new(ActuatorConfig { calibration, ..ActuatorConfig::default() }, PERIOD_NS).unwrap();
         let (mut now, mut scan, mut answered, mut stopped) = (1_000_000_000, 1, 0, false);
+        let mut rolling = 0.0;
         for (event, pause) in events {
             now += pause;
             let mut admissible = false;
@@ -511,7 +549,11 @@ proptest! {
                     (command.velocity_mps, command.steering_rad) = (velocity, steering);
                     admissible = kind == CommandKind::Drive.wire() && verified == 1 && scan > answered
                         && velocity.is_finite() && steering.is_finite()
-                        && ActuatorConfig::default().vehicle.bounds.contains(Control { velocity, steering }, 1e-6)
+                        && {
+                            let (bounds, control) = (ActuatorConfig::default().vehicle.bounds, Control { velocity, steering });
+                            bounds.contains(control, 1e-6)
+                                || bounds.mirrored().unwrap().contains(control.mirrored(), 1e-6)
+                        }
                         && age_ns <= 3 * PERIOD_NS as i64 && age_ns >= -(PERIOD_NS as i64);
                     let actuation = actuator.answer(&command, now);
                     if actuation.answers == 1 {
@@ -528,11 +570,13 @@ proptest! {
                 prop_assert!(sent_steering.is_finite() && sent_steering.abs() <= SENT_STEERING_MAX_RAD);
                 if turns(&actuation) {
                     prop_assert!(admissible && !stopped, "{actuation:?}");
+                    prop_assert!(sent_velocity * rolling >= 0.0, "{sent_velocity} after {rolling}");
                     prop_assert_eq!(actuation.reason, BlockReason::None.wire());
                 } else {
                     prop_assert!(actuation.reason != BlockReason::None.wire());
                     prop_assert_eq!(sent_velocity, 0.0);
                 }
+                rolling = sent_velocity;
             }
         }
     }

@@ -109,7 +109,7 @@ fn impossible_actuations_are_refused_and_do_not_feed_the_dead_man() {
         drive(f64::NAN, 0.0),
         drive(0.5, f64::INFINITY),
         drive(2.01, 0.0),
-        drive(-0.1, 0.0),
+        drive(-2.01, 0.0),
         drive(0.5, 0.121),
         Actuation { kind: 9, ..Actuation::default() },
     ];
@@ -141,6 +141,20 @@ fn driving_into_a_box_is_a_collision_and_ends_the_motion() {
     // The front, 0.28 m ahead, meets the face at 1 m within one plant step.
     assert!((0.72..0.7211).contains(&truth.x_m), "{}", truth.x_m);
     assert!((-0.0011..=0.0).contains(&truth.min_clearance_m));
+}
+
+#[test]
+fn a_robot_that_reverses_reports_it_and_collides_with_its_rear() {
+    let mut emulator =
+        ideal("[[obstacle]]\nshape = \"box\"\nx_m = -1.05\ny_m = 0\nlength_m = 0.1\nwidth_m = 0.4");
+    lockstep(&mut emulator, 1..=10, &drive(-0.5, 0.0));
+    emulator.advance_to(emulator.scan_ready_ns(11));
+    let (_, odometry, truth) = measure(&mut emulator, 11);
+    assert_eq!((truth.speed_mps, odometry.speed_mps), (-0.5, -0.5));
+    assert!(odometry.dx_m < -0.04 && truth.x_m < -0.4 && truth.path_length_m > 0.4, "{truth:?}");
+    let truth = lockstep(&mut emulator, 12..=40, &drive(-0.5, 0.0));
+    assert_eq!((truth.collided, truth.struck, truth.speed_mps), (1, 0, 0.0));
+    assert!((-0.7206..=-0.72).contains(&truth.x_m), "{}", truth.x_m);
 }
 
 #[test]

@@ -52,6 +52,39 @@ fn blocked_wheels_slide_v_squared_over_two_a() {
 }
 
 #[test]
+fn a_robot_drives_backwards_as_one_that_is_turned_round_drives_forwards() {
+    for robot in [ideal(), Robot { tyre_friction: Some(0.8), ..lagging() }] {
+        let mut backwards = plant(robot);
+        backwards.drive(-0.3, 0.05);
+        let mut mirror = plant(robot);
+        mirror.parameters = mirror.parameters.mirrored();
+        mirror.state = mirror.state.mirrored();
+        mirror.drive(0.3, -0.05);
+        for milliseconds in [1500, 300] {
+            let [way, mirror_way] = [&mut backwards, &mut mirror].map(|plant| run(plant, milliseconds));
+            assert!((way + mirror_way).abs() < 1e-9 && (backwards.speed + mirror.speed).abs() < 1e-12);
+            let difference = backwards.state.to_vector() - mirror.state.mirrored().to_vector();
+            assert!(difference.amax() < 1e-9, "{difference}");
+            [&mut backwards, &mut mirror].map(Plant::block);
+        }
+        assert_eq!((backwards.speed, backwards.state.yaw_rate), (0.0, 0.0));
+        assert!(backwards.state.x < -0.4 && backwards.state.y.abs() > 0.01, "{backwards:?}");
+    }
+}
+
+#[test]
+fn the_drive_brakes_before_it_drives_the_other_way() {
+    let limits = Robot { acceleration_max_mps2: Some(2.0), deceleration_max_mps2: Some(3.0), ..lagging() };
+    let mut plant = plant(limits);
+    plant.drive(1.0, 0.0);
+    run(&mut plant, 3000);
+    plant.drive(-1.0, 0.0);
+    // 3 m/s^2 down to zero, and 2 m/s^2 from there.
+    run(&mut plant, 433);
+    assert!((plant.speed() + 0.2).abs() < 2e-3, "{}", plant.speed());
+}
+
+#[test]
 fn blocked_wheels_keep_their_angle() {
     let mut plant = plant(ideal());
     plant.drive(1.0, 0.06);

@@ -1,7 +1,7 @@
 //! The motion of a robot whose speed and steering angle lag behind the desired ones.
 
-use vehicle::State;
 use vehicle::integrate::MAX_STEP_S;
+use vehicle::{State, slid};
 
 use super::{ControlInForce, MotionModel, MotionState};
 
@@ -38,9 +38,9 @@ impl Wheels {
 fn speed_after(model: &MotionModel, control: Option<&ControlInForce>, speed: f64, seconds: f64) -> f64 {
     match control {
         Some(control) if control.drives == 1 => {
-            model.velocity_lag.after(speed, control.velocity_mps.max(0.0), seconds)
+            model.velocity_lag.after(speed, control.velocity_mps, seconds)
         }
-        Some(_) => (speed - model.blocked_deceleration_mps2 * seconds).max(0.0),
+        Some(_) => slid(speed, model.blocked_deceleration_mps2, seconds),
         None => speed,
     }
 }
@@ -75,9 +75,9 @@ impl MotionState {
         &mut self,
         model: &MotionModel,
         mut state: State,
-        from_ns: u64,
-        to_ns: u64,
+        [from_ns, to_ns]: [u64; 2],
         measured: Option<f64>,
+        floor_mps: f64,
     ) -> (State, f64, f64) {
         let seconds = to_ns.saturating_sub(from_ns) as f64 * 1e-9;
         if seconds <= 0.0 {
@@ -96,18 +96,19 @@ impl MotionState {
             let duration = (end_ns - start_ns) as f64 * 1e-9;
             let offset = |at_s: f64| growth * ((start_ns - from_ns) as f64 * 1e-9 + at_s);
             let steps = steps(
-                wheels.speed + offset(0.0),
-                wheels.after(model, control, duration).speed + offset(duration),
+                (wheels.speed + offset(0.0)).max(floor_mps).abs(),
+                (wheels.after(model, control, duration).speed + offset(duration)).max(floor_mps).abs(),
                 duration,
             );
             let step_s = duration / steps;
             for step in 0..steps as usize {
                 let next = wheels.after(model, control, step_s);
                 let speed = (wheels.speed + next.speed) / 2.0 + offset((step as f64 + 0.5) * step_s);
+                let speed = speed.max(floor_mps);
                 let steering = (wheels.steering + next.steering) / 2.0;
-                if speed > 0.0 {
+                if speed != 0.0 {
                     state = super::step(&model.parameters, &state, speed, steering, step_s);
-                    turned += speed
+                    turned += speed.abs()
                         * step_s
                         * control.map_or(0.0, |control| (control.steering_rad - steering).abs());
                 } else {
@@ -117,9 +118,9 @@ impl MotionState {
             }
             start_ns = end_ns;
         }
-        self.speed_mps = (wheels.speed + growth * seconds).max(0.0);
+        self.speed_mps = (wheels.speed + growth * seconds).max(floor_mps);
         self.steering_rad = wheels.steering;
-        if self.speed_mps <= 0.0 {
+        if self.speed_mps == 0.0 {
             (state.sideslip, state.yaw_rate) = (0.0, 0.0);
         }
         let ahead_m = UNIFORM * growth.abs() * seconds * seconds;
@@ -127,9 +128,9 @@ impl MotionState {
     }
 }
 
-/// Number of equal steps for a piece between two speeds; one where the robot stands throughout.
+/// Number of equal steps for a piece between two speeds in either direction; one where the robot stands throughout.
 fn steps(from_mps: f64, to_mps: f64, duration: f64) -> f64 {
-    if from_mps <= 0.0 && to_mps <= 0.0 {
+    if from_mps == 0.0 && to_mps == 0.0 {
         return 1.0;
     }
     let longest = (STEP_PER_SPEED * from_mps.min(to_mps)).clamp(MAX_STEP_S, MAX_LAG_STEP_S);

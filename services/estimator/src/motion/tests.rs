@@ -113,6 +113,23 @@ fn a_speed_that_cannot_be_is_not_believed() {
 }
 
 #[test]
+fn a_robot_that_was_told_to_reverse_does_and_another_does_not() {
+    for model in [model(1.0), lagging()] {
+        let mut motion = MotionState::default();
+        motion.note(&drive(0, -0.3, 0.05), 0);
+        let pose = motion.advance(&model, Planar::default(), 0, 1000 * MS, Some(-0.3)).pose;
+        assert!((motion.speed_mps + 0.3).abs() < 1e-9 && pose.x < -0.2 && pose.y > 0.0, "{pose:?}");
+        assert!(motion.yaw_rate_radps < 0.0);
+        motion.note(&actuation(1000 * MS, ActuationKind::Block, 0.0, 0.0), 0);
+        let rest = motion.advance(&model, pose, 1000 * MS, 1100 * MS, Some(0.0)).pose;
+        // 0.3 m/s at 5 m/s^2: 9 mm.
+        assert!(((rest.x - pose.x).hypot(rest.y - pose.y) - 0.009).abs() < 1e-4, "{rest:?}");
+        assert_eq!((motion.speed_mps, motion.yaw_rate_radps), (0.0, 0.0));
+        assert_eq!(motion.plausible_speed(1100 * MS, -0.3), None, "the wheels are blocked");
+    }
+}
+
+#[test]
 fn actuations_that_are_old_repeated_or_broken_change_nothing() {
     let mut motion = MotionState::default();
     motion.note(&drive(50, 0.5, 0.01), 0);
@@ -164,7 +181,8 @@ fn plant(controls: &[(u64, f64, f64)], until_ms: u64) -> (State, f64, f64) {
         let Some((_, velocity, angle)) = now else { continue };
         let slope = vehicle::model::derivative_at(&Parameters::default(), &state, speed, steering);
         state = State::from_vector(&(state.to_vector() + slope * step_s));
-        speed += ((velocity - speed) / 0.15).clamp(-3.0, 2.0) * step_s;
+        let (lowest, highest) = if speed + velocity < 0.0 { (-2.0, 3.0) } else { (-3.0, 2.0) };
+        speed += ((velocity - speed) / 0.15).clamp(lowest, highest) * step_s;
         steering += ((angle - steering) / 0.1).clamp(-0.5, 0.5) * step_s;
     }
     (state, speed, steering)
@@ -172,7 +190,13 @@ fn plant(controls: &[(u64, f64, f64)], until_ms: u64) -> (State, f64, f64) {
 
 #[test]
 fn a_prediction_is_where_a_plant_with_the_same_lags_gets_to() {
-    let controls = [(20, 1.0, 0.06), (130, 0.4, -0.06), (250, 0.9, 0.02)];
+    for side in [1.0, -1.0] {
+        predicts_as_a_plant(side);
+    }
+}
+
+fn predicts_as_a_plant(side: f64) {
+    let controls = [(20, 1.0 * side, 0.06), (130, 0.4 * side, -0.06), (250, 0.9 * side, 0.02)];
     let mut motion = MotionState::default();
     for (from_ms, velocity, steering) in controls {
         motion.note(&drive(from_ms * MS - 20 * MS, velocity, steering), 20 * MS);
