@@ -86,6 +86,8 @@ wire_enum! {
         Paused = 12 "paused",
         /// The person who drives asks for no motion, or is silent.
         Released = 13 "released",
+        /// The robot stands to change between forwards and backwards.
+        Reversal = 14 "reversal",
     }
 }
 

@@ -167,7 +167,7 @@ impl Referee {
             time_s: truth.time_s,
             place: [truth.x_m, truth.y_m, truth.yaw_rad],
             blocked: truth.blocked != 0 && !turned,
-            stands: truth.blocked != 0 && truth.speed_mps <= 0.0,
+            stands: truth.blocked != 0 && truth.speed_mps == 0.0,
             dead_man: truth.dead_man != 0,
         };
         self.decide(&sight, contact)

@@ -26,6 +26,7 @@ use crate::config::{ControllerConfig, SideRule};
 use crate::contest::Contest;
 use crate::escape::struck_at_rest;
 use crate::explicit_side;
+use crate::gear::{self, Legs};
 use crate::landing::{Approach, approach};
 use crate::lattice::Search;
 use crate::margin::MarginModel;
@@ -59,8 +60,9 @@ const SLOWING_SHARE: f64 = 0.35;
 /// The controller of the robot.
 #[derive(Debug, Clone)]
 pub struct Controller {
-    /// The settings, with the goal that the robot drives to.
+    /// The settings, with the goal that the robot drives to, for the leg that it drives.
     config: ControllerConfig,
+    legs: Legs,
     goals: Vec<Goal>,
     /// The first scan of the given goal that is among `goals`; 0 while none is.
     given_from: u64,
@@ -80,15 +82,18 @@ impl Controller {
     ///
     /// # Errors
     /// [`Invalid`] with the first setting that is not allowed.
-    pub fn new(config: ControllerConfig) -> Result<Self, Invalid> {
+    pub fn new(mut config: ControllerConfig) -> Result<Self, Invalid> {
         config.validate()?;
+        let planner = Planner::new(&config);
+        let legs = Legs::new(&mut config);
         let mut reference_path = ReferencePath::default();
         reference_path.set_line(0.0, config.goal.y_m, config.cruise_mps);
         Ok(Self {
             goals: std::iter::once(config.goal).chain(config.next_goals.iter().copied()).collect(),
             given_from: 0,
             search: Search::default(),
-            planner: Planner::new(&config),
+            planner,
+            legs,
             state: ControllerState::default(),
             predicted: Vec::with_capacity(shared_types::MAX_OBSTACLES),
             reference_path,
@@ -161,14 +166,36 @@ impl Controller {
         };
         let period_s = self.period(pose);
         self.heed_goal(obstacles.header.scan_id);
-        self.config.goal = self.goals[self.goal_index()];
+        self.enter_leg(pose);
+        let turned = self.legs.is_reverse().then(|| gear::turned(pose));
+        let pose = turned.as_ref().unwrap_or(pose);
         self.state.acquired_ns = pose.header.acquired_ns;
         let decided = self.decide(pose, obstacles, period_s, budget, &mut command);
         match decided.and_then(|choice| self.may_drive(choice)) {
             Ok(choice) => self.drive(choice, &mut command),
             Err(reason) => self.stop(reason, &mut command),
         }
+        if turned.is_some() {
+            gear::turn_back(&mut command);
+        }
         command
+    }
+
+    /// The settings for the leg that the robot drives: the next one when it rests at the end of one.
+    fn enter_leg(&mut self, pose: &Pose) {
+        let by_person = self.state.driven_by == DrivenBy::Person.wire();
+        match self.state.arrival() {
+            Arrival::LegDriven if rests(pose) && !by_person => {
+                self.state.leg = self.state.leg.saturating_add(1);
+                self.state.arrival = Arrival::OnTheWay.wire();
+            }
+            Arrival::StateLost => self.state.leg = self.legs.find(pose),
+            _ => {}
+        }
+        if self.legs.enter(self.state.leg, by_person, &mut self.config) {
+            self.planner.turn(&self.config);
+        }
+        self.config.goal = self.legs.goal(self.goals[self.goal_index()]);
     }
 
     /// The decisions in their order; an error is the reason to block the wheels.
@@ -180,7 +207,7 @@ impl Controller {
         budget: &Budget,
         command: &mut Command,
     ) -> Result<Choice, StopReason> {
-        let rests = pose.speed_mps.abs() < REST_MPS && pose.predicted_speed_mps.abs() < REST_MPS;
+        let rests = rests(pose);
         let arrival = self.state.arrival();
         let by_person = self.state.driven_by == DrivenBy::Person.wire();
         match arrival {
@@ -189,7 +216,8 @@ impl Controller {
             Arrival::Landed => self.leave(pose.header.acquired_ns, rests)?,
             Arrival::StateLost if !rests => return Err(StopReason::StateLost),
             Arrival::StateLost => self.state.arrival = Arrival::OnTheWay.wire(),
-            Arrival::OnTheWay | Arrival::Passed => {}
+            Arrival::LegDriven if !by_person => return Err(StopReason::Reversal),
+            Arrival::OnTheWay | Arrival::Passed | Arrival::LegDriven => {}
         }
         let scanner = &obstacles.scanner;
         // Bodies that a faulty scanner shows may contradict the pose: then the scanner is the reason.
@@ -205,7 +233,7 @@ impl Controller {
         if pose.alarm == Alarm::Stop.wire() {
             return Err(StopReason::SelfCheck);
         }
-        let mut start = Start::new(&self.config, pose, scanner, initial, period_s)?;
+        let mut start = Start::new(&self.config, pose, scanner, initial, period_s, self.legs.is_reverse())?;
         (command.speed_limit_mps, command.margin) =
             (start.limit_mps, start.margin.at(0.0, pose.predicted_speed_mps.abs()));
         if by_person {
@@ -453,13 +481,15 @@ impl Controller {
 
     fn drive_to(&mut self, index: usize) {
         self.state.goal = index as u64;
-        self.config.goal = self.goals[index];
+        self.config.goal = self.legs.goal(self.goals[index]);
     }
 
     /// Lands, or stops behind the goal; a goal that was passed stays passed until the robot is well before it.
     fn arrive(&self, initial: &State, speed: f64, period_s: f64) -> Result<(), StopReason> {
         let goal = &self.config.goal;
+        let is_leg_end = self.legs.ends_before(&self.goals[self.goal_index()]);
         match approach(goal, initial, speed, period_s, &self.config.vehicle) {
+            Approach::Land | Approach::Passed if is_leg_end => Err(StopReason::Reversal),
             Approach::Land => Err(StopReason::Landed),
             Approach::Passed => Err(StopReason::GoalPassed),
             Approach::Ahead
@@ -693,6 +723,7 @@ impl Controller {
         match reason {
             StopReason::Landed => state.arrival = Arrival::Landed.wire(),
             StopReason::GoalPassed => state.arrival = Arrival::Passed.wire(),
+            StopReason::Reversal => state.arrival = Arrival::LegDriven.wire(),
             StopReason::Blocked => state.blocked_scans = state.blocked_scans.saturating_add(1),
             _ => {}
         }
@@ -700,6 +731,11 @@ impl Controller {
         (state.velocity_mps, state.steering_rad) = (0.0, 0.0);
         state.plan_length = 0;
     }
+}
+
+/// Whether the robot rests, and will when the command acts.
+fn rests(pose: &Pose) -> bool {
+    pose.speed_mps.abs() < REST_MPS && pose.predicted_speed_mps.abs() < REST_MPS
 }
 
 /// A given goal as one of the settings.

@@ -15,6 +15,7 @@ mod ellipses;
 mod escape;
 mod explicit_side;
 mod frames;
+mod gear;
 #[cfg(test)]
 #[path = "../tests/common/independent.rs"]
 mod independent;

@@ -18,7 +18,7 @@ use std::sync::Arc;
 
 use ocp::{Budget, Problem, Solution, Solver, Status, Trajectory};
 use shared_types::{Command, Level, PlanNode, Pose, SolveStatus};
-use vehicle::{Control, State};
+use vehicle::{Control, Parameters, State};
 
 use crate::config::ControllerConfig;
 use crate::ellipses::fill_ellipses;
@@ -123,6 +123,8 @@ pub(crate) struct Choice {
 pub(crate) struct Planner {
     solver: Solver,
     problem: Problem,
+    /// The models of the robot forwards and backwards.
+    models: [Arc<Parameters>; 2],
     guess: Trajectory,
     solution: Solution,
     /// Index of the obstacle that each ellipse of the problem belongs to.
@@ -145,8 +147,10 @@ pub(crate) struct Planner {
 impl Planner {
     /// A planner for `config`, which is valid.
     pub(crate) fn new(config: &ControllerConfig) -> Self {
+        let parameters = config.vehicle.parameters();
+        let models = [parameters, parameters.mirrored()].map(Arc::new);
         let problem = Problem {
-            model: Arc::new(config.vehicle.parameters()),
+            model: models[0].clone(),
             bounds: config.vehicle.bounds,
             x_range: config.track.x_m,
             y_range: config.y_range(),
@@ -161,6 +165,7 @@ impl Planner {
         };
         Self {
             solver: Solver::new(config.solver),
+            models,
             problem,
             guess: Trajectory::default(),
             solution: Solution::default(),
@@ -173,6 +178,15 @@ impl Planner {
             #[cfg(test)]
             injection: Injection::default(),
         }
+    }
+
+    /// Plans for the robot and the direction of travel of `config` from now on.
+    pub(crate) fn turn(&mut self, config: &ControllerConfig) {
+        let parameters = config.vehicle.parameters();
+        if let Some(model) = self.models.iter().find(|model| ***model == parameters) {
+            self.problem.model = model.clone();
+        }
+        self.problem.bounds = config.vehicle.bounds;
     }
 
     /// The first plan that may be driven, `None` without one. The figures of the solver go into `command`.

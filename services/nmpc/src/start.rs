@@ -40,7 +40,8 @@ pub(crate) struct Start {
 }
 
 impl Start {
-    /// The start from `initial`, with the period between the last two scans.
+    /// The start from `initial`, with the period between the last two scans. What the scanner shows ahead does not limit a
+    /// robot that drives backwards.
     ///
     /// # Errors
     /// [`StopReason::Scanner`] or [`StopReason::NoSafeSpeed`] when the robot can't stop in time at any speed.
@@ -50,6 +51,7 @@ impl Start {
         scanner: &ScannerHealth,
         initial: State,
         period_s: f64,
+        is_reverse: bool,
     ) -> Result<Self, StopReason> {
         let margin = MarginModel::of(config, pose);
         let stopping = Stopping::new(config, period_s, margin.age_s());
@@ -59,7 +61,7 @@ impl Start {
         if limit_mps < slowest_mps {
             return Err(StopReason::NoSafeSpeed);
         }
-        let limit_mps = limit_mps.min(seen_mps(config, &stopping, scanner));
+        let limit_mps = limit_mps.min(seen_mps(config, &stopping, scanner, is_reverse));
         if limit_mps < slowest_mps {
             return Err(StopReason::Scanner);
         }
@@ -85,8 +87,9 @@ impl Start {
 }
 
 /// Largest speed at which the robot stops within what the scanner shows [m/s]; zero when it shows nothing.
-fn seen_mps(config: &ControllerConfig, stopping: &Stopping, scanner: &ScannerHealth) -> f64 {
-    let seen_m = scanner.seen_ahead_m - config.vehicle.length_m / 2.0 - STOP_MARGIN_M;
+fn seen_mps(config: &ControllerConfig, stopping: &Stopping, scanner: &ScannerHealth, is_reverse: bool) -> f64 {
+    let seen_m = if is_reverse { f64::INFINITY } else { scanner.seen_ahead_m };
+    let seen_m = seen_m - config.vehicle.length_m / 2.0 - STOP_MARGIN_M;
     if seen_m.is_nan() {
         return 0.0;
     }

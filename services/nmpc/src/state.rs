@@ -17,6 +17,8 @@ pub(crate) enum Arrival {
     Passed = 2,
     /// The state was lost while driving: the robot has to rest before anything else.
     StateLost = 3,
+    /// At the end of a leg of the course, where it changes its direction of travel.
+    LegDriven = 4,
 }
 
 impl Arrival {
@@ -29,7 +31,7 @@ impl Arrival {
 impl ControllerState {
     /// How far the robot has come; an unknown number counts as on the way.
     pub(crate) fn arrival(&self) -> Arrival {
-        let others = [Arrival::Landed, Arrival::Passed, Arrival::StateLost];
+        let others = [Arrival::Landed, Arrival::Passed, Arrival::StateLost, Arrival::LegDriven];
         others.into_iter().find(|arrival| arrival.wire() == self.arrival).unwrap_or(Arrival::OnTheWay)
     }
 }
@@ -44,7 +46,8 @@ impl ControllerState {
 plain_state! {
     /// The state of a controller after a scan: the last verified plan, the sides held, and latched decisions.
     pub struct ControllerState {
-        /// 0 on the way, 1 when the robot has landed, 2 when it has passed the goal, 3 when it has to rest before all else
+        /// 0 on the way, 1 when the robot has landed, 2 when it has passed the goal, 3 when it has to rest before all else,
+        /// 4 at the end of a leg
         pub arrival: u32,
         /// Scans since the path was found blocked, from 1; 0 when it is not
         pub blocked_scans: u32,
@@ -76,8 +79,8 @@ plain_state! {
         pub given: GivenGoal,
         /// Who drives, `DrivenBy`
         pub driven_by: u32,
-        /// Unused, zero
-        pub reserved: u32,
+        /// Which leg of the course it drives, from 0
+        pub leg: u32,
         /// What a person who drives asked for last
         pub person: GivenControl,
         /// The last verified plan, on the course
@@ -100,11 +103,11 @@ mod tests {
 
     #[test]
     fn an_arrival_is_restored_and_an_unknown_number_is_on_the_way() {
-        for arrival in [Arrival::OnTheWay, Arrival::Landed, Arrival::Passed, Arrival::StateLost] {
-            let state = ControllerState { arrival: arrival.wire(), ..ControllerState::default() };
-            assert_eq!(state.arrival(), arrival);
+        for number in 0..=4 {
+            let arrival = ControllerState { arrival: number, ..ControllerState::default() }.arrival();
+            assert_eq!(arrival.wire(), number);
         }
-        let state = ControllerState { arrival: 4, ..ControllerState::default() };
+        let state = ControllerState { arrival: 5, ..ControllerState::default() };
         assert_eq!(state.arrival(), Arrival::OnTheWay);
     }
 }

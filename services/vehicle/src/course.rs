@@ -32,6 +32,9 @@ pub use outline::{CourseOutline, ellipse_point};
 /// How far from where a position was a moment ago it is looked for, behind and ahead [m].
 const NEAR_M: [f64; 2] = [2.0, 3.0];
 
+/// Rounding of the place beside a point [m].
+const OFF_M: f64 = 1e-6;
+
 /// Places of a course that are no further apart are one: where a lap ends, the next one begins [m].
 const SAME_M: f64 = 1.0;
 
@@ -45,6 +48,8 @@ pub struct Course {
     begin_m: f64,
     /// Where its last piece ends [m].
     length_m: f64,
+    /// Whether it has parts that are driven backwards beside others.
+    turns_back: bool,
 }
 
 /// A part of constant curvature.
@@ -129,7 +134,12 @@ impl Course {
         &self.keys
     }
 
-    /// Length from the first waypoint to the last one [m].
+    /// Where it begins: zero but for a later leg of another course [m].
+    pub fn begin_m(&self) -> f64 {
+        self.begin_m
+    }
+
+    /// Length from the first waypoint to the last one; where a leg of another course ends [m].
     pub fn length_m(&self) -> f64 {
         self.length_m
     }
@@ -205,6 +215,9 @@ impl Course {
         // At an end of the range the course continues straight; elsewhere the point is beside it.
         let beyond = if along_m >= to_m { ahead.max(0.0) } else { 0.0 };
         let before = if along_m <= from_m { ahead.min(0.0) } else { 0.0 };
+        // Where the course turns back, a point ahead of its end is as far beside it as it is away.
+        let off = ahead - beyond - before;
+        let left = if self.turns_back && off.abs() > OFF_M { off.hypot(left).copysign(left) } else { left };
         [along_m + beyond + before, left]
     }
 

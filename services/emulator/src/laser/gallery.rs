@@ -11,7 +11,7 @@ mod grid;
 mod sections;
 
 use nalgebra::Vector2;
-use vehicle::course::Tangent;
+use vehicle::course::{Leg, Tangent};
 use vehicle::{Course, Surroundings};
 
 use super::hall::{PILLAR_M, SPACING_M, WALL_M};
@@ -20,6 +20,8 @@ use sections::Sections;
 
 /// The bounds of the track are this far before the begin and behind the end of the course [m].
 const BEYOND_M: f64 = 2.0;
+/// The same where the robot changes between forwards and backwards [m].
+const BEYOND_TURN_M: f64 = 0.0;
 /// Parts of a wall that stand this much nearer to another part of the way than the walls of that are left out [m].
 const SLACK_M: f64 = 0.1;
 /// Longest step along the course from one corner of a wall to the next [m].
@@ -40,7 +42,7 @@ impl Gallery {
     pub(super) fn of(course: &Course) -> Option<Self> {
         let keys = course.keys();
         let is_seen = keys.surroundings == Surroundings::Hall && !course.is_line();
-        is_seen.then(|| Self { grid: Grid::new(Plan::of(course, keys.width_m / 2.0).segments()) })
+        is_seen.then(|| Self { grid: Grid::new(segments(course, keys.width_m / 2.0)) })
     }
 
     /// Distance along a beam (unit `direction`) to a wall or a pillar [m], infinite beyond the reach of the scanner.
@@ -49,25 +51,39 @@ impl Gallery {
     }
 }
 
-/// Where the walls of a course stand.
+/// The walls of all legs of a course, each beside its own and in the way of none.
+fn segments(course: &Course, half_width: f64) -> Vec<Segment> {
+    let wall = half_width + WALL_M;
+    let beyond = BEYOND_M + WALL_M;
+    let legs = course.legs();
+    let mut sections = Sections::new(wall - SLACK_M);
+    let ends = |leg: &Course| {
+        let [begin, end] = [leg.begin_m(), leg.length_m()];
+        let turns = [begin > 0.0, end < course.length_m()];
+        let [before, behind] = turns.map(|turns| if turns { BEYOND_TURN_M + WALL_M } else { beyond });
+        [begin - before, end + behind]
+    };
+    for leg in &legs {
+        let [first, last] = ends(&leg.course);
+        sections.add(&leg.course, [first + SLACK_M, last - SLACK_M]);
+    }
+    let plan = |leg: &Leg| {
+        Plan { course: &leg.course, ends: ends(&leg.course), wall, sections: &sections }.segments()
+    };
+    legs.iter().flat_map(plan).collect()
+}
+
+/// Where the walls of a leg stand.
 struct Plan<'a> {
     course: &'a Course,
     /// The end walls, along the course [m].
     ends: [f64; 2],
     /// Distance of the side walls from the course [m].
     wall: f64,
-    sections: Sections,
+    sections: &'a Sections,
 }
 
-impl<'a> Plan<'a> {
-    fn of(course: &'a Course, half_width: f64) -> Self {
-        let wall = half_width + WALL_M;
-        let beyond = BEYOND_M + WALL_M;
-        let kept_free = [SLACK_M - beyond, course.length_m() + beyond - SLACK_M];
-        let sections = Sections::of(course, kept_free, wall - SLACK_M);
-        Self { course, ends: [-beyond, course.length_m() + beyond], wall, sections }
-    }
-
+impl Plan<'_> {
     fn segments(&self) -> Vec<Segment> {
         let mut segments = Vec::new();
         for side in [-self.wall, self.wall] {
@@ -132,10 +148,11 @@ impl<'a> Plan<'a> {
 
     /// Adds the pillars of the wall `side` metres to the left, equally spaced along it; one is at the begin of the course.
     fn pillars(&self, side: f64, segments: &mut Vec<Segment>) {
-        self.pillar(0.0, side, segments);
+        let begin = self.course.begin_m();
+        self.pillar(begin, side, segments);
         let corner = |along: f64| self.course.at(along).point(0.0, side);
         for (end, direction) in self.ends.into_iter().zip([-1.0, 1.0]) {
-            let (mut along, mut since) = (0.0, 0.0);
+            let (mut along, mut since) = (begin, 0.0);
             while (end - along) * direction > 0.0 {
                 let step = self.step(along);
                 let length = (corner(along + direction * step) - corner(along)).norm();

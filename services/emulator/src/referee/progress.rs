@@ -1,5 +1,6 @@
 //! How far a robot has come along the course: a goal where the course passes more than once is reached in its own lap.
 
+use vehicle::course::Follower;
 use vehicle::{Course, State};
 
 use crate::scenario::Scenario;
@@ -12,7 +13,7 @@ const ASTRAY_M: f64 = 5.0;
 /// The place of the robot on the course.
 #[derive(Debug, Clone)]
 pub(super) struct Progress {
-    course: Option<Course>,
+    course: Option<(Course, Follower)>,
     along_m: f64,
     /// Where the goals are [m].
     goals_m: Vec<f64>,
@@ -21,20 +22,27 @@ pub(super) struct Progress {
 impl Progress {
     /// At the start of a scenario; without a course there is nothing to follow.
     pub(super) fn new(scenario: &Scenario) -> Self {
+        let along_m = scenario.start_on_course().x_m;
         Self {
-            course: scenario.course.clone(),
-            along_m: scenario.start_on_course().x_m,
+            course: scenario.course.clone().map(|course| {
+                let follower = Follower::new(&course, along_m);
+                (course, follower)
+            }),
+            along_m,
             goals_m: scenario.goals_on_course().iter().map(|goal| goal.x_m).collect(),
         }
     }
 
     /// Follows the robot to a position and direction in the plane.
     pub(super) fn follow(&mut self, [x, y, yaw]: [f64; 3]) {
-        let Some(course) = self.course.as_ref().filter(|_| x.is_finite() && y.is_finite()) else { return };
+        let Some((course, follower)) = self.course.as_mut().filter(|_| x.is_finite() && y.is_finite()) else {
+            return;
+        };
         let pose = State { x, y, yaw, ..State::default() };
-        let near = course.on_course(&pose, self.along_m);
-        let is_near = near.y.abs() < ASTRAY_M;
-        self.along_m = if is_near { near.x } else { course.find(&pose) };
+        if follower.follow(&pose).y.abs() >= ASTRAY_M {
+            follower.put(course.find(&pose));
+        }
+        self.along_m = follower.along_m();
     }
 
     /// From now on a goal is elsewhere [m].

@@ -28,4 +28,5 @@ pub(super) const SHIPPED: &[(&str, &str)] = shipped![
     "overtake",
     "intersection",
     "stations",
+    "u-turn",
 ];

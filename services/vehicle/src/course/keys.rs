@@ -106,7 +106,8 @@ impl TryFrom<CourseKeys> for Course {
             piece.speed_mps = points[piece.waypoint].speed_mps.unwrap_or(f64::INFINITY);
         }
         let length_m = pieces.last().map_or(0.0, |piece| piece.begin_m + piece.length_m);
-        let course = Self { pieces: pieces.into(), begin_m: 0.0, length_m, keys };
+        let turns_back = points.iter().any(|point| point.reverse);
+        let course = Self { pieces: pieces.into(), begin_m: 0.0, length_m, turns_back, keys };
         let (bend, half_m) = (course.sharpest(), course.keys.width_m / 2.0);
         if bend.radius_m <= half_m {
             let value = format!("a bend with a radius of {:.2} m", bend.radius_m);

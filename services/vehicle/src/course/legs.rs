@@ -52,8 +52,13 @@ impl Leg {
     fn of(pieces: &[Piece]) -> Self {
         let (first, last) = (pieces[0], pieces[pieces.len() - 1]);
         let length_m = last.begin_m + last.length_m;
-        let course =
-            Course { keys: CourseKeys::default(), pieces: pieces.into(), begin_m: first.begin_m, length_m };
+        let course = Course {
+            keys: CourseKeys::default(),
+            pieces: pieces.into(),
+            begin_m: first.begin_m,
+            length_m,
+            turns_back: false,
+        };
         Self { course, is_reverse: first.is_reverse, end_m: length_m }
     }
 }

@@ -14,31 +14,34 @@ const SPACING_M: f64 = 0.1;
 pub(super) struct Sections {
     /// Side of a cell: sections of the cells around it reach a point [m].
     cell: f64,
-    spacing: f64,
-    cells: BTreeMap<[i64; 2], Vec<Tangent>>,
+    /// With the distance from one to the next [m].
+    cells: BTreeMap<[i64; 2], Vec<(Tangent, f64)>>,
 }
 
 impl Sections {
-    /// Sections between two places along the course that reach so far to both sides.
-    pub(super) fn of(course: &Course, [from, to]: [f64; 2], reach: f64) -> Self {
+    /// No sections yet, of ways that reach so far to both sides.
+    pub(super) fn new(reach: f64) -> Self {
+        Self { cell: reach + SPACING_M, cells: BTreeMap::new() }
+    }
+
+    /// Adds sections between two places along a course.
+    pub(super) fn add(&mut self, course: &Course, [from, to]: [f64; 2]) {
         let steps = ((to - from) / SPACING_M).ceil().max(1.0);
         let spacing = (to - from) / steps;
-        let mut sections = Self { cell: reach + spacing, spacing, cells: BTreeMap::new() };
         for step in 0..=steps as u32 {
             let tangent = course.at(from + f64::from(step) * spacing);
-            sections.cells.entry(sections.cell_of(tangent.point)).or_default().push(tangent);
+            self.cells.entry(self.cell_of(tangent.point)).or_default().push((tangent, spacing));
         }
-        sections
     }
 
     /// Whether a point is on a section, less than `reach` metres from the course. Beyond the ends of the course nothing is.
     pub(super) fn hold(&self, point: Vector2<f64>, reach: f64) -> bool {
         let [x, y] = self.cell_of(point);
         let around = (-1..=1).flat_map(|column| (-1..=1).map(move |row| [x + column, y + row]));
-        around.filter_map(|cell| self.cells.get(&cell)).flatten().any(|tangent| {
+        around.filter_map(|cell| self.cells.get(&cell)).flatten().any(|(tangent, spacing)| {
             let [ahead, left] = tangent.offset(point);
             // Outside of a bend the sections spread.
-            let between = self.spacing * (0.5 + tangent.curvature.abs() * reach);
+            let between = spacing * (0.5 + tangent.curvature.abs() * reach);
             left.abs() < reach && ahead.abs() <= between + 1e-9
         })
     }

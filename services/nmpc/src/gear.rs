@@ -1,0 +1,121 @@
+//! Forwards or backwards: the legs of the course, and the settings with which each is driven.
+//!
+//! A robot that drives backwards moves as one that is turned round and drives forwards, with its axles exchanged and its
+//! steering the other way. So a leg that is driven backwards is planned for that robot: the pose is turned round before,
+//! and the command behind it.
+
+use shared_types::{Command, Pose};
+use vehicle::course::Leg;
+use vehicle::{Description, Goal, State};
+
+use crate::config::ControllerConfig;
+
+/// How far from the end of a leg the robot may change its direction of travel [m].
+const TOLERANCE_M: f64 = 0.15;
+/// A goal so little behind the end of a leg is at its end [m].
+const SAME_M: f64 = 1e-3;
+
+/// The legs of a course.
+#[derive(Debug, Clone)]
+pub(crate) struct Legs {
+    legs: Vec<Leg>,
+    forwards: Driving,
+    backwards: Driving,
+    /// The leg that the settings are for, and whether the robot is turned round.
+    entered: (usize, bool),
+}
+
+/// What differs between forwards and backwards.
+#[derive(Debug, Clone, Copy)]
+struct Driving {
+    vehicle: Description,
+    cruise_mps: f64,
+    careful_mps: f64,
+}
+
+impl Legs {
+    /// The legs of the course of `config`, which is for the first one from now on.
+    pub(crate) fn new(config: &mut ControllerConfig) -> Self {
+        let legs = config.course.legs();
+        let ControllerConfig { vehicle, cruise_mps, careful_mps, .. } = *config;
+        let bounds = vehicle.bounds.mirrored().unwrap_or(vehicle.bounds);
+        let turned = Description { bounds, rear_m: vehicle.front_m, front_m: vehicle.rear_m, ..vehicle };
+        let slower = |velocity: f64| velocity.min(bounds.velocity_max_mps);
+        let backwards =
+            Driving { vehicle: turned, cruise_mps: slower(cruise_mps), careful_mps: slower(careful_mps) };
+        config.course = legs[0].course.clone();
+        Self { legs, forwards: Driving { vehicle, cruise_mps, careful_mps }, backwards, entered: (0, false) }
+    }
+
+    /// The settings of a leg in `config`; true where they are others than before. A person drives forwards on each.
+    pub(crate) fn enter(&mut self, leg: u32, by_person: bool, config: &mut ControllerConfig) -> bool {
+        let index = (leg as usize).min(self.legs.len() - 1);
+        let entered = (index, self.legs[index].is_reverse && !by_person);
+        if entered == self.entered {
+            return false;
+        }
+        self.entered = entered;
+        let Driving { vehicle, cruise_mps, careful_mps } =
+            if entered.1 { self.backwards } else { self.forwards };
+        config.course.clone_from(&self.legs[index].course);
+        (config.vehicle, config.cruise_mps, config.careful_mps) = (vehicle, cruise_mps, careful_mps);
+        true
+    }
+
+    /// Whether the robot drives backwards.
+    pub(crate) fn is_reverse(&self) -> bool {
+        self.entered.1
+    }
+
+    /// Whether the robot changes its direction of travel before it gets to a goal.
+    pub(crate) fn ends_before(&self, goal: &Goal) -> bool {
+        goal.x_m > self.legs[self.entered.0].end_m + SAME_M
+    }
+
+    /// Where the robot lands on this leg: at the goal, or at the end of the leg.
+    pub(crate) fn goal(&self, goal: Goal) -> Goal {
+        if !self.ends_before(&goal) {
+            return goal;
+        }
+        let x_m = self.legs[self.entered.0].end_m;
+        Goal { x_m, y_m: 0.0, tolerance_m: TOLERANCE_M, ..Goal::default() }
+    }
+
+    /// The leg on which a robot that has lost its state is most likely.
+    pub(crate) fn find(&self, pose: &Pose) -> u32 {
+        let misfit = |leg: &Leg| {
+            let pose = if leg.is_reverse { turned(pose) } else { *pose };
+            let state = State {
+                x: pose.predicted_x_m,
+                y: pose.predicted_y_m,
+                yaw: pose.predicted_yaw_rad,
+                ..State::default()
+            };
+            let place = leg.course.on_course(&state, leg.course.find(&state));
+            place.y.abs() + place.yaw.abs() + (place.x - leg.end_m).max(0.0)
+        };
+        let nearest = self.legs.iter().enumerate().min_by(|one, other| misfit(one.1).total_cmp(&misfit(other.1)));
+        nearest.map_or(0, |(index, _)| index as u32)
+    }
+}
+
+/// The pose of the robot turned round.
+pub(crate) fn turned(pose: &Pose) -> Pose {
+    let turn = |yaw: f64| State { yaw, ..State::default() }.mirrored().yaw;
+    Pose {
+        yaw_rad: turn(pose.yaw_rad),
+        predicted_yaw_rad: turn(pose.predicted_yaw_rad),
+        speed_mps: -pose.speed_mps,
+        predicted_speed_mps: -pose.predicted_speed_mps,
+        ..*pose
+    }
+}
+
+/// Makes the command for the robot turned round that of the robot.
+pub(crate) fn turn_back(command: &mut Command) {
+    (command.velocity_mps, command.steering_rad) = (-command.velocity_mps, -command.steering_rad);
+    for node in &mut command.plan[..command.plan_length as usize] {
+        node.yaw_rad = State { yaw: node.yaw_rad, ..State::default() }.mirrored().yaw;
+        (node.velocity_mps, node.steering_rad) = (-node.velocity_mps, -node.steering_rad);
+    }
+}
