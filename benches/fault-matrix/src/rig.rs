@@ -143,7 +143,7 @@ impl Rig {
             self.is_halted = true;
             self.simulation.halt();
         }
-        if self.is_halted && self.simulation.speed_mps() <= 0.0 {
+        if self.is_halted && self.simulation.speed_mps() == 0.0 {
             self.outcome = Some(Outcome::Failed);
         } else if is_scan {
             self.outcome = self.referee.observe(&self.judge.truth, self.judge.actuation.as_ref());

@@ -132,5 +132,5 @@ fn finish(rig: &mut Rig) -> (DrivenWay, Outcome, String) {
 fn passed(rig: &Rig) -> Passed {
     let (truth, place) = (rig.truth(), rig.place());
     let at_m = [truth.x_m, truth.y_m];
-    Passed { at_ns: place.at_ns, at_m, way_m: place.way_m, speed_mps: truth.speed_mps }
+    Passed { at_ns: place.at_ns, at_m, way_m: place.way_m, speed_mps: truth.speed_mps.abs() }
 }

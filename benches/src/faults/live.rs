@@ -109,7 +109,7 @@ fn drive(fault: &ProcessFault, phase: DrivePhase, settings: &PipelineSettings) -
         let _ = asking.wait();
     }
     let course = DrivenWay(watch.passed.split_off(before.min(watch.passed.len())));
-    let stands = watch.newest.speed_mps <= 0.0;
+    let stands = watch.newest.speed_mps == 0.0;
     let outcome = match &report {
         Some(report) => report.outcome.name(),
         None if is_over => "failed",

@@ -73,7 +73,7 @@ impl Watch {
                 at_ns: truth.header.acquired_ns,
                 at_m: [truth.x_m, truth.y_m],
                 way_m: truth.path_length_m,
-                speed_mps: truth.speed_mps,
+                speed_mps: truth.speed_mps.abs(),
             });
         })?;
         if injected && newest.dead_man == 1 && !self.had_dead_man {

@@ -251,7 +251,7 @@ fn stop(settings: &PipelineSettings, appears_m: f64) -> Result<Stop, Invalid> {
         }
         match speed_mps {
             Some(speed_mps) if truth.collided != 0 => return Ok(Stop::Touches { speed_mps }),
-            Some(speed_mps) if truth.speed_mps <= 0.0 => {
+            Some(speed_mps) if truth.speed_mps == 0.0 => {
                 return Ok(Stop::Stands { distance_m: front_m - appears_m, speed_mps });
             }
             _ if truth.time_s >= settings.scenario.timeout_s => return Ok(Stop::Stays),

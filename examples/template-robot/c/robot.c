@@ -154,7 +154,7 @@ static void block(struct driver *driver, uint64_t now_ns) {
 
 /* Whether a velocity and an angle can be meant; NaN is in no range. */
 static int is_possible(const scanloop_actuation *actuation) {
-    return actuation->sent_velocity_mps >= -SLACK && actuation->sent_velocity_mps <= VELOCITY_MAX_MPS + SLACK &&
+    return fabs(actuation->sent_velocity_mps) <= VELOCITY_MAX_MPS + SLACK &&
            fabs(actuation->sent_steering_rad) <= STEERING_MAX_RAD + SLACK;
 }
 

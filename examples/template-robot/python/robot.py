@@ -175,7 +175,7 @@ class Driver:
         now_ns = self._process.now_ns()
         while (actuation := self._actuations.take()) is not None:
             velocity, steering = actuation.sent_velocity_mps, actuation.sent_steering_rad
-            is_possible = -SLACK <= velocity <= VELOCITY_MAX_MPS + SLACK and abs(steering) <= STEERING_MAX_RAD + SLACK
+            is_possible = abs(velocity) <= VELOCITY_MAX_MPS + SLACK and abs(steering) <= STEERING_MAX_RAD + SLACK
             if actuation.kind == ActuationKind.BLOCK:
                 self._block(now_ns)
             elif actuation.kind == ActuationKind.DRIVE and is_possible:

@@ -235,13 +235,18 @@ impl ScanRecord {
 pub fn deviates(commands: &[Command], actuation: &Actuation) -> bool {
     let differs = |command: &Command| {
         command.kind == CommandKind::Drive.wire()
-            && (actuation.desired_velocity_mps > command.velocity_mps + FASTER_MPS
+            && (is_faster(actuation.desired_velocity_mps, command.velocity_mps)
                 || (actuation.desired_steering_rad - command.steering_rad).abs() > OTHERWISE_RAD)
     };
     actuation.answers == 1
         && actuation.kind == ActuationKind::Drive.wire()
         && !commands.is_empty()
         && commands.iter().all(differs)
+}
+
+/// Whether a velocity is clearly larger than the one asked for, or in the other direction.
+fn is_faster(driven_mps: f64, asked_mps: f64) -> bool {
+    driven_mps * 1.0_f64.copysign(asked_mps) > asked_mps.abs() + FASTER_MPS || driven_mps * asked_mps < 0.0
 }
 
 /// Whether an answer turns the wheels although none of the commands that it may answer asks for that.

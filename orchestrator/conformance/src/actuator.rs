@@ -3,7 +3,7 @@
 use shared_types::{Actuation, ActuationKind, Command, CommandKind, Level, StopReason};
 use vehicle::Control;
 use vehicle::bounds::ROUNDING;
-use vehicle::correction::{Correction, Linkage};
+use vehicle::correction::{CommandCorrection, Correction, Linkage};
 
 use super::case::{Tried, Verdict, failed, passed_if, require};
 use super::drive::Course;
@@ -30,7 +30,13 @@ pub(crate) fn limits(bench: &mut TestBench<'_>) -> Verdict {
     Ok(format!("{} commands outside the limits", OUTSIDE.len()))
 }
 
-/// Passes when the robot is sent what is right for what is commanded, with the calibration of the course.
+/// Blocked wheels have stopped the robot after this time: from 1 m/s at 5 m/s^2, with the delay of the command [ns].
+const STOPPED_NS: u64 = 300_000_000;
+/// Backwards to the left.
+const BACKWARDS: Control = Control { velocity: -0.2, steering: 0.03 };
+
+/// Passes when the robot is sent what is right for what is commanded, with the calibration of the course, and after a stop
+/// also backwards.
 pub(crate) fn sends(bench: &mut TestBench<'_>) -> Verdict {
     let correction = bench.drive.settings.tuning.actuator.calibration.correction();
     let mut driven = 0;
@@ -41,18 +47,44 @@ pub(crate) fn sends(bench: &mut TestBench<'_>) -> Verdict {
         }
         driven += 1;
         let desired = Control { velocity: command.velocity_mps, steering: command.steering_rad };
-        // The calibrations of these drives have no play, so the position of the linkage does not matter.
-        let Correction { velocity, steering, .. } = correction.correct(desired, Linkage::default());
-        let sent = (actuation.sent_velocity_mps, actuation.sent_steering_rad);
-        let off = (sent.0 - velocity).abs().max((sent.1 - steering).abs());
-        let text = |velocity: f64, steering: f64| format!("{velocity:.4} m/s and {steering:.5} rad");
-        let (right, desired) = (text(velocity, steering), text(desired.velocity, desired.steering));
-        require(off <= ROUNDING, || {
-            format!("sent {} for {desired}; {right} is right", text(sent.0, sent.1))
-        })?;
+        require_sent(&correction, desired, &actuation)?;
     }
     require(driven * 2 >= SCANS, || format!("{driven} of {SCANS} commands to drive were driven"))?;
-    Ok(format!("{driven} commands"))
+    // The first block comes with the first of them.
+    for _ in 0..=STOPPED_NS.div_ceil(bench.suite.period_ns) {
+        bench.round_with(|message| message.change(stop))?;
+    }
+    for _ in 0..2 {
+        let answer = bench.round_with(|message| message.change(|command| go(command, BACKWARDS)))?;
+        require(drives(&answer), || format!("it does not drive at {} m/s from rest", BACKWARDS.velocity))?;
+        require_sent(&correction, BACKWARDS, answer.sample()?)?;
+    }
+    Ok(format!("{driven} commands, and backwards"))
+}
+
+/// Requires that what is right for a control is sent.
+fn require_sent(correction: &CommandCorrection, desired: Control, actuation: &Actuation) -> Tried {
+    // The calibrations of these drives have no play, so the position of the linkage does not matter.
+    let Correction { velocity, steering, .. } = correction.correct(desired, Linkage::default());
+    let sent = (actuation.sent_velocity_mps, actuation.sent_steering_rad);
+    let off = (sent.0 - velocity).abs().max((sent.1 - steering).abs());
+    let text = |velocity: f64, steering: f64| format!("{velocity:.4} m/s and {steering:.5} rad");
+    let (right, desired) = (text(velocity, steering), text(desired.velocity, desired.steering));
+    require(off <= ROUNDING, || format!("sent {} for {desired}; {right} is right", text(sent.0, sent.1)))
+}
+
+/// Makes it a command to stop.
+fn stop(command: &mut Command) {
+    (command.kind, command.level) = (CommandKind::Stop.wire(), Level::Stop.wire());
+    (command.reason, command.verified) = (StopReason::Blocked.wire(), 0);
+    (command.velocity_mps, command.steering_rad) = (0.0, 0.0);
+}
+
+/// Makes it a command to drive.
+fn go(command: &mut Command, control: Control) {
+    (command.kind, command.level) = (CommandKind::Drive.wire(), Level::Converged.wire());
+    (command.reason, command.verified) = (StopReason::None.wire(), 1);
+    (command.velocity_mps, command.steering_rad) = (control.velocity, control.steering);
 }
 
 pub(crate) fn obeys_stop(suite: &Suite) -> Verdict {
@@ -61,9 +93,8 @@ pub(crate) fn obeys_stop(suite: &Suite) -> Verdict {
         let mut bench = suite.started_on(Course::Corridor, FIRST_SCAN)?;
         driving(&mut bench)?;
         let scan_id = with_command(&mut bench, |command| {
-            (command.kind, command.level) = (kind.wire(), Level::Stop.wire());
-            (command.reason, command.verified) = (reason.wire(), 0);
-            (command.velocity_mps, command.steering_rad) = (0.0, 0.0);
+            stop(command);
+            (command.kind, command.reason) = (kind.wire(), reason.wire());
         })?;
         let answer = bench.answer(scan_id)?;
         let Actuation { kind: answered, stop_reason, .. } = answer.sample()?;

@@ -81,7 +81,10 @@ fn command(command: &Command) -> Result<(), String> {
     }
     let bounds = Bounds::default();
     let steering_rad = bounds.steering_max_rad + ROUNDING;
-    within!(bounds.velocity_min_mps - ROUNDING..=bounds.velocity_max_mps + ROUNDING, command: velocity_mps);
+    let highest_mps =
+        if command.velocity_mps < 0.0 { bounds.reverse_max_mps } else { bounds.velocity_max_mps };
+    let range = bounds.velocity_min_mps - ROUNDING..=highest_mps + ROUNDING;
+    inside("velocity_mps, in its direction,", command.velocity_mps.abs(), range)?;
     within!(-steering_rad..=steering_rad, command: steering_rad);
     inside("verified", command.verified.into(), 1.0..=1.0)
 }
@@ -93,9 +96,11 @@ fn actuation(actuation: &Actuation) -> Result<(), String> {
     }
     let bounds = Bounds::default();
     let (desired_rad, sent_rad) = (bounds.steering_max_rad + ROUNDING, SENT_STEERING_MAX_RAD + ROUNDING);
-    within!(0.0..=bounds.velocity_max_mps + ROUNDING, actuation: desired_velocity_mps);
+    let desired_mps = -bounds.reverse_max_mps - ROUNDING..=bounds.velocity_max_mps + ROUNDING;
+    within!(desired_mps, actuation: desired_velocity_mps);
     within!(-desired_rad..=desired_rad, actuation: desired_steering_rad);
-    within!(0.0..=SENT_VELOCITY_MAX_MPS + ROUNDING, actuation: sent_velocity_mps);
+    let sent_mps = SENT_VELOCITY_MAX_MPS + ROUNDING;
+    within!(-sent_mps..=sent_mps, actuation: sent_velocity_mps);
     within!(-sent_rad..=sent_rad, actuation: sent_steering_rad);
     Ok(())
 }

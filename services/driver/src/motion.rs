@@ -104,16 +104,18 @@ impl Motion {
         Self { time_ns, pose: [x_m + way_m * cos, y_m + way_m * sin, yaw_rad + turned], ..*self }
     }
 
-    /// Whether the robot can have driven from here to `later`: forwards, at up to the larger of both speeds and of
-    /// `ordered_mps`, with a tolerance of a tenth and of `REACH_M`.
+    /// Whether the robot can have driven from here to `later`: at a speed between the lowest and the highest of both and of
+    /// `ordered_mps`, those that it was told since, with a tolerance of a tenth and of `REACH_M`.
     ///
     /// Another place is that of a server that was started anew, with its odometry at zero.
-    pub fn reaches(&self, later: &Self, ordered_mps: f64) -> bool {
+    pub fn reaches(&self, later: &Self, [slowest_mps, fastest_mps]: [f64; 2]) -> bool {
         let seconds = later.time_ns.saturating_sub(self.time_ns) as f64 * 1e-9;
-        let fastest_mps = self.speed_mps.max(later.speed_mps).max(ordered_mps);
+        let slowest_mps = slowest_mps.min(self.speed_mps).min(later.speed_mps);
+        let fastest_mps = fastest_mps.max(self.speed_mps).max(later.speed_mps).max(-slowest_mps);
         let (dx, dy) = (later.pose[0] - self.pose[0], later.pose[1] - self.pose[1]);
         let (sin, cos) = self.pose[2].sin_cos();
-        dx * cos + dy * sin >= -REACH_M && dx.hypot(dy) <= 1.1 * fastest_mps * seconds + REACH_M
+        dx * cos + dy * sin >= 1.1 * slowest_mps.min(0.0) * seconds - REACH_M
+            && dx.hypot(dy) <= 1.1 * fastest_mps * seconds + REACH_M
     }
 
     /// The motion between two at a time between theirs.
@@ -234,17 +236,22 @@ mod tests {
         let from = at(0, 5.0, 1.0);
         // An outage in which the base drove on, and one in which it stopped.
         for (time_ms, x_m) in [(1_200, 6.2), (3_000, 8.0), (1_200, 5.2), (100, 5.1)] {
-            assert!(from.reaches(&at(time_ms, x_m, 0.0), 0.0), "{time_ms} ms, {x_m} m");
+            assert!(from.reaches(&at(time_ms, x_m, 0.0), [0.0; 2]), "{time_ms} ms, {x_m} m");
         }
         // Its odometry at zero, or elsewhere: 1.2 s at 1 m/s are 1.32 m with a tenth, and 0.1 m.
         for (time_ms, x_m) in [(1_200, 0.0), (1_200, 4.8), (1_200, 6.43), (100, 5.4), (60_000, 4.0)] {
-            assert!(!from.reaches(&at(time_ms, x_m, 0.0), 0.0), "{time_ms} ms, {x_m} m");
+            assert!(!from.reaches(&at(time_ms, x_m, 0.0), [0.0; 2]), "{time_ms} ms, {x_m} m");
         }
         // It was told to drive faster than it did.
         let slow = at(0, 5.0, 0.1);
-        assert!(!slow.reaches(&at(1_000, 5.9, 0.0), 0.1) && slow.reaches(&at(1_000, 5.9, 0.0), 0.8));
+        assert!(
+            !slow.reaches(&at(1_000, 5.9, 0.0), [0.0, 0.1]) && slow.reaches(&at(1_000, 5.9, 0.0), [0.0, 0.8])
+        );
         let turned = Motion { pose: [5.0, 0.0, FRAC_PI_2], ..from };
-        assert!(turned.reaches(&Motion { pose: [5.0, 0.9, 0.0], ..at(1_000, 5.0, 0.0) }, 0.0));
+        assert!(turned.reaches(&Motion { pose: [5.0, 0.9, 0.0], ..at(1_000, 5.0, 0.0) }, [0.0; 2]));
+        // It was told to drive backwards.
+        let back = |x_m, slowest_mps| slow.reaches(&at(1_000, x_m, 0.0), [slowest_mps, 0.0]);
+        assert!(back(4.7, -0.2) && !back(4.6, -0.2) && !back(4.7, 0.0));
     }
 
     #[test]

@@ -96,7 +96,7 @@ struct Driver<R> {
     /// The motion of the last scan, as the server reported it.
     reported: Motion,
     /// Largest velocity that was sent since the last scan [m/s].
-    ordered_mps: f64,
+    ordered_mps: [f64; 2],
     /// The odometry that was published last.
     last: Option<Odometry>,
     /// Time of the first front beam [ns].
@@ -136,7 +136,7 @@ impl<R: ForeignRobot> Driver<R> {
             devices: Devices::new(settings.has_scanner, monotonic_ns()),
             anchor: None,
             reported: Motion::default(),
-            ordered_mps: 0.0,
+            ordered_mps: [0.0; 2],
             last: None,
             first_ns: 0,
             scan: Scan {
@@ -258,12 +258,12 @@ impl<R: ForeignRobot> Driver<R> {
     }
 
     fn drive(&mut self, actuation: &Actuation) {
-        let (velocity_mps, steering_rad) =
-            (actuation.sent_velocity_mps.max(0.0), actuation.sent_steering_rad);
+        let (velocity_mps, steering_rad) = (actuation.sent_velocity_mps, actuation.sent_steering_rad);
         let axle_distance_m = self.vehicle.front_m + self.vehicle.rear_m;
         let numbers = self.settings.convention.sent(axle_distance_m, velocity_mps, steering_rad);
         if self.give(GuardOrder::Drive(numbers)) {
-            self.ordered_mps = self.ordered_mps.max(velocity_mps);
+            let [slowest_mps, fastest_mps] = self.ordered_mps;
+            self.ordered_mps = [slowest_mps.min(velocity_mps), fastest_mps.max(velocity_mps)];
             self.drives_until_ns = Some(monotonic_ns() + TIMEOUT_PERIODS * self.period_ns);
         }
     }
@@ -334,7 +334,7 @@ impl<R: ForeignRobot> Driver<R> {
             tracing::warn!(?from, ?to, "the odometry has jumped: the robot is taken to be where it was");
             self.anchor = None;
         }
-        (self.reported, self.ordered_mps) = (*motion, 0.0);
+        (self.reported, self.ordered_mps) = (*motion, [0.0; 2]);
         let anchor = *self.anchor.get_or_insert_with(|| Anchor::new(motion.pose, place));
         let [x_m, y_m, yaw_rad] = anchor.on_track(motion.pose);
         let mut odometry = Odometry { x_m, y_m, yaw_rad, speed_mps: motion.speed_mps, ..Odometry::default() };
@@ -370,6 +370,6 @@ impl<R: ForeignRobot> Driver<R> {
 
 /// Whether an actuation to drive is within the limits of sent values; NaN is not.
 fn is_possible(actuation: &Actuation) -> bool {
-    (-SLACK..=SENT_VELOCITY_MAX_MPS + SLACK).contains(&actuation.sent_velocity_mps)
+    actuation.sent_velocity_mps.abs() <= SENT_VELOCITY_MAX_MPS + SLACK
         && actuation.sent_steering_rad.abs() <= SENT_STEERING_MAX_RAD + SLACK
 }

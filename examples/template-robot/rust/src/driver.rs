@@ -217,7 +217,7 @@ fn clock(delay_ns: u64) -> DeviceClock {
 
 /// Whether a velocity and an angle can be meant; NaN is in no range.
 fn is_possible(actuation: &Actuation) -> bool {
-    (-SLACK..=SENT_MAX[0] + SLACK).contains(&actuation.sent_velocity_mps)
+    actuation.sent_velocity_mps.abs() <= SENT_MAX[0] + SLACK
         && actuation.sent_steering_rad.abs() <= SENT_MAX[1] + SLACK
 }
 

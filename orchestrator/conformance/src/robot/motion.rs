@@ -4,6 +4,7 @@ use std::iter::repeat_n;
 
 use shared_types::{Actuation, Odometry};
 use supervision::private_system::Order;
+use vehicle::frame::wrap_angle;
 
 use super::SCANS;
 use crate::case::{Tried, Verdict, passed_if, require};
@@ -22,18 +23,29 @@ type Round<'a> = dyn FnMut(&mut TestBench<'_>) -> Tried<Odometry> + 'a;
 const NONSENSE: [fn(&mut Actuation); 5] = [
     |actuation| actuation.sent_velocity_mps = f64::NAN,
     |actuation| actuation.sent_velocity_mps = 50.0,
-    |actuation| actuation.sent_velocity_mps = -1.0,
+    |actuation| actuation.sent_velocity_mps = -50.0,
     |actuation| actuation.sent_steering_rad = 3.0,
     |actuation| actuation.kind = 77,
 ];
 
 pub(crate) fn drives(bench: &mut TestBench<'_>) -> Verdict {
-    bench.order = Some(Order::Drive(0.7, 0.05));
+    let forwards = drives_by(bench, 0.7)?;
+    bench.order = Some(Order::Block);
+    is_at_rest(&speeds_for(bench, STOPPING_NS, &mut next)?, "before it is told to drive backwards")?;
+    Ok(format!("{forwards}; {}", drives_by(bench, -0.3)?))
+}
+
+/// Passes when it moves in the direction of a velocity [m/s], steered to the left.
+fn drives_by(bench: &mut TestBench<'_>, velocity_mps: f64) -> Verdict {
+    bench.order = Some(Order::Drive(velocity_mps, 0.05));
     let all: Vec<Odometry> = bench.samples(2 * SCANS)?;
     let (first, last) = (&all[0], &all[all.len() - 1]);
-    let (x_m, yaw_rad) = (last.x_m - first.x_m, last.yaw_rad - first.yaw_rad);
-    let way = format!("{x_m:.2} m forward, {yaw_rad:.3} rad to the left");
-    let is_right = last.speed_mps > 0.1 && x_m > 0.0 && yaw_rad > 0.0;
+    let (sin, cos) = first.yaw_rad.sin_cos();
+    let ahead_m = (last.x_m - first.x_m) * cos + (last.y_m - first.y_m) * sin;
+    let turned_rad = wrap_angle(last.yaw_rad - first.yaw_rad);
+    let way = format!("{ahead_m:.2} m forward, {turned_rad:.3} rad to the left");
+    let side = velocity_mps.signum();
+    let is_right = last.speed_mps * side > 0.1 && ahead_m * side > 0.0 && turned_rad * side > 0.0;
     passed_if(is_right, format!("{:.2} m/s, {way}", last.speed_mps))
 }
 

@@ -29,6 +29,7 @@ pub(super) fn draw(area: &Area<'_>, moments: &[Moment]) -> Result<()> {
     };
     let start = speed.first().map_or(0.0, |(time, _)| *time);
     let end = speed.last().map_or(1.0, |(time, _)| *time).max(start + 1.0);
+    let slowest = speed.iter().map(|(_, speed)| *speed).fold(0.0, f64::min) * 1.1;
     let (fastest, sharpest) = (largest(&speed, 1.0), largest(&steering, 0.06));
 
     let mut chart = ChartBuilder::on(area)
@@ -39,7 +40,7 @@ pub(super) fn draw(area: &Area<'_>, moments: &[Moment]) -> Result<()> {
         .x_label_area_size(fine(38))
         .y_label_area_size(fine(60 - EDGE))
         .right_y_label_area_size(fine(66 - EDGE))
-        .build_cartesian_2d(start..end, 0.0..fastest)?
+        .build_cartesian_2d(start..end, slowest..fastest)?
         .set_secondary_coord(start..end, -sharpest..sharpest);
     mesh(&mut chart)
         .x_labels(14)

@@ -56,7 +56,7 @@ impl Estimated {
             // The speed has less noise than the difference of two positions.
             Some(before) => {
                 let seconds = (moment.time_s - before.time_s).max(0.0);
-                self.path_length_m += seconds * f64::midpoint(before.speed_mps, moment.speed_mps);
+                self.path_length_m += seconds * f64::midpoint(before.speed_mps, moment.speed_mps).abs();
             }
         }
         self.max_abs_lateral_m = self.max_abs_lateral_m.max((across_m - self.first_across_m).abs());

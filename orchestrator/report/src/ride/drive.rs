@@ -36,7 +36,7 @@ pub struct RideTrace {
 impl RideTrace {
     /// When the first command that drives acts [s].
     pub fn start_s(&self) -> Option<f64> {
-        self.commands.iter().find(|issued| issued.control.velocity > 0.0).map(|issued| issued.time_s)
+        self.commands.iter().find(|issued| issued.control.velocity != 0.0).map(|issued| issued.time_s)
     }
 
     /// The robot at `time_s`, from the last moment before: a robot at rest stays there, another one moves straight on.

@@ -107,7 +107,7 @@ fn of_commands(commands: &[Issued], end_s: f64) -> f64 {
 
 /// Changes of the steering angle between consecutive commands that both drive [rad].
 fn steering_steps(commands: &[Issued]) -> Vec<f64> {
-    let drives = |control: &Control| control.velocity > BLOCKED_MPS;
+    let drives = |control: &Control| control.velocity.abs() > BLOCKED_MPS;
     let both = |pair: &&[Issued]| drives(&pair[0].control) && drives(&pair[1].control);
     let step = |pair: &[Issued]| pair[1].control.steering - pair[0].control.steering;
     commands.windows(2).filter(both).map(step).collect()

@@ -182,7 +182,7 @@ impl Show<'_> {
         self.inject("scanner-dead", Duration::from_secs(60))?;
         let stands = |watch: &Watch| {
             let newest = &watch.newest;
-            (newest.header.acquired_ns > from_ns && newest.speed_mps <= 0.0)
+            (newest.header.acquired_ns > from_ns && newest.speed_mps == 0.0)
                 .then_some(newest.header.acquired_ns)
         };
         let stands_ns = self.wait(stands)?;

@@ -107,7 +107,7 @@ impl Session {
             // Without a report and without a truth only a robot without any actuation is known to rest.
             Wheels::Unknown => newest.map_or_else(
                 || self.samples.recent_actuations().next().is_none(),
-                |truth| truth.speed_mps <= 0.0,
+                |truth| truth.speed_mps == 0.0,
             ),
             Wheels::Turning | Wheels::Blocked => false,
         }

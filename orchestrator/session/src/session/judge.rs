@@ -64,7 +64,7 @@ impl Session {
         }
         let newest = self.samples.newest_truth().or(self.recording.recorder.last_truth());
         newest.is_some_and(|truth| {
-            truth.speed_mps <= 0.0 && (stood || truth.blocked == 1 && truth.header.acquired_ns > decided_ns)
+            truth.speed_mps == 0.0 && (stood || truth.blocked == 1 && truth.header.acquired_ns > decided_ns)
         })
     }
 }

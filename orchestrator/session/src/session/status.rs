@@ -78,7 +78,8 @@ impl Session {
         let (driven, asked) = (actuation.desired_velocity_mps, self.directives.current.person.velocity_mps);
         let obstacle = recorder.hindered_by().map(|obstacle| obstacle.to_string());
         if actuation.drives() {
-            let is_slower = actuation.driven_by == DrivenBy::Person.wire() && driven < asked - SLOWER_MPS;
+            let is_slower =
+                actuation.driven_by == DrivenBy::Person.wire() && driven.abs() < asked.abs() - SLOWER_MPS;
             let reason = obstacle.unwrap_or_else(|| "no more is allowed here".to_owned());
             return is_slower.then(|| format!("{driven:.2} of {asked:.2} m/s, {reason}"));
         }

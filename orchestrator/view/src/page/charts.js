@@ -48,10 +48,11 @@ export function charts(canvas, rows, course, until_s, colour) {
   context.clearRect(0, 0, width, height);
   const seen = rows.filter((row) => row.time_s > until_s - SPAN_S && row.time_s <= until_s);
   const speed = course?.bounds?.velocity_max_mps ?? 1;
+  const reverse = Math.min(0, ...seen.map((row) => row.speed_mps ?? 0));
   const steering = course?.bounds?.steering_max_rad ?? 0.06;
   const each = (height - 8) / 3;
   const strips = [
-    { name: "speed", unit: "m/s", low: 0, high: speed * 1.15, bounds: [speed], digits: 2, thin: "desired_velocity_mps", thick: "speed_mps", style: colour.plan },
+    { name: "speed", unit: "m/s", low: reverse * 1.15, high: speed * 1.15, bounds: [speed], digits: 2, thin: "desired_velocity_mps", thick: "speed_mps", style: colour.plan },
     { name: "steering", unit: "rad", low: -steering * 1.25, high: steering * 1.25, bounds: [steering, -steering], digits: 3, thick: "desired_steering_rad", style: colour.plan },
     { name: "clearance, margin", unit: "m", low: 0, high: 1.5, bounds: [], digits: 2, thin: "margin_m", thick: "clearance_m", style: colour.body },
   ];

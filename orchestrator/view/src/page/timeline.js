@@ -45,7 +45,7 @@ export function timeline(canvas, choose) {
     rows.forEach((row, index) => {
       const next = rows[index + 1]?.time_s ?? row.time_s + 0.1;
       const length = x(Math.min(next, row.time_s + longest_s)) - x(row.time_s);
-      const share = row.blocked ? 1 : Math.min(1, row.speed_mps ?? 0);
+      const share = row.blocked ? 1 : Math.min(1, Math.abs(row.speed_mps ?? 0));
       context.fillStyle = [colour.robot, colour.stop, colour.idle][row.blocked];
       context.globalAlpha = [0.75, 0.35, 0.18][row.blocked];
       context.fillRect(x(row.time_s), TOP + BAND * (1 - share), length + 0.3, BAND * share);

@@ -65,7 +65,8 @@ fn a_robot_drives_backwards_as_one_that_is_turned_round_drives_forwards() {
             assert!((way + mirror_way).abs() < 1e-9 && (backwards.speed + mirror.speed).abs() < 1e-12);
             let difference = backwards.state.to_vector() - mirror.state.mirrored().to_vector();
             assert!(difference.amax() < 1e-9, "{difference}");
-            [&mut backwards, &mut mirror].map(Plant::block);
+            backwards.block();
+            mirror.block();
         }
         assert_eq!((backwards.speed, backwards.state.yaw_rate), (0.0, 0.0));
         assert!(backwards.state.x < -0.4 && backwards.state.y.abs() > 0.01, "{backwards:?}");
