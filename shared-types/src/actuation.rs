@@ -56,11 +56,11 @@ sample! {
         pub stop_reason: u32,
         /// 1 when this answers a command of the scan in the header, 0 when the actuator acts by itself
         pub answers: u32,
-        /// Desired velocity after limits (7.41) [m/s]
+        /// Desired velocity after limits (7.41), negative backwards [m/s]
         pub desired_velocity_mps: f64,
         /// Desired steering angle after limits (7.41) [rad]
         pub desired_steering_rad: f64,
-        /// Velocity sent to the robot, after the correction [m/s]
+        /// Velocity sent to the robot, after the correction, negative backwards [m/s]
         pub sent_velocity_mps: f64,
         /// Steering angle sent to the robot, after the correction [rad]
         pub sent_steering_rad: f64,

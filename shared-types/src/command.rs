@@ -180,7 +180,7 @@ sample! {
         pub iterations: u32,
         /// Active constraints at the solution
         pub active_constraints: u32,
-        /// Desired velocity, u1 of (7.27)-(7.31) [m/s]
+        /// Desired velocity, u1 of (7.27)-(7.31), negative backwards [m/s]
         pub velocity_mps: f64,
         /// Desired steering angle, u2 of (7.27)-(7.31) [rad]
         pub steering_rad: f64,

@@ -23,7 +23,7 @@ sample! {
         pub dyaw_rad: f64,
         /// Time since the sample before; zero in the first sample [s]
         pub dt_s: f64,
-        /// Speed over ground measured at the wheels [m/s]
+        /// Speed over ground measured at the wheels, negative backwards [m/s]
         pub speed_mps: f64,
     }
 }

@@ -55,7 +55,7 @@ sample! {
         /// Covariance of (yaw, x, y) relative to what the scanner sees now, row by row: without the drift of the odometry
         /// since the start [rad^2, rad m, m^2]
         pub local_covariance: [f64; 9],
-        /// Speed over ground at the acquisition of the scan [m/s]
+        /// Speed over ground at the acquisition of the scan, negative backwards [m/s]
         pub speed_mps: f64,
         /// Sideslip at the acquisition of the scan, x1 of (7.27) [rad]
         pub sideslip_rad: f64,
@@ -73,7 +73,7 @@ sample! {
         pub predicted_x_m: f64,
         /// Predicted lateral position [m]
         pub predicted_y_m: f64,
-        /// Predicted speed [m/s]
+        /// Predicted speed, negative backwards [m/s]
         pub predicted_speed_mps: f64,
         /// Measured minus predicted (yaw, x, y) of the measurement update [rad, m, m]
         pub innovation: [f64; 3],

@@ -21,7 +21,7 @@ sample! {
         pub sideslip_rad: f64,
         /// True yaw rate [rad/s]
         pub yaw_rate_radps: f64,
-        /// True speed over ground [m/s]
+        /// True speed over ground, negative backwards [m/s]
         pub speed_mps: f64,
         /// True steering angle at the wheels [rad]
         pub steering_rad: f64,

@@ -23,6 +23,7 @@ struct Outage {
     watchdog_s: f64,
     /// Whether the driver forwards the data of the outage when it is over.
     forwards: bool,
+    velocity_mps: f64,
     steering_rad: f64,
 }
 
@@ -85,7 +86,7 @@ impl Loop {
             level: Level::Converged.wire(),
             status: SolveStatus::Converged.wire(),
             verified: 1,
-            velocity_mps: 1.0,
+            velocity_mps: self.outage.velocity_mps,
             steering_rad: self.outage.steering_rad,
             ..Command::default()
         };
@@ -141,7 +142,7 @@ fn after_an_outage_of_any_length_the_estimate_is_where_the_robot_is_and_nothing_
         for watchdog_s in [0.3, 10.0] {
             for (forwards, steering_rad) in [(false, 0.0), (true, 0.0), (false, 0.04), (true, 0.04)] {
                 let gap_s = 0.1 * f64::from(tenths) - 0.03;
-                let outage = Outage { gap_s, watchdog_s, forwards, steering_rad };
+                let outage = Outage { gap_s, watchdog_s, forwards, velocity_mps: 1.0, steering_rad };
                 let mut drive = Loop::new(outage);
                 drive.drive();
                 assert_eq!(drive.pose.alarm, Alarm::None.wire(), "{outage:?}: {:?}", drive.pose);
@@ -154,9 +155,30 @@ fn after_an_outage_of_any_length_the_estimate_is_where_the_robot_is_and_nothing_
 }
 
 #[test]
+fn an_outage_of_a_robot_that_reverses_is_no_other() {
+    for tenths in [2, 5, 9, 14, 30] {
+        for (watchdog_s, forwards) in [(0.3, false), (0.3, true), (10.0, false), (10.0, true)] {
+            let gap_s = 0.1 * f64::from(tenths) - 0.03;
+            let outage = Outage { gap_s, watchdog_s, forwards, velocity_mps: -0.3, steering_rad: 0.04 };
+            let mut drive = Loop::new(outage);
+            drive.drive();
+            assert_eq!(drive.pose.alarm, Alarm::None.wire(), "{outage:?}: {:?}", drive.pose);
+            assert!(drive.error_m < 0.02, "{outage:?}: {} m", drive.error_m);
+            assert!(drive.pose.speed_mps < -0.25, "{outage:?}: {:?}", drive.pose);
+        }
+    }
+}
+
+#[test]
 fn the_covariance_has_what_the_robot_may_have_slid() {
     let ahead_m = |gap_s| {
-        let mut drive = Loop::new(Outage { gap_s, watchdog_s: 0.3, forwards: false, steering_rad: 0.0 });
+        let mut drive = Loop::new(Outage {
+            gap_s,
+            watchdog_s: 0.3,
+            forwards: false,
+            velocity_mps: 1.0,
+            steering_rad: 0.0,
+        });
         drive.drive();
         drive.pose.covariance[4] - drive.pose.local_covariance[4]
     };

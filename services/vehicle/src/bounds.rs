@@ -19,7 +19,7 @@ settings! {
     /// Bounds (7.41)-(7.44); those of the position, (7.45) and (7.46), belong to the track.
     #[derive(Copy)]
     pub struct Bounds {
-        /// Smallest velocity, (7.41) [m/s]. It is above zero because the model divides by it.
+        /// Smallest velocity in either direction, (7.41) [m/s]. It is above zero because the model divides by it.
         pub velocity_min_mps: f64 = 0.1, (BOUND_MIN_MPS..=SENT_VELOCITY_MAX_MPS, "at most `velocity_max_mps`");
         /// Largest velocity, (7.41) [m/s].
         pub velocity_max_mps: f64 = 1.0,
