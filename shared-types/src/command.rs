@@ -88,6 +88,8 @@ wire_enum! {
         Released = 13 "released",
         /// The robot stands to change between forwards and backwards.
         Reversal = 14 "reversal",
+        /// Backwards, every plan leads to ground that the scanner has not shown.
+        Unseen = 15 "unseen",
     }
 }
 

@@ -148,6 +148,9 @@ settings! {
         pub weights: WeightSettings = WeightSettings::default();
         /// The lattice search for the reference path, which chooses the passing sides.
         pub guide: LatticeSettings = LatticeSettings::default();
+        /// How far the robot drives back out of a dead end, over the way that it came, where a path begins there; 0 for
+        /// never. It does so with the search, and with a vehicle that drives backwards [m].
+        pub back_out_m: f64 = 6.0, 0.0..=10.0;
         /// The rule that stops the robot in front of a blocked path.
         pub stop: StopSettings = StopSettings::default();
         /// The solver of the optimal control problem.

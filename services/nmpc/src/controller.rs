@@ -54,6 +54,10 @@ const SLIDE_M: f64 = 0.2;
 const SUDDEN_MPS: f64 = 0.2;
 /// Nearer to the goal no slow way is looked for [m]: a robot that creeps beside a body that moves unnoticed is touched.
 const SLOW_WAY_M: f64 = 2.0;
+/// A body that blocks the way and came less than this ago may go again [s].
+const COMES_AND_GOES_S: f64 = 6.5;
+/// A robot that is turned further from the course than this can't be planned for from there [rad].
+const MOST_TURNED_RAD: f64 = 0.9;
 /// Share of the drive's largest deceleration with which a path slows down for a narrow place.
 const SLOWING_SHARE: f64 = 0.35;
 
@@ -63,6 +67,8 @@ pub struct Controller {
     /// The settings, with the goal that the robot drives to, for the leg that it drives.
     config: ControllerConfig,
     legs: Legs,
+    /// How far the search looks ahead; further where it remembers a dead end [m].
+    range_m: f64,
     goals: Vec<Goal>,
     /// The first scan of the given goal that is among `goals`; 0 while none is.
     given_from: u64,
@@ -94,6 +100,7 @@ impl Controller {
             search: Search::default(),
             planner,
             legs,
+            range_m: config.guide.range_m,
             state: ControllerState::default(),
             predicted: Vec::with_capacity(shared_types::MAX_OBSTACLES),
             reference_path,
@@ -118,6 +125,7 @@ impl Controller {
         self.state = ControllerState {
             sides: side::valid(&state.sides),
             ellipses: smoothing::valid(&state.ellipses),
+            sights: state.sights.valid(),
             ..*state
         };
         let length = state.plan_length as usize;
@@ -167,13 +175,26 @@ impl Controller {
         let period_s = self.period(pose);
         self.heed_goal(obstacles.header.scan_id);
         self.enter_leg(pose);
+        self.state.sights.enter(pose, &obstacles.scanner);
+        let along_m = self.state.along().filter(|_| self.state.back.drives == 0);
+        let recalled = self.state.back.recall(obstacles, pose, along_m);
+        let obstacles = recalled.as_ref().unwrap_or(obstacles);
+        self.config.guide.range_m = self.range_m + self.state.back.length_m();
         let turned = self.legs.is_reverse().then(|| gear::turned(pose));
         let pose = turned.as_ref().unwrap_or(pose);
         self.state.acquired_ns = pose.header.acquired_ns;
         let decided = self.decide(pose, obstacles, period_s, budget, &mut command);
         match decided.and_then(|choice| self.may_drive(choice)) {
             Ok(choice) => self.drive(choice, &mut command),
-            Err(reason) => self.stop(reason, &mut command),
+            Err(reason) => {
+                self.stop(reason, &mut command);
+                let lately = obstacles.list().iter().any(|body| {
+                    body.id == command.blocking.id && body.sightings as f64 * period_s < COMES_AND_GOES_S
+                });
+                if self.look_back(reason, pose, period_s, lately) {
+                    self.state.back.remember(obstacles);
+                }
+            }
         }
         if turned.is_some() {
             gear::turn_back(&mut command);
@@ -185,17 +206,71 @@ impl Controller {
     fn enter_leg(&mut self, pose: &Pose) {
         let by_person = self.state.driven_by == DrivenBy::Person.wire();
         match self.state.arrival() {
-            Arrival::LegDriven if rests(pose) && !by_person => {
-                self.state.leg = self.state.leg.saturating_add(1);
-                self.state.arrival = Arrival::OnTheWay.wire();
-            }
+            Arrival::LegDriven if rests(pose) && !by_person => self.turn(pose),
             Arrival::StateLost => self.state.leg = self.legs.find(pose),
             _ => {}
         }
-        if self.legs.enter(self.state.leg, by_person, &mut self.config) {
+        if self.legs.enter(&self.state, by_person, &mut self.config) {
             self.planner.turn(&self.config);
         }
-        self.config.goal = self.legs.goal(self.goals[self.goal_index()]);
+        self.config.goal = self.legs.goal(self.goals[self.goal_index()], &self.state.back);
+    }
+
+    /// Drives the next leg, or forwards again behind the way out of a dead end.
+    fn turn(&mut self, pose: &Pose) {
+        let state = &mut self.state;
+        if state.back.drives == 1 {
+            state.back.end();
+            state.sights.take_back([pose.x_m, pose.y_m]);
+            state.plan[0].x_m = self.legs.from_end(state.plan[0].x_m);
+        } else {
+            state.leg = state.leg.saturating_add(1);
+        }
+        (state.arrival, state.blocked_scans, state.sides) = (Arrival::OnTheWay.wire(), 0, Default::default());
+    }
+
+    /// Looks for a way out of a dead end in which the robot stands, at one place behind it; true when it drives there. What
+    /// blocks it and came `lately` may go again.
+    fn look_back(&mut self, reason: StopReason, pose: &Pose, period_s: f64, lately: bool) -> bool {
+        let stands = matches!(reason, StopReason::Blocked | StopReason::Unverified | StopReason::Unseen);
+        let is_driven = self.state.driven_by == DrivenBy::Controller.wire();
+        if !stands || !is_driven || !rests(pose) || self.config.side != SideRule::Search {
+            self.state.back.stood = 0;
+            return false;
+        }
+        let Self { config, legs, state, predicted, search, alternative, .. } = self;
+        let here = State { x: pose.predicted_x_m, y: pose.predicted_y_m, yaw: pose.predicted_yaw_rad, ..State::default() };
+        let here = config.course.on_course(&here, state.along().unwrap_or(here.x));
+        let Some(way_m) = state.back.stand(here.x, period_s, config.back_out_m) else { return false };
+        if state.back.drives == 1 {
+            // The way back ends here.
+            state.arrival = Arrival::LegDriven.wire();
+            return false;
+        }
+        if !legs.can_return() || predicted.iter().any(PredictedObstacle::moves) {
+            state.back.stood = 0;
+            return false;
+        }
+        let Some(place) = state.sights.before([pose.x_m, pose.y_m], way_m) else { return false };
+        let place = config.course.on_course(&place, here.x - way_m);
+        if place.x >= here.x || place.yaw.abs() > MOST_TURNED_RAD {
+            return false;
+        }
+        let margin = MarginModel::of(config, pose);
+        config.guide.range_m += way_m;
+        let scene = Scene::new(config, predicted, place).keeping(margin, 0.0);
+        let speed = config.vehicle.bounds.velocity_min_mps;
+        let query = Query { scene, speed, narrow: true, sides: &state.sides, forced: None };
+        search.find(&query, alternative);
+        let is_found = alternative.clear && !alternative.misses_goal;
+        if is_found && lately {
+            state.back.stay();
+        } else if is_found {
+            state.back.begin(here.x, &place);
+            state.plan[0].x_m = legs.from_end(here.x);
+            (state.blocked_scans, state.sides) = (0, Default::default());
+        }
+        is_found && !lately
     }
 
     /// The decisions in their order; an error is the reason to block the wheels.
@@ -403,7 +478,7 @@ impl Controller {
         }
         choice.ok_or_else(|| {
             command.blocking = refused_for.map(|index| blocking(&scene, index)).unwrap_or_default();
-            StopReason::Unverified
+            if planner.comes_unseen { StopReason::Unseen } else { StopReason::Unverified }
         })
     }
 
@@ -481,7 +556,7 @@ impl Controller {
 
     fn drive_to(&mut self, index: usize) {
         self.state.goal = index as u64;
-        self.config.goal = self.legs.goal(self.goals[index]);
+        self.config.goal = self.legs.goal(self.goals[index], &self.state.back);
     }
 
     /// Lands, or stops behind the goal; a goal that was passed stays passed until the robot is well before it.

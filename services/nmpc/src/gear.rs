@@ -6,9 +6,11 @@
 
 use shared_types::{Command, Pose};
 use vehicle::course::Leg;
-use vehicle::{Description, Goal, State};
+use vehicle::{Course, Description, Goal, State, Track};
 
 use crate::config::ControllerConfig;
+use crate::state::ControllerState;
+use crate::way_back::WayBack;
 
 /// How far from the end of a leg the robot may change its direction of travel [m].
 const TOLERANCE_M: f64 = 0.15;
@@ -19,10 +21,22 @@ const SAME_M: f64 = 1e-3;
 #[derive(Debug, Clone)]
 pub(crate) struct Legs {
     legs: Vec<Leg>,
+    /// Each leg from its end to its begin.
+    returns: Vec<Course>,
     forwards: Driving,
     backwards: Driving,
-    /// The leg that the settings are for, and whether the robot is turned round.
-    entered: (usize, bool),
+    track: Track,
+    entered: Entered,
+}
+
+/// What the settings are for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+struct Entered {
+    leg: usize,
+    /// Whether the robot is turned round.
+    turned: bool,
+    /// Whether it drives back out of a dead end.
+    returns: bool,
 }
 
 /// What differs between forwards and backwards.
@@ -43,42 +57,66 @@ impl Legs {
         let slower = |velocity: f64| velocity.min(bounds.velocity_max_mps);
         let backwards =
             Driving { vehicle: turned, cruise_mps: slower(cruise_mps), careful_mps: slower(careful_mps) };
+        let returns = legs.iter().map(|leg| leg.course.returned(config.track.x_m)).collect();
         config.course = legs[0].course.clone();
-        Self { legs, forwards: Driving { vehicle, cruise_mps, careful_mps }, backwards, entered: (0, false) }
+        let forwards = Driving { vehicle, cruise_mps, careful_mps };
+        Self { legs, returns, forwards, backwards, track: config.track, entered: Entered::default() }
     }
 
-    /// The settings of a leg in `config`; true where they are others than before. A person drives forwards on each.
-    pub(crate) fn enter(&mut self, leg: u32, by_person: bool, config: &mut ControllerConfig) -> bool {
-        let index = (leg as usize).min(self.legs.len() - 1);
-        let entered = (index, self.legs[index].is_reverse && !by_person);
+    /// Whether the vehicle drives backwards at all.
+    pub(crate) fn can_return(&self) -> bool {
+        self.forwards.vehicle.bounds.mirrored().is_some() && !self.entered.turned
+    }
+
+    /// The settings of what the robot drives in `config`; true where they are others than before. A person drives forwards
+    /// on each leg.
+    pub(crate) fn enter(&mut self, state: &ControllerState, by_person: bool, config: &mut ControllerConfig) -> bool {
+        let leg = (state.leg as usize).min(self.legs.len() - 1);
+        let returns = state.back.drives == 1 && !by_person;
+        let turned = returns || self.legs[leg].is_reverse && !by_person;
+        let entered = Entered { leg, turned, returns };
         if entered == self.entered {
             return false;
         }
         self.entered = entered;
-        let Driving { vehicle, cruise_mps, careful_mps } =
-            if entered.1 { self.backwards } else { self.forwards };
-        config.course.clone_from(&self.legs[index].course);
+        let Driving { vehicle, cruise_mps, careful_mps } = if turned { self.backwards } else { self.forwards };
+        let course = if returns { &self.returns[leg] } else { &self.legs[leg].course };
+        config.course.clone_from(course);
         (config.vehicle, config.cruise_mps, config.careful_mps) = (vehicle, cruise_mps, careful_mps);
+        config.track = self.track;
+        if returns {
+            config.track.y_m = self.track.y_m.map(|side| -side);
+            config.track.y_m.reverse();
+        }
         true
     }
 
     /// Whether the robot drives backwards.
     pub(crate) fn is_reverse(&self) -> bool {
-        self.entered.1
+        self.entered.turned
+    }
+
+    /// A place along the leg, seen from its other end [m].
+    pub(crate) fn from_end(&self, along_m: f64) -> f64 {
+        let course = &self.legs[self.entered.leg].course;
+        let [begin_m, end_m] =
+            if course.is_line() { self.track.x_m } else { [course.begin_m(), course.length_m()] };
+        begin_m + end_m - along_m
     }
 
     /// Whether the robot changes its direction of travel before it gets to a goal.
     pub(crate) fn ends_before(&self, goal: &Goal) -> bool {
-        goal.x_m > self.legs[self.entered.0].end_m + SAME_M
+        self.entered.returns || goal.x_m > self.legs[self.entered.leg].end_m + SAME_M
     }
 
-    /// Where the robot lands on this leg: at the goal, or at the end of the leg.
-    pub(crate) fn goal(&self, goal: Goal) -> Goal {
-        if !self.ends_before(&goal) {
-            return goal;
-        }
-        let x_m = self.legs[self.entered.0].end_m;
-        Goal { x_m, y_m: 0.0, tolerance_m: TOLERANCE_M, ..Goal::default() }
+    /// Where the robot lands: at the goal, or at the end of the leg, or of the way back.
+    pub(crate) fn goal(&self, goal: Goal, back: &WayBack) -> Goal {
+        let [x_m, y_m] = match self.entered {
+            Entered { returns: true, .. } => [self.from_end(back.to_m[0]), -back.to_m[1]],
+            Entered { leg, .. } if self.ends_before(&goal) => [self.legs[leg].end_m, 0.0],
+            _ => return goal,
+        };
+        Goal { x_m, y_m, tolerance_m: TOLERANCE_M, ..Goal::default() }
     }
 
     /// The leg on which a robot that has lost its state is most likely.

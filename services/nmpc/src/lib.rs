@@ -35,6 +35,7 @@ mod rollout;
 mod sampled;
 mod scene;
 mod side;
+mod sights;
 mod smoothing;
 mod stage;
 mod start;
@@ -42,6 +43,7 @@ mod state;
 mod stop_rule;
 mod verify;
 mod warm;
+mod way_back;
 mod weights;
 
 pub use braking::speed_limit;

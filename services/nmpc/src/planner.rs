@@ -86,6 +86,8 @@ impl<'a> Task<'a> {
         pose: &Pose,
         start: &Start,
     ) -> Self {
+        let sights = start.is_reverse.then_some(&last.sights);
+        let scene = Scene { sights, ..scene };
         Self { scene, reference_path, last, start_ns: pose.predicted_ns, fastest_mps: start.limit_mps }
     }
 
@@ -135,6 +137,8 @@ pub(crate) struct Planner {
     frames: Frames,
     /// The obstacle for which a plan was refused last.
     pub(crate) refused_for: Option<usize>,
+    /// Whether the plan that was refused last comes to ground that was not seen.
+    pub(crate) comes_unseen: bool,
     /// Controls of the plan.
     pub(crate) controls: Vec<Control>,
     /// The trajectory of `controls`.
@@ -173,6 +177,7 @@ impl Planner {
             grown: Vec::with_capacity(config.max_ellipses),
             frames: Frames::default(),
             refused_for: None,
+            comes_unseen: false,
             controls: Vec::with_capacity(config.intervals),
             rollout: Rollout::default(),
             #[cfg(test)]
@@ -187,6 +192,7 @@ impl Planner {
             self.problem.model = model.clone();
         }
         self.problem.bounds = config.vehicle.bounds;
+        (self.problem.x_range, self.problem.y_range) = (config.track.x_m, config.y_range());
     }
 
     /// The first plan that may be driven, `None` without one. The figures of the solver go into `command`.
@@ -342,6 +348,7 @@ impl Planner {
         let verdict = verify(&task.scene, &self.guess.controls, &mut self.rollout);
         self.controls.clone_from(&self.guess.controls);
         self.refused_for = self.refused_for.or(verdict.obstacle());
+        self.comes_unseen = verdict.comes_unseen();
         verdict.verified().map(|verified| Choice { level, verified })
     }
 
@@ -452,6 +459,7 @@ impl Planner {
         let agrees =
             !task.reference_path.clear || warm::agrees(scene, task.reference_path, &self.rollout.samples);
         self.refused_for = self.refused_for.or(verdict.obstacle());
+        self.comes_unseen = verdict.comes_unseen();
         let verified = verdict.verified().filter(|_| agrees)?;
         let defect = self.frames.largest_distance(scene, &solution.trajectory.states, &self.rollout.nodes);
         command.largest_violation = command.largest_violation.max(defect);

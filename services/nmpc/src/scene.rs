@@ -14,6 +14,7 @@ use crate::config::ControllerConfig;
 use crate::margin::MarginModel;
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::sampled::Sampled;
+use crate::sights::Sights;
 
 /// Curvature of a robot that does not turn [1/m]: others divide by it.
 const HARDLY_PER_M: f64 = 1e-6;
@@ -56,6 +57,8 @@ pub(crate) struct Scene<'a> {
     /// Whether the robot gets out of the way of a body, or a person drives close to one: then the bodies count, and their
     /// ellipses do not.
     pub(crate) escapes: bool,
+    /// Where the robot was, while it drives backwards: it stays on what was seen from there.
+    pub(crate) sights: Option<&'a Sights>,
 }
 
 /// The limit that a plan violates.
@@ -73,6 +76,8 @@ pub(crate) enum Violation {
     Ellipse(usize),
     /// The position leaves its bounds.
     Outside,
+    /// Backwards, the body comes to ground that was not seen.
+    Unseen,
 }
 
 impl<'a> Scene<'a> {
@@ -91,6 +96,7 @@ impl<'a> Scene<'a> {
             speed: 0.0,
             limit_mps: f64::INFINITY,
             escapes: false,
+            sights: None,
         }
     }
 
@@ -171,6 +177,15 @@ impl<'a> Scene<'a> {
             .find(entered)
             .map(Violation::Ellipse)
             .or_else(|| self.touched(baseline, self.margin.sum(t, speed), t, state))
+    }
+
+    /// The bodies of the obstacles in the plane, and how many there are.
+    pub(crate) fn bodies(&self) -> ([Rectangle; shared_types::MAX_OBSTACLES], usize) {
+        let nothing = Rectangle { centre: Vector2::zeros(), yaw: 0.0, length: 0.0, width: 0.0 };
+        let mut bodies = [nothing; shared_types::MAX_OBSTACLES];
+        let pairs = bodies.iter_mut().zip(self.predicted);
+        let count = pairs.map(|(body, obstacle)| *body = self.in_plane(obstacle.body)).count();
+        (bodies, count)
     }
 
     /// The first obstacle or wall that the body comes nearer to than `margin` or than it is now.
@@ -308,7 +323,9 @@ impl<'a> Scene<'a> {
         }
         let middle = (self.y_range[0] + self.y_range[1]) / 2.0;
         let [right, left] = self.config.track.y_m;
-        let body = self.body_at(state);
+        // Walls are along a line: across it they are where they are in the plane.
+        let Rectangle { length, width, .. } = self.body_at(state);
+        let body = Rectangle { centre: Vector2::new(state.x, state.y), yaw: state.yaw, length, width };
         body.distance_to_wall(right, middle).min(body.distance_to_wall(left, middle))
     }
 }

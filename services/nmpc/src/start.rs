@@ -37,6 +37,8 @@ pub(crate) struct Start {
     pub(crate) stopping: Stopping,
     /// Largest velocity to plan with [m/s].
     pub(crate) limit_mps: f64,
+    /// Whether the robot drives backwards.
+    pub(crate) is_reverse: bool,
 }
 
 impl Start {
@@ -67,7 +69,7 @@ impl Start {
         }
         let braking_mps2 = BRAKING_SHARE * config.vehicle.deceleration_max_mps2;
         let limit_mps = limit_mps.min(config.course.speed_mps(initial.x, braking_mps2).max(slowest_mps));
-        Ok(Self { initial, speed: pose.predicted_speed_mps.abs(), margin, stopping, limit_mps })
+        Ok(Self { initial, speed: pose.predicted_speed_mps.abs(), margin, stopping, limit_mps, is_reverse })
     }
 
     /// What plans from here must respect.

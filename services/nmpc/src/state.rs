@@ -3,7 +3,9 @@
 use shared_types::{GivenControl, GivenGoal, PLAN_NODES, PlanNode, plain_state};
 
 use crate::side::Sides;
+use crate::sights::Sights;
 use crate::smoothing::SmoothedEllipses;
+use crate::way_back::WayBack;
 
 /// How far the robot has come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -17,7 +19,7 @@ pub(crate) enum Arrival {
     Passed = 2,
     /// The state was lost while driving: the robot has to rest before anything else.
     StateLost = 3,
-    /// At the end of a leg of the course, where it changes its direction of travel.
+    /// At the end of a leg of the course, or of the way out of a dead end, where it changes its direction of travel.
     LegDriven = 4,
 }
 
@@ -83,8 +85,12 @@ plain_state! {
         pub leg: u32,
         /// What a person who drives asked for last
         pub person: GivenControl,
+        /// The way out of a dead end
+        pub back: WayBack,
         /// The last verified plan, on the course
         pub plan: [PlanNode; PLAN_NODES],
+        /// Where the robot was
+        pub sights: Sights,
     }
 }
 

@@ -17,6 +17,7 @@ use crate::config::ControllerConfig;
 use crate::rollout::{PIECES, Rollout, advance_on_course};
 use crate::sampled::Sampled;
 use crate::scene::{BEHIND_GOAL_M, Baseline, Scene, Violation};
+use crate::sights::Sights;
 
 /// The part of a plan that must be clear [s]: about 20 scans, and four times as long as a stop from full speed.
 pub(crate) const VERIFIED_S: f64 = 2.72;
@@ -78,6 +79,11 @@ impl Verdict {
         self.holds().then_some(Verified { first, intervals })
     }
 
+    /// Whether the plan comes to ground that was not seen.
+    pub(crate) fn comes_unseen(&self) -> bool {
+        matches!(self.violation, Some((Violation::Unseen, _)))
+    }
+
     /// The obstacle that the plan comes too near to.
     pub(crate) fn obstacle(&self) -> Option<usize> {
         match self.violation? {
@@ -103,13 +109,20 @@ pub(crate) fn verify(scene: &Scene, controls: &[Control], rollout: &mut Rollout)
     if let Some(index) = scene.too_near_to_start(&baseline) {
         return Verdict::refused(Violation::Obstacle(index));
     }
+    let (bodies, count) = scene.bodies();
+    let is_unseen = |index: usize, sample: &Sampled| {
+        let body = || scene.body_at(&sample.state);
+        let shown = |sights: &Sights| sights.show(&body(), &scene.config.vehicle, &bodies[..count]);
+        index % PIECES == 0 && scene.sights.is_some_and(|sights| !shown(sights))
+    };
     let mut behind_goal = false;
     for (index, sample) in rollout.samples.iter().enumerate() {
         behind_goal |= sample.state.x > scene.config.goal.x_m + BEHIND_GOAL_M;
         let before = index.checked_sub(1).filter(|_| scene.escapes).map(|before| &rollout.samples[before]);
         let found = before.and_then(|before| touched_between(scene, &baseline, before, sample));
         let checked = || scene.check(&baseline, sample).or_else(|| scene.leads_out(&baseline, &sample.state));
-        if let Some(violation) = found.or_else(checked) {
+        let unseen = || is_unseen(index, sample).then_some(Violation::Unseen);
+        if let Some(violation) = found.or_else(checked).or_else(unseen) {
             let intervals = index.saturating_sub(1) / PIECES;
             let violation = (!behind_goal || intervals == 0).then_some((violation, sample.t));
             let slid = slide(scene, &baseline, &first, &rollout.samples[..index]);

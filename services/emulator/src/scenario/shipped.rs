@@ -29,4 +29,7 @@ pub(super) const SHIPPED: &[(&str, &str)] = shipped![
     "intersection",
     "stations",
     "u-turn",
+    "dead-end",
+    "park-parallel",
+    "park-perpendicular",
 ];

@@ -163,7 +163,7 @@ impl Scenario {
     /// Passes when each goal that has a direction has that of the way there.
     pub(super) fn validate_goals(&self) -> Result<(), Invalid> {
         for (index, (goal, place)) in self.goal.all().iter().zip(self.goals_on_course()).enumerate() {
-            let way_rad = wrap_angle(self.course.as_ref().map_or(0.0, |course| course.at(place.x_m).yaw));
+            let way_rad = self.course.as_ref().map_or(0.0, |course| course.robot_yaw(place.x_m));
             if goal.yaw_error_rad(way_rad).is_some_and(|error| error.abs() > goal.yaw_tolerance_rad) {
                 let allowed = format!(
                     "the direction of the way there, {way_rad:.3}, by yaw_tolerance_rad = {}; a [course] without waypoints \

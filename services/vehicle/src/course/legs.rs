@@ -6,6 +6,8 @@
 
 use std::f64::consts::PI;
 
+use nalgebra::Vector2;
+
 use super::{Course, CourseKeys, Piece, Waypoint, biarc};
 use crate::frame::wrap_angle;
 use crate::state::State;
@@ -33,6 +35,31 @@ impl Course {
             [] | [_] => vec![Leg { course: self.clone(), is_reverse: false, end_m: f64::INFINITY }],
             _ => legs,
         }
+    }
+
+    /// The course from its end to its begin; a place on it is as far from the end as the same place was from the begin. The
+    /// line is as long as `line_m`.
+    #[must_use]
+    pub fn returned(&self, line_m: [f64; 2]) -> Self {
+        let [begin_m, end_m] = line_m;
+        let point = Vector2::new(begin_m, 0.0);
+        let line = [Piece { begin_m, length_m: end_m - begin_m, point, ..Piece::default() }];
+        let pieces: &[Piece] = if self.is_line() { &line } else { &self.pieces };
+        let (first, last) = (pieces[0], pieces[pieces.len() - 1]);
+        let (begin_m, length_m) = (first.begin_m, last.begin_m + last.length_m);
+        let turn = |piece: &Piece| {
+            let end = piece.at(piece.length_m);
+            Piece {
+                begin_m: begin_m + length_m - piece.begin_m - piece.length_m,
+                point: end.point,
+                yaw: end.yaw + PI,
+                curvature: -piece.curvature,
+                speed_mps: f64::INFINITY,
+                ..*piece
+            }
+        };
+        let pieces = pieces.iter().rev().map(turn).collect();
+        Self { keys: CourseKeys::default(), pieces, begin_m, length_m, turns_back: false }
     }
 
     /// Whether the course is driven backwards at `along_m`.
@@ -167,7 +194,7 @@ mod tests {
         // Behind its ends a leg goes straight on, also where the whole course turns back.
         let beyond = legs[0].course.at(7.0);
         assert!((beyond.point.x - 7.0).abs() < 1e-9 && beyond.curvature == 0.0);
-        let before = legs[1].course.within(nalgebra::Vector2::new(6.5, 0.0), [4.0, 9.0]);
+        let before = legs[1].course.within(Vector2::new(6.5, 0.0), [4.0, 9.0]);
         assert!((before[0] - 5.5).abs() < 1e-9, "{before:?}");
     }
 
@@ -187,6 +214,26 @@ mod tests {
             let place = follower.follow(&State { x: point.x, y: point.y, yaw, ..State::default() });
             assert!((place.x - along_m).abs() < 0.02 && place.yaw.abs() < 0.02, "{along_m}: {place:?}");
         }
+    }
+
+    #[test]
+    fn a_course_from_its_end_has_the_same_places() {
+        let quarter = vec![
+            Waypoint::new(0.0, 0.0, Some(0.0)),
+            Waypoint::new(5.0, 0.0, Some(0.0)),
+            Waypoint::new(9.0, 4.0, Some(PI / 2.0)),
+        ];
+        let course = Course::try_from(CourseKeys { waypoints: quarter, ..CourseKeys::default() }).unwrap();
+        let back = course.returned([0.0, 1.0]);
+        for along_m in [-1.0, 2.0, 7.0, 10.0, 12.0] {
+            let (there, here) = (course.at(along_m), back.at(course.length_m() - along_m));
+            assert!((there.point - here.point).norm() < 1e-9, "{along_m}");
+            assert!(wrap_angle(there.yaw - here.yaw - PI).abs() < 1e-9);
+        }
+        let line = Course::default().returned([2.0, 12.0]);
+        let point = line.at(3.0);
+        assert!((point.point - Vector2::new(11.0, 0.0)).norm() < 1e-9 && !line.is_line());
+        assert_eq!(line.locate(Vector2::new(4.0, -1.0)).map(|value| (1e9 * value).round()), [1e10, 1e9]);
     }
 
     #[test]

@@ -1,0 +1,194 @@
+//! Where the robot was and what its scanner showed from there: what is behind it now.
+//!
+//! The scanner looks ahead. A robot that drives backwards therefore stays on ground where its body was before, or that
+//! was in view and not hidden by a body that is known. What has come there since, nobody sees: backwards it drives slowly.
+//!
+//! The same places are the way back out of a dead end.
+
+use nalgebra::Vector2;
+use shared_types::{Pose, ScannerHealth, plain_state};
+use vehicle::frame::{to_robot, to_track, wrap_angle};
+use vehicle::geometry::{Rectangle, ray_in_box};
+use vehicle::{Description, State};
+
+/// How many places are remembered: over 12 m.
+const PLACES: usize = 64;
+/// How far the robot moves, or turns, from one place to the next [m, rad].
+const APART: (f64, f64) = (0.2, 0.15);
+/// The scanner shows what is at most so far to either side of the front, and so far away [rad, m].
+const VIEW: (f64, f64) = (0.95, 5.0);
+/// Around the body of a place it is free as far as the robot gets between two places [m].
+const AROUND_M: f64 = 0.15;
+
+plain_state! {
+    /// One place.
+    pub struct Sight {
+        /// Position of the robot [m]
+        pub x_m: f64,
+        /// Position of the robot, to the left of x [m]
+        pub y_m: f64,
+        /// Its direction [rad]
+        pub yaw_rad: f64,
+        /// How far ahead nothing is missed there [m]
+        pub seen_m: f64,
+    }
+}
+
+plain_state! {
+    /// The last places, in a ring.
+    pub struct Sights {
+        /// Number of places that were entered and not taken back
+        pub entered: u64,
+        /// The number of the first one that is still there
+        pub first: u64,
+        /// The places
+        pub places: [Sight; PLACES],
+    }
+}
+
+impl Sights {
+    /// Enters the place of a scan unless the robot is still near the last one.
+    pub(crate) fn enter(&mut self, pose: &Pose, scanner: &ScannerHealth) {
+        let (x_m, y_m, yaw_rad) = (pose.x_m, pose.y_m, pose.yaw_rad);
+        let is_near = self.newest().next().is_some_and(|last| {
+            (last.x_m - x_m).hypot(last.y_m - y_m) < APART.0 && wrap_angle(last.yaw_rad - yaw_rad).abs() < APART.1
+        });
+        if is_near || ![x_m, y_m, yaw_rad].iter().all(|value| value.is_finite()) {
+            return;
+        }
+        let seen_m = if scanner.state().is_stop() { 0.0 } else { scanner.seen_ahead_m };
+        let index = (self.entered % PLACES as u64) as usize;
+        self.places[index] = Sight { x_m, y_m, yaw_rad, seen_m };
+        self.entered += 1;
+        self.first = self.first.max(self.entered.saturating_sub(PLACES as u64));
+    }
+
+    /// The places of a checkpoint; none when a number of it is impossible.
+    pub(crate) fn valid(&self) -> Self {
+        let finite = |sight: &Sight| [sight.x_m, sight.y_m, sight.yaw_rad, sight.seen_m].iter().all(|v| v.is_finite());
+        let count = self.entered.checked_sub(self.first);
+        let is_valid = count.is_some_and(|count| count <= PLACES as u64) && self.places.iter().all(finite);
+        if is_valid { *self } else { Self::default() }
+    }
+
+    /// The places, the last one first.
+    fn newest(&self) -> impl Iterator<Item = &Sight> {
+        (self.first..self.entered).rev().map(|number| &self.places[(number % PLACES as u64) as usize])
+    }
+
+    /// Where the robot was `way_m` before it came to a place; nothing where that is not remembered.
+    pub(crate) fn before(&self, [x_m, y_m]: [f64; 2], way_m: f64) -> Option<State> {
+        let (mut left_m, mut from) = (way_m, Vector2::new(x_m, y_m));
+        for sight in self.newest() {
+            let to = Vector2::new(sight.x_m, sight.y_m);
+            let step = (to - from).norm();
+            if step >= left_m && step > 0.0 {
+                let at = from + (to - from) * (left_m / step);
+                return Some(State { x: at.x, y: at.y, yaw: sight.yaw_rad, ..State::default() });
+            }
+            (left_m, from) = (left_m - step, to);
+        }
+        None
+    }
+
+    /// Takes the last places back, to the one that is nearest to where the robot is: it drove back to there.
+    pub(crate) fn take_back(&mut self, [x_m, y_m]: [f64; 2]) {
+        let distance = |sight: &Sight| (sight.x_m - x_m).hypot(sight.y_m - y_m);
+        let nearest = (self.first..self.entered).rev().min_by(|one, other| {
+            let of = |number: &u64| distance(&self.places[(*number % PLACES as u64) as usize]);
+            of(one).total_cmp(&of(other))
+        });
+        self.entered = nearest.map_or(self.entered, |number| number + 1);
+    }
+
+    /// Whether all of a body is on ground that was seen, past the bodies that are known.
+    pub(crate) fn show(&self, body: &Rectangle, vehicle: &Description, bodies: &[Rectangle]) -> bool {
+        let corners = body.corners();
+        let middles = [0, 1, 2, 3].map(|index| (corners[index] + corners[(index + 1) % 4]) / 2.0);
+        corners
+            .into_iter()
+            .chain(middles)
+            .all(|point| self.newest().any(|sight| sight.shows(point, vehicle, bodies)))
+    }
+}
+
+impl Sight {
+    /// Whether a point was under the body here, or in view of the scanner.
+    fn shows(&self, point: Vector2<f64>, vehicle: &Description, bodies: &[Rectangle]) -> bool {
+        let from = to_robot(self.yaw_rad, point.x - self.x_m, point.y - self.y_m);
+        let is_under = from.x.abs() <= vehicle.length_m / 2.0 + AROUND_M
+            && from.y.abs() <= vehicle.width_m / 2.0 + AROUND_M;
+        if is_under {
+            return true;
+        }
+        let ahead = from - Vector2::new(vehicle.scanner_x_m, vehicle.scanner_y_m);
+        let is_in_view =
+            ahead.norm() <= self.seen_m.min(VIEW.1) && ahead.x > 0.0 && ahead.y.abs() <= VIEW.0.tan() * ahead.x;
+        is_in_view && {
+            let scanner = point - to_track(self.yaw_rad, ahead.x, ahead.y);
+            !bodies.iter().any(|body| hides(body, scanner, point))
+        }
+    }
+}
+
+/// Whether a body is between two points.
+fn hides(body: &Rectangle, from: Vector2<f64>, to: Vector2<f64>) -> bool {
+    let local = |point: Vector2<f64>| to_robot(body.yaw, point.x - body.centre.x, point.y - body.centre.y);
+    let (origin, end) = (local(from), local(to));
+    let half = Vector2::new(body.length / 2.0, body.width / 2.0);
+    ray_in_box(origin, end - origin, half).is_some_and(|(enter, leave)| enter < 1.0 && leave > 0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn driven(way_m: f64) -> Sights {
+        let mut sights = Sights::default();
+        for step in 0..=(way_m / 0.05) as u32 {
+            let pose = Pose { x_m: 0.05 * f64::from(step), ..Pose::default() };
+            sights.enter(&pose, &ScannerHealth::healthy(5.0));
+        }
+        sights
+    }
+
+    fn body(x: f64, y: f64) -> Rectangle {
+        Rectangle { centre: Vector2::new(x, y), yaw: 0.0, length: 0.56, width: 0.4 }
+    }
+
+    #[test]
+    fn ground_is_seen_where_the_body_was_and_where_the_scanner_showed_it() {
+        let (sights, vehicle) = (driven(3.0), Description::default());
+        let shown = |x: f64, y: f64, bodies: &[Rectangle]| sights.show(&body(x, y), &vehicle, bodies);
+        // The first place is at zero, its body reaches 0.28 m behind it, and the view begins in front of it.
+        assert!(shown(0.1, 0.0, &[]) && !shown(-0.5, 0.0, &[]));
+        assert!(shown(3.0, 1.0, &[]) && !shown(0.5, 1.5, &[]), "beside the first place nothing was in view");
+        // A box between the way and the place hides it from wherever the robot was.
+        let wall = Rectangle { centre: Vector2::new(3.0, 0.6), yaw: 0.0, length: 9.0, width: 0.1 };
+        assert!(!shown(3.0, 1.0, &[wall]));
+        assert!(!Sights::default().show(&body(0.0, 0.0), &vehicle, &[]));
+    }
+
+    #[test]
+    fn the_way_back_leads_over_the_places_and_ends_where_they_do() {
+        let mut sights = driven(3.0);
+        let back = sights.before([3.0, 0.0], 1.3).unwrap();
+        assert!((back.x - 1.7).abs() < 1e-9);
+        assert_eq!(sights.before([3.0, 0.0], 3.5), None);
+        sights.take_back([1.0, 0.1]);
+        let back = sights.before([1.0, 0.0], 0.5).unwrap();
+        assert!((back.x - 0.5).abs() < 0.05);
+        assert!(!sights.show(&body(4.9, 0.0), &Description::default(), &[]), "what was seen later is taken back");
+    }
+
+    #[test]
+    fn the_oldest_places_are_forgotten_and_impossible_ones_are_not_continued_from() {
+        let sights = driven(40.0);
+        assert_eq!(sights.entered - sights.first, PLACES as u64);
+        assert_eq!(sights.valid(), sights);
+        assert_eq!(Sights { entered: 900, ..sights }.valid(), Sights::default());
+        let mut broken = sights;
+        broken.places[3].yaw_rad = f64::NAN;
+        assert_eq!(broken.valid(), Sights::default());
+    }
+}
