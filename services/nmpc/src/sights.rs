@@ -16,7 +16,7 @@ const PLACES: usize = 64;
 /// How far the robot moves, or turns, from one place to the next [m, rad].
 const APART: (f64, f64) = (0.2, 0.15);
 /// The scanner shows what is at most so far to either side of the front, and so far away [rad, m].
-const VIEW: (f64, f64) = (0.95, 5.0);
+const VIEW: (f64, f64) = (1.02, 5.0);
 /// Around the body of a place it is free as far as the robot gets between two places [m].
 const AROUND_M: f64 = 0.15;
 

@@ -109,6 +109,7 @@ fn require_goal(
     }
     let turns = Turns::new(start, goal, controller, ENTRY_SHARE * radius_m);
     if let Some(course) = &scenario.course {
+        require_reverse(course, controller)?;
         require_bends(course, controller, radius_m)?;
         return require_beside(course, leg, turns);
     }
@@ -162,6 +163,22 @@ fn require_speeds(scenario: &Scenario, controller: &ControllerConfig) -> Result<
         }
     }
     Ok(())
+}
+
+/// Passes when the vehicle drives backwards where the course does.
+fn require_reverse(course: &Course, controller: &ControllerConfig) -> Result<(), Invalid> {
+    let mut backwards = course.keys().waypoints.iter().enumerate().filter(|(_, waypoint)| waypoint.reverse);
+    match backwards.next().filter(|_| controller.vehicle.bounds.mirrored().is_none()) {
+        Some((index, _)) => {
+            let bounds = &controller.vehicle.bounds;
+            let allowed = format!(
+                "a vehicle that drives backwards: vehicle.bounds.reverse_max_mps = {} is below velocity_min_mps = {}",
+                bounds.reverse_max_mps, bounds.velocity_min_mps
+            );
+            Err(Invalid::new(&format!("course.waypoints[{index}].reverse"), true, allowed))
+        }
+        None => Ok(()),
+    }
 }
 
 /// Passes when no bend of the course is sharper than the turns that the controller plans.
