@@ -54,6 +54,8 @@ const SLIDE_M: f64 = 0.2;
 const SUDDEN_MPS: f64 = 0.2;
 /// Nearer to the goal no slow way is looked for [m]: a robot that creeps beside a body that moves unnoticed is touched.
 const SLOW_WAY_M: f64 = 2.0;
+/// The robot drives back so much further than to where a path begins, where it can [m].
+const SPARE_BACK_M: f64 = 0.75;
 /// A body that blocks the way and came less than this ago may go again [s].
 const COMES_AND_GOES_S: f64 = 6.5;
 /// A robot that is turned further from the course than this can't be planned for from there [rad].
@@ -251,11 +253,14 @@ impl Controller {
             state.back.stood = 0;
             return false;
         }
-        let Some(place) = state.sights.before([pose.x_m, pose.y_m], way_m) else { return false };
-        let place = config.course.on_course(&place, here.x - way_m);
-        if place.x >= here.x || place.yaw.abs() > MOST_TURNED_RAD {
-            return false;
-        }
+        let before = |way_m: f64| {
+            let place = state.sights.before([pose.x_m, pose.y_m], way_m)?;
+            let place = config.course.on_course(&place, here.x - way_m);
+            (place.x < here.x && place.yaw.abs() < MOST_TURNED_RAD).then_some(place)
+        };
+        let Some(place) = before(way_m) else { return false };
+        // The path from there will be only just clear.
+        let further = before(way_m + SPARE_BACK_M).unwrap_or(place);
         let margin = MarginModel::of(config, pose);
         config.guide.range_m += way_m;
         let scene = Scene::new(config, predicted, place).keeping(margin, 0.0);
@@ -266,7 +271,7 @@ impl Controller {
         if is_found && lately {
             state.back.stay();
         } else if is_found {
-            state.back.begin(here.x, &place);
+            state.back.begin(here.x, &further);
             state.plan[0].x_m = legs.from_end(here.x);
             (state.blocked_scans, state.sides) = (0, Default::default());
         }
