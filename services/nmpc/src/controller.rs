@@ -241,7 +241,12 @@ impl Controller {
             return false;
         }
         let Self { config, legs, state, predicted, search, alternative, .. } = self;
-        let here = State { x: pose.predicted_x_m, y: pose.predicted_y_m, yaw: pose.predicted_yaw_rad, ..State::default() };
+        let here = State {
+            x: pose.predicted_x_m,
+            y: pose.predicted_y_m,
+            yaw: pose.predicted_yaw_rad,
+            ..State::default()
+        };
         let here = config.course.on_course(&here, state.along().unwrap_or(here.x));
         let Some(way_m) = state.back.stand(here.x, period_s, config.back_out_m) else { return false };
         if state.back.drives == 1 {

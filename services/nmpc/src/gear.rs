@@ -70,7 +70,12 @@ impl Legs {
 
     /// The settings of what the robot drives in `config`; true where they are others than before. A person drives forwards
     /// on each leg.
-    pub(crate) fn enter(&mut self, state: &ControllerState, by_person: bool, config: &mut ControllerConfig) -> bool {
+    pub(crate) fn enter(
+        &mut self,
+        state: &ControllerState,
+        by_person: bool,
+        config: &mut ControllerConfig,
+    ) -> bool {
         let leg = (state.leg as usize).min(self.legs.len() - 1);
         let returns = state.back.drives == 1 && !by_person;
         let turned = returns || self.legs[leg].is_reverse && !by_person;
@@ -79,7 +84,8 @@ impl Legs {
             return false;
         }
         self.entered = entered;
-        let Driving { vehicle, cruise_mps, careful_mps } = if turned { self.backwards } else { self.forwards };
+        let Driving { vehicle, cruise_mps, careful_mps } =
+            if turned { self.backwards } else { self.forwards };
         let course = if returns { &self.returns[leg] } else { &self.legs[leg].course };
         config.course.clone_from(course);
         (config.vehicle, config.cruise_mps, config.careful_mps) = (vehicle, cruise_mps, careful_mps);
@@ -132,7 +138,8 @@ impl Legs {
             let place = leg.course.on_course(&state, leg.course.find(&state));
             place.y.abs() + place.yaw.abs() + (place.x - leg.end_m).max(0.0)
         };
-        let nearest = self.legs.iter().enumerate().min_by(|one, other| misfit(one.1).total_cmp(&misfit(other.1)));
+        let nearest =
+            self.legs.iter().enumerate().min_by(|one, other| misfit(one.1).total_cmp(&misfit(other.1)));
         nearest.map_or(0, |(index, _)| index as u32)
     }
 }

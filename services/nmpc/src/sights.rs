@@ -51,7 +51,8 @@ impl Sights {
     pub(crate) fn enter(&mut self, pose: &Pose, scanner: &ScannerHealth) {
         let (x_m, y_m, yaw_rad) = (pose.x_m, pose.y_m, pose.yaw_rad);
         let is_near = self.newest().next().is_some_and(|last| {
-            (last.x_m - x_m).hypot(last.y_m - y_m) < APART.0 && wrap_angle(last.yaw_rad - yaw_rad).abs() < APART.1
+            (last.x_m - x_m).hypot(last.y_m - y_m) < APART.0
+                && wrap_angle(last.yaw_rad - yaw_rad).abs() < APART.1
         });
         if is_near || ![x_m, y_m, yaw_rad].iter().all(|value| value.is_finite()) {
             return;
@@ -65,7 +66,8 @@ impl Sights {
 
     /// The places of a checkpoint; none when a number of it is impossible.
     pub(crate) fn valid(&self) -> Self {
-        let finite = |sight: &Sight| [sight.x_m, sight.y_m, sight.yaw_rad, sight.seen_m].iter().all(|v| v.is_finite());
+        let finite =
+            |sight: &Sight| [sight.x_m, sight.y_m, sight.yaw_rad, sight.seen_m].iter().all(|v| v.is_finite());
         let count = self.entered.checked_sub(self.first);
         let is_valid = count.is_some_and(|count| count <= PLACES as u64) && self.places.iter().all(finite);
         if is_valid { *self } else { Self::default() }
@@ -122,8 +124,9 @@ impl Sight {
             return true;
         }
         let ahead = from - Vector2::new(vehicle.scanner_x_m, vehicle.scanner_y_m);
-        let is_in_view =
-            ahead.norm() <= self.seen_m.min(VIEW.1) && ahead.x > 0.0 && ahead.y.abs() <= VIEW.0.tan() * ahead.x;
+        let is_in_view = ahead.norm() <= self.seen_m.min(VIEW.1)
+            && ahead.x > 0.0
+            && ahead.y.abs() <= VIEW.0.tan() * ahead.x;
         is_in_view && {
             let scanner = point - to_track(self.yaw_rad, ahead.x, ahead.y);
             !bodies.iter().any(|body| hides(body, scanner, point))
@@ -178,7 +181,10 @@ mod tests {
         sights.take_back([1.0, 0.1]);
         let back = sights.before([1.0, 0.0], 0.5).unwrap();
         assert!((back.x - 0.5).abs() < 0.25, "{back:?}");
-        assert!(!sights.show(&body(6.6, 0.0), &Description::default(), &[]), "what was seen later is taken back");
+        assert!(
+            !sights.show(&body(6.6, 0.0), &Description::default(), &[]),
+            "what was seen later is taken back"
+        );
     }
 
     #[test]

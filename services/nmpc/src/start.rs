@@ -89,7 +89,12 @@ impl Start {
 }
 
 /// Largest speed at which the robot stops within what the scanner shows [m/s]; zero when it shows nothing.
-fn seen_mps(config: &ControllerConfig, stopping: &Stopping, scanner: &ScannerHealth, is_reverse: bool) -> f64 {
+fn seen_mps(
+    config: &ControllerConfig,
+    stopping: &Stopping,
+    scanner: &ScannerHealth,
+    is_reverse: bool,
+) -> f64 {
     let seen_m = if is_reverse { f64::INFINITY } else { scanner.seen_ahead_m };
     let seen_m = seen_m - config.vehicle.length_m / 2.0 - STOP_MARGIN_M;
     if seen_m.is_nan() {

@@ -91,7 +91,12 @@ impl WayBack {
     }
 
     /// What is described with what is remembered; `None` where nothing is. `along_m` is the place of the robot.
-    pub(crate) fn recall(&mut self, obstacles: &Obstacles, pose: &Pose, along_m: Option<f64>) -> Option<Obstacles> {
+    pub(crate) fn recall(
+        &mut self,
+        obstacles: &Obstacles,
+        pose: &Pose,
+        along_m: Option<f64>,
+    ) -> Option<Obstacles> {
         if self.drives == 0 && along_m.is_some_and(|along_m| along_m > self.from_m + FURTHER_M) {
             self.count = 0;
         }

@@ -264,6 +264,49 @@ fn slalom_arc_is_reached() {
 }
 
 #[test]
+fn a_turn_in_three_is_reached_backwards_in_its_middle() {
+    reach("u-turn");
+}
+
+#[test]
+fn a_place_along_the_way_is_reached_backwards() {
+    reach("park-parallel");
+}
+
+#[test]
+fn a_place_across_the_way_is_reached_backwards() {
+    reach("park-perpendicular");
+}
+
+#[test]
+fn a_dead_end_is_left_backwards_and_passed() {
+    reach("dead-end");
+}
+
+#[test]
+fn a_robot_that_drives_forwards_only_stays_in_a_dead_end_and_is_refused_a_course_backwards() {
+    let system = TestSystem::new(EXECUTABLE);
+    let forwards = "vehicle.bounds.reverse_max_mps=0";
+    for keys in [forwards, "controller.back_out_m=0"] {
+        let report = system.lockstep(&["dead-end", "--set", keys]);
+        assert_eq!(report.outcome, Outcome::Stopped, "{keys}: {}", report.reason);
+    }
+    let output = system.run(&["check", "u-turn", "--set", forwards]);
+    assert_eq!(output.status.code(), Some(2));
+    let printed = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(printed.contains("course.waypoints[3].reverse"), "{printed}");
+}
+
+#[test]
+fn a_place_that_was_not_seen_is_not_backed_into() {
+    // The body beside it hides where the robot is to stand.
+    let hidden = ["park-perpendicular", "--set", "obstacle.0.x_m=4.5", "--set", "obstacle.0.length_m=1.0"];
+    let report = TestSystem::new(EXECUTABLE).lockstep(&hidden);
+    assert_eq!(report.outcome, Outcome::Stopped, "{}", report.reason);
+    assert!(report.drive.truth.unwrap().min_clearance_m > 0.05);
+}
+
+#[test]
 fn long_is_reached() {
     reach("long");
 }

@@ -1,9 +1,10 @@
 //! Processes restarted by command while the robot drives: the old one is ended last.
 
 use emulator::Outcome;
+use rustix::process::Signal;
 use scanloop_tests::machine::repeat_when_late;
 use scanloop_tests::swaps::{assert_every_scan_answered_once, restart, restart_all, rows};
-use scanloop_tests::{SHORT_CORRIDOR, STAGES, TestSystem, system_file};
+use scanloop_tests::{SHORT_CORRIDOR, STAGES, TestSystem, printed, system_file};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -20,6 +21,26 @@ fn a_restart_loses_no_scan_and_is_no_swap() {
         let restarts: Vec<u32> = report.processes.iter().map(|process| process.restarts).collect();
         assert_eq!(restarts, [0, 1, 1, 1, 1]);
         assert_every_scan_answered_once(&system);
+        system.assert_nothing_left();
+    });
+}
+
+#[test]
+fn processes_are_restarted_and_killed_while_the_robot_drives_backwards() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        system.start(&["park-parallel", "--record=drive.mcap"]);
+        system.wait_until("it drives backwards", |system| {
+            let newest = system.run(&["topic", "echo", "actuation", "-n", "1"]);
+            printed(&newest).contains("\"sent_velocity_mps\":-")
+        });
+        restart_all(&system);
+        system.signal(system.pid(Role::Controller), Signal::KILL);
+        assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+        assert_eq!(system.report().outcome, Outcome::Reached);
+        assert_every_scan_answered_once(&system);
+        let replayed = system.run(&["replay", "drive.mcap"]);
+        assert_eq!(replayed.status.code(), Some(0), "{}", printed(&replayed));
         system.assert_nothing_left();
     });
 }

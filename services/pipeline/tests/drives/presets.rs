@@ -22,8 +22,8 @@ fn ends(name: &str, preset: Preset, seeds: RangeInclusive<u64>) -> Vec<(u64, End
     seeds::each(seeds, |seed| {
         let mut scenario = shipped(name);
         (scenario.robot.preset, scenario.seed) = (preset, seed);
-        // A robot that rests for a second does not start again in these scenarios.
-        scenario.stop_final_s = 1.0;
+        // A robot that rests for a second does not start again in these scenarios, unless it backs out.
+        scenario.stop_final_s = if name == "dead-end" { scenario.stop_final_s } else { 1.0 };
         end(&PipelineSettings::of(scenario))
     })
 }

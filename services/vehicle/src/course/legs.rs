@@ -123,8 +123,7 @@ impl Follower {
 
     /// Goes to a place that was found otherwise [m].
     pub fn put(&mut self, along_m: f64) {
-        self.index =
-            self.legs.iter().position(|leg| along_m < leg.end_m).unwrap_or(self.legs.len() - 1);
+        self.index = self.legs.iter().position(|leg| along_m < leg.end_m).unwrap_or(self.legs.len() - 1);
         self.along_m = along_m;
     }
 
@@ -239,7 +238,8 @@ mod tests {
     #[test]
     fn a_course_without_reverse_has_one_leg_and_one_that_begins_backwards_is_refused() {
         let waypoints = vec![Waypoint::default(), Waypoint::new(5.0, 0.0, None)];
-        let plain = Course::try_from(CourseKeys { waypoints: waypoints.clone(), ..CourseKeys::default() }).unwrap();
+        let plain =
+            Course::try_from(CourseKeys { waypoints: waypoints.clone(), ..CourseKeys::default() }).unwrap();
         assert_eq!(plain.legs(), [Leg { course: plain.clone(), is_reverse: false, end_m: f64::INFINITY }]);
         let mut backwards = waypoints;
         backwards[1].reverse = true;
