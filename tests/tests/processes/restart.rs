@@ -37,8 +37,9 @@ fn processes_are_restarted_and_killed_while_the_robot_drives_backwards() {
         restart_all(&system);
         system.signal(system.pid(Role::Controller), Signal::KILL);
         assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
-        assert_eq!(system.report().outcome, Outcome::Reached);
-        assert_every_scan_answered_once(&system);
+        let report = system.report();
+        assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Reached, 0), "{}", report.reason);
+        assert!(report.scans.lost <= 1, "one in the process that was killed: {:?}", report.scans);
         let replayed = system.run(&["replay", "drive.mcap"]);
         assert_eq!(replayed.status.code(), Some(0), "{}", printed(&replayed));
         system.assert_nothing_left();
