@@ -19,10 +19,12 @@ use std::time::Duration;
 use console::exit::Failure;
 use console::new_file::{Existing, NewFile, make_folder};
 use runtime::{
-    Bus, Domain, OwnObserver, OwnTopics, PROCESSES_FILE, Shutdown, TopicObserver, monotonic_ns, wait_for,
+    Bus, Domain, OwnObserver, OwnTopics, PROCESSES_FILE, Priority, Shutdown, TopicObserver, monotonic_ns,
+    print, wait_for,
 };
 use serde::{Deserialize, Serialize};
 use shared_types::{Header, Heartbeat, Role, TOPICS, Topic};
+use supervision::lock::Standstill;
 
 use self::logs::Logs;
 use self::losses::Losses;
@@ -117,6 +119,7 @@ pub fn record(domain: &Domain, options: &RecorderOptions, shutdown: &Shutdown) -
     };
     let (mut next_check_ns, mut ends, mut last_scan, mut newest) = (0, false, 0, 0);
     let (mut is_orphaned, mut known_processes) = (false, Vec::new());
+    let mut standstill = Standstill::default();
     loop {
         for observer in &observers {
             let topic = observer.topic();
@@ -155,6 +158,10 @@ pub fn record(domain: &Domain, options: &RecorderOptions, shutdown: &Shutdown) -
         if now_ns >= next_check_ns || ends {
             next_check_ns = now_ns + CHECK_NS;
             logs.read(|role, line| queue.log(role, line));
+            if let Some(change) = standstill.change(domain) {
+                queue.log("orchestrator", &change);
+                print(Priority::Warning, &change);
+            }
             ends |= !domain.is_current() || now_ns >= end_ns || queue.has_failed();
         }
         queue.pass_on(now_ns, losses.lost());

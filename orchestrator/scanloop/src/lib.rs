@@ -182,7 +182,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
             topic::hz(&cli.system_id, topic, *duration).map(|()| Exit::Done)
         }
         CliCommand::Topic(TopicCommand::Echo { topic, count, short }) => {
-            topic::echo(&cli.system_id, topic, *count, *short).map(|()| Exit::Done)
+            topic::echo(&cli.system_id, topic, *count, *short)
         }
         CliCommand::Topic(TopicCommand::Pub { topic, json }) => {
             topic::publish(&cli.system_id, topic, json).map(|()| Exit::Done)

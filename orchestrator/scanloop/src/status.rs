@@ -6,10 +6,11 @@ use console::answer;
 use console::exit::{Exit, Failure};
 use emulator::JudgedBy;
 use runtime::{LinkedHost, RuntimeError};
+use serde_json::Value;
 use session::control::{CompanionStatus, ProcessStatus, SystemStatus};
 use session::orphaned::{ORPHANED, SUSPENDED, current_status};
 use shared_types::{Role, ScannerState};
-use supervision::lock::suspended_orchestrator;
+use supervision::lock::{suspended_orchestrator, suspension};
 use supervision::runs::{RunProcess, existing, strays_of};
 
 use crate::print_json;
@@ -24,19 +25,20 @@ pub(crate) fn status(system_id: &str, json: bool) -> anyhow::Result<Exit> {
         Ok(error) => with_strays(error, system_id),
         Err(other) => other,
     })?;
-    print_json(json, &status)?;
+    if is_known(&status) {
+        print_json(json, &status)?;
+    } else {
+        print_json(json, &with_unknowns(&status)?)?;
+    }
     if !json {
         let mut hint = String::new();
         if status.state == ORPHANED {
             hint.push_str("its orchestrator died: `scanloop adopt` takes it over, `scanloop stop` ends it\n");
         }
         if status.state == SUSPENDED {
-            let pid = suspended_orchestrator(domain).map_or_else(String::new, |pid| format!(" {pid}"));
-            let _ = writeln!(
-                hint,
-                "its orchestrator{pid} does not run: it was suspended by a signal (`kill -CONT{pid}`), or its control group is \
-                 frozen; `scanloop stop` blocks the wheels"
-            );
+            let why = suspended_orchestrator(domain)
+                .map_or_else(String::new, |pid| format!(": {}", suspension(pid)));
+            let _ = writeln!(hint, "its orchestrator does not run{why}; `scanloop stop` blocks the wheels");
         }
         answer!(json, "{}{hint}", table(&status))?;
     }
@@ -86,10 +88,25 @@ fn host_line(host: &LinkedHost) -> String {
     )
 }
 
+/// Whether anything was received. Processes that do not run publish nothing, and without an orchestrator that answers it
+/// is all that is known.
+fn is_known(status: &SystemStatus) -> bool {
+    status.scan > 0 || ![SUSPENDED, ORPHANED].contains(&status.state.as_str())
+}
+
+/// A status of which nothing was received, with null for what is not known.
+fn with_unknowns(status: &SystemStatus) -> serde_json::Result<Value> {
+    let mut json = serde_json::to_value(status)?;
+    json["scan"] = Value::Null;
+    for process in json["processes"].as_array_mut().into_iter().flatten() {
+        ["rate_hz", "last_sample_age_ms"].iter().for_each(|key| process[*key] = Value::Null);
+    }
+    Ok(json)
+}
+
 fn table(status: &SystemStatus) -> String {
     let SystemStatus { system_id, state, scenario, .. } = status;
-    // Processes that do not run publish nothing, and without an orchestrator that answers it is all that is known.
-    let is_known = status.scan > 0 || ![SUSPENDED, ORPHANED].contains(&state.as_str());
+    let is_known = is_known(status);
     let known = |figure: String| if is_known { figure } else { "-".to_owned() };
     let scan = if is_known { format!(", scan {}", status.scan) } else { String::new() };
     let judged_by = status.judged_by.filter(|judged_by| *judged_by == JudgedBy::Estimate);
@@ -215,6 +232,14 @@ mod tests {
             let state = state.to_owned();
             table(&SystemStatus { state, scan, processes: vec![process.clone()], ..SystemStatus::default() })
         };
+        let frozen = SystemStatus {
+            state: SUSPENDED.to_owned(),
+            processes: vec![process.clone()],
+            ..SystemStatus::default()
+        };
+        let (driving, json) = (SystemStatus { scan: 7, ..frozen.clone() }, with_unknowns(&frozen).unwrap());
+        assert!(is_known(&driving) && !is_known(&frozen));
+        assert_eq!((&json["scan"], &json["processes"][0]["rate_hz"]), (&Value::Null, &Value::Null));
         let suspended = shown(SUSPENDED, 0);
         assert!(!suspended.contains("scan 0"), "{suspended}");
         assert!(suspended.ends_with("       0        -        -    0.0         9\n"), "{suspended}");

@@ -1,25 +1,20 @@
 //! `scanloop topic list / hz / echo / pub`.
 
 mod publish;
+mod watch;
 
 use std::time::Duration;
 
-use console::exit::Failure;
+use console::exit::Exit;
 use console::output::data;
 use figures::{Align, Table};
-use runtime::{Bus, Observer, OwnObserver, OwnTopics, RuntimeError, Shutdown, monotonic_ns, wait_for};
+use runtime::{OwnTopics, monotonic_ns};
 use serde_json::{Map, Value, json};
 use session::arguments::check_duration;
-use shared_types::{
-    Actuation, Checkpoint, ClockOffset, Command, Directive, ENUMERATIONS, Field, Header, Heartbeat, Journal,
-    Kind, MAX_NUMBER, Obstacles, Odometry, Pose, Role, Sample, Scan, TOPICS, Topic, Truth, did_you_mean,
-    require_sequence,
-};
+use shared_types::{ENUMERATIONS, Field, Kind, Role, TOPICS, Topic};
 
 pub(crate) use self::publish::publish;
-
-/// Longest sleep between two polls of a topic; a buffer of 16 samples lasts longer than this at 500 Hz.
-const POLL_NS: u64 = 20_000_000;
+use self::watch::{Count, Watch};
 
 /// Arrays of bytes up to this length are texts [bytes].
 const MAX_TEXT: usize = 64;
@@ -103,7 +98,7 @@ pub(crate) fn hz(system_id: &str, topic: &str, duration_s: f64) -> anyhow::Resul
 ///
 /// # Errors
 /// An unknown topic, or a system that is not running.
-pub(crate) fn echo(system_id: &str, topic: &str, count: Option<u64>, short: bool) -> anyhow::Result<()> {
+pub(crate) fn echo(system_id: &str, topic: &str, count: Option<u64>, short: bool) -> anyhow::Result<Exit> {
     let mut watch = Watch::open(system_id, topic)?;
     let mut left = count.unwrap_or(u64::MAX);
     while left > 0 && watch.sleep() {
@@ -118,156 +113,8 @@ pub(crate) fn echo(system_id: &str, topic: &str, count: Option<u64>, short: bool
         })?;
         written?;
     }
-    Ok(())
-}
-
-/// Returns the bytes of the next sample of a topic.
-type NextSample = Box<dyn FnMut() -> Result<Option<Vec<u8>>, RuntimeError>>;
-
-/// A topic under observation, of any type.
-struct Watch {
-    fields: &'static [Field],
-    /// Whether its samples are numbered by one process.
-    is_numbered: bool,
-    next: NextSample,
-    shutdown: Shutdown,
-    count: Count,
-    _bus: Bus,
-}
-
-/// Writers of a topic that are told apart: those in charge, candidates and those that are ending.
-const MAX_WRITERS: usize = 16;
-
-/// How many samples of a topic were published while it was observed.
-#[derive(Debug, Clone, Default)]
-struct Count {
-    /// That arrived here.
-    seen: u64,
-    /// That did not, by the numbers of those that did.
-    lost: u64,
-    /// That have a number that they can't have.
-    impossible: u64,
-    /// Incarnation and newest number of each writer, the latest last, and when it came [ns].
-    writers: Vec<(u32, u64, u64)>,
-}
-
-impl Count {
-    /// Counts a sample of a topic that each writer numbers without gaps.
-    fn add(&mut self, header: &Header, now_ns: u64) {
-        self.seen += 1;
-        let Header { incarnation, sequence, .. } = *header;
-        let known = self.writers.iter().position(|(of, ..)| *of == incarnation);
-        let (newest, since_ns) = match known.map(|index| self.writers.remove(index)) {
-            Some((_, newest, at_ns)) => (newest, at_ns),
-            None => (sequence.saturating_sub(1), 0),
-        };
-        let is_possible = require_sequence(sequence, newest, now_ns.saturating_sub(since_ns)).is_ok()
-            && sequence <= MAX_NUMBER;
-        if is_possible {
-            self.lost += sequence.saturating_sub(newest).saturating_sub(1);
-        } else {
-            self.impossible += 1;
-        }
-        if self.writers.len() == MAX_WRITERS {
-            self.writers.remove(0);
-        }
-        if is_possible || known.is_some() {
-            self.writers.push((incarnation, if is_possible { sequence } else { newest }, now_ns));
-        }
-    }
-
-    /// Samples published per second since an earlier count, seen or not.
-    fn rate_hz(&self, before: &Self, elapsed_ns: u64) -> f64 {
-        let published = (self.seen + self.lost).saturating_sub(before.seen + before.lost);
-        published as f64 / (elapsed_ns.max(1) as f64 * 1e-9)
-    }
-}
-
-impl std::fmt::Display for Count {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(formatter, "{} samples seen, {} lost", self.seen, self.lost)?;
-        if self.impossible > 0 {
-            write!(formatter, ", {} with an impossible number", self.impossible)?;
-        }
-        Ok(())
-    }
-}
-
-impl Watch {
-    fn open(system_id: &str, topic: &str) -> anyhow::Result<Self> {
-        let of_loop = topic.parse::<Topic>();
-        let found = supervision::runs::existing(system_id);
-        let domain = match &of_loop {
-            Ok(_) => found?,
-            // Only a running system has other topics.
-            Err(unknown) => found.map_err(|_| Failure::bad_input(unknown))?,
-        };
-        let own = OwnTopics::of(&domain)?.filter(|own| own.find(topic).is_some());
-        let bus = Bus::open(&domain, "observer")?;
-        if let Some(own) = own {
-            return Self::own(bus, &own, topic);
-        }
-        let topic = of_loop.map_err(|unknown| {
-            let own = OwnTopics::of(&domain).ok().flatten().map_or_else(Vec::new, |own| own.topic);
-            let names: Vec<&str> = own.iter().map(|row| row.name.as_str()).collect();
-            let meant = did_you_mean(topic, names.iter().copied());
-            let of_file = format!("; the system file adds {}.{meant}", names.join(", "));
-            Failure::bad_input(format!("{unknown}{}", if names.is_empty() { "" } else { &of_file }))
-        })?;
-        fn of<S: Sample>(bus: &Bus) -> Result<NextSample, RuntimeError> {
-            let observer = Observer::<S>::new(bus)?;
-            Ok(Box::new(move || Ok(observer.next()?.map(|(sample, _)| bytemuck::bytes_of(&sample).to_vec()))))
-        }
-        let next = match topic {
-            Topic::Scan => of::<Scan>(&bus),
-            Topic::Odometry => of::<Odometry>(&bus),
-            Topic::Pose => of::<Pose>(&bus),
-            Topic::Obstacles => of::<Obstacles>(&bus),
-            Topic::Command => of::<Command>(&bus),
-            Topic::Actuation => of::<Actuation>(&bus),
-            Topic::Heartbeat => of::<Heartbeat>(&bus),
-            Topic::Directive => of::<Directive>(&bus),
-            Topic::Checkpoint => of::<Checkpoint>(&bus),
-            Topic::Truth => of::<Truth>(&bus),
-            Topic::Journal => of::<Journal>(&bus),
-            Topic::Clock => of::<ClockOffset>(&bus),
-        }?;
-        Self::of(bus, topic.fields(), topic.writer().is_some(), next)
-    }
-
-    /// A topic that the system file added.
-    fn own(bus: Bus, own: &OwnTopics, topic: &str) -> anyhow::Result<Self> {
-        let observer = OwnObserver::new(&bus, own, topic)?;
-        let fields = observer.own_type().fields();
-        Self::of(bus, fields, true, Box::new(move || observer.next()))
-    }
-
-    fn of(bus: Bus, fields: &'static [Field], is_numbered: bool, next: NextSample) -> anyhow::Result<Self> {
-        let shutdown = Shutdown::on_signals()?;
-        Ok(Self { fields, is_numbered, next, shutdown, count: Count::default(), _bus: bus })
-    }
-
-    /// Sleeps until the next poll; false when the user wants to end.
-    fn sleep(&self) -> bool {
-        wait_for(&[self.shutdown.descriptor()], POLL_NS);
-        !self.shutdown.requested()
-    }
-
-    /// Passes the bytes of the samples that have arrived to `each` until it returns false.
-    fn poll(&mut self, each: &mut impl FnMut(&[u8]) -> bool) -> anyhow::Result<()> {
-        let now_ns = monotonic_ns();
-        while let Some(bytes) = (self.next)()? {
-            let header: Header = bytemuck::pod_read_unaligned(&bytes[..size_of::<Header>()]);
-            match self.is_numbered {
-                true => self.count.add(&header, now_ns),
-                false => self.count.seen += 1,
-            }
-            if !each(&bytes) {
-                break;
-            }
-        }
-        Ok(())
-    }
+    // What was asked for did not come.
+    Ok(if count.is_some() && left > 0 && watch.has_ended { Exit::NotReached } else { Exit::Done })
 }
 
 fn decode_struct(fields: &[Field], bytes: &[u8], short: bool) -> Value {
@@ -327,6 +174,7 @@ fn scalar(name: &str, bytes: &[u8]) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use shared_types::{Command, Heartbeat, Odometry, Sample};
 
     #[test]
     fn sizes_of_all_descriptions_are_the_sizes_of_the_samples() {
@@ -334,29 +182,6 @@ mod tests {
             let last = topic.fields().last().unwrap();
             assert_eq!(last.offset + last.kind.size(), topic.size(), "{topic}");
         }
-    }
-
-    #[test]
-    fn a_rate_counts_what_was_published_not_what_was_seen() {
-        let header = |incarnation, sequence| Header { incarnation, sequence, ..Header::default() };
-        let mut count = Count::default();
-        // Of 1,000 samples in a second, every fifth is seen; two writers, one of which starts at 7.
-        (1..=100).for_each(|index| count.add(&header(1, 5 * index), 10_000_000 * index));
-        (0..100).for_each(|index| count.add(&header(2, 7 + 5 * index), 10_000_000 * index));
-        assert_eq!((count.seen, count.lost, count.impossible), (200, 4 * 99 + 4 * 99, 0));
-        assert_eq!(count.rate_hz(&Count::default(), 1_000_000_000), 992.0);
-        let before = count.clone();
-        for wrong in [1 << 63, u64::MAX, 1 << 47] {
-            count.add(&header(1, wrong), 1_000_000_000);
-        }
-        count.add(&header(9, u64::MAX), 1_000_000_000);
-        count.add(&header(1, 501), 1_010_000_000);
-        assert_eq!((count.lost - before.lost, count.impossible), (0, 4));
-        assert_eq!(count.to_string(), "205 samples seen, 792 lost, 4 with an impossible number");
-        for incarnation in 0..1_000 {
-            count.add(&header(incarnation, 1), 2_000_000_000);
-        }
-        assert!(count.writers.len() <= MAX_WRITERS);
     }
 
     #[test]

@@ -27,7 +27,7 @@ use serde::{Deserialize, Serialize};
 use shared_types::{Device, DeviceState, Role};
 use supervision::entry::role_name;
 use supervision::fleet::companions::CompanionView;
-use supervision::lock::{hidden, is_hidden, suspended_orchestrator};
+use supervision::lock::{hidden, is_hidden, suspended_orchestrator, suspension};
 use supervision::supervisor::VisibleState;
 
 use self::line::{read_line, write_line};
@@ -352,9 +352,7 @@ fn ask_once(path: &Path, request: &Request, until: Instant) -> anyhow::Result<Op
 /// The reason why an orchestrator does not answer, where it is known; exit code 4.
 fn with_reason(domain: &Domain, error: anyhow::Error) -> anyhow::Error {
     match suspended_orchestrator(domain) {
-        Some(pid) => Failure::process(format!(
-            "{error:#}: process {pid} was suspended by a signal, or its control group is frozen"
-        )),
+        Some(pid) => Failure::process(format!("{error:#}: {}", suspension(pid))),
         None => error,
     }
 }

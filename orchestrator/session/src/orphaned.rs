@@ -54,8 +54,9 @@ fn status(domain: &Domain, state: &str) -> Option<SystemStatus> {
     let cpu = |pid: u32| usage_of(pid).map_or(0.0, |usage| usage.cpu_s);
     let before: Vec<f64> = survivors.listed.iter().map(|(_, process)| cpu(process.pid())).collect();
     let began_ns = monotonic_ns();
-    // Processes that do not run are not waited for.
-    let received = if state == SUSPENDED { None } else { receive(domain) };
+    // Processes that do not run are not waited for; beside an orchestrator that does not, they may.
+    let is_frozen = survivors.listed.iter().all(|(_, process)| is_suspended(process.pid()));
+    let received = if is_frozen { None } else { receive(domain) };
     let elapsed_s = (monotonic_ns() - began_ns) as f64 * 1e-9;
     let mut scan = 0;
     let word = LivingRun::of(domain.run_id()).and_then(|run| run.word);

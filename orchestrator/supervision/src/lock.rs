@@ -281,6 +281,33 @@ pub fn suspended_orchestrator(domain: &Domain) -> Option<u32> {
     pid.parse().ok().filter(|pid| is_here && is_suspended(*pid) && is_locked())
 }
 
+/// Why an orchestrator that is suspended does nothing: `process 97 was suspended by a signal ...`.
+pub fn suspension(pid: u32) -> String {
+    format!("process {pid} was suspended by a signal (`kill -CONT {pid}`), or its control group is frozen")
+}
+
+/// Notices for a command that observes a system that its orchestrator stands still, and that it runs again.
+#[derive(Debug, Default)]
+pub struct Standstill {
+    pid: Option<u32>,
+}
+
+impl Standstill {
+    /// A sentence when that has changed since the last call.
+    pub fn change(&mut self, domain: &Domain) -> Option<String> {
+        let before = std::mem::replace(&mut self.pid, suspended_orchestrator(domain));
+        let system_id = domain.system_id();
+        match self.pid {
+            now if now == before => None,
+            Some(pid) => Some(format!(
+                "the orchestrator of system `{system_id}` does not run, so the robot stops and its topics fall silent: {}",
+                suspension(pid)
+            )),
+            None => Some(format!("the orchestrator of system `{system_id}` no longer stands still")),
+        }
+    }
+}
+
 fn holder(domain: &Domain) -> String {
     text_of(domain).split_whitespace().next().unwrap_or("unknown").to_owned()
 }

@@ -3,6 +3,7 @@
 
 use scanloop_tests::machine::repeat_when_late;
 use std::path::PathBuf;
+use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
@@ -75,6 +76,10 @@ fn a_run_whose_processes_were_all_suspended_drives_on() {
         let paused = watch.newest().unwrap().header.scan_id;
         processes.iter().for_each(|pid| system.signal(*pid, Signal::STOP));
         assert_eq!(status(&system), "suspended");
+        // Nothing publishes, so no scan is known.
+        let json = system.run(&["status", "--json"]).stdout;
+        let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
+        assert!(json["scan"].is_null() && json["processes"][0]["rate_hz"].is_null(), "{json}");
         let_pass(PAUSE);
         // The orchestrator last: the others run again while nothing of it can be there yet.
         processes.iter().for_each(|pid| system.signal(*pid, Signal::CONT));
@@ -94,6 +99,40 @@ fn a_request_to_a_suspended_orchestrator_says_so() {
         assert_eq!(system.run(&["stop"]).status.code(), Some(0));
         system.wait();
         drop(watch);
+        system.assert_nothing_left();
+    });
+}
+
+#[test]
+fn commands_that_observe_say_that_the_orchestrator_stands_still_and_that_the_system_has_ended() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        system.start(&["endless"]);
+        let observe = |name: &str, arguments: &[&str]| {
+            let log = std::fs::File::create(system.folder().join(name)).unwrap();
+            system.command(arguments).stdout(Stdio::null()).stderr(log).spawn().unwrap()
+        };
+        let mut commands = [
+            ("hz", observe("hz", &["topic", "hz", "pose", "--duration", "600"]), 0),
+            ("echo", observe("echo", &["topic", "echo", "pose", "-n", "1000000"]), 1),
+            ("record", observe("record", &["record", "drive.mcap"]), 0),
+        ];
+        let said = |name: &str| std::fs::read_to_string(system.folder().join(name)).unwrap();
+        let all_say = |part: &str| ["hz", "echo", "record"].iter().all(|name| said(name).contains(part));
+        system.signal(system.orchestrator(), Signal::STOP);
+        let suspended = format!("process {} was suspended", system.orchestrator());
+        system.wait_until("they say that it stands still", |_| all_say(&suspended));
+        let json = system.run(&["status", "--json"]).stdout;
+        let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
+        assert!(json["state"] == "suspended" && json["scan"].as_u64().is_some_and(|scan| scan > 0), "{json}");
+        system.signal(system.orchestrator(), Signal::CONT);
+        system.wait_until("they say that it runs", |_| all_say("no longer stands still"));
+        assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+        for (name, child, code) in &mut commands {
+            assert_eq!(child.wait().unwrap().code(), Some(*code), "{name}: {}", said(name));
+        }
+        assert!(said("hz").contains("has ended") && said("echo").contains("has ended"), "{}", said("echo"));
+        system.wait();
         system.assert_nothing_left();
     });
 }
