@@ -82,6 +82,10 @@ impl Vitals {
                 return;
             }
             each(Event::StateReported { role, incarnation, state });
+            if heartbeat.device != pulse.device {
+                let text = format!("{}: {}", heartbeat.device.state().name(), heartbeat.device.reason());
+                each(Event::DeviceReported { role, incarnation, text });
+            }
             if heartbeat.activations != pulse.activations {
                 pulse.activations = heartbeat.activations;
                 each(Event::Progress { role, incarnation });

@@ -161,6 +161,11 @@ impl Supervisor {
                 }
             }
             Event::Starved { role, incarnation } => self.starved(now_ns, role, incarnation),
+            Event::DeviceReported { role, incarnation, text } => {
+                if let Some(slot) = self.slot(role).filter(|slot| slot.incarnation == incarnation) {
+                    slot.device = Some(text);
+                }
+            }
             Event::Refused { role, incarnation, reader, reason } => {
                 self.refused(&mut turn, role, incarnation, Refused { reader, reason });
             }
@@ -260,7 +265,7 @@ impl Supervisor {
         let role = slot.policy.role;
         slot.restarts += u32::from(slot.incarnation != 0);
         slot.incarnation = incarnation;
-        slot.refused = None;
+        (slot.refused, slot.device) = (None, None);
         slot.life = Life::Spawning;
         turn.push(Action::Grant { role, incarnation });
         turn.push(Action::Spawn { role, incarnation });
@@ -331,7 +336,7 @@ impl Supervisor {
             return turn.warn(format!("{role} is not replaced by incarnation {incarnation}"));
         }
         slot.incarnation = incarnation;
-        slot.refused = None;
+        (slot.refused, slot.device) = (None, None);
         if is_restart {
             slot.restarts += 1;
         } else {

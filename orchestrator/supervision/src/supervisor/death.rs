@@ -65,7 +65,11 @@ impl Supervisor {
             Some(EndReason::StartTimeout) => {
                 format!("did not start within {} ms", slot.policy.start_timeout_ms)
             }
-            Some(EndReason::NoOutput) => format!("had no output within {} ms", slot.policy.start_timeout_ms),
+            Some(EndReason::NoOutput) => {
+                let device =
+                    slot.device.as_ref().map_or_else(String::new, |text| format!("; its devices: {text}"));
+                format!("had no output within {} ms{device}", slot.policy.start_timeout_ms)
+            }
             Some(EndReason::Refused) => {
                 let why = slot.refused.as_ref().map_or("", |refused| refused.reason.as_str());
                 format!("had no valid output within {} ms: {why}", slot.policy.start_timeout_ms)

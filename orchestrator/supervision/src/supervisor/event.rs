@@ -52,6 +52,15 @@ pub enum Event {
         /// The state.
         state: ProcessState,
     },
+    /// The devices behind a process do something else than before.
+    DeviceReported {
+        /// Its role.
+        role: Role,
+        /// Its incarnation.
+        incarnation: u32,
+        /// What they do, and why.
+        text: String,
+    },
     /// A process completed a cycle of its loop since the last such event.
     Progress {
         /// Its role.

@@ -163,6 +163,8 @@ pub(super) struct Slot {
     pub(super) last_exit: Option<String>,
     /// Its outputs are dropped by a reader that has had none that it could use.
     pub(super) refused: Option<Refused>,
+    /// What the devices behind it do, by its newest report.
+    pub(super) device: Option<String>,
     /// The run ends because of it.
     pub(super) is_at_fault: bool,
 }
@@ -188,6 +190,7 @@ impl Slot {
             deaths: VecDeque::new(),
             last_exit: None,
             refused: None,
+            device: None,
             is_at_fault: false,
         }
     }

@@ -39,6 +39,34 @@ fn progress_without_an_output_ends_in_a_kill_and_a_failed_start() {
 }
 
 #[test]
+fn a_driver_without_output_ends_with_what_its_devices_do() {
+    let mut world = World::driving();
+    let role = Role::Estimator;
+    for _ in 0..3 {
+        world.die(role, KILLED);
+        world.clean(role);
+        world.advance(1_000);
+        world.send(Event::Tick);
+        world.answer(role, true);
+        world.report(role, ProcessState::Connected);
+        let incarnation = world.place(role).process.as_ref().unwrap().incarnation;
+        let text = "connecting: base: no data yet".to_owned();
+        world.send(Event::DeviceReported { role, incarnation, text });
+        for _ in 0..100 {
+            world.advance(100);
+            Role::ALL.iter().for_each(|role| world.progress(*role));
+            world.send(Event::Tick);
+        }
+    }
+    world.die(role, KILLED);
+    let (_, reason) = world.failure.unwrap();
+    assert!(
+        reason.ends_with("had no output within 10000 ms; its devices: connecting: base: no data yet"),
+        "{reason}"
+    );
+}
+
+#[test]
 fn a_process_that_waits_for_inputs_is_not_blamed_for_having_no_output() {
     let mut world = World::driving();
     for role in [Role::Estimator, Role::Controller] {
