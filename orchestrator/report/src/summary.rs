@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::Path;
 
+use audit::ledger::DeliveryFaultKind;
 use figures::Figures;
 
 use crate::latency::STAGES;
@@ -161,18 +162,18 @@ fn samples(ledger: &LedgerReport) -> String {
         sum(|row| row.lost),
         sum(|row| row.in_flight)
     );
-    for (count, what) in [
-        (ledger.residual, "MISSING"),
-        (ledger.duplicates, "CAME TWICE"),
-        (ledger.reordered, "OUT OF ORDER"),
-        (ledger.impossible, "WITH AN IMPOSSIBLE NUMBER"),
+    use DeliveryFaultKind::{Duplicate, Impossible, Missing, Reordered, Vanished};
+    for (count, what, kinds) in [
+        (ledger.residual, "MISSING", [Missing, Vanished]),
+        (ledger.duplicates, "CAME TWICE", [Duplicate; 2]),
+        (ledger.reordered, "OUT OF ORDER", [Reordered; 2]),
+        (ledger.impossible, "WITH AN IMPOSSIBLE NUMBER", [Impossible; 2]),
     ] {
         if count > 0 {
             text += &format!(", {count} {what}");
+            let first = ledger.faults.iter().find(|fault| kinds.contains(&fault.kind));
+            first.iter().for_each(|fault| text += &format!(": {fault}"));
         }
-    }
-    if let Some(fault) = ledger.faults.first() {
-        text += &format!(": {fault}");
     }
     text
 }
@@ -422,19 +423,22 @@ files           out/corridor
     #[test]
     fn unexplained_samples_are_in_capitals_and_named() {
         let mut report = report();
-        report.ledger.residual = 1;
-        report.ledger.faults = vec![audit::ledger::DeliveryFault {
+        (report.ledger.residual, report.ledger.impossible) = (1, 4);
+        let fault = |kind, sequence, scan_id| audit::ledger::DeliveryFault {
             topic: "pose".to_owned(),
-            kind: audit::ledger::DeliveryFaultKind::Missing,
+            kind,
             count: 1,
             incarnation: 2,
-            sequence: 17,
-            scan_id: 17,
+            sequence,
+            scan_id,
             noticed_by: "bus".to_owned(),
-        }];
+        };
+        report.ledger.faults =
+            vec![fault(DeliveryFaultKind::Missing, 17, 17), fault(DeliveryFaultKind::Impossible, 1 << 63, 0)];
         report.latency_us.incomplete_chains = 3;
         let text = text(&report, None);
-        let expected = ", 1 MISSING: pose number 17 of incarnation 2, for scan 17, is missing\n";
+        let expected = ", 1 MISSING: pose number 17 of incarnation 2, for scan 17, is missing, 4 WITH AN IMPOSSIBLE NUMBER: \
+                        pose number 9223372036854775808 of incarnation 2 has a number that it can't have\n";
         assert!(text.contains(expected), "{text}");
         assert!(text.contains("126 complete, 3 INCOMPLETE"), "{text}");
     }
