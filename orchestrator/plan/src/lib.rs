@@ -135,6 +135,10 @@ impl Plan {
         scenario.scanner.validate_mean(system.period_ns())?;
         possible::require_goals(&scenario, &tuning.controller)?;
         warnings.extend(possible::warnings(&scenario, &tuning.controller));
+        warnings.extend(possible::blind(&scenario, &tuning.obstacles));
+        if system.emulates_robot() {
+            warnings.extend(possible::drift(&scenario, &tuning.estimator));
+        }
         warnings.extend(hosts::warnings(&system));
         let own_topics = topics::table(&system, Vec::new());
         Ok(Self { scenario, system, own_topics, warnings, given })

@@ -7,7 +7,9 @@
 mod legs;
 
 use emulator::Scenario;
+use estimator::{CorrectionMode, EstimatorConfig};
 use nmpc::{ControllerConfig, speed_limit};
+use obstacles::{ObstaclesConfig, SWEEP_SHARE};
 use vehicle::Invalid;
 use vehicle::correction::SENT_VELOCITY_MAX_MPS;
 
@@ -63,6 +65,41 @@ pub(crate) fn warnings(scenario: &Scenario, controller: &ControllerConfig) -> Ve
     over.into_iter().chain(unstable(controller)).collect()
 }
 
+/// A way so wide that the scanner sees no wall from where the robot starts, along a course from its middle.
+pub(crate) fn blind(scenario: &Scenario, obstacles: &ObstaclesConfig) -> Option<String> {
+    let start_y_m = if scenario.course.is_some() { 0.0 } else { scenario.start.y_m };
+    let share = obstacles.wall_share(start_y_m).filter(|share| *share <= SWEEP_SHARE)?;
+    let [low, high] = obstacles.wall_y_m;
+    Some(format!(
+        "the way is {} m wide: from {start_y_m} m beside its line {} % of the beams reach a wall, and a robot that sees less than \
+         {} % is blind and stops; make it narrower, or set surroundings = \"open\" in the scenario and in [vehicle]",
+        floor(high - low),
+        floor(100.0 * share),
+        100.0 * SWEEP_SHARE
+    ))
+}
+
+/// An emulated robot whose odometry errs otherwise than the estimator corrects, so that it lands beside its goal.
+pub(crate) fn drift(scenario: &Scenario, estimator: &EstimatorConfig) -> Option<String> {
+    let truth = scenario.robot.odometry_longitudinal.filter(|_| scenario.robot.publish_truth)?;
+    let drift = estimator.settings().ok()?.drift;
+    let corrected = if drift.mode == CorrectionMode::Off { 0.0 } else { drift.longitudinal };
+    let legs = legs::all(scenario);
+    let way_m: f64 = legs.iter().map(|leg| leg.goal.distance_m(leg.start.x_m, leg.start.y_m)).sum();
+    let tolerance_m = legs.iter().map(|leg| leg.goal.tolerance_m).fold(f64::INFINITY, f64::min);
+    let error_m = way_m * (truth - corrected).abs();
+    (error_m > tolerance_m).then(|| {
+        format!(
+            "the odometry does not report {} % of the way, and the estimator expects {} %: {} m are driven with an error of \
+             {} m, and goal.tolerance_m is {tolerance_m}; `scanloop calibrate drift` or estimator.odometry_longitudinal mends that",
+            floor(100.0 * truth),
+            floor(100.0 * corrected),
+            ceil(way_m),
+            floor(error_m)
+        )
+    })
+}
+
 /// A robot that turns round by itself below its largest velocity.
 fn unstable(controller: &ControllerConfig) -> Option<String> {
     let vehicle = &controller.vehicle;
@@ -89,6 +126,37 @@ mod tests {
         };
         assert_eq!(warned(10.0), Vec::<String>::new());
         assert_eq!(warned(9.0), ["timeout_s = 9 is over before the goal: 9.9 m at 1 m/s take 9.9 s"]);
+    }
+
+    #[test]
+    fn a_way_that_shows_the_scanner_no_wall_is_a_warning() {
+        let warned = |text: &str| {
+            let scenario = Scenario::parse(text, "wide").unwrap();
+            blind(&scenario, &pipeline::Tuning::default().for_scenario(&scenario).obstacles)
+        };
+        let track = |half_m: f64| warned(&format!("[track]\ny_m = [-{half_m}, {half_m}]"));
+        assert_eq!((warned(""), track(3.0)), (None, None));
+        assert!(
+            track(3.8)
+                .is_some_and(|text| text.starts_with("the way is 7.6 m wide: from 0 m beside its line 0 %"))
+        );
+        // Near to one side that wall is seen; walls of the track itself are nearer than those of the hall.
+        assert_eq!(warned("[track]\ny_m = [-3.8, 3.8]\n[start]\ny_m = -2"), None);
+        assert_eq!(warned("[track]\ny_m = [-3.8, 3.8]\nwalls = true"), None);
+        let course = "[course]\nwidth_m = 8\nwaypoints = [{}, { x_m = 20 }]";
+        assert!(warned(course).is_some());
+    }
+
+    #[test]
+    fn an_odometry_that_errs_otherwise_than_it_is_corrected_is_a_warning_on_a_long_way() {
+        let warned = |x_m: f64, more: &str| {
+            let text = format!("[goal]\nx_m = {x_m}\n[robot]\nodometry_longitudinal = 0.02\n{more}");
+            drift(&Scenario::parse(&text, "worn").unwrap(), &EstimatorConfig::default())
+        };
+        let expected = "the odometry does not report 2 % of the way, and the estimator expects 1 %: 12 m are driven with an error \
+                        of 0.12 m, and goal.tolerance_m is 0.1";
+        assert!(warned(12.0, "").is_some_and(|text| text.starts_with(expected)), "{:?}", warned(12.0, ""));
+        assert_eq!((warned(9.0, ""), warned(12.0, "publish_truth = false")), (None, None));
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Settings of the description.
 
 use serde::{Deserialize, Serialize};
+use shared_types::{BEAMS, ScanGeometry};
 use vehicle::{Ascending, Course, Description, Invalid, Setting, Surroundings, Track, settings};
 
 /// How large the ellipses are that cover an obstacle.
@@ -15,6 +16,11 @@ pub enum CoverRule {
 }
 
 impl Setting for CoverRule {}
+
+/// Share of all beams that return something in any surroundings.
+pub const SWEEP_SHARE: f64 = 0.04;
+/// What a URG-04LX measures at most [m].
+const MAX_RANGE_M: f64 = 5.6;
 
 settings! {
     /// Settings of the obstacle detector; the defaults are the source's values where it has any.
@@ -98,6 +104,20 @@ impl ObstaclesConfig {
             Surroundings::Hall => Some([low - Surroundings::HALL_M, high + Surroundings::HALL_M]),
             Surroundings::Open => None,
         }
+    }
+
+    /// The share of the beams that walls beside an empty track return to a robot at `y_m` across it; `None` in open
+    /// surroundings.
+    ///
+    /// With [`SWEEP_SHARE`] or less, an empty track looks as if the scanner saw nothing, and the robot stops.
+    pub fn wall_share(&self, y_m: f64) -> Option<f64> {
+        let [low, high] = self.view_y_m()?;
+        let returned = (0..BEAMS).filter(|beam| {
+            let sine = (ScanGeometry::URG_04LX.yaw_rad(*beam) + self.vehicle.scanner_yaw_rad).sin();
+            let way_m = if sine > 0.0 { high - y_m } else { y_m - low };
+            way_m <= MAX_RANGE_M * sine.abs()
+        });
+        Some(returned.count() as f64 / BEAMS as f64)
     }
 
     /// Passes when every number is finite and in its range.

@@ -21,6 +21,7 @@ use std::ops::RangeInclusive;
 use vehicle::geometry::Rectangle;
 use vehicle::{Description, Surroundings};
 
+use crate::config::SWEEP_SHARE;
 use crate::points::{Beams, Place, Point, range_of};
 use crate::segment::ahead;
 use crate::way::Way;
@@ -52,8 +53,6 @@ const INCOMPARABLE: (f64, f64) = (0.8, 0.6);
 const DOUBTFUL_S: f64 = 0.15;
 /// With so many scans that repeat ranges while the robot moves nothing ahead is seen: noise never does that.
 const DOUBTFUL_SCANS: u32 = 2;
-/// Share of all beams that return something in any surroundings.
-const SWEEP_SHARE: f64 = 0.04;
 /// With fewer predicted returns than this their share tells nothing.
 const PREDICTED: f64 = 25.0;
 /// A body of this width is seen with three returns [m].

@@ -29,7 +29,7 @@ mod visibility;
 mod walls;
 mod way;
 
-pub use config::{CoverRule, ObstaclesConfig};
+pub use config::{CoverRule, ObstaclesConfig, SWEEP_SHARE};
 pub use detector::ObstacleDetector;
 pub use shape::DIRECTIONS;
 pub use stage::DetectorStage;

@@ -62,7 +62,8 @@ settings! {
     #[derive(Copy)]
     pub struct Robot {
         /// Set of values for the keys below: `ideal` follows every command at once, `summit` is a believable robot, and
-        /// `worn` draws each value once from the seed, around what the vehicle description states.
+        /// `worn` draws each value once from the seed, around what the vehicle description states: it is not calibrated, and may miss
+        /// goals that are more than 10 m away.
         pub preset: Preset = Preset::Ideal;
         /// Whether the robot publishes its true state. Without it a run is judged by the estimate, as with a real robot.
         pub publish_truth: bool = true;
