@@ -139,7 +139,7 @@ fn observe(system_id: &str, arguments: &LiveArguments, shutdown: &Shutdown) -> a
         )));
     }
     let bus = Bus::open(&domain, "observer")?;
-    let mut feed = Feed::open(&bus)?;
+    let mut feed = Feed::open(&bus, &system.vehicle)?;
     let end_ns = monotonic_ns() + (arguments.observe * 1e9) as u64;
     while monotonic_ns() < end_ns {
         wait_for(&[shutdown.descriptor()], POLL_NS);

@@ -51,7 +51,7 @@ impl Bench {
         let (realtime, logs) = (&plan.system.realtime, domain.directory().to_path_buf());
         let fleet = Fleet::new(domain, lock, stop_word, realtime, &entries, logs, false)?;
         let mut bench = Self {
-            feed: Feed::open(&system.bus)?,
+            feed: Feed::open(&system.bus, &plan.system.vehicle)?,
             order: Order::Block,
             ordered_ns: None,
             actuations: Publisher::new(&system.bus)?,

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use runtime::{Bus, Observer, RuntimeError};
-use shared_types::{Obstacles, Odometry, Scan, ScannerHealth, WINDOW};
+use shared_types::{Obstacles, Odometry, Scan, ScannerHealth};
 use vehicle::Description;
 
 /// Observers of scan, odometry and obstacles.
@@ -17,10 +17,15 @@ pub(super) struct Feed {
     pub(super) newest: Option<Odometry>,
     /// The newest scans with ranges, the newest last.
     pub(super) scans_seen: VecDeque<Scan>,
+    /// How the scanner is turned on the body [rad].
+    scanner_yaw_rad: f64,
 }
 
 /// Scans that are kept: a leg of the drive at 40 Hz.
 const MAX_SCANS: usize = 256;
+
+/// Free width that is wanted to each side of the body [m].
+const SIDE_M: f64 = 0.2;
 
 /// What came so far.
 #[derive(Debug, Default)]
@@ -44,7 +49,7 @@ pub(super) struct Sweep {
     pub(super) acquired_ns: u64,
     /// When it was published [ns].
     pub(super) published_ns: u64,
-    /// Share of the beams ahead with a return; `None` for a scan without ranges.
+    /// Share of the beams ahead of the body with a return; `None` for a scan without ranges.
     pub(super) returns: Option<f64>,
 }
 
@@ -61,7 +66,7 @@ pub(super) struct Point {
 
 impl Feed {
     /// Observes from now on.
-    pub(super) fn open(bus: &Bus) -> Result<Self, RuntimeError> {
+    pub(super) fn open(bus: &Bus, vehicle: &Description) -> Result<Self, RuntimeError> {
         Ok(Self {
             scans: Observer::new(bus)?,
             odometries: Observer::new(bus)?,
@@ -69,6 +74,7 @@ impl Feed {
             observed: Observed::default(),
             newest: None,
             scans_seen: VecDeque::with_capacity(MAX_SCANS),
+            scanner_yaw_rad: vehicle.scanner_yaw_rad,
         })
     }
 
@@ -89,7 +95,7 @@ impl Feed {
         let Observed { sweeps, odometries, invalid, health, way } = &mut self.observed;
         let before = *odometries;
         *invalid += self.scans.poll(|scan| {
-            sweeps.push(Sweep::of(scan));
+            sweeps.push(Sweep::of(scan, self.scanner_yaw_rad));
             if !scan.missing.is_set() {
                 if self.scans_seen.len() == MAX_SCANS {
                     self.scans_seen.pop_front();
@@ -108,10 +114,11 @@ impl Feed {
 }
 
 impl Sweep {
-    fn of(scan: &Scan) -> Self {
+    fn of(scan: &Scan, scanner_yaw_rad: f64) -> Self {
         let (acquired_ns, published_ns) = (scan.header.acquired_ns, scan.header.scan_published_ns());
-        let returned = WINDOW.filter(|beam| scan.range_m(*beam).is_some()).count();
-        let share = returned as f64 / WINDOW.count() as f64;
+        let ahead = || beams_ahead(scan, scanner_yaw_rad);
+        let returned = ahead().filter(|(beam, _)| scan.range_m(*beam).is_some()).count();
+        let share = returned as f64 / ahead().count().max(1) as f64;
         Self { acquired_ns, published_ns, returns: (!scan.missing.is_set()).then_some(share) }
     }
 }
@@ -134,11 +141,18 @@ fn wrapped(angle_rad: f64) -> f64 {
     angle_rad.sin().atan2(angle_rad.cos())
 }
 
+/// The beams up to 60 degrees to each side of the body's front, wherever the scanner is turned, with their yaw on the body
+/// [rad].
+fn beams_ahead(scan: &Scan, scanner_yaw_rad: f64) -> impl Iterator<Item = (usize, f64)> {
+    let beams = (0..scan.ranges().len()).map(move |beam| (beam, scan.beam_yaw_rad(beam) + scanner_yaw_rad));
+    beams.filter(|(_, yaw_rad)| yaw_rad.cos() >= 0.5)
+}
+
 /// Distance from the front of the body to the nearest return in its way [m]; infinite when there is none.
 pub(super) fn free_ahead_m(scan: &Scan, vehicle: &Description) -> f64 {
     let half_m = vehicle.width_m / 2.0 + SIDE_M;
-    let returns = WINDOW.filter_map(|beam| {
-        let (range_m, yaw_rad) = (scan.range_m(beam)?, scan.beam_yaw_rad(beam) + vehicle.scanner_yaw_rad);
+    let returns = beams_ahead(scan, vehicle.scanner_yaw_rad).filter_map(|(beam, yaw_rad)| {
+        let range_m = scan.range_m(beam)?;
         let (x_m, y_m) = (range_m * yaw_rad.cos(), range_m * yaw_rad.sin());
         let (x_m, y_m) = (vehicle.scanner_x_m + x_m, vehicle.scanner_y_m + y_m);
         (y_m.abs() <= half_m).then_some(x_m - vehicle.length_m / 2.0)
@@ -146,13 +160,10 @@ pub(super) fn free_ahead_m(scan: &Scan, vehicle: &Description) -> f64 {
     returns.fold(f64::INFINITY, f64::min)
 }
 
-/// Free width that is wanted to each side of the body [m].
-const SIDE_M: f64 = 0.2;
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use shared_types::ScanGeometry;
+    use shared_types::{FRONT_BEAM, ScanGeometry, WINDOW};
 
     #[test]
     fn distance_ahead_is_counted_along_the_body() {
@@ -172,7 +183,21 @@ mod tests {
         // 59.8 degrees to the right at 2 m: beside the way.
         scan.ranges_mm[*WINDOW.start()] = 2000;
         assert_eq!(free_ahead_m(&scan, &vehicle), f64::INFINITY);
-        scan.ranges_mm[shared_types::FRONT_BEAM] = 1280;
+        scan.ranges_mm[FRONT_BEAM] = 1280;
         assert!((free_ahead_m(&scan, &vehicle) - 1.0).abs() < 1e-12);
+        // A quarter of a turn to the left: its first beams look ahead, its front beam to the side.
+        let turned = Description { scanner_yaw_rad: std::f64::consts::FRAC_PI_2, ..vehicle };
+        assert_eq!(free_ahead_m(&scan, &turned), f64::INFINITY);
+        scan.ranges_mm[FRONT_BEAM - 256] = 1280;
+        assert!((free_ahead_m(&scan, &turned) - 1.0).abs() < 1e-12);
+        scan.ranges_mm.fill(0);
+        scan.ranges_mm[..FRONT_BEAM - 256].fill(1000);
+        let returns = |vehicle: &Description| Sweep::of(&scan, vehicle.scanner_yaw_rad).returns.unwrap();
+        assert!(
+            returns(&vehicle) < 0.01 && returns(&turned) > 0.3,
+            "{} {}",
+            returns(&vehicle),
+            returns(&turned)
+        );
     }
 }
