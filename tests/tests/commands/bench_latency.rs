@@ -117,6 +117,10 @@ fn carry_any_payload() {
 
 #[test]
 fn real_time_processes_on_one_processor_run_or_are_refused_with_the_way_out() {
+    repeat_when_late(run_on_one_processor);
+}
+
+fn run_on_one_processor() {
     let system = TestSystem::new(EXECUTABLE);
     let arguments = ["bench", "latency", "--compute", "none", "--rate", "50", "--duration", "0.4", "--quiet"];
     let output = system.run(&[&arguments[..], &["--sched", "fifo", "--cpu", "0", "--json"]].concat());
@@ -137,6 +141,10 @@ fn real_time_processes_on_one_processor_run_or_are_refused_with_the_way_out() {
 
 #[test]
 fn a_sample_that_nothing_explains_makes_no_measurement() {
+    repeat_when_late(lose_a_sample);
+}
+
+fn lose_a_sample() {
     let system = TestSystem::new(EXECUTABLE);
     let file = system.folder().join("system.toml");
     std::fs::write(&file, system_file(100, &[Role::Estimator], FAULTY, &["drop", "pose", "20"])).unwrap();

@@ -72,10 +72,11 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
         quiet: arguments.quiet,
         out: logs,
     };
-    let mut session = start(&domain, &plan, &options, lock, shutdown)?;
+    // Before the processes run: meanwhile none of them would receive a directive.
     let stamps_us_per_stage = noise::stamp_cost_us();
     let (noise, granted) =
         noise::measure(plan.system.period_ns(), arguments.duration, &plan.system.realtime)?;
+    let mut session = start(&domain, &plan, &options, lock, shutdown)?;
     let mut machine = Machine::inspect(&granted, load.as_ref().map_or(0, Load::count));
 
     let expected_scans = (arguments.rate * arguments.duration) as u64;
