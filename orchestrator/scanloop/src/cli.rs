@@ -105,7 +105,8 @@ pub enum CliCommand {
     /// The command returns within a second, also when the orchestrator hangs or is gone. Exit code 0: the block is
     /// acknowledged. Exit code 4: it is not confirmed, and the processes that still live are listed. After the block
     /// the robot needs its velocity divided by its deceleration to come to rest; the processes end meanwhile. A daemon
-    /// that a process of the system has started is ended too, and waited for; exit code 4 if it lives after that. A stop
+    /// that a process of the system has started is ended too, and waited for; exit code 4 if it lives after that. One that was started without its environment, as by
+    /// `env -i`, is known to no command: it is neither named nor ended. A stop
     /// can't be taken back: `run` starts the system again. This does not replace a hardware emergency stop.
     Stop(StopArguments),
     /// Block the wheels of a running system until `resume`; all processes stay ready.
