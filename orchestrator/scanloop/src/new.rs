@@ -3,6 +3,7 @@
 //! The templates are in this executable, so that an installed one has them. Programs in Rust and C are built with the crates
 //! and the library of a source tree; those in Python have all that they need.
 
+mod name;
 mod template;
 
 use std::io::Write;
@@ -13,7 +14,6 @@ use clap::{Args, ValueEnum};
 use console::answer;
 use console::exit::{Exit, Failure};
 use console::new_file::{Existing, NewFile, make_folder};
-use supervision::entry::{NAME_RULE, is_name};
 
 use template::{TEMPLATES, Template};
 
@@ -68,10 +68,8 @@ pub struct NewArguments {
 pub(crate) fn new(arguments: &NewArguments) -> anyhow::Result<Exit> {
     let NewArguments { name, lang, role, source } = arguments;
     let template = template::find(*lang, *role).ok_or_else(|| no_template(*lang, *role))?;
-    if !is_name(name) || template.uses_name(name) {
-        let taken =
-            if is_name(name) { ", and no crate that the program uses or folder of Cargo" } else { "" };
-        return Err(Failure::bad_input(format!("NAME = {name} is not allowed: {NAME_RULE}{taken}")));
+    if let Some(reason) = name::refusal(name, template) {
+        return Err(Failure::bad_input(format!("NAME = {name} is not allowed: {reason}")));
     }
     let folder = Path::new(name);
     if folder.symlink_metadata().is_ok() {

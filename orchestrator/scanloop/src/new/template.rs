@@ -2,9 +2,6 @@
 
 use super::{Language, ProjectRole};
 
-/// Names that Cargo allows no program.
-const FOLDERS_OF_CARGO: [&str; 4] = ["build", "deps", "examples", "incremental"];
-
 /// A project.
 pub(super) struct Template {
     pub lang: Language,
@@ -37,11 +34,15 @@ impl File {
 }
 
 impl Template {
-    /// Whether a program of that name can't be built: it uses a crate of the name, or Cargo a folder beside the program.
-    pub(super) fn uses_name(&self, name: &str) -> bool {
+    /// Whether the program uses a crate of that name.
+    pub(super) fn uses_crate(&self, name: &str) -> bool {
         let manifest = self.files.iter().find(|file| file.path == "Cargo.toml");
-        let is_crate = |line: &str| line.starts_with(&format!("{name} = "));
-        manifest.is_some_and(|file| FOLDERS_OF_CARGO.contains(&name) || file.text.lines().any(is_crate))
+        let crates = manifest.and_then(|file| file.text.split("[dependencies]\n").nth(1)).unwrap_or_default();
+        let mut names = crates
+            .lines()
+            .take_while(|line| !line.starts_with('['))
+            .filter_map(|line| line.split_once(" = "));
+        names.any(|(used, _)| used == name.replace('_', "-"))
     }
 
     /// What a user types next.
@@ -280,8 +281,8 @@ mod tests {
         assert!(find(Language::C, ProjectRole::Companion).is_none());
         let controller = find(Language::Rust, ProjectRole::Controller).unwrap();
         assert!(
-            ["serde", "deps"].into_iter().all(|name| controller.uses_name(name))
-                && !controller.uses_name("my-serde")
+            controller.uses_crate("serde")
+                && !["my-serde", "version"].map(|name| controller.uses_crate(name)).contains(&true)
         );
         assert!(
             controller.next_steps("mine").contains("conformance controller -- mine/target/release/mine\n")

@@ -113,7 +113,9 @@ fn what_can_not_be_made_is_refused_and_nothing_is_left() {
         ("there --lang python --role controller", "there exists"),
         ("a/b --lang python --role controller", "NAME = a/b is not allowed: a small letter, then "),
         ("Mine --lang python --role controller", "NAME = Mine is not allowed"),
-        ("serde --lang rust --role controller", "no crate that the program uses"),
+        ("serde --lang rust --role controller", "the program uses a crate of this name"),
+        ("self --lang rust --role controller", "NAME = self is not allowed: it is a keyword of Rust"),
+        ("class --lang python --role controller", "NAME = class is not allowed: it is a keyword of Python"),
         (
             "mine --lang c --role controller",
             "--lang c --role controller has no template; there are --lang rust",
@@ -127,4 +129,37 @@ fn what_can_not_be_made_is_refused_and_nothing_is_left() {
     let left: Vec<_> =
         std::fs::read_dir(system.folder()).unwrap().flatten().map(|entry| entry.file_name()).collect();
     assert_eq!(left, ["there"]);
+}
+
+/// Cargo only warns of names such as `core`, and edition 2024 has the keyword `gen`.
+#[test]
+fn names_that_cargo_refuses_are_refused_and_names_beside_them_are_not() {
+    let system = TestSystem::new(EXECUTABLE);
+    let by_cargo = |name: &str| {
+        let mut new = Command::new(env!("CARGO"));
+        new.args(["new", "--quiet", "--vcs", "none", name]).current_dir(system.folder());
+        !new.output().unwrap().status.success()
+    };
+    let words = "abstract as async await become box break const continue crate do dyn else enum extern false final fn for \
+        gen if impl in let loop macro match mod move mut override priv pub ref return self static struct super trait true \
+        try type typeof unsafe unsized use virtual where yield test build deps examples incremental union auto default \
+        safe raw main macro_rules tests lib bin src target debug release name edition version a_ a- self-driving";
+    let source = root();
+    for name in words.split_ascii_whitespace() {
+        let made = system.run(&[
+            "new",
+            name,
+            "--lang",
+            "rust",
+            "--role",
+            "robot",
+            "--source",
+            source.to_str().unwrap(),
+        ]);
+        let refused = made.status.code() == Some(2);
+        let _ = std::fs::remove_dir_all(system.folder().join(name));
+        assert!(refused || made.status.success(), "{name}: {}", printed(&made));
+        assert_eq!(refused, by_cargo(name) || name == "gen", "{name}: {}", printed(&made));
+        let _ = std::fs::remove_dir_all(system.folder().join(name));
+    }
 }
