@@ -3,6 +3,7 @@
 
 use std::fs::File;
 use std::io;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -122,8 +123,11 @@ pub fn require_stack() -> anyhow::Result<()> {
 /// allowed.
 ///
 /// # Errors
-/// As [`require_stack`], for the first limit that is too small.
+/// As [`require_stack`], for the first limit that is too small; a machine without `/proc`.
 pub fn require_room_for_a_system() -> anyhow::Result<()> {
+    if !Path::new("/proc/self").exists() {
+        return Err(Failure::process("/proc is not mounted: `mount -t proc proc /proc` as root"));
+    }
     NEEDS.iter().try_for_each(Need::require).map_err(Failure::process)
 }
 

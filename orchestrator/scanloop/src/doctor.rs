@@ -18,9 +18,11 @@ use std::path::Path;
 use clap::Args;
 use console::answer;
 use console::exit::Exit;
+use plan::system::ROS2;
 use runtime::Domain;
 use rustix::termios::{isatty, tcgetwinsize};
 use serde::Serialize;
+use supervision::child::other_program;
 
 use crate::print_json;
 use check::{Check, State};
@@ -42,12 +44,12 @@ struct Report {
     checks: Vec<Check>,
 }
 
-/// Checks this machine, and prints the result. Exit code 1 if something would stop a drive.
+/// Checks this machine for a system of that id, and prints the result. Exit code 1 if something would stop a drive.
 ///
 /// # Errors
 /// An output that can't be written.
-pub(crate) fn doctor(arguments: &DoctorArguments) -> anyhow::Result<Exit> {
-    let report = Report { checks: examine(&Root::of_this_machine()) };
+pub(crate) fn doctor(system_id: &str, arguments: &DoctorArguments) -> anyhow::Result<Exit> {
+    let report = Report { checks: examine(system_id, &Root::of_this_machine()) };
     print_json(arguments.json, &report)?;
     if !arguments.json {
         answer!(false, "{}", text(&report.checks))?;
@@ -56,7 +58,7 @@ pub(crate) fn doctor(arguments: &DoctorArguments) -> anyhow::Result<Exit> {
     Ok(if stops { Exit::NotReached } else { Exit::Done })
 }
 
-fn examine(root: &Root) -> Vec<Check> {
+fn examine(system_id: &str, root: &Root) -> Vec<Check> {
     let mut checks = vec![shared_memory::shared_memory(root, Room::now())];
     checks.extend(limits::of_process(root));
     checks.extend([
@@ -74,10 +76,13 @@ fn examine(root: &Root) -> Vec<Check> {
         surroundings::compilers(root, &std::env::var_os("PATH").unwrap_or_default()),
         surroundings::laboratory(crate::laboratory::find()),
         surroundings::link(agent::link::program()),
+        surroundings::ros2(other_program(ROS2, "services/ros2")),
         systems::running(),
         systems::left_overs(),
     ]);
-    checks.extend(surroundings::runtime_directory(Domain::examine_place()));
+    checks.extend(surroundings::processes_in_files(root));
+    let place = surroundings::runtime_directory(Domain::examine_place());
+    checks.extend(place.or_else(|| systems::id(Domain::find(system_id))));
     checks
 }
 
@@ -134,7 +139,7 @@ mod tests {
 
     #[test]
     fn this_machine_is_examined_in_a_screen_when_nothing_is_missing() {
-        let checks = examine(&Root::of_this_machine());
+        let checks = examine("default", &Root::of_this_machine());
         assert!(checks.len() <= 23, "with the last line, a terminal of 24 lines: {}", checks.len());
         let mut names: Vec<&str> = checks.iter().map(|check| check.name).collect();
         names.sort_unstable();

@@ -192,7 +192,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         CliCommand::Replay(arguments) => replay::replay(arguments),
         CliCommand::Reference(arguments) => print(&reference::text(arguments, Cli::command())?),
         CliCommand::New(arguments) => new::new(arguments),
-        CliCommand::Doctor(arguments) => doctor::doctor(arguments),
+        CliCommand::Doctor(arguments) => doctor::doctor(&cli.system_id, arguments),
         CliCommand::Completions { shell } => print(shell.script()),
         CliCommand::Complete(arguments) => completions::print_candidates(Cli::command(), arguments),
         CliCommand::Man(arguments) => man::man(Cli::command(), arguments),

@@ -43,6 +43,7 @@ impl Bus {
     pub fn create(domain: &Domain, period_ns: u64) -> Result<Self, RuntimeError> {
         // Checked as a whole and freed at once; the services then take it piece by piece.
         let own = OwnTopics::of(domain)?.map_or(Ok(0), |table| table.bytes())?;
+        Reserve::require_files()?;
         Reserve::take(Reserve::of_a_system(period_ns) + own)?;
         Self::create_empty(domain)?.with_topics(period_ns, false)
     }

@@ -121,6 +121,12 @@ pub(crate) fn make() -> Result<Folder, RuntimeError> {
         match place.make() {
             Ok(Some(folder)) => return Ok(folder),
             Ok(None) => {}
+            Err(RuntimeError::File { path, source })
+                if matches!(place, Place::Named(_)) && source.kind() == std::io::ErrorKind::NotFound =>
+            {
+                let reason = "can't be made: the folder that it would be in does not exist".to_owned();
+                return Err(RuntimeError::NotPrivate { path, reason });
+            }
             Err(error) if matches!(place, Place::Named(_) | Place::Last(_)) || error.is_shortage() => {
                 return Err(error);
             }

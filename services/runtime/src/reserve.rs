@@ -58,6 +58,24 @@ impl Reserve {
         }
     }
 
+    /// Files of a system and of one more process; 350 to 380 were counted.
+    pub const FILES_OF_A_SYSTEM: u64 = 512;
+
+    /// Passes when the files of a system can be made.
+    ///
+    /// # Errors
+    /// [`RuntimeError::File`] with both numbers.
+    pub fn require_files() -> Result<(), RuntimeError> {
+        let status = fstatvfs(directory()?).map_err(error)?;
+        // A file system without a limit reports none.
+        if status.f_files == 0 || status.f_favail >= Self::FILES_OF_A_SYSTEM {
+            return Ok(());
+        }
+        let (free, needed) = (status.f_favail, Self::FILES_OF_A_SYSTEM);
+        let found = format!("{free} more files can be made there, {needed} are needed");
+        Err(RuntimeError::file(SHARED_MEMORY, std::io::Error::new(std::io::ErrorKind::StorageFull, found)))
+    }
+
     /// Memory of one more process in a system with this scan period, of the role that needs most [bytes].
     pub fn of_a_process(period_ns: u64) -> u64 {
         Role::ALL.iter().map(|role| process_bytes(*role, period_ns)).max().unwrap_or_default()

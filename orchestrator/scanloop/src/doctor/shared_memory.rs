@@ -16,13 +16,16 @@ const PERIODS_NS: [u64; 2] = [100_000_000, 1_000_000];
 pub(super) struct Room {
     free: u64,
     total: u64,
+    /// Files that can be made; `u64::MAX` without a limit.
+    files: u64,
 }
 
 impl Room {
     /// That of the bus, in its file system.
     pub(super) fn now() -> Option<Self> {
         let status = statvfs(FOLDER).ok().filter(|status| status.f_blocks > 0)?;
-        Some(Self { free: status.f_bavail * status.f_frsize, total: status.f_blocks * status.f_frsize })
+        let [free, total] = [status.f_bavail, status.f_blocks].map(|blocks| blocks * status.f_frsize);
+        Some(Self { free, total, files: if status.f_files == 0 { u64::MAX } else { status.f_favail } })
     }
 }
 
@@ -42,12 +45,17 @@ pub(super) fn shared_memory(root: &Root, room: Option<Room>) -> Check {
     let kind = mount.map_or_else(|| "no mount of its own".to_owned(), |mount| mount.kind);
     let found = room.map_or_else(
         || format!("{FOLDER} ({kind}), without a limit"),
-        |Room { free, total }| format!("{} of {} are free in {FOLDER} ({kind})", size(free), size(total)),
+        |Room { free, total, .. }| format!("{} of {} are free in {FOLDER} ({kind})", size(free), size(total)),
     );
     let needs = format!("a system takes {} at 10 Hz, {} at 1 kHz", size(at_10_hz), size(at_1_khz));
     let detail = format!("{found}; {needs}");
     let larger = "`mount -o remount,size=256m /dev/shm` as root; for a container `--shm-size 256m`";
     match room {
+        Some(Room { files, .. }) if files < Reserve::FILES_OF_A_SYSTEM => Check::fail(
+            NAME,
+            format!("{files} more files can be made in {FOLDER}, {} are needed", Reserve::FILES_OF_A_SYSTEM),
+            "`mount -o remount,nr_inodes=10000 /dev/shm` as root",
+        ),
         Some(room) if room.free < at_10_hz => Check::fail(NAME, detail, larger),
         Some(room) if room.free < at_1_khz => Check::warn(NAME, detail, larger),
         _ if kind != "tmpfs" => Check::warn(NAME, format!("{detail}; samples may reach a disk"), make),
@@ -89,7 +97,7 @@ mod tests {
     }
 
     fn room(free: u64) -> Option<Room> {
-        Some(Room { free, total: 64 << 20 })
+        Some(Room { free, total: 64 << 20, files: u64::MAX })
     }
 
     #[test]
@@ -100,6 +108,8 @@ mod tests {
         assert!(slow < fast);
         assert_eq!([slow - 1, slow, fast].map(state), [State::Fail, State::Warn, State::Ok]);
         assert_eq!(shared_memory(&machine.root, None).state, State::Ok);
+        let few = Room { free: fast, total: fast, files: Reserve::FILES_OF_A_SYSTEM - 1 };
+        assert_eq!(shared_memory(&machine.root, Some(few)).state, State::Fail);
         let failed = shared_memory(&machine.root, room(1 << 20));
         assert!(failed.detail.starts_with("1 MiB of 64 MiB are free in /dev/shm (tmpfs); a system takes "));
         assert!(failed.fix.is_some_and(|fix| fix.contains("--shm-size")));

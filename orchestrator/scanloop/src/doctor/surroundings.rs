@@ -86,6 +86,17 @@ pub(super) fn link(found: anyhow::Result<PathBuf>) -> Check {
     program("link", found, "no systems on several hosts")
 }
 
+/// The bridge to ROS 2.
+pub(super) fn ros2(found: anyhow::Result<PathBuf>) -> Check {
+    program("ros2", found, "no robots that speak ROS 2")
+}
+
+/// The lack of the files in which the kernel shows processes; `None` where they are there.
+pub(super) fn processes_in_files(root: &Root) -> Option<Check> {
+    let is_there = root.join("proc/self").exists();
+    (!is_there).then(|| Check::fail("proc", "/proc is not mounted", "`mount -t proc proc /proc` as root"))
+}
+
 /// Where the directory of a new system can't be made; `None` where it can, so that all fits on a screen.
 pub(super) fn runtime_directory(examined: Result<(), RuntimeError>) -> Option<Check> {
     let detail = match examined.err()? {
@@ -117,7 +128,10 @@ mod tests {
         assert_eq!(container(&machine.root).detail, "one (/.dockerenv)");
         std::os::unix::fs::symlink("pid:[4026532011]", machine.root.join("proc/self/ns/pid")).unwrap();
         assert!(container(&machine.root).detail.contains("a PID namespace of its own"));
-        assert_eq!(container(&Machine::new("around-none", &[]).root).detail, "none");
+        assert!(processes_in_files(&machine.root).is_none());
+        let none = Machine::new("around-none", &[]);
+        assert_eq!(container(&none.root).detail, "none");
+        assert_eq!(processes_in_files(&none.root).map(|check| check.state), Some(State::Fail));
     }
 
     #[test]

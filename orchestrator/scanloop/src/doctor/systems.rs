@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::os::unix::fs::MetadataExt;
 
-use runtime::Domain;
+use runtime::{Domain, RuntimeError};
 use supervision::lock::is_hidden;
 use supervision::runs::{LivingRun, RunProcess};
 
@@ -39,6 +39,16 @@ pub(super) fn running() -> Check {
 /// What dead systems have left, with the commands that clear it.
 pub(super) fn left_overs() -> Check {
     left_overs_of(&all())
+}
+
+/// Why no system of the chosen id can be made; `None` where it can, or where one runs.
+pub(super) fn id(found: Result<Option<Domain>, RuntimeError>) -> Option<Check> {
+    let error = found.err()?;
+    Some(Check::fail(
+        "system_id",
+        error.to_string(),
+        "`--system-id NAME`, or `SCANLOOP_SYSTEM_ID`, with another name",
+    ))
 }
 
 /// All systems of this user.
@@ -134,6 +144,14 @@ mod tests {
         let detail = running_of(&systems).detail;
         assert_eq!(detail, "`a` with 5 processes, `b` in another namespace; another one needs `--system-id`");
         assert_eq!(running_of(&[seen("c", What::Files)]).detail, "no system");
+    }
+
+    #[test]
+    fn an_id_that_no_system_can_have_stops_a_drive() {
+        assert!(id(Ok(None)).is_none());
+        let refused = id(Err(RuntimeError::SystemId("a b".to_owned()))).unwrap();
+        assert_eq!(refused.state, State::Fail);
+        assert!(refused.detail.starts_with("system id `a b` is not allowed"), "{}", refused.detail);
     }
 
     #[test]
