@@ -10,7 +10,7 @@ use shared_types::Role;
 use supervision::entry::ProcessEntry;
 use supervision::realtime;
 use toml::{Table, Value};
-use vehicle::{Description, Invalid, did_you_mean, read, require, settings};
+use vehicle::{Description, Documented, Invalid, did_you_mean, read, require, settings};
 
 use crate::hosts::{self, HostEntry};
 use crate::possible;
@@ -28,6 +28,10 @@ pub const BUILT_IN: &str = include_str!("../../systems/default.toml");
 /// Name and text of the other system files that come with the program.
 const SHIPPED: [(&str, &str); 1] = [("thesis", include_str!("../../systems/thesis.toml"))];
 
+/// What the key `orphan_stop_s` may be.
+const ORPHAN_STOP: Documented =
+    Documented { text: "0.5 to `orphan_timeout_s`", schema: "minimum = 0.5\nmaximum = 3600" };
+
 settings! {
     /// A checked system file.
     pub struct System {
@@ -37,7 +41,7 @@ settings! {
         pub orphan_timeout_s: f64 = 30.0, 1.0..=3600.0;
         /// The wheels are blocked when no directive has come for this long, until one comes; without the key 5.0, or
         /// `orphan_timeout_s` if that is less, and 0.5 with the actuator on another host [s].
-        pub orphan_stop_s: Option<f64> = None, "0.5 to `orphan_timeout_s`";
+        pub orphan_stop_s: Option<f64> = None, ORPHAN_STOP;
         /// The robot as all stages know it. An explicit `robot.KEY` of the scenario also holds here, unless the key is set.
         pub vehicle: Description = Description::default();
         /// Driver of a robot behind a Player server, for the implementation `player` of role `robot`.

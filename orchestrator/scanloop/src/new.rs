@@ -98,8 +98,15 @@ fn write(
     source: &Path,
     lock: Option<&Path>,
 ) -> anyhow::Result<()> {
-    let source =
-        source.to_str().ok_or_else(|| Failure::bad_input("the path of the source tree is not UTF-8"))?;
+    // It stands in files of TOML and make.
+    let is_plain = |letter: char| !letter.is_control() && !"\"\\$#:".contains(letter);
+    let source = source.to_str().filter(|path| path.chars().all(is_plain)).ok_or_else(|| {
+        let path = source.display();
+        Failure::bad_input(format!(
+            "the source tree is at {path}, seen from the project: a path with `\"`, `\\`, `$`, `#`, `:` or control \
+             characters can't be used"
+        ))
+    })?;
     for file in template.files {
         let path = folder.join(file.path);
         write_file(&path, file.text(name, source).as_bytes())?;

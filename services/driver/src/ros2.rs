@@ -2,10 +2,10 @@
 //!
 //! They stand here, apart from the program, so that `scanloop check` names a wrong key without linking DDS.
 
-use key_table::{Invalid, Setting, settings};
+use key_table::{Documented, Invalid, Setting, settings};
 use serde::{Deserialize, Serialize};
 
-use crate::scanner::ScannerSettings;
+use crate::scanner::{PLACE, ScannerSettings};
 
 /// Which message drives the wheels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -68,11 +68,20 @@ impl Setting for CommandReliability {}
 /// The topics that a robot has, as the program knows them.
 pub const TOPICS: [&str; 4] = ["scan", "odom", "cmd_vel", "tf_static"];
 /// What `remap` may be.
-const REMAP: &str = "texts FROM:=TO with FROM one of scan, odom, cmd_vel, tf_static";
+const REMAP: Documented = Documented {
+    text: "texts FROM:=TO with FROM one of scan, odom, cmd_vel, tf_static",
+    schema: "pattern = '^/*(scan|odom|cmd_vel|tf_static):=/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$'",
+};
 /// What `interface` may be.
 const INTERFACE: &str = "empty for all, or the IP address of a network interface, as 127.0.0.1";
 /// What the name of a frame may be.
 const FRAME: &str = "the name of a frame, or empty for any";
+
+/// What `namespace` may be.
+const NAMESPACE: Documented = Documented {
+    text: "empty, or a name that begins with `/`",
+    schema: "pattern = '^(/[A-Za-z_][A-Za-z0-9_]*)*$'",
+};
 
 settings! {
     /// Settings of the driver for ROS 2 robots, implementation `ros2` of role `robot`.
@@ -82,7 +91,7 @@ settings! {
         /// Address of the only network interface that is used; empty for all.
         pub interface: String = String::new(), INTERFACE;
         /// Namespace of the robot, before all topics that do not begin with `/`.
-        pub namespace: String = String::new(), "empty, or a name that begins with `/`";
+        pub namespace: String = String::new(), NAMESPACE;
         /// Other names of topics, as `ros2 run` takes them: `scan:=/front/scan`.
         pub remap: Vec<String> = Vec::new(), REMAP;
         /// Message for the wheels: velocity and yaw rate, the same with a stamp, or velocity and steering angle.
@@ -96,7 +105,7 @@ settings! {
         /// Where the scans come from: a topic of the robot, or a Hokuyo scanner at this computer.
         pub scan: Ros2Scan = Ros2Scan::Topic;
         /// Device or address of the Hokuyo scanner, with `scan = "urg"`.
-        pub urg: String = "/dev/ttyACM0".to_owned(), "a device, or HOST:PORT";
+        pub urg: String = "/dev/ttyACM0".to_owned(), PLACE;
         /// Scans of the Hokuyo scanner that are left out after each one; the rate falls by as much.
         pub urg_skip: u32 = 0, 0.0..=9.0;
         /// Steps of the Hokuyo scanner that are merged to one range, the smallest: fewer bytes on a slow line.
@@ -114,7 +123,7 @@ settings! {
         /// Where the pose of the scanner comes from: these settings, or `/tf_static`, whose place has to be that of `[vehicle]`.
         pub scanner_pose: ScannerPose = ScannerPose::Vehicle;
         /// Sign of the beam angles; -1 for a scanner that is mounted upside down.
-        pub scan_sign: f64 = 1.0, "1 or -1";
+        pub scan_sign: f64 = 1.0, Documented { text: "1 or -1", schema: "enum = [1, -1]" };
         /// Where the scanner's angle zero points, seen from straight ahead of the scan; pi for one that looks backwards [rad].
         pub scan_yaw_rad: f64 = 0.0, -3.15..=3.15;
         /// Duration of a sweep over all beams, for a scanner whose messages have no `time_increment` [s].
@@ -143,13 +152,13 @@ impl Ros2Config {
         let is_namespace =
             self.namespace.is_empty() || (self.namespace.starts_with('/') && is_name(&self.namespace));
         if !is_namespace {
-            return refuse("namespace", &self.namespace, "empty, or a name that begins with `/`");
+            return refuse("namespace", &self.namespace, NAMESPACE.text);
         }
         for (index, text) in self.remap.iter().enumerate() {
             let parts = text.split_once(":=");
             if !parts.is_some_and(|(from, to)| TOPICS.contains(&from.trim_start_matches('/')) && is_name(to))
             {
-                return refuse(&format!("remap[{index}]"), text, REMAP);
+                return refuse(&format!("remap[{index}]"), text, REMAP.text);
             }
         }
         let frames = [
@@ -247,7 +256,7 @@ mod tests {
             format!("ros2.interface = \"lo\" is not allowed: {INTERFACE}")
         );
         for remap in ["scan=/front", "laser:=/scan", "scan:=/front scan", "scan:=", "scan:=/1a"] {
-            let expected = format!("ros2.remap[0] = {remap:?} is not allowed: {REMAP}");
+            let expected = format!("ros2.remap[0] = {remap:?} is not allowed: {}", REMAP.text);
             assert_eq!(refusal(&format!("remap = [{remap:?}]")), expected);
         }
         assert!(refusal("namespace = \"robot1\"").contains("begins with `/`"));

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use key_table::Invalid;
+use key_table::{Documented, Invalid};
 use runtime::monotonic_ns;
 use shared_types::{Device, DeviceState, Scan};
 use urg::{Coding, Reading, ScannerConnection, ScannerPlace, SourceState, UrgError};
@@ -14,6 +14,10 @@ use crate::feed::Outlet;
 const WAIT_NS: u64 = 20_000_000;
 /// So many damaged scans one after the other are a fault: a single one is not.
 const MAX_DAMAGED: u64 = 3;
+
+/// What the key `urg` may be.
+pub const PLACE: Documented =
+    Documented { text: "a device, or HOST:PORT", schema: "pattern = '^/|.:[0-9]+$'" };
 
 /// Which scanner, and how it is read.
 #[derive(Debug, Clone, PartialEq)]

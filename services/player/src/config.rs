@@ -1,6 +1,6 @@
 //! Settings of the driver, the table `[player]` of the system file.
 
-use driver::scanner::ScannerSettings;
+use driver::scanner::{PLACE, ScannerSettings};
 use key_table::{Documented, Invalid, Setting, settings};
 use serde::{Deserialize, Serialize};
 
@@ -69,7 +69,7 @@ settings! {
         /// Where the scans come from: a scanner of the server, or a Hokuyo scanner at this computer.
         pub scan: ScanSource = ScanSource::Player;
         /// Device or address of the Hokuyo scanner, with `scan = "urg"`.
-        pub urg: String = "/dev/ttyACM0".to_owned(), "a device, or HOST:PORT";
+        pub urg: String = "/dev/ttyACM0".to_owned(), PLACE;
         /// Scans of the Hokuyo scanner that are left out after each one; the rate falls by as much.
         pub urg_skip: u32 = 0, 0.0..=9.0;
         /// Steps of the Hokuyo scanner that are merged to one range, the smallest: fewer bytes on a slow line.

@@ -9,7 +9,7 @@
 
 use std::num::NonZeroU64;
 
-use key_table::{Setting, settings};
+use key_table::{Documented, Setting, settings};
 use rustix::mm::{MlockAllFlags, mlockall};
 use rustix::process::Pid;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity, set_current_timer_slack};
@@ -27,6 +27,12 @@ pub enum Scheduler {
 }
 
 impl Setting for Scheduler {}
+
+/// What a time slice may be.
+const SLICE: Documented = Documented {
+    text: "0 to 100000, 0 or at least 100",
+    schema: "anyOf = [{ enum = [0] }, { minimum = 100, maximum = 100000 }]",
+};
 
 settings! {
     /// The table `realtime` of the system file.
@@ -55,7 +61,7 @@ settings! {
         /// Time slice that a process with `other` requests; 0 for the kernel's default [us]. The kernel lets a process with
         /// a short slice run first when it wakes.
         // 100 us is the smallest that the kernel grants.
-        pub slice_us: u64 = 100, (0.0..=100_000.0, "0 or at least 100");
+        pub slice_us: u64 = 100, SLICE;
     }
 }
 

@@ -126,6 +126,13 @@ fn what_can_not_be_made_is_refused_and_nothing_is_left() {
         assert_eq!(refused.status.code(), Some(2), "{words}: {}", printed(&refused));
         assert!(printed(&refused).contains(expected), "{words}: {}", printed(&refused));
     }
+    let quoted = system.folder().join("a\"b");
+    symlink(root(), &quoted).unwrap();
+    let words = ["new", "mine", "--lang", "rust", "--role", "robot", "--source", quoted.to_str().unwrap()];
+    let refused = system.run(&words);
+    std::fs::remove_file(&quoted).unwrap();
+    assert_eq!(refused.status.code(), Some(2), "{}", printed(&refused));
+    assert!(printed(&refused).contains("can't be used"), "{}", printed(&refused));
     let left: Vec<_> =
         std::fs::read_dir(system.folder()).unwrap().flatten().map(|entry| entry.file_name()).collect();
     assert_eq!(left, ["there"]);
