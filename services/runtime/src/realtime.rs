@@ -30,7 +30,7 @@ impl Setting for Scheduler {}
 
 /// What a time slice may be.
 const SLICE: Documented = Documented {
-    text: "0 to 100000, 0 or at least 100",
+    text: "0, or 100 to 1e5",
     schema: "anyOf = [{ enum = [0] }, { minimum = 100, maximum = 100000 }]",
 };
 
