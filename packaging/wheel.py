@@ -3,7 +3,7 @@
 
 usage: packaging/wheel.py VERSION OUT [EXECUTABLE TAG]
 
-`scanloop` has the modules of examples/python: `scanloop`, `scanloop_types`, `scanloop.own_topics` for companions, and `scanloop.person`.
+`scanloop` has the modules of examples/python: `scanloop`, `scanloop_types`, `scanloop.own_topics` for companions, `scanloop.person` and `scanloop.goal`.
 With EXECUTABLE, a second wheel for the platform TAG puts it on the PATH of the environment: `pip install scanloop[bin]`.
 Equal input gives equal files: members have one order and the time of SOURCE_DATE_EPOCH.
 """
@@ -121,6 +121,7 @@ def main(version, out, executable=None, tag=None):
     members = [
         ("scanloop/__init__.py", read("scanloop.py")),
         ("scanloop/own_topics.py", read("own_topics.py")),
+        ("scanloop/goal.py", read("goal.py")),
         ("scanloop/person.py", read("person.py")),
         ("scanloop/py.typed", b""),
         ("scanloop_types/__init__.py", read("scanloop_types.py")),

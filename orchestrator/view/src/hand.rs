@@ -34,7 +34,7 @@ impl Hand {
         };
         match self.give(&mut place, system_id, [velocity, steering]) {
             Ok(()) => Response::json(Status::Ok, "{}".to_owned()),
-            Err(RuntimeError::Person(reason)) => Response::text(Status::Conflict, &reason),
+            Err(RuntimeError::Refused(reason)) => Response::text(Status::Conflict, &reason),
             Err(error) => Response::text(Status::Unavailable, &error.to_string()),
         }
     }

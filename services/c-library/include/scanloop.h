@@ -20,7 +20,7 @@ extern "C" {
 #endif
 
 enum scanloop_result {
-    SCANLOOP_REFUSED = -6,        /* a person does not drive: the error has the reason */
+    SCANLOOP_REFUSED = -6,        /* a person does not drive, or a goal is not taken: the error has the reason */
     SCANLOOP_BUS_ERROR = -5,      /* the bus or a file of the system failed */
     SCANLOOP_BAD_SAMPLE = -4,     /* a sample has a number that is not finite or out of range; nothing was published */
     SCANLOOP_OTHER_LAYOUT = -3,   /* built against other samples than the system: the error names topic and field */
@@ -170,6 +170,17 @@ int scanloop_person_give(scanloop_person *person, double velocity_mps, double st
 int scanloop_person_pause(scanloop_person *person);
 int scanloop_person_resume(scanloop_person *person);
 void scanloop_person_close(scanloop_person *person);
+
+/* Sets the place [m] of the goal that a running system drives to, and the direction there [rad] unless `yaw_rad` is NULL, from
+ * any program, as `scanloop set` does; the executable is found as that of a person. It waits for the answer, so no process of
+ * the loop calls it between two scans. `from_scan`, if it is not NULL, receives the first scan for which the goal counts.
+ *
+ *     if (scanloop_set_goal(NULL, 8.0, 0.4, NULL, NULL) < 0) {
+ *         fprintf(stderr, "%s\n", scanloop_last_error());
+ *     }
+ *
+ * A controller finds the goal in the newest directive, scanloop_status, and drives to it from its scan on. */
+int scanloop_set_goal(const char *system_id, double x_m, double y_m, const double *yaw_rad, uint64_t *from_scan);
 
 /* Writes a line to the log of the process, logs/ROLE.log; the user sees the last lines of a process that ends. */
 void scanloop_log(int level, const char *text);

@@ -47,7 +47,7 @@ impl Refusal {
         match self {
             Self::Runtime(RuntimeError::Layout(_)) => -3,
             Self::Runtime(RuntimeError::NotInASystem(_) | RuntimeError::Environment { .. }) => -2,
-            Self::Runtime(RuntimeError::Person(_)) => -6,
+            Self::Runtime(RuntimeError::Refused(_)) => -6,
             Self::Runtime(_) | Self::Panic => -5,
             Self::Sample(..) => -4,
             _ => -1,

@@ -9,6 +9,7 @@
 #![expect(clippy::missing_safety_doc, reason = "the header states the rules for all functions")]
 
 mod error;
+pub mod goal;
 pub mod own;
 pub mod person;
 mod process;
@@ -319,6 +320,11 @@ fn text<'a>(name: &'static str, start: *const c_char) -> Result<&'a str, Refusal
     }
     // SAFETY: C passes a text that ends with a zero and stays during the call.
     unsafe { CStr::from_ptr(start) }.to_str().map_err(|_| Refusal::NotText(name))
+}
+
+/// A text that may be left out.
+fn text_or_none<'a>(name: &'static str, start: *const c_char) -> Result<Option<&'a str>, Refusal> {
+    if start.is_null() { Ok(None) } else { text(name, start).map(Some) }
 }
 
 fn topic_of(name: *const c_char) -> Result<Topic, Refusal> {

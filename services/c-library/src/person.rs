@@ -8,7 +8,7 @@ use runtime::Person;
 
 use crate::error::Refusal;
 use crate::own::hand_over;
-use crate::{YES, answer, text};
+use crate::{YES, answer, text_or_none};
 
 /// A person as C sees it; `None` once it has handed back.
 pub struct CPerson(Option<Person>);
@@ -26,8 +26,7 @@ pub unsafe extern "C" fn scanloop_person_take_over(
     person: *mut *mut CPerson,
 ) -> c_int {
     hand_over(person, "person", || {
-        let system_id = if system_id.is_null() { None } else { Some(text("system_id", system_id)?) };
-        Ok(CPerson(Some(Person::take_over(system_id)?)))
+        Ok(CPerson(Some(Person::take_over(text_or_none("system_id", system_id)?)?)))
     })
 }
 

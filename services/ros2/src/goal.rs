@@ -1,7 +1,6 @@
 //! A goal of `/goal_pose`, as the tools of ROS 2 send it, for the drive.
 
-use std::io::Read;
-use std::process::{Child, Stdio};
+use runtime::GoalOrder;
 
 use crate::message::PoseStamped;
 use crate::system::System;
@@ -15,9 +14,9 @@ pub(crate) const FRAME: &str = "track";
 pub(crate) struct Goals {
     /// `None` where goals are not taken.
     system: Option<System>,
-    /// The command that sets one, and which.
-    setting: Option<(Child, String)>,
-    /// The newest that waits for it to end.
+    /// The one that is set and not accepted yet, and which.
+    setting: Option<(GoalOrder, String)>,
+    /// The newest that waits for it to be accepted.
     next: Option<PoseStamped>,
     /// Why the newest goal was not taken.
     pub(crate) refused: Option<String>,
@@ -34,19 +33,20 @@ impl Goals {
         self.next = Some(goal);
     }
 
-    /// Follows the command that sets a goal, and starts the next one. Never waits.
+    /// Follows the goal that is set, and sets the next one. Never waits.
     pub(crate) fn turn(&mut self) {
-        if let Some((child, place)) = &mut self.setting {
-            let Ok(Some(status)) = child.try_wait() else { return };
-            let mut said = String::new();
-            let _ = child.stderr.take().map(|mut text| text.read_to_string(&mut said));
-            let (place, said) = (std::mem::take(place), said.trim().trim_start_matches("error: ").to_owned());
+        if let Some((order, place)) = &mut self.setting {
+            let Some(accepted) = order.poll() else { return };
+            let place = std::mem::take(place);
             self.setting = None;
-            if status.success() {
-                tracing::info!("the goal {place} from {TOPIC} is that of the drive");
-                self.refused = None;
-            } else {
-                self.refuse(&place, &said);
+            match accepted {
+                Ok(from_scan) => {
+                    tracing::info!(
+                        "the goal {place} from {TOPIC} is that of the drive from scan {from_scan} on"
+                    );
+                    self.refused = None;
+                }
+                Err(reason) => self.refuse(&place, &reason.to_string()),
             }
         }
         let Some(goal) = self.next.take() else { return };
@@ -54,14 +54,11 @@ impl Goals {
         let Some(system) = &self.system else {
             return self.refuse(&place, "the view was started without --control");
         };
-        let started = overrides(&goal).and_then(|overrides| {
-            let [x, y, yaw] = &overrides;
-            let mut command = system.command(&["set", x, y, yaw]);
-            let child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn();
-            child.map_err(|error| system.not_started(&error).to_string())
+        let ordered = pose_of(&goal).and_then(|[x_m, y_m, yaw_rad]| {
+            system.set_goal([x_m, y_m], yaw_rad).map_err(|error| error.to_string())
         });
-        match started {
-            Ok(child) => self.setting = Some((child, place)),
+        match ordered {
+            Ok(order) => self.setting = Some((order, place)),
             Err(reason) => self.refuse(&place, &reason),
         }
     }
@@ -78,23 +75,20 @@ fn place(goal: &PoseStamped) -> String {
     format!("x {:.2} m, y {:.2} m in `{frame}`", place.x, place.y)
 }
 
-/// The goal as settings of a drive.
+/// Place [m, m] and direction [rad] of a goal.
 ///
 /// # Errors
 /// A frame whose place on the track is not known, and numbers that are none.
-fn overrides(goal: &PoseStamped) -> Result<[String; 3], String> {
+fn pose_of(goal: &PoseStamped) -> Result<[f64; 3], String> {
     let frame = &goal.header.frame_id;
     if frame != FRAME {
         return Err(format!("its frame is `{frame}`, but `{FRAME}` is needed"));
     }
     let (place, turn) = (&goal.pose.position, &goal.pose.orientation);
-    let numbers = [place.x, place.y, turn.yaw_rad()];
+    let pose = [place.x, place.y, turn.yaw_rad()];
     let length = [turn.x, turn.y, turn.z, turn.w].iter().map(|part| part * part).sum::<f64>();
-    if !(numbers.iter().all(|number| number.is_finite()) && length > 0.5) {
-        return Err("its numbers are no pose".to_owned());
-    }
-    let [x, y, yaw] = numbers;
-    Ok([format!("goal.x_m={x:.4}"), format!("goal.y_m={y:.4}"), format!("goal.yaw_rad={yaw:.4}")])
+    let is_pose = pose.iter().all(|number| number.is_finite()) && length > 0.5;
+    is_pose.then_some(pose).ok_or_else(|| "its numbers are no pose".to_owned())
 }
 
 #[cfg(test)]
@@ -114,19 +108,20 @@ mod tests {
 
     #[test]
     fn a_goal_on_the_track_is_set_with_its_direction() {
-        let wanted = ["goal.x_m=7.0000", "goal.y_m=-1.2500", "goal.yaw_rad=1.5708"];
-        assert_eq!(overrides(&goal()).unwrap(), wanted);
+        let [x_m, y_m, yaw_rad] = pose_of(&goal()).unwrap();
+        assert_eq!((x_m, y_m), (7.0, -1.25));
+        assert!((yaw_rad - FRAC_PI_2).abs() < 1e-9, "{yaw_rad}");
     }
 
     #[test]
     fn a_goal_elsewhere_or_of_no_numbers_is_refused_and_so_are_all_without_control() {
         let mut elsewhere = goal();
         elsewhere.header.frame_id = "map".to_owned();
-        assert_eq!(overrides(&elsewhere).unwrap_err(), "its frame is `map`, but `track` is needed");
+        assert_eq!(pose_of(&elsewhere).unwrap_err(), "its frame is `map`, but `track` is needed");
         for broken in [Quaternion::default(), Quaternion { w: f64::NAN, ..Quaternion::default() }] {
             let mut goal = goal();
             goal.pose.orientation = broken;
-            assert_eq!(overrides(&goal).unwrap_err(), "its numbers are no pose");
+            assert_eq!(pose_of(&goal).unwrap_err(), "its numbers are no pose");
         }
         let mut goals = Goals::of(None);
         goals.take(goal());

@@ -5,7 +5,9 @@ use std::process::Command;
 
 use anyhow::{Context, ensure};
 use driver::ros2::Ros2Config;
-use runtime::{COMPANION_VARIABLE, Companion, Domain, SYSTEM_ID_VARIABLE, settings_file};
+use runtime::{
+    COMPANION_VARIABLE, Companion, Domain, GoalOrder, RuntimeError, SYSTEM_ID_VARIABLE, settings_file,
+};
 use shared_types::Role;
 use vehicle::Description;
 
@@ -43,6 +45,14 @@ impl System {
         let mut command = Command::new(&self.program);
         command.args(["--system-id", self.domain.system_id()]).args(arguments);
         command
+    }
+
+    /// Sets the goal of the drive.
+    ///
+    /// # Errors
+    /// A program that can't be started.
+    pub(crate) fn set_goal(&self, place: [f64; 2], yaw_rad: f64) -> Result<GoalOrder, RuntimeError> {
+        GoalOrder::give_by(&self.program, Some(self.domain.system_id()), place, Some(yaw_rad))
     }
 
     /// What is said when a command can't be started.

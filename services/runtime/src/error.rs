@@ -126,9 +126,9 @@ pub enum RuntimeError {
     /// There is not enough shared memory.
     #[error(transparent)]
     SharedMemory(#[from] Shortage),
-    /// A person does not drive, with what `scanloop teleop` says.
+    /// A person does not drive, or a goal is not taken, with what `scanloop` says.
     #[error("{0}")]
-    Person(String),
+    Refused(String),
     /// A system call failed.
     #[error("{action}: {source}")]
     System {

@@ -36,6 +36,7 @@ mod enclosed;
 mod environment;
 mod error;
 mod folder;
+mod goal;
 mod guard;
 mod handover;
 mod identity;
@@ -86,6 +87,7 @@ pub use environment::{
 };
 pub use error::RuntimeError;
 pub use folder::Folder;
+pub use goal::GoalOrder;
 pub use handover::{Handover, HandoverData, read as read_handover, write as write_handover};
 pub use identity::{
     Identified, Identity, NotOurs, PROCESSES_FILE, Seen, identify, pid_namespace, processes, processes_of,

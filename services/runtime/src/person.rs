@@ -2,7 +2,7 @@
 //!
 //! A control counts for 1.5 scan periods. The wheels are blocked without a new one, and once the program ends.
 
-use std::ffi::OsStr;
+use std::ffi::{OsStr, OsString};
 use std::io::{BufRead, BufReader, ErrorKind, Read};
 use std::net::Shutdown;
 use std::os::fd::OwnedFd;
@@ -20,7 +20,7 @@ pub const EXECUTABLE_VARIABLE: &str = "SCANLOOP";
 /// An orchestrator that hangs is waited for no longer; `teleop` itself waits 12 s.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(15);
 /// Longest message that is read [bytes].
-const MAX_MESSAGE: u64 = 4096;
+pub(crate) const MAX_MESSAGE: u64 = 4096;
 
 /// A person who drives by hand. Dropping it pauses the drive, unless it has handed back.
 #[derive(Debug)]
@@ -35,10 +35,9 @@ impl Person {
     /// [`EXECUTABLE_VARIABLE`], else `scanloop` in `PATH`.
     ///
     /// # Errors
-    /// [`RuntimeError::Person`] when it is refused, with the reason; an executable that can't be started.
+    /// [`RuntimeError::Refused`] when it is refused, with the reason; an executable that can't be started.
     pub fn take_over(system_id: Option<&str>) -> Result<Self, RuntimeError> {
-        let executable = std::env::var_os(EXECUTABLE_VARIABLE).unwrap_or_else(|| "scanloop".into());
-        Self::take_over_by(executable, system_id)
+        Self::take_over_by(executable(), system_id)
     }
 
     /// [`Person::take_over`] by this executable.
@@ -68,7 +67,7 @@ impl Person {
     /// Asks for a velocity [m/s] and a steering angle [rad], positive to the left; never waits.
     ///
     /// # Errors
-    /// [`RuntimeError::Person`] once it does not drive any more, with the reason.
+    /// [`RuntimeError::Refused`] once it does not drive any more, with the reason.
     pub fn give(&mut self, velocity_mps: f64, steering_rad: f64) -> Result<(), RuntimeError> {
         self.send(&format!("{velocity_mps} {steering_rad}\n"))
     }
@@ -115,7 +114,7 @@ impl Person {
         let messages = self.child.stderr.take().map(|stream| stream.take(MAX_MESSAGE));
         let _ = messages.map(|mut stream| stream.read_to_string(&mut text));
         let text = text.trim().trim_start_matches("error: ");
-        RuntimeError::Person(
+        RuntimeError::Refused(
             if text.is_empty() { "this person does not drive any more" } else { text }.to_owned(),
         )
     }
@@ -133,6 +132,11 @@ impl Person {
         }
         let _ = self.child.wait();
     }
+}
+
+/// The executable of the commands.
+pub(crate) fn executable() -> OsString {
+    std::env::var_os(EXECUTABLE_VARIABLE).unwrap_or_else(|| "scanloop".into())
 }
 
 impl Drop for Person {

@@ -4,6 +4,7 @@
 mod advisor;
 mod bytes;
 mod emergency_stop;
+mod goal;
 mod new;
 mod person;
 mod refusals;

@@ -165,7 +165,7 @@ fn a_program_is_told_why_it_may_not_drive() {
 }
 
 /// The words of a controller in Python.
-fn controller(python: &std::path::Path, name: &str) -> Vec<String> {
+pub(super) fn controller(python: &std::path::Path, name: &str) -> Vec<String> {
     let script = examples("python").join(name);
     [python.to_str().unwrap(), "-B", script.to_str().unwrap()].map(str::to_owned).to_vec()
 }
