@@ -12,13 +12,14 @@ Each plan is verified: it is driven through the model in finer steps, and must k
 import math
 import os
 import struct
+import sys
 import time
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small, so threads would only slow it down
 
 import casadi as ca  # noqa: E402
 
-from scanloop import Handover, Process, Role, answer
+from scanloop import Handover, Process, Role, answer, current_goal
 from scanloop_types import (
     Alarm, Command, CommandKind, Level, Obstacles, PlanNode, Pose, ScannerState, SolveStatus, StopReason,
 )
@@ -323,6 +324,9 @@ class Controller:
 process = Process(Role.CONTROLLER)
 poses, obstacles, commands = process.input(Pose), process.input(Obstacles), process.output(Command)
 settings = process.settings() | {"period_s": process.period_ns * 1e-9}
+if settings["course"]["waypoints"]:
+    print("error: this controller follows the line along x only, no [course]", file=sys.stderr)
+    sys.exit(2)
 # In simulated time a solve takes no time, so only the iterations are limited.
 controller = Controller(settings, 10.0 if process.simulated else BUDGET * settings["period_s"])
 handover, state = process.resume(STATE_KIND)
@@ -332,6 +336,9 @@ if process.start():
     while process.wait():
         for pose, described in process.join(poses, obstacles):
             started_ns = time.monotonic_ns()
+            goal = current_goal(process.directive, pose.header.scan_id, settings["goal"])
+            if goal != settings["goal"]:  # another was set: the robot drives on, also from where it has landed
+                settings["goal"], controller.landed = goal, False
             command = controller.step(pose, described)
             command.solve_ns = 0 if process.simulated else time.monotonic_ns() - started_ns
             commands.publish(command)

@@ -8,8 +8,9 @@ While a person drives, `scanloop teleop`, the path of what the person asks for i
 
 import math
 import struct
+import sys
 
-from scanloop import Handover, Process, Role, answer
+from scanloop import Handover, Process, Role, answer, current_goal
 from scanloop_types import (
     Alarm, Command, CommandKind, DrivenBy, Level, Obstacles, PlanNode, Pose, ScannerState, StopReason,
 )
@@ -120,12 +121,18 @@ def main():
     process = Process(Role.CONTROLLER)
     poses, obstacles, commands = process.input(Pose), process.input(Obstacles), process.output(Command)
     settings = process.settings() | {"period_s": process.period_ns * 1e-9}
+    if settings["course"]["waypoints"]:
+        print("error: this controller follows the line along x only, no [course]", file=sys.stderr)
+        sys.exit(2)
     handover, state = process.resume(STATE_KIND)
     line = struct.unpack("d", state)[0] if handover == Handover.STATE else settings["goal"]["y_m"]
     command = Command()
     if process.start():
         while process.wait():
             for pose, described in process.join(poses, obstacles):
+                goal = current_goal(process.directive, pose.header.scan_id, settings["goal"])
+                if goal != settings["goal"]:  # another was set: the robot drives on, also from where it has landed
+                    settings["goal"], line, command = goal, goal["y_m"], Command()
                 by_person = process.directive.driven_by == DrivenBy.PERSON
                 if by_person or command.kind != CommandKind.LAND:  # a landed robot stays landed
                     command, line = plan(pose, described, settings, line, process.directive)

@@ -117,6 +117,14 @@ def answer(to: Sample, also: Sample | None = None) -> Header:
     return header
 
 
+def current_goal(directive: Directive, scan_id: int, goal: dict[str, typing.Any]) -> dict[str, typing.Any]:
+    """Where to land in a scan: `goal`, that of the scan before, or the first goal as it was set last while driving."""
+    given = directive.goal
+    if given.index != 0 or not 0 < given.from_scan <= scan_id:
+        return goal
+    return {"x_m": given.x_m, "y_m": given.y_m, "tolerance_m": given.tolerance_m}
+
+
 def _orders(directive: Directive) -> tuple[int, int, int]:
     """What tells that a directive has other orders for stages than another."""
     return directive.goal.from_scan, directive.driven_by, directive.person.number

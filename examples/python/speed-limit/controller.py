@@ -11,7 +11,7 @@ sys.path.insert(0, os.path.join(os.path.dirname(os.path.abspath(__file__)), ".."
 from limit import Limit  # noqa: E402
 from own_topics import open_topic  # noqa: E402
 from pure_pursuit import plan  # noqa: E402
-from scanloop import Process, Role, answer  # noqa: E402
+from scanloop import Process, Role, answer, current_goal  # noqa: E402
 from scanloop_types import Command, CommandKind, DrivenBy, Obstacles, Pose  # noqa: E402
 
 process = Process(Role.CONTROLLER)
@@ -23,6 +23,9 @@ command = Command()
 if process.start():
     while process.wait():
         for pose, described in process.join(poses, obstacles):
+            goal = current_goal(process.directive, pose.header.scan_id, settings["goal"])
+            if goal != settings["goal"]:
+                settings["goal"], line, command = goal, goal["y_m"], Command()
             if (newest := limits.newest(pose.header.scan_id)) is not None:
                 limit_mps = newest.speed_mps
             settings["cruise_mps"] = min(cruise_mps, max(limit_mps, settings["vehicle"]["bounds"]["velocity_min_mps"]))

@@ -1,13 +1,13 @@
 //! The decisions for one scan, in their order: stop, land, or drive a verified plan, one's own or a person's.
 
 use shared_types::{
-    Alarm, Command, CommandKind, DrivenBy, Flag, GivenControl, Level, Obstacles, PlanNode, Pose,
+    Alarm, Command, CommandKind, DrivenBy, Flag, GivenControl, GivenGoal, Level, Obstacles, PlanNode, Pose,
     ScannerHealth, ScannerState, StopReason, plain_state,
 };
 use vehicle::Control;
 
 use crate::planner::{Plan, hold, plans};
-use crate::settings::Settings;
+use crate::settings::{Goal, Settings};
 use crate::verify::{Scene, Verified};
 
 /// A centre that is further outside of the track contradicts it [m].
@@ -28,6 +28,10 @@ plain_state! {
         pub driven_by: u32,
         /// What a person who drives asks for
         pub person: GivenControl,
+        /// The goal that was set last while driving
+        pub given: GivenGoal,
+        /// The first scan of the set goal that the robot drives to; 0 while it is that of the settings
+        pub goal_from: u64,
     }
 }
 
@@ -48,8 +52,30 @@ impl Controller {
         Self { settings, period_ns, period_s: period_ns as f64 * 1e-9, memory }
     }
 
+    /// Takes a goal that was set while driving; it counts from its scan on.
+    pub(crate) fn give(&mut self, goal: &GivenGoal) {
+        // This controller drives to the first goal only.
+        if goal.index == 0 && goal.is_newer(&self.memory.given) {
+            self.memory.given = *goal;
+        }
+    }
+
+    /// Drives to the set goal from its scan on, also where it has landed at the one before.
+    fn heed_goal(&mut self, scan_id: u64) {
+        let Memory { given, goal_from, .. } = self.memory;
+        if given.from_scan == 0 || scan_id < given.from_scan {
+            return;
+        }
+        self.settings.goal = Goal { x_m: given.x_m, y_m: given.y_m, tolerance_m: given.tolerance_m };
+        if given.from_scan > goal_from {
+            self.memory =
+                Memory { line_m: given.y_m, landed: false.into(), goal_from: given.from_scan, ..self.memory };
+        }
+    }
+
     /// The command for one scan.
     pub(crate) fn step(&mut self, pose: &Pose, obstacles: &Obstacles) -> Command {
+        self.heed_goal(obstacles.header.scan_id);
         // First the sample that comes last: it has the stamps of more stages.
         let header = obstacles.header.answer_both(&pose.header);
         let by_person = self.memory.driven_by == DrivenBy::Person.wire();

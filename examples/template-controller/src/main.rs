@@ -1,7 +1,8 @@
 //! A controller of your own, ready to be copied and changed.
 //!
 //! Once per scan it receives the pose of the robot and the obstacles, and publishes one command. The orders of the system tell
-//! who drives: a person, `scanloop teleop`, gets what it asks for if that passes the same check.
+//! who drives: a person, `scanloop teleop`, gets what it asks for if that passes the same check. They also have the goal that
+//! `scanloop set` has changed.
 //!
 //! * `main.rs` says what the stage reads, writes and saves. It stays as it is.
 //! * `controller.rs` is the order of decisions for one scan: stop, land, or drive a verified plan.
@@ -14,7 +15,6 @@ mod planner;
 mod settings;
 mod verify;
 
-use std::convert::Infallible;
 use std::process::ExitCode;
 
 use shared_types::{
@@ -38,7 +38,7 @@ struct MyController {
 
 impl Stage for MyController {
     type Settings = Settings;
-    type Invalid = Infallible;
+    type Invalid = &'static str;
     type Output = Command;
     type State = Memory;
 
@@ -46,7 +46,10 @@ impl Stage for MyController {
     const ANSWERS: &'static [&'static SampleType] = &[Pose::TYPE, Obstacles::TYPE];
     const TAKES_ORDERS: bool = true;
 
-    fn begin(settings: Settings, period_ns: u64) -> Result<Self, Infallible> {
+    fn begin(settings: Settings, period_ns: u64) -> Result<Self, &'static str> {
+        if !settings.course.waypoints.is_empty() {
+            return Err("this controller follows the line along x only, no [course]");
+        }
         Ok(Self { controller: Controller::new(settings, period_ns), pose: None, obstacles: None })
     }
 
@@ -64,7 +67,8 @@ impl Stage for MyController {
             self.pose = Some(*pose);
         } else if let Some(obstacles) = sample.get() {
             self.obstacles = Some(*obstacles);
-        } else if let Some(Directive { driven_by, person, .. }) = sample.get() {
+        } else if let Some(Directive { driven_by, person, goal, .. }) = sample.get() {
+            self.controller.give(goal);
             (self.controller.memory.driven_by, self.controller.memory.person) = (*driven_by, *person);
         }
     }

@@ -4,15 +4,18 @@
 //! named here are ignored. `docs/system-file.md` has all keys with their defaults and ranges.
 
 use serde::Deserialize;
+use serde::de::IgnoredAny;
 use vehicle::Description;
 
 /// What the controller knows of the course, of the robot and of its task.
 #[derive(Debug, Clone, Deserialize)]
 pub(crate) struct Settings {
-    /// Where to land.
+    /// Where to land, until another goal is set.
     pub(crate) goal: Goal,
     /// Where the robot may drive.
     pub(crate) track: Track,
+    /// The way that the robot follows, where it is no line along x.
+    pub(crate) course: Course,
     /// The robot: body, model, bounds, delays.
     pub(crate) vehicle: Description,
     /// Free distance to walls [m].
@@ -28,7 +31,7 @@ pub(crate) struct Settings {
 }
 
 /// Where to land.
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Copy, Deserialize)]
 pub(crate) struct Goal {
     /// Position along the track [m].
     pub(crate) x_m: f64,
@@ -36,6 +39,13 @@ pub(crate) struct Goal {
     pub(crate) y_m: f64,
     /// Distance within which the goal counts as reached [m].
     pub(crate) tolerance_m: f64,
+}
+
+/// The way that the robot follows, where it is no line along x: this controller follows none.
+#[derive(Debug, Clone, Deserialize)]
+pub(crate) struct Course {
+    /// The points that it leads through; none on the line along x.
+    pub(crate) waypoints: Vec<IgnoredAny>,
 }
 
 /// Where the robot may drive.
@@ -62,6 +72,7 @@ pub(crate) fn example() -> Settings {
     Settings {
         goal: Goal { x_m: 10.0, y_m: 0.0, tolerance_m: 0.1 },
         track: Track { x_m: [0.0, 22.0], y_m: [-1.5, 1.5], walls: false },
+        course: Course { waypoints: Vec::new() },
         vehicle: Description::default(),
         theta_m: 0.2,
         clearance_m: 0.05,

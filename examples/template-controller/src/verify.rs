@@ -304,7 +304,7 @@ mod tests {
         let straight = |y: f64, yaw: f64| {
             let scene = Scene::new(&settings, &pose(0.0, y, yaw), &free);
             // The line is where the robot is, so the plan only turns it back to the direction of the track.
-            let goal = crate::settings::Goal { y_m: y, ..settings.goal.clone() };
+            let goal = crate::settings::Goal { y_m: y, ..settings.goal };
             let plan = plans(&Settings { goal, ..settings.clone() }, scene.start, 1.0, y).next().unwrap().1;
             scene.verify(&plan).is_some()
         };
