@@ -150,6 +150,7 @@ pub(crate) fn take_over(
         session.keep_ring(&options.out, plan.system.recording.ring_s);
     }
     session.resume_driver(registry.driven_by);
+    session.resume_progress();
     session.resume_end(registry.outcome, registry.reason);
     conclude(session, &plan, &results)
 }

@@ -2,13 +2,14 @@
 //! whole or not at all.
 //!
 //! `run.toml` contains scenario and system and is written once. `processes.toml` contains the process of each role and
-//! the newest directive; it is written at each change, before the change is published.
+//! the newest directive; it is written at each change, before the change is published. `progress.toml` says which goals
+//! and laps are behind the robot.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use anyhow::Context;
-use emulator::{JudgedBy, Outcome, Scenario};
+use emulator::{DriveProgress, JudgedBy, Outcome, Scenario};
 use plan::Plan;
 use plan::system::System;
 use runtime::{Domain, OwnTopics, PROCESSES_FILE};
@@ -19,6 +20,7 @@ use toml::{Table, Value};
 use vehicle::{of_text, text_of};
 
 pub(crate) const RUN_FILE: &str = "run.toml";
+const PROGRESS_FILE: &str = "progress.toml";
 
 /// The run: scenario, system and options.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -181,6 +183,16 @@ impl RunFile {
         let plan = Plan { scenario, system, own_topics, warnings: Vec::new(), given: BTreeSet::new() };
         Ok((run, plan))
     }
+}
+
+/// Notes how far a drive has come. Without room for it, another orchestrator would go on from what was noted before.
+pub(crate) fn note_progress(domain: &Domain, progress: &DriveProgress) {
+    let _ = text_of(progress).map(|text| domain.folder().write(PROGRESS_FILE, text.as_bytes()));
+}
+
+/// How far a drive had come, where that was noted.
+pub(crate) fn noted_progress(domain: &Domain) -> Option<DriveProgress> {
+    read(domain, PROGRESS_FILE).ok()
 }
 
 /// The system of a run, and whether time is simulated.

@@ -47,6 +47,7 @@ use supervision::supervisor::{Event, Supervisor, VisibleState};
 
 use crate::control::ControlSocket;
 use crate::own_processes::OwnProcesses;
+use crate::process_registry::note_progress;
 use crate::run_recorder::RunRecorder;
 use crate::service_manager::ServiceManager;
 use crate::startup::{RunOptions, Startup};
@@ -420,6 +421,8 @@ impl Session {
                 let decided = self.recording.judge(&scan);
                 self.limits.judged(self.recording.wheels_are_blocked());
                 decided.into_iter().for_each(|(outcome, reason)| self.decide(outcome, &reason));
+                let progress = self.recording.to_note();
+                progress.into_iter().for_each(|progress| note_progress(&self.run.domain, progress));
             }
             let orders = self.swaps.recorded(monotonic_ns(), &scan);
             self.follow(orders)?;

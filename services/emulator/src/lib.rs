@@ -21,5 +21,5 @@ pub mod solid;
 pub mod steering_map;
 
 pub use emulator::{Emulator, EmulatorState, Received};
-pub use referee::{EstimatedScan, JudgedBy, Outcome, Referee};
+pub use referee::{DriveProgress, EstimatedScan, JudgedBy, Outcome, Referee};
 pub use scenario::{Scenario, ScenarioError};

@@ -93,6 +93,15 @@ pub struct Landing {
     pub yaw_error_rad: Option<f64>,
 }
 
+/// What the referee of a drive has to know to go on where another has ended.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct DriveProgress {
+    /// How far the robot has come along the course [m].
+    pub along_m: f64,
+    /// What became of the goals so far.
+    pub landings: Vec<Landing>,
+}
+
 /// The robot at a scan, by the truth or by the estimate.
 #[derive(Debug, Clone, Copy)]
 struct Sight {
@@ -209,6 +218,18 @@ impl Referee {
             *place = goal;
             self.progress.change_goal(index, along_m);
         }
+    }
+
+    /// How far the drive has come.
+    pub fn progress(&self) -> DriveProgress {
+        DriveProgress { along_m: self.along_m(), landings: self.landings.clone() }
+    }
+
+    /// Goes on with a drive that another referee has judged so far.
+    pub fn resume(&mut self, DriveProgress { along_m, landings }: DriveProgress) {
+        self.progress.resume(along_m);
+        self.landings = landings;
+        self.landings.truncate(self.goals.len() - 1);
     }
 
     /// How far the robot has come along the course, in its lap [m].
@@ -392,6 +413,28 @@ mod tests {
 
     fn truth_at(time_s: f64, x_m: f64, yaw_rad: f64, blocked: u32) -> Truth {
         Truth { x_m, yaw_rad, ..truth(time_s, (x_m - 10.0).abs(), blocked) }
+    }
+
+    #[test]
+    fn another_referee_goes_on_in_the_lap_and_at_the_goal_of_the_one_before() {
+        let circle = "[course]\nlaps = 2\nwaypoints = [{ x_m = 5 }, { y_m = 5 }, { x_m = -5 }, { y_m = -5 }, { x_m = 5 }]";
+        let scenario = Scenario::parse(circle, "circle").unwrap();
+        let landed = block(BlockReason::Landed, StopReason::Landed);
+        let at_the_end = Truth { x_m: 5.0, yaw_rad: std::f64::consts::FRAC_PI_2, ..truth(60.0, 0.0, 1) };
+        // What was noted lies half a metre before, and before the end of the first lap.
+        for (along_m, expected) in [(61.5, Outcome::Reached), (31.2, Outcome::Missed), (0.0, Outcome::Missed)]
+        {
+            let mut referee = Referee::new(&scenario);
+            referee.resume(DriveProgress { along_m, landings: Vec::new() });
+            let outcome = referee.observe(&at_the_end, Some(&landed));
+            assert_eq!(outcome, Some(expected), "{along_m}: {}", referee.reason());
+        }
+        let mut first = two_goals();
+        assert_eq!(first.observe(&truth_at(5.0, 4.05, 0.0, 1), Some(&landed)), None);
+        let mut second = two_goals();
+        second.resume(first.progress());
+        assert_eq!(second.observe(&truth_at(20.0, 10.0, 0.05, 1), Some(&landed)), Some(Outcome::Reached));
+        assert_eq!(second.landings()[0].reached_s, Some(5.0));
     }
 
     #[test]

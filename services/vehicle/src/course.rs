@@ -15,7 +15,7 @@ mod keys;
 mod legs;
 mod outline;
 
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
 use key_table::{Invalid, Key, Setting, Value};
@@ -256,14 +256,21 @@ impl Course {
     /// The place of a state in the plane on the whole course: near it, and in its direction. Where the course comes by
     /// again, it is the first of these places, so a robot that stands a little before the start has all laps to drive.
     pub fn find(&self, state: &State) -> f64 {
+        self.find_from(state, f64::NEG_INFINITY)
+    }
+
+    /// The same from a length along the course on [m].
+    pub fn find_from(&self, state: &State, from_m: f64) -> f64 {
         let point = Vector2::new(state.x, state.y);
         let misfit = |along: f64| {
             let tangent = self.at(along);
-            (tangent.point - point).norm() + wrap_angle(state.yaw - tangent.yaw).abs()
+            let turned = if self.turns_back && self.is_reverse(along) { PI } else { 0.0 };
+            (tangent.point - point).norm() + wrap_angle(state.yaw - tangent.yaw - turned).abs()
         };
-        let mut places = self.pieces.iter().map(|piece| piece.begin_m + piece.nearest(point));
+        let ahead = self.pieces.iter().filter(|piece| piece.begin_m + piece.length_m >= from_m);
+        let mut places = ahead.map(|piece| (piece.begin_m + piece.nearest(point)).max(from_m));
         let best = places.clone().min_by(|one, other| misfit(*one).total_cmp(&misfit(*other)));
-        let Some(best) = best else { return state.x };
+        let Some(best) = best else { return if self.is_line() { state.x } else { self.length_m } };
         let is_same = |along: f64| {
             let apart = (self.at(along).point - self.at(best).point).norm();
             apart <= SAME_M && misfit(along) <= misfit(best) + SAME_M

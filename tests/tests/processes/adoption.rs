@@ -85,6 +85,23 @@ fn the_robot_drives_on_without_an_orchestrator_and_is_adopted_as_it_is() {
 }
 
 #[test]
+fn an_adopted_run_knows_which_goals_were_reached() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        let goals = "[[goal]]\nx_m = 2.0\nstay_s = 0.5\n\n[[goal]]\nx_m = 5.0\n";
+        std::fs::write(system.folder().join("two.toml"), goals).unwrap();
+        system.start(&["two.toml"]);
+        let noted = || system.domain().folder().read_text("progress.toml").unwrap_or_default();
+        system.wait_until("the first goal is reached", |_| noted().contains("reached_s"));
+        system.kill_orchestrator();
+        system.adopt(&[]);
+        let report = assert_reached(system);
+        let reached_s: Vec<_> = report.goals.iter().filter_map(|goal| goal.reached_s).collect();
+        assert!(reached_s.len() == 2 && reached_s[0] < reached_s[1], "{:?}", report.goals);
+    });
+}
+
+#[test]
 fn an_adopted_run_is_supervised_like_any_other() {
     repeat_when_late(|| {
         // These roles recover without a state: on a busy machine it may be older than half a second.

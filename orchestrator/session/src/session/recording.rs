@@ -3,12 +3,15 @@
 use audit::digest::Digests;
 use audit::samples::ScanRecord;
 use emulator::referee::Landing;
-use emulator::{EstimatedScan, Referee, Scenario};
+use emulator::{DriveProgress, EstimatedScan, Referee, Scenario};
 use report::recorder::{Recorder, RunInfo};
 use report::{GoalChange, Outcome};
 use vehicle::Goal;
 
 use crate::startup::RunOptions;
+
+/// How far the robot drives until its place on the course is noted again [m].
+const NOTED_M: f64 = 0.5;
 
 /// Receives every scan that was recorded.
 pub(crate) type ScanObserver = Box<dyn FnMut(&ScanRecord)>;
@@ -18,6 +21,8 @@ pub(crate) struct Recording {
     pub(crate) recorder: Recorder,
     pub(crate) digests: Digests,
     referee: Referee,
+    /// What was noted of it last; nothing where no other orchestrator needs it.
+    noted: Option<DriveProgress>,
     lockstep: bool,
     duration_s: Option<f64>,
     period_ns: u64,
@@ -55,10 +60,14 @@ impl Recording {
             period_ns,
             goals: scenario.goal.clone(),
         };
+        let laps = scenario.course.as_ref().map_or(1, |course| course.keys().laps);
+        // A run in lock-step ends with its orchestrator.
+        let is_noted = !options.lockstep && (laps > 1 || scenario.goal.all().len() > 1);
         Self {
             recorder: Recorder::new(info),
             digests: Digests::default(),
             referee: Referee::new(scenario),
+            noted: is_noted.then(DriveProgress::default),
             lockstep: options.lockstep,
             duration_s: options.duration_s,
             period_ns,
@@ -85,6 +94,23 @@ impl Recording {
     /// How far the robot has come along the course [m].
     pub(super) fn along_m(&self) -> f64 {
         self.referee.along_m()
+    }
+
+    /// Goes on with a drive that another orchestrator has begun.
+    pub(super) fn resume(&mut self, progress: DriveProgress) {
+        self.referee.resume(progress);
+    }
+
+    /// How far the drive has come, where another orchestrator would need it and it is not what was noted last.
+    pub(super) fn to_note(&mut self) -> Option<&DriveProgress> {
+        let (noted, progress) = (self.noted.as_mut()?, self.referee.progress());
+        let is_new = progress.landings.len() != noted.landings.len()
+            || (progress.along_m - noted.along_m).abs() > NOTED_M;
+        if !is_new {
+            return None;
+        }
+        *noted = progress;
+        Some(noted)
     }
 
     /// What became of each goal.

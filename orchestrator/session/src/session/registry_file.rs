@@ -6,7 +6,7 @@ use runtime::monotonic_ns;
 use shared_types::{Authority, Role, SLOTS};
 
 use super::Session;
-use crate::process_registry::{ProcessRegistry, Right, RoleRow};
+use crate::process_registry::{ProcessRegistry, Right, RoleRow, noted_progress};
 
 /// Pause before a registry that could not be written is written again [ns].
 const REWRITE_NS: u64 = 1_000_000_000;
@@ -83,6 +83,11 @@ impl Session {
             role: Role::ALL.iter().filter_map(row).collect(),
             process: self.fleet.rows(),
         }
+    }
+
+    /// Continues at the goal and in the lap that the orchestrator before has noted.
+    pub(crate) fn resume_progress(&mut self) {
+        noted_progress(&self.run.domain).into_iter().for_each(|progress| self.recording.resume(progress));
     }
 
     /// Continues the end of a run that the orchestrator before has decided.

@@ -7,6 +7,8 @@ use crate::scenario::Scenario;
 
 /// A goal may be landed at so much earlier, by its tolerance and by what is cut at bends [m].
 const EARLY_M: f64 = 1.5;
+/// A robot is at most so far before the place where it was seen last: what was noted is not exact [m].
+const BEFORE_M: f64 = 2.0;
 /// A robot this far beside the course was put elsewhere [m].
 const ASTRAY_M: f64 = 5.0;
 
@@ -15,6 +17,8 @@ const ASTRAY_M: f64 = 5.0;
 pub(super) struct Progress {
     course: Option<(Course, Follower)>,
     along_m: f64,
+    /// Where it was when this began, in a drive that another has followed before.
+    resumed_m: Option<f64>,
     /// Where the goals are [m].
     goals_m: Vec<f64>,
 }
@@ -29,8 +33,14 @@ impl Progress {
                 (course, follower)
             }),
             along_m,
+            resumed_m: None,
             goals_m: scenario.goals_on_course().iter().map(|goal| goal.x_m).collect(),
         }
+    }
+
+    /// Goes on from a place on the course; meanwhile the robot may have driven further.
+    pub(super) fn resume(&mut self, along_m: f64) {
+        (self.along_m, self.resumed_m) = (along_m, Some(along_m));
     }
 
     /// Follows the robot to a position and direction in the plane.
@@ -39,7 +49,9 @@ impl Progress {
             return;
         };
         let pose = State { x, y, yaw, ..State::default() };
-        if follower.follow(&pose).y.abs() >= ASTRAY_M {
+        if let Some(resumed_m) = self.resumed_m.take() {
+            follower.put(course.find_from(&pose, resumed_m - BEFORE_M));
+        } else if follower.follow(&pose).y.abs() >= ASTRAY_M {
             follower.put(course.find(&pose));
         }
         self.along_m = follower.along_m();
