@@ -24,7 +24,7 @@ const BUILT_IN: [(&str, &str); 5] = [
 ];
 
 /// Role, the faulty program, its fault, and the cases that must find it.
-const FAULTS: [(&str, &str, &str, &[&str]); 62] = [
+const FAULTS: [(&str, &str, &str, &[&str]); 63] = [
     ("estimator", "loner", "unready", &["states"]),
     ("estimator", "loner", "silent", &["heartbeats"]),
     ("estimator", "loner", "early-only", &["joins-late"]),
@@ -76,7 +76,8 @@ const FAULTS: [(&str, &str, &str, &[&str]); 62] = [
     ("controller", "controller", "mute", &["names-its-reason"]),
     ("controller", "controller", "planless", &["plan"]),
     ("controller", "controller", "unverified", &["verified"]),
-    ("controller", "controller", "alone", &["by-hand"]),
+    ("controller", "controller", "alone", &["by-hand", "new-goal"]),
+    ("controller", "controller", "straight", &["bend"]),
     ("actuator", "actuator", "clamps", &["limits"]),
     ("actuator", "actuator", "factor", &["sends-what-is-desired", "calibration"]),
     ("actuator", "actuator", "drives-on", &["obeys-stop"]),

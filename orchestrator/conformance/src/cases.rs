@@ -15,7 +15,7 @@ use super::robot::{device, motion};
 use super::{actuator, answers, controller, estimator, intake, lifecycle, obstacles, person, robot};
 
 /// How each case is played, by group and name.
-const FUNCTIONS: [(&str, &str, Play); 88] = [
+const FUNCTIONS: [(&str, &str, Play); 90] = [
     ("every role", "states", Own(lifecycle::states)),
     ("every role", "heartbeats", Started(lifecycle::heartbeats)),
     ("every role", "joins-late", Started(lifecycle::joins_late)),
@@ -88,6 +88,8 @@ const FUNCTIONS: [(&str, &str, Play); 88] = [
     ("controller", "obeys-the-scanner", Own(|suite| not_driven_on(suite, &controller::BAD_SCANNERS))),
     ("controller", "degraded-scanner", Started(controller::degraded_scanner)),
     ("controller", "by-hand", After(person::commanded, person::follows)),
+    ("controller", "new-goal", After(person::commanded, controller::new_goal)),
+    ("controller", "bend", Own(controller::bend)),
     ("controller", "names-its-reason", Own(controller::names_its_reason)),
     ("controller", "plan", Started(controller::plan)),
     ("actuator", "limits", After(actuator::driving, actuator::limits)),

@@ -1,9 +1,10 @@
 //! What a controller must command: to drive where it may, and to stop where it must.
 
 use shared_types::{
-    Alarm, Command, CommandKind, Level, Obstacle, Obstacles, Pose, ScannerHealth, ScannerState, StopReason,
-    Suspect,
+    Alarm, Command, CommandKind, GivenGoal, Level, Obstacle, Obstacles, Pose, ScannerHealth, ScannerState,
+    StopReason, Suspect,
 };
+use vehicle::Goal;
 
 use super::case::{Tried, Verdict, failed, observed, passed_if, require};
 use super::drive::{Course, Drive};
@@ -17,6 +18,13 @@ const SCANS: usize = 12;
 const SPOILT_SCANS: u64 = 3;
 /// Distance of the barrier from the robot's centre: 0.5 m from its front [m].
 const IN_FRONT_M: f64 = 0.8;
+
+/// Distance to a goal that is set: the robot can land there [m].
+const GOAL_AHEAD_M: f64 = 1.5;
+/// Behind a goal no controller drives on [m].
+const BEHIND_GOAL_M: f64 = 0.3;
+/// A robot that has come so far along x is in the bend [m].
+const IN_BEND_M: f64 = 5.0;
 
 /// What is wrong with the inputs of a scan, and what makes them so.
 pub(crate) type Spoilt = (&'static str, fn(&Drive, &mut Message));
@@ -102,6 +110,47 @@ pub(crate) fn lands(suite: &Suite) -> Verdict {
     let kind = CommandKind::try_from(last.kind).map_or("nothing known", CommandKind::name);
     let distance_m = bench.drive.step(last.header.scan_id).truth.goal_distance_m;
     passed_if(lands(last), format!("`{kind}` at {distance_m:.3} m from the goal"))
+}
+
+pub(crate) fn new_goal(bench: &mut TestBench<'_>) -> Verdict {
+    let x_m =
+        |bench: &TestBench<'_>| bench.drive.step(bench.scan_id).pose.map_or(0.0, |pose| pose.predicted_x_m);
+    let goal = bench.drive.settings.scenario.goal.last();
+    let near = Goal { x_m: x_m(bench) + GOAL_AHEAD_M, ..goal };
+    give(bench, &near)?;
+    let mut last = bench.round()?;
+    while x_m(bench) < near.x_m + BEHIND_GOAL_M {
+        last = bench.round()?;
+    }
+    let behind = || format!("it drives on, {BEHIND_GOAL_M} m behind a goal that was set");
+    require(!drives_on(last.sample()?), behind)?;
+    give(bench, &goal)?;
+    let commands: Vec<Command> = bench.samples(SCANS)?;
+    let drives = commands.last().is_some_and(drives_on);
+    require(drives, || "it does not drive on to a goal that was set after it".to_owned())?;
+    Ok(format!("it stops behind a goal {GOAL_AHEAD_M} m ahead, and drives on to another"))
+}
+
+/// Sets the goal of the drive.
+fn give(bench: &mut TestBench<'_>, goal: &Goal) -> Tried {
+    let from_scan = bench.scan_id + 1;
+    let Goal { x_m, y_m, tolerance_m, yaw_tolerance_rad, .. } = *goal;
+    let given = GivenGoal { from_scan, x_m, y_m, tolerance_m, yaw_tolerance_rad, ..GivenGoal::default() };
+    bench.direct(|directive| directive.goal = given)
+}
+
+pub(crate) fn bend(suite: &Suite) -> Verdict {
+    let first_scan = suite.drive(Course::Bend)?.scan_at(IN_BEND_M);
+    let mut bench = suite.started_on(Course::Bend, first_scan)?;
+    let commands: Vec<Command> = bench.samples(SCANS)?;
+    let way = bench.drive.settings.scenario.course.clone().unwrap_or_default();
+    for Command { header, plan, plan_length, .. } in driven(&commands) {
+        let ends = plan[..*plan_length as usize].last().map(|node| way.locate([node.x_m, node.y_m].into()));
+        let beside_m = ends.map_or(0.0, |[_, left_m]| left_m.abs());
+        let leaves = || format!("scan {}: its plan ends {beside_m:.2} m beside the course", header.scan_id);
+        require(beside_m <= way.keys().width_m / 2.0, leaves)?;
+    }
+    some_drive(&commands, "drive commands in a bend")
 }
 
 /// Moves the pose out of the track.

@@ -1,6 +1,8 @@
 //! Drives whose samples a candidate receives: the pipeline makes them in this process, so they are consistent. They take
 //! place in a hall, so that a healthy scanner has returns everywhere.
 
+use std::f64::consts::FRAC_PI_2;
+
 use emulator::scenario::{ScenarioObstacle, Shape};
 use emulator::steering_map::SteeringMap;
 use emulator::{Emulator, Referee, Scenario};
@@ -9,11 +11,14 @@ use serde::Deserialize;
 use shared_types::{Odometry, Role, Scan, Topic, Truth};
 use vehicle::Description;
 use vehicle::correction::Calibration;
+use vehicle::course::{CourseKeys, Waypoint};
 
 use super::message::Message;
 
 /// Scans that are recorded after a drive has ended, while the robot rests.
 const AFTER_THE_END: usize = 12;
+/// The waypoints of the bend: a quarter of a circle of 4.5 m between two lines [m, m, rad].
+const BEND: [[f64; 3]; 4] = [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [8.5, 4.5, FRAC_PI_2], [8.5, 9.0, FRAC_PI_2]];
 /// No drive of a suite takes longer.
 const MAX_SCANS: usize = 4_000;
 
@@ -31,23 +36,33 @@ pub(crate) enum Course {
     Free,
     /// A barrier across the track: the drive ends in front of it.
     Barrier,
+    /// Nothing in the way, which bends to the left after 4 m.
+    Bend,
     /// Two boxes, one behind the other, left and right of the line.
     Two,
 }
 
 impl Course {
     /// Scenario and settings, at a scan period [ns].
-    pub(crate) fn settings(self, period_ns: u64) -> PipelineSettings {
+    ///
+    /// # Errors
+    /// Waypoints that make no course: a mistake in them.
+    pub(crate) fn settings(self, period_ns: u64) -> anyhow::Result<PipelineSettings> {
         let mut scenario = Scenario { name: "conformance".to_owned(), ..Scenario::default() };
         let solid = |x_m, y_m, length_m, width_m| {
             ScenarioObstacle::fixed(Shape::Box { length_m, width_m, yaw_rad: 0.0 }, x_m, y_m)
         };
         scenario.obstacles = match self {
             Self::Corridor | Self::Exact | Self::Drifting => vec![solid(5.0, 0.0, 0.1, 0.4)],
-            Self::Free => vec![],
+            Self::Free | Self::Bend => vec![],
             Self::Barrier => vec![solid(4.0, 0.0, 0.1, 3.6)],
             Self::Two => vec![solid(4.5, 0.9, 0.1, 0.4), solid(6.0, -0.9, 0.1, 0.4)],
         };
+        if self == Self::Bend {
+            let waypoints = BEND.map(|[x_m, y_m, yaw_rad]| Waypoint::new(x_m, y_m, Some(yaw_rad))).to_vec();
+            let bend = vehicle::Course::try_from(CourseKeys { waypoints, ..CourseKeys::default() });
+            scenario = scenario.along(bend?)?;
+        }
         // The robot of the courses follows at once, and the stages know.
         let mut tuning = Tuning::of(Description::default().without_lag());
         if matches!(self, Self::Exact | Self::Drifting) {
@@ -60,7 +75,7 @@ impl Course {
             tuning.estimator.odometry_longitudinal = Some(missed);
         }
         tuning.controller.period_s = period_ns as f64 * 1e-9;
-        PipelineSettings { scenario, tuning, period_ns }
+        Ok(PipelineSettings { scenario, tuning, period_ns })
     }
 }
 
@@ -80,7 +95,7 @@ impl Drive {
     /// # Errors
     /// A setting that is not allowed: a mistake in the courses.
     pub(crate) fn record(course: Course, period_ns: u64) -> anyhow::Result<Self> {
-        let settings = course.settings(period_ns);
+        let settings = course.settings(period_ns)?;
         let mut pipeline = Pipeline::new(&settings)?;
         let mut referee = Referee::new(&settings.scenario);
         let (mut steps, mut ended) = (Vec::new(), None);

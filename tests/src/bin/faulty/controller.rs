@@ -10,10 +10,13 @@ use crate::Outcome;
 const LAST_SCAN: u64 = 25;
 
 /// Faults: `never`, `blind`, `never-lands`, `careless`, `mute`, `planless`, `unverified`, `too-fast`, `not-finite`,
-/// `bad-state`, `halts`, and `alone`, which knows of no person, as all of them.
+/// `bad-state`, `halts`, `straight`, and `alone`, which knows of no person and no new goal, as all of them.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Controller)?;
-    let config = process.settings::<nmpc::ControllerConfig>("controller")?;
+    let mut config = process.settings::<nmpc::ControllerConfig>("controller")?;
+    if fault == "straight" {
+        config.course = vehicle::Course::default();
+    }
     let budget = Budget::Iterations(config.budget_iterations);
     let mut controller = Controller::new(config)?;
     let poses = process.input::<Pose>()?;
