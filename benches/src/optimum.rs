@@ -134,7 +134,7 @@ fn follow(
 }
 
 fn moment(time_s: f64, state: State, speed_mps: f64) -> RideMoment {
-    RideMoment { time_s, state, speed_mps, clearance_m: f64::INFINITY }
+    RideMoment { time_s, state, way_rad: 0.0, speed_mps, clearance_m: f64::INFINITY }
 }
 
 #[cfg(test)]

@@ -52,8 +52,8 @@ pub(super) fn all(arguments: &RideArguments) -> anyhow::Result<Vec<Course>> {
         if arguments.scenarios.is_empty() { shipped() } else { arguments.scenarios.clone() };
     let course = |name: &String| {
         let plan = Plan::read(Some(name), &choice)?;
-        if plan.scenario.course.is_some() || plan.scenario.goal.all().len() > 1 {
-            let allowed = "one with a [track] and one goal; the optimum knows neither bends nor stays";
+        if plan.scenario.goal.all().len() > 1 {
+            let allowed = "one with one goal; a ride has no stays";
             anyhow::bail!("scenario = {name} is not allowed: {allowed}");
         }
         Ok(Course { plan, family: None })
@@ -92,9 +92,18 @@ impl Course {
             note: reason,
             ..Row::default()
         };
-        let driven = if outcome == Outcome::Reached { measure(&drive, &scenario.goal.last()) } else { None };
+        let goal = scenario.goals_on_course()[0];
+        let drive = match &scenario.course {
+            Some(course) => drive.along(course),
+            None => drive,
+        };
+        let driven = if outcome == Outcome::Reached { measure(&drive, &goal) } else { None };
         let Some(driven) = driven else { return Ok((row, None)) };
         (row.driven, row.goals) = (Some(driven), Goals::of(&driven, None));
+        if scenario.course.is_some() {
+            row.note = "this optimum knows no [course]".to_owned();
+            return Ok((row, None));
+        }
         let Some(task) = self.task(&drive, &sightings) else { return Ok((row, None)) };
         match optimum(&task) {
             Ok(best) => {

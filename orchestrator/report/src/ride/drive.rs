@@ -1,14 +1,16 @@
 //! A drive as the measure and the optimum see it.
 
-use vehicle::{Control, State};
+use vehicle::{Control, Course, State};
 
 /// The true robot at one time.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct RideMoment {
     /// Time since the start of the run [s].
     pub time_s: f64,
-    /// Sideslip, yaw, yaw rate and position.
+    /// Sideslip, yaw, yaw rate and position; position and yaw along and across a course.
     pub state: State,
+    /// Direction of the course there; it grows beyond a half turn where the course does [rad].
+    pub way_rad: f64,
     /// Speed over ground [m/s].
     pub speed_mps: f64,
     /// Distance of the body to the nearest obstacle or wall [m].
@@ -37,6 +39,17 @@ impl RideTrace {
     /// When the first command that drives acts [s].
     pub fn start_s(&self) -> Option<f64> {
         self.commands.iter().find(|issued| issued.control.velocity != 0.0).map(|issued| issued.time_s)
+    }
+
+    /// A drive in the plane along and across a course.
+    #[must_use]
+    pub fn along(mut self, course: &Course) -> Self {
+        let mut near_m = None;
+        for RideMoment { state, way_rad, .. } in &mut self.moments {
+            *state = course.on_course(state, near_m.unwrap_or_else(|| course.find(state)));
+            (near_m, *way_rad) = (Some(state.x), course.at(state.x).yaw);
+        }
+        self
     }
 
     /// The robot at `time_s`, from the last moment before: a robot at rest stays there, another one moves straight on.

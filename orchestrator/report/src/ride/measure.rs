@@ -72,6 +72,7 @@ fn end(moments: &[RideMoment], x_m: f64, from_s: f64) -> Option<RideMoment> {
     Some(RideMoment {
         time_s: between(before.time_s, after.time_s),
         state: State::from_vector(&state),
+        way_rad: between(before.way_rad, after.way_rad),
         speed_mps: between(before.speed_mps, after.speed_mps),
         clearance_m: before.clearance_m.min(after.clearance_m),
     })
@@ -117,7 +118,7 @@ fn steering_steps(commands: &[Issued]) -> Vec<f64> {
 fn lateral(nodes: &[RideMoment]) -> (f64, f64) {
     // The first and the last interval are parts of one: differences over a short time would be noise.
     let whole = nodes.get(1..nodes.len().saturating_sub(1)).unwrap_or_default();
-    let course = |moment: &RideMoment| moment.state.yaw + moment.state.sideslip;
+    let course = |moment: &RideMoment| moment.way_rad + moment.state.yaw + moment.state.sideslip;
     let accelerations: Vec<(f64, f64)> = whole
         .windows(2)
         .map(|pair| {
@@ -147,6 +148,7 @@ mod tests {
         let moment = |index: usize| RideMoment {
             time_s: 0.1 * index as f64,
             state: State { x: 0.1 * index as f64, y, ..State::default() },
+            way_rad: 0.0,
             speed_mps: 1.0,
             clearance_m: 0.5,
         };

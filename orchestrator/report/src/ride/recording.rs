@@ -43,7 +43,7 @@ impl RideRecording {
             y: truth.y_m,
         };
         let (time_s, speed_mps, clearance_m) = (truth.time_s, truth.speed_mps, truth.clearance_m);
-        let moment = RideMoment { time_s, state, speed_mps, clearance_m };
+        let moment = RideMoment { time_s, state, way_rad: 0.0, speed_mps, clearance_m };
         self.overflow |= self.truths.len() >= MAX_SCANS;
         if !self.overflow {
             self.truths.insert(header.scan_id, Seen { moment, acting: (truth.actuation_scan, acting_s) });
