@@ -64,6 +64,8 @@ struct Row {
     rate_hz: f64,
     /// White noise of the reported position.
     pose_sigma_m: f64,
+    /// Radius of the bend in which the courses stand; nothing on a line.
+    radius_m: Option<f64>,
     smallest_gap_m: Option<f64>,
     stopping_distance_m: Option<f64>,
     /// Speed of the robot when the box appeared, the largest of all drives.
@@ -117,9 +119,19 @@ fn measured(arguments: &PriceArguments, base: &Plan) -> std::io::Result<Price> {
 }
 
 fn row(condition: &Condition, figures: Figures) -> Row {
-    let Condition { varied, latency_ms, rate_hz, pose_sigma_m, .. } = *condition;
+    let Condition { varied, latency_ms, rate_hz, pose_sigma_m, radius_m, .. } = *condition;
     let Figures { smallest_gap_m, stopping_distance_m, speed_mps, notes, .. } = figures;
-    Row { varied, latency_ms, rate_hz, pose_sigma_m, smallest_gap_m, stopping_distance_m, speed_mps, notes }
+    Row {
+        varied,
+        latency_ms,
+        rate_hz,
+        pose_sigma_m,
+        radius_m,
+        smallest_gap_m,
+        stopping_distance_m,
+        speed_mps,
+        notes,
+    }
 }
 
 #[cfg(test)]

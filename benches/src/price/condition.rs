@@ -16,6 +16,8 @@ const LATENCIES_MS: [f64; 6] = [0.0, 10.0, 20.0, 50.0, 100.0, 150.0];
 const RATES_HZ: [f64; 4] = [5.0, 10.0, 20.0, 50.0];
 /// Standard deviations of the white noise of the reported position [m].
 const POSE_SIGMAS_M: [f64; 4] = [0.0, 0.01, 0.02, 0.04];
+/// Radii of bends [m].
+const RADII_M: [f64; 3] = [9.0, 6.0, 4.5];
 /// Smallest variance that the estimator accepts [m^2].
 const VARIANCE_MIN_M2: f64 = 1e-12;
 
@@ -29,6 +31,8 @@ pub(super) enum Varied {
     Rate,
     /// The noise of the reported position.
     PoseSigma,
+    /// The radius of the bend that the course has.
+    Bend,
 }
 
 /// One condition.
@@ -38,6 +42,8 @@ pub(super) struct Condition {
     pub(super) latency_ms: f64,
     pub(super) rate_hz: f64,
     pub(super) pose_sigma_m: f64,
+    /// Of a course that is no line.
+    pub(super) radius_m: Option<f64>,
     /// `KEY=VALUE`, in the order in which they act.
     pub(super) overrides: Vec<String>,
 }
@@ -70,12 +76,13 @@ pub(super) fn all(base: &Plan) -> Vec<Condition> {
     let latencies = LATENCIES_MS.iter().map(|latency_ms| of_latency(base, *latency_ms));
     let rates = RATES_HZ.iter().map(|rate_hz| of_rate(base, *rate_hz));
     let sigmas = POSE_SIGMAS_M.iter().map(|sigma_m| of_pose_sigma(base, *sigma_m));
-    latencies.chain(rates).chain(sigmas).collect()
+    let bends = RADII_M.iter().map(|radius_m| of_bend(base, *radius_m));
+    latencies.chain(rates).chain(sigmas).chain(bends).collect()
 }
 
 fn unchanged(base: &Plan, varied: Varied) -> Condition {
     let (rate_hz, pose_sigma_m) = (base.system.rate_hz, base.scenario.noise.odometry_m);
-    Condition { varied, latency_ms: 0.0, rate_hz, pose_sigma_m, overrides: Vec::new() }
+    Condition { varied, latency_ms: 0.0, rate_hz, pose_sigma_m, radius_m: None, overrides: Vec::new() }
 }
 
 /// The delay is added to the true robot and to its description: the stack knows its latency.
@@ -115,6 +122,12 @@ fn of_pose_sigma(base: &Plan, pose_sigma_m: f64) -> Condition {
     Condition { pose_sigma_m, overrides, ..unchanged(base, Varied::PoseSigma) }
 }
 
+/// Both courses stand in the bend.
+fn of_bend(base: &Plan, radius_m: f64) -> Condition {
+    let overrides = vec![course::bend(radius_m)];
+    Condition { radius_m: Some(radius_m), overrides, ..unchanged(base, Varied::Bend) }
+}
+
 #[cfg(test)]
 mod tests {
     use emulator::scenario::Values;
@@ -126,7 +139,7 @@ mod tests {
         let arguments = PriceArguments::default();
         let base = base(&arguments).unwrap();
         let conditions = all(&base);
-        assert_eq!(conditions.len(), 14);
+        assert_eq!(conditions.len(), 17);
         assert_eq!(conditions.iter().filter(|condition| condition.overrides.is_empty()).count(), 2);
         for condition in conditions {
             let plan = read(&arguments, &condition.overrides).unwrap();

@@ -40,12 +40,13 @@ impl Costs {
 }
 
 impl Row {
-    /// The quantity that varies in the group of this row: latency [ms], scan period [ms] or pose sigma [m].
+    /// The quantity that varies in the group of this row: latency [ms], scan period [ms], pose sigma or radius [m].
     pub(super) fn abscissa(&self) -> f64 {
         match self.varied {
             Varied::Latency => self.latency_ms,
             Varied::Rate => 1e3 / self.rate_hz,
             Varied::PoseSigma => self.pose_sigma_m,
+            Varied::Bend => self.radius_m.unwrap_or(f64::INFINITY),
         }
     }
 }

@@ -1,12 +1,16 @@
-//! The two courses: a gap that is the only way, and a box that closes the track suddenly.
+//! The two courses: a gap that is the only way, and a box that closes the track suddenly. Both may stand in a bend.
 
 use emulator::Scenario;
 use emulator::noise::{NoiseStream, Purpose};
 use emulator::scenario::{ScenarioObstacle, Shape};
-use vehicle::Goal;
+use vehicle::frame::wrap_angle;
+use vehicle::{Goal, State};
 
 /// Where the two boxes stand along the track [m].
 const GAP_X_M: f64 = 8.0;
+/// Where a bend begins, and where the course with it ends [m].
+const BEND_X_M: f64 = 3.0;
+const END_M: f64 = 17.0;
 /// The goal behind them [m].
 const GOAL_X_M: f64 = 16.0;
 /// The middle of the gap is at most this far from the line to the goal [m].
@@ -26,8 +30,8 @@ const STREAM: u64 = 0x0070_7269_6365;
 pub(super) fn gap(base: &Scenario, gap_m: f64, seed: u64) -> Scenario {
     let middle_m = NoiseStream::new(seed, Purpose::Course, STREAM).between(-GAP_OFFSET_M, GAP_OFFSET_M);
     let [low, high] = outer(base);
-    let obstacles =
-        vec![wall(GAP_X_M, [low, middle_m - gap_m / 2.0]), wall(GAP_X_M, [middle_m + gap_m / 2.0, high])];
+    let wall = |ends: [f64; 2]| wall(base, GAP_X_M, ends);
+    let obstacles = vec![wall([low, middle_m - gap_m / 2.0]), wall([middle_m + gap_m / 2.0, high])];
     course(base, obstacles, seed)
 }
 
@@ -36,25 +40,47 @@ pub(super) fn gap(base: &Scenario, gap_m: f64, seed: u64) -> Scenario {
 /// `shift_m` moves the box, and with it the time within a scan period at which it appears.
 pub(super) fn sudden(base: &Scenario, ahead_m: f64, shift_m: f64, seed: u64) -> (Scenario, f64) {
     let surface_m = SUDDEN_X_M + shift_m;
-    let closed = wall(surface_m + LENGTH_M / 2.0, outer(base));
+    let closed = wall(base, surface_m + LENGTH_M / 2.0, outer(base));
     let obstacles = vec![ScenarioObstacle { appears_ahead_m: Some(ahead_m), ..closed }];
     (course(base, obstacles, seed), surface_m)
 }
 
 fn course(base: &Scenario, obstacles: Vec<ScenarioObstacle>, seed: u64) -> Scenario {
-    let goal = Goal { x_m: GOAL_X_M, ..base.goal.last() }.into();
+    let State { x, y, .. } = in_plane(base, GOAL_X_M, base.goals_on_course()[0].y_m);
+    let goal = Goal { x_m: x, y_m: y, ..base.goal.last() }.into();
     Scenario { name: "price".to_owned(), seed, obstacles, goal, timeout_s: TIMEOUT_S, ..base.clone() }
 }
 
 /// Outer ends of the boxes across the track [m].
 fn outer(base: &Scenario) -> [f64; 2] {
-    [base.track.y_m[0] - BEYOND_M, base.track.y_m[1] + BEYOND_M]
+    let [low, high] = base.track_on_course().y_m;
+    [low - BEYOND_M, high + BEYOND_M]
 }
 
 /// A box across the track from one lateral position to the other.
-fn wall(x_m: f64, [low, high]: [f64; 2]) -> ScenarioObstacle {
-    let shape = Shape::Box { length_m: LENGTH_M, width_m: high - low, yaw_rad: 0.0 };
-    ScenarioObstacle::fixed(shape, x_m, (low + high) / 2.0)
+fn wall(base: &Scenario, x_m: f64, [low, high]: [f64; 2]) -> ScenarioObstacle {
+    let State { x, y, yaw, .. } = in_plane(base, x_m, (low + high) / 2.0);
+    let shape = Shape::Box { length_m: LENGTH_M, width_m: high - low, yaw_rad: wrap_angle(yaw) };
+    ScenarioObstacle::fixed(shape, x, y)
+}
+
+/// A place along and to the left of the track or course.
+fn in_plane(base: &Scenario, x: f64, y: f64) -> State {
+    let place = State { x, y, ..State::default() };
+    base.course.as_ref().map_or(place, |course| course.in_plane(&place))
+}
+
+/// The override of a course that bends to the left with this radius, from 3 m after its begin to its end [m].
+pub(super) fn bend(radius_m: f64) -> String {
+    let turn = |along_m: f64| (along_m - BEND_X_M) / radius_m;
+    let waypoint = |along_m: f64| {
+        let (sin, cos) = turn(along_m).sin_cos();
+        let (x_m, y_m) = (BEND_X_M + radius_m * sin, radius_m * (1.0 - cos));
+        format!("{{ x_m = {x_m:?}, y_m = {y_m:?}, yaw_rad = {:?} }}", turn(along_m))
+    };
+    let arc_m = END_M - BEND_X_M;
+    let bend = [0.0, 0.25, 0.5, 0.75, 1.0].map(|share| waypoint(BEND_X_M + share * arc_m)).join(", ");
+    format!("course.waypoints=[{{ yaw_rad = 0.0 }}, {bend}]")
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use std::ops::Range;
 use emulator::{Outcome, Scenario};
 use pipeline::{Pipeline, PipelineSettings, Step};
 use plan::Plan;
-use shared_types::{ActuationKind, BlockReason, StopReason};
+use shared_types::{ActuationKind, BlockReason, StopReason, Truth};
 use vehicle::Invalid;
 
 use super::PriceArguments;
@@ -241,11 +241,10 @@ fn lands(step: &Step) -> bool {
 /// Drives until the robot stands after its front has passed `appears_m`, where the box appears.
 fn stop(settings: &PipelineSettings, appears_m: f64) -> Result<Stop, Invalid> {
     let mut pipeline = Pipeline::new(settings)?;
-    let half_length_m = settings.scenario.robot.length_m / 2.0;
     let mut speed_mps = None;
     loop {
         let truth = pipeline.step().truth;
-        let front_m = truth.x_m + half_length_m * truth.yaw_rad.cos();
+        let front_m = front_m(&settings.scenario, &truth);
         if front_m >= appears_m {
             speed_mps = speed_mps.or(Some(truth.speed_mps));
         }
@@ -258,6 +257,13 @@ fn stop(settings: &PipelineSettings, appears_m: f64) -> Result<Stop, Invalid> {
             _ => {}
         }
     }
+}
+
+/// Where the front of the body is along the track or course [m].
+fn front_m(scenario: &Scenario, truth: &Truth) -> f64 {
+    let [along_m, _] = scenario.on_course(truth.x_m, truth.y_m);
+    let way_rad = scenario.course.as_ref().map_or(0.0, |course| course.at(along_m).yaw);
+    along_m + scenario.robot.length_m / 2.0 * (truth.yaw_rad - way_rad).cos()
 }
 
 #[cfg(test)]

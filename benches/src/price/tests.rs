@@ -9,6 +9,7 @@ pub(super) fn row(varied: Varied, latency_ms: f64, rate_hz: f64, pose_sigma_m: f
         latency_ms,
         rate_hz,
         pose_sigma_m,
+        radius_m: None,
         smallest_gap_m: None,
         stopping_distance_m: None,
         speed_mps: None,

@@ -60,6 +60,7 @@ pub(super) fn name(row: &Row) -> String {
         Varied::Latency => format!("latency +{} ms", row.latency_ms),
         Varied::Rate => format!("rate {} Hz", row.rate_hz),
         Varied::PoseSigma => format!("pose sigma {:.0} cm", row.pose_sigma_m * 100.0),
+        Varied::Bend => format!("bend of {} m", row.abscissa()),
     }
 }
 
