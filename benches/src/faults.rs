@@ -113,6 +113,8 @@ fn chosen<'a>(
         cells.filter(|(fault, phase)| matches(pattern, &name(&fault.name, *phase))).collect();
     let is_simulated = arguments.simulated || !arguments.with.is_empty();
     chosen.retain(|(fault, _)| !(is_simulated && fault.is_live()));
+    // A program of a stage has the settings of one course.
+    chosen.retain(|(_, phase)| arguments.with.is_empty() || *phase != DrivePhase::Bend);
     if chosen.is_empty() {
         let meant = did_you_mean(pattern, all.iter().map(|fault| fault.name.as_str()));
         return Err(Failure::bad_input(format!(

@@ -7,6 +7,10 @@ use shared_types::{Role, Truth};
 
 /// The course: the shipped corridor, shortened.
 const COURSE: &str = include_str!("course.toml");
+/// The course of [`DrivePhase::Bend`].
+const BEND: &str = include_str!("bend.toml");
+/// The robot is in the bend from this direction on [rad].
+const IN_BEND_RAD: f64 = 0.3;
 /// Full speed is reached from here on [m].
 const STRAIGHT_M: f64 = 1.6;
 /// Distance of the centre to that of the obstacle from which on the robot is beside it [m].
@@ -41,6 +45,17 @@ pub fn settings() -> PipelineSettings {
     PipelineSettings::of(scenario())
 }
 
+/// The same on the course of a phase.
+///
+/// # Panics
+/// Never: a test reads it.
+pub fn settings_of(phase: DrivePhase) -> PipelineSettings {
+    match phase {
+        DrivePhase::Bend => PipelineSettings::of(Scenario::parse(BEND, "bend.toml").unwrap_or_default()),
+        _ => settings(),
+    }
+}
+
 /// The table of settings of the stage of a role, as TOML; `None` for the robot.
 pub fn stage_settings(role: Role) -> Option<String> {
     let PipelineSettings { scenario, tuning, .. } = settings();
@@ -58,6 +73,7 @@ pub fn stage_settings(role: Role) -> Option<String> {
 pub fn live_scenario(phase: DrivePhase) -> Scenario {
     let mut scenario = scenario();
     match phase {
+        DrivePhase::Bend => scenario = settings_of(phase).scenario,
         DrivePhase::Start | DrivePhase::Straight | DrivePhase::Swap | DrivePhase::Person => {}
         DrivePhase::Beside => (scenario.start.x_m, scenario.start.y_m) = (2.7, 0.75),
         DrivePhase::Landing => scenario.start.x_m = scenario.goal.last().x_m - 2.0,
@@ -71,6 +87,7 @@ pub fn begins(phase: DrivePhase, scenario: &Scenario, truth: &Truth) -> bool {
         DrivePhase::Start => true,
         DrivePhase::Straight => truth.x_m >= STRAIGHT_M,
         DrivePhase::Beside => scenario.obstacles.first().is_some_and(|body| truth.x_m >= body.x_m - BESIDE_M),
+        DrivePhase::Bend => truth.yaw_rad >= IN_BEND_RAD,
         DrivePhase::Landing => truth.goal_distance_m <= LANDING_M,
         DrivePhase::Swap => truth.x_m >= SWAP_M,
         DrivePhase::Person => truth.x_m >= PERSON_M,
@@ -85,6 +102,8 @@ mod tests {
     fn the_course_is_allowed_and_has_an_obstacle() {
         let scenario = Scenario::parse(COURSE, "course.toml").unwrap_or_else(|error| panic!("{error}"));
         assert_eq!((scenario.obstacles.len(), scenario.name.as_str()), (1, "faults"));
+        let bend = Scenario::parse(BEND, "bend.toml").unwrap_or_else(|error| panic!("{error}"));
+        assert!(bend.course.is_some() && bend.obstacles.len() == 1);
         for phase in DrivePhase::ALL {
             assert_eq!(live_scenario(phase).validate(), Ok(()), "{phase}");
         }

@@ -8,7 +8,7 @@ use shared_types::{AnyStage, Role};
 use vehicle::Invalid;
 
 use crate::cell::{Cell, DetectionLimits, DrivenWay, Observed, Passed, judge};
-use crate::course::{BY_HAND, HANDS_BACK, OUTLASTS, SHADOWED, begins, settings};
+use crate::course::{BY_HAND, HANDS_BACK, OUTLASTS, SHADOWED, begins, settings, settings_of};
 use crate::finding::{Finding, Findings};
 use crate::piped::PipedStage;
 use crate::rig::Rig;
@@ -39,6 +39,11 @@ impl Simulation {
         let limits = DetectionLimits { period_s: settings.period_ns as f64 * 1e-9, deceleration_mps2 };
         let mut phases = Vec::new();
         for phase in DrivePhase::ALL {
+            // A program was given the settings of one course.
+            if phase == DrivePhase::Bend && !programs.is_empty() {
+                continue;
+            }
+            let settings = settings_of(phase);
             let mut rig = Rig::new(&settings)?;
             for program in &programs {
                 rig = rig.with(program.copy());
@@ -69,7 +74,8 @@ impl Simulation {
         Ok(finish(&mut rig).0)
     }
 
-    /// Drives one cell; `None` for a fault that needs real processes, or that the course does not allow.
+    /// Drives one cell; `None` for a fault that needs real processes or that the course does not allow, and for a program of
+    /// its own in a bend.
     pub fn cell(&self, fault: &InjectedFault, phase: DrivePhase) -> Option<Cell> {
         let (_, start, twin) = self.phases.iter().find(|(of, ..)| *of == phase)?;
         let mut rig = start.clone();

@@ -22,6 +22,8 @@ pub enum DrivePhase {
     Straight,
     /// Beside the obstacle.
     Beside,
+    /// In a bend, on a course of its own.
+    Bend,
     /// Just before the goal.
     Landing,
     /// While the controller is replaced by another process.
@@ -32,8 +34,8 @@ pub enum DrivePhase {
 
 impl DrivePhase {
     /// All phases, in the order of a drive.
-    pub const ALL: [Self; 6] =
-        [Self::Start, Self::Straight, Self::Beside, Self::Landing, Self::Swap, Self::Person];
+    pub const ALL: [Self; 7] =
+        [Self::Start, Self::Straight, Self::Beside, Self::Bend, Self::Landing, Self::Swap, Self::Person];
 
     /// Its name in the name of a cell.
     pub const fn name(self) -> &'static str {
@@ -41,6 +43,7 @@ impl DrivePhase {
             Self::Start => "start",
             Self::Straight => "straight",
             Self::Beside => "beside",
+            Self::Bend => "bend",
             Self::Landing => "landing",
             Self::Swap => "swap",
             Self::Person => "person",
@@ -231,7 +234,12 @@ impl InjectedFault {
     pub fn phases(&self) -> impl Iterator<Item = DrivePhase> + '_ {
         let is_skipped = |phase: &DrivePhase| self.in_phase.get(phase).is_some_and(|differs| differs.skip);
         let is_of_person = matches!(self.inject, Injection::Person(_));
-        let begins = move |phase: &DrivePhase| !is_of_person || *phase == DrivePhase::Person;
+        let begins = move |phase: &DrivePhase| match phase {
+            DrivePhase::Person => true,
+            // A process that fails knows of no bend.
+            DrivePhase::Bend => !is_of_person && !self.is_live(),
+            _ => !is_of_person,
+        };
         DrivePhase::ALL.into_iter().filter(begins).filter(move |phase| !is_skipped(phase))
     }
 
