@@ -7,7 +7,8 @@
 mod legs;
 
 use emulator::Scenario;
-use estimator::{CorrectionMode, EstimatorConfig};
+use estimator::EstimatorConfig;
+use estimator::correction::CorrectionMode;
 use nmpc::{ControllerConfig, speed_limit};
 use obstacles::{ObstaclesConfig, SWEEP_SHARE};
 use vehicle::Invalid;

@@ -421,7 +421,7 @@ impl Session {
                 let decided = self.recording.judge(&scan);
                 self.limits.judged(self.recording.wheels_are_blocked());
                 decided.into_iter().for_each(|(outcome, reason)| self.decide(outcome, &reason));
-                let progress = self.recording.to_note();
+                let progress = self.recording.newly_driven();
                 progress.into_iter().for_each(|progress| note_progress(&self.run.domain, progress));
             }
             let orders = self.swaps.recorded(monotonic_ns(), &scan);

@@ -224,7 +224,7 @@ impl Controller {
         if state.back.drives == 1 {
             state.back.end();
             state.sights.take_back([pose.x_m, pose.y_m]);
-            state.plan[0].x_m = self.legs.from_end(state.plan[0].x_m);
+            state.plan[0].x_m = self.legs.seen_from_end(state.plan[0].x_m);
         } else {
             state.leg = state.leg.saturating_add(1);
         }
@@ -277,7 +277,7 @@ impl Controller {
             state.back.stay();
         } else if is_found {
             state.back.begin(here.x, &further);
-            state.plan[0].x_m = legs.from_end(here.x);
+            state.plan[0].x_m = legs.seen_from_end(here.x);
             (state.blocked_scans, state.sides) = (0, Default::default());
         }
         is_found && !lately

@@ -103,7 +103,7 @@ impl Legs {
     }
 
     /// A place along the leg, seen from its other end [m].
-    pub(crate) fn from_end(&self, along_m: f64) -> f64 {
+    pub(crate) fn seen_from_end(&self, along_m: f64) -> f64 {
         let course = &self.legs[self.entered.leg].course;
         let [begin_m, end_m] =
             if course.is_line() { self.track.x_m } else { [course.begin_m(), course.length_m()] };
@@ -118,7 +118,7 @@ impl Legs {
     /// Where the robot lands: at the goal, or at the end of the leg, or of the way back.
     pub(crate) fn goal(&self, goal: Goal, back: &WayBack) -> Goal {
         let [x_m, y_m] = match self.entered {
-            Entered { returns: true, .. } => [self.from_end(back.to_m[0]), -back.to_m[1]],
+            Entered { returns: true, .. } => [self.seen_from_end(back.to_m[0]), -back.to_m[1]],
             Entered { leg, .. } if self.ends_before(&goal) => [self.legs[leg].end_m, 0.0],
             _ => return goal,
         };

@@ -113,7 +113,7 @@ pub(crate) fn verify(scene: &Scene, controls: &[Control], rollout: &mut Rollout)
     let is_unseen = |index: usize, sample: &Sampled| {
         let body = || scene.body_at(&sample.state);
         let shown = |sights: &Sights| sights.show(&body(), &scene.config.vehicle, &bodies[..count]);
-        index % PIECES == 0 && scene.sights.is_some_and(|sights| !shown(sights))
+        index.is_multiple_of(PIECES) && scene.sights.is_some_and(|sights| !shown(sights))
     };
     let mut behind_goal = false;
     for (index, sample) in rollout.samples.iter().enumerate() {

@@ -1,4 +1,5 @@
 //! `scanloop campaign`: a few courses of hostile families, and a failure that `run` replays from its file.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use scanloop_tests::TestSystem;
 use scanloop_tests::machine::repeat_when_late;

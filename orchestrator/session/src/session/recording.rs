@@ -102,7 +102,7 @@ impl Recording {
     }
 
     /// How far the drive has come, where another orchestrator would need it and it is not what was noted last.
-    pub(super) fn to_note(&mut self) -> Option<&DriveProgress> {
+    pub(super) fn newly_driven(&mut self) -> Option<&DriveProgress> {
         let (noted, progress) = (self.noted.as_mut()?, self.referee.progress());
         let is_new = progress.landings.len() != noted.landings.len()
             || (progress.along_m - noted.along_m).abs() > NOTED_M;

@@ -606,6 +606,6 @@ fn the_truth_has_the_distance_to_the_last_goal_as_it_was_given() {
         };
         assert_eq!(distance_m(1), distance_m(2), "{text}: it counts from scan 3 on");
         let distance_m = distance_m(3);
-        assert!((distance_m - expected[0].hypot(expected[1])).abs() < 1e-4, "{text}: {distance_m}");
+        assert!((distance_m - f64::hypot(expected[0], expected[1])).abs() < 1e-4, "{text}: {distance_m}");
     }
 }

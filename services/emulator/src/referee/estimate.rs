@@ -62,7 +62,7 @@ impl Wheels {
         let since_s = blocked.then(|| self.blocked_since_s.unwrap_or(scan.time_s));
         self.blocked_since_s = since_s;
         self.place = scan.pose.map(|pose| [pose.x_m, pose.y_m, pose.yaw_rad]).or(self.place);
-        let is_slow = scan.pose.is_some_and(|pose| pose.speed_mps <= STANDING_MPS);
+        let is_slow = scan.pose.is_some_and(|pose| pose.speed_mps.abs() <= STANDING_MPS);
         Sight {
             time_s: scan.time_s,
             place: self.place.unwrap_or([f64::NAN; 3]),
