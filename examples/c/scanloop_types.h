@@ -141,6 +141,8 @@ enum scanloop_stop_reason {
     SCANLOOP_STOP_REASON_COVERED_BY_OBSTACLE = 11, /* A described obstacle covers the robot: the obstacle detector is wrong. */
     SCANLOOP_STOP_REASON_PAUSED = 12, /* A person has paused the drive. */
     SCANLOOP_STOP_REASON_RELEASED = 13, /* The person who drives asks for no motion, or is silent. */
+    SCANLOOP_STOP_REASON_REVERSAL = 14, /* The robot stands to change between forwards and backwards. */
+    SCANLOOP_STOP_REASON_UNSEEN = 15, /* Backwards, every plan leads to ground that the scanner has not shown. */
 };
 
 /* Who drives the robot. */
@@ -184,6 +186,7 @@ enum scanloop_rule {
     SCANLOOP_RULE_FROM_THE_FUTURE = 8, /* Its scan does not lie in the future. */
     SCANLOOP_RULE_ANSWERED_BEFORE = 9, /* Its scan was not answered before. */
     SCANLOOP_RULE_IMPOSSIBLE_NUMBER = 10, /* Its numbers are such as its scan and its publisher can have reached. */
+    SCANLOOP_RULE_STILL_ROLLING = 11, /* A command to drive the other way finds the robot at rest. */
 };
 
 /* What an entry of a journal states. */
@@ -542,7 +545,7 @@ typedef struct scanloop_odometry {
     double dy_m; /* Reported y minus the y reported before; zero in the first sample [m] */
     double dyaw_rad; /* Reported yaw minus the yaw reported before; zero in the first sample [rad] */
     double dt_s; /* Time since the sample before; zero in the first sample [s] */
-    double speed_mps; /* Speed over ground measured at the wheels [m/s] */
+    double speed_mps; /* Speed over ground measured at the wheels, negative backwards [m/s] */
 } scanloop_odometry;
 _Static_assert(sizeof(scanloop_odometry) == 352, "scanloop_odometry");
 _Static_assert(offsetof(scanloop_odometry, header) == 0, "scanloop_odometry.header");
@@ -563,7 +566,7 @@ typedef struct scanloop_pose {
     double y_m; /* Estimated lateral position at the acquisition of the scan, x5 of (7.31) [m] */
     double covariance[9]; /* Covariance of (yaw, x, y) on the track, row by row [rad^2, rad m, m^2] */
     double local_covariance[9]; /* Covariance of (yaw, x, y) relative to what the scanner sees now, row by row: without the drift of the odometry */
-    double speed_mps; /* Speed over ground at the acquisition of the scan [m/s] */
+    double speed_mps; /* Speed over ground at the acquisition of the scan, negative backwards [m/s] */
     double sideslip_rad; /* Sideslip at the acquisition of the scan, x1 of (7.27) [rad] */
     double yaw_rate_radps; /* Yaw rate at the acquisition of the scan, x3 of (7.29) [rad/s] */
     uint64_t predicted_ns; /* When the command for this scan is expected to act: the time of the predicted state [ns] */
@@ -572,7 +575,7 @@ typedef struct scanloop_pose {
     double predicted_yaw_rate_radps; /* Predicted yaw rate [rad/s] */
     double predicted_x_m; /* Predicted position along the track [m] */
     double predicted_y_m; /* Predicted lateral position [m] */
-    double predicted_speed_mps; /* Predicted speed [m/s] */
+    double predicted_speed_mps; /* Predicted speed, negative backwards [m/s] */
     double innovation[3]; /* Measured minus predicted (yaw, x, y) of the measurement update [rad, m, m] */
     double gain[9]; /* Kalman gain of (yaw, x, y), row by row */
     double nis; /* Normalised innovation squared */
@@ -630,7 +633,7 @@ typedef struct scanloop_command {
     int32_t side; /* Side on which the nearest obstacle in the way is passed: 1 left, -1 right, 0 none */
     uint32_t iterations; /* SQP iterations */
     uint32_t active_constraints; /* Active constraints at the solution */
-    double velocity_mps; /* Desired velocity, u1 of (7.27)-(7.31) [m/s] */
+    double velocity_mps; /* Desired velocity, u1 of (7.27)-(7.31), negative backwards [m/s] */
     double steering_rad; /* Desired steering angle, u2 of (7.27)-(7.31) [rad] */
     double kkt_residual; /* Infinity norm of the KKT conditions */
     double largest_violation; /* Largest violation of a hard constraint or of the model */
@@ -681,9 +684,9 @@ typedef struct scanloop_actuation {
     uint32_t reason; /* Why the wheels are blocked, `BlockReason` */
     uint32_t stop_reason; /* `StopReason` of the command that this answers */
     uint32_t answers; /* 1 when this answers a command of the scan in the header, 0 when the actuator acts by itself */
-    double desired_velocity_mps; /* Desired velocity after limits (7.41) [m/s] */
+    double desired_velocity_mps; /* Desired velocity after limits (7.41), negative backwards [m/s] */
     double desired_steering_rad; /* Desired steering angle after limits (7.41) [rad] */
-    double sent_velocity_mps; /* Velocity sent to the robot, after the correction [m/s] */
+    double sent_velocity_mps; /* Velocity sent to the robot, after the correction, negative backwards [m/s] */
     double sent_steering_rad; /* Steering angle sent to the robot, after the correction [rad] */
     uint64_t refused; /* Commands refused since the start: not finite, not verified, stale, out of limits */
     uint64_t gaps; /* Gaps between scans since the start: the wheels were blocked, and the next valid command ended the block */
@@ -823,7 +826,7 @@ typedef struct scanloop_truth {
     double yaw_rad; /* True yaw [rad] */
     double sideslip_rad; /* True sideslip [rad] */
     double yaw_rate_radps; /* True yaw rate [rad/s] */
-    double speed_mps; /* True speed over ground [m/s] */
+    double speed_mps; /* True speed over ground, negative backwards [m/s] */
     double steering_rad; /* True steering angle at the wheels [rad] */
     double clearance_m; /* Distance of the body to the nearest obstacle or wall now; 1e9 when there is none [m] */
     double min_clearance_m; /* Smallest such distance since the start, checked at each plant step [m] */

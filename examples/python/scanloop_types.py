@@ -137,6 +137,8 @@ class StopReason(enum.IntEnum):
     COVERED_BY_OBSTACLE = 11  # A described obstacle covers the robot: the obstacle detector is wrong.
     PAUSED = 12  # A person has paused the drive.
     RELEASED = 13  # The person who drives asks for no motion, or is silent.
+    REVERSAL = 14  # The robot stands to change between forwards and backwards.
+    UNSEEN = 15  # Backwards, every plan leads to ground that the scanner has not shown.
 
 
 class DrivenBy(enum.IntEnum):
@@ -184,6 +186,7 @@ class Rule(enum.IntEnum):
     FROM_THE_FUTURE = 8  # Its scan does not lie in the future.
     ANSWERED_BEFORE = 9  # Its scan was not answered before.
     IMPOSSIBLE_NUMBER = 10  # Its numbers are such as its scan and its publisher can have reached.
+    STILL_ROLLING = 11  # A command to drive the other way finds the robot at rest.
 
 
 class JournalKind(enum.IntEnum):
@@ -468,7 +471,7 @@ class Odometry(ctypes.Structure):
         ("dy_m", ctypes.c_double),  # Reported y minus the y reported before; zero in the first sample [m]
         ("dyaw_rad", ctypes.c_double),  # Reported yaw minus the yaw reported before; zero in the first sample [rad]
         ("dt_s", ctypes.c_double),  # Time since the sample before; zero in the first sample [s]
-        ("speed_mps", ctypes.c_double),  # Speed over ground measured at the wheels [m/s]
+        ("speed_mps", ctypes.c_double),  # Speed over ground measured at the wheels, negative backwards [m/s]
     ]
 
     @staticmethod
@@ -488,7 +491,7 @@ class Pose(ctypes.Structure):
         ("y_m", ctypes.c_double),  # Estimated lateral position at the acquisition of the scan, x5 of (7.31) [m]
         ("covariance", ctypes.c_double * 9),  # Covariance of (yaw, x, y) on the track, row by row [rad^2, rad m, m^2]
         ("local_covariance", ctypes.c_double * 9),  # Covariance of (yaw, x, y) relative to what the scanner sees now, row by row: without the drift of the odometry
-        ("speed_mps", ctypes.c_double),  # Speed over ground at the acquisition of the scan [m/s]
+        ("speed_mps", ctypes.c_double),  # Speed over ground at the acquisition of the scan, negative backwards [m/s]
         ("sideslip_rad", ctypes.c_double),  # Sideslip at the acquisition of the scan, x1 of (7.27) [rad]
         ("yaw_rate_radps", ctypes.c_double),  # Yaw rate at the acquisition of the scan, x3 of (7.29) [rad/s]
         ("predicted_ns", ctypes.c_uint64),  # When the command for this scan is expected to act: the time of the predicted state [ns]
@@ -497,7 +500,7 @@ class Pose(ctypes.Structure):
         ("predicted_yaw_rate_radps", ctypes.c_double),  # Predicted yaw rate [rad/s]
         ("predicted_x_m", ctypes.c_double),  # Predicted position along the track [m]
         ("predicted_y_m", ctypes.c_double),  # Predicted lateral position [m]
-        ("predicted_speed_mps", ctypes.c_double),  # Predicted speed [m/s]
+        ("predicted_speed_mps", ctypes.c_double),  # Predicted speed, negative backwards [m/s]
         ("innovation", ctypes.c_double * 3),  # Measured minus predicted (yaw, x, y) of the measurement update [rad, m, m]
         ("gain", ctypes.c_double * 9),  # Kalman gain of (yaw, x, y), row by row
         ("nis", ctypes.c_double),  # Normalised innovation squared
@@ -544,7 +547,7 @@ class Command(ctypes.Structure):
         ("side", ctypes.c_int32),  # Side on which the nearest obstacle in the way is passed: 1 left, -1 right, 0 none
         ("iterations", ctypes.c_uint32),  # SQP iterations
         ("active_constraints", ctypes.c_uint32),  # Active constraints at the solution
-        ("velocity_mps", ctypes.c_double),  # Desired velocity, u1 of (7.27)-(7.31) [m/s]
+        ("velocity_mps", ctypes.c_double),  # Desired velocity, u1 of (7.27)-(7.31), negative backwards [m/s]
         ("steering_rad", ctypes.c_double),  # Desired steering angle, u2 of (7.27)-(7.31) [rad]
         ("kkt_residual", ctypes.c_double),  # Infinity norm of the KKT conditions
         ("largest_violation", ctypes.c_double),  # Largest violation of a hard constraint or of the model
@@ -578,9 +581,9 @@ class Actuation(ctypes.Structure):
         ("reason", ctypes.c_uint32),  # Why the wheels are blocked, `BlockReason`
         ("stop_reason", ctypes.c_uint32),  # `StopReason` of the command that this answers
         ("answers", ctypes.c_uint32),  # 1 when this answers a command of the scan in the header, 0 when the actuator acts by itself
-        ("desired_velocity_mps", ctypes.c_double),  # Desired velocity after limits (7.41) [m/s]
+        ("desired_velocity_mps", ctypes.c_double),  # Desired velocity after limits (7.41), negative backwards [m/s]
         ("desired_steering_rad", ctypes.c_double),  # Desired steering angle after limits (7.41) [rad]
-        ("sent_velocity_mps", ctypes.c_double),  # Velocity sent to the robot, after the correction [m/s]
+        ("sent_velocity_mps", ctypes.c_double),  # Velocity sent to the robot, after the correction, negative backwards [m/s]
         ("sent_steering_rad", ctypes.c_double),  # Steering angle sent to the robot, after the correction [rad]
         ("refused", ctypes.c_uint64),  # Commands refused since the start: not finite, not verified, stale, out of limits
         ("gaps", ctypes.c_uint64),  # Gaps between scans since the start: the wheels were blocked, and the next valid command ended the block
@@ -692,7 +695,7 @@ class Truth(ctypes.Structure):
         ("yaw_rad", ctypes.c_double),  # True yaw [rad]
         ("sideslip_rad", ctypes.c_double),  # True sideslip [rad]
         ("yaw_rate_radps", ctypes.c_double),  # True yaw rate [rad/s]
-        ("speed_mps", ctypes.c_double),  # True speed over ground [m/s]
+        ("speed_mps", ctypes.c_double),  # True speed over ground, negative backwards [m/s]
         ("steering_rad", ctypes.c_double),  # True steering angle at the wheels [rad]
         ("clearance_m", ctypes.c_double),  # Distance of the body to the nearest obstacle or wall now; 1e9 when there is none [m]
         ("min_clearance_m", ctypes.c_double),  # Smallest such distance since the start, checked at each plant step [m]

@@ -185,7 +185,7 @@ impl RunFile {
     }
 }
 
-/// Notes how far a drive has come. Without room for it, another orchestrator would go on from what was noted before.
+/// Notes how far a drive has come. Without room for it, another orchestrator would continue from what was noted before.
 pub(crate) fn note_progress(domain: &Domain, progress: &DriveProgress) {
     let _ = text_of(progress).map(|text| domain.folder().write(PROGRESS_FILE, text.as_bytes()));
 }

@@ -59,7 +59,7 @@ const SPARE_BACK_M: f64 = 0.75;
 /// A body that blocks the way and came less than this ago may go again [s].
 const COMES_AND_GOES_S: f64 = 6.5;
 /// A robot that is turned further from the course than this can't be planned for from there [rad].
-const MOST_TURNED_RAD: f64 = 0.9;
+const TURNED_MAX_RAD: f64 = 0.9;
 /// Share of the drive's largest deceleration with which a path slows down for a narrow place.
 const SLOWING_SHARE: f64 = 0.35;
 
@@ -261,7 +261,7 @@ impl Controller {
         let before = |way_m: f64| {
             let place = state.sights.before([pose.x_m, pose.y_m], way_m)?;
             let place = config.course.on_course(&place, here.x - way_m);
-            (place.x < here.x && place.yaw.abs() < MOST_TURNED_RAD).then_some(place)
+            (place.x < here.x && place.yaw.abs() < TURNED_MAX_RAD).then_some(place)
         };
         let Some(place) = before(way_m) else { return false };
         // The path from there will be only just clear.

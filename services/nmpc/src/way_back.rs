@@ -18,7 +18,7 @@ const WAIT_S: f64 = 1.5;
 /// From one place that is tried to the next [m].
 const STEP_M: f64 = 0.25;
 /// How often the robot drives back without getting further than it was ...
-const MOST: u32 = 3;
+const MAX_TRIES: u32 = 3;
 /// ... by this [m].
 const FURTHER_M: f64 = 1.0;
 /// Ellipses whose centres are no further apart are of one body [m].
@@ -60,7 +60,7 @@ impl WayBack {
         let waited = (WAIT_S / period_s).ceil() as u32;
         let place = self.stood.checked_sub(waited)? % ((farthest_m / STEP_M) as u32 + waited).max(1);
         let way_m = STEP_M * f64::from(place + 1);
-        (way_m <= farthest_m && self.tries < MOST).then_some(way_m)
+        (way_m <= farthest_m && self.tries < MAX_TRIES).then_some(way_m)
     }
 
     /// Tries the same place in the next scan again.

@@ -96,7 +96,7 @@ impl Recording {
         self.referee.along_m()
     }
 
-    /// Goes on with a drive that another orchestrator has begun.
+    /// Continues with a drive that another orchestrator has begun.
     pub(super) fn resume(&mut self, progress: DriveProgress) {
         self.referee.resume(progress);
     }

@@ -1,6 +1,6 @@
 //! How far a robot has come along the course: a goal where the course passes more than once is reached in its own lap.
 
-use vehicle::course::Follower;
+use vehicle::course::LegFollower;
 use vehicle::{Course, State};
 
 use crate::scenario::Scenario;
@@ -15,7 +15,7 @@ const ASTRAY_M: f64 = 5.0;
 /// The place of the robot on the course.
 #[derive(Debug, Clone)]
 pub(super) struct Progress {
-    course: Option<(Course, Follower)>,
+    course: Option<(Course, LegFollower)>,
     along_m: f64,
     /// Where it was when this began, in a drive that another has followed before.
     resumed_m: Option<f64>,
@@ -29,7 +29,7 @@ impl Progress {
         let along_m = scenario.start_on_course().x_m;
         Self {
             course: scenario.course.clone().map(|course| {
-                let follower = Follower::new(&course, along_m);
+                let follower = LegFollower::new(&course, along_m);
                 (course, follower)
             }),
             along_m,

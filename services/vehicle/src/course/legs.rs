@@ -92,13 +92,13 @@ impl Leg {
 
 /// The place of a robot on a course whose legs it drives one after the other.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Follower {
+pub struct LegFollower {
     legs: Vec<Leg>,
     index: usize,
     along_m: f64,
 }
 
-impl Follower {
+impl LegFollower {
     /// A robot at `along_m`.
     pub fn new(course: &Course, along_m: f64) -> Self {
         let legs = course.legs();
@@ -200,7 +200,7 @@ mod tests {
     #[test]
     fn a_robot_is_followed_over_the_ends_of_legs() {
         let course = course();
-        let mut follower = Follower::new(&course, 0.0);
+        let mut follower = LegFollower::new(&course, 0.0);
         for step in 0..=58 {
             let state = State { x: 0.1 * f64::from(step), ..State::default() };
             assert!((follower.follow(&state).x - state.x).abs() < 0.61);
