@@ -93,7 +93,7 @@ pub struct Landing {
     pub yaw_error_rad: Option<f64>,
 }
 
-/// What the referee of a drive has to know to go on where another has ended.
+/// What the referee of a drive has to know to continue where another has ended.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct DriveProgress {
     /// How far the robot has come along the course [m].
@@ -225,7 +225,7 @@ impl Referee {
         DriveProgress { along_m: self.along_m(), landings: self.landings.clone() }
     }
 
-    /// Goes on with a drive that another referee has judged so far.
+    /// Continues with a drive that another referee has judged so far.
     pub fn resume(&mut self, DriveProgress { along_m, landings }: DriveProgress) {
         self.progress.resume(along_m);
         self.landings = landings;

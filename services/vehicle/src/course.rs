@@ -26,7 +26,7 @@ use crate::frame::{heading, wrap_angle};
 use crate::state::State;
 
 pub use keys::{CourseKeys, Waypoint};
-pub use legs::{LegFollower, Leg};
+pub use legs::{Leg, LegFollower};
 pub use outline::{CourseOutline, ellipse_point};
 
 /// How far from where a position was a moment ago it is looked for, behind and ahead [m].

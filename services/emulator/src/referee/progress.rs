@@ -38,7 +38,7 @@ impl Progress {
         }
     }
 
-    /// Goes on from a place on the course; meanwhile the robot may have driven further.
+    /// Continues from a place on the course; meanwhile the robot may have driven further.
     pub(super) fn resume(&mut self, along_m: f64) {
         (self.along_m, self.resumed_m) = (along_m, Some(along_m));
     }
