@@ -128,6 +128,7 @@ impl Controller {
             sides: side::valid(&state.sides),
             ellipses: smoothing::valid(&state.ellipses),
             sights: state.sights.valid(),
+            memory: state.memory.valid(),
             ..*state
         };
         let length = state.plan_length as usize;
@@ -178,8 +179,10 @@ impl Controller {
         self.heed_goal(obstacles.header.scan_id);
         self.enter_leg(pose);
         self.state.sights.enter(pose, &obstacles.scanner);
-        let along_m = self.state.along().filter(|_| self.state.back.drives == 0);
-        let recalled = self.state.back.recall(obstacles, pose, along_m);
+        self.state.memory.follow(obstacles, pose);
+        let along_m = self.state.along();
+        let recalls = self.state.back.is_before(along_m) || self.legs.is_reverse();
+        let recalled = recalls.then(|| self.state.memory.beside(obstacles, pose));
         let obstacles = recalled.as_ref().unwrap_or(obstacles);
         self.config.guide.range_m = self.range_m + self.state.back.length_m();
         let turned = self.legs.is_reverse().then(|| gear::turned(pose));
@@ -193,9 +196,7 @@ impl Controller {
                 let lately = obstacles.list().iter().any(|body| {
                     body.id == command.blocking.id && body.sightings as f64 * period_s < COMES_AND_GOES_S
                 });
-                if self.look_back(reason, pose, period_s, lately) {
-                    self.state.back.remember(obstacles);
-                }
+                self.look_back(reason, pose, period_s, lately);
             }
         }
         if turned.is_some() {
@@ -231,14 +232,14 @@ impl Controller {
         (state.arrival, state.blocked_scans, state.sides) = (Arrival::OnTheWay.wire(), 0, Default::default());
     }
 
-    /// Looks for a way out of a dead end in which the robot stands, at one place behind it; true when it drives there. What
-    /// blocks it and came `lately` may go again.
-    fn look_back(&mut self, reason: StopReason, pose: &Pose, period_s: f64, lately: bool) -> bool {
+    /// Looks for a way out of a dead end in which the robot stands, at one place behind it. What blocks it and came
+    /// `lately` may go again.
+    fn look_back(&mut self, reason: StopReason, pose: &Pose, period_s: f64, lately: bool) {
         let stands = matches!(reason, StopReason::Blocked | StopReason::Unverified | StopReason::Unseen);
         let is_driven = self.state.driven_by == DrivenBy::Controller.wire();
         if !stands || !is_driven || !rests(pose) || self.config.side != SideRule::Search {
             self.state.back.stood = 0;
-            return false;
+            return;
         }
         let Self { config, legs, state, predicted, search, alternative, .. } = self;
         let here = State {
@@ -248,22 +249,22 @@ impl Controller {
             ..State::default()
         };
         let here = config.course.on_course(&here, state.along().unwrap_or(here.x));
-        let Some(way_m) = state.back.stand(here.x, period_s, config.back_out_m) else { return false };
+        let Some(way_m) = state.back.stand(here.x, period_s, config.back_out_m) else { return };
         if state.back.drives == 1 {
             // The way back ends here.
             state.arrival = Arrival::LegDriven.wire();
-            return false;
+            return;
         }
         if !legs.can_return() || predicted.iter().any(PredictedObstacle::moves) {
             state.back.stood = 0;
-            return false;
+            return;
         }
         let before = |way_m: f64| {
             let place = state.sights.before([pose.x_m, pose.y_m], way_m)?;
             let place = config.course.on_course(&place, here.x - way_m);
             (place.x < here.x && place.yaw.abs() < TURNED_MAX_RAD).then_some(place)
         };
-        let Some(place) = before(way_m) else { return false };
+        let Some(place) = before(way_m) else { return };
         // The path from there will be only just clear.
         let further = before(way_m + SPARE_BACK_M).unwrap_or(place);
         let margin = MarginModel::of(config, pose);
@@ -280,7 +281,6 @@ impl Controller {
             state.plan[0].x_m = legs.seen_from_end(here.x);
             (state.blocked_scans, state.sides) = (0, Default::default());
         }
-        is_found && !lately
     }
 
     /// The decisions in their order; an error is the reason to block the wheels.

@@ -24,6 +24,7 @@ mod injection;
 mod landing;
 mod lattice;
 mod margin;
+mod memory;
 mod obstacle_cost;
 mod planner;
 mod predicted_obstacle;

@@ -47,10 +47,11 @@ plain_state! {
 }
 
 impl Sights {
-    /// Enters the place of a scan unless the robot is still near the last one.
+    /// Enters the place of a scan unless the robot is still near the last one; backwards near any one.
     pub(crate) fn enter(&mut self, pose: &Pose, scanner: &ScannerHealth) {
         let (x_m, y_m, yaw_rad) = (pose.x_m, pose.y_m, pose.yaw_rad);
-        let is_near = self.newest().next().is_some_and(|last| {
+        let known = if pose.speed_mps < 0.0 { PLACES } else { 1 };
+        let is_near = self.newest().take(known).any(|last| {
             (last.x_m - x_m).hypot(last.y_m - y_m) < APART.0
                 && wrap_angle(last.yaw_rad - yaw_rad).abs() < APART.1
         });
@@ -185,6 +186,16 @@ mod tests {
             !sights.show(&body(6.6, 0.0), &Description::default(), &[]),
             "what was seen later is taken back"
         );
+    }
+
+    #[test]
+    fn backwards_over_the_same_places_none_is_forgotten() {
+        let mut sights = driven(12.0);
+        for step in 0..=200 {
+            let pose = Pose { x_m: 12.0 - 0.05 * f64::from(step), speed_mps: -0.3, ..Pose::default() };
+            sights.enter(&pose, &ScannerHealth::healthy(5.0));
+        }
+        assert!(sights.show(&body(0.5, 0.0), &Description::default(), &[]));
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use shared_types::{GivenControl, GivenGoal, PLAN_NODES, PlanNode, plain_state};
 
+use crate::memory::Memory;
 use crate::side::Sides;
 use crate::sights::Sights;
 use crate::smoothing::SmoothedEllipses;
@@ -91,6 +92,8 @@ plain_state! {
         pub plan: [PlanNode; PLAN_NODES],
         /// Where the robot was
         pub sights: Sights,
+        /// What stands there
+        pub memory: Memory,
     }
 }
 

@@ -17,7 +17,6 @@ use crate::config::ControllerConfig;
 use crate::rollout::{PIECES, Rollout, advance_on_course};
 use crate::sampled::Sampled;
 use crate::scene::{BEHIND_GOAL_M, Baseline, Scene, Violation};
-use crate::sights::Sights;
 
 /// The part of a plan that must be clear [s]: about 20 scans, and four times as long as a stop from full speed.
 pub(crate) const VERIFIED_S: f64 = 2.72;
@@ -109,11 +108,11 @@ pub(crate) fn verify(scene: &Scene, controls: &[Control], rollout: &mut Rollout)
     if let Some(index) = scene.too_near_to_start(&baseline) {
         return Verdict::refused(Violation::Obstacle(index));
     }
-    let (bodies, count) = scene.bodies();
+    let backwards = scene.sights.map(|sights| (sights, scene.bodies()));
     let is_unseen = |index: usize, sample: &Sampled| {
-        let body = || scene.body_at(&sample.state);
-        let shown = |sights: &Sights| sights.show(&body(), &scene.config.vehicle, &bodies[..count]);
-        index.is_multiple_of(PIECES) && scene.sights.is_some_and(|sights| !shown(sights))
+        let Some((sights, (bodies, count))) = &backwards else { return false };
+        let body = scene.body_at(&sample.state);
+        index.is_multiple_of(PIECES) && !sights.show(&body, &scene.config.vehicle, &bodies[..*count])
     };
     let mut behind_goal = false;
     for (index, sample) in rollout.samples.iter().enumerate() {
