@@ -98,9 +98,7 @@ fn a_closed_track_is_stopped_before() {
 #[test]
 fn an_obstacle_that_appears_too_near_is_stopped_before() {
     let sudden = Body { appears_ahead_m: 1.2, ..body(6.0, 0.0, 0.2, 0.4) };
-    // In the time of this drive it would back out: the plant here only drives forwards.
-    let config = ControllerConfig { back_out_m: 0.0, ..config(12.0) };
-    assert_stopped("sudden", &config, &[sudden]);
+    assert_stopped("sudden", &config(12.0), &[sudden]);
 }
 
 #[test]

@@ -298,6 +298,20 @@ fn a_robot_that_drives_forwards_only_stays_in_a_dead_end_and_is_refused_a_course
 }
 
 #[test]
+fn backwards_the_robot_passes_a_body_that_it_has_passed_before() {
+    let system = TestSystem::new(EXECUTABLE);
+    let file = system.folder().join("back.toml");
+    let text = "name = \"back\"\ntimeout_s = 90.0\n[course]\nwidth_m = 3.0\nwaypoints = [\n\
+        { x_m = 0.0, y_m = 0.0, yaw_rad = 0.0 },\n{ x_m = 10.0, y_m = 0.0, yaw_rad = 0.0 },\n\
+        { x_m = 1.0, y_m = 0.0, yaw_rad = 0.0, reverse = true },\n]\n\
+        [[obstacle]]\nshape = \"box\"\nx_m = 4.5\ny_m = 0.1\nlength_m = 0.3\nwidth_m = 0.3\n";
+    std::fs::write(&file, text).unwrap();
+    let report = system.lockstep(&[file.to_str().unwrap()]);
+    assert_eq!(report.outcome, Outcome::Reached, "{}", report.reason);
+    assert!(report.drive.truth.unwrap().min_clearance_m > 0.05);
+}
+
+#[test]
 fn a_place_that_was_not_seen_is_not_backed_into() {
     // The body beside it hides where the robot is to stand.
     let hidden = ["park-perpendicular", "--set", "obstacle.0.x_m=4.5", "--set", "obstacle.0.length_m=1.0"];

@@ -102,6 +102,10 @@ pub(crate) fn judge(config: &ControllerConfig) -> Judge {
 pub(crate) fn run(config: &ControllerConfig, start: State, bodies: &[Body], noise: Noise) -> Outcome {
     let parameters = Parameters::default();
     let mut random = Pcg64Mcg::seed_from_u64(noise.seed);
+    let mut config = config.clone();
+    // The plant here drives forwards only.
+    config.vehicle.bounds.reverse_max_mps = 0.0;
+    let config = &config;
     let mut controller = Controller::new(config.clone()).expect("a valid configuration");
     let mut outcome = Outcome {
         landed: false,
