@@ -19,8 +19,17 @@ const TIMES: [&str; 11] = [
 ];
 
 /// The same in the state of a checkpoint, in addition.
-const STATE_TIMES: [&str; 8] =
-    ["actuated_ns", "own_block_ns", "from_ns", "valid_ns", "told_ns", "started_ns", "rested_ns", "origin_ns"];
+const STATE_TIMES: [&str; 9] = [
+    "actuated_ns",
+    "own_block_ns",
+    "from_ns",
+    "valid_ns",
+    "told_ns",
+    "started_ns",
+    "rested_ns",
+    "origin_ns",
+    "rolls_until_ns",
+];
 
 /// Moves all points in time of a sample by `by_ns`, except those that are zero. The state in a checkpoint is bytes and
 /// stays as it is.

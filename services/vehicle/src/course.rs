@@ -14,6 +14,7 @@ mod biarc;
 mod keys;
 mod legs;
 mod outline;
+mod turning;
 
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -276,7 +277,7 @@ impl Course {
             apart <= SAME_M && misfit(along) <= misfit(best) + SAME_M
         };
         let first = places.find(|along| is_same(*along)).unwrap_or(best);
-        self.within(point, [first, first + 2.0 * SAME_M])[0]
+        self.within(point, [first, first + 2.0 * SAME_M])[0].max(from_m)
     }
 }
 

@@ -298,6 +298,21 @@ fn a_robot_that_drives_forwards_only_stays_in_a_dead_end_and_is_refused_a_course
 }
 
 #[test]
+fn a_robot_turns_round_to_a_goal_behind_it() {
+    let system = TestSystem::new(EXECUTABLE);
+    let file = system.folder().join("behind.toml");
+    for (goal, legs) in [("x_m = -6.0", 3), ("x_m = -4.0\ny_m = -3.0\nyaw_rad = 0.0", 1)] {
+        let text =
+            format!("name = \"behind\"\n[course]\nturn_radius_m = 4.0\nwidth_m = 2.0\n[goal]\n{goal}\n");
+        let scenario = Scenario::parse(&text, "behind").unwrap();
+        assert_eq!(scenario.course.as_ref().unwrap().legs().len(), legs, "{goal}");
+        std::fs::write(&file, text).unwrap();
+        let report = system.lockstep(&[file.to_str().unwrap()]);
+        assert_eq!(report.outcome, Outcome::Reached, "{goal}: {}", report.reason);
+    }
+}
+
+#[test]
 fn backwards_the_robot_passes_a_body_that_it_has_passed_before() {
     let system = TestSystem::new(EXECUTABLE);
     let file = system.folder().join("back.toml");

@@ -1,6 +1,6 @@
 //! Whether the robot can get from goal to goal, and land at each.
 //!
-//! It drives forwards only and does not turn round. Its turns are circles of the steady state, 4 % larger where it has to get
+//! Along a line it drives forwards only and does not turn round. Its turns are circles of the steady state, 4 % larger where it has to get
 //! into the turn first, and larger by the curvature that the controller leaves for corrections where it plans a path to the
 //! goal. That path begins a scan period after the start, and does not leave the track. Along a course it is the bends that must
 //! not be sharper than a planned turn. Obstacles count for nothing here: the stages do not know them.
@@ -99,7 +99,7 @@ fn require_goal(
     }
     if goal.x_m <= start.x_m {
         let allowed = format!(
-            "above {from}.x_m = {}: the robot drives forwards only and does not turn round",
+            "above {from}.x_m = {}: along a line the robot does not turn round; a [course] with turn_radius_m does",
             start.x_m
         );
         return Err(Invalid::new(&format!("{to}.x_m"), goal.x_m, allowed));

@@ -146,18 +146,21 @@ impl Scenario {
         let start = Waypoint::new(x_m, y_m, Some(yaw_rad));
         let goals = self.goal.all().iter();
         let goals = goals.map(|goal| Waypoint::new(goal.x_m, goal.y_m, goal.yaw_rad));
-        let waypoints: Vec<Waypoint> = std::iter::once(start).chain(goals).collect();
+        let places: Vec<Waypoint> = std::iter::once(start).chain(goals).collect();
         // The course names waypoints, which this file does not have.
         let of_goal = |mut invalid: Invalid| {
             let index = invalid.key.strip_prefix("waypoints[").and_then(|rest| rest.split_once(']'));
             let index = index.and_then(|(index, _)| index.parse::<usize>().ok());
             match index {
-                Some(index) => invalid.key = format!("{}.x_m", self.goal.key(index.max(1) - 1)),
+                Some(index) => {
+                    let last = self.goal.all().len() - 1;
+                    invalid.key = format!("{}.x_m", self.goal.key(index.max(1).min(last + 1) - 1));
+                }
                 None => invalid = invalid.within("course"),
             }
             invalid
         };
-        CourseKeys { waypoints, ..keys.clone() }.try_into().map_err(of_goal)
+        keys.through(places).try_into().map_err(of_goal)
     }
 
     /// Passes when each goal that has a direction has that of the way there.

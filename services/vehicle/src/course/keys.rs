@@ -2,7 +2,7 @@
 
 use key_table::{Invalid, settings};
 
-use super::{Course, biarc, legs};
+use super::{Course, biarc, legs, turning};
 use crate::track::{Surroundings, Track};
 
 /// Most waypoints.
@@ -47,6 +47,9 @@ settings! {
         pub path: Option<String> = None, "a file";
         /// Width of the way: the robot's centre stays within half of it to either side [m].
         pub width_m: f64 = 3.0, (Track::MIN_WIDTH_M..=100.0, "less than twice the radius of each bend");
+        /// Without waypoints: radius of the turns that lead to the goals; also to those behind the robot, by turning round,
+        /// backwards in the middle. Without the key the course only bends as far as it must [m].
+        pub turn_radius_m: Option<f64> = None, (0.2..=100.0, "at least the smallest planned turn");
         /// How often the course is driven: several times where its last waypoint is its first one.
         pub laps: u32 = 1, (1.0..=100.0, "1 where the course is not closed");
         /// What the scanner sees outside of the way: as in `[track]`, where `hall` has its walls 2 m beside it.
@@ -115,5 +118,24 @@ impl TryFrom<CourseKeys> for Course {
             return Err(Invalid::new(&format!("waypoints[{}]", bend.waypoint), value, allowed));
         }
         Ok(course)
+    }
+}
+
+impl CourseKeys {
+    /// These keys with a course that leads through some places.
+    #[must_use]
+    pub fn through(&self, places: Vec<Waypoint>) -> Self {
+        let waypoints = match (self.turn_radius_m, &places[..]) {
+            (Some(radius_m), [first, others @ ..]) => {
+                let mut waypoints = vec![*first];
+                for place in others {
+                    let from = waypoints[waypoints.len() - 1];
+                    waypoints.extend(turning::between(&from, place, radius_m));
+                }
+                waypoints
+            }
+            _ => places,
+        };
+        Self { waypoints, ..self.clone() }
     }
 }
