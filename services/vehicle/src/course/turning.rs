@@ -80,7 +80,7 @@ impl Way {
         self
     }
 
-    /// Goes on to a place by an arc, a line and an arc; nothing where these arcs do not meet.
+    /// Continues to a place by an arc, a line and an arc; nothing where these arcs do not meet.
     fn forwards(mut self, to: Place, [first, last]: [f64; 2]) -> Option<Self> {
         let from = self.place;
         let way = to.point + left(to.yaw) * (last * self.radius_m)
