@@ -470,7 +470,7 @@ mod tests {
         assert_eq!(refused("[[goal]]\nx_m = 5\n[[goal]]\nx_m = 9\ny_m = 0.5"), None);
         let behind = refused("[[goal]]\nx_m = 5\n[[goal]]\nx_m = 3").unwrap();
         assert!(
-            behind.starts_with("goal[1].x_m = 3 is not allowed: above goal[0].x_m = 5: the robot"),
+            behind.starts_with("goal[1].x_m = 3 is not allowed: above goal[0].x_m = 5: along a line"),
             "{behind}"
         );
         let near = refused("[[goal]]\nx_m = 5\n[[goal]]\nx_m = 6\ny_m = 1").unwrap();
