@@ -444,3 +444,23 @@ fn a_paused_drive_is_planned_and_not_driven_and_continues() {
     let command = controller.step(&pose, &obstacles, &BUDGET);
     assert_eq!((command.kind, command.level), (CommandKind::Drive.wire(), Level::Converged.wire()));
 }
+
+#[test]
+fn a_goal_that_was_set_before_a_rehearsal_counts_after_it() {
+    let mut controller = Controller::new(ControllerConfig::default()).unwrap();
+    controller.state.arrival = Arrival::Landed.wire();
+    let at = |scan_id: u64| {
+        let mut pose = Pose { x_m: 10.0, predicted_x_m: 10.0, ..Pose::default() };
+        (pose.header.scan_id, pose.header.acquired_ns) = (scan_id, scan_id * 100_000_000);
+        pose.predicted_ns = pose.header.acquired_ns + 33_000_000;
+        let mut obstacles = Obstacles { scanner: ScannerHealth::healthy(5.0), ..Obstacles::default() };
+        obstacles.header.scan_id = scan_id;
+        (pose, obstacles)
+    };
+    let (pose, obstacles) = at(4);
+    assert_eq!(controller.step(&pose, &obstacles, &BUDGET).reason, StopReason::Landed.wire());
+    controller.give(&GivenGoal { from_scan: 5, x_m: 15.0, tolerance_m: 0.1, ..GivenGoal::default() });
+    crate::rehearsal::rehearse(&mut controller, (&pose, &obstacles), 100_000_000, &BUDGET);
+    let (pose, obstacles) = at(5);
+    assert_eq!(controller.step(&pose, &obstacles, &BUDGET).kind, CommandKind::Drive.wire());
+}
