@@ -6,6 +6,7 @@ use shared_types::{
 };
 use vehicle::Goal;
 
+use super::Trouble;
 use super::case::{Tried, Verdict, failed, observed, passed_if, require};
 use super::drive::{Course, Drive};
 use super::message::Message;
@@ -141,7 +142,12 @@ fn give(bench: &mut TestBench<'_>, goal: &Goal) -> Tried {
 
 pub(crate) fn bend(suite: &Suite) -> Verdict {
     let first_scan = suite.drive(Course::Bend)?.scan_at(IN_BEND_M);
-    let mut bench = suite.started_on(Course::Bend, first_scan)?;
+    // A controller that follows lines only may refuse to start on a course.
+    let refused = |trouble| match trouble {
+        Trouble::Broken(error) => Trouble::Failed(format!("{error:#}")),
+        other => other,
+    };
+    let mut bench = suite.started_on(Course::Bend, first_scan).map_err(refused)?;
     let commands: Vec<Command> = bench.samples(SCANS)?;
     let way = bench.drive.settings.scenario.course.clone().unwrap_or_default();
     for Command { header, plan, plan_length, .. } in driven(&commands) {

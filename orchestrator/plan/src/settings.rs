@@ -119,7 +119,9 @@ mod tests {
             documented(&table.keys, "", &mut named);
             assert!(named.len() >= 5);
             // Keys that have no value without a scenario that gives them.
-            named.retain(|key| !["course.path", "course.turn_radius_m", "goal.yaw_rad"].contains(&key.as_str()));
+            named.retain(|key| {
+                !["course.path", "course.turn_radius_m", "goal.yaw_rad"].contains(&key.as_str())
+            });
             assert_eq!(written, named, "{role}");
         }
     }

@@ -320,7 +320,6 @@ impl Robot {
         process.begin();
         self.emulator.advance_to(ready_ns);
         let (mut scan, mut odometry, mut truth) = (Scan::default(), Odometry::default(), Truth::default());
-        self.emulator.give(&process.directive().goal, scan_id);
         self.emulator.measure(scan_id, &mut scan, &mut odometry, &mut truth);
         for header in [&mut scan.header, &mut odometry.header, &mut truth.header] {
             header.scan_id = scan_id;
