@@ -1,7 +1,7 @@
 //! Where the robot was and what its scanner showed from there: what is behind it now.
 //!
 //! The scanner looks ahead. A robot that drives backwards therefore stays on ground where its body was before, or that
-//! was in view and not hidden by a body that is known. What has come there since, nobody sees: backwards it drives slowly.
+//! was in view and not hidden by a body that is known. What has come there since is not seen, and is touched.
 //!
 //! The same places are the way back out of a dead end.
 
