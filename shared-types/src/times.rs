@@ -19,7 +19,7 @@ const TIMES: [&str; 11] = [
 ];
 
 /// The same in the state of a checkpoint, in addition.
-const STATE_TIMES: [&str; 9] = [
+const STATE_TIMES: [&str; 11] = [
     "actuated_ns",
     "own_block_ns",
     "from_ns",
@@ -29,6 +29,8 @@ const STATE_TIMES: [&str; 9] = [
     "rested_ns",
     "origin_ns",
     "rolls_until_ns",
+    "seen_ns",
+    "moved_ns",
 ];
 
 /// Moves all points in time of a sample by `by_ns`, except those that are zero. The state in a checkpoint is bytes and

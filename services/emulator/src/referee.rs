@@ -335,6 +335,9 @@ impl Referee {
     /// Name of the reason why the wheels are blocked.
     fn block_name(&self, sight: &Sight) -> &'static str {
         match self.block {
+            Some(Block { reason: Some(BlockReason::Commanded), stop: Some(StopReason::Unseen) }) => {
+                "unseen, something may be behind it"
+            }
             Some(Block { reason: Some(BlockReason::Commanded), stop: Some(stop) }) => stop.name(),
             Some(Block { reason: Some(reason), .. }) => reason.name(),
             _ if sight.dead_man => "dead_man",

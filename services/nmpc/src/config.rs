@@ -151,6 +151,8 @@ settings! {
         /// How far the robot drives back out of a dead end, over the way that it came, where a path begins there; 0 for
         /// never. It does so with the search, and with a vehicle that drives backwards [m].
         pub back_out_m: f64 = 6.0, 0.0..=10.0;
+        /// How long ground that the robot looked at counts as free when it drives backwards, which it can't see [s].
+        pub seen_for_s: f64 = 60.0, 1.0..=3600.0;
         /// The rule that stops the robot in front of a blocked path.
         pub stop: StopSettings = StopSettings::default();
         /// The solver of the optimal control problem.
@@ -192,6 +194,11 @@ impl ControllerConfig {
     /// Share of the largest curvature that a path may use.
     pub fn curvature_share(&self) -> f64 {
         self.guide.curvature_share
+    }
+
+    /// How long ground that was seen counts [ns].
+    pub(crate) fn seen_for_ns(&self) -> u64 {
+        (self.seen_for_s * 1e9) as u64
     }
 
     /// Length of one interval [s].

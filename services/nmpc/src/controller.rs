@@ -129,6 +129,7 @@ impl Controller {
             ellipses: smoothing::valid(&state.ellipses),
             sights: state.sights.valid(),
             memory: state.memory.valid(),
+            movers: state.movers.valid(),
             ..*state
         };
         let length = state.plan_length as usize;
@@ -180,6 +181,8 @@ impl Controller {
         self.enter_leg(pose);
         self.state.sights.enter(pose, &obstacles.scanner);
         self.state.memory.follow(obstacles, pose);
+        let now_ns = obstacles.header.acquired_ns;
+        self.state.movers.follow(obstacles, now_ns, now_ns.saturating_sub(self.config.seen_for_ns()));
         let along_m = self.state.along();
         let recalls = self.state.back.is_before(along_m) || self.legs.is_reverse();
         let recalled = recalls.then(|| self.state.memory.beside(obstacles, pose));

@@ -25,6 +25,7 @@ mod landing;
 mod lattice;
 mod margin;
 mod memory;
+mod movers;
 mod obstacle_cost;
 mod planner;
 mod predicted_obstacle;

@@ -6,10 +6,10 @@
 use shared_types::{MAX_OBSTACLES, Obstacle, Obstacles, Pose, plain_state};
 use vehicle::frame::to_robot;
 
+use crate::predicted_obstacle;
+
 /// How many ellipses are remembered.
 const MAX_BODIES: usize = 32;
-/// A body that is slower than this rests [m/s].
-const RESTS_MPS: f64 = 0.08;
 /// Ellipses whose centres are no further apart are of one body [m].
 const SAME_M: f64 = 0.6;
 /// So near ahead of the robot what stands there is described; what is not has gone [m].
@@ -47,8 +47,7 @@ impl Memory {
             kept += 1;
         }
         self.count = kept as u64;
-        let rests = |one: &&Obstacle| one.velocity_x_mps.hypot(one.velocity_y_mps) < RESTS_MPS;
-        for obstacle in obstacles.list().iter().filter(rests) {
+        for obstacle in obstacles.list().iter().filter(|one| !predicted_obstacle::moves(one)) {
             let place = if self.len() < MAX_BODIES { self.len() } else { self.farthest(pose) };
             self.bodies[place] = Obstacle {
                 id: obstacle.id & !REMEMBERED,

@@ -86,8 +86,8 @@ impl<'a> Task<'a> {
         pose: &Pose,
         start: &Start,
     ) -> Self {
-        let sights = start.is_reverse.then_some(&last.sights);
-        let scene = Scene { sights, ..scene };
+        let behind = start.is_reverse.then(|| last.behind(pose, scene.config.seen_for_ns()));
+        let scene = Scene { behind, ..scene };
         Self { scene, reference_path, last, start_ns: pose.predicted_ns, fastest_mps: start.limit_mps }
     }
 

@@ -170,6 +170,11 @@ fn is_around_its_body(item: &Obstacle) -> bool {
     apart_m <= item.a_m.max(item.b_m) + item.box_length_m.hypot(item.box_width_m) / 2.0
 }
 
+/// Whether a body is described as one that moves.
+pub(crate) fn moves(item: &Obstacle) -> bool {
+    [item.velocity_x_mps, item.velocity_y_mps] != [0.0, 0.0]
+}
+
 /// The velocity where its length is at least `slowest_mps` and so many standard deviations, else zero.
 fn significant_velocity(item: &Obstacle, (deviations, slowest_mps): (f64, f64)) -> [f64; 2] {
     let (x, y) = (item.velocity_x_mps, item.velocity_y_mps);

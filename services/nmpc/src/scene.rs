@@ -14,7 +14,7 @@ use crate::config::ControllerConfig;
 use crate::margin::MarginModel;
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::sampled::Sampled;
-use crate::sights::Sights;
+use crate::sights::Behind;
 
 /// Curvature of a robot that does not turn [1/m]: others divide by it.
 const HARDLY_PER_M: f64 = 1e-6;
@@ -57,8 +57,8 @@ pub(crate) struct Scene<'a> {
     /// Whether the robot gets out of the way of a body, or a person drives close to one: then the bodies count, and their
     /// ellipses do not.
     pub(crate) escapes: bool,
-    /// Where the robot was, while it drives backwards: it stays on what was seen from there.
-    pub(crate) sights: Option<&'a Sights>,
+    /// What is known of the ground behind a robot that drives backwards: it stays on what is free.
+    pub(crate) behind: Option<Behind<'a>>,
 }
 
 /// The limit that a plan violates.
@@ -76,7 +76,7 @@ pub(crate) enum Violation {
     Ellipse(usize),
     /// The position leaves its bounds.
     Outside,
-    /// Backwards, the body comes to ground that was not seen.
+    /// Backwards, the body comes to ground that was not seen, or where a body may have come.
     Unseen,
 }
 
@@ -96,7 +96,7 @@ impl<'a> Scene<'a> {
             speed: 0.0,
             limit_mps: f64::INFINITY,
             escapes: false,
-            sights: None,
+            behind: None,
         }
     }
 

@@ -1,7 +1,8 @@
 //! Where the robot was and what its scanner showed from there: what is behind it now.
 //!
 //! The scanner looks ahead. A robot that drives backwards therefore stays on ground where its body was before, or that
-//! was in view and not hidden by a body that is known. What has come there since is not seen, and is touched.
+//! was in view and not hidden by a body that is known, not long ago, and that no body that moved can have reached since.
+//! What came from where the robot never looked is not seen, and is touched.
 //!
 //! The same places are the way back out of a dead end.
 
@@ -10,6 +11,9 @@ use shared_types::{Pose, ScannerHealth, plain_state};
 use vehicle::frame::{to_robot, to_track, wrap_angle};
 use vehicle::geometry::{Rectangle, ray_in_box};
 use vehicle::{Description, State};
+
+use crate::config::ControllerConfig;
+use crate::movers::Movers;
 
 /// How many places are remembered: over 12 m.
 const PLACES: usize = 64;
@@ -31,6 +35,8 @@ plain_state! {
         pub yaw_rad: f64,
         /// How far ahead nothing is missed there [m]
         pub seen_m: f64,
+        /// When the robot was there last [ns]
+        pub seen_ns: u64,
     }
 }
 
@@ -46,21 +52,63 @@ plain_state! {
     }
 }
 
+/// What a robot that drives backwards knows of the ground that it comes to.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Behind<'a> {
+    /// Where the robot was
+    pub(crate) sights: &'a Sights,
+    /// What moved there
+    pub(crate) movers: &'a Movers,
+    /// When the scan was taken [ns]
+    pub(crate) now_ns: u64,
+    /// When the plan starts [ns]
+    pub(crate) start_ns: u64,
+    /// What was seen before is not known any more [ns]
+    pub(crate) since_ns: u64,
+}
+
+impl Behind<'_> {
+    /// Whether a body `t` seconds after the start of the plan is on ground that is free, past the bodies that are known.
+    pub(crate) fn is_free(
+        &self,
+        body: &Rectangle,
+        t: f64,
+        config: &ControllerConfig,
+        bodies: &[Rectangle],
+    ) -> bool {
+        let then_ns = self.start_ns.saturating_add((t * 1e9) as u64);
+        self.sights.show(body, self.since_ns, &config.vehicle, bodies)
+            && !self.movers.reach(body, config.clearance_m, self.now_ns, then_ns)
+    }
+}
+
 impl Sights {
     /// Enters the place of a scan unless the robot is still near the last one; backwards near any one.
     pub(crate) fn enter(&mut self, pose: &Pose, scanner: &ScannerHealth) {
         let (x_m, y_m, yaw_rad) = (pose.x_m, pose.y_m, pose.yaw_rad);
-        let known = if pose.speed_mps < 0.0 { PLACES } else { 1 };
-        let is_near = self.newest().take(known).any(|last| {
-            (last.x_m - x_m).hypot(last.y_m - y_m) < APART.0
-                && wrap_angle(last.yaw_rad - yaw_rad).abs() < APART.1
-        });
-        if is_near || ![x_m, y_m, yaw_rad].iter().all(|value| value.is_finite()) {
+        if ![x_m, y_m, yaw_rad].iter().all(|value| value.is_finite()) {
             return;
         }
         let seen_m = if scanner.state().is_stop() { 0.0 } else { scanner.seen_ahead_m };
+        let seen_ns = pose.header.acquired_ns;
+        let is_near = |last: &Sight| {
+            (last.x_m - x_m).hypot(last.y_m - y_m) < APART.0
+                && wrap_angle(last.yaw_rad - yaw_rad).abs() < APART.1
+        };
+        let newest = self.newest().next().copied();
+        if let Some(last) = newest.filter(is_near) {
+            // It still shows what it showed; where it does not any more, that is as old as it was.
+            if seen_m.min(VIEW.1) >= last.seen_m.min(VIEW.1) {
+                let index = ((self.entered - 1) % PLACES as u64) as usize;
+                self.places[index].seen_ns = seen_ns;
+            }
+            return;
+        }
+        if pose.speed_mps < 0.0 && self.newest().any(is_near) {
+            return;
+        }
         let index = (self.entered % PLACES as u64) as usize;
-        self.places[index] = Sight { x_m, y_m, yaw_rad, seen_m };
+        self.places[index] = Sight { x_m, y_m, yaw_rad, seen_m, seen_ns };
         self.entered += 1;
         self.first = self.first.max(self.entered.saturating_sub(PLACES as u64));
     }
@@ -104,14 +152,14 @@ impl Sights {
         self.entered = nearest.map_or(self.entered, |number| number + 1);
     }
 
-    /// Whether all of a body is on ground that was seen, past the bodies that are known.
-    pub(crate) fn show(&self, body: &Rectangle, vehicle: &Description, bodies: &[Rectangle]) -> bool {
+    /// Whether all of a body is on ground that was seen since a time, past the bodies that are known.
+    fn show(&self, body: &Rectangle, since_ns: u64, vehicle: &Description, bodies: &[Rectangle]) -> bool {
         let corners = body.corners();
         let middles = [0, 1, 2, 3].map(|index| (corners[index] + corners[(index + 1) % 4]) / 2.0);
-        corners
-            .into_iter()
-            .chain(middles)
-            .all(|point| self.newest().any(|sight| sight.shows(point, vehicle, bodies)))
+        corners.into_iter().chain(middles).all(|point| {
+            let mut lately = self.newest().filter(|sight| sight.seen_ns >= since_ns);
+            lately.any(|sight| sight.shows(point, vehicle, bodies))
+        })
     }
 }
 
@@ -146,6 +194,7 @@ fn hides(body: &Rectangle, from: Vector2<f64>, to: Vector2<f64>) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use shared_types::Header;
 
     fn driven(way_m: f64) -> Sights {
         let mut sights = Sights::default();
@@ -163,14 +212,14 @@ mod tests {
     #[test]
     fn ground_is_seen_where_the_body_was_and_where_the_scanner_showed_it() {
         let (sights, vehicle) = (driven(3.0), Description::default());
-        let shown = |x: f64, y: f64, bodies: &[Rectangle]| sights.show(&body(x, y), &vehicle, bodies);
+        let shown = |x: f64, y: f64, bodies: &[Rectangle]| sights.show(&body(x, y), 0, &vehicle, bodies);
         // The first place is at zero, its body reaches 0.28 m behind it, and the view begins in front of it.
         assert!(shown(0.1, 0.0, &[]) && !shown(-0.5, 0.0, &[]));
         assert!(shown(3.0, 1.0, &[]) && !shown(0.5, 1.5, &[]), "beside the first place nothing was in view");
         // A box between the way and the place hides it from wherever the robot was.
         let wall = Rectangle { centre: Vector2::new(3.0, 0.6), yaw: 0.0, length: 9.0, width: 0.1 };
         assert!(!shown(3.0, 1.0, &[wall]));
-        assert!(!Sights::default().show(&body(0.0, 0.0), &vehicle, &[]));
+        assert!(!Sights::default().show(&body(0.0, 0.0), 0, &vehicle, &[]));
     }
 
     #[test]
@@ -183,9 +232,25 @@ mod tests {
         let back = sights.before([1.0, 0.0], 0.5).unwrap();
         assert!((back.x - 0.5).abs() < 0.25, "{back:?}");
         assert!(
-            !sights.show(&body(6.6, 0.0), &Description::default(), &[]),
+            !sights.show(&body(6.6, 0.0), 0, &Description::default(), &[]),
             "what was seen later is taken back"
         );
+    }
+
+    #[test]
+    fn ground_that_was_seen_long_ago_is_not_known_and_a_robot_that_stands_still_sees_what_is_ahead() {
+        let (mut sights, vehicle) = (driven(3.0), Description::default());
+        let pose = Pose { x_m: 3.0, ..Pose::default() };
+        let at = |seconds: u64| Pose {
+            header: Header { acquired_ns: seconds * 1_000_000_000, ..Header::default() },
+            ..pose
+        };
+        for (seconds, seen_m) in [(1, 5.0), (70, 5.0), (90, 1.0)] {
+            sights.enter(&at(seconds), &ScannerHealth::healthy(seen_m));
+        }
+        let shown = |x: f64, since_s: u64| sights.show(&body(x, 0.0), since_s * 1_000_000_000, &vehicle, &[]);
+        assert!(shown(1.0, 0) && !shown(1.0, 1));
+        assert!(shown(5.0, 70) && !shown(5.0, 71));
     }
 
     #[test]
@@ -195,7 +260,7 @@ mod tests {
             let pose = Pose { x_m: 12.0 - 0.05 * f64::from(step), speed_mps: -0.3, ..Pose::default() };
             sights.enter(&pose, &ScannerHealth::healthy(5.0));
         }
-        assert!(sights.show(&body(0.5, 0.0), &Description::default(), &[]));
+        assert!(sights.show(&body(0.5, 0.0), 0, &Description::default(), &[]));
     }
 
     #[test]

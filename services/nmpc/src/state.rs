@@ -1,10 +1,11 @@
 //! State of the controller that its successor continues from.
 
-use shared_types::{GivenControl, GivenGoal, PLAN_NODES, PlanNode, plain_state};
+use shared_types::{GivenControl, GivenGoal, PLAN_NODES, PlanNode, Pose, plain_state};
 
 use crate::memory::Memory;
+use crate::movers::Movers;
 use crate::side::Sides;
-use crate::sights::Sights;
+use crate::sights::{Behind, Sights};
 use crate::smoothing::SmoothedEllipses;
 use crate::way_back::WayBack;
 
@@ -40,6 +41,13 @@ impl ControllerState {
 }
 
 impl ControllerState {
+    /// What is known of the ground behind the robot, for a plan from `pose` on.
+    pub(crate) fn behind(&self, pose: &Pose, seen_for_ns: u64) -> Behind<'_> {
+        let now_ns = pose.header.acquired_ns;
+        let since_ns = now_ns.saturating_sub(seen_for_ns);
+        Behind { sights: &self.sights, movers: &self.movers, now_ns, start_ns: pose.predicted_ns, since_ns }
+    }
+
     /// Where on the course the last plan began [m]; `None` before the first plan.
     pub(crate) fn along(&self) -> Option<f64> {
         Some(self.plan[0].x_m).filter(|along| self.plan_start_ns != 0 && along.is_finite())
@@ -94,6 +102,8 @@ plain_state! {
         pub sights: Sights,
         /// What stands there
         pub memory: Memory,
+        /// What moved there
+        pub movers: Movers,
     }
 }
 

@@ -78,7 +78,7 @@ impl Verdict {
         self.holds().then_some(Verified { first, intervals })
     }
 
-    /// Whether the plan comes to ground that was not seen.
+    /// Whether the plan comes to ground that was not seen, or where a body may have come.
     pub(crate) fn comes_unseen(&self) -> bool {
         matches!(self.violation, Some((Violation::Unseen, _)))
     }
@@ -108,11 +108,11 @@ pub(crate) fn verify(scene: &Scene, controls: &[Control], rollout: &mut Rollout)
     if let Some(index) = scene.too_near_to_start(&baseline) {
         return Verdict::refused(Violation::Obstacle(index));
     }
-    let backwards = scene.sights.map(|sights| (sights, scene.bodies()));
+    let backwards = scene.behind.map(|behind| (behind, scene.bodies()));
     let is_unseen = |index: usize, sample: &Sampled| {
-        let Some((sights, (bodies, count))) = &backwards else { return false };
+        let Some((behind, (bodies, count))) = &backwards else { return false };
         let body = scene.body_at(&sample.state);
-        index.is_multiple_of(PIECES) && !sights.show(&body, &scene.config.vehicle, &bodies[..*count])
+        index.is_multiple_of(PIECES) && !behind.is_free(&body, sample.t, scene.config, &bodies[..*count])
     };
     let mut behind_goal = false;
     for (index, sample) in rollout.samples.iter().enumerate() {

@@ -7,6 +7,7 @@ mod goal;
 mod hostile;
 mod presets;
 mod released;
+mod reversing;
 mod rooms;
 mod scanner;
 mod seeds;
