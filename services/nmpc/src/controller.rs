@@ -54,12 +54,8 @@ const SLIDE_M: f64 = 0.2;
 const SUDDEN_MPS: f64 = 0.2;
 /// Nearer to the goal no slow way is looked for [m]: a robot that creeps beside a body that moves unnoticed is touched.
 const SLOW_WAY_M: f64 = 2.0;
-/// The robot drives back so much further than to where a path begins, where it can [m].
-const SPARE_BACK_M: f64 = 0.75;
 /// A body that blocks the way and came less than this ago may go again [s].
 const COMES_AND_GOES_S: f64 = 6.5;
-/// A robot that is turned further from the course than this can't be planned for from there [rad].
-const TURNED_MAX_RAD: f64 = 0.9;
 /// Share of the drive's largest deceleration with which a path slows down for a narrow place.
 const SLOWING_SHARE: f64 = 0.35;
 
@@ -220,70 +216,6 @@ impl Controller {
             self.planner.turn(&self.config);
         }
         self.config.goal = self.legs.goal(self.goals[self.goal_index()], &self.state.back);
-    }
-
-    /// Drives the next leg, or forwards again behind the way out of a dead end.
-    fn turn(&mut self, pose: &Pose) {
-        let state = &mut self.state;
-        if state.back.drives == 1 {
-            state.back.end();
-            state.sights.take_back([pose.x_m, pose.y_m]);
-            state.plan[0].x_m = self.legs.seen_from_end(state.plan[0].x_m);
-        } else {
-            state.leg = state.leg.saturating_add(1);
-        }
-        (state.arrival, state.blocked_scans, state.sides) = (Arrival::OnTheWay.wire(), 0, Default::default());
-    }
-
-    /// Looks for a way out of a dead end in which the robot stands, at one place behind it. What blocks it and came
-    /// `lately` may go again.
-    fn look_back(&mut self, reason: StopReason, pose: &Pose, period_s: f64, lately: bool) {
-        let stands = matches!(reason, StopReason::Blocked | StopReason::Unverified | StopReason::Unseen);
-        let is_driven = self.state.driven_by == DrivenBy::Controller.wire();
-        if !stands || !is_driven || !rests(pose) || self.config.side != SideRule::Search {
-            self.state.back.stood = 0;
-            return;
-        }
-        let Self { config, legs, state, predicted, search, alternative, .. } = self;
-        let here = State {
-            x: pose.predicted_x_m,
-            y: pose.predicted_y_m,
-            yaw: pose.predicted_yaw_rad,
-            ..State::default()
-        };
-        let here = config.course.on_course(&here, state.along().unwrap_or(here.x));
-        let Some(way_m) = state.back.stand(here.x, period_s, config.back_out_m) else { return };
-        if state.back.drives == 1 {
-            // The way back ends here.
-            state.arrival = Arrival::LegDriven.wire();
-            return;
-        }
-        if !legs.can_return() || predicted.iter().any(PredictedObstacle::moves) {
-            state.back.stood = 0;
-            return;
-        }
-        let before = |way_m: f64| {
-            let place = state.sights.before([pose.x_m, pose.y_m], way_m)?;
-            let place = config.course.on_course(&place, here.x - way_m);
-            (place.x < here.x && place.yaw.abs() < TURNED_MAX_RAD).then_some(place)
-        };
-        let Some(place) = before(way_m) else { return };
-        // The path from there will be only just clear.
-        let further = before(way_m + SPARE_BACK_M).unwrap_or(place);
-        let margin = MarginModel::of(config, pose);
-        config.guide.range_m += way_m;
-        let scene = Scene::new(config, predicted, place).keeping(margin, 0.0);
-        let speed = config.vehicle.bounds.velocity_min_mps;
-        let query = Query { scene, speed, narrow: true, sides: &state.sides, forced: None };
-        search.find(&query, alternative);
-        let is_found = alternative.clear && !alternative.misses_goal;
-        if is_found && lately {
-            state.back.stay();
-        } else if is_found {
-            state.back.begin(here.x, &further);
-            state.plan[0].x_m = legs.seen_from_end(here.x);
-            (state.blocked_scans, state.sides) = (0, Default::default());
-        }
     }
 
     /// The decisions in their order; an error is the reason to block the wheels.
@@ -839,5 +771,6 @@ fn slow_down(path: &mut ReferencePath, scene: &Scene, speeds: [f64; 2]) {
     path.set_limits(deceleration, |x, y, course| scene.fastest_at(x, y, course, speeds));
 }
 
+mod back;
 #[cfg(test)]
 mod tests;

@@ -16,6 +16,12 @@ use crate::verify::VERIFIED_S;
 
 /// How long the robot is thought to rest [s]: about the horizon.
 const REST_S: f64 = 5.0;
+/// How long a robot that has turned out of the way must be clear there [s].
+const CLEAR_S: f64 = 2.0;
+/// From the decision to drive back to driving [s].
+const TURNS_S: f64 = 0.7;
+/// From one place that is tried on the way back to the next [m].
+const BACK_M: f64 = 0.1;
 /// Step of the comparison [s]: 5 cm of a body with 0.5 m/s.
 const STEP_S: f64 = 0.1;
 
@@ -41,20 +47,46 @@ pub(crate) fn struck_at_rest(scene: &Scene, stopping: &Stopping) -> Option<f64> 
     let now = moving()
         .map(|obstacle| rest.distance_to_rectangle(&scene.in_plane(obstacle.body)))
         .fold(f64::INFINITY, f64::min);
-    let nearest = resting(scene, &rest, 0.0);
+    let nearest = resting(scene, &rest, [0.0, REST_S]);
     // One that is near already comes only if it comes nearer.
     (nearest < scene.margin.base().min(now) - 1e-3).then_some(nearest)
 }
 
-/// Smallest distance of a body at rest from a time on to the bodies that move [m].
-fn resting(scene: &Scene, rest: &Rectangle, from_s: f64) -> f64 {
+/// How far a robot that rests has to drive back, to `place`, to be out of the way of a body that would strike it; `None` when
+/// nothing comes, or the robot does not get out of its way [m].
+pub(crate) fn back_away(
+    scene: &Scene,
+    stopping: &Stopping,
+    speed_mps: f64,
+    place: impl Fn(f64) -> Option<State>,
+) -> Option<f64> {
+    struck_at_rest(scene, stopping)?;
+    let least = scene.margin.base() + GAIN_M;
+    let mut here = scene.body_at(&scene.initial);
+    let mut since_s = 0.0;
+    for step in 1.. {
+        let way_m = f64::from(step) * BACK_M;
+        let then_s = TURNS_S + way_m / speed_mps;
+        if resting(scene, &here, [since_s, then_s]) < least {
+            return None;
+        }
+        (here, since_s) = (scene.body_at(&place(way_m)?), then_s);
+        if resting(scene, &here, [then_s, REST_S.max(then_s + CLEAR_S)]) > least {
+            return Some(way_m);
+        }
+    }
+    None
+}
+
+/// Smallest distance of a body at rest to the bodies that move, from one time to another [m].
+fn resting(scene: &Scene, rest: &Rectangle, [from_s, until_s]: [f64; 2]) -> f64 {
     let distance = |t: f64| {
         let moving = scene.predicted.iter().filter(|obstacle| obstacle.moves());
         moving
             .map(|obstacle| rest.distance_to_rectangle(&scene.in_plane(obstacle.body_at(t))))
             .fold(f64::INFINITY, f64::min)
     };
-    let steps = ((REST_S - from_s) / STEP_S).max(0.0) as usize;
+    let steps = ((until_s - from_s) / STEP_S).max(0.0) as usize;
     (0..=steps).map(|step| distance(from_s + step as f64 * STEP_S)).fold(f64::INFINITY, f64::min)
 }
 
@@ -109,7 +141,7 @@ fn clearance(scene: &Scene, baseline: &Baseline, rollout: &Rollout, enough: f64)
         }
     }
     let Some(end) = rollout.samples.last() else { return f64::NEG_INFINITY };
-    smallest.min(resting(scene, &scene.body_at(&end.state), end.t))
+    smallest.min(resting(scene, &scene.body_at(&end.state), [end.t, REST_S]))
 }
 
 #[cfg(test)]
@@ -161,6 +193,25 @@ mod tests {
         let body = Rectangle { centre: Vector2::new(0.4, 0.0), yaw: 0.0, length: 0.1, width: 2.0 };
         let wall = PredictedObstacle { id: 2, centre: [0.4, 0.0], velocity: [0.0; 2], a: 1.2, b: 1.2, body };
         assert_eq!(turns(Some(wall)), None);
+    }
+
+    #[test]
+    fn a_robot_at_rest_backs_away_from_what_is_slower_or_crosses_and_not_from_what_is_faster() {
+        let config = ControllerConfig::default();
+        let back = |centre: [f64; 2], velocity: [f64; 2], room_m: f64| {
+            let body = Rectangle { centre: centre.into(), yaw: 0.0, length: 0.4, width: 0.4 };
+            let predicted = [PredictedObstacle { id: 1, centre, velocity, a: 1.2, b: 0.7, body }];
+            let scene = Scene::new(&config, &predicted, State::default());
+            let place = |way: f64| (way <= room_m).then(|| State { x: -way, ..State::default() });
+            back_away(&scene, &Stopping::new(&config, 0.1, 0.1), 0.3, place)
+        };
+        // 0.42 m ahead: after the way w, and 5 s, 0.42 + w - 0.75 m are left, of which 0.07 m are needed.
+        let way = back([0.9, 0.0], [-0.15, 0.0], 5.0).unwrap();
+        assert!((way - 0.5).abs() < 0.11, "{way}");
+        assert_eq!(back([0.9, 0.0], [-0.15, 0.0], 0.3), None, "no room");
+        assert_eq!(back([2.0, 0.0], [-0.6, 0.0], 5.0), None, "faster");
+        assert!(back([0.3, 1.5], [0.0, -0.25], 5.0).is_some_and(|way| way > 0.2), "it crosses");
+        assert_eq!(back([0.9, 0.0], [0.15, 0.0], 5.0), None, "it goes away");
     }
 
     #[test]

@@ -97,6 +97,11 @@ impl Legs {
         true
     }
 
+    /// How fast the robot drives backwards [m/s].
+    pub(crate) fn reverse_mps(&self) -> f64 {
+        self.backwards.cruise_mps
+    }
+
     /// Whether the robot drives backwards.
     pub(crate) fn is_reverse(&self) -> bool {
         self.entered.turned
