@@ -126,7 +126,8 @@ impl ChangedGoal {
             if ahead_m + goal.tolerance_m < stop_m {
                 let allowed = format!(
                     "at least {:.2} m further on than the robot, which drives {speed_mps:.2} m/s at ({:.2}, {:.2}): this goal \
-                     is {ahead_m:.2} m further on",
+                     is {ahead_m:.2} m further on; it turns round only for the goals that a drive starts with, by \
+                     `course.turn_radius_m`",
                     stop_m - goal.tolerance_m,
                     pose.x_m,
                     pose.y_m
