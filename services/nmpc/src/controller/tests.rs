@@ -8,6 +8,7 @@ use vehicle::{Goal, Track};
 
 use super::*;
 use crate::config::PersonMargin;
+use crate::config::SideRule;
 use crate::independent::Judge;
 use crate::injection::{Injection, Place};
 
