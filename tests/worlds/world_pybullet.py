@@ -1,0 +1,88 @@
+"""A world in pybullet: rigid bodies, and its racecar with tyre contact and motors of limited torque."""
+
+import math
+
+import pybullet as bullet
+import pybullet_data
+
+WALL_M, LASER_M, WHEELBASE_M, WHEEL_M = 2.4, 0.12, 0.325, 0.05
+DRIVEN, STEERED = (2, 3, 5, 7), (4, 6)
+# The car turns less than its wheels, measured at 1 m/s: for the curvature k it is told k * first / (1 - second * |k|).
+UNDERSTEER = 1.03, 1.0
+SUBSTEPS = 4
+OUTSIDE_M = 0.3  # of the car
+
+
+class World:
+    """The racecar among bodies between two walls."""
+
+    def __init__(self, world, step_s):
+        bullet.connect(bullet.DIRECT)
+        bullet.setGravity(0, 0, -9.81)
+        bullet.setTimeStep(step_s / SUBSTEPS)
+        bullet.setAdditionalSearchPath(pybullet_data.getDataPath())
+        self._ground = bullet.loadURDF("plane.urdf")
+        # Its links' frames begin at the rear axle; the robot's centre is half a wheelbase ahead.
+        self._car = bullet.loadURDF("racecar/racecar.urdf", [-WHEELBASE_M / 2, 0, 0.05])
+        for joint in range(bullet.getNumJoints(self._car)):
+            bullet.setJointMotorControl2(self._car, joint, bullet.VELOCITY_CONTROL, targetVelocity=0, force=0)
+        length = world["goal"][0] + 8.0
+        walls = [{"at": [length / 2 - 3.0, side * WALL_M], "size": [length, 0.1]} for side in (1, -1)]
+        walls.append({"at": [length - 3.0, 0.0], "size": [0.1, 2 * WALL_M]})
+        self._bodies = [(self._body(body), body) for body in world["bodies"] + walls]
+        for _ in range(200):
+            bullet.stepSimulation()
+        self._time_s, self._step_s = 0.0, step_s
+
+    @staticmethod
+    def _body(body):
+        at = body.get("at", [0.0, 0.0])
+        if "polygon" in body:
+            bottom = [[x, y, 0.0] for x, y in body["polygon"]]
+            top = [[x, y, 0.5] for x, y in body["polygon"]]
+            shape = bullet.createCollisionShape(bullet.GEOM_MESH, vertices=bottom + top)
+        elif "radius" in body:
+            shape = bullet.createCollisionShape(bullet.GEOM_CYLINDER, radius=body["radius"], height=0.5)
+        else:
+            shape = bullet.createCollisionShape(
+                bullet.GEOM_BOX, halfExtents=[body["size"][0] / 2, body["size"][1] / 2, 0.25]
+            )
+        turned = bullet.getQuaternionFromEuler([0, 0, body.get("yaw", 0.0)])
+        height = 0.0 if "polygon" in body else 0.25
+        return bullet.createMultiBody(0, shape, -1, [*at, height], turned)
+
+    def step(self, speed_mps, curvature_per_m, blocked):
+        """Moves on by a step; pose and speed of the robot's centre, and whether it touches something."""
+        self._time_s += self._step_s
+        for identity, body in self._bodies:
+            if "velocity" in body:
+                at = [start + self._time_s * v for start, v in zip(body["at"], body["velocity"])]
+                bullet.resetBasePositionAndOrientation(identity, [*at, 0.25], [0, 0, 0, 1])
+        first, second = UNDERSTEER
+        turn = math.atan(WHEELBASE_M * curvature_per_m * first / (1 - second * min(abs(curvature_per_m), 0.5)))
+        for joint in STEERED:
+            bullet.setJointMotorControl2(self._car, joint, bullet.POSITION_CONTROL, targetPosition=turn, force=10)
+        wheel = 0.0 if blocked else speed_mps / WHEEL_M
+        for joint in DRIVEN:
+            bullet.setJointMotorControl2(
+                self._car, joint, bullet.VELOCITY_CONTROL, targetVelocity=wheel, force=10
+            )
+        for _ in range(SUBSTEPS):
+            bullet.stepSimulation()
+        (x, y, _), turned = bullet.getBasePositionAndOrientation(self._car)
+        yaw = bullet.getEulerFromQuaternion(turned)[2]
+        velocity = bullet.getBaseVelocity(self._car)[0]
+        ahead = velocity[0] * math.cos(yaw) + velocity[1] * math.sin(yaw)
+        self._at = x + WHEELBASE_M / 2 * math.cos(yaw), y + WHEELBASE_M / 2 * math.sin(yaw), yaw
+        touched = any(bullet.getContactPoints(self._car, identity) for identity, _ in self._bodies)
+        return (*self._at, ahead), touched
+
+    def ranges(self, angles_rad):
+        """Distances along directions from straight ahead [m]."""
+        x, y, yaw = self._at
+        ends = [(x + 6 * math.cos(yaw + a), y + 6 * math.sin(yaw + a), LASER_M) for a in angles_rad]
+        # The rays begin outside of the car, which they would hit.
+        begins = [(x + OUTSIDE_M * math.cos(yaw + a), y + OUTSIDE_M * math.sin(yaw + a), LASER_M) for a in angles_rad]
+        nothing = (-1, self._car, self._ground)
+        hits = bullet.rayTestBatch(begins, ends)
+        return [6.0 if hit[0] in nothing else OUTSIDE_M + hit[2] * (6 - OUTSIDE_M) for hit in hits]
