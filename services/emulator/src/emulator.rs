@@ -9,7 +9,7 @@
 //! The robot has a dead-man of its own: it blocks the wheels two scan periods after the last actuation arrived. An
 //! actuation that is not finite or beyond the limits of the drive is refused and does not feed the dead-man.
 
-use shared_types::{Actuation, ActuationKind, Odometry, Scan, ScanGeometry, Truth};
+use shared_types::{Actuation, ActuationKind, GivenGoal, Odometry, Scan, ScanGeometry, Truth};
 use vehicle::Description;
 use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 use vehicle::frame::wrap_angle;
@@ -123,6 +123,18 @@ impl Emulator {
     /// The true robot.
     pub fn plant(&self) -> &Plant {
         &self.plant
+    }
+
+    /// Takes note of a goal that was given while driving: from its scan on the truth has the distance to it, if it is the
+    /// last one of the drive.
+    pub fn give(&mut self, given: &GivenGoal, scan_id: u64) {
+        let Scenario { course, goal: goals, .. } = &mut self.scenario;
+        let is_last = given.index as usize + 1 == goals.all().len();
+        let Some(goal) = goals.all_mut().last_mut().filter(|_| is_last) else { return };
+        if (1..=scan_id).contains(&given.from_scan) {
+            let along = course.as_ref().map(|course| course.at(given.x_m).point(0.0, given.y_m));
+            [goal.x_m, goal.y_m] = along.map_or([given.x_m, given.y_m], Into::into);
+        }
     }
 
     /// What stands around the robot.

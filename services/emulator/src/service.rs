@@ -14,7 +14,8 @@ use std::rc::Rc;
 
 use runtime::{Handover, Input, Output, Process, Taken, Wheels, monotonic_ns};
 use shared_types::{
-    Actuation, Header, JournalKind, MAX_LATE, Odometry, Phase, QUEUE_DEPTH, Role, Scan, Truth, plain_state,
+    Actuation, Directive, Header, JournalKind, MAX_LATE, Odometry, Phase, QUEUE_DEPTH, Role, Scan, Truth,
+    plain_state,
 };
 
 use crate::{Emulator, EmulatorState, Scenario};
@@ -84,6 +85,7 @@ fn run_robot(change: Box<Change>, faults: Box<Faults>) -> anyhow::Result<()> {
         faults,
         fault: None,
         scenario,
+        goal_from: 0,
         pending: None,
         state: RobotState { next_scan: 1, ..RobotState::default() },
         stopped: false,
@@ -118,6 +120,8 @@ struct Robot {
     fault: Option<toml::Table>,
     /// The robot without a fault.
     scenario: Scenario,
+    /// The first scan of the goal that was set last; 0 before.
+    goal_from: u64,
     /// The next actuation, which does not act yet.
     pending: Option<Taken<Actuation>>,
     /// Place in the run; [`Self::save`] adds the state of the emulator.
@@ -320,6 +324,7 @@ impl Robot {
         process.begin();
         self.emulator.advance_to(ready_ns);
         let (mut scan, mut odometry, mut truth) = (Scan::default(), Odometry::default(), Truth::default());
+        self.heed_goal(process, scan_id);
         self.emulator.measure(scan_id, &mut scan, &mut odometry, &mut truth);
         for header in [&mut scan.header, &mut odometry.header, &mut truth.header] {
             header.scan_id = scan_id;
@@ -337,6 +342,17 @@ impl Robot {
         self.state.next_scan = scan_id + 1;
         self.change_robot(process);
         self.save(process, &odometry.header)
+    }
+
+    /// Takes note of a goal that was set, which the truth of its scans shows.
+    fn heed_goal(&mut self, process: &Process, scan_id: u64) {
+        let Directive { header, goal, .. } = process.directive();
+        if goal.from_scan != self.goal_from {
+            self.goal_from = goal.from_scan;
+            process.note_taken(&header);
+            process.note(JournalKind::Used, self.emulator.now_ns());
+        }
+        self.emulator.give(&goal, scan_id);
     }
 
     /// Continues as the robot of another scenario, if a fault begins or ends.

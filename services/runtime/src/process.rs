@@ -216,7 +216,7 @@ impl Process {
     }
 
     /// Notes in the journal that the newest directive, which has this header, was taken.
-    pub(crate) fn note_taken(&self, directive: &Header) {
+    pub fn note_taken(&self, directive: &Header) {
         self.shared.notes.note_sample(JournalKind::Taken, Topic::Directive, directive);
     }
 

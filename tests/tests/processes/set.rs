@@ -132,6 +132,14 @@ fn a_goal_changes_while_the_robot_drives_and_no_process_is_swapped() {
         assert_eq!(output.status.code(), Some(0), "{output:?}");
         let set: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
         let from_scan = set["from_scan"].as_u64().unwrap();
+        system.wait_until("the goal counts", |system| {
+            system.status().is_some_and(|status| status.scan > from_scan)
+        });
+        let truth = system.run(&["topic", "echo", "truth", "-n", "1", "--short"]);
+        let truth: serde_json::Value = serde_json::from_slice(&truth.stdout).unwrap();
+        let [x_m, y_m, distance_m] =
+            ["x_m", "y_m", "goal_distance_m"].map(|key| truth[key].as_f64().unwrap());
+        assert!(((x_m - 6.0).hypot(y_m - 0.3) - distance_m).abs() < 1e-3, "{truth}");
         // A controller that starts again has it among its settings.
         kill_controller(&system);
         assert_ne!(system.pid(Role::Controller), old);

@@ -5,8 +5,8 @@ use std::convert::Infallible;
 use emulator::service::RobotState;
 use emulator::{Emulator, Scenario};
 use shared_types::{
-    Actuation, AnySample, Header, Odometry, Role, Sample, SampleType, Scan, Stage, StageEvent, Stopwatch,
-    Truth,
+    Actuation, AnySample, Directive, GivenGoal, Header, Odometry, Role, Sample, SampleType, Scan, Stage,
+    StageEvent, Stopwatch, Truth,
 };
 
 use super::Findings;
@@ -19,6 +19,8 @@ pub(super) struct Robot {
     emulator: Emulator,
     /// When the drive began [ns].
     origin_ns: u64,
+    /// The goal that was set last.
+    goal: GivenGoal,
     odometry: Odometry,
     truth: Truth,
 }
@@ -35,7 +37,8 @@ impl Stage for Robot {
 
     fn begin(scenario: Scenario, period_ns: u64) -> Result<Self, Infallible> {
         let (odometry, truth) = (Odometry::default(), Truth::default());
-        Ok(Self { emulator: Emulator::new(&scenario, period_ns), origin_ns: 0, odometry, truth })
+        let (emulator, goal) = (Emulator::new(&scenario, period_ns), GivenGoal::default());
+        Ok(Self { emulator, origin_ns: 0, goal, odometry, truth })
     }
 
     fn resume(&mut self, state: &RobotState) -> bool {
@@ -47,6 +50,8 @@ impl Stage for Robot {
         if let Some(actuation) = sample.get() {
             self.emulator.advance_to(now_ns);
             self.emulator.actuate(actuation);
+        } else if let Some(directive) = sample.get::<Directive>() {
+            self.goal = directive.goal;
         }
     }
 
@@ -66,6 +71,7 @@ impl Stage for Robot {
         let mut scan = Scan::default();
         (self.odometry, self.truth) = (Odometry::default(), Truth::default());
         self.emulator.advance_to(self.emulator.scan_ready_ns(scan_id));
+        self.emulator.give(&self.goal, scan_id);
         self.emulator.measure(scan_id, &mut scan, &mut self.odometry, &mut self.truth);
         let acquired_ns = self.origin_ns.wrapping_add(self.emulator.stamp_ns(scan_id));
         for header in [&mut scan.header, &mut self.odometry.header, &mut self.truth.header] {

@@ -587,3 +587,25 @@ fn a_successor_of_a_stuck_scanner_repeats_the_same_ranges() {
     }
     assert_eq!(new.state(6), old.state(6));
 }
+
+#[test]
+fn the_truth_has_the_distance_to_the_last_goal_as_it_was_given() {
+    let bend = "[course]\nwaypoints = [{ yaw_rad = 0 }, { x_m = 5, yaw_rad = 0 }, { x_m = 10, y_m = 5, yaw_rad = 1.5708 }]";
+    let given = |index, x_m| GivenGoal { from_scan: 3, index, x_m, y_m: 0.5, ..GivenGoal::default() };
+    // Of the bend the goal is 0.5 m to the left of its end.
+    for (text, index, along_m, expected) in [
+        ("", 0, 8.0, [8.0, 0.5]),
+        (bend, 0, 5.0 + 2.5 * std::f64::consts::PI, [9.5, 5.0]),
+        ("[[goal]]\nx_m = 4.0\n[[goal]]\n", 0, 5.0, [10.0, 0.0]),
+        ("[[goal]]\nx_m = 4.0\n[[goal]]\n", 1, 8.0, [8.0, 0.5]),
+    ] {
+        let mut emulator = ideal(text);
+        let mut distance_m = |scan_id| {
+            emulator.give(&given(index, along_m), scan_id);
+            lockstep(&mut emulator, scan_id..=scan_id, &block()).goal_distance_m
+        };
+        assert_eq!(distance_m(1), distance_m(2), "{text}: it counts from scan 3 on");
+        let distance_m = distance_m(3);
+        assert!((distance_m - f64::hypot(expected[0], expected[1])).abs() < 1e-4, "{text}: {distance_m}");
+    }
+}

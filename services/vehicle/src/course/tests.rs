@@ -125,10 +125,9 @@ fn a_robot_at_the_start_of_a_closed_course_has_all_laps_before_it() {
         }
         let half = State { x: -5.0, y: 0.0, yaw: -FRAC_PI_2, ..State::default() };
         assert!((course.find(&half) - 5.0 * PI).abs() < 1e-6);
-        // From the second lap on, where there is one.
-        let second = course.find_from(&half, 10.0 * PI - 1.0);
-        let expected = if laps == 1 { 10.0 * PI } else { 15.0 * PI };
-        assert!((second - expected).abs() < 1.1, "{laps} laps: {second}");
+        if laps > 1 {
+            assert!((course.find_from(&half, 10.0 * PI - 1.0) - 15.0 * PI).abs() < 1e-6, "in the second lap");
+        }
     }
 }
 
