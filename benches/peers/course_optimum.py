@@ -60,7 +60,7 @@ def solve(drive, states, controls, is_even):
     free = program.variable("length", INTERVAL_S, INTERVAL_S / 2, INTERVAL_S * (2 if is_even else 1.5))
     lengths = [free] * count if is_even else [INTERVAL_S] * (count - 1) + [free]
     upper = [bounds["sideslip_max_rad"], math.inf, bounds["yaw_rate_max_radps"], math.inf, math.inf]
-    half_width = drive.scenario.get("course", {}).get("width_m", 3.0) / 2
+    width = drive.scenario.get("course", {}).get("width_m", 3.0)
     low = [bounds["velocity_min_mps"], -bounds["steering_max_rad"]]
     high = [bounds["velocity_max_mps"], bounds["steering_max_rad"]]
     nodes, found, chosen, times, near = [[ca.DM(value) for value in states[0]]], [drive.on_course[0]], [], [0.0], 0.0
@@ -73,6 +73,8 @@ def solve(drive, states, controls, is_even):
         nodes.append(node)
         found.append(piece.on_course(node))
         times.append(times[-1] + length)
+        # Each way from a waypoint to the next has two pieces.
+        half_width = (width[drive.course.pieces.index(piece) // 2] if isinstance(width, list) else width) / 2
         program.constrain(found[-1][4], -half_width, half_width)
         program.constrain(found[-1][1], -bounds["yaw_max_rad"], bounds["yaw_max_rad"])
         for body in bodies(drive.scenario):

@@ -151,10 +151,11 @@ pub(crate) fn bend(suite: &Suite) -> Verdict {
     let commands: Vec<Command> = bench.samples(SCANS)?;
     let way = bench.drive.settings.scenario.course.clone().unwrap_or_default();
     for Command { header, plan, plan_length, .. } in driven(&commands) {
-        let ends = plan[..*plan_length as usize].last().map(|node| way.locate([node.x_m, node.y_m].into()));
-        let beside_m = ends.map_or(0.0, |[_, left_m]| left_m.abs());
+        let end = plan[..*plan_length as usize].last().map(|node| way.locate([node.x_m, node.y_m].into()));
+        let [along_m, left_m] = end.unwrap_or_default();
+        let beside_m = left_m.abs();
         let leaves = || format!("scan {}: its plan ends {beside_m:.2} m beside the course", header.scan_id);
-        require(beside_m <= way.keys().width_m / 2.0, leaves)?;
+        require(beside_m <= way.half_width_m(along_m), leaves)?;
     }
     some_drive(&commands, "drive commands in a bend")
 }

@@ -12,7 +12,7 @@ use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 use vehicle::Course;
-use vehicle::course::{CourseKeys, Waypoint};
+use vehicle::course::{CourseKeys, Waypoint, Widths};
 
 /// Distances between waypoints that are tried [m].
 const APART_M: [f64; 4] = [2.0, 1.0, 0.5, 0.25];
@@ -86,7 +86,7 @@ fn waypoints(points: &[PathPoint], file: &str) -> Result<Vec<Waypoint>, String> 
         let waypoints = thinned(points, apart_m);
         let keys = CourseKeys {
             waypoints: waypoints.clone(),
-            width_m: vehicle::Track::MIN_WIDTH_M,
+            width_m: Widths::All(vehicle::Track::MIN_WIDTH_M),
             ..CourseKeys::default()
         };
         let Ok(course) = Course::try_from(keys) else { continue };
@@ -156,7 +156,8 @@ mod tests {
         let waypoints = waypoints(&points, "a.csv").unwrap();
         assert!((8..=22).contains(&waypoints.len()), "{}", waypoints.len());
         let course =
-            Course::try_from(CourseKeys { waypoints, width_m: 0.5, ..CourseKeys::default() }).unwrap();
+            Course::try_from(CourseKeys { waypoints, width_m: Widths::All(0.5), ..CourseKeys::default() })
+                .unwrap();
         assert!(points.iter().all(|point| distance_m(&course, point) <= BESIDE_M));
         // The sine bends by at most (pi / 8)^2 = 0.154 1/m.
         assert!(course.sharpest().radius_m > 4.0, "{:?}", course.sharpest());

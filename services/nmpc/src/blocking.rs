@@ -31,7 +31,8 @@ fn widest_gap(scene: &Scene, obstacle: &PredictedObstacle) -> f64 {
     let [right, left] = if scene.config.track.walls {
         scene.config.track.y_m
     } else {
-        [scene.y_range[0] - half_width, scene.y_range[1] + half_width]
+        let [right, left] = scene.y_range_at(obstacle.centre[0]);
+        [right - half_width, left + half_width]
     };
     let along = extent(obstacle, 0);
     let reach = scene.config.vehicle.length_m / 2.0;

@@ -34,7 +34,8 @@ pub(crate) fn find(scene: &Scene, sides: &Sides, speed: f64, path: &mut Referenc
         let way = index as f64 * guide.step_m;
         let [low, high] = chosen.free(scene, start.x + way, way / speed, APPROACH_M);
         path.y[index] = within(scene.config.goal.y_m, [low, high]);
-        path.clear &= is_free(chosen.free(scene, start.x + way, way / speed, 0.0), scene.y_range);
+        path.clear &=
+            is_free(chosen.free(scene, start.x + way, way / speed, 0.0), scene.y_range_at(start.x + way));
     }
     for index in 0..=arcs {
         let (before, after) = (index.saturating_sub(1), (index + 1).min(arcs));
@@ -101,7 +102,10 @@ fn detours(scene: &Scene, obstacle: &PredictedObstacle, speed: f64) -> [f64; 2] 
     let allowed = match scene.config.side {
         SideRule::Left if is_on_line => [true, false],
         SideRule::Right if is_on_line => [false, true],
-        _ => [high <= scene.y_range[1], low >= scene.y_range[0]],
+        _ => {
+            let [right, left] = scene.y_range_at(obstacle.centre[0]);
+            [high <= left, low >= right]
+        }
     };
     let [left, right] = [(high - line).max(0.0), (line - low).max(0.0)];
     [if allowed[0] { left } else { f64::INFINITY }, if allowed[1] { right } else { f64::INFINITY }]

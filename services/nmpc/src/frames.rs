@@ -45,6 +45,7 @@ impl Frames {
                 to: [pair[1], 0.0],
                 angle,
                 steering: steering.clamp(-steering_max, steering_max),
+                y_range: scene.y_range_at(pair[1]),
             });
         }
     }
@@ -82,7 +83,9 @@ mod tests {
     use super::*;
     use crate::config::ControllerConfig;
     use crate::rollout::Rollout;
-    use vehicle::course::{CourseKeys, Waypoint};
+    use crate::sampled::Sampled;
+    use crate::scene::Violation;
+    use vehicle::course::{CourseKeys, Waypoint, Widths};
     use vehicle::{Control, Course, Goal};
 
     /// A quarter of a circle of 5 m to the left behind 3 m straight on.
@@ -92,6 +95,26 @@ mod tests {
         let course = Course::try_from(CourseKeys { waypoints, ..CourseKeys::default() }).unwrap();
         let goal = Goal { x_m: course.length_m(), ..Goal::default() };
         ControllerConfig { course, goal, ..ControllerConfig::default() }
+    }
+
+    #[test]
+    fn a_narrow_part_bounds_the_nodes_in_it_and_a_plan_that_leaves_it_is_refused() {
+        let mut config = config();
+        let keys = CourseKeys { width_m: Widths::Each(vec![3.0, 1.0]), ..config.course.keys().clone() };
+        config.course = Course::try_from(keys).unwrap();
+        let scene = Scene::new(&config, &[], State { x: 2.0, y: 0.6, ..State::default() });
+        let mut rollout = Rollout::default();
+        rollout.drive(&scene, &vec![Control { velocity: 1.0, steering: 0.04 }; config.intervals]);
+        let mut steps = Vec::new();
+        Frames::default().place(&scene, &rollout.nodes, &mut steps);
+        let baseline = scene.baseline();
+        for (node, step) in rollout.nodes[1..].iter().zip(&steps) {
+            let is_narrow = node.x >= 3.0;
+            assert_eq!(step.y_range, if is_narrow { [-0.5, 0.5] } else { [-1.5, 1.5] }, "{node:?}");
+            let sample = Sampled { t: 0.0, speed: 1.0, state: State { y: 0.6, ..*node } };
+            assert_eq!(scene.check(&baseline, &sample), is_narrow.then_some(Violation::Outside), "{node:?}");
+        }
+        assert!(steps.last().is_some_and(|step| step.y_range[1] < 1.0), "the plan gets there");
     }
 
     #[test]

@@ -236,10 +236,11 @@ impl Search {
 
     /// Extends the paths of one layer by an arc.
     fn expand(&mut self, layer: usize, query: &Query, grid: &Grid, pass: &Pass) {
-        let Scene { config, initial, y_range, .. } = query.scene;
+        let Scene { config, initial, .. } = query.scene;
         let (settings, step) = (config.guide, grid.step);
         // How far the robot is outside of its bounds already.
-        let allowed = excess(initial.y, y_range);
+        let allowed = excess(initial.y, query.scene.y_range_at(initial.x));
+        let y_range = query.scene.y_range_at(initial.x + (layer + 1) as f64 * grid.step);
         let Self { costs, ends, active, arcs, arc_offsets, bend_of_layer, swerves, obstacle_cost, .. } = self;
         let Pass { hard, sketch, limit } = *pass;
         // The fastest turns are those of the first layer; where the course bends they tell nothing.

@@ -46,7 +46,7 @@ pub(crate) struct Scene<'a> {
     pub(crate) predicted: &'a [PredictedObstacle],
     /// State at the start of the plan.
     pub(crate) initial: State,
-    /// Bounds across the track, (7.46) [m].
+    /// Bounds across the track, (7.46); of a course where its way is widest [m].
     pub(crate) y_range: [f64; 2],
     /// Clearance to obstacles.
     pub(crate) margin: MarginModel,
@@ -100,6 +100,12 @@ impl<'a> Scene<'a> {
         }
     }
 
+    /// Bounds across the track at `x` along it [m].
+    pub(crate) fn y_range_at(&self, x: f64) -> [f64; 2] {
+        let half_m = self.config.course.half_width_m(x);
+        [self.y_range[0].max(-half_m), self.y_range[1].min(half_m)]
+    }
+
     /// The same with another margin, for a robot with this speed at the start.
     #[must_use]
     pub(crate) fn keeping(self, margin: MarginModel, speed: f64) -> Self {
@@ -144,7 +150,7 @@ impl<'a> Scene<'a> {
                 self.body_at(&self.initial).distance_to_rectangle(&self.in_plane(obstacle.body));
         }
         baseline.wall_gap = self.wall_gap(&self.initial).min(self.config.clearance_m) - TOLERANCE_M;
-        baseline.outside = [excess(x, self.config.track.x_m), excess(y, self.y_range)]
+        baseline.outside = [excess(x, self.config.track.x_m), excess(y, self.y_range_at(x))]
             .map(|now| OUTSIDE_M.max(now + TOLERANCE_M));
         let turned = self.excess_of_turn(&self.initial, baseline.curvature);
         baseline.turned_outside = OUTSIDE_M.max(turned + TOLERANCE_M);
@@ -166,7 +172,7 @@ impl<'a> Scene<'a> {
             return Some(Violation::NotFinite);
         }
         if excess(state.x, self.config.track.x_m) > baseline.outside[0]
-            || excess(state.y, self.y_range) > baseline.outside[1]
+            || excess(state.y, self.y_range_at(state.x)) > baseline.outside[1]
         {
             return Some(Violation::Outside);
         }
@@ -314,7 +320,7 @@ impl<'a> Scene<'a> {
         // Against a bend of the way it takes longer until the robot is along it.
         let bend = self.config.course.curvature(state.x) * course.signum();
         let way = (1.0 - course.cos()).min(1.0) / (curvature + bend).max(HARDLY_PER_M);
-        excess(state.y + way.copysign(course.sin()), self.y_range)
+        excess(state.y + way.copysign(course.sin()), self.y_range_at(state.x))
     }
 
     fn wall_gap(&self, state: &State) -> f64 {

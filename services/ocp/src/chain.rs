@@ -130,13 +130,13 @@ impl Chain {
             self.upper.extend((0..2).map(|component| upper[component] - control[component]));
         }
 
-        let (low, high) = state_bounds(problem);
         refill(&mut self.slopes, count + 1, [0.0; 7]);
         refill(&mut self.rows, (5 + ellipses) * count, Row::default());
         for (slope, pair) in self.slopes.iter_mut().zip(gradient.chunks_exact(2)) {
             slope[5..].copy_from_slice(pair);
         }
         for node in 1..=count {
+            let (low, high) = state_bounds(problem, node);
             let state = &iterate.states[node];
             let target = reference(problem, node);
             let weights = node_weights(problem, node);

@@ -36,7 +36,6 @@ pub(crate) fn condense(problem: &Problem, iterate: &Iterate, shooting: &Shooting
     qp.slack_linear = problem.weights.slack_linear;
     qp.slack_quadratic = problem.weights.slack_quadratic;
 
-    let (state_lower, state_upper) = state_bounds(problem);
     let mut offset = [0.0; 5];
     for node in 1..=count {
         let interval = &shooting.intervals[node - 1];
@@ -49,6 +48,7 @@ pub(crate) fn condense(problem: &Problem, iterate: &Iterate, shooting: &Shooting
 
         let state = &iterate.states[node];
         let target = reference(problem, node);
+        let (state_lower, state_upper) = state_bounds(problem, node);
         let weights = node_weights(problem, node);
         for component in 0..5 {
             let index = bound_row(node, component);

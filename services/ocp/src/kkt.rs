@@ -40,6 +40,7 @@ pub(crate) fn costates(
     for node in (1..=count).rev() {
         let state = &iterate.states[node];
         let target = reference(problem, node);
+        let (state_lower, state_upper) = state_bounds(problem, node);
         for (component, weight) in node_weights(problem, node).iter().enumerate() {
             costate[component] += 2.0 * weight * (state[component] - target[component])
                 + row_multipliers[bound_row(node, component)];
@@ -68,7 +69,6 @@ pub(crate) fn residual(
     let count = problem.intervals.len();
     let ellipses = problem.ellipses.len();
     let weights = &problem.weights;
-    let (state_lower, state_upper) = state_bounds(problem);
     let mut largest = shooting.defect.max(shooting.last_step);
     let mut worse = |value: f64| {
         if value.abs() > largest || value.is_nan() {
@@ -85,6 +85,7 @@ pub(crate) fn residual(
     for node in (1..=count).rev() {
         let state = &iterate.states[node];
         let target = reference(problem, node);
+        let (state_lower, state_upper) = state_bounds(problem, node);
         for (component, weight) in node_weights(problem, node).iter().enumerate() {
             let slope = 2.0 * weight * (state[component] - target[component]);
             let multiplier = row_multipliers[bound_row(node, component)];

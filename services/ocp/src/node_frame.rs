@@ -14,6 +14,8 @@ pub struct NodeFrame {
     pub angle: f64,
     /// The steering angle that keeps along the way in the interval between them, on top of the reference's [rad].
     pub steering: f64,
+    /// Soft bounds of the lateral position at the node, instead of the problem's [m].
+    pub y_range: [f64; 2],
 }
 
 impl NodeFrame {
@@ -29,8 +31,10 @@ impl NodeFrame {
         [state[0], state[1] - self.angle, state[2], self.to[0] + x, self.to[1] + y]
     }
 
-    pub(crate) fn is_finite(&self) -> bool {
-        self.from.iter().chain(&self.to).chain([&self.angle, &self.steering]).all(|value| value.is_finite())
+    pub(crate) fn is_usable(&self) -> bool {
+        let numbers =
+            self.from.iter().chain(&self.to).chain(&self.y_range).chain([&self.angle, &self.steering]);
+        self.y_range[0] <= self.y_range[1] && numbers.into_iter().all(|value| value.is_finite())
     }
 }
 

@@ -24,13 +24,15 @@ pub(crate) fn penalty(problem: &Problem, excess: f64) -> f64 {
     }
 }
 
-/// Lower and upper soft bounds of (sideslip, yaw, yaw rate, x, y).
-pub(crate) fn state_bounds(problem: &Problem) -> ([f64; 5], [f64; 5]) {
+/// Lower and upper soft bounds of (sideslip, yaw, yaw rate, x, y) at `node` (1 to N).
+#[inline]
+pub(crate) fn state_bounds(problem: &Problem, node: usize) -> ([f64; 5], [f64; 5]) {
     let bounds = &problem.bounds;
     let limits = [bounds.sideslip_max_rad, bounds.yaw_max_rad, bounds.yaw_rate_max_radps];
+    let [low, high] = problem.frames.get(node - 1).map_or(problem.y_range, |frame| frame.y_range);
     (
-        [-limits[0], -limits[1], -limits[2], problem.x_range[0], problem.y_range[0]],
-        [limits[0], limits[1], limits[2], problem.x_range[1], problem.y_range[1]],
+        [-limits[0], -limits[1], -limits[2], problem.x_range[0], low],
+        [limits[0], limits[1], limits[2], problem.x_range[1], high],
     )
 }
 
@@ -92,9 +94,9 @@ pub(crate) fn smooth(problem: &Problem, iterate: &Iterate) -> f64 {
 
 /// The penalties at `iterate`, and the largest slack of an ellipse.
 pub(crate) fn penalties(problem: &Problem, iterate: &Iterate) -> (f64, f64) {
-    let (lower, upper) = state_bounds(problem);
     let (mut sum, mut slack) = (0.0, 0.0f64);
     for (node, state) in iterate.states.iter().enumerate().skip(1) {
+        let (lower, upper) = state_bounds(problem, node);
         for component in 0..5 {
             let excess = (lower[component] - state[component]).max(state[component] - upper[component]);
             sum += penalty(problem, excess);
@@ -110,9 +112,9 @@ pub(crate) fn penalties(problem: &Problem, iterate: &Iterate) -> (f64, f64) {
 
 /// The penalties of the soft limits linearised at `iterate`, after a full `step`.
 pub(crate) fn linearised_penalties(problem: &Problem, iterate: &Iterate, step: &Iterate) -> f64 {
-    let (lower, upper) = state_bounds(problem);
     let mut sum = 0.0;
     for (node, (state, change)) in iterate.states.iter().zip(&step.states).enumerate().skip(1) {
+        let (lower, upper) = state_bounds(problem, node);
         for component in 0..5 {
             let moved = state[component] + change[component];
             sum += penalty(problem, (lower[component] - moved).max(moved - upper[component]));

@@ -21,7 +21,7 @@ pub(crate) fn row_excess(problem: &Problem, iterate: &Iterate, row: usize, upper
     let count = problem.intervals.len();
     if row < 5 * count {
         let (node, component) = (row / 5 + 1, row % 5);
-        let (low, high) = state_bounds(problem);
+        let (low, high) = state_bounds(problem, node);
         iterate.states[node][component] - if upper { high[component] } else { low[component] }
     } else {
         let place = row - 5 * count;

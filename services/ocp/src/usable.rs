@@ -35,7 +35,7 @@ pub(crate) fn is_usable(problem: &Problem, guess: &Trajectory) -> bool {
         && problem.references.iter().all(State::is_finite)
         && problem.control_reference.is_finite()
         && (problem.frames.is_empty() || problem.frames.len() == count)
-        && problem.frames.iter().all(NodeFrame::is_finite)
+        && problem.frames.iter().all(NodeFrame::is_usable)
         && weights.node.iter().chain(&weights.terminal).all(|&weight| natural(weight))
         && weights.control.iter().chain(&weights.change).all(|&weight| natural(weight))
         && weights.goal.iter().all(|(_, weight)| natural(*weight))

@@ -54,7 +54,7 @@ proptest! {
         exact in any::<bool>(),
     ) {
         let one = round_problem(y);
-        let frame = |(angle, x, y, to): (f64, f64, f64, f64)| NodeFrame { from: [x, y], to: [to, -y], angle, steering: 0.0 };
+        let frame = |(angle, x, y, to): (f64, f64, f64, f64)| NodeFrame { from: [x, y], to: [to, -y], angle, steering: 0.0, y_range: [-100.0, 100.0] };
         let frames: Vec<NodeFrame> = turns.into_iter().map(frame).collect();
         let many = in_frames(&one, &frames);
         for qp in [QpChoice::default(), QpChoice::Clarabel] {
@@ -83,7 +83,13 @@ fn a_steering_that_keeps_along_the_way_costs_nothing() {
     let mut problem = round_problem(50.0);
     problem.previous = None;
     problem.weights.control[1] = 1e4;
-    let steer = |steering: f64| NodeFrame { from: [0.0; 2], to: [0.0; 2], angle: 0.0, steering };
+    let steer = |steering: f64| NodeFrame {
+        from: [0.0; 2],
+        to: [0.0; 2],
+        angle: 0.0,
+        steering,
+        y_range: [-100.0, 100.0],
+    };
     problem.frames = [0.01, 0.02, 0.03, 0.03, 0.02, 0.01].map(steer).to_vec();
     let guess =
         ocp::Trajectory { states: Vec::new(), controls: vec![Control { velocity: 0.9, steering: 0.0 }; 6] };
@@ -95,4 +101,30 @@ fn a_steering_that_keeps_along_the_way_costs_nothing() {
     problem.frames.pop();
     let refused = Solver::new(SolverSettings::default()).solve(&problem, &guess, &Budget::Iterations(60));
     assert_eq!(refused.status, Status::Failed, "one for each interval");
+}
+
+#[test]
+fn a_node_keeps_the_bounds_of_its_own_frame() {
+    let mut problem = problem(State::default(), 10.0, loop_weights(), Vec::new());
+    (problem.y_range, problem.weights.goal) = ([-1.5, 1.5], [(0, 0.0); 2]);
+    problem.references.iter_mut().for_each(|reference| reference.y = 1.0);
+    let count = problem.intervals.len();
+    let frame = |node: usize| NodeFrame {
+        from: [0.0; 2],
+        to: [0.0; 2],
+        angle: 0.0,
+        steering: 0.0,
+        y_range: if node > count / 2 { [-0.05, 0.05] } else { [-1.5, 1.5] },
+    };
+    let guess = cold_guess(&problem);
+    let across = |problem: &Problem| {
+        let solution =
+            Solver::new(SolverSettings::default()).solve(problem, &guess, &Budget::Iterations(200));
+        assert_eq!(solution.status, Status::Converged);
+        solution.trajectory.states.iter().map(|state| state.y).collect::<Vec<_>>()
+    };
+    assert!(across(&problem)[count / 2 + 1] > 0.06, "without them it is beyond them");
+    problem.frames = (1..=count).map(frame).collect();
+    let kept = across(&problem);
+    assert!(kept[count / 2 + 1..].iter().all(|y| y.abs() < 0.05 + 1e-3), "{kept:?}");
 }

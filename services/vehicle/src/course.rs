@@ -15,6 +15,7 @@ mod keys;
 mod legs;
 mod outline;
 mod turning;
+mod widths;
 
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -29,6 +30,7 @@ use crate::state::State;
 pub use keys::{CourseKeys, Waypoint};
 pub use legs::{Leg, LegFollower};
 pub use outline::{CourseOutline, ellipse_point};
+pub use widths::Widths;
 
 /// How far from where a position was a moment ago it is looked for, behind and ahead [m].
 const NEAR_M: [f64; 2] = [2.0, 3.0];
@@ -70,6 +72,8 @@ pub(crate) struct Piece {
     waypoint: usize,
     /// Largest velocity there; infinite without one [m/s].
     speed_mps: f64,
+    /// How far beside it the way reaches to either side [m].
+    half_width_m: f64,
     /// Whether it is driven backwards.
     is_reverse: bool,
 }
@@ -84,6 +88,7 @@ impl Default for Piece {
             curvature: 0.0,
             waypoint: 0,
             speed_mps: f64::INFINITY,
+            half_width_m: f64::INFINITY,
             is_reverse: false,
         }
     }
@@ -163,6 +168,12 @@ impl Course {
     /// Curvature of the course at `along_m` [1/m].
     pub fn curvature(&self, along_m: f64) -> f64 {
         if self.is_line() { 0.0 } else { self.at(along_m).curvature }
+    }
+
+    /// How far beside the course its way reaches to either side at `along_m`; infinite on the line [m].
+    pub fn half_width_m(&self, along_m: f64) -> f64 {
+        let next = self.pieces.partition_point(|piece| piece.begin_m <= along_m);
+        self.pieces.get(next.saturating_sub(1)).map_or(f64::INFINITY, |piece| piece.half_width_m)
     }
 
     /// Largest velocity at `along_m` with which the robot can slow down in time for all that is ahead; infinite on a course

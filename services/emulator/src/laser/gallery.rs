@@ -42,7 +42,7 @@ impl Gallery {
     pub(super) fn of(course: &Course) -> Option<Self> {
         let keys = course.keys();
         let is_seen = keys.surroundings == Surroundings::Hall && !course.is_line();
-        is_seen.then(|| Self { grid: Grid::new(segments(course, keys.width_m / 2.0)) })
+        is_seen.then(|| Self { grid: Grid::new(segments(course, keys.width_m.largest_m() / 2.0)) })
     }
 
     /// Distance along a beam (unit `direction`) to a wall or a pillar [m], infinite beyond the reach of the scanner.

@@ -183,7 +183,7 @@ impl Scenario {
     /// The bounds of the robot's centre along and across the course: those of `[track]` without a course.
     pub fn track_on_course(&self) -> Track {
         let Some(course) = &self.course else { return self.track };
-        let half_m = course.keys().width_m / 2.0;
+        let half_m = course.keys().width_m.largest_m() / 2.0;
         Track {
             x_m: [-BEYOND_M, course.length_m() + BEYOND_M],
             y_m: [-half_m, half_m],
@@ -217,7 +217,7 @@ impl Scenario {
             return Err(Invalid::new("endless", "(a table)", allowed));
         }
         let (start, goals) = (self.start_on_course(), self.goals_on_course());
-        let Track { x_m: [first_m, last_m], y_m: [right_m, left_m], .. } = self.track_on_course();
+        let [first_m, last_m] = self.track_on_course().x_m;
         let mut places = vec![("start".to_owned(), [self.start.x_m, self.start.y_m], [start.x_m, start.y_m])];
         places.extend(self.goal.all().iter().zip(&goals).enumerate().map(|(index, (goal, place))| {
             (self.goal.key(index), [goal.x_m, goal.y_m], [place.x_m, place.y_m])
@@ -225,10 +225,11 @@ impl Scenario {
         for (table, [x_m, y_m], [along_m, across_m]) in &places {
             // Rounding of a place on the bound.
             let is_along = (first_m - SAME_M..=last_m + SAME_M).contains(along_m);
-            if !is_along || !(right_m - SAME_M..=left_m + SAME_M).contains(across_m) {
+            let half_m = course.half_width_m(*along_m);
+            if !is_along || across_m.abs() > half_m + SAME_M {
                 let value = format!("{x_m} (y_m = {y_m})");
                 let allowed = format!(
-                    "at most {left_m} m beside the course, half of course.width_m, and {BEYOND_M} m beyond its {:.2} m; it is \
+                    "at most {half_m} m beside the course, half of course.width_m, and {BEYOND_M} m beyond its {:.2} m; it is \
                      {across_m:.2} m to the left of it at {along_m:.2} m",
                     course.length_m()
                 );

@@ -2,8 +2,8 @@
 
 use key_table::{Invalid, settings};
 
-use super::{Course, biarc, legs, turning};
-use crate::track::{Surroundings, Track};
+use super::{Course, Piece, Widths, biarc, legs, turning};
+use crate::track::Surroundings;
 
 /// Most waypoints.
 const MAX_WAYPOINTS: usize = 5_000;
@@ -45,8 +45,9 @@ settings! {
         /// Instead of waypoints: a CSV file of points along the course, beside the scenario, with the columns `x_m`, `y_m` and,
         /// if need be, `speed_mps`. Enough of them become waypoints that no point is farther than 5 cm from the course.
         pub path: Option<String> = None, "a file";
-        /// Width of the way: the robot's centre stays within half of it to either side [m].
-        pub width_m: f64 = 3.0, (Track::MIN_WIDTH_M..=100.0, "less than twice the radius of each bend");
+        /// Width of the way: the robot's centre stays within half of it to either side. A number, or a list with one number for
+        /// each way from a waypoint to the next [m].
+        pub width_m: Widths = Widths::default();
         /// Without waypoints: radius of the turns that lead to the goals; also to those behind the robot, by turning round,
         /// backwards in the middle. Without the key the course only bends as far as it must [m].
         pub turn_radius_m: Option<f64> = None, (0.2..=100.0, "at least the smallest planned turn");
@@ -83,6 +84,7 @@ impl TryFrom<CourseKeys> for Course {
                 return Err(Invalid::new(&format!("waypoints[{}]", index + 1), place, allowed));
             }
         }
+        keys.width_m.require_parts(points.len() - 1)?;
         let is_closed = (first.x_m, first.y_m) == (last.x_m, last.y_m);
         if keys.laps > 1 && !is_closed {
             let allowed = "1 where the last waypoint is another place than the first one";
@@ -107,15 +109,16 @@ impl TryFrom<CourseKeys> for Course {
         let mut pieces = biarc::laps(pieces, keys.laps);
         for piece in &mut pieces {
             piece.speed_mps = points[piece.waypoint].speed_mps.unwrap_or(f64::INFINITY);
+            piece.half_width_m = keys.width_m.of_part(piece.waypoint) / 2.0;
         }
         let length_m = pieces.last().map_or(0.0, |piece| piece.begin_m + piece.length_m);
         let turns_back = points.iter().any(|point| point.reverse);
         let course = Self { pieces: pieces.into(), begin_m: 0.0, length_m, turns_back, keys };
-        let (bend, half_m) = (course.sharpest(), course.keys.width_m / 2.0);
-        if bend.radius_m <= half_m {
-            let value = format!("a bend with a radius of {:.2} m", bend.radius_m);
-            let allowed = format!("above {half_m} m, half of width_m");
-            return Err(Invalid::new(&format!("waypoints[{}]", bend.waypoint), value, allowed));
+        let too_wide = course.pieces.iter().find(|piece| 1.0 / piece.curvature.abs() <= piece.half_width_m);
+        if let Some(Piece { waypoint, curvature, half_width_m, .. }) = too_wide {
+            let value = format!("a bend with a radius of {:.2} m", 1.0 / curvature.abs());
+            let allowed = format!("above {half_width_m} m, half of width_m");
+            return Err(Invalid::new(&format!("waypoints[{waypoint}]"), value, allowed));
         }
         Ok(course)
     }

@@ -47,10 +47,10 @@ impl Course {
     /// The course between two lengths along it, as wide as its way.
     pub fn outline(&self, [from_m, to_m]: [f64; 2]) -> CourseOutline {
         let steps = ((to_m - from_m) / STEP_M).ceil().clamp(1.0, MAX_STEPS);
-        let half_m = self.keys().width_m / 2.0;
         let mut outline = CourseOutline::default();
         for step in 0..=steps as u32 {
-            let tangent = self.at(from_m + (to_m - from_m) * f64::from(step) / steps);
+            let along_m = from_m + (to_m - from_m) * f64::from(step) / steps;
+            let (tangent, half_m) = (self.at(along_m), self.half_width_m(along_m));
             let beside = |left_m| <[f64; 2]>::from(tangent.point(0.0, left_m));
             outline.centre.push(<[f64; 2]>::from(tangent.point));
             outline.left.push(beside(half_m));
@@ -65,7 +65,7 @@ mod tests {
     use nalgebra::Vector2;
 
     use super::*;
-    use crate::course::{CourseKeys, Waypoint};
+    use crate::course::{CourseKeys, Waypoint, Widths};
 
     #[test]
     fn bounds_are_half_the_width_beside_the_course_and_its_ends_go_on_straight() {
@@ -75,7 +75,8 @@ mod tests {
             Waypoint::new(10.0, 10.0, Some(std::f64::consts::FRAC_PI_2)),
         ];
         let course =
-            Course::try_from(CourseKeys { waypoints, width_m: 4.0, ..CourseKeys::default() }).unwrap();
+            Course::try_from(CourseKeys { waypoints, width_m: Widths::All(4.0), ..CourseKeys::default() })
+                .unwrap();
         let outline = course.outline([-2.0, course.length_m() + 2.0]);
         let close =
             |point: [f64; 2], x: f64, y: f64| (Vector2::from(point) - Vector2::new(x, y)).norm() < 1e-6;

@@ -198,3 +198,36 @@ fn a_slow_part_limits_the_velocity_before_it_as_far_as_the_brake_needs() {
     assert_eq!([course.speed_mps(7.9, 1.0), course.speed_mps(8.0, 1.0)], [0.5, f64::INFINITY]);
     assert_eq!(Course::default().speed_mps(3.0, 1.0), f64::INFINITY);
 }
+
+#[test]
+fn each_part_of_a_way_has_its_own_width_in_all_laps_and_legs() {
+    let read = |width_m: &str, more: &str| {
+        let corners = "{ yaw_rad = 0 }, { x_m = 5, yaw_rad = 0 }, { x_m = 10, y_m = 5, yaw_rad = 1.5708 }";
+        let table = key_table::parse(&format!("width_m = {width_m}\nwaypoints = [{corners}{more}]")).unwrap();
+        Course::from_value("course", table.into())
+            .and_then(|course| course.require_all("course").map(|()| course))
+    };
+    let course = read("[4, 1.5]", "").unwrap();
+    assert_eq!([-1.0, 4.9, 5.1, 99.0].map(|along_m| course.half_width_m(along_m)), [2.0, 2.0, 0.75, 0.75]);
+    assert_eq!(course.keys().width_m.largest_m(), 4.0);
+    let back = course.returned([0.0, 1.0]);
+    assert_eq!([0.1, course.length_m()].map(|along_m| back.half_width_m(along_m)), [0.75, 2.0]);
+    let reverse = read("[4, 1, 2]", ", { x_m = 10, y_m = 2, reverse = true }").unwrap();
+    assert_eq!(reverse.legs()[1].course.half_width_m(reverse.length_m()), 1.0);
+    assert_eq!(read("2", "").unwrap().half_width_m(3.0), 1.0);
+    assert_eq!(Course::default().half_width_m(3.0), f64::INFINITY);
+    for (width_m, refused) in [
+        ("[4, 0.4]", "course.width_m[1] = 0.4 is not allowed: 0.5 to 100"),
+        ("0.4", "course.width_m = 0.4 is not allowed: 0.5 to 100"),
+        (
+            "[1, 2, 3]",
+            "course.width_m = 3 numbers is not allowed: one number, or 2: one for each way from a waypoint to the next",
+        ),
+        (
+            "[4, 10]",
+            "course.waypoints[1] = a bend with a radius of 5.00 m is not allowed: above 5 m, half of width_m",
+        ),
+    ] {
+        assert_eq!(read(width_m, "").unwrap_err().to_string(), refused);
+    }
+}

@@ -140,13 +140,14 @@ pub(super) fn between(from: &Waypoint, to: &Waypoint, radius_m: f64) -> Vec<Wayp
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::course::{Course, CourseKeys};
+    use crate::course::{Course, CourseKeys, Widths};
     use proptest::prelude::*;
 
     fn course(from: Waypoint, to: Waypoint) -> Course {
         let mut waypoints = vec![from];
         waypoints.extend(between(&from, &to, 4.0));
-        Course::try_from(CourseKeys { waypoints, width_m: 2.0, ..CourseKeys::default() }).unwrap()
+        Course::try_from(CourseKeys { waypoints, width_m: Widths::All(2.0), ..CourseKeys::default() })
+            .unwrap()
     }
 
     #[test]
