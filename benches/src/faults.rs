@@ -114,7 +114,7 @@ fn chosen<'a>(
     let is_simulated = arguments.simulated || !arguments.with.is_empty();
     chosen.retain(|(fault, _)| !(is_simulated && fault.is_live()));
     // A program of a stage has the settings of one course.
-    chosen.retain(|(_, phase)| arguments.with.is_empty() || *phase != DrivePhase::Bend);
+    chosen.retain(|(_, phase)| arguments.with.is_empty() || !phase.has_own_course());
     if chosen.is_empty() {
         let meant = did_you_mean(pattern, all.iter().map(|fault| fault.name.as_str()));
         return Err(Failure::bad_input(format!(

@@ -67,8 +67,8 @@ enum Command {
     ///
     /// Without `--family` it drives the mixed campaign: six of ten courses have obstacles at rest, the others are
     /// symmetric, blocked, have an obstacle that appears close ahead, or one that moves. `--family hostile` chooses all
-    /// hostile families, `--family curved` courses with bends. A judge that knows the truth and nothing of the stages decides whether a course is passable, a
-    /// stop was right, and a contact with a moving body is excused (docs/campaign.md). A course is bad as well if in
+    /// hostile families, `--family curved` courses with bends, `--family reversing` turns in three. A judge that knows the
+    /// truth and nothing of the stages decides whether a course is passable, a stop was right, and a contact with a moving body is excused (docs/campaign.md). A course is bad as well if in
     /// any scan the robot could not come to rest without contact. Each bad course is a file that `run` replays, in the
     /// folder of its cause; `gaps.svg` shows the share passed over the width of the gap. Exit code 3 after a contact
     /// that is not excused, 1 if another course was bad.

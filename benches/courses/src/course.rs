@@ -7,6 +7,7 @@
 mod curved;
 pub mod hostile;
 mod random_obstacle;
+mod reversing;
 
 use shared_types::named_enum;
 
@@ -15,6 +16,7 @@ use emulator::scenario::{Goal, Noise, Scenario, ScenarioObstacle, Shape, Track};
 use random_obstacle::obstacle;
 
 pub use curved::curved;
+pub use reversing::reversing;
 
 /// No surface of an obstacle stands nearer to the start than this [m].
 const AFTER_START_M: f64 = 3.5;

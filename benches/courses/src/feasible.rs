@@ -4,6 +4,8 @@
 //! [`MARGIN_M`] away from every obstacle and wall, on the true geometry. The search is coarse: of all poses in one
 //! cell it keeps the first. So `true` comes with a path, while `false` may be wrong by a few centimetres.
 //!
+//! A course with a part that is driven backwards is passable where its way itself is free.
+//!
 //! Obstacles that move are left out; those that appear or vanish count as if they were always there.
 
 use std::cmp::Reverse;
@@ -11,6 +13,7 @@ use std::collections::{BinaryHeap, HashSet};
 
 use vehicle::bounds::STEERING_MAX_RAD;
 use vehicle::frame::wrap_angle;
+use vehicle::{Course, State};
 
 use emulator::scenario::{Scenario, ScenarioObstacle};
 use emulator::scene::Scene;
@@ -118,6 +121,9 @@ impl Search<'_> {
         if !self.is_free(place) {
             return None;
         }
+        if let Some(course) = self.scenario.course.as_ref().filter(|course| course.legs().len() > 1) {
+            return self.along(course);
+        }
         let mut nodes = vec![Node { place, length: 0.0, parent: 0 }];
         let mut seen = HashSet::from([cell(place)]);
         // The node with the smallest cost comes first, the older one of equals.
@@ -143,6 +149,20 @@ impl Search<'_> {
             }
         }
         None
+    }
+
+    /// The rest of the way of a course, if it is free.
+    fn along(&self, course: &Course) -> Option<Vec<PathPose>> {
+        let PathPose { x, y, yaw } = self.from;
+        let (from_m, step_m) = (course.find(&State { x, y, yaw, ..State::default() }), ARC_M / CHECKS as f64);
+        let steps = ((course.length_m() - from_m) / step_m).ceil().max(0.0) as u32;
+        let places = (0..=steps).map(|step| {
+            let along_m = (from_m + f64::from(step) * step_m).min(course.length_m());
+            let point = course.at(along_m).point;
+            PathPose { x: point.x, y: point.y, yaw: course.robot_yaw(along_m) }
+        });
+        let way: Vec<PathPose> = places.collect();
+        way.iter().all(|place| self.is_free(*place)).then_some(way)
     }
 
     /// The end of an arc, and whether it passed the goal; `None` when the body can't follow it.

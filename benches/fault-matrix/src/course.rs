@@ -9,6 +9,10 @@ use shared_types::{Role, Truth};
 const COURSE: &str = include_str!("course.toml");
 /// The course of [`DrivePhase::Bend`].
 const BEND: &str = include_str!("bend.toml");
+/// The course of [`DrivePhase::Reverse`].
+const REVERSE: &str = include_str!("reverse.toml");
+/// The robot drives backwards from this velocity on [m/s].
+const REVERSE_MPS: f64 = -0.2;
 /// The robot is in the bend from this direction on [rad].
 const IN_BEND_RAD: f64 = 0.3;
 /// Full speed is reached from here on [m].
@@ -50,8 +54,10 @@ pub fn settings() -> PipelineSettings {
 /// # Panics
 /// Never: a test reads it.
 pub fn settings_of(phase: DrivePhase) -> PipelineSettings {
+    let read = |text, name| PipelineSettings::of(Scenario::parse(text, name).unwrap_or_default());
     match phase {
-        DrivePhase::Bend => PipelineSettings::of(Scenario::parse(BEND, "bend.toml").unwrap_or_default()),
+        DrivePhase::Bend => read(BEND, "bend.toml"),
+        DrivePhase::Reverse => read(REVERSE, "reverse.toml"),
         _ => settings(),
     }
 }
@@ -73,7 +79,7 @@ pub fn stage_settings(role: Role) -> Option<String> {
 pub fn live_scenario(phase: DrivePhase) -> Scenario {
     let mut scenario = scenario();
     match phase {
-        DrivePhase::Bend => scenario = settings_of(phase).scenario,
+        DrivePhase::Bend | DrivePhase::Reverse => scenario = settings_of(phase).scenario,
         DrivePhase::Start | DrivePhase::Straight | DrivePhase::Swap | DrivePhase::Person => {}
         DrivePhase::Beside => (scenario.start.x_m, scenario.start.y_m) = (2.7, 0.75),
         DrivePhase::Landing => scenario.start.x_m = scenario.goal.last().x_m - 2.0,
@@ -88,6 +94,7 @@ pub fn begins(phase: DrivePhase, scenario: &Scenario, truth: &Truth) -> bool {
         DrivePhase::Straight => truth.x_m >= STRAIGHT_M,
         DrivePhase::Beside => scenario.obstacles.first().is_some_and(|body| truth.x_m >= body.x_m - BESIDE_M),
         DrivePhase::Bend => truth.yaw_rad >= IN_BEND_RAD,
+        DrivePhase::Reverse => truth.speed_mps <= REVERSE_MPS,
         DrivePhase::Landing => truth.goal_distance_m <= LANDING_M,
         DrivePhase::Swap => truth.x_m >= SWAP_M,
         DrivePhase::Person => truth.x_m >= PERSON_M,
@@ -104,6 +111,9 @@ mod tests {
         assert_eq!((scenario.obstacles.len(), scenario.name.as_str()), (1, "faults"));
         let bend = Scenario::parse(BEND, "bend.toml").unwrap_or_else(|error| panic!("{error}"));
         assert!(bend.course.is_some() && bend.obstacles.len() == 1);
+        assert!(
+            settings_of(DrivePhase::Reverse).scenario.course.is_some_and(|course| course.legs().len() == 3)
+        );
         for phase in DrivePhase::ALL {
             assert_eq!(live_scenario(phase).validate(), Ok(()), "{phase}");
         }

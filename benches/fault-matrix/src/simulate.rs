@@ -40,7 +40,7 @@ impl Simulation {
         let mut phases = Vec::new();
         for phase in DrivePhase::ALL {
             // A program was given the settings of one course.
-            if phase == DrivePhase::Bend && !programs.is_empty() {
+            if phase.has_own_course() && !programs.is_empty() {
                 continue;
             }
             let settings = settings_of(phase);

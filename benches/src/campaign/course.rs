@@ -1,7 +1,7 @@
 //! The courses of a campaign: which families, which seeds, and what is driven on each.
 
 use courses::course::hostile::hostile;
-use courses::course::{curved, of_campaign};
+use courses::course::{curved, of_campaign, reversing};
 use emulator::Scenario;
 use plan::{Choice, Plan};
 
@@ -37,7 +37,7 @@ pub(super) fn all(arguments: &CampaignArguments) -> Vec<Course> {
     let of_kind = |kind| {
         let belongs = move |seed: &u64| match kind {
             Kind::Mixed(family) => of_campaign(*seed).0 == family,
-            Kind::Hostile(_) | Kind::Curved => true,
+            Kind::Hostile(_) | Kind::Curved | Kind::Reversing => true,
         };
         seeds().filter(belongs).take(count).map(move |seed| Course { kind, seed }).collect::<Vec<_>>()
     };
@@ -56,6 +56,7 @@ impl Course {
                 (course.scenario, course.gap_m)
             }
             Kind::Curved => (curved(self.seed), None),
+            Kind::Reversing => (reversing(self.seed), None),
         };
         (Scenario { robot: arguments.robot.of(scenario.robot), ..scenario }, gap_m)
     }

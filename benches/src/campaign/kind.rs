@@ -7,6 +7,8 @@ use courses::course::hostile::Hostile;
 const ALL_HOSTILE: &str = "hostile";
 /// The name of [`Kind::Curved`].
 const CURVED: &str = "curved";
+/// The name of [`Kind::Reversing`].
+const REVERSING: &str = "reversing";
 
 /// A family of courses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -17,12 +19,17 @@ pub(super) enum Kind {
     Hostile(Hostile),
     /// Obstacles at rest along a way that bends.
     Curved,
+    /// Turns in three, with obstacles beside the way.
+    Reversing,
 }
 
 /// Names that `--family` takes.
 pub(super) fn family_names() -> Vec<&'static str> {
     let mixed = Family::ALL.iter().map(|family| family.name());
-    mixed.chain(Hostile::ALL.iter().map(|family| family.name())).chain([ALL_HOSTILE, CURVED]).collect()
+    mixed
+        .chain(Hostile::ALL.iter().map(|family| family.name()))
+        .chain([ALL_HOSTILE, CURVED, REVERSING])
+        .collect()
 }
 
 /// The families of a name.
@@ -30,7 +37,8 @@ pub(super) fn named(name: &str) -> Vec<Kind> {
     let mixed = Family::ALL.iter().filter(|family| family.name() == name).map(|family| Kind::Mixed(*family));
     let hostile = Hostile::ALL.iter().filter(|family| family.name() == name || name == ALL_HOSTILE);
     let curved = (name == CURVED).then_some(Kind::Curved);
-    mixed.chain(hostile.map(|family| Kind::Hostile(*family))).chain(curved).collect()
+    let reversing = (name == REVERSING).then_some(Kind::Reversing);
+    mixed.chain(hostile.map(|family| Kind::Hostile(*family))).chain(curved).chain(reversing).collect()
 }
 
 impl Kind {
@@ -39,6 +47,7 @@ impl Kind {
             Self::Mixed(family) => family.name(),
             Self::Hostile(family) => family.name(),
             Self::Curved => CURVED,
+            Self::Reversing => REVERSING,
         }
     }
 }

@@ -24,6 +24,8 @@ pub enum DrivePhase {
     Beside,
     /// In a bend, on a course of its own.
     Bend,
+    /// Backwards, on a course of its own.
+    Reverse,
     /// Just before the goal.
     Landing,
     /// While the controller is replaced by another process.
@@ -34,8 +36,16 @@ pub enum DrivePhase {
 
 impl DrivePhase {
     /// All phases, in the order of a drive.
-    pub const ALL: [Self; 7] =
-        [Self::Start, Self::Straight, Self::Beside, Self::Bend, Self::Landing, Self::Swap, Self::Person];
+    pub const ALL: [Self; 8] = [
+        Self::Start,
+        Self::Straight,
+        Self::Beside,
+        Self::Bend,
+        Self::Reverse,
+        Self::Landing,
+        Self::Swap,
+        Self::Person,
+    ];
 
     /// Its name in the name of a cell.
     pub const fn name(self) -> &'static str {
@@ -44,10 +54,16 @@ impl DrivePhase {
             Self::Straight => "straight",
             Self::Beside => "beside",
             Self::Bend => "bend",
+            Self::Reverse => "reverse",
             Self::Landing => "landing",
             Self::Swap => "swap",
             Self::Person => "person",
         }
+    }
+
+    /// Whether it is on a course of its own.
+    pub const fn has_own_course(self) -> bool {
+        matches!(self, Self::Bend | Self::Reverse)
     }
 }
 
@@ -236,8 +252,8 @@ impl InjectedFault {
         let is_of_person = matches!(self.inject, Injection::Person(_));
         let begins = move |phase: &DrivePhase| match phase {
             DrivePhase::Person => true,
-            // A process that fails knows of no bend.
-            DrivePhase::Bend => !is_of_person && !self.is_live(),
+            // A process that fails knows of no course.
+            _ if phase.has_own_course() => !is_of_person && !self.is_live(),
             _ => !is_of_person,
         };
         DrivePhase::ALL.into_iter().filter(begins).filter(move |phase| !is_skipped(phase))
