@@ -6,7 +6,8 @@ reference. Two things differ. Each interval takes small steps with an implicit l
 built-in controller uses collocation. And there is no path search: the problem is solved for each passing side of the
 first obstacle in the way, with a reference past it on that side, and the plan with the lower cost is taken.
 
-Each plan is verified: it is driven through the model in finer steps, and must keep its distance to all bodies.
+Each plan is verified: it is driven through the model in finer steps, and must keep its distance to all bodies. While a
+person drives it stops: it does not follow what a person asks for.
 """
 
 import math
@@ -21,7 +22,7 @@ import casadi as ca  # noqa: E402
 
 from scanloop import Handover, Process, Role, answer, current_goal
 from scanloop_types import (
-    Alarm, Command, CommandKind, Level, Obstacles, PlanNode, Pose, ScannerState, SolveStatus, StopReason,
+    Alarm, Command, CommandKind, DrivenBy, Level, Obstacles, PlanNode, Pose, ScannerState, SolveStatus, StopReason,
 )
 
 MAX_ELLIPSES = 4  # ellipses in the problem: the nearest that are not behind
@@ -240,7 +241,7 @@ class Controller:
                 state = advance(self.settings["vehicle"], state, start[-1], self.problem.step, COARSE, math)
         return self.problem.solve(initial, self.plan and self.plan[0], ellipses, reference_at, start)
 
-    def step(self, pose, described):
+    def step(self, pose, described, driven_by):
         """The command for one scan."""
         settings, problem = self.settings, self.problem
         command = Command(header=answer(described, pose), plan_start_ns=pose.predicted_ns, plan_interval_s=problem.step)
@@ -252,6 +253,9 @@ class Controller:
             landed = self.landed = self.landed or miss_m <= goal["tolerance_m"]
             command.kind = CommandKind.LAND if landed else CommandKind.STOP
             command.reason = StopReason.LANDED if landed else StopReason.GOAL_PASSED
+            return command
+        if driven_by != DrivenBy.CONTROLLER:
+            command.reason = StopReason.PAUSED if driven_by == DrivenBy.NOBODY else StopReason.RELEASED
             return command
         if pose.alarm == Alarm.STOP:
             command.reason = StopReason.SELF_CHECK
@@ -339,7 +343,7 @@ if process.start():
             goal = current_goal(process.directive, pose.header.scan_id, settings["goal"])
             if goal != settings["goal"]:  # another was set: the robot drives on, also from where it has landed
                 settings["goal"], controller.landed = goal, False
-            command = controller.step(pose, described)
+            command = controller.step(pose, described, process.directive.driven_by)
             command.solve_ns = 0 if process.simulated else time.monotonic_ns() - started_ns
             commands.publish(command)
             process.save(command.header, STATE_KIND, controller.state())

@@ -84,6 +84,8 @@ def follow(pose, person, settings, fastest, track, ellipses):
 
 def plan(pose, described, settings, last_line, directive):
     """The command, and the line that it follows."""
+    if directive.driven_by == DrivenBy.NOBODY:
+        return stop(StopReason.PAUSED), last_line
     by_person = directive.driven_by == DrivenBy.PERSON
     goal, bounds, walls = settings["goal"], settings["vehicle"]["bounds"], settings["track"]["walls"]
     speed, left_m = pose.predicted_speed_mps, goal["x_m"] - pose.predicted_x_m

@@ -99,6 +99,9 @@ impl Controller {
         if self.memory.landed.is_set() && !by_person {
             return Err(StopReason::Landed);
         }
+        if self.memory.driven_by == DrivenBy::Nobody.wire() {
+            return Err(StopReason::Paused);
+        }
         let scene = Scene::new(&self.settings, pose, obstacles);
         if scene.outside_m(&scene.start) > ASTRAY_M || scene.overlap_m() > OVERLAP_M {
             return Err(StopReason::BadInput);

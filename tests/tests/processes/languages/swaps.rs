@@ -3,6 +3,7 @@
 use scanloop_tests::machine::repeat_when_late;
 use std::path::{Path, PathBuf};
 
+use conformance::{CaseOutcome, SuiteReport};
 use emulator::Outcome;
 use handover::swap::{Certificate, SwapOutcome};
 use scanloop_tests::{SHORTENED_LONG, TestSystem};
@@ -154,10 +155,20 @@ fn the_examples_honour_all_that_is_asked_of_their_roles() {
         }
         std::thread::scope(|scope| {
             for (role, rate_hz, arguments) in &commands {
-                let mut command = system.command(&["conformance", role, "--rate", rate_hz, "--"]);
+                let mut command = system.command(&["conformance", role, "--json", "--rate", rate_hz, "--"]);
                 scope.spawn(move || {
                     let output = command.args(arguments).output().unwrap();
-                    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+                    let text = String::from_utf8_lossy(&output.stderr);
+                    assert_eq!(output.status.code(), Some(0), "{arguments:?}: {text}");
+                    let suite: SuiteReport = serde_json::from_slice(&output.stdout).unwrap();
+                    let failed = suite.cases.iter().filter(|case| case.outcome == CaseOutcome::Failed);
+                    // The controllers follow a line, no course.
+                    let allowed: &[&str] = if *role == "controller" { &["bend"] } else { &[] };
+                    assert_eq!(
+                        failed.map(|case| &case.name).collect::<Vec<_>>(),
+                        allowed,
+                        "{arguments:?}: {text}"
+                    );
                 });
             }
         });
