@@ -4,7 +4,7 @@
 usage: packaging/wheel.py VERSION OUT [EXECUTABLE TAG]
 
 `scanloop` has the modules of examples/python: `scanloop`, `scanloop_types`, `scanloop.own_topics` for companions, `scanloop.person` and `scanloop.goal`.
-With EXECUTABLE, a second wheel for the platform TAG puts it on the PATH of the environment: `pip install scanloop[bin]`.
+With EXECUTABLE, a second wheel for the platform TAG puts it on the PATH of the environment.
 Equal input gives equal files: members have one order and the time of SOURCE_DATE_EPOCH.
 """
 
@@ -129,7 +129,6 @@ def main(version, out, executable=None, tag=None):
         ("scanloop_types/py.typed", b""),
     ]
     lines = ["Requires-Python: >=3.11", *(f"Requires-Dist: {need}" for need in needs)]
-    lines += ["Provides-Extra: bin", f"Requires-Dist: scanloop-bin=={version}; extra == 'bin'"]
     print(write(out, "scanloop", version, "py3-none-any", metadata("scanloop", version, *lines), members))
     if executable:
         script = (f"scanloop_bin-{version}.data/scripts/scanloop", pathlib.Path(executable).read_bytes())

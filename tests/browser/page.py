@@ -67,6 +67,11 @@ def main():
         cost_ms = browser.wait(f"+document.body.dataset.paintP95Ms < {MAX_PAINT_MS} && document.body.dataset.paintP95Ms", 60)
         print(f"95 % of the frames are drawn within {cost_ms} ms", file=sys.stderr)
 
+        # The legend says of each shape what it bounds, as `drive.svg` does.
+        legend = browser.value("document.getElementById('legend').textContent")
+        for entry in ("where the centre is with 95 %", "obstacle: the body keeps out", "its ellipse: the centre keeps out", "#4: "):
+            assert entry in legend, legend
+
         # Without the token of the link there are no buttons, and a request is refused.
         assert browser.value("document.getElementById('control').hidden")
         refused = browser.value(

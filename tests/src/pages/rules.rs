@@ -39,9 +39,10 @@ const RULES: &[(&str, How)] = &[
     ("packaging/", Not(BUILD)),
     ("sudo dpkg ", Not(INSTALL)),
     ("dpkg ", Not(INSTALL)),
-    ("pip install ", Not(INSTALL)),
+    // Files alone: names at PyPI belong to others.
+    ("pip install ./", Not(INSTALL)),
     ("python3 -m venv", Not(INSTALL)),
-    ("environment/bin/pip ", Not(INSTALL)),
+    ("environment/bin/pip install ./", Not(INSTALL)),
     ("sha256sum ", Not(INSTALL)),
     ("tar ", Not(INSTALL)),
     ("scanloop-0.1.0-", Not(INSTALL)),

@@ -21,7 +21,7 @@ const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 pub(crate) struct View {
     process: Child,
     pub(crate) address: String,
-    token: String,
+    pub(crate) token: String,
 }
 
 impl View {

@@ -41,6 +41,22 @@ fn garbage(number: usize) -> Vec<u8> {
     }
 }
 
+/// A tunnel changes the port and a page of another site the name: the token admits the first, and nothing the second.
+#[test]
+fn through_a_tunnel_the_token_decides_and_another_name_is_refused() {
+    let system = TestSystem::new(EXECUTABLE);
+    let view = View::start(&system, &["--control"]);
+    for (host, token, code) in [
+        ("localhost:8391", view.token.as_str(), 200),
+        ("localhost:8391", "0123", 403),
+        ("site.example", view.token.as_str(), 403),
+    ] {
+        let head = format!("GET /system HTTP/1.1\r\nHost: {host}\r\nAuthorization: Bearer {token}\r\n\r\n");
+        let answered = answer(&view.address, head.as_bytes());
+        assert!(answered.starts_with(&format!("HTTP/1.1 {code}")), "{host} {token}: {answered}");
+    }
+}
+
 #[test]
 fn clients_that_misbehave_change_neither_page_nor_drive() {
     repeat_when_late(|| {

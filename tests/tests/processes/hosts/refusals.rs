@@ -2,6 +2,8 @@
 
 use std::io::{BufRead, BufReader};
 
+use scanloop_tests::printed;
+
 use super::*;
 
 /// What the run prints about an end of the link whose certificate the authority of the other has not signed.
@@ -133,6 +135,42 @@ fn keys_and_certificates_that_do_not_belong_together_are_refused_with_the_file()
         assert!(stderr.contains(&format!("keys/orchestrator/{name}: {reason}")), "{stderr}");
         std::fs::write(own(name), good).unwrap();
     }
+}
+
+/// A folder of keys, or part of it, that is not as it should be, changes nothing; each part has a certificate of its own.
+#[test]
+fn keys_are_not_replaced_unasked_and_each_is_for_one_part() {
+    let Some(hosts) = TwoHosts::new("keys of one part each") else { return };
+    hosts.trust("keys", "orchestrator", "agent.toml");
+    let folder = hosts.system.folder();
+    let refused = |arguments: &[&str]| {
+        let output = hosts.system.command(arguments).env("PATH", &hosts.path).output().unwrap();
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {stderr}");
+        stderr
+    };
+    let key = std::fs::read(folder.join("keys/lab/key.pem")).unwrap();
+    let again = refused(&["agent", "pair", "lab", "127.0.0.1", "--out", "keys"]);
+    assert!(
+        again.contains("keys/lab: the host has been paired already") && again.contains("--force"),
+        "{again}"
+    );
+    std::fs::set_permissions(folder.join("keys"), std::fs::Permissions::from_mode(0o777)).unwrap();
+    let open = refused(&["agent", "pair", "desk", "127.0.0.1", "--out", "keys"]);
+    assert!(
+        open.contains("keys has mode 0777 instead of 0700") && !folder.join("keys/desk").exists(),
+        "{open}"
+    );
+    std::fs::set_permissions(folder.join("keys"), std::fs::Permissions::from_mode(0o700)).unwrap();
+    assert!(std::fs::read(folder.join("keys/lab/key.pem")).unwrap() == key);
+    let other = refused(&["agent", "agent.toml"]);
+    assert!(other.contains("it is the certificate of orchestrator, this agent needs that of lab"), "{other}");
+    // Without keys, anyone who reaches the address drives the robot.
+    let system = std::fs::read_to_string(folder.join("system.toml")).unwrap();
+    std::fs::write(folder.join("far.toml"), system.replace("127.0.0.1:", "192.0.2.1:")).unwrap();
+    let checked = hosts.system.run(&["check", "--system", "far.toml"]);
+    let text = printed(&checked);
+    assert!(checked.status.success() && text.contains("transport = \"udp\" at 192.0.2.1:"), "{text}");
 }
 
 #[test]
