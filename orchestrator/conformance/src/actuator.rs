@@ -1,9 +1,9 @@
 //! What an actuator must pass on, and when it must block the wheels whatever is commanded.
 
 use shared_types::{Actuation, ActuationKind, Command, CommandKind, Level, StopReason};
-use vehicle::Control;
 use vehicle::bounds::ROUNDING;
 use vehicle::correction::{CommandCorrection, Correction, Linkage};
+use vehicle::{Bounds, Control};
 
 use super::case::{Tried, Verdict, failed, passed_if, require};
 use super::drive::Course;
@@ -65,7 +65,8 @@ pub(crate) fn sends(bench: &mut TestBench<'_>) -> Verdict {
 /// Requires that what is right for a control is sent.
 fn require_sent(correction: &CommandCorrection, desired: Control, actuation: &Actuation) -> Tried {
     // The calibrations of these drives have no play, so the position of the linkage does not matter.
-    let Correction { velocity, steering, .. } = correction.correct(desired, Linkage::default());
+    let Correction { velocity, steering, .. } =
+        correction.correct(&Bounds::default(), desired, Linkage::default());
     let sent = (actuation.sent_velocity_mps, actuation.sent_steering_rad);
     let off = (sent.0 - velocity).abs().max((sent.1 - steering).abs());
     let text = |velocity: f64, steering: f64| format!("{velocity:.4} m/s and {steering:.5} rad");

@@ -6,8 +6,7 @@ use shared_types::{
     Actuation, ActuationKind, Command, CommandKind, Obstacle, Obstacles, Odometry, Pose, Scan,
 };
 use vehicle::Bounds;
-use vehicle::bounds::ROUNDING;
-use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
+use vehicle::bounds::{ANY_SENT_VELOCITY_MAX_MPS, ROUNDING};
 
 use super::message::Message;
 use super::trouble::{Verdict, failed};
@@ -50,7 +49,7 @@ fn inside(name: &str, value: f64, range: RangeInclusive<f64>) -> Result<(), Stri
 fn pose(pose: &Pose) -> Result<(), String> {
     within!(-1e6..=1e6, pose: x_m, y_m, predicted_x_m, predicted_y_m);
     within!(-3.2..=3.2, pose: yaw_rad);
-    within!(-10.0..=10.0, pose: speed_mps, predicted_speed_mps);
+    within!(-ANY_SENT_VELOCITY_MAX_MPS..=ANY_SENT_VELOCITY_MAX_MPS, pose: speed_mps, predicted_speed_mps);
     within!(-1.0..=1.0, pose: sideslip_rad);
     within!(-10.0..=10.0, pose: yaw_rate_radps);
     Ok(())
@@ -95,11 +94,12 @@ fn actuation(actuation: &Actuation) -> Result<(), String> {
         return inside("sent_velocity_mps of blocked wheels", actuation.sent_velocity_mps, 0.0..=0.0);
     }
     let bounds = Bounds::default();
-    let (desired_rad, sent_rad) = (bounds.steering_max_rad + ROUNDING, SENT_STEERING_MAX_RAD + ROUNDING);
+    let (desired_rad, sent_rad) =
+        (bounds.steering_max_rad + ROUNDING, bounds.sent_steering_max_rad + ROUNDING);
     let desired_mps = -bounds.reverse_max_mps - ROUNDING..=bounds.velocity_max_mps + ROUNDING;
     within!(desired_mps, actuation: desired_velocity_mps);
     within!(-desired_rad..=desired_rad, actuation: desired_steering_rad);
-    let sent_mps = SENT_VELOCITY_MAX_MPS + ROUNDING;
+    let sent_mps = bounds.sent_velocity_max_mps + ROUNDING;
     within!(-sent_mps..=sent_mps, actuation: sent_velocity_mps);
     within!(-sent_rad..=sent_rad, actuation: sent_steering_rad);
     Ok(())
@@ -116,7 +116,7 @@ fn scan(scan: &Scan) -> Result<(), String> {
 fn odometry(odometry: &Odometry) -> Result<(), String> {
     within!(-1e6..=1e6, odometry: x_m, y_m);
     within!(-3.2..=3.2, odometry: yaw_rad);
-    within!(-10.0..=10.0, odometry: speed_mps);
+    within!(-ANY_SENT_VELOCITY_MAX_MPS..=ANY_SENT_VELOCITY_MAX_MPS, odometry: speed_mps);
     within!(0.0..=10.0, odometry: dt_s);
     Ok(())
 }

@@ -12,7 +12,6 @@ use estimator::correction::CorrectionMode;
 use nmpc::{ControllerConfig, speed_limit};
 use obstacles::{ObstaclesConfig, SWEEP_SHARE};
 use vehicle::Invalid;
-use vehicle::correction::SENT_VELOCITY_MAX_MPS;
 
 use crate::System;
 
@@ -25,8 +24,9 @@ pub(crate) use legs::{legs, require_goals, require_legs};
 /// [`Invalid`] with the velocity and the largest one that can be sent.
 pub(crate) fn require_velocity(system: &System) -> Result<(), Invalid> {
     let factor = system.actuator.calibration.correction().velocity_factor;
-    let fastest_mps = SENT_VELOCITY_MAX_MPS / factor;
     let controller = &system.controller;
+    let sent_mps = system.vehicle.bounds.sent_velocity_max_mps;
+    let fastest_mps = sent_mps / factor;
     let velocities = [
         ("controller.cruise_mps", controller.cruise_mps),
         ("vehicle.bounds.velocity_max_mps", controller.vehicle.bounds.velocity_max_mps),
@@ -34,8 +34,8 @@ pub(crate) fn require_velocity(system: &System) -> Result<(), Invalid> {
     for (key, velocity_mps) in velocities {
         if velocity_mps > fastest_mps {
             let allowed = format!(
-                "at most {}, as {SENT_VELOCITY_MAX_MPS} m/s may be sent, and actuator.calibration sends {factor} times \
-                 the velocity",
+                "at most {}, as vehicle.bounds.sent_velocity_max_mps = {sent_mps} may be sent, and actuator.calibration \
+                 sends {factor} times the velocity",
                 floor(fastest_mps)
             );
             return Err(Invalid::new(key, velocity_mps, allowed));

@@ -214,6 +214,7 @@ mod tests {
         let custom =
             system["actuator"]["calibration"].clone().try_into::<Calibration>().unwrap().correction();
         let sent = custom.correct(
+            &vehicle::Bounds::default(),
             vehicle::Control { velocity: 1.0, steering: 0.05 },
             vehicle::correction::Linkage::default(),
         );

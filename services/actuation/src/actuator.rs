@@ -225,7 +225,7 @@ impl Actuator {
     /// # Errors
     /// [`Fault`] when the state is not usable; the actuator is unchanged then.
     pub fn resume(&mut self, state: &ActuatorState) -> Result<(), Fault> {
-        state.check()?;
+        state.check(&self.config.vehicle.bounds)?;
         self.state = *state;
         Ok(())
     }
@@ -315,7 +315,8 @@ impl Actuator {
 
     fn drive(&mut self, desired: Control, stop_reason: StopReason, driver: u32) -> Actuation {
         let linkage = Linkage { shaft: self.state.shaft_rad, wheels: self.state.wheels_rad };
-        let Correction { velocity, steering, linkage } = self.correction.correct(desired, linkage);
+        let Correction { velocity, steering, linkage } =
+            self.correction.correct(&self.config.vehicle.bounds, desired, linkage);
         let sendable = velocity.is_finite() && steering.is_finite();
         if self.is_stopped() || !sendable {
             return self.block(BlockReason::InvalidCommand, stop_reason);

@@ -1,7 +1,7 @@
 //! What the actuator remembers from command to command, as plain bytes for a checkpoint.
 
 use shared_types::{Fault, Flag, Header, finite, plain_state};
-use vehicle::correction::SENT_STEERING_MAX_RAD;
+use vehicle::Bounds;
 
 plain_state! {
     /// What the actuator remembers from command to command.
@@ -56,7 +56,7 @@ impl ActuatorState {
     ///
     /// # Errors
     /// [`Fault`] when a held steering angle is not finite or beyond what may be sent.
-    pub fn check(&self) -> Result<(), Fault> {
+    pub fn check(&self, bounds: &Bounds) -> Result<(), Fault> {
         for (field, value) in [
             ("steering_rad", self.steering_rad),
             ("sent_steering_rad", self.sent_steering_rad),
@@ -64,7 +64,7 @@ impl ActuatorState {
             ("wheels_rad", self.wheels_rad),
         ] {
             finite(field, &[value])?;
-            if value.abs() > SENT_STEERING_MAX_RAD {
+            if value.abs() > bounds.sent_steering_max_rad {
                 return Err(Fault::OutOfRange { field, value });
             }
         }

@@ -14,7 +14,7 @@
 //! are those of the model. Where odometry errs otherwise (a turned heading, a slipping wheel) the residual is large,
 //! and the fit is refused.
 
-use vehicle::correction::SENT_STEERING_MAX_RAD;
+use vehicle::bounds::ANY_SENT_STEERING_MAX_RAD;
 use vehicle::frame::{to_track, wrap_angle};
 
 use crate::backlash;
@@ -141,7 +141,7 @@ fn check(run: &[SineRow]) -> Result<(), RunRefusal> {
         within(place, "speed_mps", row.speed_mps, STANDSTILL_MPS..=3.0)?;
         within(place, "reported_yaw_rad", row.reported_yaw_rad, -1e3..=1e3)?;
         let sent = row.sent_steering_rad.unwrap_or(0.0);
-        within(place, "sent_steering_rad", sent, -SENT_STEERING_MAX_RAD..=SENT_STEERING_MAX_RAD)?;
+        within(place, "sent_steering_rad", sent, -ANY_SENT_STEERING_MAX_RAD..=ANY_SENT_STEERING_MAX_RAD)?;
         let places = [
             ("reported_x_m", Some(row.reported_x_m)),
             ("reported_y_m", Some(row.reported_y_m)),

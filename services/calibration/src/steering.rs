@@ -20,8 +20,7 @@ mod network_error;
 mod play;
 
 use vehicle::Parameters;
-use vehicle::bounds::STEERING_MAX_RAD;
-use vehicle::correction::SENT_STEERING_MAX_RAD;
+use vehicle::bounds::{ANY_SENT_STEERING_MAX_RAD, STEERING_MAX_RAD};
 use vehicle::network::{MIN_SAMPLES, SteeringNetwork, train};
 
 use crate::least_squares::{outlier, root_mean_square};
@@ -148,7 +147,7 @@ fn check(runs: &[CircleRun]) -> Result<(), RunRefusal> {
             place,
             "sent_steering_rad",
             *sent_steering_rad,
-            -SENT_STEERING_MAX_RAD..=SENT_STEERING_MAX_RAD,
+            -ANY_SENT_STEERING_MAX_RAD..=ANY_SENT_STEERING_MAX_RAD,
         )?;
         within(place, "chord_m", *chord_m, 0.3..=100.0)?;
         // Half a circle: a higher arc has the same chord as a flatter one.

@@ -7,7 +7,7 @@
 //! Assumption: velocity is proportional to what is sent, and both points are passed at full speed. A run that starts
 //! from standstill adds a constant to the time, which is detected and refused.
 
-use vehicle::correction::SENT_VELOCITY_MAX_MPS;
+use vehicle::bounds::ANY_SENT_VELOCITY_MAX_MPS;
 
 use crate::least_squares::{contradicting_row, root_mean_square, solve};
 use crate::record::StraightRun;
@@ -79,7 +79,7 @@ pub fn fit(runs: &[StraightRun]) -> Result<VelocityFit, RunRefusal> {
 
 fn check(runs: &[StraightRun]) -> Result<(), RunRefusal> {
     for StraightRun { sent_velocity_mps, distance_m, time_s, place } in runs {
-        within(place, "sent_velocity_mps", *sent_velocity_mps, 0.05..=SENT_VELOCITY_MAX_MPS)?;
+        within(place, "sent_velocity_mps", *sent_velocity_mps, 0.05..=ANY_SENT_VELOCITY_MAX_MPS)?;
         within(place, "distance_m", *distance_m, 1.0..=1000.0)?;
         within(place, "time_s", *time_s, 0.5..=36_000.0)?;
     }
@@ -154,8 +154,8 @@ mod tests {
 
     #[test]
     fn a_value_outside_its_range_is_refused_with_its_line() {
-        let text = reason(&[(1.0, 7.0), (3.0, 2.0), (0.5, 14.0), (0.7, 10.0), (1.4, 5.0)]);
-        assert_eq!(text, "runs.csv: line 3: sent_velocity_mps = 3 is not allowed: 0.05 to 2");
+        let text = reason(&[(1.0, 7.0), (30.0, 2.0), (0.5, 14.0), (0.7, 10.0), (1.4, 5.0)]);
+        assert_eq!(text, "runs.csv: line 3: sent_velocity_mps = 30 is not allowed: 0.05 to 20");
         assert!(reason(&[(1.0, f64::NAN); 6]).contains("time_s = NaN"));
     }
 

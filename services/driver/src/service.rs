@@ -9,7 +9,6 @@ use runtime::{CANDIDATE_VARIABLE, Input, Output, Process, Wheels, monotonic_ns};
 use serde::Deserialize;
 use shared_types::{Actuation, ActuationKind, DeviceState, Odometry, Phase, Role, Scan, ScanGeometry};
 use vehicle::Description;
-use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 
 use crate::devices::Devices;
 use crate::event::{ForeignRobot, RobotEvent, RobotSettings};
@@ -240,7 +239,7 @@ impl<R: ForeignRobot> Driver<R> {
             let drives = !must_stop && process.is_in_charge();
             match ActuationKind::try_from(actuation.kind) {
                 Ok(ActuationKind::Block) => self.block(),
-                Ok(ActuationKind::Drive) if drives && is_possible(&actuation) => self.drive(&actuation),
+                Ok(ActuationKind::Drive) if drives && self.is_possible(&actuation) => self.drive(&actuation),
                 _ => {}
             }
         }
@@ -255,6 +254,11 @@ impl<R: ForeignRobot> Driver<R> {
             tracing::warn!("no actuation for two periods: the robot blocks its wheels");
             self.block();
         }
+    }
+
+    /// Whether an actuation to drive is within the limits of sent values; NaN is not.
+    fn is_possible(&self, actuation: &Actuation) -> bool {
+        self.vehicle.bounds.allow_sent(actuation.sent_velocity_mps, actuation.sent_steering_rad, SLACK)
     }
 
     fn drive(&mut self, actuation: &Actuation) {
@@ -366,10 +370,4 @@ impl<R: ForeignRobot> Driver<R> {
             }
         }
     }
-}
-
-/// Whether an actuation to drive is within the limits of sent values; NaN is not.
-fn is_possible(actuation: &Actuation) -> bool {
-    actuation.sent_velocity_mps.abs() <= SENT_VELOCITY_MAX_MPS + SLACK
-        && actuation.sent_steering_rad.abs() <= SENT_STEERING_MAX_RAD + SLACK
 }

@@ -11,7 +11,6 @@
 
 use shared_types::{Actuation, ActuationKind, GivenGoal, Odometry, Scan, ScanGeometry, Truth};
 use vehicle::Description;
-use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 use vehicle::frame::wrap_angle;
 
 use crate::history::{History, Node};
@@ -28,9 +27,6 @@ const DEAD_MAN_PERIODS: u64 = 2;
 
 /// Scan periods that the history covers: a caller may be late by two before old poses are forgotten.
 const HISTORY_PERIODS: u64 = 3;
-
-/// Tolerance of the limits, for numbers that went through a conversion.
-const LIMIT_SLACK: f64 = 1e-9;
 
 /// What the robot did with an actuation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -160,8 +156,7 @@ impl Emulator {
         let kind = ActuationKind::try_from(actuation.kind);
         let (velocity, steering) = (actuation.sent_velocity_mps, actuation.sent_steering_rad);
         // NaN is in no range.
-        let is_possible = velocity.abs() <= SENT_VELOCITY_MAX_MPS + LIMIT_SLACK
-            && steering.abs() <= SENT_STEERING_MAX_RAD + LIMIT_SLACK;
+        let is_possible = self.plant.may_be_sent(velocity, steering);
         self.step_to(self.state.clock_ns);
         let blocks = match kind {
             Ok(ActuationKind::Block) => true,

@@ -25,6 +25,9 @@ use crate::steering_map::SteeringMap;
 /// a robot that is too stiff for it moves in closed form.
 pub const STEP_NS: u64 = 1_000_000;
 
+/// Tolerance of the limits, for numbers that went through a conversion.
+const LIMIT_SLACK: f64 = 1e-9;
+
 /// State of the robot and of its drive.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plant {
@@ -101,6 +104,13 @@ impl Plant {
             self.steering = self.wheels_target();
         }
         self.settle();
+    }
+
+    /// Whether the drive takes a velocity [m/s] and a steering angle [rad]; false for NaN.
+    pub fn may_be_sent(&self, velocity: f64, steering: f64) -> bool {
+        let Values { sent_velocity_max_mps, sent_steering_max_rad, .. } = self.values;
+        velocity.abs() <= sent_velocity_max_mps + LIMIT_SLACK
+            && steering.abs() <= sent_steering_max_rad + LIMIT_SLACK
     }
 
     /// Blocks the wheels.

@@ -5,10 +5,9 @@
 //! strictly, so it has an inverse, which the shipped correction network is trained for.
 
 use serde::{Deserialize, Serialize};
-use vehicle::correction::SENT_STEERING_MAX_RAD;
 
 /// The angle sent at which the linkage reaches its stops [rad].
-const STOP_RAD: f64 = SENT_STEERING_MAX_RAD;
+const STOP_RAD: f64 = 0.12;
 
 /// The steering map of the emulated robot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]

@@ -167,6 +167,7 @@ impl EstimatorConfig {
         let vehicle = &self.vehicle;
         MotionModel {
             parameters: vehicle.parameters(),
+            bounds: vehicle.bounds,
             blocked_deceleration_mps2: vehicle.blocked_deceleration_mps2,
             speed_weight: self.speed_weight,
             delay_ns: nanoseconds(vehicle.command_delay_s),

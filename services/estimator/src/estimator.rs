@@ -25,7 +25,7 @@ use std::hint::black_box;
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use shared_types::{Actuation, Alarm, Fault, Header, MAX_LATE, Odometry, Pose, Role, Suspect, finite};
-use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
+use vehicle::bounds::ANY_SENT_VELOCITY_MAX_MPS;
 use vehicle::frame::wrap_angle;
 use vehicle::{Invalid, SIDEWAYS_RAD};
 
@@ -34,7 +34,7 @@ use crate::correction::{CorrectionState, Planar, STANDSTILL_MPS};
 use crate::dead_reckoning::OdometryStep;
 use crate::ekf::{Ekf, Innovation, NotPositive};
 use crate::gyro::{GyroSample, Interval, MAX_BIAS_RADPS};
-use crate::motion::{MotionState, Moved};
+use crate::motion::{MotionModel, MotionState, Moved};
 use crate::observability::motion_jacobian;
 use crate::self_check::Evidence;
 use crate::{EstimatorConfig, EstimatorState, FilterSettings};
@@ -223,7 +223,7 @@ impl Estimator {
                 self.state.own_block_ns =
                     self.state.own_block_ns.max(sent_ns.saturating_add(self.settings.motion.delay_ns));
             }
-            self.state.motion.note(actuation, self.settings.motion.delay_ns);
+            self.state.motion.note(&self.settings.motion, actuation);
         }
     }
 
@@ -320,7 +320,9 @@ impl Estimator {
     /// The measured speed, or without a plausible one the estimated speed [m/s].
     fn speed(&self, odometry: &Odometry) -> f64 {
         let motion = &self.state.motion;
-        motion.plausible_speed(self.state.acquired_ns, odometry.speed_mps).unwrap_or(motion.speed_mps)
+        motion
+            .plausible_speed(&self.settings.motion, self.state.acquired_ns, odometry.speed_mps)
+            .unwrap_or(motion.speed_mps)
     }
 
     /// The largest of the last speed, the measured one, and those sent, in either direction [m/s].
@@ -332,7 +334,8 @@ impl Estimator {
 
     /// Largest turn of the robot per distance [rad/m].
     fn sharpest(&self) -> f64 {
-        SENT_STEERING_MAX_RAD * SHARPER * self.settings.motion.parameters.yaw_rate_gain()
+        let MotionModel { parameters, bounds, .. } = &self.settings.motion;
+        bounds.sent_steering_max_rad * SHARPER * parameters.yaw_rate_gain()
     }
 
     /// Whether the robot can have driven from the estimate to a place within `dt`: forwards unless it was told otherwise, and
@@ -629,7 +632,7 @@ fn is_possible(pose: &Pose) -> bool {
     let within = |values: &[f64], limit: f64| values.iter().all(|value| value.abs() <= limit);
     within(&places, FARTHEST_M)
         && within(&[pose.yaw_rad, pose.predicted_yaw_rad], TAU)
-        && within(&[pose.speed_mps, pose.predicted_speed_mps], SENT_VELOCITY_MAX_MPS)
+        && within(&[pose.speed_mps, pose.predicted_speed_mps], ANY_SENT_VELOCITY_MAX_MPS)
         && [pose.sideslip_rad, pose.predicted_sideslip_rad].iter().all(|angle| angle.abs() < SIDEWAYS_RAD)
         && within(&[pose.yaw_rate_radps, pose.predicted_yaw_rate_radps], YAW_RATE_MAX_RADPS)
         && numbers.chain([&pose.nis]).all(|value| value.is_finite())

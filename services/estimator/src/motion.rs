@@ -18,10 +18,9 @@
 //! the filter corrects its effect.
 
 use shared_types::{Actuation, ActuationKind, Role, plain_state};
-use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 use vehicle::integrate::{MAX_STEP_S, is_stiff, stiff_step};
 use vehicle::model::{SLOWEST_MPS, derivative_at, lateral_velocity};
-use vehicle::{Control, Parameters, State, slid};
+use vehicle::{Bounds, Control, Parameters, State, slid};
 
 use crate::correction::Planar;
 
@@ -32,9 +31,6 @@ pub use vehicle::Lag;
 /// Number of actuations that are remembered: enough for a gap of several scans, and for a block with its recovery within
 /// one scan.
 pub const HISTORY: usize = 8;
-
-/// Largest plausible speed [m/s]: no more can be sent, and the true speed is lower than the one sent.
-const FASTEST_MPS: f64 = SENT_VELOCITY_MAX_MPS;
 
 plain_state! {
     /// A control from the moment it took effect.
@@ -75,6 +71,8 @@ plain_state! {
 pub struct MotionModel {
     /// Parameters of the model.
     pub parameters: Parameters,
+    /// Bounds of the vehicle: the true speed is at most what may be sent.
+    pub bounds: Bounds,
     /// Deceleration of blocked wheels [m/s^2].
     pub blocked_deceleration_mps2: f64,
     /// Weight of the speed measured at the wheels against the assumed one, 0 to 1.
@@ -110,11 +108,11 @@ struct Piece {
 impl MotionState {
     /// Remembers an actuation; one that is not newer, or whose content cannot be used, changes nothing.
     ///
-    /// It takes effect `delay_ns` after the actuator published it; without that stamp, after the acquisition of its scan.
+    /// It takes effect the delay of the model after the actuator published it; without that stamp, after the acquisition of its scan.
     /// Blocked wheels keep the angle they have, whatever angle the actuation has.
-    pub fn note(&mut self, actuation: &Actuation, delay_ns: u64) {
+    pub fn note(&mut self, model: &MotionModel, actuation: &Actuation) {
         let (velocity, steering) = (actuation.desired_velocity_mps, actuation.desired_steering_rad);
-        let plausible = velocity.abs() <= SENT_VELOCITY_MAX_MPS && steering.abs() <= SENT_STEERING_MAX_RAD;
+        let plausible = model.bounds.allow_sent(velocity, steering, 0.0);
         let Ok(kind) = ActuationKind::try_from(actuation.kind) else { return };
         if !plausible {
             return;
@@ -124,7 +122,7 @@ impl MotionState {
         let kept = self.controls().last().filter(|_| !drives).map(|newest| newest.steering_rad);
         let sent_ns = if published == 0 { actuation.header.acquired_ns } else { published };
         let control = ControlInForce {
-            from_ns: sent_ns.saturating_add(delay_ns),
+            from_ns: sent_ns.saturating_add(model.delay_ns),
             drives: u64::from(drives),
             velocity_mps: velocity,
             steering_rad: kept.unwrap_or(steering),
@@ -155,7 +153,7 @@ impl MotionState {
 
     /// Begins at a measured speed, with sideslip and yaw rate settled under the control in force.
     pub fn begin(&mut self, model: &MotionModel, at_ns: u64, measured_mps: f64) {
-        self.speed_mps = self.plausible_speed(at_ns, measured_mps).unwrap_or(0.0);
+        self.speed_mps = self.plausible_speed(model, at_ns, measured_mps).unwrap_or(0.0);
         (self.sideslip_rad, self.yaw_rate_radps) = (0.0, 0.0);
         let steering = self.in_force(at_ns).map_or(0.0, |control| control.steering_rad);
         (self.expected_mps, self.steering_rad) = (self.speed_mps, steering);
@@ -184,8 +182,9 @@ impl MotionState {
             x: pose.x,
             y: pose.y,
         };
-        let measured = measured_mps.and_then(|measured_mps| self.plausible_speed(from_ns, measured_mps));
-        let floor_mps = self.floor_mps(from_ns);
+        let measured =
+            measured_mps.and_then(|measured_mps| self.plausible_speed(model, from_ns, measured_mps));
+        let floor_mps = self.floor_mps(model, from_ns);
         (self.expected_mps, _) = self.speed_after(model, self.expected_mps, from_ns, to_ns);
         let (state, ahead_m, yaw_rad) = if model.lags() {
             self.follow(model, start, [from_ns, to_ns], measured, floor_mps)
@@ -267,15 +266,21 @@ impl MotionState {
     }
 
     /// The lowest plausible speed since a time [m/s].
-    fn floor_mps(&self, since_ns: u64) -> f64 {
-        if self.slowest(since_ns) < 0.0 { -FASTEST_MPS } else { 0.0 }
+    fn floor_mps(&self, model: &MotionModel, since_ns: u64) -> f64 {
+        if self.slowest(since_ns) < 0.0 { -model.bounds.sent_velocity_max_mps } else { 0.0 }
     }
 
     /// The measured speed if it is plausible: a robot reverses only where it was told to since a time, and at standstill reads
     /// zero with a little noise.
-    pub(crate) fn plausible_speed(&self, since_ns: u64, measured_mps: f64) -> Option<f64> {
-        let floor_mps = self.floor_mps(since_ns);
-        (measured_mps.is_finite() && measured_mps > floor_mps - 0.1 && measured_mps <= FASTEST_MPS)
+    pub(crate) fn plausible_speed(
+        &self,
+        model: &MotionModel,
+        since_ns: u64,
+        measured_mps: f64,
+    ) -> Option<f64> {
+        let floor_mps = self.floor_mps(model, since_ns);
+        let fastest_mps = model.bounds.sent_velocity_max_mps;
+        (measured_mps.is_finite() && measured_mps > floor_mps - 0.1 && measured_mps <= fastest_mps)
             .then(|| measured_mps.max(floor_mps))
     }
 }

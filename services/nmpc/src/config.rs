@@ -2,7 +2,7 @@
 
 use ocp::SolverSettings;
 use serde::{Deserialize, Serialize};
-use vehicle::correction::SENT_VELOCITY_MAX_MPS;
+use vehicle::bounds::ANY_VELOCITY_MAX_MPS;
 use vehicle::{Course, Description, Goal, Invalid, Setting, Track, require, settings};
 
 use crate::reference_path::LatticeSettings;
@@ -82,7 +82,7 @@ settings! {
         /// How much less than described blocked wheels may decelerate, as a fraction.
         pub deceleration_error: f64 = 0.2, 0.0..=0.9;
         /// Velocity towards a blocked path until the rule stops the robot [m/s].
-        pub approach_mps: f64 = 0.6, 0.1..=1.0;
+        pub approach_mps: f64 = 0.6, 0.1..=ANY_VELOCITY_MAX_MPS;
         /// Smallest number of scans for which a stop is held.
         pub hold_scans: u32 = 5, 0.0..=1e3;
         /// Scans in a row that must show a free path before the robot drives again.
@@ -130,7 +130,7 @@ settings! {
         pub period_s: f64 = 0.1, 0.001..=2.0;
         /// Velocity on a free path; without the key the nearest one that `vehicle.bounds` allows [m/s].
         pub cruise_mps: f64 = 1.0,
-            "within the velocities of `vehicle.bounds`; by the factor of `actuator.calibration` at most 2 m/s";
+            "within the velocities of `vehicle.bounds`; by the factor of `actuator.calibration` at most `vehicle.bounds.sent_velocity_max_mps`";
         /// Velocity while the estimator suspects that its calibration is wrong; without the key the nearest one that
         /// `vehicle.bounds` allows [m/s].
         pub careful_mps: f64 = 0.3, "within the velocities of `vehicle.bounds`";
@@ -178,7 +178,7 @@ impl ControllerConfig {
             return Err(Invalid::new("track.y_m", format!("[{right}, {left}]"), allowed));
         }
         let (slowest, fastest) = (self.vehicle.bounds.velocity_min_mps, self.vehicle.bounds.velocity_max_mps);
-        require("vehicle.bounds.velocity_max_mps", fastest, slowest..=SENT_VELOCITY_MAX_MPS)?;
+        require("vehicle.bounds.velocity_max_mps", fastest, slowest..=ANY_VELOCITY_MAX_MPS)?;
         require("cruise_mps", self.cruise_mps, slowest..=fastest)?;
         require("careful_mps", self.careful_mps, slowest..=fastest)
     }
@@ -235,7 +235,7 @@ mod tests {
         let mut config = ControllerConfig::default();
         config.vehicle.bounds.velocity_max_mps = 0.05;
         let refused = config.validate().unwrap_err().to_string();
-        assert_eq!(refused, "vehicle.bounds.velocity_max_mps = 0.05 is not allowed: 0.1 to 2");
+        assert_eq!(refused, "vehicle.bounds.velocity_max_mps = 0.05 is not allowed: 0.1 to 10");
     }
 
     #[test]

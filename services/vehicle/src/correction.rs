@@ -11,13 +11,7 @@ use key_table::Table;
 use serde::{Deserialize, Serialize};
 
 use crate::network::SteeringNetwork;
-use crate::{Control, Invalid, Setting, require};
-
-/// Largest velocity that may be sent [m/s].
-pub const SENT_VELOCITY_MAX_MPS: f64 = 2.0;
-
-/// Largest steering angle that may be sent to either side [rad].
-pub const SENT_STEERING_MAX_RAD: f64 = 0.12;
+use crate::{Bounds, Control, Invalid, Setting, require};
 
 /// Velocity sent per velocity desired, kv, from timed straight runs.
 const VELOCITY_FACTOR: f64 = 1.4;
@@ -119,9 +113,9 @@ impl Calibration {
 impl CommandCorrection {
     /// What to send for a desired control that is within its limits (7.41), when shaft and wheels stand at `linkage`.
     ///
-    /// Both values are limited to what may be sent at all, so that no network, however it was fitted, can exceed it.
-    /// NaN comes out only where NaN went in.
-    pub fn correct(&self, desired: Control, linkage: Linkage) -> Correction {
+    /// Both values are limited to what `bounds` allow to be sent at all, so that no network, however it was fitted, can exceed
+    /// it. NaN comes out only where NaN went in.
+    pub fn correct(&self, bounds: &Bounds, desired: Control, linkage: Linkage) -> Correction {
         let linkage = linkage.towards(desired.steering, self.play_rad);
         let steering = match &self.steering {
             SteeringCorrection::Identity => linkage.shaft,
@@ -129,8 +123,8 @@ impl CommandCorrection {
         };
         let velocity = self.velocity_factor * desired.velocity;
         Correction {
-            velocity: velocity.clamp(-SENT_VELOCITY_MAX_MPS, SENT_VELOCITY_MAX_MPS),
-            steering: steering.clamp(-SENT_STEERING_MAX_RAD, SENT_STEERING_MAX_RAD),
+            velocity: velocity.clamp(-bounds.sent_velocity_max_mps, bounds.sent_velocity_max_mps),
+            steering: steering.clamp(-bounds.sent_steering_max_rad, bounds.sent_steering_max_rad),
             linkage,
         }
     }
@@ -205,7 +199,7 @@ mod tests {
     fn the_default_calibration_sends_1_4_times_the_velocity_and_less_steering_than_desired() {
         let desired = Control { velocity: 0.5, steering: 0.03 };
         let Correction { velocity, steering, .. } =
-            Calibration::Default.correction().correct(desired, Linkage::default());
+            Calibration::Default.correction().correct(&Bounds::default(), desired, Linkage::default());
         assert!((velocity - 0.7).abs() < 1e-12);
         // The map realises about 1.2 times the angle sent: 0.0248 * (1.2 - 0.3 * 0.0427 + 0.05 * 0.2067) = 0.0297.
         assert!((steering - 0.0251).abs() < 3e-4, "{steering}");
@@ -214,7 +208,8 @@ mod tests {
     #[test]
     fn the_identity_sends_what_is_desired() {
         let desired = Control { velocity: 0.37, steering: -0.041 };
-        let sent = Calibration::Identity.correction().correct(desired, Linkage::default());
+        let sent =
+            Calibration::Identity.correction().correct(&Bounds::default(), desired, Linkage::default());
         assert_eq!((sent.velocity, sent.steering), (0.37, -0.041));
     }
 
@@ -227,7 +222,8 @@ mod tests {
         for (desired, shaft) in
             [(0.01, 0.016), (0.02, 0.026), (0.0197, 0.026), (0.015, 0.009), (-0.02, -0.026), (-0.01, -0.004)]
         {
-            let sent = correction.correct(Control { velocity: 0.5, steering: desired }, linkage);
+            let sent =
+                correction.correct(&Bounds::default(), Control { velocity: 0.5, steering: desired }, linkage);
             linkage = sent.linkage;
             wheels = wheels.clamp(sent.steering - 0.006, sent.steering + 0.006);
             assert!((sent.steering - shaft).abs() < 1e-15, "{desired}: {}", sent.steering);
@@ -258,15 +254,17 @@ mod tests {
         fn sent_values_stay_within_what_may_be_sent(
             velocity in -1e6..1e6f64, steering in -1e6..1e6f64, factor in 0.2..5.0f64, weight in -1e3..1e3f64,
             play_rad in 0.0..0.05f64, wheels in -0.06..0.06f64,
+            sent_velocity_max_mps in 0.1..20.0f64, sent_steering_max_rad in 0.01..0.8f64,
         ) {
+            let bounds = Bounds { sent_velocity_max_mps, sent_steering_max_rad, ..Bounds::default() };
             let network = SteeringNetwork { output_weights: [weight; 6], ..SHIPPED_NETWORK };
             for steering_correction in [SteeringCorrection::Identity, SteeringCorrection::Network(network)] {
                 let correction =
                     CommandCorrection { velocity_factor: factor, steering: steering_correction, play_rad };
                 let linkage = Linkage { shaft: wheels, wheels };
-                let sent = correction.correct(Control { velocity, steering }, linkage);
-                prop_assert!(sent.velocity.abs() <= SENT_VELOCITY_MAX_MPS);
-                prop_assert!(sent.steering.abs() <= SENT_STEERING_MAX_RAD);
+                let sent = correction.correct(&bounds, Control { velocity, steering }, linkage);
+                prop_assert!(sent.velocity.abs() <= sent_velocity_max_mps);
+                prop_assert!(sent.steering.abs() <= sent_steering_max_rad);
             }
         }
     }

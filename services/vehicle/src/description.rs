@@ -2,6 +2,7 @@
 
 use key_table::settings;
 
+use crate::bounds::ANY_VELOCITY_MAX_MPS;
 use crate::{Bounds, Parameters, Surroundings};
 
 /// A scanner sees 120 degrees to each side; turned further, it would not see 60 degrees to each side ahead [rad].
@@ -12,7 +13,7 @@ settings! {
     #[derive(Copy)]
     pub struct Description {
         /// Length of the body [m].
-        pub length_m: f64 = 0.56, 0.1..=3.0;
+        pub length_m: f64 = 0.56, 0.1..=6.0;
         /// Width of the body [m].
         pub width_m: f64 = 0.40, 0.1..=3.0;
         /// Mass m [kg].
@@ -61,7 +62,7 @@ settings! {
         /// What the scanner sees where the track is empty; without the key `track.surroundings` of the scenario holds.
         pub surroundings: Surroundings = Surroundings::Hall;
         /// Largest velocity in open surroundings, where a blind scanner is not detected, and with a degraded one [m/s].
-        pub careful_mps: f64 = 0.3, 0.05..=2.0;
+        pub careful_mps: f64 = 0.3, 0.05..=ANY_VELOCITY_MAX_MPS;
     }
 }
 

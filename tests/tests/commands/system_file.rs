@@ -46,7 +46,7 @@ fn a_refusal_names_what_was_written_and_where() {
     write("system.toml", "rate_hz = 20.0\n\n[vehicle.bounds]\nsteering_max_rad = 0.3\n");
     write("course.toml", "[goal]\nx_m = 8.0\ntolerance_m = 7.0\n");
     write("mixed.toml", "seed = 1\n[vehicle]\nwidth_m = 0.5\n");
-    let steering = "vehicle.bounds.steering_max_rad = 0.3 is not allowed: 0.001 to 0.12\n";
+    let steering = "vehicle.bounds.steering_max_rad = 0.3 is not allowed: 0.001 to 0.12, as `sent_steering_max_rad` is 0.12\n";
     for (arguments, expected) in [
         (
             &["--set", "vehicle.bounds.steering_max_rad=0.3"][..],

@@ -39,7 +39,7 @@ fn a_file_is_named_with_the_line_and_an_option_as_it_was_typed() {
     assert_eq!(refused("", system, &[]), "lab.toml: line 3: vehicle.width_m = 9 is not allowed: 0.1 to 3");
     assert_eq!(
         refused("", "", &["vehicle.bounds.steering_max_rad=0.3"]),
-        "--set vehicle.bounds.steering_max_rad=0.3: vehicle.bounds.steering_max_rad = 0.3 is not allowed: 0.001 to 0.12"
+        "--set vehicle.bounds.steering_max_rad=0.3: vehicle.bounds.steering_max_rad = 0.3 is not allowed: 0.001 to 0.12, as `sent_steering_max_rad` is 0.12"
     );
     assert_eq!(
         refused("", "", &["process.controller.grace_ms=0"]),
@@ -52,6 +52,20 @@ fn a_file_is_named_with_the_line_and_an_option_as_it_was_typed() {
         "lab.toml: line 5: process[1].role = robot is not allowed: one process per role; 2 processes would write topic \
          scan, odometry"
     );
+}
+
+#[test]
+fn a_fast_vehicle_is_allowed_what_its_calibration_may_send() {
+    let fast = |sent: &str| {
+        let file = format!(
+            "[vehicle.bounds]\nvelocity_max_mps = 5\nsteering_max_rad = 0.3\nsent_steering_max_rad = 0.4\n{sent}"
+        );
+        refused("", &file, &["controller.cruise_mps=5", "vehicle.sudden_m=4"])
+    };
+    assert_eq!(fast("sent_velocity_max_mps = 7.0"), "");
+    let refused = fast("sent_velocity_max_mps = 6.0");
+    let expected = "at most 4.285, as vehicle.bounds.sent_velocity_max_mps = 6 may be sent, and actuator.calibration sends 1.4 times";
+    assert!(refused.contains(expected), "{refused}");
 }
 
 #[test]

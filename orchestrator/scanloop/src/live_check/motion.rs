@@ -28,7 +28,7 @@ const MIN_LEFT_RAD: f64 = 0.2;
 const MIN_DRIVEN_LEFT_RAD: f64 = 0.03;
 /// Length of both legs [m].
 const LEGS_M: [f64; 2] = [0.5, 0.4];
-/// Steering angle of the second leg; the actuator may send up to 0.12 [rad].
+/// Steering angle of the second leg, or less where `vehicle.bounds` allow no more to be sent [rad].
 const LEFT_RAD: f64 = 0.08;
 /// Beyond both legs and the way to stop this must be free in front of the body at the start [m].
 const RESERVE_M: f64 = 0.2;
@@ -168,7 +168,8 @@ fn drive(
         return Ok(());
     }
     let start = place(bench);
-    let is_free = leg(bench, system, Order::Drive(speed_mps, LEFT_RAD), left_m)?;
+    let steering_rad = LEFT_RAD.min(system.vehicle.bounds.sent_steering_max_rad);
+    let is_free = leg(bench, system, Order::Drive(speed_mps, steering_rad), left_m)?;
     let (turned_rad, left_ns) = (place(bench).left_rad - start.left_rad, newest_ns(bench));
     let first = stop(bench, &system.vehicle)?;
     let straight = track.follow(&bench.feed, straight_ns, speed_mps, &system.vehicle);

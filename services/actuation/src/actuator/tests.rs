@@ -2,7 +2,7 @@
 
 use proptest::prelude::*;
 use shared_types::{CommandKind, Level, Role, Rule, Sample, SolveStatus};
-use vehicle::correction::{Calibration, SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
+use vehicle::correction::Calibration;
 
 use super::*;
 
@@ -566,8 +566,7 @@ proptest! {
             };
             if let Some(actuation) = actuation {
                 let (sent_velocity, sent_steering) = (actuation.sent_velocity_mps, actuation.sent_steering_rad);
-                prop_assert!(sent_velocity.is_finite() && sent_velocity.abs() <= SENT_VELOCITY_MAX_MPS);
-                prop_assert!(sent_steering.is_finite() && sent_steering.abs() <= SENT_STEERING_MAX_RAD);
+                prop_assert!(vehicle::Bounds::default().allow_sent(sent_velocity, sent_steering, 0.0));
                 if turns(&actuation) {
                     prop_assert!(admissible && !stopped, "{actuation:?}");
                     prop_assert!(sent_velocity * rolling >= 0.0, "{sent_velocity} after {rolling}");

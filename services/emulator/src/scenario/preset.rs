@@ -1,6 +1,6 @@
 //! The values that a preset gives to the keys of `[robot]`.
 
-use vehicle::{Description, Parameters};
+use vehicle::{Bounds, Description, Parameters};
 
 use super::robot::{OdometryModel, Preset, Robot};
 use crate::noise::{NoiseStream, Purpose};
@@ -49,6 +49,8 @@ values! {
     inertia_kgm2: f64,
     tyre_friction: f64,
     velocity_factor: f64,
+    sent_velocity_max_mps: f64,
+    sent_steering_max_rad: f64,
     steering_backlash_rad: f64,
     steering_offset_rad: f64,
     blocked_deceleration_mps2: f64,
@@ -103,6 +105,8 @@ impl Values {
             inertia_kgm2,
             tyre_friction: description.tyre_friction,
             velocity_factor: 1.4,
+            sent_velocity_max_mps: description.bounds.sent_velocity_max_mps,
+            sent_steering_max_rad: description.bounds.sent_steering_max_rad,
             steering_backlash_rad: 0.0,
             steering_offset_rad: 0.0,
             blocked_deceleration_mps2: description.blocked_deceleration_mps2,
@@ -200,11 +204,14 @@ impl Robot {
     }
 
     fn of_preset(&self, description: &Description, seed: u64) -> Values {
-        match self.preset {
+        let values = match self.preset {
             Preset::Ideal => Values::ideal(),
             Preset::Summit => Values::summit(&Description::default()),
             Preset::Worn => Values::worn(description, seed),
-        }
+        };
+        // What a robot may be sent is a limit that is set, not a property that may be described wrongly.
+        let Bounds { sent_velocity_max_mps, sent_steering_max_rad, .. } = description.bounds;
+        Values { sent_velocity_max_mps, sent_steering_max_rad, ..values }
     }
 
     /// Keys in which a resolved robot differs from its description, with the true and the believed value.

@@ -3,6 +3,7 @@
 use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
+use vehicle::bounds::{ANY_SENT_STEERING_MAX_RAD, ANY_SENT_VELOCITY_MAX_MPS};
 use vehicle::{SCANNER_YAW_MAX_RAD, Setting, settings};
 
 use crate::steering_map::SteeringMap;
@@ -68,7 +69,7 @@ settings! {
         /// Whether the robot publishes its true state. Without it a run is judged by the estimate, as with a real robot.
         pub publish_truth: bool = true;
         /// Length of the body [m].
-        pub length_m: f64 = 0.56, (0.05..=5.0, "0.1 to 3 unless `vehicle.length_m` is set");
+        pub length_m: f64 = 0.56, (0.05..=6.0, "0.1 to 6 unless `vehicle.length_m` is set");
         /// Width of the body [m].
         pub width_m: f64 = 0.40, (0.05..=5.0, "0.1 to 3 unless `vehicle.width_m` is set");
         /// Mass m [kg].
@@ -85,6 +86,10 @@ settings! {
         pub tyre_friction: Option<f64> = None, 0.0..=5.0;
         /// Velocity sent divided by the true velocity, kv.
         pub velocity_factor: Option<f64> = None, 0.1..=10.0;
+        /// Largest velocity that the robot takes in either direction; without the key that of `vehicle.bounds` [m/s].
+        pub sent_velocity_max_mps: Option<f64> = None, 0.02..=ANY_SENT_VELOCITY_MAX_MPS;
+        /// Largest steering angle that the robot takes to either side; without the key that of `vehicle.bounds` [rad].
+        pub sent_steering_max_rad: Option<f64> = None, 0.001..=ANY_SENT_STEERING_MAX_RAD;
         /// Half the play between steering shaft and wheels, nu [rad].
         pub steering_backlash_rad: Option<f64> = None, 0.0..=0.1;
         /// True steering angle of the shaft as a function of the angle sent: a fixed curve, or the same angle.

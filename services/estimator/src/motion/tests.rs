@@ -10,6 +10,7 @@ fn model(speed_weight: f64) -> MotionModel {
     let parameters = Parameters::default();
     MotionModel {
         parameters,
+        bounds: Bounds::default(),
         blocked_deceleration_mps2: 5.0,
         speed_weight,
         delay_ns: 0,
@@ -37,8 +38,8 @@ fn drive(from_ns: u64, velocity: f64, steering: f64) -> Actuation {
 #[test]
 fn an_interval_is_split_where_the_newer_actuation_took_effect() {
     let mut motion = MotionState::default();
-    motion.note(&drive(10 * MS, 0.5, 0.0), 0);
-    motion.note(&drive(133 * MS, 0.8, 0.0), 0);
+    motion.note(&model(0.0), &drive(10 * MS, 0.5, 0.0));
+    motion.note(&model(0.0), &drive(133 * MS, 0.8, 0.0));
     motion.begin(&model(0.0), 100 * MS, 0.5);
     let end = motion.advance(&model(0.0), Planar::default(), 100 * MS, 200 * MS, None).pose;
     // 33 ms at 0.5 m/s and 67 ms at 0.8 m/s.
@@ -49,7 +50,7 @@ fn an_interval_is_split_where_the_newer_actuation_took_effect() {
 #[test]
 fn a_turn_is_that_of_the_model() {
     let mut motion = MotionState::default();
-    motion.note(&drive(0, 0.6, 0.05), 0);
+    motion.note(&model(0.0), &drive(0, 0.6, 0.05));
     motion.speed_mps = 0.6;
     let mut pose = Planar { yaw: 0.3, x: 1.0, y: -0.5 };
     for step in 0..20 {
@@ -66,9 +67,9 @@ fn a_turn_is_that_of_the_model() {
 #[test]
 fn blocked_wheels_slide_to_a_stop_and_keep_their_angle() {
     let mut motion = MotionState::default();
-    motion.note(&drive(0, 1.0, 0.06), 0);
+    motion.note(&model(0.0), &drive(0, 1.0, 0.06));
     motion.begin(&model(0.0), 0, 1.0);
-    motion.note(&actuation(50 * MS, ActuationKind::Block, 0.0, 0.0), 0);
+    motion.note(&model(0.0), &actuation(50 * MS, ActuationKind::Block, 0.0, 0.0));
     let end = motion.advance(&model(0.0), Planar::default(), 0, 1_000 * MS, None).pose;
     // 50 ms at 1 m/s and 1 / (2 * 5) m of sliding, on a circle of 3.1 m radius; the yaw rate of 0.32 rad/s lags
     // behind the falling speed by about 15 ms.
@@ -81,10 +82,10 @@ fn blocked_wheels_slide_to_a_stop_and_keep_their_angle() {
 fn the_measured_speed_replaces_the_assumed_one_by_its_weight() {
     for (weight, expected) in [(0.0, 1.0), (0.5, 0.85), (1.0, 0.7)] {
         let mut motion = MotionState::default();
-        motion.note(&drive(0, 1.0, 0.0), 0);
+        motion.note(&model(0.0), &drive(0, 1.0, 0.0));
         motion.begin(&model(weight), 0, 0.0);
         // The control begins within the first interval, so the speed is constant after it took effect.
-        motion.note(&drive(1, 1.0, 0.01), 0);
+        motion.note(&model(0.0), &drive(1, 1.0, 0.01));
         motion.advance(&model(weight), Planar::default(), 0, 100 * MS, Some(0.7));
         assert!((motion.speed_mps - expected).abs() < 1e-12);
     }
@@ -93,7 +94,7 @@ fn the_measured_speed_replaces_the_assumed_one_by_its_weight() {
 #[test]
 fn a_robot_that_stopped_by_itself_is_followed() {
     let mut motion = MotionState::default();
-    motion.note(&drive(0, 1.0, 0.0), 0);
+    motion.note(&model(0.0), &drive(0, 1.0, 0.0));
     motion.begin(&model(1.0), 100 * MS, 1.0);
     let end = motion.advance(&model(1.0), Planar::default(), 100 * MS, 200 * MS, Some(0.0)).pose;
     assert!((end.x - 0.05).abs() < 1e-12 && motion.speed_mps == 0.0, "the mean of 1 and 0 m/s over 100 ms");
@@ -105,7 +106,7 @@ fn a_robot_that_stopped_by_itself_is_followed() {
 fn a_speed_that_cannot_be_is_not_believed() {
     for wild in [f64::NAN, f64::INFINITY, 1e9, -3.0] {
         let mut motion = MotionState::default();
-        motion.note(&drive(0, 0.5, 0.0), 0);
+        motion.note(&model(0.0), &drive(0, 0.5, 0.0));
         motion.begin(&model(1.0), 0, 0.5);
         motion.advance(&model(1.0), Planar::default(), 0, 100 * MS, Some(wild));
         assert_eq!(motion.speed_mps, 0.5);
@@ -116,30 +117,30 @@ fn a_speed_that_cannot_be_is_not_believed() {
 fn a_robot_that_was_told_to_reverse_does_and_another_does_not() {
     for model in [model(1.0), lagging()] {
         let mut motion = MotionState::default();
-        motion.note(&drive(0, -0.3, 0.05), 0);
+        motion.note(&model, &drive(0, -0.3, 0.05));
         let pose = motion.advance(&model, Planar::default(), 0, 1000 * MS, Some(-0.3)).pose;
         assert!((motion.speed_mps + 0.3).abs() < 1e-9 && pose.x < -0.2 && pose.y > 0.0, "{pose:?}");
         assert!(motion.yaw_rate_radps < 0.0);
-        motion.note(&actuation(1000 * MS, ActuationKind::Block, 0.0, 0.0), 0);
+        motion.note(&model, &actuation(1000 * MS, ActuationKind::Block, 0.0, 0.0));
         let rest = motion.advance(&model, pose, 1000 * MS, 1100 * MS, Some(0.0)).pose;
         // 0.3 m/s at 5 m/s^2: 9 mm.
         assert!(((rest.x - pose.x).hypot(rest.y - pose.y) - 0.009).abs() < 1e-4, "{rest:?}");
         assert_eq!((motion.speed_mps, motion.yaw_rate_radps), (0.0, 0.0));
-        assert_eq!(motion.plausible_speed(1100 * MS, -0.3), None, "the wheels are blocked");
+        assert_eq!(motion.plausible_speed(&model, 1100 * MS, -0.3), None, "the wheels are blocked");
     }
 }
 
 #[test]
 fn actuations_that_are_old_repeated_or_broken_change_nothing() {
     let mut motion = MotionState::default();
-    motion.note(&drive(50, 0.5, 0.01), 0);
+    motion.note(&model(0.0), &drive(50, 0.5, 0.01));
     let once = motion;
-    motion.note(&drive(50, 0.9, 0.0), 0);
-    motion.note(&drive(40, 0.9, 0.0), 0);
-    motion.note(&drive(60, 0.5, 0.01), 0);
-    motion.note(&drive(70, f64::NAN, 0.0), 0);
-    motion.note(&drive(70, 0.5, 1.0), 0);
-    motion.note(&Actuation { kind: 7, ..drive(70, 0.5, 0.0) }, 0);
+    motion.note(&model(0.0), &drive(50, 0.9, 0.0));
+    motion.note(&model(0.0), &drive(40, 0.9, 0.0));
+    motion.note(&model(0.0), &drive(60, 0.5, 0.01));
+    motion.note(&model(0.0), &drive(70, f64::NAN, 0.0));
+    motion.note(&model(0.0), &drive(70, 0.5, 1.0));
+    motion.note(&model(0.0), &Actuation { kind: 7, ..drive(70, 0.5, 0.0) });
     assert_eq!(motion, once);
 }
 
@@ -147,7 +148,7 @@ fn actuations_that_are_old_repeated_or_broken_change_nothing() {
 fn the_oldest_of_many_actuations_is_forgotten() {
     let mut motion = MotionState::default();
     for index in 1..=20_u32 {
-        motion.note(&drive(u64::from(index) * MS, 0.02 * f64::from(index), 0.0), 0);
+        motion.note(&model(0.0), &drive(u64::from(index) * MS, 0.02 * f64::from(index), 0.0));
     }
     assert_eq!(motion.controls().len(), HISTORY);
     assert_eq!((motion.controls()[0].from_ns, motion.controls()[HISTORY - 1].from_ns), (13 * MS, 20 * MS));
@@ -156,9 +157,14 @@ fn the_oldest_of_many_actuations_is_forgotten() {
 #[test]
 fn crawling_stays_finite_and_turns_slowly() {
     let mut motion = MotionState::default();
-    motion.note(&drive(0, 0.001, 0.06), 0);
+    motion.note(&model(0.0), &drive(0, 0.001, 0.06));
     let end = motion.advance(&model(0.0), Planar::default(), 0, 2_000 * MS, None).pose;
     assert!(end.yaw.abs() < 0.05 && (end.x - 0.002).abs() < 1e-3, "{end:?}");
+}
+
+/// [`lagging`], reached by its commands after 20 ms.
+fn delayed() -> MotionModel {
+    MotionModel { delay_ns: 20 * MS, ..lagging() }
 }
 
 /// The SUMMIT with its lags, and no delay.
@@ -199,7 +205,7 @@ fn predicts_as_a_plant(side: f64) {
     let controls = [(20, 1.0 * side, 0.06), (130, 0.4 * side, -0.06), (250, 0.9 * side, 0.02)];
     let mut motion = MotionState::default();
     for (from_ms, velocity, steering) in controls {
-        motion.note(&drive(from_ms * MS - 20 * MS, velocity, steering), 20 * MS);
+        motion.note(&delayed(), &drive(from_ms * MS - 20 * MS, velocity, steering));
     }
     let end = motion.advance(&lagging(), Planar::default(), 0, 400 * MS, None).pose;
     let (state, speed, steering) = plant(&controls, 400);
@@ -213,7 +219,7 @@ fn predicts_as_a_plant(side: f64) {
 #[test]
 fn a_command_acts_after_its_delay() {
     let mut motion = MotionState::default();
-    motion.note(&drive(10 * MS, 1.0, 0.06), 20 * MS);
+    motion.note(&delayed(), &drive(10 * MS, 1.0, 0.06));
     let before = motion.advance(&lagging(), Planar::default(), 0, 30 * MS, None).pose;
     assert_eq!((before, motion.speed_mps, motion.steering_rad), (Planar::default(), 0.0, 0.0));
     motion.advance(&lagging(), Planar::default(), 30 * MS, 80 * MS, None);
@@ -225,10 +231,10 @@ fn a_command_acts_after_its_delay() {
 #[test]
 fn blocked_wheels_keep_the_angle_that_they_have_reached() {
     let mut motion = MotionState::default();
-    motion.note(&drive(0, 1.0, 0.06), 0);
+    motion.note(&model(0.0), &drive(0, 1.0, 0.06));
     motion.advance(&lagging(), Planar::default(), 0, 50 * MS, Some(0.5));
     let reached = 0.06 - 0.05 * (-0.3_f64).exp();
-    motion.note(&actuation(30 * MS, ActuationKind::Block, 0.0, 0.0), 20 * MS);
+    motion.note(&delayed(), &actuation(30 * MS, ActuationKind::Block, 0.0, 0.0));
     let end = motion.advance(&lagging(), Planar::default(), 50 * MS, 250 * MS, None).pose;
     // 0.25 m^2/s^2 over 10 m/s^2.
     assert!((end.x - 0.025).abs() < 1e-4 && (motion.steering_rad - reached).abs() < 1e-12, "{end:?}");
@@ -238,9 +244,9 @@ fn blocked_wheels_keep_the_angle_that_they_have_reached() {
 #[test]
 fn a_drive_that_is_quicker_than_described_is_followed_and_the_difference_is_doubt() {
     let mut motion = MotionState::default();
-    motion.note(&drive(0, 0.5, 0.0), 0);
+    motion.note(&model(0.0), &drive(0, 0.5, 0.0));
     motion.begin(&lagging(), 0, 0.5);
-    motion.note(&drive(1, 0.7, 0.0), 0);
+    motion.note(&model(0.0), &drive(1, 0.7, 0.0));
     let moved = motion.advance(&lagging(), Planar::default(), 0, 100 * MS, Some(0.7));
     assert!((motion.speed_mps - 0.7).abs() < 1e-12);
     // The lag explains 0.2 (1 - exp(-2/3)) m/s; the rest grew evenly, or at once: 0.289 times its distance in 0.1 s.
