@@ -68,7 +68,7 @@ impl Course {
         if matches!(self, Self::Exact | Self::Drifting) {
             scenario.noise.range_m = 0.0;
             scenario.robot.velocity_factor = Some(1.0);
-            scenario.robot.steering_map = SteeringMap::Identity;
+            scenario.robot.steering_map = Some(SteeringMap::Identity);
             tuning.actuator.calibration = Calibration::Identity;
             let missed = if self == Self::Drifting { 0.1 } else { 0.0 };
             scenario.robot.odometry_longitudinal = Some(missed);

@@ -117,7 +117,7 @@ impl Plan {
         let given = &keys(&scenario, "robot") | &keys(&system, "vehicle");
         driven_robot::add_defaults(&mut system);
         vehicle_table::adopt_scenario(&scenario, &mut system);
-        vehicle_table::fit_velocities(&mut system);
+        vehicle_table::fit_stages(&mut system);
         // The file that it names was read: from here on the system is what counts.
         let mut scenario = Scenario { system: None, ..Scenario::checked(scenario)? };
         require_name_of_folder(&scenario.name)?;
@@ -135,6 +135,7 @@ impl Plan {
         scenario.scanner.validate_mean(system.period_ns())?;
         possible::require_goals(&scenario, &tuning.controller)?;
         warnings.extend(possible::warnings(&scenario, &tuning.controller));
+        warnings.extend(possible::unmapped(&tuning.actuator));
         warnings.extend(possible::blind(&scenario, &tuning.obstacles));
         if system.emulates_robot() {
             warnings.extend(possible::drift(&scenario, &tuning.estimator));

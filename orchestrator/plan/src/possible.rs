@@ -6,17 +6,22 @@
 
 mod legs;
 
+use actuation::ActuatorConfig;
 use emulator::Scenario;
 use estimator::EstimatorConfig;
 use estimator::correction::CorrectionMode;
 use nmpc::{ControllerConfig, speed_limit};
 use obstacles::{ObstaclesConfig, SWEEP_SHARE};
 use vehicle::Invalid;
+use vehicle::correction::SteeringCorrection;
 
 use crate::System;
 
 use legs::{ceil, floor};
 pub(crate) use legs::{legs, require_goals, require_legs};
+
+/// Share of the angles that a steering network was fitted to up to which it is one.
+const MAPPED: f64 = 1.02;
 
 /// Passes when the velocities that the controller may desire can be sent.
 ///
@@ -101,6 +106,21 @@ pub(crate) fn drift(scenario: &Scenario, estimator: &EstimatorConfig) -> Option<
     })
 }
 
+/// A steering map that is not known as far as the wheels may turn.
+pub(crate) fn unmapped(actuator: &ActuatorConfig) -> Option<String> {
+    let steering_rad = actuator.vehicle.bounds.steering_max_rad;
+    let SteeringCorrection::Network(network) = actuator.calibration.correction().steering else {
+        return None;
+    };
+    (steering_rad > MAPPED * network.input_scale_rad).then(|| {
+        format!(
+            "actuator.calibration knows the steering up to {} rad, and vehicle.bounds.steering_max_rad is {steering_rad}: further \
+             angles are not reached; `scanloop calibrate steering` or actuator.calibration = \"identity\" mends that",
+            floor(network.input_scale_rad)
+        )
+    })
+}
+
 /// A robot that turns round by itself below its largest velocity.
 fn unstable(controller: &ControllerConfig) -> Option<String> {
     let vehicle = &controller.vehicle;
@@ -119,6 +139,7 @@ fn unstable(controller: &ControllerConfig) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use vehicle::correction::Calibration;
 
     #[test]
     fn a_timeout_before_the_goal_is_a_warning() {
@@ -158,6 +179,18 @@ mod tests {
                         of 0.12 m, and goal.tolerance_m is 0.1";
         assert!(warned(12.0, "").is_some_and(|text| text.starts_with(expected)), "{:?}", warned(12.0, ""));
         assert_eq!((warned(9.0, ""), warned(12.0, "publish_truth = false")), (None, None));
+    }
+
+    #[test]
+    fn a_steering_map_that_ends_before_the_wheels_do_is_a_warning() {
+        let warned = |steering_max_rad, calibration| {
+            let mut actuator = ActuatorConfig { calibration, ..ActuatorConfig::default() };
+            actuator.vehicle.bounds.steering_max_rad = steering_max_rad;
+            unmapped(&actuator)
+        };
+        let expected = "actuator.calibration knows the steering up to 0.074 rad, and vehicle.bounds.steering_max_rad is 0.3";
+        assert!(warned(0.3, Calibration::Default).is_some_and(|text| text.starts_with(expected)));
+        assert_eq!((warned(0.07, Calibration::Default), warned(0.3, Calibration::Identity)), (None, None));
     }
 
     #[test]

@@ -146,7 +146,7 @@ mod tests {
         for (role, file) in files(&Tuning::default()) {
             let text = toml::to_string(&file).unwrap();
             assert_eq!(text.contains("[[scenario.obstacle]]"), role == Role::Robot, "{role}: {text}");
-            assert_eq!(text.contains("steering_map"), role == Role::Robot, "{role}: {text}");
+            assert_eq!(text.contains("odometry_jump_rad"), role == Role::Robot, "{role}: {text}");
             assert_eq!(file.len(), 3, "{role}: {text}");
         }
     }

@@ -5,7 +5,7 @@
 //! so do its surroundings.
 
 use toml::{Table, Value};
-use vehicle::{Description, Invalid, Key, Setting, read};
+use vehicle::{Description, Invalid, Key, Setting, VehicleModel, read};
 
 /// Name of the table, in the system file and in the table of each stage.
 pub(crate) const VEHICLE: &str = "vehicle";
@@ -78,13 +78,19 @@ pub(crate) fn old_keys_of(stage: &str, name: &str) -> Vec<String> {
     OLD_KEYS.iter().filter(|old| old.stage == stage).filter_map(moved).collect()
 }
 
-/// Gives the velocities of the controller that are not set the nearest values to their defaults that `[vehicle]` allows.
+/// Gives the velocities of the controller that are not set the nearest values to their defaults that `[vehicle]` allows, and a
+/// vehicle of another model no calibration of the SUMMIT.
 ///
 /// So a file that describes a slower robot needs no key of the controller.
-pub(crate) fn fit_velocities(system: &mut Table) {
+pub(crate) fn fit_stages(system: &mut Table) {
     let Some(Value::Table(vehicle)) = system.get(VEHICLE) else { return };
-    let Ok(Description { bounds, .. }) = read::<Description>(vehicle.clone()) else { return };
+    let Ok(Description { bounds, model, .. }) = read::<Description>(vehicle.clone()) else { return };
     let defaults = nmpc::ControllerConfig::default();
+    if model != VehicleModel::CounterSteered {
+        let entry = system.entry("actuator".to_owned()).or_insert_with(|| Value::Table(Table::new()));
+        let Value::Table(actuator) = entry else { return };
+        actuator.entry("calibration".to_owned()).or_insert_with(|| "identity".into());
+    }
     let entry = system.entry("controller".to_owned()).or_insert_with(|| Value::Table(Table::new()));
     let Value::Table(controller) = entry else { return };
     for (key, default) in [("cruise_mps", defaults.cruise_mps), ("careful_mps", defaults.careful_mps)] {
@@ -180,6 +186,20 @@ mod tests {
         for stage in STAGES {
             assert_eq!(system[stage]["vehicle"]["width_m"].as_float(), Some(0.5));
             assert_eq!(system[stage]["vehicle"]["bounds"]["velocity_max_mps"].as_float(), Some(0.8));
+        }
+    }
+
+    #[test]
+    fn the_calibration_of_the_summit_is_for_its_model_alone() {
+        for (text, expected) in [
+            ("[vehicle]\nmodel = \"bicycle\"", Some("identity")),
+            ("[vehicle]\nmodel = \"bicycle\"\n[actuator]\ncalibration = \"default\"", Some("default")),
+            ("[vehicle]\nwidth_m = 0.5", None),
+        ] {
+            let mut system = table(text);
+            fit_stages(&mut system);
+            let calibration = system.get("actuator").and_then(|actuator| actuator["calibration"].as_str());
+            assert_eq!(calibration, expected);
         }
     }
 

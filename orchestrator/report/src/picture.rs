@@ -99,6 +99,8 @@ pub struct PictureScene {
     pub body_length_m: f64,
     /// Width of the robot's body [m].
     pub body_width_m: f64,
+    /// How far its middle is ahead of the reference point [m].
+    pub body_x_m: f64,
 }
 
 /// State of the robot at one scan.
@@ -234,6 +236,7 @@ mod tests {
             goals: vec![Goal::default()],
             body_length_m: 0.56,
             body_width_m: 0.4,
+            body_x_m: 0.0,
         }
     }
 

@@ -121,6 +121,7 @@ fn scene_of(scenario: &Scenario, goals: &[Goal], report: &Report) -> picture::Pi
         goals: goals.to_vec(),
         body_length_m: scenario.robot.length_m,
         body_width_m: scenario.robot.width_m,
+        body_x_m: scenario.robot.body_x_m,
     }
 }
 

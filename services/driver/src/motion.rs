@@ -2,6 +2,8 @@
 
 use std::f64::consts::TAU;
 
+use vehicle::Parameters;
+
 /// Tolerance of a place that the odometry reports, at any speed: noise of a real base [m].
 const REACH_M: f64 = 0.1;
 
@@ -48,10 +50,10 @@ impl Convention {
 
     /// What drives the wheels: a velocity [m/s], and a steering angle [rad] or a yaw rate [rad/s].
     ///
-    /// `steering_rad` is the angle of both axles of the robot; its path has the curvature 2 tan(angle) / axle distance. A
-    /// car with this path steers by atan(wheelbase x curvature).
-    pub fn sent(&self, axle_distance_m: f64, velocity_mps: f64, steering_rad: f64) -> [f64; 2] {
-        let curvature = 2.0 * steering_rad.tan() / axle_distance_m;
+    /// `steering_rad` is the angle of the model of the robot, whose path has the curvature [`Parameters::curvature_of`]. A car
+    /// with this path steers by atan(wheelbase x curvature).
+    pub fn sent(&self, parameters: &Parameters, velocity_mps: f64, steering_rad: f64) -> [f64; 2] {
+        let curvature = parameters.curvature_of(steering_rad);
         let turn = match self.turn {
             Turn::Steering => (self.wheelbase_m * curvature).atan(),
             Turn::YawRate => velocity_mps * curvature,
@@ -60,13 +62,10 @@ impl Convention {
     }
 }
 
-/// The steering angle of both axles that makes this yaw rate at this velocity [rad], the inverse of a command with
-/// [`Turn::YawRate`]; zero where nothing drives, as such a robot does not turn on the spot.
-pub fn steering_of(axle_distance_m: f64, velocity_mps: f64, yaw_rate_radps: f64) -> f64 {
-    if velocity_mps == 0.0 {
-        return 0.0;
-    }
-    (axle_distance_m * yaw_rate_radps / (2.0 * velocity_mps)).atan()
+/// The steering angle that makes this yaw rate at this velocity [rad], the inverse of a command with [`Turn::YawRate`]; zero
+/// where nothing drives, as no robot turns on the spot here.
+pub fn steering_of(parameters: &Parameters, velocity_mps: f64, yaw_rate_radps: f64) -> f64 {
+    if velocity_mps == 0.0 { 0.0 } else { parameters.steering_of(yaw_rate_radps / velocity_mps) }
 }
 
 /// A pose and the velocities there, at one time.
@@ -166,8 +165,11 @@ mod tests {
     use std::f64::consts::{FRAC_PI_2, PI};
 
     use super::*;
+    use vehicle::VehicleModel;
 
-    const AXLES_M: f64 = 0.37;
+    fn summit() -> Parameters {
+        Parameters::default()
+    }
 
     fn usual() -> Convention {
         Convention::usual(Turn::Steering, 0.185)
@@ -175,28 +177,34 @@ mod tests {
 
     #[test]
     fn a_car_with_half_the_axle_distance_steers_by_the_same_angle() {
-        let [velocity, angle] = usual().sent(AXLES_M, 0.8, 0.06);
+        let [velocity, angle] = usual().sent(&summit(), 0.8, 0.06);
         assert_eq!(velocity, 0.8);
         assert!((angle - 0.06).abs() < 1e-12);
+        // The angle of the model of a car at full lock leads it on the path of the model: 0.37 m at 0.6 rad.
+        let car = Parameters { model: VehicleModel::Bicycle, ..summit() };
+        let [_, angle] = Convention::usual(Turn::Steering, 0.37).sent(&car, 0.8, 0.6);
+        assert!((angle - 0.6_f64.atan()).abs() < 1e-12);
     }
 
     #[test]
     fn a_longer_car_steers_more_and_a_base_without_steering_gets_its_yaw_rate() {
-        let curvature = 2.0 * 0.06_f64.tan() / AXLES_M;
+        let curvature = summit().curvature_of(0.06);
+        assert!((curvature - 2.0 * 0.06_f64.tan() / 0.37).abs() < 1e-12);
         let config = Convention { wheelbase_m: 0.37, steering_sign: -1.0, ..usual() };
-        assert_eq!(config.sent(AXLES_M, 0.8, 0.06), [0.8, -(0.37 * curvature).atan()]);
+        assert_eq!(config.sent(&summit(), 0.8, 0.06), [0.8, -(0.37 * curvature).atan()]);
         let config = Convention { turn: Turn::YawRate, ..usual() };
-        assert_eq!(config.sent(AXLES_M, 0.8, 0.06), [0.8, 0.8 * curvature]);
+        assert_eq!(config.sent(&summit(), 0.8, 0.06), [0.8, 0.8 * curvature]);
     }
 
     #[test]
     fn a_yaw_rate_is_made_by_the_steering_angle_that_is_sent_as_this_yaw_rate() {
         let config = Convention { turn: Turn::YawRate, ..usual() };
-        let [velocity, yaw_rate] = config.sent(AXLES_M, 0.8, -0.06);
-        assert!((steering_of(AXLES_M, velocity, yaw_rate) + 0.06).abs() < 1e-12);
+        let [velocity, yaw_rate] = config.sent(&summit(), 0.8, -0.06);
+        assert!((steering_of(&summit(), velocity, yaw_rate) + 0.06).abs() < 1e-12);
+        let wide = Parameters { front_m: 0.5, rear_m: 0.5, ..summit() };
         // A circle of 2 m radius, with axles 1 m apart: each steers by atan(0.5 / 2).
-        assert!((steering_of(1.0, 1.0, 0.5) - 0.25_f64.atan()).abs() < 1e-12);
-        assert_eq!([steering_of(1.0, 0.0, 0.5), steering_of(1.0, 1.0, 0.0)], [0.0, 0.0]);
+        assert!((steering_of(&wide, 1.0, 0.5) - 0.25_f64.atan()).abs() < 1e-12);
+        assert_eq!([steering_of(&wide, 0.0, 0.5), steering_of(&wide, 1.0, 0.0)], [0.0, 0.0]);
     }
 
     #[test]

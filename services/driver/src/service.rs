@@ -263,8 +263,7 @@ impl<R: ForeignRobot> Driver<R> {
 
     fn drive(&mut self, actuation: &Actuation) {
         let (velocity_mps, steering_rad) = (actuation.sent_velocity_mps, actuation.sent_steering_rad);
-        let axle_distance_m = self.vehicle.front_m + self.vehicle.rear_m;
-        let numbers = self.settings.convention.sent(axle_distance_m, velocity_mps, steering_rad);
+        let numbers = self.settings.convention.sent(&self.vehicle.parameters(), velocity_mps, steering_rad);
         if self.give(GuardOrder::Drive(numbers)) {
             let [slowest_mps, fastest_mps] = self.ordered_mps;
             self.ordered_mps = [slowest_mps.min(velocity_mps), fastest_mps.max(velocity_mps)];

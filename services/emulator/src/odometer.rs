@@ -10,6 +10,7 @@
 //! yaw is the integral of a gyro with white noise and a bias that walks at random. The reported position is integrated
 //! from these two, so its error accumulates in all components. The speed is the counted distance since the sample
 //! before, divided by the time between them. The encoders measure the distance over ground, also of blocked wheels.
+//! A car's is that of its reference point: it adds what the turn about the straight axle moves it to the side.
 //! The lateral error, the jump and the white noise act on top.
 
 use nalgebra::Vector2;
@@ -114,7 +115,14 @@ impl Reckoning {
         self.wheels_m += distance * (1.0 - odometry_longitudinal)
             + encoder_slip_m * distance.abs().sqrt() * noise.normal();
         let mean = f64::midpoint(yaw, self.yaw);
-        self.reported += heading(mean) * (self.encoder_m() - counted_m);
+        let (counted_m, axle_m) = (self.encoder_m() - counted_m, self.values.parameters().straight_axle_m());
+        if axle_m == 0.0 || distance == 0.0 {
+            self.reported += heading(mean) * counted_m;
+        } else {
+            // The reference point swings out about an axle that rolls straight on.
+            let sin = (axle_m * turn / distance).clamp(-1.0, 1.0);
+            self.reported += to_track(mean, (1.0 - sin * sin).sqrt(), sin) * counted_m;
+        }
         self.reported -= to_track(mean, 0.0, self.lateral) * distance;
     }
 }
@@ -188,9 +196,29 @@ impl Odometer {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use vehicle::VehicleModel;
 
     fn reckoning(robot: Robot) -> Reckoning {
         Reckoning::new(&Scenario { robot, ..Scenario::default() })
+    }
+
+    #[test]
+    fn the_odometry_of_a_car_is_that_of_its_reference_point() {
+        let model = Some(VehicleModel::Bicycle);
+        let robot = Robot { model, odometry_model: Some(OdometryModel::Encoders), ..Robot::default() };
+        let robot = Robot { odometry_longitudinal: Some(0.0), encoder_slip_m: Some(0.0), ..robot };
+        let robot = Robot { gyro_noise_rad: Some(0.0), gyro_bias_walk_radps: Some(0.0), ..robot };
+        let mut reckoning = reckoning(robot);
+        // A quarter of a circle with 1 m radius of the straight axle, 0.1924 m behind the reference point.
+        let (steps, arm_m) = (1000, 0.1924_f64);
+        let turn = std::f64::consts::FRAC_PI_2 / f64::from(steps);
+        for step in 0..steps {
+            let state = |step: i32| State { yaw: turn * f64::from(step), ..State::default() };
+            let way_m = turn * 1.0_f64.hypot(arm_m);
+            reckoning.step(step as u64 * 1_000_000, &state(step), &state(step + 1), way_m, 1e-3);
+        }
+        let expected = Vector2::new(1.0 - arm_m, 1.0 + arm_m);
+        assert!((reckoning.reported() - expected).norm() < 3e-3, "{}", reckoning.reported());
     }
 
     /// Drives straight along a yaw at 1 m/s for `seconds`, in milliseconds.

@@ -19,7 +19,6 @@ use vehicle::tyre::{GRAVITY_MPS2, derivative_with_friction};
 use vehicle::{Control, Lag, Parameters, State, slid};
 
 use crate::scenario::{Scenario, Values};
-use crate::steering_map::SteeringMap;
 
 /// Longest plant step [ns]. RK4 is stable up to 3.9 ms at the slowest velocity of the lateral part of the shipped robots;
 /// a robot that is too stiff for it moves in closed form.
@@ -33,7 +32,6 @@ const LIMIT_SLACK: f64 = 1e-9;
 pub struct Plant {
     parameters: Parameters,
     values: Values,
-    steering_map: SteeringMap,
     pub(crate) state: State,
     pub(crate) speed: f64,
     pub(crate) steering: f64,
@@ -54,7 +52,6 @@ impl Plant {
         Self {
             parameters: values.parameters(),
             values,
-            steering_map: scenario.robot.steering_map,
             state: State { x: start.x_m, y: start.y_m, yaw: start.yaw_rad, ..State::default() },
             speed: 0.0,
             steering: values.steering_offset_rad,
@@ -93,7 +90,7 @@ impl Plant {
         }
         self.blocked = false;
         self.target_speed = velocity_sent / self.values.velocity_factor;
-        let shaft = self.steering_map.realised(steering_sent);
+        let shaft = self.values.steering_map.realised(steering_sent);
         let play = self.values.steering_backlash_rad;
         // The wheels stay where they are until the shaft has used up the play.
         self.target_steering = self.target_steering.clamp(shaft - play, shaft + play);

@@ -187,9 +187,10 @@ impl Scenario {
         self.robot.values(self.seed)
     }
 
-    /// The body of the robot with its centre at a pose.
+    /// The body of the robot with its reference point at a pose.
     pub fn body(&self, x: f64, y: f64, yaw: f64) -> Rectangle {
-        Rectangle { centre: Vector2::new(x, y), yaw, length: self.robot.length_m, width: self.robot.width_m }
+        let Robot { length_m, width_m, body_x_m, .. } = self.robot;
+        Rectangle::of_robot([x, y, yaw], body_x_m, length_m, width_m)
     }
 
     /// Obstacles of the file, then those that the seed places.

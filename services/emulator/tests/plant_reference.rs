@@ -17,7 +17,7 @@ fn robot(friction: f64, lag: bool) -> Robot {
     Robot {
         tyre_friction: Some(friction),
         velocity_factor: Some(1.0),
-        steering_map: SteeringMap::Identity,
+        steering_map: Some(SteeringMap::Identity),
         velocity_lag_s: of(0.15),
         steering_lag_s: of(0.1),
         ..Robot::default()

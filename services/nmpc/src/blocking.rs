@@ -35,7 +35,7 @@ fn widest_gap(scene: &Scene, obstacle: &PredictedObstacle) -> f64 {
         [right - half_width, left + half_width]
     };
     let along = extent(obstacle, 0);
-    let reach = scene.config.vehicle.length_m / 2.0;
+    let reach = scene.config.vehicle.reach_m();
     let mut covered = [[0.0; 2]; MAX_OBSTACLES];
     let mut count = 0;
     for other in scene.predicted.iter().take(MAX_OBSTACLES) {

@@ -53,7 +53,7 @@ impl Legs {
         let legs = config.course.legs();
         let ControllerConfig { vehicle, cruise_mps, careful_mps, .. } = *config;
         let bounds = vehicle.bounds.mirrored().unwrap_or(vehicle.bounds);
-        let turned = Description { bounds, rear_m: vehicle.front_m, front_m: vehicle.rear_m, ..vehicle };
+        let turned = vehicle.mirrored(bounds);
         let slower = |velocity: f64| velocity.min(bounds.velocity_max_mps);
         let backwards =
             Driving { vehicle: turned, cruise_mps: slower(cruise_mps), careful_mps: slower(careful_mps) };

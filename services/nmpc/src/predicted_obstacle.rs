@@ -66,13 +66,13 @@ impl PredictedObstacle {
         Rectangle { centre: self.body.centre + travel, ..self.body }
     }
 
-    /// Makes the ellipse no longer along the track than the body with the robot's own length and [`SHORT_M`] to each side.
+    /// Makes the ellipse no longer along the track than the body with the robot's own reach and [`SHORT_M`] to each side.
     ///
     /// The ellipses of short bodies are longer than they need be, (7.35). The clearance of the bodies stays.
-    pub(crate) fn shorten(&mut self, robot_length_m: f64) {
+    pub(crate) fn shorten(&mut self, reach_m: f64) {
         let (sin, cos) = self.body.yaw.sin_cos();
         let half_length = (self.body.length * cos.abs() + self.body.width * sin.abs()) / 2.0;
-        self.a = self.a.min(half_length + robot_length_m / 2.0 + SHORT_M);
+        self.a = self.a.min(half_length + reach_m + SHORT_M);
     }
 
     /// Whether the body moves.
@@ -261,7 +261,7 @@ mod tests {
             &mut predicted
         ));
         // 0.05 m of the body, 0.28 m of the robot and 0.35 m.
-        predicted[0].shorten(0.56);
+        predicted[0].shorten(0.28);
         assert!((predicted[0].a - 0.68).abs() < 1e-12 && predicted[0].b == 0.8);
         assert!(read_on_line(
             &one(Obstacle { box_length_m: 3.0, ..obstacle() }),
@@ -269,7 +269,7 @@ mod tests {
             |_| false,
             &mut predicted
         ));
-        predicted[0].shorten(0.56);
+        predicted[0].shorten(0.28);
         assert_eq!(predicted[0].a, 1.2);
     }
 

@@ -13,7 +13,7 @@ use std::ops::RangeInclusive;
 
 use vehicle::integrate::stiff_step;
 use vehicle::lateral::Lateral;
-use vehicle::{Control, Parameters, State};
+use vehicle::{Control, Parameters, State, VehicleModel};
 
 use crate::sampled::Sampled;
 use crate::scene::Scene;
@@ -134,7 +134,10 @@ fn direction(state: &State) -> [f64; 2] {
 
 /// (7.27) and (7.29) as a linear system with this cosine of the sideslip: its equilibrium and its matrix.
 fn lateral(parameters: &Parameters, control: &Control, cosine: f64) -> ([f64; 2], [[f64; 2]; 2]) {
-    let Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2 } = *parameters;
+    if parameters.model != VehicleModel::CounterSteered {
+        return Lateral::new(parameters, [parameters.stiffness_n_per_rad; 2], control, cosine).equilibrium();
+    }
+    let Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2, .. } = *parameters;
     let Control { velocity, steering } = *control;
     let force = stiffness_n_per_rad * steering.cos();
     let (damping, torque) = (force / (mass_kg * velocity * cosine), force / inertia_kgm2);
@@ -267,7 +270,7 @@ mod tests {
         ) {
             let [mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2] =
                 exponents.map(|exponent| 10f64.powf(exponent).clamp(1e-3, 1e6));
-            let parameters = Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2 };
+            let parameters = Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2, ..Parameters::default() };
             let start = State { sideslip, yaw_rate, ..State::default() };
             let control = Control { velocity: 10f64.powf(exponent), steering };
             let ours = advance(&parameters, &start, &control, duration);

@@ -120,8 +120,7 @@ impl<'a> Scene<'a> {
 
     /// Whether a body is and stays behind the robot's place at the goal: the robot rests there before it gets to the body.
     pub(crate) fn is_beyond_goal(&self, obstacle: &PredictedObstacle) -> bool {
-        let rest_x =
-            self.config.goal.x_m + BEHIND_GOAL_M + self.config.vehicle.length_m / 2.0 + self.margin.base();
+        let rest_x = self.config.goal.x_m + BEHIND_GOAL_M + self.config.vehicle.nose_m() + self.margin.base();
         [0.0, self.config.horizon_s].into_iter().all(|t| {
             let corners = obstacle.body_at(t).corners();
             corners.into_iter().all(|corner| corner.x > rest_x)
@@ -280,12 +279,7 @@ impl<'a> Scene<'a> {
     /// The body at a state, in the plane, where distances are those of bodies.
     pub(crate) fn body_at(&self, state: &State) -> Rectangle {
         let state = self.config.course.in_plane(state);
-        Rectangle {
-            centre: Vector2::new(state.x, state.y),
-            yaw: state.yaw,
-            length: self.config.vehicle.length_m,
-            width: self.config.vehicle.width_m,
-        }
+        self.config.vehicle.body([state.x, state.y, state.yaw])
     }
 
     /// The box of an obstacle on the course, in the plane.
@@ -330,8 +324,7 @@ impl<'a> Scene<'a> {
         let middle = (self.y_range[0] + self.y_range[1]) / 2.0;
         let [right, left] = self.config.track.y_m;
         // Walls are along a line: across it they are where they are in the plane.
-        let Rectangle { length, width, .. } = self.body_at(state);
-        let body = Rectangle { centre: Vector2::new(state.x, state.y), yaw: state.yaw, length, width };
+        let body = self.config.vehicle.body([state.x, state.y, state.yaw]);
         body.distance_to_wall(right, middle).min(body.distance_to_wall(left, middle))
     }
 }

@@ -167,7 +167,7 @@ impl Sight {
     /// Whether a point was under the body here, or in view of the scanner.
     fn shows(&self, point: Vector2<f64>, vehicle: &Description, bodies: &[Rectangle]) -> bool {
         let from = to_robot(self.yaw_rad, point.x - self.x_m, point.y - self.y_m);
-        let is_under = from.x.abs() <= vehicle.length_m / 2.0 + AROUND_M
+        let is_under = (from.x - vehicle.body_x_m).abs() <= vehicle.length_m / 2.0 + AROUND_M
             && from.y.abs() <= vehicle.width_m / 2.0 + AROUND_M;
         if is_under {
             return true;

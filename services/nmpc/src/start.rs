@@ -96,7 +96,7 @@ fn seen_mps(
     is_reverse: bool,
 ) -> f64 {
     let seen_m = if is_reverse { f64::INFINITY } else { scanner.seen_ahead_m };
-    let seen_m = seen_m - config.vehicle.length_m / 2.0 - STOP_MARGIN_M;
+    let seen_m = seen_m - config.vehicle.nose_m() - STOP_MARGIN_M;
     if seen_m.is_nan() {
         return 0.0;
     }

@@ -85,7 +85,7 @@ impl ObstaclesConfig {
     ///
     /// The speed limit counts on it for what appears at `vehicle.sudden_m` in front of the body.
     pub(crate) fn first_sight_m(&self) -> f64 {
-        let sudden_m = self.vehicle.length_m / 2.0 + self.vehicle.sudden_m;
+        let sudden_m = self.vehicle.nose_m() + self.vehicle.sudden_m;
         self.near_m.max(sudden_m + 3.0 * self.range_noise_m)
     }
 

@@ -2,22 +2,32 @@
 //!
 //! An interval evaluates it at several stages under one control, so the sine and cosine of the steering angle and
 //! the divisions by the velocity are shared. The formulas are those of [`vehicle::model`], which is the oracle of
-//! the tests here.
+//! the tests here. Other models than the counter-steered one are computed by those.
 
-use vehicle::Parameters;
+use vehicle::{Control, Parameters, VehicleModel, model};
 
 use crate::model::{LateralModel, LateralSlope};
 use crate::trig::sin_cos;
 
 impl LateralModel for Parameters {
     fn is_sound(&self) -> bool {
-        let Self { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2 } = *self;
-        [mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2]
+        let Self { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2, yaw_lag_s, .. } = *self;
+        [mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2, yaw_lag_s]
             .into_iter()
             .all(|value| value > 0.0 && value.is_finite())
     }
 
     fn slopes(&self, control: [f64; 2], states: &[[f64; 2]], slopes: &mut [LateralSlope]) {
+        if self.model != VehicleModel::CounterSteered {
+            let [velocity, steering] = control;
+            let control = Control { velocity, steering };
+            for (slope, [sideslip, yaw_rate]) in slopes.iter_mut().zip(states) {
+                let (by_state, by_control) = model::lateral_jacobians(self, *sideslip, *yaw_rate, &control);
+                let value = model::lateral(self, *sideslip, *yaw_rate, &control);
+                *slope = LateralSlope { value, by_state, by_control };
+            }
+            return;
+        }
         let lateral = Lateral::new(self, control);
         for (slope, state) in slopes.iter_mut().zip(states) {
             *slope = lateral.slope(*state);
@@ -30,7 +40,11 @@ impl LateralModel for Parameters {
         [sideslip, yaw_rate]: [f64; 2],
         weights: [f64; 2],
     ) -> [[f64; 4]; 4] {
-        let Self { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2 } = *self;
+        if self.model != VehicleModel::CounterSteered {
+            let control = Control { velocity, steering };
+            return model::lateral_derivatives(self, sideslip, yaw_rate, &control, weights).1;
+        }
+        let Self { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2, .. } = *self;
         let (sin, cos) = steering.sin_cos();
         let (sum, difference) = (rear_m + front_m, rear_m - front_m);
         let square = rear_m * rear_m + front_m * front_m;
@@ -115,7 +129,7 @@ struct Lateral {
 impl Lateral {
     /// The stiff part under a control (velocity, steering).
     fn new(parameters: &Parameters, control: [f64; 2]) -> Self {
-        let Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2 } = *parameters;
+        let Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2, .. } = *parameters;
         let (sin, cos) = sin_cos(control[1]);
         let per_velocity = 1.0 / control[0];
         let force = stiffness_n_per_rad * cos;
@@ -159,7 +173,6 @@ impl Lateral {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use vehicle::{Control, model};
 
     proptest! {
         #[test]

@@ -74,7 +74,7 @@ pub(crate) fn of_twist(vehicle: &Description, twist: &Twist) -> Result<[f64; 2],
     if !(velocity_mps.is_finite() && yaw_rate_radps.is_finite()) {
         return Err(format!("linear.x is {velocity_mps}, angular.z {yaw_rate_radps}"));
     }
-    Ok([velocity_mps, steering_of(vehicle.front_m + vehicle.rear_m, velocity_mps, yaw_rate_radps)])
+    Ok([velocity_mps, steering_of(&vehicle.parameters(), velocity_mps, yaw_rate_radps)])
 }
 
 /// Follows what a person does. Who has lost the drive, because another one paused or resumed it, has to let go before it is

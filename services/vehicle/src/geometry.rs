@@ -18,6 +18,11 @@ pub struct Rectangle {
 }
 
 impl Rectangle {
+    /// The body of a robot whose reference point is at (x, y), with its middle `ahead` of it [m].
+    pub fn of_robot([x, y, yaw]: [f64; 3], ahead: f64, length: f64, width: f64) -> Self {
+        Self { centre: Vector2::new(x, y) + to_track(yaw, ahead, 0.0), yaw, length, width }
+    }
+
     /// The corners, counter-clockwise from front left.
     pub fn corners(&self) -> [Vector2<f64>; 4] {
         let (half_length, half_width) = (self.length / 2.0, self.width / 2.0);
@@ -132,6 +137,13 @@ mod tests {
         let turned =
             square(0.0, 0.0, 0.0).distance_to_rectangle(&square(3.0, 0.0, std::f64::consts::FRAC_PI_4));
         assert!((turned - (2.0 - 2.0_f64.sqrt())).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_middle_of_a_body_may_be_ahead_of_its_reference_point() {
+        let body = Rectangle::of_robot([1.0, 2.0, std::f64::consts::FRAC_PI_2], 0.5, 3.0, 1.0);
+        assert!((body.centre - Vector2::new(1.0, 2.5)).norm() < 1e-12);
+        assert!((body.distance_to_point(Vector2::new(1.0, 5.0)) - 1.0).abs() < 1e-12);
     }
 
     #[test]

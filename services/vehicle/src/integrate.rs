@@ -65,8 +65,8 @@ pub fn stiff_step(
         Lateral::new(parameters, stiffness, control, cosine_of(at.sideslip))
     };
     let half = |state: &State| {
-        if friction > 0.0 {
-            return slipped(parameters, friction, state, control, half_s);
+        if let Some(shares) = parameters.model.shares().filter(|_| friction > 0.0) {
+            return slipped(parameters, shares, friction, state, control, half_s);
         }
         let middle = motion(state).over(half_s / 2.0).moved(state);
         motion(&middle).over(half_s).moved(state)

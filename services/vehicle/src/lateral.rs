@@ -12,7 +12,7 @@
 use nalgebra::Complex;
 
 use crate::state::SPIN_RADPS;
-use crate::{Control, Parameters, State};
+use crate::{Control, Parameters, State, differential};
 
 /// Share of the eigenvalues by which two equal ones are moved apart: half of the digits remain in their difference.
 const APART: f64 = 1e-7;
@@ -40,7 +40,17 @@ impl Lateral {
     pub fn new(parameters: &Parameters, stiffness: [f64; 2], control: &Control, cosine: f64) -> Self {
         let Parameters { mass_kg, rear_m, front_m, inertia_kgm2, .. } = *parameters;
         let Control { velocity, steering } = *control;
-        let [front, rear] = stiffness.map(|stiffness| stiffness.copysign(velocity) * steering.cos());
+        let Some(shares) = parameters.model.shares() else {
+            let rate = 1.0 / parameters.yaw_lag_s;
+            let (_, command) = differential::steady_turn(parameters, control);
+            return Self {
+                matrix: [[-rate, 0.0], [0.0, -rate]],
+                constant: [0.0, rate * command],
+                determinant: rate * rate,
+            };
+        };
+        let [front, rear] =
+            [0, 1].map(|axle| stiffness[axle].copysign(velocity) * (shares[axle] * steering).cos());
         let mobility = 1.0 / (mass_kg * velocity * cosine);
         let couple = rear * rear_m - front * front_m;
         let damping = rear * rear_m * rear_m + front * front_m * front_m;
@@ -51,8 +61,8 @@ impl Lateral {
                 [couple / inertia_kgm2, -damping / (velocity * inertia_kgm2)],
             ],
             constant: [
-                steering * (front - rear) * mobility,
-                steering * (front * front_m + rear * rear_m) / inertia_kgm2,
+                steering * (front * shares[0] + rear * shares[1]) * mobility,
+                steering * (front * front_m * shares[0] - rear * rear_m * shares[1]) / inertia_kgm2,
             ],
             determinant: (front * rear * sum * sum * mobility / velocity + couple) / inertia_kgm2,
         }
@@ -72,6 +82,16 @@ impl Lateral {
         let (decay, swing) = if square > 0.0 { (root - mean, root + mean) } else { (-mean, root) };
         let is_mild = decay * seconds <= MAX_DECAY && swing * seconds <= MAX_SWING;
         !is_mild
+    }
+
+    /// Sideslip and yaw rate that stay as they are, and the matrix A.
+    pub fn equilibrium(&self) -> ([f64; 2], [[f64; 2]; 2]) {
+        let Self { matrix: [[first, right], [left, last]], constant, determinant } = *self;
+        let still = [
+            (right * constant[1] - last * constant[0]) / determinant,
+            (left * constant[0] - first * constant[1]) / determinant,
+        ];
+        (still, self.matrix)
     }
 
     /// Whether deviations decay: a robot with the longer axle distance in front turns round by itself above some velocity.

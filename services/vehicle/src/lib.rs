@@ -1,12 +1,13 @@
-//! The SUMMIT robot as pure functions: model, bounds, integration, frames, body geometry, command correction.
+//! The robot as pure functions: model, bounds, integration, frames, body geometry, command correction.
 //!
-//! Nothing here knows processes, clocks or files. The model is the single-track model of a robot whose front
-//! and rear axle steer by the same angle in opposite directions, (7.27)-(7.31).
+//! Nothing here knows processes, clocks or files. The model is by default the single-track model of a robot whose front
+//! and rear axle steer by the same angle in opposite directions, (7.27)-(7.31); [`VehicleModel`] has the others.
 
 pub mod bounds;
 pub mod correction;
 pub mod course;
 mod description;
+mod differential;
 pub mod frame;
 pub mod geometry;
 mod goal;
@@ -16,10 +17,12 @@ pub mod lateral;
 pub mod model;
 pub mod network;
 mod parameters;
+mod single_track;
 mod slipping;
 mod state;
 mod track;
 pub mod tyre;
+mod vehicle_model;
 
 pub use bounds::Bounds;
 pub use course::Course;
@@ -33,3 +36,4 @@ pub use lag::{Lag, slid};
 pub use parameters::Parameters;
 pub use state::{Control, SIDEWAYS_RAD, State};
 pub use track::{Surroundings, Track};
+pub use vehicle_model::VehicleModel;

@@ -11,7 +11,7 @@
 use nalgebra::SVector;
 
 use crate::state::SIDEWAYS_RAD;
-use crate::{Control, Parameters, State};
+use crate::{Control, Parameters, State, VehicleModel, differential, single_track};
 
 /// Velocity to either side below which the lateral part of the model is not slowed down further [m/s]: RK4 is stable there
 /// in steps of up to 3.9 ms.
@@ -50,6 +50,13 @@ fn derivative_under(
 
 /// Derivatives of sideslip (7.27) and yaw rate (7.29): the stiff part, which depends on nothing else.
 pub fn lateral(parameters: &Parameters, sideslip: f64, yaw_rate: f64, control: &Control) -> [f64; 2] {
+    if parameters.model != VehicleModel::CounterSteered {
+        let state = [sideslip, yaw_rate];
+        return match parameters.model.shares() {
+            Some(shares) => single_track::lateral(parameters, shares, state, cosine_of(sideslip), control),
+            None => differential::lateral(parameters, state, control),
+        };
+    }
     let Parameters { mass_kg, rear_m, front_m, inertia_kgm2, .. } = *parameters;
     let Control { velocity, steering } = *control;
     let force = parameters.stiffness_at(velocity) * steering.cos();
@@ -77,6 +84,11 @@ pub fn lateral_jacobians(
     control: &Control,
 ) -> ([[f64; 2]; 2], [[f64; 2]; 2]) {
     let Parameters { mass_kg, rear_m, front_m, inertia_kgm2, .. } = *parameters;
+    if parameters.model != VehicleModel::CounterSteered {
+        let ([first, last], _) = lateral_derivatives(parameters, sideslip, yaw_rate, control, [0.0; 2]);
+        let columns = |from: usize| [first, last].map(|row| [row[from], row[from + 1]]);
+        return (columns(0), columns(2));
+    }
     let Control { velocity, steering } = *control;
     let stiffness = parameters.stiffness_at(velocity);
     let (sin, cos) = steering.sin_cos();
@@ -100,8 +112,29 @@ pub fn lateral_jacobians(
     (by_state, by_control)
 }
 
+/// Gradients of [`lateral`] by (sideslip, yaw rate, velocity, steering), and the second derivatives of its sum with `weights`, for
+/// any model.
+pub fn lateral_derivatives(
+    parameters: &Parameters,
+    sideslip: f64,
+    yaw_rate: f64,
+    control: &Control,
+    weights: [f64; 2],
+) -> ([[f64; 4]; 2], [[f64; 4]; 4]) {
+    match parameters.model.shares() {
+        Some(shares) => single_track::derivatives(parameters, shares, [sideslip, yaw_rate], control, weights),
+        None => differential::derivatives(parameters, control, weights),
+    }
+}
+
 /// Steady sideslip and yaw rate under a constant control, for small angles.
 pub fn steady_turn(parameters: &Parameters, control: &Control) -> (f64, f64) {
+    if parameters.model != VehicleModel::CounterSteered {
+        return match parameters.model.shares() {
+            Some(shares) => single_track::steady_turn(parameters, shares, control),
+            None => differential::steady_turn(parameters, control),
+        };
+    }
     let Parameters { mass_kg, rear_m, front_m, .. } = *parameters;
     let stiffness = parameters.stiffness_at(control.velocity);
     let difference = rear_m - front_m;

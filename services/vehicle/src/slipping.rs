@@ -5,7 +5,7 @@
 //! sideslip is that at the beginning.
 
 use crate::model::cosine_of;
-use crate::tyre::{axle_force, axle_limits, slip_angles};
+use crate::tyre::{axle_force, axle_limits, inward, slip_angles};
 use crate::{Control, Parameters, State};
 
 /// Two are usual; a step that crosses from one limit of the friction to the other takes ten.
@@ -22,6 +22,9 @@ struct Slipping<'a> {
     parameters: &'a Parameters,
     control: &'a Control,
     limits_n: [f64; 2],
+    /// How the axles steer, and the shares of their forces across the body.
+    shares: [f64; 2],
+    inward: [f64; 2],
     /// Rates of the sideslip and of the yaw rate by a force and a moment.
     mobility: f64,
     agility: f64,
@@ -30,6 +33,7 @@ struct Slipping<'a> {
 /// The state some seconds later, at the same place.
 pub(crate) fn slipped(
     parameters: &Parameters,
+    shares: [f64; 2],
     friction: f64,
     state: &State,
     control: &Control,
@@ -40,6 +44,8 @@ pub(crate) fn slipped(
         parameters,
         control,
         limits_n: axle_limits(parameters, friction),
+        shares,
+        inward: inward(shares, control.steering),
         mobility: cos / (parameters.mass_kg * control.velocity * cosine_of(state.sideslip)),
         agility: cos / parameters.inertia_kgm2,
     };
@@ -81,15 +87,16 @@ impl Slipping<'_> {
 
     /// Size of the residual at a place, as an angle, and the step of Newton's method from there.
     fn newton(&self, start: [f64; 2], at: [f64; 2], seconds: f64) -> (f64, [f64; 2]) {
-        let Self { parameters, control, limits_n, mobility, agility } = self;
+        let Self { parameters, control, limits_n, shares, inward, mobility, agility } = self;
         let Parameters { rear_m, front_m, .. } = **parameters;
         let velocity = control.velocity;
         let stiffness = parameters.stiffness_at(velocity);
         let state = State { sideslip: at[0], yaw_rate: at[1], ..State::default() };
-        let slips = slip_angles(parameters, &state, control);
+        let slips = slip_angles(parameters, *shares, &state, control);
         let forces = [0, 1].map(|axle| axle_force(stiffness, slips[axle], limits_n[axle]));
-        let [front, rear] =
-            [0, 1].map(|axle| stiffness * (1.0 - (forces[axle] / limits_n[axle]).powi(2)).max(0.0));
+        let [front, rear] = [0, 1]
+            .map(|axle| inward[axle] * stiffness * (1.0 - (forces[axle] / limits_n[axle]).powi(2)).max(0.0));
+        let forces = [0, 1].map(|axle| inward[axle] * forces[axle]);
         let (move_s, turn_s) = (mobility * seconds, agility * seconds);
         let residual = [
             at[0] - start[0] - move_s * (forces[0] + forces[1]) + seconds * at[1],

@@ -29,20 +29,29 @@ pub fn derivative_with_friction(
     steering: f64,
 ) -> SVector<f64, 5> {
     let mut rates = derivative_at(parameters, state, speed, steering);
-    if friction > 0.0 {
-        [rates[0], rates[2]] = lateral(parameters, friction, state, lateral_velocity(speed), steering);
+    if let Some(shares) = parameters.model.shares().filter(|_| friction > 0.0) {
+        [rates[0], rates[2]] =
+            lateral(parameters, shares, friction, state, lateral_velocity(speed), steering);
     }
     rates
 }
 
 /// Derivatives of sideslip and yaw rate, as (7.27) and (7.29) before the forces are made linear.
-fn lateral(parameters: &Parameters, friction: f64, state: &State, speed: f64, steering: f64) -> [f64; 2] {
+fn lateral(
+    parameters: &Parameters,
+    shares: [f64; 2],
+    friction: f64,
+    state: &State,
+    speed: f64,
+    steering: f64,
+) -> [f64; 2] {
     let Parameters { mass_kg, rear_m, front_m, inertia_kgm2, .. } = *parameters;
     let State { sideslip, yaw_rate, .. } = *state;
     let stiffness = parameters.stiffness_at(speed);
-    let slips = slip_angles(parameters, state, &Control { velocity: speed, steering });
+    let slips = slip_angles(parameters, shares, state, &Control { velocity: speed, steering });
     let limits = axle_limits(parameters, friction);
-    let [front, rear] = [0, 1].map(|axle| axle_force(stiffness, slips[axle], limits[axle]));
+    let inward = inward(shares, steering);
+    let [front, rear] = [0, 1].map(|axle| inward[axle] * axle_force(stiffness, slips[axle], limits[axle]));
     let cos = steering.cos();
     [
         cos * (front + rear) / (mass_kg * speed * cosine_of(sideslip)) - yaw_rate,
@@ -50,20 +59,31 @@ fn lateral(parameters: &Parameters, friction: f64, state: &State, speed: f64, st
     ]
 }
 
+/// Shares of the forces of both axles across the body, of cos(u2): 1 for those that steer by u2.
+pub(crate) fn inward(shares: [f64; 2], steering: f64) -> [f64; 2] {
+    shares.map(|share| (share * steering).cos() / steering.cos())
+}
+
 /// Slip angles of the front and the rear axle [rad].
-pub(crate) fn slip_angles(parameters: &Parameters, state: &State, control: &Control) -> [f64; 2] {
+pub(crate) fn slip_angles(
+    parameters: &Parameters,
+    shares: [f64; 2],
+    state: &State,
+    control: &Control,
+) -> [f64; 2] {
     let State { sideslip, yaw_rate, .. } = *state;
     let Control { velocity, steering } = *control;
     let curvature = yaw_rate / velocity;
     [
-        steering - sideslip - parameters.front_m * curvature,
-        -steering - sideslip + parameters.rear_m * curvature,
+        shares[0] * steering - sideslip - parameters.front_m * curvature,
+        shares[1] * steering - sideslip + parameters.rear_m * curvature,
     ]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::VehicleModel;
 
     const SUMMIT: Parameters = Parameters {
         mass_kg: 14.695,
@@ -71,6 +91,8 @@ mod tests {
         front_m: 0.1776,
         stiffness_n_per_rad: 250.0,
         inertia_kgm2: 0.5024,
+        model: VehicleModel::CounterSteered,
+        yaw_lag_s: 0.1,
     };
 
     #[test]
@@ -108,7 +130,7 @@ mod tests {
     #[test]
     fn a_robot_that_slides_sideways_decelerates_at_mu_g() {
         let state = State { sideslip: -1.0, ..State::default() };
-        let [sideslip_rate, _] = lateral(&SUMMIT, 0.8, &state, 1.0, 0.0);
+        let [sideslip_rate, _] = lateral(&SUMMIT, [1.0, -1.0], 0.8, &state, 1.0, 0.0);
         // Both axles at their limits: mu g / (v cos(sideslip)).
         assert!((sideslip_rate * 1.0_f64.cos() - 0.8 * 9.81).abs() < 0.05, "{sideslip_rate}");
     }

@@ -24,7 +24,7 @@ fn any_vehicle() -> impl Strategy<Value = Parameters> {
     prop::array::uniform5(-3.0..=6.0f64).prop_map(|exponents: [f64; 5]| {
         let [mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2] =
             exponents.map(|exponent| 10f64.powf(exponent).clamp(1e-3, 1e6));
-        Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2 }
+        Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2, ..Parameters::default() }
     })
 }
 

@@ -55,7 +55,7 @@ impl World {
         let mut scenario = scenario.clone();
         // What the server's own calibration would undo.
         scenario.robot.velocity_factor = Some(1.0);
-        scenario.robot.steering_map = SteeringMap::Identity;
+        scenario.robot.steering_map = Some(SteeringMap::Identity);
         scenario.robot.odometry_longitudinal = Some(0.0);
         Self {
             emulator: Emulator::new(&scenario, period_ns),

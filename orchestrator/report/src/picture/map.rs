@@ -278,7 +278,7 @@ impl Strip<'_> {
     fn body(&self, moment: &Moment) -> [[f64; 2]; 4] {
         let (forward, left) = (self.scene.body_length_m / 2.0, self.scene.body_width_m / 2.0);
         [(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)].map(|(along, across)| {
-            let offset = to_track(moment.yaw_rad, along * forward, across * left);
+            let offset = to_track(moment.yaw_rad, self.scene.body_x_m + along * forward, across * left);
             [moment.x_m + offset.x, moment.y_m + offset.y]
         })
     }

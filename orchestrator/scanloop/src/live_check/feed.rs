@@ -155,7 +155,7 @@ pub(super) fn free_ahead_m(scan: &Scan, vehicle: &Description) -> f64 {
         let range_m = scan.range_m(beam)?;
         let (x_m, y_m) = (range_m * yaw_rad.cos(), range_m * yaw_rad.sin());
         let (x_m, y_m) = (vehicle.scanner_x_m + x_m, vehicle.scanner_y_m + y_m);
-        (y_m.abs() <= half_m).then_some(x_m - vehicle.length_m / 2.0)
+        (y_m.abs() <= half_m).then_some(x_m - vehicle.nose_m())
     });
     returns.fold(f64::INFINITY, f64::min)
 }

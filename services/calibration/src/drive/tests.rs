@@ -72,7 +72,7 @@ fn the_steering_map_of_unseen_robots_is_found_within_2_mrad_and_covered() {
     let results = trials(50, |trial| {
         let robot = hidden(trial);
         let fit = steering::fit(&circle_runs(&robot, trial)).unwrap();
-        let map = robot.robot.steering_map;
+        let map = robot.robot.steering_map.unwrap_or_default();
         let worst = (-60..=60)
             .map(|step| 1e-3 * f64::from(step))
             .map(|desired| (map.realised(fit.inverse.eval(desired)) - desired).abs())

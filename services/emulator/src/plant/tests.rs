@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::scenario::Robot;
-use crate::steering_map::nonlinear;
+use crate::steering_map::{SteeringMap, nonlinear};
 use proptest::prelude::*;
 use vehicle::Control;
 use vehicle::integrate::integrate;
@@ -12,7 +12,7 @@ fn plant(robot: Robot) -> Plant {
 }
 
 fn ideal() -> Robot {
-    Robot { velocity_factor: Some(1.0), steering_map: SteeringMap::Identity, ..Robot::default() }
+    Robot { velocity_factor: Some(1.0), steering_map: Some(SteeringMap::Identity), ..Robot::default() }
 }
 
 fn run(plant: &mut Plant, milliseconds: usize) -> f64 {

@@ -1,9 +1,10 @@
 //! The values that a preset gives to the keys of `[robot]`.
 
-use vehicle::{Bounds, Description, Parameters};
+use vehicle::{Bounds, Description, Parameters, VehicleModel};
 
 use super::robot::{OdometryModel, Preset, Robot};
 use crate::noise::{NoiseStream, Purpose};
+use crate::steering_map::SteeringMap;
 
 /// Spread of a worn robot: each value is within this share of its middle.
 const SPREAD: f64 = 0.2;
@@ -42,16 +43,19 @@ macro_rules! values {
 }
 
 values! {
+    model: VehicleModel,
     mass_kg: f64,
     rear_m: f64,
     front_m: f64,
     stiffness_n_per_rad: f64,
     inertia_kgm2: f64,
+    yaw_lag_s: f64,
     tyre_friction: f64,
     velocity_factor: f64,
     sent_velocity_max_mps: f64,
     sent_steering_max_rad: f64,
     steering_backlash_rad: f64,
+    steering_map: SteeringMap,
     steering_offset_rad: f64,
     blocked_deceleration_mps2: f64,
     velocity_lag_s: f64,
@@ -79,7 +83,7 @@ impl Values {
     /// Follows every command at once.
     ///
     /// Limits of a lag and errors of encoders are those of `summit`: they act when their lag or model is asked for.
-    fn ideal() -> Self {
+    fn ideal(description: &Description) -> Self {
         Self {
             tyre_friction: 0.0,
             velocity_lag_s: 0.0,
@@ -89,25 +93,33 @@ impl Values {
             odometry_model: OdometryModel::Source,
             scan_stamp_jitter_s: 0.0,
             scan_missing_every: 0,
-            ..Self::summit(&Description::default())
+            ..Self::summit(description)
         }
     }
 
     /// The robot of a description, with delays, lags and errors that no description has.
     fn summit(description: &Description) -> Self {
-        let Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2 } =
+        let Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2, model, yaw_lag_s } =
             description.parameters();
+        // Factor and linkage are those of the SUMMIT.
+        let (velocity_factor, steering_map) = match model {
+            VehicleModel::CounterSteered => (1.4, SteeringMap::Nonlinear),
+            _ => (1.0, SteeringMap::Identity),
+        };
         Self {
+            model,
             mass_kg,
             rear_m,
             front_m,
             stiffness_n_per_rad,
             inertia_kgm2,
+            yaw_lag_s,
             tyre_friction: description.tyre_friction,
-            velocity_factor: 1.4,
+            velocity_factor,
             sent_velocity_max_mps: description.bounds.sent_velocity_max_mps,
             sent_steering_max_rad: description.bounds.sent_steering_max_rad,
             steering_backlash_rad: 0.0,
+            steering_map,
             steering_offset_rad: 0.0,
             blocked_deceleration_mps2: description.blocked_deceleration_mps2,
             velocity_lag_s: description.velocity_lag_s,
@@ -150,6 +162,7 @@ impl Values {
             front_m,
             stiffness_n_per_rad,
             inertia_kgm2,
+            yaw_lag_s,
             tyre_friction,
             steering_backlash_rad,
             blocked_deceleration_mps2,
@@ -184,8 +197,9 @@ impl Values {
 
     /// Parameters of (7.27)-(7.31).
     pub fn parameters(&self) -> Parameters {
-        let Self { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2, .. } = *self;
-        Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2 }
+        let Self { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2, model, yaw_lag_s, .. } =
+            *self;
+        Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2, model, yaw_lag_s }
     }
 }
 
@@ -195,7 +209,21 @@ impl Robot {
     /// A robot that is resolved stays as it is, whatever the description and the seed.
     #[must_use]
     pub fn resolved(&self, description: &Description, seed: u64) -> Self {
-        if self.is_resolved() { *self } else { self.filled(&self.of_preset(description, seed)) }
+        if self.is_resolved() {
+            return *self;
+        }
+        let Self { length_m, width_m, body_x_m, .. } = Self::default();
+        let mut robot = self.filled(&self.of_preset(description, seed));
+        if description.model != VehicleModel::CounterSteered {
+            // A size that the file has is that of the description as well.
+            let sized = |own_m: f64, summit_m: f64, described_m: f64| {
+                if own_m == summit_m { described_m } else { own_m }
+            };
+            robot.length_m = sized(self.length_m, length_m, description.length_m);
+            robot.body_x_m = sized(self.body_x_m, body_x_m, description.body_x_m);
+            robot.width_m = sized(self.width_m, width_m, description.width_m);
+        }
+        robot
     }
 
     /// All values; those that are not given come from the preset, around the default description.
@@ -204,9 +232,12 @@ impl Robot {
     }
 
     fn of_preset(&self, description: &Description, seed: u64) -> Values {
+        // The SUMMIT stays what it is, whatever a description states of it; of another vehicle only that is known.
+        let is_summit = description.model == VehicleModel::CounterSteered;
+        let known = if is_summit { Description::default() } else { *description };
         let values = match self.preset {
-            Preset::Ideal => Values::ideal(),
-            Preset::Summit => Values::summit(&Description::default()),
+            Preset::Ideal => Values::ideal(&known),
+            Preset::Summit => Values::summit(&known),
             Preset::Worn => Values::worn(description, seed),
         };
         // What a robot may be sent is a limit that is set, not a property that may be described wrongly.
@@ -221,6 +252,7 @@ impl Robot {
                 [
                     ("length_m", Some(self.length_m), description.length_m),
                     ("width_m", Some(self.width_m), description.width_m),
+                    ("body_x_m", Some(self.body_x_m), description.body_x_m),
                     $((stringify!($key), self.$key, description.$key),)*
                 ]
             };
@@ -231,6 +263,7 @@ impl Robot {
             front_m,
             stiffness_n_per_rad,
             inertia_kgm2,
+            yaw_lag_s,
             tyre_friction,
             blocked_deceleration_mps2,
             command_delay_s,

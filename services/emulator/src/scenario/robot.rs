@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
 use vehicle::bounds::{ANY_SENT_STEERING_MAX_RAD, ANY_SENT_VELOCITY_MAX_MPS};
-use vehicle::{SCANNER_YAW_MAX_RAD, Setting, settings};
+use vehicle::{SCANNER_YAW_MAX_RAD, Setting, VehicleModel, settings};
 
 use crate::steering_map::SteeringMap;
 
@@ -72,6 +72,11 @@ settings! {
         pub length_m: f64 = 0.56, (0.05..=6.0, "0.1 to 6 unless `vehicle.length_m` is set");
         /// Width of the body [m].
         pub width_m: f64 = 0.40, (0.05..=5.0, "0.1 to 3 unless `vehicle.width_m` is set");
+        /// How far the middle of the body is ahead of the reference point [m].
+        pub body_x_m: f64 = 0.0, -3.0..=3.0;
+        /// How it turns; without the key as `vehicle.model` says. With another model than `counter_steered` all presets are around
+        /// the vehicle description, with a velocity factor of 1 and the steering map `identity`.
+        pub model: Option<VehicleModel> = None;
         /// Mass m [kg].
         pub mass_kg: Option<f64> = None, 1e-3..=1e6;
         /// Distance of the rear axle from the centre of mass, lh [m].
@@ -82,6 +87,8 @@ settings! {
         pub stiffness_n_per_rad: Option<f64> = None, 1e-3..=1e6;
         /// Moment of inertia about the vertical axis, J [kg m^2].
         pub inertia_kgm2: Option<f64> = None, 1e-3..=1e6;
+        /// Time constant with which the yaw rate of a differential drive follows its command [s].
+        pub yaw_lag_s: Option<f64> = None, 1e-3..=2.0;
         /// Friction coefficient of the tyres, mu; 0 for forces without a limit.
         pub tyre_friction: Option<f64> = None, 0.0..=5.0;
         /// Velocity sent divided by the true velocity, kv.
@@ -93,7 +100,7 @@ settings! {
         /// Half the play between steering shaft and wheels, nu [rad].
         pub steering_backlash_rad: Option<f64> = None, 0.0..=0.1;
         /// True steering angle of the shaft as a function of the angle sent: a fixed curve, or the same angle.
-        pub steering_map: SteeringMap = SteeringMap::Nonlinear;
+        pub steering_map: Option<SteeringMap> = None;
         /// Constant angle that is added to the wheels after map and play [rad].
         pub steering_offset_rad: Option<f64> = None, -0.1..=0.1;
         /// Deceleration while the wheels are blocked, at most what the friction of the tyres allows [m/s^2].

@@ -1,7 +1,7 @@
 //! The motion of a robot whose speed and steering angle lag behind the desired ones.
 
 use vehicle::integrate::MAX_STEP_S;
-use vehicle::{State, slid};
+use vehicle::{State, VehicleModel, slid};
 
 use super::{ControlInForce, MotionModel, MotionState};
 
@@ -140,5 +140,8 @@ fn steps(from_mps: f64, to_mps: f64, duration: f64) -> f64 {
 /// Curvature of the path per steering angle for small angles [1/m].
 fn curvature_per_angle(model: &MotionModel) -> f64 {
     let parameters = &model.parameters;
+    if parameters.model != VehicleModel::CounterSteered {
+        return parameters.yaw_rate_gain();
+    }
     (parameters.rear_m + parameters.front_m) / (parameters.rear_m.powi(2) + parameters.front_m.powi(2))
 }

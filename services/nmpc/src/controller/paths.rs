@@ -101,7 +101,7 @@ impl Controller {
         let mut axes = [0.0; MAX_OBSTACLES];
         for (axis, obstacle) in axes.iter_mut().zip(predicted.iter_mut()) {
             *axis = obstacle.a;
-            obstacle.shorten(config.vehicle.length_m);
+            obstacle.shorten(config.vehicle.reach_m());
         }
         let scene = start.scene(config, predicted);
         let is_far = config.goal.x_m - start.initial.x > SLOW_WAY_M;

@@ -256,8 +256,7 @@ impl<'a> Surroundings<'a> {
     }
 
     fn robot(&self, state: &State) -> Rectangle {
-        let Description { length_m: length, width_m: width, .. } = self.judge.vehicle;
-        Rectangle { centre: Vector2::new(state.x, state.y), yaw: state.yaw, length, width }
+        self.judge.vehicle.body([state.x, state.y, state.yaw])
     }
 
     fn wall_gap(&self, state: &State) -> f64 {

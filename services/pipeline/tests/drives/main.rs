@@ -2,9 +2,11 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod beside;
+mod examples;
 mod gaps;
 mod goal;
 mod hostile;
+mod models;
 mod presets;
 mod released;
 mod reversing;
