@@ -40,7 +40,6 @@ pub(crate) fn costates(
     for node in (1..=count).rev() {
         let state = &iterate.states[node];
         let target = reference(problem, node);
-        let (state_lower, state_upper) = state_bounds(problem, node);
         for (component, weight) in node_weights(problem, node).iter().enumerate() {
             costate[component] += 2.0 * weight * (state[component] - target[component])
                 + row_multipliers[bound_row(node, component)];
