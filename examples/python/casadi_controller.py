@@ -255,7 +255,8 @@ class Controller:
             command.reason = StopReason.LANDED if landed else StopReason.GOAL_PASSED
             return command
         if driven_by != DrivenBy.CONTROLLER:
-            command.reason = StopReason.PAUSED if driven_by == DrivenBy.NOBODY else StopReason.RELEASED
+            is_paused = driven_by == DrivenBy.NOBODY
+            command.reason = StopReason.PAUSED if is_paused else StopReason.RELEASED
             return command
         if pose.alarm == Alarm.STOP:
             command.reason = StopReason.SELF_CHECK
