@@ -22,8 +22,9 @@ const RESTS_NS: u64 = 2_000_000_000;
 const UNKNOWN_MPS: f64 = 0.35;
 /// Without a known velocity a body that has come so far moves [m]: less is what a wider view of it makes ...
 const CREPT_M: f64 = 0.15;
-/// ... one that is seen for less than this may move ...
+/// ... one that is seen for less than this, and in fewer scans, may move ...
 const FRESH_NS: u64 = 1_500_000_000;
+const FRESH_SCANS: u64 = 20;
 /// ... this fast [m/s], and when it is lost after less ...
 const FRESH_MPS: f64 = 0.5;
 /// ... this fast [m/s]: what is faster is described as one that moves.
@@ -46,8 +47,8 @@ plain_state! {
         pub first_m: [f64; 2],
         /// Centre of its box when it was seen last [m]
         pub last_m: [f64; 2],
-        /// Half of the diagonal of its box [m]
-        pub radius_m: f64,
+        /// Half of the diagonal of its box, at first and when it was seen last [m]
+        pub radius_m: [f64; 2],
         /// How fast it may be; 0 when it rests [m/s]
         pub speed_mps: f64,
     }
@@ -73,8 +74,7 @@ impl Movers {
             match described(&known) {
                 Some(one) => known.see(one, now_ns),
                 None if known.speed_mps == 0.0 || known.seen_ns < since_ns => continue,
-                None if known.moved_ns == 0 => known.speed_mps = CREEPS_MPS,
-                None => {}
+                None => known.lose(),
             }
             self.bodies[kept] = known;
             kept += 1;
@@ -96,7 +96,7 @@ impl Movers {
             |known: &&Mover| known.speed_mps > 0.0 && (known.is_predicted == 0 || known.seen_ns < now_ns);
         self.bodies[..self.len()].iter().filter(moving).any(|known| {
             let age_s = then_ns.saturating_sub(known.seen_ns) as f64 * 1e-9;
-            let radius_m = known.radius_m + known.speed_mps * age_s + clearance_m;
+            let radius_m = known.radius_m[1] + known.speed_mps * age_s + clearance_m;
             body.distance_to_point(known.last_m.into()) < radius_m
         })
     }
@@ -104,7 +104,7 @@ impl Movers {
     /// What a checkpoint has of it; nothing where it is impossible.
     pub(crate) fn valid(&self) -> Self {
         let finite = |one: &Mover| {
-            let numbers = [one.first_m, one.last_m, [one.radius_m, one.speed_mps]];
+            let numbers = [one.first_m, one.last_m, one.radius_m, [one.speed_mps, 0.0]];
             numbers.as_flattened().iter().all(|value| value.is_finite())
         };
         let is_valid = self.count <= MAX_MOVERS as u64 && self.bodies[..self.len()].iter().all(finite);
@@ -124,7 +124,8 @@ impl Movers {
 impl Mover {
     fn of(one: &Obstacle, now_ns: u64) -> Self {
         let first_m = [one.box_x_m, one.box_y_m];
-        let mut new = Self { id: u64::from(one.id), since_ns: now_ns, first_m, ..Self::default() };
+        let radius_m = [half_diagonal_m(one); 2];
+        let mut new = Self { id: u64::from(one.id), since_ns: now_ns, first_m, radius_m, ..Self::default() };
         new.see(one, now_ns);
         new
     }
@@ -137,13 +138,15 @@ impl Mover {
         if is_in_view || is_predicted {
             self.seen_ns = now_ns.saturating_sub(unseen_ns);
             self.last_m = [one.box_x_m, one.box_y_m];
-            self.radius_m = one.box_length_m.hypot(one.box_width_m) / 2.0;
+            self.radius_m[1] = half_diagonal_m(one);
         }
         self.is_predicted = u64::from(is_predicted);
         if is_predicted {
             self.moves(one.velocity_x_mps.hypot(one.velocity_y_mps));
         } else if is_in_view {
             self.judge(one);
+        } else {
+            self.lose();
         }
     }
 
@@ -151,21 +154,36 @@ impl Mover {
     fn judge(&mut self, one: &Obstacle) {
         let [xx, _, yy] = one.velocity_covariance;
         let way_m = (self.last_m[0] - self.first_m[0]).hypot(self.last_m[1] - self.first_m[1]);
+        // The centre of one of which more is seen than at first is elsewhere by half of that.
+        let way_m = way_m - (self.radius_m[1] - self.radius_m[0]).abs();
         let seen_for_ns = self.seen_ns.saturating_sub(self.since_ns);
         let is_unknown = xx.max(yy) > UNKNOWN_MPS * UNKNOWN_MPS;
         if is_unknown && way_m > CREPT_M {
             self.moves(way_m / (seen_for_ns as f64 * 1e-9).max(1e-3));
-        } else if is_unknown && seen_for_ns < FRESH_NS {
+        } else if is_unknown && seen_for_ns < FRESH_NS && one.sightings < FRESH_SCANS {
             self.speed_mps = FRESH_MPS;
         } else if self.moved_ns == 0 || self.seen_ns.saturating_sub(self.moved_ns) >= RESTS_NS {
             (self.speed_mps, self.moved_ns) = (0.0, 0);
             (self.since_ns, self.first_m) = (self.seen_ns.saturating_sub(FRESH_NS), self.last_m);
+            self.radius_m[0] = self.radius_m[1];
+        }
+    }
+
+    /// It is out of view: of one that was not seen to move only what is not described can have moved.
+    fn lose(&mut self) {
+        if self.moved_ns == 0 {
+            self.speed_mps = self.speed_mps.min(CREEPS_MPS);
         }
     }
 
     fn moves(&mut self, speed_mps: f64) {
         (self.speed_mps, self.moved_ns) = (FASTER.0 * speed_mps + FASTER.1, self.seen_ns.max(1));
     }
+}
+
+/// Half of the diagonal of a body's box [m].
+fn half_diagonal_m(one: &Obstacle) -> f64 {
+    one.box_length_m.hypot(one.box_width_m) / 2.0
 }
 
 #[cfg(test)]
@@ -240,6 +258,11 @@ mod tests {
         assert_eq!((see(&mut stands, 14, 0.1), see(&mut stands, 15, 0.1)), (FRESH_MPS, 0.0));
         // 0.2 m in half a second.
         assert!((see(&mut movers, 5, 0.2) - (1.25 * 0.4 + 0.05)).abs() < 1e-9);
+        let mut grows = stands;
+        let mut longer = described(&[(1, 0.5, 0.0)]);
+        (longer.items[0].box_length_m, longer.items[0].velocity_covariance) = (1.4, [0.49, 0.0, 0.49]);
+        grows.follow(&longer, 3 * SECOND, 0);
+        assert_eq!(grows.bodies[0].speed_mps, 0.0, "more is seen of it");
         movers.follow(&described(&[]), 2 * SECOND, 0);
         assert_eq!(movers.count, 1);
         let mut lost = movers;
