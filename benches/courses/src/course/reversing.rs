@@ -11,10 +11,10 @@ use vehicle::course::{CourseKeys, Waypoint};
 const AHEAD_M: [f64; 2] = [7.5, 11.0];
 /// The obstacles stand so far before the turn, from which the way may lead back by 3.8 m [m].
 const BEFORE_TURN_M: f64 = 5.0;
-/// Radius of the three arcs [m].
-const RADIUS_M: [f64; 2] = [3.8, 6.0];
+/// Radius of the three arcs: backwards over more than 5.4 m the way leads to ground that the scanner did not show [m].
+const RADIUS_M: [f64; 2] = [3.8, 4.8];
 /// Turns of the first two arcs; the third one is what is left of half a turn [rad].
-const TURN_RAD: [f64; 2] = [0.9, 1.2];
+const TURN_RAD: [f64; 2] = [0.9, 1.1];
 /// Free space between an obstacle and the robot in the middle of the way [m].
 const BESIDE_M: [f64; 2] = [0.3, 1.0];
 /// Half of the width of the robot [m].
