@@ -255,8 +255,7 @@ class Controller:
             command.reason = StopReason.LANDED if landed else StopReason.GOAL_PASSED
             return command
         if driven_by != DrivenBy.CONTROLLER:
-            is_paused = driven_by == DrivenBy.NOBODY
-            command.reason = StopReason.PAUSED if is_paused else StopReason.RELEASED
+            command.reason = StopReason.PAUSED
             return command
         if pose.alarm == Alarm.STOP:
             command.reason = StopReason.SELF_CHECK

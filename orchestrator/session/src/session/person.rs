@@ -6,7 +6,7 @@
 
 use audit::samples::Samples;
 use runtime::monotonic_ns;
-use shared_types::{Actuation, BlockReason, DrivenBy, GivenControl};
+use shared_types::{Actuation, BlockReason, DrivenBy, GivenControl, StopReason};
 use supervision::directives::Directives;
 
 use super::recording::Recording;
@@ -181,9 +181,12 @@ impl PersonParts<'_> {
     }
 }
 
-/// Whether the wheels are blocked because a person drives, and the command is not one of a person.
+/// Whether the wheels are blocked because a person drives, and the command is not one of a person: it drives by itself, or
+/// stops because the drive is paused for it.
 fn is_unheard(actuation: &Actuation) -> bool {
-    actuation.driven_by == DrivenBy::Person.wire() && actuation.reason == BlockReason::Paused.wire()
+    let is_paused =
+        actuation.reason == BlockReason::Paused.wire() || actuation.stop_reason == StopReason::Paused.wire();
+    actuation.driven_by == DrivenBy::Person.wire() && is_paused
 }
 
 impl Session {
