@@ -21,20 +21,27 @@ fn schema(kind: &str) -> Value {
     serde_json::from_str(&std::fs::read_to_string(file).unwrap()).unwrap()
 }
 
+fn is_of_type(value: &Value, name: &str) -> bool {
+    match name {
+        "object" => value.is_object(),
+        "array" => value.is_array(),
+        "string" => value.is_string(),
+        "boolean" => value.is_boolean(),
+        "integer" => value.as_f64().is_some_and(|value| value.fract() == 0.0),
+        "number" => value.is_number(),
+        other => panic!("type {other}"),
+    }
+}
+
 /// Why a value is not allowed by a schema; a keyword that is not known here fails the test.
 fn refusal(schema: &Value, value: &Value, place: &str) -> Option<String> {
     let number = |name: &str| schema[name].as_f64();
     let found = |why: String| Some(format!("{place}: {why}"));
     for (keyword, rule) in schema.as_object().unwrap() {
         let is_kept = match keyword.as_str() {
-            "type" => match rule.as_str().unwrap() {
-                "object" => value.is_object(),
-                "array" => value.is_array(),
-                "string" => value.is_string(),
-                "boolean" => value.is_boolean(),
-                "integer" => value.as_f64().is_some_and(|value| value.fract() == 0.0),
-                "number" => value.is_number(),
-                other => panic!("type {other}"),
+            "type" => match rule {
+                Value::Array(types) => types.iter().any(|name| is_of_type(value, name.as_str().unwrap())),
+                name => is_of_type(value, name.as_str().unwrap()),
             },
             "enum" => rule.as_array().unwrap().iter().any(|name| match (name.as_f64(), value.as_f64()) {
                 (Some(one), Some(other)) => one == other,
@@ -110,6 +117,7 @@ fn shipped() -> Vec<(PathBuf, String, String)> {
         "examples/rust/imu",
         "examples/template-controller",
         "examples/template-robot",
+        "examples/vehicles",
         "orchestrator/systems",
         "services/pipeline/profiles",
         "benches/fault-matrix/src",
@@ -172,7 +180,7 @@ const SYSTEM: &[(&str, &str, &str, &[&str])] = &[
     ("", "rate_hz", "20.0", &["0.1", "\"ten\"", "2000.0"]),
     ("", "rate", "", &["20.0"]),
     ("[vehicle]", "width_m", "0.45", &["0.0", "10.0"]),
-    ("[vehicle.bounds]", "steering_max_rad", "0.05", &["0.3"]),
+    ("[vehicle.bounds]", "steering_max_rad", "0.05", &["0.9"]),
     ("[vehicle.bounds]", "steering_max", "", &["0.05"]),
     ("[player]", "port", "6666", &["0", "70000", "1.5"]),
     ("[player]", "velocity_sign", "-1.0", &["2.0"]),

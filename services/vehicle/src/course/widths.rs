@@ -83,6 +83,10 @@ impl Setting for Widths {
         set_range(&mut schema, Track::MIN_WIDTH_M, MAX_M);
         let types = ["number", "array"].map(Value::from);
         schema.insert("type".to_owned(), Value::Array(types.to_vec()));
+        let mut number = f64::schema();
+        set_range(&mut number, Track::MIN_WIDTH_M, MAX_M);
+        number.remove("type");
+        schema.extend(number);
         schema
     }
 }
