@@ -129,6 +129,8 @@ impl Plan {
         let system = System::checked(system)?;
         // From here on every reader of the scenario finds the values that the preset gives.
         scenario.robot = scenario.robot.resolved(&system.vehicle, scenario.seed);
+        let view = scenario.true_scanner().require_view(scenario.robot_values().scanner_yaw_rad);
+        view.map_err(|invalid| invalid.within("robot.scanner"))?;
         // What the stages take from the scenario may be allowed there and too much for them.
         let tuning = system.tuning().for_scenario(&scenario);
         tuning.validate()?;
@@ -151,7 +153,8 @@ impl Plan {
         let surroundings = [scenario.surroundings(), system.vehicle.surroundings];
         let mut found = difference::sorted(scenario.robot.differences(&system.vehicle), surroundings);
         for difference in &mut found {
-            let is_of_preset = difference.key != "surroundings" && !self.given.contains(difference.key);
+            let is_of_preset = difference.key != "surroundings"
+                && !self.given.contains(difference.key.split('.').next().unwrap_or_default());
             if difference.table == "track" && scenario.course.is_some() {
                 difference.table = "course";
             }

@@ -115,6 +115,8 @@ pub(crate) fn distribute(system: &mut Table) -> Result<Vec<String>, Invalid> {
     let checked: Description = read(description.clone()).map_err(within)?;
     checked.require_ranges().map_err(within)?;
     checked.bounds.require_order().map_err(|invalid| within(invalid.within("bounds")))?;
+    let view = checked.scanner.require_view(checked.scanner_yaw_rad);
+    view.map_err(|invalid| within(invalid.within("scanner")))?;
     let mut warnings = Vec::new();
     for stage in STAGES {
         let entry = system.entry(stage.to_owned()).or_insert_with(|| Value::Table(Table::new()));

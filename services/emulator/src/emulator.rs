@@ -9,7 +9,7 @@
 //! The robot has a dead-man of its own: it blocks the wheels two scan periods after the last actuation arrived. An
 //! actuation that is not finite or beyond the limits of the drive is refused and does not feed the dead-man.
 
-use shared_types::{Actuation, ActuationKind, GivenGoal, Odometry, Scan, ScanGeometry, Truth};
+use shared_types::{Actuation, ActuationKind, GivenGoal, Odometry, Scan, Truth};
 use vehicle::Description;
 use vehicle::frame::wrap_angle;
 
@@ -100,12 +100,17 @@ impl Emulator {
         self.schedule.stamp_ns(scan_id)
     }
 
-    /// How long the sweep over all beams lasts: two thirds of the period [ns].
+    /// How long the sweep over all beams lasts [ns].
     pub fn sweep_ns(&self) -> u64 {
-        self.period_ns / 3 * 2 + self.period_ns % 3 * 2 / 3
+        self.scenario.true_scanner().sweep_ns(self.period_ns)
     }
 
-    /// When a scan can be published: when its sweep is complete, a third of the period after its front beam, or later
+    /// Time from the front beam of a scan to its last one [ns].
+    pub fn after_front_ns(&self) -> u64 {
+        self.schedule.after_front_ns
+    }
+
+    /// When a scan can be published: when its sweep is complete, or later
     /// where the scanner is late [ns].
     pub fn scan_ready_ns(&self, scan_id: u64) -> u64 {
         self.schedule.ready_ns(scan_id)
@@ -220,7 +225,7 @@ impl Emulator {
         let present = self.present();
         self.history.push(present);
         let sweep = Sweep { scan_id, front_ns: self.acquired_ns(scan_id), duration_ns: self.sweep_ns() };
-        scan.set_geometry(ScanGeometry::URG_04LX);
+        scan.set_geometry(self.laser.geometry());
         scan.sweep_ns = sweep.duration_ns;
         scan.period_ns = self.period_ns;
         self.laser.measure(&sweep, &self.history, &self.scene, scan.ranges_mut());

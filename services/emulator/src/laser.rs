@@ -1,6 +1,6 @@
-//! The emulated Hokuyo URG-04LX.
+//! The emulated scanner: a Hokuyo URG-04LX, or what `[robot.scanner]` makes of it.
 //!
-//! The scanner sits at the robot's centre, or where `robot.scanner_x_m` and its neighbours put it, and covers 240 deg.
+//! The scanner sits at the robot's centre, or where `robot.scanner_x_m` and its neighbours put it.
 //! Its beams are taken one after the other: each starts where the scanner is at that beam's time, and hits what is there
 //! at that time, so the scan of a moving robot is skewed. The body of the robot is not seen. Outside of the track it
 //! sees a hall, unless the scenario has open surroundings.
@@ -19,11 +19,9 @@ mod hall;
 use std::ops::RangeInclusive;
 
 use nalgebra::Vector2;
-use shared_types::{BEAMS, FRONT_BEAM, MIN_RANGE_MM, PITCH_RAD, ScanGeometry};
-use vehicle::State;
+use shared_types::{MAX_BEAMS, ScanGeometry};
 use vehicle::frame::{heading, to_track, wrap_angle};
-
-pub use crate::scenario::MAX_RANGE_M;
+use vehicle::{ScannerDescription, State};
 
 use crate::history::History;
 use crate::noise::{NoiseStream, Purpose};
@@ -51,14 +49,15 @@ pub struct Sweep {
 }
 
 impl Sweep {
-    /// Time of one beam [ns]; times before the start of the run are the start.
-    pub fn beam_ns(&self, beam: usize) -> u64 {
+    /// Time of one of `count` beams, of which `front` looks to the front [ns]; times before the start of the run are the
+    /// start.
+    pub(crate) fn beam_ns(&self, beam: usize, front: usize, count: usize) -> u64 {
         let before_front =
-            |beams: usize| (beams as u128 * u128::from(self.duration_ns) / BEAMS as u128) as u64;
-        if beam >= FRONT_BEAM {
-            self.front_ns.saturating_add(before_front(beam - FRONT_BEAM))
+            |beams: usize| (beams as u128 * u128::from(self.duration_ns) / count as u128) as u64;
+        if beam >= front {
+            self.front_ns.saturating_add(before_front(beam - front))
         } else {
-            self.front_ns.saturating_sub(before_front(FRONT_BEAM - beam))
+            self.front_ns.saturating_sub(before_front(front - beam))
         }
     }
 }
@@ -77,6 +76,9 @@ pub struct Laser {
     seed: u64,
     noise: Noise,
     mount: Mount,
+    device: ScannerDescription,
+    /// Directions of its beams.
+    geometry: ScanGeometry,
     hall: Option<Hall>,
     /// In place of the hall where the robot follows a course.
     gallery: Option<Gallery>,
@@ -91,28 +93,37 @@ pub struct Laser {
 impl Laser {
     /// The scanner of a scenario.
     pub fn new(scenario: &Scenario) -> Self {
+        let device = scenario.true_scanner();
+        let beams = device.beams;
         Self {
             seed: scenario.seed,
             noise: scenario.noise,
             mount: Mount::new(&scenario.robot_values()),
+            device,
+            geometry: device.geometry(),
             hall: if scenario.course.is_none() { Hall::of(scenario) } else { None },
-            gallery: scenario.course.as_ref().and_then(Gallery::of),
+            gallery: scenario.course.as_ref().and_then(|course| Gallery::of(course, device.range_m)),
             faults: Faults::new(scenario),
-            beams: Vec::with_capacity(BEAMS),
-            ranges: Vec::with_capacity(BEAMS),
-            black: Vec::with_capacity(BEAMS),
-            mixed: Vec::with_capacity(BEAMS),
+            beams: Vec::with_capacity(beams),
+            ranges: Vec::with_capacity(beams),
+            black: Vec::with_capacity(beams),
+            mixed: Vec::with_capacity(beams),
         }
     }
 
-    /// Ranges of one sweep past what stands around the robot [mm, or an error code below 20].
+    /// Where its beams look.
+    pub fn geometry(&self) -> ScanGeometry {
+        self.geometry
+    }
+
+    /// Ranges of one sweep past what stands around the robot, one for each beam [mm, or an error code below 20].
     pub fn measure(&mut self, sweep: &Sweep, history: &History, scene: &Scene, ranges_mm: &mut [u32]) {
         self.cast(sweep, history, scene);
         let mut stream = NoiseStream::new(self.seed, Purpose::Laser, sweep.scan_id);
         self.mix_edges(&mut stream);
         let scale = self.faults.scale_at(sweep.front_ns);
         for (reading, range) in ranges_mm.iter_mut().zip(&self.mixed) {
-            *reading = reading_of(*range, &self.noise, scale, &mut stream);
+            *reading = reading_of(*range, &self.device, (&self.noise, scale), &mut stream);
         }
         self.faults.absorb(sweep.front_ns, &self.ranges, &self.black, ranges_mm);
         self.faults.disturb(sweep, ranges_mm);
@@ -121,12 +132,12 @@ impl Laser {
     }
 
     /// The ranges that a stuck scanner repeats.
-    pub(crate) fn repeated(&self) -> Option<&[u32; BEAMS]> {
+    pub(crate) fn repeated(&self) -> Option<&[u32; MAX_BEAMS]> {
         self.faults.held.as_ref()
     }
 
     /// Continues with the ranges that another scanner repeats.
-    pub(crate) fn repeat(&mut self, ranges_mm: Option<[u32; BEAMS]>) {
+    pub(crate) fn repeat(&mut self, ranges_mm: Option<[u32; MAX_BEAMS]>) {
         self.faults.held = ranges_mm;
     }
 
@@ -134,9 +145,9 @@ impl Laser {
     pub fn cast(&mut self, sweep: &Sweep, history: &History, scene: &Scene) -> &[f64] {
         let motion = self.aim(sweep, history);
         self.ranges.clear();
-        self.ranges.resize(BEAMS, f64::INFINITY);
+        self.ranges.resize(self.device.beams, f64::INFINITY);
         self.black.clear();
-        self.black.resize(BEAMS, false);
+        self.black.resize(self.device.beams, false);
         if let Some(walls) = scene.walls() {
             for (range, beam) in self.ranges.iter_mut().zip(&self.beams) {
                 *range = wall_range(beam, walls);
@@ -151,8 +162,8 @@ impl Laser {
             }
         }
         let half_sweep_s = sweep.duration_ns as f64 * 0.5e-9;
-        for near in scene.near(motion.origin, MAX_RANGE_M + motion.travel) {
-            for window in visible(near, &motion, half_sweep_s) {
+        for near in scene.near(motion.origin, self.device.range_m + motion.travel) {
+            for window in visible(near, &motion, half_sweep_s, (self.geometry, self.device.range_m)) {
                 self.cast_at(near, window);
             }
         }
@@ -167,15 +178,16 @@ impl Laser {
         let mut motion = Motion { origin, yaw, travel: 0.0, turn: 0.0, time_s: sweep.front_ns as f64 * 1e-9 };
         let mut walk = history.walk();
         self.beams.clear();
-        for index in 0..BEAMS {
-            let time_ns = sweep.beam_ns(index);
+        let (front, count) = (self.device.front_beam(), self.device.beams);
+        for index in 0..count {
+            let time_ns = sweep.beam_ns(index, front, count);
             let state = walk(time_ns).state;
             let (origin, yaw) = mount.pose(&state);
             motion.travel = motion.travel.max((origin - motion.origin).norm());
             motion.turn = motion.turn.max((yaw - motion.yaw).abs());
             self.beams.push(Beam {
                 origin,
-                direction: heading(yaw + ScanGeometry::URG_04LX.yaw_rad(index)),
+                direction: heading(yaw + self.geometry.yaw_rad(index)),
                 time_s: time_ns as f64 * 1e-9,
             });
         }
@@ -203,9 +215,10 @@ impl Laser {
         if self.noise.mixed_pixels <= 0.0 {
             return;
         }
-        for index in 1..BEAMS {
+        let reach_m = self.device.range_m;
+        for index in 1..self.ranges.len() {
             let (before, after) = (self.ranges[index - 1], self.ranges[index]);
-            let is_edge = before <= MAX_RANGE_M && after <= MAX_RANGE_M && (before - after).abs() > EDGE_M;
+            let is_edge = before <= reach_m && after <= reach_m && (before - after).abs() > EDGE_M;
             // The beam's spot covers both surfaces: the distance comes out somewhere between them.
             if is_edge && stream.chance(self.noise.mixed_pixels) {
                 self.mixed[index] = stream.between(before.min(after), before.max(after));
@@ -258,6 +271,7 @@ fn visible(
     near: &PlacedObstacle,
     motion: &Motion,
     half_sweep_s: f64,
+    (geometry, reach_m): (ScanGeometry, f64),
 ) -> impl Iterator<Item = RangeInclusive<usize>> {
     let reach = near.reach() + motion.travel + near.speed() * half_sweep_s;
     let offset = near.centre(motion.time_s) - motion.origin;
@@ -266,16 +280,17 @@ fn visible(
         (0.0, std::f64::consts::PI)
     } else {
         let bearing = wrap_angle(offset.y.atan2(offset.x) - motion.yaw);
-        (bearing, (reach / distance).asin() + motion.turn + PITCH_RAD)
+        (bearing, (reach / distance).asin() + motion.turn + geometry.increment_rad)
     };
-    let in_range = distance - reach <= MAX_RANGE_M;
+    let in_range = distance - reach <= reach_m;
+    let last = geometry.count - 1;
     // An obstacle behind the robot may reach into the field of view from both ends.
     [-1.0, 0.0, 1.0].into_iter().filter_map(move |turns: f64| {
         let centre = middle + turns * std::f64::consts::TAU;
-        let low = ((centre - half) / PITCH_RAD).floor() + FRONT_BEAM as f64;
-        let high = ((centre + half) / PITCH_RAD).ceil() + FRONT_BEAM as f64;
-        let is_seen = in_range && high >= 0.0 && low <= (BEAMS - 1) as f64;
-        is_seen.then(|| low.max(0.0) as usize..=(high as usize).min(BEAMS - 1))
+        let low = ((centre - half) / geometry.increment_rad + geometry.front()).floor();
+        let high = ((centre + half) / geometry.increment_rad + geometry.front()).ceil();
+        let is_seen = in_range && high >= 0.0 && low <= last as f64;
+        is_seen.then(|| low.max(0.0) as usize..=(high as usize).min(last))
     })
 }
 
@@ -290,8 +305,13 @@ fn wall_range(beam: &Beam, [low, high]: [f64; 2]) -> f64 {
 }
 
 /// Reading of a range, with what `scale` makes of the measured one [mm].
-fn reading_of(range: f64, noise: &Noise, scale: Scale, stream: &mut NoiseStream) -> u32 {
-    if range > MAX_RANGE_M {
+fn reading_of(
+    range: f64,
+    device: &ScannerDescription,
+    (noise, scale): (&Noise, Scale),
+    stream: &mut NoiseStream,
+) -> u32 {
+    if range > device.range_m {
         return NO_RETURN;
     }
     let deviation = noise.range_m.max(noise.range_share * range);
@@ -300,7 +320,7 @@ fn reading_of(range: f64, noise: &Noise, scale: Scale, stream: &mut NoiseStream)
         return NO_RETURN;
     }
     let millimetres = (scale.applied(measured) * 1000.0).round();
-    let is_range = (f64::from(MIN_RANGE_MM)..=MAX_RANGE_M * 1000.0).contains(&millimetres);
+    let is_range = (device.min_range_m * 1000.0..=device.range_m * 1000.0).contains(&millimetres);
     if is_range { millimetres as u32 } else { NO_RETURN }
 }
 

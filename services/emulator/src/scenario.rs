@@ -15,13 +15,13 @@ mod way;
 
 use nalgebra::Vector2;
 use vehicle::geometry::Rectangle;
-use vehicle::{Course, Documented, Invalid, settings};
+use vehicle::{Course, Documented, Invalid, ScannerDescription, settings};
 
 pub use endless::Endless;
 pub use obstacle::{ScenarioObstacle, Shape};
 pub use places::Start;
 pub use preset::Values;
-pub use robot::{DriftGrowth, Noise, OdometryModel, Preset, Robot};
+pub use robot::{DriftGrowth, Noise, OdometryModel, Preset, Robot, RobotScanner};
 pub use scanner::{MAX_RANGE_M, Scanner};
 pub use vehicle::{Goal, Goals, Surroundings, Track};
 
@@ -174,6 +174,7 @@ impl Scenario {
             endless.validate().map_err(|error| error.within("endless"))?;
         }
         self.scanner.validate().map_err(|error| error.within("scanner"))?;
+        self.true_scanner().require_ranges().map_err(|error| error.within("robot.scanner"))?;
         self.validate_start_in_walls()?;
         for (index, obstacle) in self.obstacles.iter().enumerate() {
             self.validate_start_is_free(obstacle)
@@ -185,6 +186,11 @@ impl Scenario {
     /// What the robot of this scenario really is.
     pub fn robot_values(&self) -> Values {
         self.robot.values(self.seed)
+    }
+
+    /// What its scanner really measures.
+    pub fn true_scanner(&self) -> ScannerDescription {
+        self.robot.scanner.or(&ScannerDescription::default())
     }
 
     /// The body of the robot with its reference point at a pose.

@@ -31,6 +31,8 @@ const MAX_DELAYED: u64 = 100;
 pub struct Schedule {
     seed: u64,
     period_ns: u64,
+    /// Time from the front beam to the end of the sweep [ns].
+    pub(crate) after_front_ns: u64,
     jitter_ns: f64,
     missing_every: u64,
     /// Faults that act for a time.
@@ -50,6 +52,7 @@ impl Schedule {
         Self {
             seed: scenario.seed,
             period_ns,
+            after_front_ns: scenario.true_scanner().after_front_ns(period_ns),
             jitter_ns: values.scan_stamp_jitter_s * 1e9,
             missing_every: values.scan_missing_every,
             scanner: scenario.scanner.clone(),
@@ -81,9 +84,9 @@ impl Schedule {
         (self.max_delay_ns as f64 * share * stream.uniform()) as u64
     }
 
-    /// When the sweep of a scan is complete: a third of the period after its front beam [ns].
+    /// When the sweep of a scan is complete: when its last beam is taken [ns].
     pub fn complete_ns(&self, scan_id: u64) -> u64 {
-        self.acquired_ns(scan_id).saturating_add(self.period_ns / 3)
+        self.acquired_ns(scan_id).saturating_add(self.after_front_ns)
     }
 
     /// When a scan is published: when its sweep is complete, or later by `scanner.late_s`, in the order of scans [ns].

@@ -264,7 +264,7 @@ impl Robot {
         } else {
             // One period is left for the stages between scanner and wheels.
             let max_age_ns = process.max_age_ns() - process.period_ns();
-            let sweep_ns = process.period_ns() / 3;
+            let sweep_ns = self.emulator.after_front_ns();
             // A scan that the scanner itself has delayed is not skipped: its readers refuse it.
             let is_young =
                 |scan_id| now_ns.saturating_sub(self.emulator.scan_ready_ns(scan_id)) + sweep_ns < max_age_ns;

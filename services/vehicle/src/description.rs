@@ -4,7 +4,7 @@ use key_table::settings;
 
 use crate::bounds::ANY_VELOCITY_MAX_MPS;
 use crate::geometry::Rectangle;
-use crate::{Bounds, Parameters, Surroundings, VehicleModel};
+use crate::{Bounds, Parameters, ScannerDescription, Surroundings, VehicleModel};
 
 /// A scanner sees 120 degrees to each side; turned further, it would not see 60 degrees to each side ahead [rad].
 pub const SCANNER_YAW_MAX_RAD: f64 = 1.04;
@@ -67,6 +67,8 @@ settings! {
         /// Direction of the scanner's front beam, counter-clockwise from straight ahead; it has to see 60 degrees to each
         /// side ahead [rad].
         pub scanner_yaw_rad: f64 = 0.0, -SCANNER_YAW_MAX_RAD..=SCANNER_YAW_MAX_RAD;
+        /// What the scanner measures.
+        pub scanner: ScannerDescription = ScannerDescription::default();
         /// How near in front of the body something may appear that was not seen before [m].
         pub sudden_m: f64 = 1.2, 0.1..=100.0;
         /// What the scanner sees where the track is empty; without the key `track.surroundings` of the scenario holds.

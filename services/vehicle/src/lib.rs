@@ -17,6 +17,7 @@ pub mod lateral;
 pub mod model;
 pub mod network;
 mod parameters;
+mod scanner;
 mod single_track;
 mod slipping;
 mod state;
@@ -34,6 +35,7 @@ pub use key_table::{
 };
 pub use lag::{Lag, slid};
 pub use parameters::Parameters;
+pub use scanner::ScannerDescription;
 pub use state::{Control, SIDEWAYS_RAD, State};
 pub use track::{Surroundings, Track};
 pub use vehicle_model::VehicleModel;

@@ -3,12 +3,11 @@
 //! Both repeat the drive: the emulated robot depends on the scenario and on the actuations only.
 
 use nalgebra::Vector2;
-use shared_types::{Actuation, ActuationKind, BEAMS, FRONT_BEAM, Header, Odometry, PITCH_RAD, Scan, Truth};
+use shared_types::{Actuation, ActuationKind, Header, Odometry, Scan, Truth};
 use vehicle::frame::heading;
 use vehicle::geometry::Rectangle;
 
 use emulator::emulator::Emulator;
-use emulator::laser::MAX_RANGE_M;
 use emulator::scenario::{Scenario, ScenarioObstacle};
 
 /// What the body has touched.
@@ -115,7 +114,7 @@ impl<'a> Repetition<'a> {
             body.distance_to_wall(low, middle).min(body.distance_to_wall(high, middle))
         });
         let mut nearest = (walls, Touched::Wall);
-        for near in scene.near(body.centre, MAX_RANGE_M) {
+        for near in scene.near(body.centre, self.scenario.true_scanner().range_m) {
             let distance = near.solid(time_s).map_or(f64::INFINITY, |solid| solid.distance_to(&body));
             if distance < nearest.0 {
                 let obstacle = *near.obstacle();
@@ -133,12 +132,14 @@ impl<'a> Repetition<'a> {
         let (forward, left) = (heading(state.yaw), heading(state.yaw + std::f64::consts::FRAC_PI_2));
         let origin =
             Vector2::new(state.x, state.y) + forward * values.scanner_x_m + left * values.scanner_y_m;
-        let near: Vec<_> = self.emulator.scene().near(origin, MAX_RANGE_M).collect();
-        (0..BEAMS).any(|beam| {
-            let angle = (beam as f64 - FRONT_BEAM as f64) * PITCH_RAD;
+        let scanner = self.scenario.true_scanner();
+        let near: Vec<_> = self.emulator.scene().near(origin, scanner.range_m).collect();
+        let beams = scanner.geometry();
+        (0..beams.count).any(|beam| {
+            let angle = beams.yaw_rad(beam);
             let direction = heading(state.yaw + values.scanner_yaw_rad + angle);
             let range = |solid: emulator::scene::Solid| solid.ray(origin, direction).unwrap_or(f64::INFINITY);
-            let (mut nearest, mut is_it) = (MAX_RANGE_M, false);
+            let (mut nearest, mut is_it) = (scanner.range_m, false);
             for near in &near {
                 let range = near.solid(time_s).map_or(f64::INFINITY, range);
                 if range <= nearest {

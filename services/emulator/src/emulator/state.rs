@@ -5,7 +5,7 @@
 //! so there is none while scans are later than that.
 
 use nalgebra::Vector2;
-use shared_types::{BEAMS, Fault, Flag, finite, plain_state};
+use shared_types::{Fault, Flag, MAX_BEAMS, finite, plain_state};
 use vehicle::State;
 
 use super::{Emulator, Travellings, history_ns, node};
@@ -85,10 +85,12 @@ plain_state! {
         pub actuation_scan: u64,
         /// When obstacles that wait for the robot have appeared; -1 for those that still wait [s]
         pub appeared_s: [f64; APPEARING],
-        /// Ranges that a stuck scanner repeats [mm]
-        pub repeated_mm: [u16; BEAMS],
+        /// Ranges that a stuck scanner repeats, at most 65.535 m [mm]
+        pub repeated_mm: [u16; MAX_BEAMS],
         /// 1 while the scanner repeats them
         pub repeats: Flag,
+        /// Unused, zero
+        pub reserved: u32,
     }
 }
 
@@ -128,7 +130,9 @@ impl Emulator {
             has_reported: u64::from(last.is_some()),
             appearing: appearing as u32,
             appeared_s,
-            repeated_mm: self.laser.repeated().map_or([0; BEAMS], |ranges| ranges.map(|range| range as u16)),
+            repeated_mm: self.laser.repeated().map_or([0; MAX_BEAMS], |ranges| {
+                ranges.map(|range| u16::try_from(range).unwrap_or(u16::MAX))
+            }),
             repeats: self.laser.repeated().is_some().into(),
             ..self.state
         })

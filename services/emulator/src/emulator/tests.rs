@@ -50,8 +50,11 @@ fn the_first_sweep_fits_after_the_start_and_is_ready_a_third_later() {
     assert_eq!(emulator.scan_ready_ns(1), 133_333_333);
     assert_eq!(emulator.sweep_ns(), 66_666_666);
     let sweep = Sweep { scan_id: 1, front_ns: emulator.acquired_ns(1), duration_ns: emulator.sweep_ns() };
-    assert_eq!(sweep.beam_ns(FRONT_BEAM), 100_000_000);
-    assert!(sweep.beam_ns(681) <= emulator.scan_ready_ns(1) && sweep.beam_ns(0) > 66_000_000);
+    assert_eq!(sweep.beam_ns(FRONT_BEAM, FRONT_BEAM, 682), 100_000_000);
+    assert!(
+        sweep.beam_ns(681, FRONT_BEAM, 682) <= emulator.scan_ready_ns(1)
+            && sweep.beam_ns(0, FRONT_BEAM, 682) > 66_000_000
+    );
 }
 
 #[test]
@@ -583,7 +586,7 @@ fn a_successor_of_a_stuck_scanner_repeats_the_same_ranges() {
     new.resume(&state).unwrap();
     for robot in [&mut old, &mut new] {
         robot.advance_to(robot.scan_ready_ns(6));
-        assert_eq!(measure(robot, 6).0.ranges(), state.repeated_mm.map(u32::from));
+        assert_eq!(measure(robot, 6).0.ranges(), &state.repeated_mm.map(u32::from)[..682]);
     }
     assert_eq!(new.state(6), old.state(6));
 }

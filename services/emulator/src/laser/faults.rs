@@ -5,9 +5,9 @@
 //! fault never changes the noise or another fault, and more of it disturbs the same beams and others. Only a scanner
 //! that is turned sees other surfaces, with other noise.
 
-use shared_types::{BEAMS, MIN_RANGE_MM, ScanGeometry};
+use shared_types::{MAX_BEAMS, MIN_RANGE_MM, ScanGeometry};
 
-use super::{MAX_RANGE_M, NO_RETURN, Sweep};
+use super::{NO_RETURN, Sweep};
 use crate::noise::{NoiseStream, Purpose};
 use crate::scenario::{Scanner, Scenario};
 
@@ -44,13 +44,23 @@ impl Scale {
 pub(super) struct Faults {
     seed: u64,
     scanner: Scanner,
+    geometry: ScanGeometry,
+    /// Largest range that it reports [m].
+    range_m: f64,
     /// Ranges that it repeats while it is stuck.
-    pub(super) held: Option<[u32; BEAMS]>,
+    pub(super) held: Option<[u32; MAX_BEAMS]>,
 }
 
 impl Faults {
     pub(super) fn new(scenario: &Scenario) -> Self {
-        Self { seed: scenario.seed, scanner: scenario.scanner.clone(), held: None }
+        let device = scenario.true_scanner();
+        Self {
+            seed: scenario.seed,
+            scanner: scenario.scanner.clone(),
+            geometry: device.geometry(),
+            range_m: device.range_m,
+            held: None,
+        }
     }
 
     /// How far the scanner is turned at a time [rad].
@@ -89,7 +99,7 @@ impl Faults {
         let stream = |purpose| NoiseStream::new(self.seed, purpose, sweep.scan_id);
         lose(self.scanner.dropout_at(sweep.front_ns), stream(Purpose::Dropout), ranges_mm);
         scatter(dust, DUST_M, stream(Purpose::Dust), ranges_mm);
-        scatter(salt, MAX_RANGE_M, stream(Purpose::Salt), ranges_mm);
+        scatter(salt, self.range_m, stream(Purpose::Salt), ranges_mm);
         self.cover(ranges_mm);
     }
 
@@ -99,7 +109,7 @@ impl Faults {
             return;
         }
         for (beam, reading) in ranges_mm.iter_mut().enumerate() {
-            let yaw = ScanGeometry::URG_04LX.yaw_rad(beam);
+            let yaw = self.geometry.yaw_rad(beam);
             if self.scanner.dead_rad.iter().any(|[from, to]| (*from..=*to).contains(&yaw)) {
                 *reading = NO_RETURN;
             }
@@ -110,11 +120,11 @@ impl Faults {
     pub(super) fn hold(&mut self, time_ns: u64, ranges_mm: &mut [u32]) {
         if self.scanner.is_stuck_at(time_ns) {
             let held = self.held.get_or_insert_with(|| {
-                let mut first = [0; BEAMS];
-                first.copy_from_slice(ranges_mm);
+                let mut first = [0; MAX_BEAMS];
+                first[..ranges_mm.len()].copy_from_slice(ranges_mm);
                 first
             });
-            ranges_mm.copy_from_slice(held);
+            ranges_mm.copy_from_slice(&held[..ranges_mm.len()]);
         } else {
             self.held = None;
         }

@@ -38,11 +38,11 @@ pub(super) struct Gallery {
 }
 
 impl Gallery {
-    /// The hall along `course`; none in open surroundings.
-    pub(super) fn of(course: &Course) -> Option<Self> {
+    /// The hall along `course` for a scanner with the reach `reach_m`; none in open surroundings.
+    pub(super) fn of(course: &Course, reach_m: f64) -> Option<Self> {
         let keys = course.keys();
         let is_seen = keys.surroundings == Surroundings::Hall && !course.is_line();
-        is_seen.then(|| Self { grid: Grid::new(segments(course, keys.width_m.largest_m() / 2.0)) })
+        is_seen.then(|| Self { grid: Grid::new(segments(course, keys.width_m.largest_m() / 2.0), reach_m) })
     }
 
     /// Distance along a beam (unit `direction`) to a wall or a pillar [m], infinite beyond the reach of the scanner.

@@ -9,7 +9,6 @@
 use nalgebra::Vector2;
 use vehicle::Surroundings;
 
-use super::MAX_RANGE_M;
 use crate::scenario::{Scenario, Track};
 
 /// Distance of the walls from the bounds of the track [m].
@@ -24,6 +23,8 @@ pub(super) const SPACING_M: f64 = 2.5;
 pub(super) struct Hall {
     low: Vector2<f64>,
     high: Vector2<f64>,
+    /// Reach of the scanner [m].
+    reach_m: f64,
 }
 
 impl Hall {
@@ -33,7 +34,8 @@ impl Hall {
         let bound = |index: usize| Vector2::new(x_m[index], y_m[index]);
         let outside = Vector2::new(WALL_M, WALL_M);
         let is_seen = surroundings == Surroundings::Hall && !walls;
-        is_seen.then(|| Self { low: bound(0) - outside, high: bound(1) + outside })
+        let reach_m = scenario.true_scanner().range_m;
+        is_seen.then(|| Self { low: bound(0) - outside, high: bound(1) + outside, reach_m })
     }
 
     /// Distance along a beam (unit `direction`) to a wall or a pillar [m], infinite beyond the reach of the scanner.
@@ -43,21 +45,21 @@ impl Hall {
         let (left, right) = (self.high.y - origin.y, origin.y - self.low.y);
         let (ahead, behind) = (self.high.x - origin.x, origin.x - self.low.x);
         let (sideways, forward) = (direction.y.abs(), direction.x.abs());
-        let side = to_plane(if direction.y > 0.0 { left } else { right }, sideways);
-        let end = to_plane(if direction.x > 0.0 { ahead } else { behind }, forward);
-        let reach = side.min(end).min(MAX_RANGE_M);
+        let side = to_plane(if direction.y > 0.0 { left } else { right }, sideways, self.reach_m);
+        let end = to_plane(if direction.x > 0.0 { ahead } else { behind }, forward, self.reach_m);
+        let reach = side.min(end).min(self.reach_m);
         let pillar = to_pillar(origin.x, direction, left, reach);
         let range = pillar.min(to_pillar(origin.x, Vector2::new(direction.x, -direction.y), right, reach));
         range.min(side).min(end)
     }
 }
 
-/// Distance along a beam to a plane, zero behind the plane and infinite beyond the reach of the scanner.
+/// Distance along a beam to a plane, zero behind the plane and infinite beyond the reach `reach_m` of the scanner.
 ///
 /// `slope` is the part of the direction towards the plane, not negative.
-fn to_plane(offset: f64, slope: f64) -> f64 {
+fn to_plane(offset: f64, slope: f64, reach_m: f64) -> f64 {
     // Most beams are spared the division.
-    if offset > MAX_RANGE_M * slope { f64::INFINITY } else { (offset / slope).max(0.0) }
+    if offset > reach_m * slope { f64::INFINITY } else { (offset / slope).max(0.0) }
 }
 
 /// Distance to the first pillar at the wall `wall` to the left of the beam's origin, infinite when there is none up to
@@ -229,6 +231,7 @@ mod tests {
             let hall = Hall {
                 low: Vector2::new(track_x - 2.0, track_y - 2.0),
                 high: Vector2::new(track_x + length + 2.0, track_y + width + 2.0),
+                ..hall()
             };
             let size = hall.high - hall.low;
             let mut origin = hall.low + Vector2::new(along * size.x, across * size.y);
@@ -242,7 +245,7 @@ mod tests {
                     // A beam that grazes a corner may pass on either side of it, so a beam a nanometre off counts.
                     solid.ray(origin + shift * Vector2::new(-direction.y, direction.x), direction)
                 });
-                Some(ranges.fold(f64::INFINITY, f64::min)).filter(|range| *range <= MAX_RANGE_M).unwrap_or(f64::INFINITY)
+                Some(ranges.fold(f64::INFINITY, f64::min)).filter(|range| *range <= hall.reach_m).unwrap_or(f64::INFINITY)
             };
             let close = |expected: f64| found == expected || (found - expected).abs() < 1e-6;
             prop_assert!(

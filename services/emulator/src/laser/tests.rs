@@ -1,6 +1,8 @@
+use shared_types::{BEAMS, FRONT_BEAM, MIN_RANGE_MM};
+
 use super::*;
 use crate::history::Node;
-use crate::scenario::Surroundings;
+use crate::scenario::{MAX_RANGE_M, Surroundings};
 
 pub(super) const SWEEP: Sweep = Sweep { scan_id: 1, front_ns: 100_000_000, duration_ns: 66_666_666 };
 
@@ -161,7 +163,8 @@ fn culling_changes_nothing() {
 fn readings_are_error_codes_below_20_mm_and_beyond_5600_mm() {
     let silent = Noise { range_m: 0.0, ..Noise::default() };
     let mut stream = NoiseStream::new(1, Purpose::Laser, 1);
-    let mut reading = |range| reading_of(range, &silent, Scale::TRUE, &mut stream);
+    let mut reading =
+        |range| reading_of(range, &ScannerDescription::default(), (&silent, Scale::TRUE), &mut stream);
     assert_eq!(reading(0.0194), NO_RETURN);
     assert_eq!(reading(0.0196), 20);
     assert_eq!(reading(5.6), 5600);
@@ -227,4 +230,18 @@ fn beams_start_at_the_scanner_and_turn_with_it() {
     history.push(node(1, State { yaw: std::f64::consts::FRAC_PI_2, ..State::default() }));
     let scenario = quiet("[track]\nwalls = true\ny_m = [-2.0, 2.0]\n[robot]\nscanner_x_m = 0.25");
     assert_eq!(readings(&scenario, &history)[FRONT_BEAM], 1750);
+}
+
+#[test]
+fn another_scanner_sees_with_its_own_beams_as_far_as_it_reaches() {
+    let keys = "[robot.scanner]\nbeams = 1081\nincrement_rad = 0.004363323129985824\nrange_m = 10.0\nmin_range_m = 1.0\n";
+    let scenario = quiet(&format!("{keys}{}{}", circle(9.0, 0.0, 0.5, ""), circle(0.0, -1.1, 0.2, "")));
+    let mut laser = Laser::new(&scenario);
+    assert_eq!((laser.geometry().count, laser.geometry().front().round()), (1081, 540.0));
+    let mut ranges = [7; 1081];
+    laser.measure(&SWEEP, &standing(), &Scene::new(&scenario), &mut ranges);
+    // asin(0.5 / 9) = 3.185 deg to each side are 12.7 of its beams.
+    let hits: Vec<usize> = (0..1081).filter(|beam| ranges[*beam] >= MIN_RANGE_MM).collect();
+    assert_eq!((hits[0], hits.len(), ranges[540]), (528, 25, 8500));
+    assert!(ranges[540 - 360] < MIN_RANGE_MM, "the post at its right is nearer than it measures");
 }

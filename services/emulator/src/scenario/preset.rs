@@ -209,8 +209,9 @@ impl Robot {
     /// A robot that is resolved stays as it is, whatever the description and the seed.
     #[must_use]
     pub fn resolved(&self, description: &Description, seed: u64) -> Self {
+        let scanner = self.scanner.or(&description.scanner).into();
         if self.is_resolved() {
-            return *self;
+            return Self { scanner, ..*self };
         }
         let Self { length_m, width_m, body_x_m, .. } = Self::default();
         let mut robot = self.filled(&self.of_preset(description, seed));
@@ -223,7 +224,7 @@ impl Robot {
             robot.body_x_m = sized(self.body_x_m, body_x_m, description.body_x_m);
             robot.width_m = sized(self.width_m, width_m, description.width_m);
         }
-        robot
+        Self { scanner, ..robot }
     }
 
     /// All values; those that are not given come from the preset, around the default description.
@@ -279,7 +280,16 @@ impl Robot {
             scanner_y_m,
             scanner_yaw_rad
         );
-        let known = pairs.into_iter().filter_map(|(key, truth, believed)| Some((key, truth?, believed)));
+        let [scanner, described] = [self.scanner.or(&description.scanner), description.scanner];
+        macro_rules! of_scanner {
+            ($($key:ident),*) => {
+                [$((concat!("scanner.", stringify!($key)), Some(scanner.$key as f64), described.$key as f64),)*]
+            };
+        }
+        let of_scanner = of_scanner!(beams, increment_rad, range_m, min_range_m, sweep_share);
+        let [truth, believed] = [scanner, described].map(|scanner| scanner.geometry().first_rad);
+        let pairs = pairs.into_iter().chain(of_scanner).chain([("scanner.first_rad", Some(truth), believed)]);
+        let known = pairs.filter_map(|(key, truth, believed)| Some((key, truth?, believed)));
         // Tyres without friction in the file are linear: they do not slip at all.
         let is_linear = |key: &str, truth: f64| key == "tyre_friction" && truth == 0.0;
         known.filter(|(key, truth, believed)| truth != believed && !is_linear(key, *truth)).collect()

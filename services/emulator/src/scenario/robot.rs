@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
 use vehicle::bounds::{ANY_SENT_STEERING_MAX_RAD, ANY_SENT_VELOCITY_MAX_MPS};
-use vehicle::{SCANNER_YAW_MAX_RAD, Setting, VehicleModel, settings};
+use vehicle::{SCANNER_YAW_MAX_RAD, ScannerDescription, Setting, VehicleModel, settings};
 
 use crate::steering_map::SteeringMap;
 
@@ -154,6 +154,55 @@ settings! {
         pub scanner_y_m: Option<f64> = None, -2.0..=2.0;
         /// Direction of the scanner's front beam, counter-clockwise from straight ahead [rad].
         pub scanner_yaw_rad: Option<f64> = None, -SCANNER_YAW_MAX_RAD..=SCANNER_YAW_MAX_RAD;
+        /// What the scanner really measures: what `[vehicle.scanner]` states, but for the keys given here.
+        pub scanner: RobotScanner = RobotScanner::default();
+    }
+}
+
+settings! {
+    /// The true scanner.
+    #[derive(Copy)]
+    pub struct RobotScanner {
+        /// Number of beams of a sweep.
+        pub beams: Option<usize> = None, "as `vehicle.scanner.beams`";
+        /// Angle from one beam to the next [rad].
+        pub increment_rad: Option<f64> = None, "as `vehicle.scanner.increment_rad`";
+        /// Angle of the first beam from the scanner's front, counter-clockwise [rad].
+        pub first_rad: Option<f64> = None, "as `vehicle.scanner.first_rad`";
+        /// Largest distance that is measured [m].
+        pub range_m: Option<f64> = None, "as `vehicle.scanner.range_m`";
+        /// Smallest distance that is measured [m].
+        pub min_range_m: Option<f64> = None, "as `vehicle.scanner.min_range_m`";
+        /// Share of the scan period that the sweep over all beams takes.
+        pub sweep_share: Option<f64> = None, "as `vehicle.scanner.sweep_share`";
+    }
+}
+
+impl RobotScanner {
+    /// What is given, and the rest as described.
+    #[must_use]
+    pub fn or(&self, described: &ScannerDescription) -> ScannerDescription {
+        ScannerDescription {
+            beams: self.beams.unwrap_or(described.beams),
+            increment_rad: self.increment_rad.unwrap_or(described.increment_rad),
+            first_rad: self.first_rad.or(described.first_rad),
+            range_m: self.range_m.unwrap_or(described.range_m),
+            min_range_m: self.min_range_m.unwrap_or(described.min_range_m),
+            sweep_share: self.sweep_share.unwrap_or(described.sweep_share),
+        }
+    }
+}
+
+impl From<ScannerDescription> for RobotScanner {
+    fn from(scanner: ScannerDescription) -> Self {
+        Self {
+            beams: Some(scanner.beams),
+            increment_rad: Some(scanner.increment_rad),
+            first_rad: scanner.first_rad,
+            range_m: Some(scanner.range_m),
+            min_range_m: Some(scanner.min_range_m),
+            sweep_share: Some(scanner.sweep_share),
+        }
     }
 }
 

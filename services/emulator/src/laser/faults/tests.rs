@@ -1,4 +1,4 @@
-use shared_types::FRONT_BEAM;
+use shared_types::{BEAMS, FRONT_BEAM};
 
 use super::*;
 use crate::laser::Laser;

@@ -2,8 +2,6 @@
 
 use nalgebra::Vector2;
 
-use crate::scenario::MAX_RANGE_M;
-
 /// Smallest side of a cell [m].
 const CELL_M: f64 = 1.0;
 /// Most cells; beside a course that covers more the cells are larger.
@@ -63,17 +61,19 @@ pub(super) struct Grid {
     /// Where the segments of each cell begin in `segments`, row by row, and the end of the last.
     begins: Vec<u32>,
     segments: Vec<Segment>,
+    /// Reach of the scanner [m].
+    reach_m: f64,
 }
 
 impl Grid {
-    pub(super) fn new(all: Vec<Segment>) -> Self {
+    pub(super) fn new(all: Vec<Segment>, reach_m: f64) -> Self {
         let ends = || all.iter().flat_map(|segment| [segment.from, segment.from + segment.way]);
         let low = ends().reduce(|low, point| low.inf(&point)).unwrap_or_default();
         let high = ends().reduce(|high, point| high.sup(&point)).unwrap_or_default();
         let span = high - low;
         let cell = (span.x * span.y / MAX_CELLS).sqrt().max(CELL_M);
         let size = [span.x, span.y].map(|length| (length / cell).floor() as i64 + 1);
-        let mut grid = Self { low, cell, size, begins: Vec::new(), segments: Vec::new() };
+        let mut grid = Self { low, cell, size, begins: Vec::new(), segments: Vec::new(), reach_m };
         let mut placed: Vec<(usize, Segment)> = Vec::new();
         for segment in all {
             let [from, to] = [segment.from, segment.from + segment.way];
@@ -114,9 +114,9 @@ impl Grid {
                 nearest = nearest.min(segment.range(origin, direction));
             }
             let axis = usize::from(border[1] < border[0]);
-            let end = border[axis].min(MAX_RANGE_M);
-            if nearest <= end || end >= MAX_RANGE_M {
-                return if nearest <= MAX_RANGE_M { nearest } else { f64::INFINITY };
+            let end = border[axis].min(self.reach_m);
+            if nearest <= end || end >= self.reach_m {
+                return if nearest <= self.reach_m { nearest } else { f64::INFINITY };
             }
             cell[axis] += step[axis];
             border[axis] += self.cell * inverse[axis];

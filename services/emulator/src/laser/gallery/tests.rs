@@ -4,10 +4,9 @@ use proptest::prelude::*;
 use vehicle::course::{CourseKeys, Waypoint};
 use vehicle::frame::heading;
 
-use super::super::MAX_RANGE_M;
 use super::super::hall::Hall;
 use super::*;
-use crate::scenario::Scenario;
+use crate::scenario::{MAX_RANGE_M, Scenario};
 
 fn course(waypoints: &[[f64; 3]]) -> Course {
     let waypoint = |[x_m, y_m, yaw]: &[f64; 3]| Waypoint::new(*x_m, *y_m, Some(*yaw));
@@ -30,7 +29,7 @@ fn near(found: f64, expected: f64) {
 
 #[test]
 fn beside_a_right_angle_walls_stand_at_half_the_width_and_two_metres() {
-    let gallery = Gallery::of(&right_angle()).unwrap();
+    let gallery = Gallery::of(&right_angle(), MAX_RANGE_M).unwrap();
     near(ahead(&gallery, [3.5, 0.0], FRAC_PI_2), 3.5);
     near(ahead(&gallery, [3.5, 0.5], -FRAC_PI_2), 4.0);
     // The pillars at 2.5 m.
@@ -51,7 +50,7 @@ fn beside_a_right_angle_walls_stand_at_half_the_width_and_two_metres() {
 
 #[test]
 fn pillars_are_equally_spaced_along_the_outer_wall_of_a_bend() {
-    let gallery = Gallery::of(&right_angle()).unwrap();
+    let gallery = Gallery::of(&right_angle(), MAX_RANGE_M).unwrap();
     // The outer wall begins to turn after 6 m, with a radius of 7.5 m: its pillar at 10 m is 4 / 7.5 further round.
     let angle = 4.0 / 7.5 - FRAC_PI_2;
     let seen_from_the_centre = |angle: f64| {
@@ -74,7 +73,7 @@ fn no_wall_stands_in_the_way_where_a_course_crosses_itself() {
         [6.0, 4.0, 1.5 * PI],
         [6.0, -8.0, 1.5 * PI],
     ]);
-    let gallery = Gallery::of(&course).unwrap();
+    let gallery = Gallery::of(&course, MAX_RANGE_M).unwrap();
     // At the crossing nothing is within the 5.6 m of the scanner along either way.
     for yaw in [0.0, FRAC_PI_2, PI, -FRAC_PI_2] {
         let range = ahead(&gallery, [6.0, 0.0], yaw);
@@ -104,7 +103,7 @@ fn the_end_of_a_closed_course_does_not_block_its_begin() {
             [6.0 * angle.sin(), 6.0 - 6.0 * angle.cos(), angle]
         })
         .collect();
-    let gallery = Gallery::of(&course(&circle)).unwrap();
+    let gallery = Gallery::of(&course(&circle), MAX_RANGE_M).unwrap();
     for step in 0..200 {
         let angle = f64::from(step) / 200.0 * TAU;
         let at = [6.0 * angle.sin(), 6.0 - 6.0 * angle.cos()];
@@ -116,8 +115,8 @@ fn the_end_of_a_closed_course_does_not_block_its_begin() {
 #[test]
 fn open_surroundings_and_the_line_have_no_gallery() {
     let keys = CourseKeys { surroundings: Surroundings::Open, ..right_angle().keys().clone() };
-    assert!(Gallery::of(&Course::try_from(keys).unwrap()).is_none());
-    assert!(Gallery::of(&Course::default()).is_none());
+    assert!(Gallery::of(&Course::try_from(keys).unwrap(), MAX_RANGE_M).is_none());
+    assert!(Gallery::of(&Course::default(), MAX_RANGE_M).is_none());
 }
 
 proptest! {
@@ -131,7 +130,7 @@ proptest! {
         yaw in -3.2..3.2_f64,
     ) {
         let hall = Hall::of(&Scenario::parse("[track]\nx_m = [-2.0, 22.0]\ny_m = [-1.5, 1.5]", "test").unwrap()).unwrap();
-        let gallery = Gallery::of(&course(&[[0.0, 0.0, 0.0], [20.0, 0.0, 0.0]])).unwrap();
+        let gallery = Gallery::of(&course(&[[0.0, 0.0, 0.0], [20.0, 0.0, 0.0]]), MAX_RANGE_M).unwrap();
         let (origin, direction) = (Vector2::new(x, y), heading(yaw));
         let found = gallery.range(origin, direction);
         // A beam that grazes a corner may pass on either side of it.
@@ -159,7 +158,7 @@ proptest! {
         }
         let course = course(&waypoints);
         prop_assume!(course.sharpest().radius_m > 4.0);
-        let gallery = Gallery::of(&course).unwrap();
+        let gallery = Gallery::of(&course, MAX_RANGE_M).unwrap();
         let tangent = course.at(share * course.length_m());
         let side = if is_left { 1.0 } else { -1.0 };
         let range = gallery.range(tangent.point(0.0, left), heading(tangent.yaw + side * FRAC_PI_2));
