@@ -1,7 +1,6 @@
 //! Settings of the description.
 
 use serde::{Deserialize, Serialize};
-use shared_types::{BEAMS, ScanGeometry};
 use vehicle::{Ascending, Course, Description, Invalid, Setting, Surroundings, Track, settings};
 
 /// How large the ellipses are that cover an obstacle.
@@ -19,8 +18,6 @@ impl Setting for CoverRule {}
 
 /// Share of all beams that return something in any surroundings.
 pub const SWEEP_SHARE: f64 = 0.04;
-/// What a URG-04LX measures at most [m].
-const MAX_RANGE_M: f64 = 5.6;
 
 settings! {
     /// Settings of the obstacle detector; the defaults are the source's values where it has any.
@@ -112,12 +109,13 @@ impl ObstaclesConfig {
     /// With [`SWEEP_SHARE`] or less, an empty track looks as if the scanner saw nothing, and the robot stops.
     pub fn wall_share(&self, y_m: f64) -> Option<f64> {
         let [low, high] = self.view_y_m()?;
-        let returned = (0..BEAMS).filter(|beam| {
-            let sine = (ScanGeometry::URG_04LX.yaw_rad(*beam) + self.vehicle.scanner_yaw_rad).sin();
+        let (beams, reach_m) = (self.vehicle.scanner.geometry(), self.vehicle.scanner.range_m);
+        let returned = (0..beams.count).filter(|beam| {
+            let sine = (beams.yaw_rad(*beam) + self.vehicle.scanner_yaw_rad).sin();
             let way_m = if sine > 0.0 { high - y_m } else { y_m - low };
-            way_m <= MAX_RANGE_M * sine.abs()
+            way_m <= reach_m * sine.abs()
         });
-        Some(returned.count() as f64 / BEAMS as f64)
+        Some(returned.count() as f64 / beams.count as f64)
     }
 
     /// Passes when every number is finite and in its range.
@@ -125,7 +123,9 @@ impl ObstaclesConfig {
     /// # Errors
     /// [`Invalid`] with the first key out of range.
     pub fn validate(&self) -> Result<(), Invalid> {
-        self.require_ranges()
+        self.require_ranges()?;
+        let view = self.vehicle.scanner.require_view(self.vehicle.scanner_yaw_rad);
+        view.map_err(|error| error.within("vehicle.scanner"))
     }
 }
 

@@ -4,7 +4,7 @@ use std::hint::black_box;
 
 use nalgebra::Vector2;
 use shared_types::{
-    BEAMS, Fault, Header, MAX_OBSTACLES, MIN_RANGE_MM, Obstacle, Obstacles, Pose, Scan, ScannerHealth,
+    Fault, Header, MAX_OBSTACLES, MIN_RANGE_MM, Obstacle, Obstacles, Pose, Scan, ScannerHealth,
 };
 use vehicle::Invalid;
 use vehicle::geometry::Rectangle;
@@ -15,6 +15,7 @@ use crate::evidence::Evidence;
 use crate::outlines::Outlines;
 use crate::points::{Beams, Place, Point};
 use crate::state::{ObstaclesState, TRACKS, TrackState};
+use crate::thin::Thin;
 use crate::track::{IDS_PER_BODY, MAX_BODY, Track};
 use crate::tracks::Tracks;
 use crate::way::Way;
@@ -26,6 +27,7 @@ const _: () = assert!(MAX_PIECES <= IDS_PER_BODY as usize);
 pub struct ObstacleDetector {
     config: ObstaclesConfig,
     beams: Beams,
+    thin: Thin,
     acquired_ns: u64,
     pose: [f64; 3],
     way: Way,
@@ -55,18 +57,22 @@ impl ObstacleDetector {
     /// [`Invalid`] when a setting is out of its range.
     pub fn new(config: ObstaclesConfig) -> Result<Self, Invalid> {
         config.validate()?;
+        let beams = Beams::new(&config.vehicle.scanner, 1);
+        let thin = Thin::new(&config.vehicle.scanner);
+        let count = beams.count();
         Ok(Self {
-            evidence: Evidence::new(config.vehicle),
-            returns: Vec::with_capacity(BEAMS),
-            fixed: vec![false; BEAMS],
+            evidence: Evidence::new(config.vehicle, thin.beams(), thin.stride()),
+            returns: Vec::with_capacity(count),
+            fixed: vec![false; count],
             way: Way::new(&config),
-            tracks: Tracks::new(config.clone()),
-            outlines: Outlines::with_capacity(config.vehicle.scanner_yaw_rad),
+            tracks: Tracks::new(config.clone(), &beams),
+            outlines: Outlines::with_capacity(&beams, config.vehicle.scanner_yaw_rad),
             config,
-            beams: Beams::new(),
+            beams,
+            thin,
             acquired_ns: 0,
             pose: [0.0; 3],
-            points: Vec::with_capacity(BEAMS),
+            points: Vec::with_capacity(count),
             drawn: Vec::with_capacity(TRACKS * MAX_PIECES),
         })
     }
@@ -146,7 +152,7 @@ impl ObstacleDetector {
         if !Evidence::is_sound(&state.evidence) {
             return Err(Fault::NotFinite { field: "evidence" });
         }
-        self.evidence.resume(&state.evidence, &self.beams);
+        self.evidence.resume(&state.evidence, self.thin.beams());
         self.acquired_ns = state.acquired_ns;
         self.pose = state.pose;
         self.way.resume(state.along_m);
@@ -169,19 +175,22 @@ impl ObstacleDetector {
     /// Finds the bodies of one scan; returns how many did not fit.
     fn find(&mut self, scan: &Scan, place: &Place, elapsed: f64) -> u32 {
         self.beams.place(scan, place, &mut self.points);
-        self.returns.clone_from(&self.points);
-        if !self.evidence.receive(&self.beams, scan, place, &self.returns, elapsed) {
+        self.thin.take(scan, &self.points, &mut self.returns);
+        if !self.evidence.receive(self.thin.beams(), self.thin.of(scan), place, &self.returns, elapsed) {
             return 0;
         }
         self.way.place(&self.points);
         let way = &self.way;
-        self.outlines.find(&self.config, scan, (place, way), &mut self.points, self.tracks.expected());
+        let known = self.tracks.expected();
+        self.outlines.find(&self.config, (scan, &self.beams), (place, way), &mut self.points, known);
         self.tracks.sight(&self.outlines, &mut self.evidence, place, elapsed);
         self.mark_fixed();
-        let (fixed, way) = (&self.fixed, &self.way);
+        let (fixed, way, stride) = (&self.fixed, &self.way, self.thin.stride());
+        let (thin, compared) = (self.thin.beams(), self.thin.of(scan));
         let something_moves = self.tracks.list.iter().any(|track| track.moving && track.unseen_s == 0.0);
-        self.evidence
-            .compare(&self.beams, scan, (place, way), &self.returns, something_moves, |beam| fixed[beam]);
+        self.evidence.compare(thin, compared, (place, way), &self.returns, something_moves, |beam| {
+            fixed[beam * stride]
+        });
         let overflow = self.tracks.start(&self.outlines, place, way);
         self.tracks.forget(scan, &self.beams, &mut self.evidence, (place, way), elapsed);
         self.tracks.unite(place.at, way);

@@ -9,6 +9,8 @@
 //!
 //! [`verdict`] makes the state of the scanner out of it. A scan whose ranges are repeated, or contradict the one before,
 //! counts as missing: bodies are remembered as if it had not come.
+//!
+//! Of a scanner with more beams than the URG-04LX, every so manieth is compared, see [`Thin`](crate::thin::Thin).
 
 mod calibration;
 mod returns;
@@ -16,17 +18,17 @@ mod sectors;
 mod snapshot;
 mod verdict;
 
-use shared_types::{BEAMS, PITCH_RAD, SECTOR_BEAMS, SECTORS, Scan, ScannerHealth, plain_state};
+use shared_types::{SECTORS, Scan, ScannerHealth, plain_state};
 use std::ops::RangeInclusive;
 use vehicle::geometry::Rectangle;
 use vehicle::{Description, Surroundings};
 
 use crate::config::SWEEP_SHARE;
-use crate::points::{Beams, Place, Point, range_of};
-use crate::segment::ahead;
+use crate::points::{Beams, Place, Point};
 use crate::way::Way;
 use calibration::{CalibrationState, Errors, index_beams};
 use returns::Returns;
+use sectors::Looks;
 pub(crate) use sectors::REACH_M;
 use snapshot::{Snapshot, SnapshotState};
 use verdict::{Brought, Findings, VerdictState};
@@ -129,6 +131,10 @@ pub(crate) struct Evidence {
     errors: Errors,
     verdict: VerdictState,
     index_of: Vec<u16>,
+    /// How many beams of the scanner make a sector.
+    sector_beams: usize,
+    /// What is needed of the beams without a scan.
+    looks: Looks,
     /// Of this scan.
     findings: Findings,
     valid_share: f64,
@@ -140,14 +146,17 @@ pub(crate) struct Evidence {
 }
 
 impl Evidence {
-    pub(crate) fn new(vehicle: Description) -> Self {
+    /// Of every `stride`th beam of the vehicle's scanner: `beams`.
+    pub(crate) fn new(vehicle: Description, beams: &Beams, stride: usize) -> Self {
         Self {
             vehicle,
+            sector_beams: beams.sector * stride,
+            looks: Looks::of(beams),
             proven: 0,
             shown: [0; 2],
             shown_s: 0.0,
-            previous: Snapshot::empty(),
-            keyframe: Snapshot::empty(),
+            previous: Snapshot::empty(beams),
+            keyframe: Snapshot::empty(beams),
             returns: Returns::default(),
             sectors: [[0.0; 2]; SECTORS],
             rested_s: 0.0,
@@ -156,7 +165,7 @@ impl Evidence {
             calibration: CalibrationState::default(),
             errors: CalibrationState::default().errors(),
             verdict: VerdictState::default(),
-            index_of: Vec::with_capacity(BEAMS),
+            index_of: Vec::with_capacity(beams.count()),
             findings: Findings::default(),
             valid_share: 0.0,
             is_empty: false,
@@ -181,11 +190,11 @@ impl Evidence {
         points: &[Point],
         elapsed: f64,
     ) -> bool {
-        let [first, last] = ahead(self.vehicle.scanner_yaw_rad);
-        let valid = (first..=last).filter(|beam| range_of(scan, *beam).is_some()).count();
+        let [first, last] = beams.ahead(self.vehicle.scanner_yaw_rad);
+        let valid = (first..=last).filter(|beam| beams.range_of(scan, *beam).is_some()).count();
         self.valid_share = valid as f64 / (last + 1 - first) as f64;
         self.is_empty = self.vehicle.surroundings == Surroundings::Hall
-            && (points.len() as f64) < SWEEP_SHARE * BEAMS as f64;
+            && (points.len() as f64) < SWEEP_SHARE * beams.count() as f64;
         (self.silent, self.gone) = (0, 0);
         self.rested_s = if place.speed() < REST_MPS { self.rested_s + elapsed } else { 0.0 };
         self.careful_s = (self.careful_s - elapsed).max(0.0);
@@ -203,7 +212,7 @@ impl Evidence {
         elapsed: f64,
     ) -> Brought {
         let (way, turn) = self.previous.moved(place);
-        if self.repeats(scan, points.len()) {
+        if self.repeats(beams, scan, points.len()) {
             // The place of the first of them is kept, so that a slow motion adds up.
             return if way > REST.0 || turn > REST.1 { Brought::Repetition } else { Brought::Ranges };
         }
@@ -242,7 +251,8 @@ impl Evidence {
         let (way, turn) = self.keyframe.moved(place);
         let has_rested = way < REST.0 && turn < REST.1;
         counts.agreed <= CHANGED * counts.predicted
-            || has_rested && (something_moves && self.is_open() || self.keyframe.shift(scan) > SHIFTED_M)
+            || has_rested
+                && (something_moves && self.is_open() || self.keyframe.shift(beams, scan) > SHIFTED_M)
     }
 
     /// Compares what does not move with the scan from some way before; `is_fixed` tells of a beam what it shows, and
@@ -262,8 +272,9 @@ impl Evidence {
         }
         let waited = std::mem::take(&mut self.waited_s);
         let mut counts = [[0.0; 2]; SECTORS];
-        let shown =
-            sectors::show(&mut counts, self.proven, scan, |beam| way.is_wall_near(beams, place, beam));
+        let shown = sectors::show(&mut counts, self.proven, (scan, beams), |beam| {
+            way.is_wall_near(beams, place, beam)
+        });
         self.note(shown, waited);
         if let Some(before) = self.keyframe.place() {
             let keyframe = &self.keyframe;
@@ -297,7 +308,7 @@ impl Evidence {
         let has_recovered = returns > OUTAGE * kept;
         if (way > limit * KEYFRAME.0 || turn > limit * KEYFRAME.1 || has_recovered) && !self.is_empty {
             if way < 3.0 * KEYFRAME.0 && turn < 4.0 * KEYFRAME.1 {
-                index_beams(points, &mut self.index_of);
+                index_beams(points, beams.count(), &mut self.index_of);
                 self.calibration.add(&self.keyframe, beams, (place, points), &self.index_of);
                 self.errors = self.calibration.errors();
             }
@@ -318,15 +329,26 @@ impl Evidence {
     /// Counts the sectors of these beams as without evidence: a remembered body that they should show is not seen. One that
     /// `may_have_gone` counts only if other returns are missing too.
     pub(crate) fn doubt(&mut self, beams: &RangeInclusive<usize>, may_have_gone: bool) {
-        let sectors = sectors_of(*beams.start(), *beams.end());
+        let sectors = self.sectors_of(*beams.start(), *beams.end());
         if may_have_gone {
             // What else is missing at its ends is of the same body.
-            let beside = (beams.end() - beams.start()) / 3 + SECTOR_BEAMS;
-            self.gone |= sectors_of(beams.start().saturating_sub(beside), beams.end() + beside);
+            let beside = (beams.end() - beams.start()) / 3 + self.sector_beams;
+            self.gone |= self.sectors_of(beams.start().saturating_sub(beside), beams.end() + beside);
             self.careful_s = CAREFUL_S;
         } else {
             self.silent |= sectors;
         }
+    }
+
+    /// How many beams of the scanner make a sector.
+    pub(crate) fn sector_beams(&self) -> usize {
+        self.sector_beams
+    }
+
+    /// The sectors of the beams of the scanner from `first` to `last`, one bit each.
+    fn sectors_of(&self, first: usize, last: usize) -> u64 {
+        let sectors = first / self.sector_beams..=(last / self.sector_beams).min(SECTORS - 1);
+        sectors.fold(0, |mask, sector| mask | 1 << sector)
     }
 
     /// Whether all that is missing is of bodies that may have gone.
@@ -399,8 +421,8 @@ impl Evidence {
             return 0.0;
         }
         let strip = self.vehicle.width_m / 2.0 + STRIP_M;
-        let seen = sectors::seen_ahead(unseen_sectors, self.vehicle.scanner_yaw_rad, strip);
-        seen.min(THIN_M * share / (3.0 * PITCH_RAD))
+        let seen = sectors::seen_ahead(unseen_sectors, &self.looks, self.vehicle.scanner_yaw_rad, strip);
+        seen.min(THIN_M * share / (3.0 * self.vehicle.scanner.increment_rad))
     }
 
     /// Whether nothing need be in view.
@@ -462,16 +484,10 @@ impl Evidence {
     }
 
     /// Whether the scan has the same returns as the one before.
-    fn repeats(&self, scan: &Scan, returns: usize) -> bool {
+    fn repeats(&self, beams: &Beams, scan: &Scan, returns: usize) -> bool {
         let before = self.previous.scan();
         returns >= STUCK_RETURNS
             && self.previous.place().is_some()
-            && (0..BEAMS).all(|beam| range_of(scan, beam) == range_of(before, beam))
+            && (0..beams.count()).all(|beam| beams.range_of(scan, beam) == beams.range_of(before, beam))
     }
-}
-
-/// The sectors of the beams from `first` to `last`, one bit each.
-fn sectors_of(first: usize, last: usize) -> u64 {
-    let sectors = first / SECTOR_BEAMS..=(last / SECTOR_BEAMS).min(SECTORS - 1);
-    sectors.fold(0, |mask, sector| mask | 1 << sector)
 }

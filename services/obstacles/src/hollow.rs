@@ -103,7 +103,8 @@ mod tests {
     use nalgebra::Vector2;
 
     use super::*;
-    use crate::segment::{Cluster, ahead};
+    use crate::points::Beams;
+    use crate::segment::Cluster;
 
     /// Returns along straight lines from corner to corner, 5 cm apart.
     fn along(corners: &[[f64; 2]]) -> Vec<Point> {
@@ -119,7 +120,7 @@ mod tests {
 
     /// Where the surface is cut.
     fn cuts(corners: &[[f64; 2]]) -> Vec<[f64; 2]> {
-        let mut segments = Segments::with_capacity(ahead(0.0));
+        let mut segments = Segments::with_capacity(&Beams::urg(), 0.0);
         segments.members = along(corners);
         let end = segments.members.len();
         segments.clusters = vec![Cluster { first: 0, end, may_start: true, ends: [End::Seen; 2] }];
@@ -155,7 +156,7 @@ mod tests {
     #[test]
     fn a_shallow_hollow_and_a_wrong_return_part_nothing() {
         assert!(cuts(&[[4.0, -1.0], [4.09, 0.0], [4.0, 1.0]]).is_empty());
-        let mut segments = Segments::with_capacity(ahead(0.0));
+        let mut segments = Segments::with_capacity(&Beams::urg(), 0.0);
         segments.members = along(&[[4.0, -1.0], [4.0, 1.0]]);
         segments.members[20].at.x = 4.3;
         assert_eq!(deepest(&segments.members, HOLLOW_M, &mut Vec::new()), None);

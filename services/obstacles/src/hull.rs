@@ -4,11 +4,11 @@
 //! face the scanner, there is a hollow, and a body with that hull would fill it.
 
 use nalgebra::Vector2;
-use shared_types::BEAMS;
 use vehicle::frame::to_robot;
 use vehicle::geometry::{Rectangle, ray_in_box};
 
 use crate::outline::Vertex;
+use crate::points::Beams;
 
 /// Hollows up to this depth are filled: a room is that much smaller [m].
 pub(crate) const HOLLOW_M: f64 = 0.15;
@@ -27,8 +27,8 @@ pub(crate) struct Hull {
 
 impl Hull {
     /// Buffers large enough for the outlines of any scan.
-    pub(crate) fn with_capacity() -> Self {
-        let capacity = 4 * BEAMS + 4;
+    pub(crate) fn with_capacity(beams: &Beams) -> Self {
+        let capacity = 4 * beams.count() + 4;
         Self { points: Vec::with_capacity(capacity), corners: Vec::with_capacity(capacity + 1) }
     }
 

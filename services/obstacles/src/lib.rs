@@ -23,6 +23,7 @@ mod segment;
 mod shape;
 mod stage;
 mod state;
+mod thin;
 mod track;
 mod tracks;
 mod visibility;

@@ -5,7 +5,6 @@
 //! last return and the next beam that misses it, so the line is extended by half the spacing.
 
 use nalgebra::Vector2;
-use shared_types::PITCH_RAD;
 
 use crate::points::{Place, Point};
 use crate::segment::{Cluster, End};
@@ -22,14 +21,15 @@ pub(crate) struct Vertex {
 /// Largest number of pieces of one outline that wait to be split.
 const STACK: usize = 32;
 
-/// Appends the outline of one cluster to `vertices` and returns the direction of its edges.
+/// Appends the outline of one cluster, seen from `place` with `pitch` from beam to beam, to `vertices` and returns the
+/// direction of its edges.
 ///
 /// That is the sum of (cos, sin) of four times the angle of each edge, weighted by its squared length: edges of
 /// a box, which are at right angles, add up. Edges of fewer than four returns do not count.
 pub(crate) fn trace(
     cluster: &Cluster,
     members: &[Point],
-    place: &Place,
+    (place, pitch): (&Place, f64),
     range_noise: f64,
     vertices: &mut Vec<Vertex>,
 ) -> Vector2<f64> {
@@ -53,10 +53,10 @@ pub(crate) fn trace(
         let line = Line::fit(piece);
         let mut ends = [line.nearest(piece[0].at), line.nearest(piece[piece.len() - 1].at)];
         if first == 0 {
-            ends[0] -= line.direction * half_spacing(&piece[0], line.direction, place);
+            ends[0] -= line.direction * half_spacing(&piece[0], line.direction, place, pitch);
         }
         if last == count - 1 {
-            ends[1] += line.direction * half_spacing(&piece[piece.len() - 1], line.direction, place);
+            ends[1] += line.direction * half_spacing(&piece[piece.len() - 1], line.direction, place, pitch);
         }
         let end = |is_end: bool, end: End| if is_end { end } else { End::Seen };
         vertices.push(Vertex { at: ends[0], end: end(first == 0, cluster.ends[0]) });
@@ -99,10 +99,10 @@ fn corner(piece: &[Point], range_noise: f64) -> Option<usize> {
 }
 
 /// Half of the distance along the line to where the next beam would hit it, at most 5 cm.
-fn half_spacing(end: &Point, direction: Vector2<f64>, place: &Place) -> f64 {
+fn half_spacing(end: &Point, direction: Vector2<f64>, place: &Place, pitch: f64) -> f64 {
     let ray = (end.at - place.at).try_normalize(1e-9).unwrap_or(direction);
     let sine = (ray.x * direction.y - ray.y * direction.x).abs();
-    (0.5 * PITCH_RAD * end.range / sine.max(0.1)).min(0.05)
+    (0.5 * pitch * end.range / sine.max(0.1)).min(0.05)
 }
 
 /// A total least squares line.

@@ -1,14 +1,14 @@
 //! Outlines of one scan: what it shows of bodies, and of which tracked body each is.
 
 use nalgebra::Vector2;
-use shared_types::{BEAMS, Scan};
+use shared_types::Scan;
 
 use crate::ObstaclesConfig;
 use crate::hull::{HOLLOW_M, Hull};
 use crate::outline::{Vertex, trace};
 use crate::part::Known;
-use crate::points::{Place, Point};
-use crate::segment::{Segments, ahead};
+use crate::points::{Beams, Place, Point};
+use crate::segment::Segments;
 use crate::state::TRACKS;
 use crate::walls::Walls;
 use crate::way::Way;
@@ -50,14 +50,15 @@ pub(crate) struct Outlines {
 
 impl Outlines {
     /// Buffers large enough for any scan of a scanner that is turned by `yaw_rad`.
-    pub(crate) fn with_capacity(yaw_rad: f64) -> Self {
+    pub(crate) fn with_capacity(beams: &Beams, yaw_rad: f64) -> Self {
+        let count = beams.count();
         Self {
-            list: Vec::with_capacity(BEAMS),
-            segments: Segments::with_capacity(ahead(yaw_rad)),
-            vertices: Vec::with_capacity(4 * BEAMS),
+            list: Vec::with_capacity(count),
+            segments: Segments::with_capacity(beams, yaw_rad),
+            vertices: Vec::with_capacity(4 * count),
             expected: Vec::with_capacity(TRACKS + 1),
             beside: Vec::with_capacity(TRACKS + 1),
-            hull: Hull::with_capacity(),
+            hull: Hull::with_capacity(beams),
         }
     }
 
@@ -65,7 +66,7 @@ impl Outlines {
     pub(crate) fn find(
         &mut self,
         config: &ObstaclesConfig,
-        scan: &Scan,
+        (scan, beams): (&Scan, &Beams),
         (place, way): (&Place, &Way),
         points: &mut Vec<Point>,
         known: impl Iterator<Item = Known>,
@@ -74,7 +75,7 @@ impl Outlines {
         self.expected.extend(known);
         self.beside.clear();
         self.beside.extend(self.expected.iter().map(|(expected, _)| way.is_box_beside(expected)));
-        self.outline(config, scan, (place, way), points);
+        self.outline(config, (scan, beams), (place, way), points);
         self.associate(place, way);
     }
 
@@ -95,13 +96,14 @@ impl Outlines {
     fn outline(
         &mut self,
         config: &ObstaclesConfig,
-        scan: &Scan,
+        (scan, beams): (&Scan, &Beams),
         (place, way): (&Place, &Way),
         points: &mut Vec<Point>,
     ) {
         let walls = Walls::fit(config, place, points);
         points.retain(|point| walls.leaves(way.of(point)));
-        self.segments.find(scan, points, config.range_noise_m, |point| way.is_point_beside(point));
+        let is_beside = |point: &Point| way.is_point_beside(point);
+        self.segments.find((scan, beams), points, config.range_noise_m, is_beside);
         self.segments.part(&self.expected);
         self.segments.part_at_hollows(config.range_noise_m);
         self.list.clear();
@@ -109,7 +111,8 @@ impl Outlines {
         for cluster in &self.segments.clusters {
             let members = &self.segments.members[cluster.first..cluster.end];
             let first = self.vertices.len();
-            let edges = trace(cluster, members, place, config.range_noise_m, &mut self.vertices);
+            let edges =
+                trace(cluster, members, (place, beams.pitch()), config.range_noise_m, &mut self.vertices);
             walls.extend(&mut self.vertices, first);
             let end = self.vertices.len();
             self.list.push(Outline {

@@ -7,9 +7,9 @@
 //!
 //! Where it fails: bodies less than about 0.2 m apart at 5 m range are one. No robot fits in between.
 
-use shared_types::{BEAMS, PITCH_RAD, Scan, WINDOW};
+use shared_types::Scan;
 
-use crate::points::{Point, range_of};
+use crate::points::{Beams, Point};
 
 /// Sine of the flattest angle between beam and surface that still connects two returns: 10 deg.
 const GRAZING: f64 = 0.174;
@@ -19,11 +19,11 @@ const MAX_GAP_M: f64 = 0.35;
 const MAX_BEAM_STEP: usize = 5;
 /// A body this near counts wherever the scanner sees it [m].
 const BESIDE_M: f64 = 1.5;
-/// Bodies nearer than this show at least three beams when they are 3 cm wide [m].
+/// Bodies nearer than this show at least three beams of the URG-04LX when they are 3 cm wide [m].
 const SPARSE_M: f64 = 3.0;
 /// A neighbour nearer than the end of a body by this hides what is behind it [m].
 pub(crate) const HIDING_M: f64 = 0.15;
-/// Beyond this range the end of a body cannot be told from the end of the view [m].
+/// Beyond this range of the URG-04LX the end of a body cannot be told from the end of the view [m].
 const FADING_M: f64 = 5.4;
 
 /// Returns of one body: a range of [`Segments::members`].
@@ -66,15 +66,16 @@ pub(crate) struct Segments {
 }
 
 impl Segments {
-    /// Buffers large enough for any scan; `ahead` are the beams that look ahead.
-    pub(crate) fn with_capacity(ahead: [usize; 2]) -> Self {
+    /// Buffers large enough for any scan of a scanner that is turned by `yaw_rad`.
+    pub(crate) fn with_capacity(beams: &Beams, yaw_rad: f64) -> Self {
+        let count = beams.count();
         Self {
-            ahead,
-            members: Vec::with_capacity(BEAMS),
-            clusters: Vec::with_capacity(BEAMS),
-            parts: Vec::with_capacity(BEAMS),
-            owners: Vec::with_capacity(BEAMS),
-            front: Vec::with_capacity(BEAMS),
+            ahead: beams.ahead(yaw_rad),
+            members: Vec::with_capacity(count),
+            clusters: Vec::with_capacity(count),
+            parts: Vec::with_capacity(count),
+            owners: Vec::with_capacity(count),
+            front: Vec::with_capacity(count),
         }
     }
 
@@ -82,7 +83,7 @@ impl Segments {
     /// what is beside the track: a body at rest ends there, however far what it touches extends.
     pub(crate) fn find(
         &mut self,
-        scan: &Scan,
+        (scan, beams): (&Scan, &Beams),
         points: &[Point],
         range_noise: f64,
         is_beside: impl Fn(&Point) -> bool,
@@ -92,23 +93,29 @@ impl Segments {
         let (mut first, mut continues) = (0, false);
         for (index, point) in points.iter().enumerate() {
             if let Some(last) = self.members[first..].last().copied() {
-                let is_one = connected(&last, point, range_noise);
+                let is_one = connected(&last, point, range_noise, beams.pitch());
                 if !is_one || is_beside(&last) != is_beside(point) {
-                    if is_speckle(points, index, &last, range_noise) {
+                    if is_speckle(points, index, &last, range_noise, beams.pitch()) {
                         continue;
                     }
-                    self.close(scan, first, range_noise, [continues, is_one]);
+                    self.close((scan, beams), first, range_noise, [continues, is_one]);
                     (first, continues) = (self.members.len(), is_one);
                 }
             }
             self.members.push(*point);
         }
-        self.close(scan, first, range_noise, [continues, false]);
+        self.close((scan, beams), first, range_noise, [continues, false]);
     }
 
     /// Ends the cluster that starts at member `first`, or forgets it when it is too small. What it is of `continues` beyond
     /// its ends, or does not.
-    fn close(&mut self, scan: &Scan, mut first: usize, range_noise: f64, continues: [bool; 2]) {
+    fn close(
+        &mut self,
+        (scan, beams): (&Scan, &Beams),
+        mut first: usize,
+        range_noise: f64,
+        continues: [bool; 2],
+    ) {
         let start = first;
         if let [.., inner, neighbour, end] = &self.members[first..]
             && is_mixed(end, neighbour, inner, range_noise)
@@ -122,13 +129,14 @@ impl Segments {
         }
         let members = &self.members[first..];
         let range = members.iter().map(|point| point.range).fold(f64::INFINITY, f64::min);
-        let needed = if range > SPARSE_M { 2 } else { 3 };
+        let needed = if range > SPARSE_M / beams.coarseness() { 2 } else { 3 };
         if members.len() < needed {
             self.members.truncate(start);
             return;
         }
         let may_start = may_start(members, self.ahead, range_noise);
-        let mut ends = [end_of(scan, &members[0], false), end_of(scan, &members[members.len() - 1], true)];
+        let end = |member: &Point, leftwards| end_of(scan, beams, member, leftwards);
+        let mut ends = [end(&members[0], false), end(&members[members.len() - 1], true)];
         for (end, continues) in ends.iter_mut().zip(continues) {
             if continues {
                 *end = End::Hidden;
@@ -136,12 +144,6 @@ impl Segments {
         }
         self.clusters.push(Cluster { first, end: self.members.len(), may_start, ends });
     }
-}
-
-/// The first and the last beam within 60 degrees to each side of straight ahead, of a scanner that is turned by `yaw_rad`.
-pub(crate) fn ahead(yaw_rad: f64) -> [usize; 2] {
-    let turned = (yaw_rad / PITCH_RAD).round() as i64;
-    [*WINDOW.start(), *WINDOW.end()].map(|beam| (beam as i64 - turned).clamp(0, BEAMS as i64 - 1) as usize)
 }
 
 /// Whether returns of one surface are evidence enough for a new body: it is ahead, or so near that it may come from the side.
@@ -154,21 +156,21 @@ pub(crate) fn may_start(members: &[Point], [first, last]: [usize; 2], range_nois
     in_view >= 2 && (members.len() > 3 || farthest - nearest < 6.0 * range_noise)
 }
 
-/// Whether two returns can lie on one surface.
-fn connected(a: &Point, b: &Point, range_noise: f64) -> bool {
+/// Whether two returns can lie on one surface, with `pitch` from beam to beam.
+fn connected(a: &Point, b: &Point, range_noise: f64, pitch: f64) -> bool {
     let step = b.beam - a.beam;
     if step > MAX_BEAM_STEP {
         return false;
     }
-    let spacing = step as f64 * PITCH_RAD * a.range.min(b.range);
+    let spacing = step as f64 * pitch * a.range.min(b.range);
     let gap = (3.0 * range_noise + spacing / GRAZING).min(MAX_GAP_M);
     (b.at - a.at).norm_squared() <= gap * gap
 }
 
 /// Whether the return at `index` stands alone between two of one surface.
-fn is_speckle(points: &[Point], index: usize, last: &Point, range_noise: f64) -> bool {
+fn is_speckle(points: &[Point], index: usize, last: &Point, range_noise: f64, pitch: f64) -> bool {
     points.get(index + 1).is_some_and(|next| {
-        connected(last, next, range_noise) && !connected(&points[index], next, range_noise)
+        connected(last, next, range_noise, pitch) && !connected(&points[index], next, range_noise, pitch)
     })
 }
 
@@ -181,14 +183,14 @@ fn is_mixed(end: &Point, neighbour: &Point, inner: &Point, range_noise: f64) -> 
 }
 
 /// What limits a body beyond its return `end`.
-fn end_of(scan: &Scan, end: &Point, leftwards: bool) -> End {
-    if end.range > FADING_M {
+fn end_of(scan: &Scan, beams: &Beams, end: &Point, leftwards: bool) -> End {
+    if end.range > beams.reach(FADING_M) {
         return End::Hidden;
     }
     for step in 1..=4 {
         let beam = if leftwards { end.beam.checked_add(step) } else { end.beam.checked_sub(step) };
-        let Some(beam) = beam.filter(|beam| *beam < BEAMS) else { return End::Hidden };
-        if let Some(range) = range_of(scan, beam) {
+        let Some(beam) = beam.filter(|beam| *beam < beams.count()) else { return End::Hidden };
+        if let Some(range) = beams.range_of(scan, beam) {
             return if range < end.range - HIDING_M { End::Hidden } else { End::Seen };
         }
     }
@@ -200,7 +202,7 @@ mod tests {
     use shared_types::ScanGeometry;
 
     use super::*;
-    use crate::points::{Beams, Place};
+    use crate::points::Place;
     use nalgebra::Vector2;
 
     /// How many bodies ten returns on each side of `lost` beams without one are, 2 m away.
@@ -208,10 +210,10 @@ mod tests {
         let mut scan = Scan::of(ScanGeometry::URG_04LX);
         scan.ranges_mm[330..350 + lost].fill(2000);
         scan.ranges_mm[340..340 + lost].fill(0);
-        let mut points = Vec::new();
-        Beams::new().place(&scan, &Place::standing(Vector2::zeros(), 0.0), &mut points);
-        let mut segments = Segments::with_capacity(ahead(0.0));
-        segments.find(&scan, &points, 0.01, |point| point.at.y.abs() > 2.0);
+        let (mut points, beams) = (Vec::new(), Beams::urg());
+        beams.place(&scan, &Place::standing(Vector2::zeros(), 0.0), &mut points);
+        let mut segments = Segments::with_capacity(&beams, 0.0);
+        segments.find((&scan, &beams), &points, 0.01, |point| point.at.y.abs() > 2.0);
         segments.clusters.len()
     }
 
@@ -224,11 +226,11 @@ mod tests {
     fn a_body_continues_where_the_line_beside_the_track_cuts_it() {
         let mut scan = Scan::of(ScanGeometry::URG_04LX);
         scan.ranges_mm[300..=340].fill(2000);
-        let mut points = Vec::new();
-        Beams::new().place(&scan, &Place::standing(Vector2::zeros(), 0.0), &mut points);
-        let mut segments = Segments::with_capacity(ahead(0.0));
+        let (mut points, beams) = (Vec::new(), Beams::urg());
+        beams.place(&scan, &Place::standing(Vector2::zeros(), 0.0), &mut points);
+        let mut segments = Segments::with_capacity(&beams, 0.0);
         // 20 beams to the right of the front is 0.245 m across.
-        segments.find(&scan, &points, 0.01, |point| !(-0.24..=2.0).contains(&point.at.y));
+        segments.find((&scan, &beams), &points, 0.01, |point| !(-0.24..=2.0).contains(&point.at.y));
         let ends: Vec<_> = segments.clusters.iter().map(|cluster| cluster.ends).collect();
         assert_eq!(ends, [[End::Silent, End::Hidden], [End::Hidden, End::Silent]]);
     }

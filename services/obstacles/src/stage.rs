@@ -12,6 +12,8 @@ use crate::{ObstacleDetector, ObstaclesConfig, ObstaclesState};
 #[derive(Debug, Clone)]
 pub struct DetectorStage {
     detector: ObstacleDetector,
+    /// The beams that are described.
+    known: ScanGeometry,
     period_ns: u64,
     /// Without the state of the process before, an obstacle beside the robot that is out of view would be forgotten.
     is_lost: bool,
@@ -31,8 +33,9 @@ impl Stage for DetectorStage {
     const ANSWERS: &'static [&'static SampleType] = &[Scan::TYPE, Pose::TYPE];
 
     fn begin(settings: ObstaclesConfig, period_ns: u64) -> Result<Self, Invalid> {
+        let known = settings.vehicle.scanner.geometry();
         let detector = ObstacleDetector::new(settings)?;
-        Ok(Self { detector, period_ns, is_lost: false, scan: None, pose: None, refusal: None })
+        Ok(Self { detector, known, period_ns, is_lost: false, scan: None, pose: None, refusal: None })
     }
 
     fn resume(&mut self, state: &ObstaclesState) -> bool {
@@ -47,7 +50,7 @@ impl Stage for DetectorStage {
 
     fn take(&mut self, sample: AnySample<'_>, _: u64) {
         if let Some(scan) = sample.get::<Scan>() {
-            self.refusal = unknown(&scan.geometry());
+            self.refusal = unknown(&scan.geometry(), &self.known);
             match self.refusal {
                 None => self.scan.get_or_insert_default().assign(scan),
                 Some(_) => self.scan = None,
@@ -81,9 +84,9 @@ impl Stage for DetectorStage {
     }
 }
 
-/// What differs between the beams of a scan and those of the URG-04LX: the detector knows no others.
-fn unknown(found: &ScanGeometry) -> Option<Fault> {
-    let ScanGeometry { count, first_rad, increment_rad } = ScanGeometry::URG_04LX;
+/// What differs between the beams of a scan and those that are described: the detector knows no others.
+fn unknown(found: &ScanGeometry, known: &ScanGeometry) -> Option<Fault> {
+    let ScanGeometry { count, first_rad, increment_rad } = *known;
     let differing = [
         ("beams", found.count as f64, count as f64),
         ("first_rad", found.first_rad, first_rad),

@@ -1,7 +1,6 @@
 //! One body tracked from scan to scan: where it is, how it moves, how far it extends.
 
 use nalgebra::{Matrix2, Matrix4, Vector2, Vector4};
-use shared_types::PITCH_RAD;
 use vehicle::frame::to_robot;
 use vehicle::geometry::Rectangle;
 
@@ -217,7 +216,8 @@ impl Track {
                 .then_some(seen.reach[index] - f64::from(self.reach[index]))
                 .filter(|excess| excess.is_finite())
         };
-        let is_cut = is_cut(&seen, &self.reach, [near + DIRECTIONS / 4, near + DIRECTIONS * 3 / 4], distance);
+        let sides = [near + DIRECTIONS / 4, near + DIRECTIONS * 3 / 4];
+        let is_cut = is_cut(&seen, &self.reach, sides, config.vehicle.scanner.increment_rad * distance);
         let along = excess(near).filter(|excess| excess.abs() < JUMP_M && !is_cut);
         let ends = (excess(near + DIRECTIONS / 4), excess(near + DIRECTIONS * 3 / 4));
         let is_hidden = |index: usize| seen.end[index % DIRECTIONS] == End::Hidden;
@@ -424,9 +424,9 @@ impl Track {
 }
 
 /// Whether a sector that sees nothing cuts a body off: one end is short of where it is known, next to beams without
-/// return, and the other has not moved the same way.
-fn is_cut(seen: &Seen, reach: &[f32; DIRECTIONS], ends: [usize; 2], distance: f64) -> bool {
-    let short = CUT_M + CUT_BEAMS * PITCH_RAD * distance;
+/// return, and the other has not moved the same way. The beams are `spacing` apart there [m].
+fn is_cut(seen: &Seen, reach: &[f32; DIRECTIONS], ends: [usize; 2], spacing: f64) -> bool {
+    let short = CUT_M + CUT_BEAMS * spacing;
     let [left, right] = ends.map(|index| {
         let index = index % DIRECTIONS;
         (seen.end[index], seen.reach[index] - f64::from(reach[index]))
@@ -444,7 +444,9 @@ fn direction(from: Vector2<f64>, to: Vector2<f64>) -> Vector2<f64> {
 /// Standard deviations of a place seen at `distance`: along the view and across it [m].
 fn deviations(view: &View<'_>, distance: f64, config: &ObstaclesConfig) -> (f64, f64) {
     let along = config.pose_noise_m.hypot(config.range_noise_m / (view.returns.clamp(1, 50) as f64).sqrt());
-    let across = config.pose_noise_m.hypot(distance * (config.pose_noise_rad + 0.5 * PITCH_RAD));
+    let across = config
+        .pose_noise_m
+        .hypot(distance * (config.pose_noise_rad + 0.5 * config.vehicle.scanner.increment_rad));
     (along, across)
 }
 

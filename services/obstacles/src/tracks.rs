@@ -1,7 +1,7 @@
 //! All tracked bodies: started, updated, united and forgotten.
 
 use nalgebra::Vector2;
-use shared_types::Scan;
+use shared_types::{SECTOR_BEAMS, Scan};
 use vehicle::geometry::Rectangle;
 
 use crate::ObstaclesConfig;
@@ -28,8 +28,8 @@ const RELIED_S: f64 = 0.5;
 /// When it still rests after this time, the body has gone [s]. Neither has moved since it was seen, so its surface has not
 /// turned black: either it has gone, or the scanner fails there and nowhere else.
 const GONE_S: f64 = 0.9;
-/// Only of a body that is seen by so many beams, without its rim, can it be found that it has gone: with its rim that is more
-/// than two sectors. What a sector that fails may hide is not forgotten.
+/// Only of a body that is seen by so many beams of a sector of 11, without its rim, can it be found that it has gone: with
+/// its rim that is more than two sectors. What a sector that fails may hide is not forgotten.
 const WIDE_BEAMS: usize = 14;
 /// A body that has gone was within this distance of where it is known [m].
 const AROUND_M: f64 = 0.2;
@@ -53,15 +53,15 @@ pub(crate) struct Tracks {
 
 impl Tracks {
     /// No bodies, and room for all.
-    pub(crate) fn new(config: ObstaclesConfig) -> Self {
+    pub(crate) fn new(config: ObstaclesConfig, beams: &Beams) -> Self {
         Self {
             list: Vec::with_capacity(TRACKS + 1),
             last_body: 0,
             config,
             directions: Directions::new(),
-            view: Vec::with_capacity(4 * shared_types::BEAMS),
+            view: Vec::with_capacity(4 * beams.count()),
             boxes: Vec::with_capacity(TRACKS + 1),
-            hull: Hull::with_capacity(),
+            hull: Hull::with_capacity(beams),
         }
     }
 
@@ -174,8 +174,10 @@ impl Tracks {
                     let counted = if is_reliable { elapsed } else { 0.0 };
                     let had_rested = track.rested_s >= RELIED_S;
                     track.silent_s += counted;
-                    let towards = beams_towards(place, &rectangle);
-                    let is_wide = towards.clone().is_some_and(|towards| towards.count() >= WIDE_BEAMS);
+                    let towards = beams_towards(beams, place, &rectangle);
+                    let is_wide = towards.clone().is_some_and(|towards| {
+                        towards.count() * SECTOR_BEAMS >= WIDE_BEAMS * evidence.sector_beams()
+                    });
                     track.rested_s += if rests && is_wide { counted } else { 0.0 };
                     if track.stands()
                         && !way.is_box_beside(&rectangle)

@@ -3,15 +3,15 @@
 use std::ops::RangeInclusive;
 
 use nalgebra::Vector2;
-use shared_types::{BEAMS, FIRST_BEAM_YAW_RAD, PITCH_RAD, Scan};
+use shared_types::Scan;
 use vehicle::frame::{to_robot, to_track, wrap_angle};
 use vehicle::geometry::{Rectangle, ray_in_box};
 
-use crate::points::{Beams, Place, range_of};
+use crate::points::{Beams, Place};
 
 /// A return that is nearer or farther than the body by less than this is on it [m].
 const MARGIN_M: f64 = 0.15;
-/// Bodies farther away than this need not return anything [m].
+/// Bodies farther away than this need not return anything to the URG-04LX [m].
 const REACH_M: f64 = 5.2;
 /// At least one beam to so many without a return must show the background.
 const THROUGH_SHARE: u32 = 3;
@@ -38,14 +38,23 @@ pub(crate) enum Sight {
 }
 
 /// The beams towards `rectangle`, without those at its rim; `None` when the scanner stands on it, or it is too far.
-pub(crate) fn beams_towards(place: &Place, rectangle: &Rectangle) -> Option<RangeInclusive<usize>> {
-    beams_within(place, rectangle, RIM)
+pub(crate) fn beams_towards(
+    beams: &Beams,
+    place: &Place,
+    rectangle: &Rectangle,
+) -> Option<RangeInclusive<usize>> {
+    beams_within(beams, place, rectangle, RIM)
 }
 
 /// [`beams_towards`] without this share of the width at each side.
-fn beams_within(place: &Place, rectangle: &Rectangle, rim: f64) -> Option<RangeInclusive<usize>> {
+fn beams_within(
+    beams: &Beams,
+    place: &Place,
+    rectangle: &Rectangle,
+    rim: f64,
+) -> Option<RangeInclusive<usize>> {
     let distance = rectangle.distance_to_point(place.at);
-    if !(distance > 0.0 && distance <= REACH_M) {
+    if !(distance > 0.0 && distance <= beams.reach(REACH_M)) {
         return None;
     }
     let bearing = |point: Vector2<f64>| {
@@ -59,10 +68,10 @@ fn beams_within(place: &Place, rectangle: &Rectangle, rim: f64) -> Option<RangeI
         (low, high) = (low.min(offset), high.max(offset));
     }
     let rim = rim * (high - low);
-    let index = |angle: f64| (angle - FIRST_BEAM_YAW_RAD) / PITCH_RAD;
+    let index = |angle: f64| (angle - beams.geometry.first_rad) / beams.pitch();
     let from = index(middle + low + rim).ceil().max(0.0);
     // A body narrower than a beam still has the one nearest to its middle.
-    let to = index(middle + high - rim).floor().max(index(middle).round()).min((BEAMS - 1) as f64);
+    let to = index(middle + high - rim).floor().max(index(middle).round()).min((beams.count() - 1) as f64);
     let from = from.min(index(middle).round().max(0.0));
     (to >= from).then_some(from as usize..=to as usize)
 }
@@ -73,7 +82,7 @@ pub(crate) fn sight(scan: &Scan, beams: &Beams, place: &Place, rectangle: &Recta
         // The robot stands at this place, so no body is there.
         return Sight::Free;
     }
-    let Some(towards) = beams_towards(place, rectangle) else { return Sight::Unknown };
+    let Some(towards) = beams_towards(beams, place, rectangle) else { return Sight::Unknown };
     let (mut through, mut there, mut silent) = (0_u32, 0_u32, 0_u32);
     for beam in towards {
         match along(scan, beams, place, rectangle, beam) {
@@ -103,10 +112,14 @@ pub(crate) fn free_sides(
     rectangle: &Rectangle,
 ) -> [Option<Vector2<f64>>; 2] {
     let distance = rectangle.distance_to_point(place.at);
-    let towards = if distance <= 0.0 { Some(0..=BEAMS - 1) } else { beams_within(place, rectangle, 0.0) };
+    let towards = if distance <= 0.0 {
+        Some(0..=beams.count() - 1)
+    } else {
+        beams_within(beams, place, rectangle, 0.0)
+    };
     let Some(towards) = towards else { return [None; 2] };
     let first = *towards.start();
-    let gap_beams = ((GAP_M / (PITCH_RAD * distance.max(NEAR_M))).ceil() as usize).max(BESIDE_BEAMS);
+    let gap_beams = ((GAP_M / (beams.pitch() * distance.max(NEAR_M))).ceil() as usize).max(BESIDE_BEAMS);
     let (mut best, mut part) = (Part::from(first, false), Part::from(first, false));
     let mut gap = Gap::default();
     for beam in towards {
@@ -197,10 +210,12 @@ fn along(scan: &Scan, beams: &Beams, place: &Place, rectangle: &Rectangle, beam:
     let unit = beams.unit(beam);
     let ray = to_robot(rectangle.yaw - place.yaw, unit.x, unit.y);
     let half = Vector2::new(rectangle.length / 2.0, rectangle.width / 2.0);
-    let Some((enter, leave)) = ray_in_box(start, ray, half).filter(|(enter, _)| *enter <= REACH_M) else {
+    let Some((enter, leave)) =
+        ray_in_box(start, ray, half).filter(|(enter, _)| *enter <= beams.reach(REACH_M))
+    else {
         return Passage::Elsewhere;
     };
-    match range_of(scan, beam) {
+    match beams.range_of(scan, beam) {
         None => Passage::Silent,
         Some(range) if range > leave + MARGIN_M => Passage::Through,
         Some(range) if range < enter - MARGIN_M => Passage::Elsewhere,
@@ -210,7 +225,7 @@ fn along(scan: &Scan, beams: &Beams, place: &Place, rectangle: &Rectangle, beam:
 
 #[cfg(test)]
 mod tests {
-    use shared_types::ScanGeometry;
+    use shared_types::{PITCH_RAD, ScanGeometry};
 
     use super::*;
 
@@ -220,14 +235,14 @@ mod tests {
         let body = Rectangle { centre: Vector2::new(2.0, 0.0), yaw: 0.0, length: 0.1, width: 0.4 };
         let place = Place::standing(Vector2::zeros(), 0.0);
         let mut scan = Scan::of(ScanGeometry::URG_04LX);
-        let towards = beams_towards(&place, &body).unwrap();
+        let towards = beams_towards(&Beams::urg(), &place, &body).unwrap();
         // The front is 0.2044 rad wide; a fifth of it is left out at each side.
         assert_eq!(towards.clone().count(), 19);
         let ranges = ranges_mm.iter().flat_map(|(count, range)| std::iter::repeat_n(*range, *count));
         for (beam, range) in towards.zip(ranges) {
             scan.ranges_mm[beam] = range;
         }
-        sight(&scan, &Beams::new(), &place, &body)
+        sight(&scan, &Beams::urg(), &place, &body)
     }
 
     #[test]
@@ -256,14 +271,14 @@ mod tests {
     fn sides_of(ranges_mm: &[(usize, u32)]) -> [Option<f64>; 2] {
         let body = Rectangle { centre: Vector2::new(2.0, 0.0), yaw: 0.0, length: 0.1, width: 1.0 };
         let place = Place::standing(Vector2::zeros(), 0.0);
-        let towards = beams_within(&place, &body, 0.0).unwrap();
+        let towards = beams_within(&Beams::urg(), &place, &body, 0.0).unwrap();
         assert_eq!(towards.clone().count(), 81);
         let mut scan = Scan::of(ScanGeometry::URG_04LX);
         let ranges = ranges_mm.iter().flat_map(|(count, range)| std::iter::repeat_n(*range, *count));
         for (beam, range) in towards.zip(ranges) {
             scan.ranges_mm[beam] = range;
         }
-        free_sides(&scan, &Beams::new(), &place, &body).map(|side| side.map(|along| along.y))
+        free_sides(&scan, &Beams::urg(), &place, &body).map(|side| side.map(|along| along.y))
     }
 
     #[test]

@@ -7,7 +7,6 @@
 //! Where it fails: of two parts of the course within that range, a point belongs to the nearer one.
 
 use nalgebra::Vector2;
-use shared_types::BEAMS;
 use vehicle::frame::{to_robot, to_track};
 use vehicle::geometry::Rectangle;
 use vehicle::{Course, State, Surroundings};
@@ -43,6 +42,8 @@ pub(crate) struct Way {
     /// Place of the robot, not finite before the first pose [m].
     along_m: f64,
     beside_y: [f64; 2],
+    /// Where returns of walls must come, from the robot [m].
+    reach: f64,
     /// What is farther from the course is not described [m].
     described: f64,
     /// Walls that are in view when nothing is on the track, across the way [m].
@@ -64,8 +65,9 @@ impl Way {
         let samples: Vec<_> = if is_line { Vec::new() } else { (0..=steps as u32).map(sample).collect() };
         Self {
             hall: Vec::with_capacity(samples.len()),
-            returns: if is_line { Vec::new() } else { vec![Vector2::zeros(); BEAMS] },
+            returns: if is_line { Vec::new() } else { vec![Vector2::zeros(); config.vehicle.scanner.beams] },
             samples,
+            reach: Beams::new(&config.vehicle.scanner, 1).reach(REACH_M),
             step,
             along_m: if is_line { 0.0 } else { f64::NEG_INFINITY },
             beside_y: config.beside_y_m(),
@@ -96,7 +98,7 @@ impl Way {
         let near = near.map(|along| self.course.on_course(&pose, along)).filter(|place| !is_astray(place));
         let place = near.unwrap_or_else(|| self.course.on_course(&pose, self.course.find(&pose)));
         self.along_m = place.x;
-        let reach = self.wall() + REACH_M + self.step;
+        let reach = self.wall() + self.reach + self.step;
         self.hall.clear();
         if reach.is_finite() {
             let at = Vector2::new(x, y);
@@ -229,7 +231,7 @@ impl Way {
         if self.course.is_line() {
             let across = direction.y;
             let distance = if across > 0.0 { high - place.at.y } else { place.at.y - low };
-            return distance > 0.0 && distance < REACH_M * across.abs();
+            return distance > 0.0 && distance < self.reach * across.abs();
         }
         if self.hall.is_empty() {
             return false;
@@ -238,7 +240,7 @@ impl Way {
         let limit = (self.wall() + self.step / 8.0).powi(2);
         let is_outside =
             |point: Vector2<f64>| self.hall.iter().all(|sample| (sample - point).norm_squared() > limit);
-        let steps = (REACH_M / MARCH_M).round() as u32;
+        let steps = (self.reach / MARCH_M).round() as u32;
         !is_outside(place.at)
             && (1..=steps).any(|step| is_outside(place.at + direction * (f64::from(step) * MARCH_M)))
     }

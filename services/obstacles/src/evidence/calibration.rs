@@ -11,15 +11,15 @@
 //! explain: when that factor alone explains more than all errors of the scanner do, it is the odometry.
 
 use nalgebra::{Matrix3, Matrix4, SMatrix, SVector, Vector2, Vector4};
-use shared_types::{BEAMS, Flag, TOLERATED_ERRORS, plain_state};
+use shared_types::{Flag, TOLERATED_ERRORS, plain_state};
 
 use crate::evidence::snapshot::{Snapshot, Viewpoint, normal_at};
 use crate::points::{Beams, Place, Point};
 
 /// Points farther apart than this are not the same [m].
 const GATE_M: f64 = 0.6;
-/// Beams beside the expected one in which the matching point is searched.
-const SEARCH_BEAMS: usize = 14;
+/// Beams of the URG-04LX beside the expected one in which the matching point is searched.
+const SEARCH_BEAMS: f64 = 14.0;
 /// Standard deviation of the distance of two matching points [m].
 const NOISE_M: f64 = 0.03;
 /// Pairs farther off than this many deviations count less and less.
@@ -84,6 +84,7 @@ impl CalibrationState {
         let mut normal = SMatrix::<f64, 7, 7>::zeros();
         let mut right = SVector::<f64, 7>::zeros();
         let view = Viewpoint::new(beams, earlier.scan(), place);
+        let search = (SEARCH_BEAMS / beams.coarseness()).ceil() as usize;
         let guess = self.solution();
         let weight = 1.0 / (SHARED * NOISE_M * NOISE_M);
         let fixed = earlier.points().iter().filter(|point| earlier.is_fixed(point.beam)).count();
@@ -108,7 +109,9 @@ impl CalibrationState {
             ]);
             // Where it seems to be by the errors that are known so far: without them the nearest return is the wrong one.
             let shift = motion(&guess, moved, bends, across(one) * turned);
-            let Some(found) = matching(&view, now.1, index_of, point, point.at + shift) else { continue };
+            let Some(found) = matching(&view, search, (now.1, index_of), point, point.at + shift) else {
+                continue;
+            };
             let residual = direction.dot(&(found.at - point.at));
             let unexplained = residual - direction.dot(&shift);
             let robust = 1.0 / (1.0 + (unexplained / (ROBUST * NOISE_M)).powi(2)).sqrt();
@@ -225,17 +228,17 @@ fn motion(
     bends * errors.y - moved * errors.x - across * errors.z - (moved + turned) * errors.w
 }
 
-/// The return that shows what `point` of the earlier scan shows, which is expected at `target`.
+/// The return within `search` beams that shows what `point` of the earlier scan shows, which is expected at `target`.
 fn matching<'a>(
     view: &Viewpoint<'_>,
-    points: &'a [Point],
-    index_of: &[u16],
+    search: usize,
+    (points, index_of): (&'a [Point], &[u16]),
     point: &Point,
     target: Vector2<f64>,
 ) -> Option<&'a Point> {
     let expected = view.expected(point)?;
-    let low = index_of[expected.beam.saturating_sub(SEARCH_BEAMS)] as usize;
-    let high = index_of[(expected.beam + SEARCH_BEAMS).min(BEAMS - 1)] as usize;
+    let low = index_of[expected.beam.saturating_sub(search)] as usize;
+    let high = index_of[(expected.beam + search).min(index_of.len() - 1)] as usize;
     let (square, nearest) = points[low..high.max(low)]
         .iter()
         .map(|point| ((point.at - target).norm_squared(), point))
@@ -243,15 +246,15 @@ fn matching<'a>(
     (square < GATE_M * GATE_M).then_some(nearest)
 }
 
-/// For each beam the index of the first of `points` that is not before it.
-pub(crate) fn index_beams(points: &[Point], index_of: &mut Vec<u16>) {
+/// For each of `count` beams the index of the first of `points` that is not before it.
+pub(crate) fn index_beams(points: &[Point], count: usize, index_of: &mut Vec<u16>) {
     index_of.clear();
     for (index, point) in points.iter().enumerate() {
         while index_of.len() <= point.beam {
             index_of.push(index as u16);
         }
     }
-    while index_of.len() < BEAMS {
+    while index_of.len() < count {
         index_of.push(points.len() as u16);
     }
 }

@@ -1,11 +1,11 @@
 //! How many of the returns that an earlier scan predicts come.
 
-use shared_types::{BEAMS, Scan, plain_state};
+use shared_types::{Scan, plain_state};
 
 use crate::evidence::snapshot::{Snapshot, Viewpoint, is_surface};
-use crate::points::{Beams, Place, range_of};
+use crate::points::{Beams, Place};
 
-/// Returns predicted from farther away need not come [m].
+/// Returns predicted from farther away need not come to the URG-04LX [m].
 const REACH_M: f64 = 5.0;
 /// A return agrees with the predicted range within this [m] ...
 const TOLERANCE_M: f64 = 0.1;
@@ -35,17 +35,18 @@ impl Returns {
     pub(crate) fn count(earlier: &Snapshot, beams: &Beams, scan: &Scan, place: &Place) -> Self {
         let mut counts = Self::default();
         let view = Viewpoint::new(beams, scan, place);
+        let (reach, each) = (beams.reach(REACH_M), beams.weight());
         for point in earlier.points().iter().step_by(2) {
             let Some(expected) = view.expected(point) else { continue };
-            let is_inside = (BESIDE..BEAMS - BESIDE).contains(&expected.beam);
-            if !is_inside || expected.range > REACH_M || !is_surface(earlier.scan(), point) {
+            let is_inside = (BESIDE..beams.count() - BESIDE).contains(&expected.beam);
+            if !is_inside || expected.range > reach || !is_surface(beams, earlier.scan(), point) {
                 continue;
             }
             let tolerance = TOLERANCE_M + TOLERANCE * expected.range;
-            counts.predicted += 1.0;
+            counts.predicted += each;
             for beam in expected.beam - BESIDE..=expected.beam + BESIDE {
-                let Some(range) = range_of(scan, beam) else { continue };
-                let weight = 1.0 / (2 * BESIDE + 1) as f64;
+                let Some(range) = beams.range_of(scan, beam) else { continue };
+                let weight = each / (2 * BESIDE + 1) as f64;
                 counts.came += weight;
                 if (range - expected.range).abs() < tolerance {
                     counts.agreed += weight;

@@ -6,12 +6,12 @@
 //! returns show nothing. The same holds for sectors that have not shown anything lately and lie between such
 //! sectors.
 
-use shared_types::{BEAMS, PITCH_RAD, SECTOR_BEAMS, SECTORS, Scan, ScanGeometry};
+use shared_types::{SECTOR_BEAMS, SECTORS, Scan, ScanGeometry};
 
 use crate::evidence::snapshot::{Viewpoint, is_surface};
-use crate::points::{Beams, Place, Point, range_of};
+use crate::points::{Beams, Place, Point};
 
-/// Returns predicted from farther away need not come [m].
+/// Returns predicted from farther away need not come to the URG-04LX [m].
 pub(crate) const REACH_M: f64 = 5.4;
 /// A return nearer than predicted by more than this hides what was predicted [m].
 const HIDING_M: f64 = 0.2;
@@ -25,14 +25,30 @@ const NEEDED: f64 = 10.0;
 const SUSPICIOUS: f64 = 4.0;
 /// A sector has no evidence when its share of returns is below this part of that of all directions.
 const BLIND_SHARE: f64 = 0.3;
-/// A sector works when so many of its beams gave a return in one scan.
+/// A sector works when so many of eleven of its beams gave a return in one scan.
 const PROOF: usize = 6;
 /// With more sectors than this without evidence, nothing ahead can be relied on ...
 const MAX_BLIND: usize = 3;
 /// ... counting those within this angle of the front [rad].
 const FORWARD_RAD: f64 = 1.4;
-/// Beyond this distance obstacles need not be seen [m].
+/// Beyond this distance obstacles need not be seen by the URG-04LX [m].
 const VIEW_M: f64 = 5.0;
+
+/// Where sectors look, and how far.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Looks {
+    geometry: ScanGeometry,
+    /// Beams of a sector.
+    sector: usize,
+    /// Beyond this distance obstacles need not be seen [m].
+    view_m: f64,
+}
+
+impl Looks {
+    pub(crate) fn of(beams: &Beams) -> Self {
+        Self { geometry: beams.geometry, sector: beams.sector, view_m: beams.reach(VIEW_M) }
+    }
+}
 
 /// Counts per sector: returns that were predicted, and those that came.
 pub(crate) type Counts = [[f64; 2]; SECTORS];
@@ -59,20 +75,21 @@ pub(crate) fn compare<'a>(
     (scan, place): (&Scan, &Place),
 ) {
     let view = Viewpoint::new(beams, scan, place);
+    let (reach, each) = (beams.reach(REACH_M), EACH * SECTOR_BEAMS as f64 / beams.sector as f64);
     for point in points {
         let Some(expected) = view.expected(point) else { continue };
-        let is_inside = (1..BEAMS - 1).contains(&expected.beam) && expected.range < REACH_M;
-        if !is_inside || !is_surface(from, point) {
+        let is_inside = (1..beams.count() - 1).contains(&expected.beam) && expected.range < reach;
+        if !is_inside || !is_surface(beams, from, point) {
             continue;
         }
         let around = expected.beam - 1..=expected.beam + 1;
-        let ranges = || around.clone().filter_map(|beam| range_of(scan, beam));
+        let ranges = || around.clone().filter_map(|beam| beams.range_of(scan, beam));
         if ranges().any(|range| range < expected.range - HIDING_M) {
             continue;
         }
-        let [predicted, came] = &mut counts[expected.beam / SECTOR_BEAMS];
-        *predicted += EACH;
-        *came += EACH * ranges().count() as f64 / 3.0;
+        let [predicted, came] = &mut counts[expected.beam / beams.sector];
+        *predicted += each;
+        *came += each * ranges().count() as f64 / 3.0;
     }
 }
 
@@ -81,19 +98,23 @@ pub(crate) fn compare<'a>(
 pub(crate) fn show(
     counts: &mut Counts,
     proven: u64,
-    scan: &Scan,
+    (scan, beams): (&Scan, &Beams),
     is_wall_near: impl Fn(usize) -> bool,
 ) -> u64 {
     let mut shown = 0;
     for (sector, [predicted, came]) in counts.iter_mut().enumerate() {
-        let first = sector * SECTOR_BEAMS;
-        let returns = (first..first + SECTOR_BEAMS).filter(|beam| range_of(scan, *beam).is_some()).count();
-        if returns >= PROOF {
+        let first = sector * beams.sector;
+        let end = (first + beams.sector).min(beams.count());
+        if first >= end {
+            break;
+        }
+        let returns = (first..end).filter(|beam| beams.range_of(scan, *beam).is_some()).count();
+        if returns * SECTOR_BEAMS >= PROOF * (end - first) {
             shown |= 1 << sector;
         }
-        if (proven | shown) >> sector & 1 == 0 && is_wall_near(first + SECTOR_BEAMS / 2) {
+        if (proven | shown) >> sector & 1 == 0 && is_wall_near(first + (end - first) / 2) {
             *predicted += SECTOR_BEAMS as f64;
-            *came += returns as f64;
+            *came += returns as f64 * (SECTOR_BEAMS as f64 / (end - first) as f64);
         }
     }
     shown
@@ -131,15 +152,16 @@ pub(crate) fn unseen(failing: u64, lately: u64) -> u64 {
 ///
 /// A point at the lateral distance y is hidden in a sector from a to b while its distance ahead is from y / tan a to
 /// y / tan b. It was seen before when y / tan a is within the view; what was not comes into view at y / tan b.
-pub(crate) fn seen_ahead(unseen: u64, mounting_rad: f64, half_width: f64) -> f64 {
-    let edge = |beam: usize| ScanGeometry::URG_04LX.yaw_rad(beam) - PITCH_RAD / 2.0 + mounting_rad;
-    let is_forward = |sector: &usize| edge(sector * SECTOR_BEAMS + SECTOR_BEAMS / 2).abs() < FORWARD_RAD;
+pub(crate) fn seen_ahead(unseen: u64, looks: &Looks, mounting_rad: f64, half_width: f64) -> f64 {
+    let Looks { geometry, sector: beams, view_m } = *looks;
+    let edge = |beam: usize| geometry.yaw_rad(beam) - geometry.increment_rad / 2.0 + mounting_rad;
+    let is_forward = |sector: &usize| edge(sector * beams + beams / 2).abs() < FORWARD_RAD;
     let blind = |sector: &usize| unseen >> sector & 1 == 1;
     let count = (0..SECTORS).filter(|sector| blind(sector) && is_forward(sector)).count();
     if count > MAX_BLIND {
         return 0.0;
     }
-    let mut farthest = VIEW_M;
+    let mut farthest = view_m;
     let mut sector = 0;
     while sector < SECTORS {
         if !blind(&sector) {
@@ -150,27 +172,33 @@ pub(crate) fn seen_ahead(unseen: u64, mounting_rad: f64, half_width: f64) -> f64
         while sector < SECTORS && blind(&sector) {
             sector += 1;
         }
-        let (low, high) = (edge(first * SECTOR_BEAMS), edge(sector * SECTOR_BEAMS));
-        farthest = farthest.min(hidden_until(low, high, half_width));
+        let (low, high) = (edge(first * beams), edge(sector * beams));
+        farthest = farthest.min(hidden_until(low, high, half_width, view_m));
     }
     farthest
 }
 
 /// Distance ahead at which what a sector from `low` to `high` hides comes into view [m].
-fn hidden_until(low: f64, high: f64, half_width: f64) -> f64 {
+fn hidden_until(low: f64, high: f64, half_width: f64, view_m: f64) -> f64 {
     if low <= 0.0 && high >= 0.0 {
         return 0.0;
     }
     let (near, far) = (low.abs().min(high.abs()), low.abs().max(high.abs()));
-    if near.tan() * VIEW_M >= half_width || near > std::f64::consts::FRAC_PI_2 {
-        return VIEW_M;
+    if near.tan() * view_m >= half_width || near > std::f64::consts::FRAC_PI_2 {
+        return view_m;
     }
-    if far >= std::f64::consts::FRAC_PI_2 { 0.0 } else { VIEW_M * near.tan() / far.tan() }
+    if far >= std::f64::consts::FRAC_PI_2 { 0.0 } else { view_m * near.tan() / far.tan() }
 }
 
 #[cfg(test)]
 mod tests {
+    use shared_types::PITCH_RAD;
+
     use super::*;
+
+    fn seen_ahead(unseen: u64, mounting_rad: f64, half_width: f64) -> f64 {
+        super::seen_ahead(unseen, &Looks::of(&Beams::urg()), mounting_rad, half_width)
+    }
 
     #[test]
     fn a_gap_between_failing_sectors_is_unseen_unless_one_of_it_has_shown_something_lately() {

@@ -1,14 +1,14 @@
 //! A scan that is kept for comparison, with the pose that it was taken from.
 
 use nalgebra::Vector2;
-use shared_types::{BEAMS, FRONT_BEAM, PITCH_RAD, Scan, ScanGeometry, plain_state};
+use shared_types::{BEAMS, Scan, plain_state};
 use vehicle::geometry::Rectangle;
 
-use crate::points::{Beams, Place, Point, range_of};
+use crate::points::{Beams, Place, Point};
 
 /// A beam that is predicted to be turned by more than this (sine) is not compared.
 const MAX_TURN: f64 = 0.7;
-/// Words of the mask with one bit per beam.
+/// Words of the mask with one bit per beam; of more beams than the URG-04LX has, only some are kept.
 const WORDS: usize = BEAMS.div_ceil(64);
 
 plain_state! {
@@ -47,12 +47,12 @@ pub(crate) struct Expected {
 
 impl Snapshot {
     /// No scan yet.
-    pub(crate) fn empty() -> Self {
+    pub(crate) fn empty(beams: &Beams) -> Self {
         Self {
-            scan: Scan::of(ScanGeometry::URG_04LX),
+            scan: Scan::of(beams.geometry),
             place: None,
             fixed: [0; WORDS],
-            points: Vec::with_capacity(BEAMS),
+            points: Vec::with_capacity(beams.count()),
         }
     }
 
@@ -142,8 +142,9 @@ impl Snapshot {
     }
 
     /// By how much the ranges of `scan`, from the same place, are longer or shorter on the average [m].
-    pub(crate) fn shift(&self, scan: &Scan) -> f64 {
-        let changes = self.points.iter().filter_map(|point| Some(range_of(scan, point.beam)? - point.range));
+    pub(crate) fn shift(&self, beams: &Beams, scan: &Scan) -> f64 {
+        let change = |point: &Point| Some(beams.range_of(scan, point.beam)? - point.range);
+        let changes = self.points.iter().filter_map(change);
         let (count, sum) = changes.fold((0, 0.0), |(count, sum), change| (count + 1, sum + change));
         (sum / f64::from(count.max(1))).abs()
     }
@@ -171,13 +172,14 @@ impl<'a> Viewpoint<'a> {
     /// The view of a scan from `place`.
     pub(crate) fn new(beams: &'a Beams, scan: &Scan, place: &'a Place) -> Self {
         let (sin, cos) = place.yaw.sin_cos();
-        Self { beams, place, beam_s: scan.beam_time_s(FRONT_BEAM + 1), sin, cos }
+        let beam_s = 1.0 / beams.count() as f64 * scan.sweep_ns as f64 * 1e-9;
+        Self { beams, place, beam_s, sin, cos }
     }
 
     /// Where the return at `point` is expected; `None` when the view has changed too much.
     #[inline]
     pub(crate) fn expected(&self, point: &Point) -> Option<Expected> {
-        let time = self.beam_s * (point.beam as f64 - FRONT_BEAM as f64);
+        let time = self.beam_s * (point.beam as f64 - self.beams.front);
         let (at, turned) = self.place.moved_by(time);
         let offset = point.at - at;
         // The turn within a sweep is below 0.1 rad, where the error of the series is 1e-6.
@@ -196,17 +198,17 @@ impl<'a> Viewpoint<'a> {
         let turn =
             sine * (1.0 + square * (1.0 / 6.0 + square * (0.075 + square * (0.0446 + square * 0.0304))));
         // Rounded to the nearest beam; the sum is positive where the beam exists.
-        let beam = point.beam as f64 + turn * (1.0 / PITCH_RAD) + 0.5;
-        (0.0..BEAMS as f64).contains(&beam).then_some(Expected { beam: beam as usize, range })
+        let beam = point.beam as f64 + turn * (1.0 / self.beams.pitch()) + 0.5;
+        (0.0..self.beams.count() as f64).contains(&beam).then_some(Expected { beam: beam as usize, range })
     }
 }
 
 /// Whether the returns around a beam have about the same range, so that it shows a surface and no edge.
-pub(crate) fn is_surface(scan: &Scan, point: &Point) -> bool {
+pub(crate) fn is_surface(beams: &Beams, scan: &Scan, point: &Point) -> bool {
     let low = point.beam.saturating_sub(2);
-    let high = (point.beam + 2).min(BEAMS - 1);
+    let high = (point.beam + 2).min(beams.count() - 1);
     (low..=high)
-        .filter_map(|beam| range_of(scan, beam))
+        .filter_map(|beam| beams.range_of(scan, beam))
         .all(|range| (range - point.range).abs() < 0.1 + 0.1 * point.range)
 }
 
@@ -229,25 +231,27 @@ pub(crate) fn normal_at(points: &[Point], index: usize) -> Option<Vector2<f64>> 
 
 #[cfg(test)]
 mod tests {
+    use shared_types::ScanGeometry;
+
     use super::*;
 
     #[test]
     fn ranges_that_change_as_a_whole_shift_the_scan_and_noise_does_not() {
-        let (beams, place) = (Beams::new(), Place::standing(Vector2::zeros(), 0.0));
+        let (beams, place) = (Beams::urg(), Place::standing(Vector2::zeros(), 0.0));
         let mut scan = Scan::of(ScanGeometry::URG_04LX);
         scan.ranges_mm[300..320].fill(2000);
-        let (mut points, mut snapshot) = (Vec::new(), Snapshot::empty());
+        let (mut points, mut snapshot) = (Vec::new(), Snapshot::empty(&beams));
         beams.place(&scan, &place, &mut points);
         snapshot.keep(&scan, &place, &points, |_| true);
-        assert_eq!(snapshot.shift(&scan), 0.0);
+        assert_eq!(snapshot.shift(&beams, &scan), 0.0);
         scan.ranges_mm[300..310].fill(2100);
         scan.ranges_mm[310..320].fill(1900);
-        assert!(snapshot.shift(&scan) < 1e-12);
+        assert!(snapshot.shift(&beams, &scan) < 1e-12);
         // Half of the beams are 0.2 m longer; a lost one does not count.
         scan.ranges_mm[300..310].fill(2200);
         scan.ranges_mm[310..320].fill(2000);
-        assert!((snapshot.shift(&scan) - 0.1).abs() < 1e-12);
+        assert!((snapshot.shift(&beams, &scan) - 0.1).abs() < 1e-12);
         scan.ranges_mm[300..320].fill(0);
-        assert_eq!(snapshot.shift(&scan), 0.0);
+        assert_eq!(snapshot.shift(&beams, &scan), 0.0);
     }
 }

@@ -101,7 +101,7 @@ fn at_a_crossing_the_robot_is_on_the_part_that_it_came_along() {
 fn the_walls_of_a_hall_follow_the_course() {
     let vehicle = Description { surroundings: Surroundings::Hall, ..Description::default() };
     let config = ObstaclesConfig { vehicle, ..right_angle() };
-    let (way, beams) = (way(&config, 6.0), Beams::new());
+    let (way, beams) = (way(&config, 6.0), Beams::urg());
     let place = Place::standing(Vector2::new(6.0, 0.0), 0.0);
     // 256 beams are 90 deg: walls 3.5 m to the left and to the right.
     let is_near = |beam: usize| way.is_wall_near(&beams, &place, beam);
@@ -116,5 +116,5 @@ fn the_walls_of_a_hall_follow_the_course() {
     let open = ObstaclesConfig { vehicle: open, ..right_angle() };
     let mut way = Way::new(&open);
     way.follow([6.0, 0.0, 0.0]);
-    assert!((0..BEAMS).all(|beam| !way.is_wall_near(&beams, &place, beam)));
+    assert!((0..beams.count()).all(|beam| !way.is_wall_near(&beams, &place, beam)));
 }

@@ -1,8 +1,9 @@
 //! Bodies that come from the side, where no body is ahead, and scanners that are turned.
 
 use emulator::Outcome;
+use emulator::scenario::Preset;
 use pipeline::{PipelineSettings, Tuning};
-use vehicle::Description;
+use vehicle::{Description, ScannerDescription};
 
 use crate::{end, parse, seeds, shipped};
 
@@ -42,6 +43,41 @@ fn a_scanner_that_is_turned_as_far_as_allowed_finds_what_is_ahead() {
             end(&settings)
         }) {
             assert!(end.is_untouched() && end.outcome == Outcome::Reached, "{yaw_rad}, seed {seed}: {end:?}");
+        }
+    }
+}
+
+/// 1,081 beams over 270 degrees and 10 m, and 360 all around and 3.5 m.
+fn scanners() -> [ScannerDescription; 2] {
+    let of = |beams, degrees: f64, range_m, sweep_share| ScannerDescription {
+        beams,
+        increment_rad: degrees.to_radians(),
+        range_m,
+        sweep_share,
+        ..ScannerDescription::default()
+    };
+    [of(1081, 0.25, 10.0, 0.75), of(360, 1.0, 3.5, 1.0)]
+}
+
+#[test]
+fn a_robot_with_another_scanner_reaches_its_goal() {
+    for (scanner, preset) in
+        scanners().into_iter().flat_map(|scanner| [(scanner, Preset::Ideal), (scanner, Preset::Summit)])
+    {
+        for (seed, end) in seeds::each(1..=3, |seed| {
+            let mut scenario = shipped("corridor");
+            (scenario.seed, scenario.robot.preset, scenario.robot.scanner) = (seed, preset, scanner.into());
+            // Walls that the shorter range sees: without any, the scanner might be blind.
+            scenario.track.y_m = [-1.0, 1.0];
+            let mut settings = PipelineSettings::of(scenario);
+            settings.tuning = Tuning::of(Description { scanner, ..settings.tuning.vehicle });
+            end(&settings)
+        }) {
+            let beams = scanner.beams;
+            assert!(
+                end.is_untouched() && end.outcome == Outcome::Reached,
+                "{beams} {preset:?} {seed}: {end:?}"
+            );
         }
     }
 }
