@@ -117,6 +117,7 @@ fn shipped() -> Vec<(PathBuf, String, String)> {
         "examples/rust/imu",
         "examples/template-controller",
         "examples/template-robot",
+        "examples/scanners",
         "examples/vehicles",
         "orchestrator/systems",
         "services/pipeline/profiles",
