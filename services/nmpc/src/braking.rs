@@ -69,8 +69,8 @@ impl Stopping {
 /// Largest speed at which the robot can stop for something that appears unseen at `config.vehicle.sudden_m`, with scans
 /// every `config.period_s` whose commands act as soon as they can [m/s].
 pub fn speed_limit(config: &ControllerConfig) -> f64 {
-    let after_front_ns = config.vehicle.scanner.after_front_ns((config.period_s * 1e9) as u64);
-    let age_s = after_front_ns as f64 * 1e-9 + config.vehicle.command_delay_s;
+    let after_front_s = config.vehicle.scanner.after_front_share() * config.period_s;
+    let age_s = after_front_s + config.vehicle.command_delay_s;
     Stopping::new(config, config.period_s, age_s).limit(&config.vehicle)
 }
 

@@ -14,7 +14,8 @@ settings! {
     #[derive(Copy)]
     pub struct ScannerDescription {
         /// Number of beams of a sweep: the measurement steps of a data sheet.
-        pub beams: usize = BEAMS, 3.0..=MAX_BEAMS as f64;
+        pub beams: usize = BEAMS,
+            (3.0..=MAX_BEAMS as f64, "at most a turn, and 59 degrees to each side ahead are seen");
         /// Angle from one beam to the next: the angular resolution of a data sheet [rad].
         pub increment_rad: f64 = PITCH_RAD, (5e-4..=0.2, "at most a turn with all beams");
         /// Angle of the first beam from the scanner's front, counter-clockwise; without the key the middle beam looks to the
@@ -48,6 +49,12 @@ impl ScannerDescription {
     pub fn after_front_ns(&self, period_ns: u64) -> u64 {
         let beams = self.beams - 1 - self.front_beam();
         (beams as u128 * u128::from(self.sweep_ns(period_ns)) / self.beams as u128) as u64
+    }
+
+    /// The same in scan periods.
+    pub fn after_front_share(&self) -> f64 {
+        let beams = self.beams - 1 - self.front_beam();
+        beams as f64 / self.beams as f64 * self.sweep_share
     }
 
     /// The beam that looks most to the front.
