@@ -155,7 +155,7 @@ impl Mover {
         let [xx, _, yy] = one.velocity_covariance;
         let way_m = (self.last_m[0] - self.first_m[0]).hypot(self.last_m[1] - self.first_m[1]);
         // The centre of one of which more is seen than at first is elsewhere by half of that.
-        let way_m = way_m - (self.radius_m[1] - self.radius_m[0]).abs();
+        let way_m = way_m - (self.radius_m[1] - self.radius_m[0]).max(0.0);
         let seen_for_ns = self.seen_ns.saturating_sub(self.since_ns);
         let is_unknown = xx.max(yy) > UNKNOWN_MPS * UNKNOWN_MPS;
         if is_unknown && way_m > CREPT_M {
