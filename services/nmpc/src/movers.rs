@@ -27,7 +27,7 @@ const FRESH_NS: u64 = 1_500_000_000;
 const FRESH_SCANS: u64 = 20;
 /// ... this fast [m/s], and when it is lost after less ...
 const FRESH_MPS: f64 = 0.5;
-/// ... this fast [m/s]: what is faster is described as one that moves.
+/// ... this fast [m/s], and not further than what would have shown that it moves: what is faster is described so.
 const CREEPS_MPS: f64 = 0.1;
 
 plain_state! {
@@ -96,7 +96,9 @@ impl Movers {
             |known: &&Mover| known.speed_mps > 0.0 && (known.is_predicted == 0 || known.seen_ns < now_ns);
         self.bodies[..self.len()].iter().filter(moving).any(|known| {
             let age_s = then_ns.saturating_sub(known.seen_ns) as f64 * 1e-9;
-            let radius_m = known.radius_m[1] + known.speed_mps * age_s + clearance_m;
+            let most_m = if known.moved_ns == 0 && known.seen_ns < now_ns { CREPT_M } else { f64::INFINITY };
+            let way_m = (known.speed_mps * age_s).min(most_m);
+            let radius_m = known.radius_m[1] + way_m + clearance_m;
             body.distance_to_point(known.last_m.into()) < radius_m
         })
     }
