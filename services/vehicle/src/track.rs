@@ -21,6 +21,10 @@ impl Setting for Surroundings {}
 impl Surroundings {
     /// How far outside of the track's bounds the walls of the hall stand [m].
     pub const HALL_M: f64 = 2.0;
+    /// Side of a pillar of the hall [m].
+    pub const PILLAR_M: f64 = 0.3;
+    /// Distance from pillar to pillar; one is at x = 0 [m].
+    pub const SPACING_M: f64 = 2.5;
 
     /// The name in files.
     pub fn name(self) -> &'static str {

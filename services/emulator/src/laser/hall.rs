@@ -11,12 +11,9 @@ use vehicle::Surroundings;
 
 use crate::scenario::{Scenario, Track};
 
-/// Distance of the walls from the bounds of the track [m].
-pub(super) const WALL_M: f64 = 2.0;
-/// Side of a pillar [m].
-pub(super) const PILLAR_M: f64 = 0.3;
-/// Distance from pillar to pillar; one is at x = 0 [m].
-pub(super) const SPACING_M: f64 = 2.5;
+pub(super) const WALL_M: f64 = Surroundings::HALL_M;
+pub(super) const PILLAR_M: f64 = Surroundings::PILLAR_M;
+pub(super) const SPACING_M: f64 = Surroundings::SPACING_M;
 
 /// A hall: a closed box, x along the side walls.
 #[derive(Debug, Clone, Copy, PartialEq)]
