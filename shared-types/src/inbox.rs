@@ -228,6 +228,11 @@ impl<B: Deref<Target = [u8]>> Inbox<B> {
         if self.next_scan() == Some(scan_id) { self.kept.pop_front() } else { None }
     }
 
+    /// The oldest sample that waits, unless it is of a later scan; its fate is not noted.
+    pub fn pop_up_to(&mut self, scan_id: u64) -> Option<B> {
+        if self.next_scan()? <= scan_id { self.kept.pop_front() } else { None }
+    }
+
     /// Drops waiting samples that `is_old` accepts, counted as replaced.
     pub fn skip(&mut self, is_old: &dyn Fn(&[u8]) -> bool) {
         let Self { of, account, kept, .. } = self;

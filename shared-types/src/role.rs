@@ -38,11 +38,16 @@ impl Role {
     pub const fn reads(self) -> &'static [Topic] {
         match self {
             Self::Robot => &[Topic::Actuation],
-            Self::Estimator => &[Topic::Odometry, Topic::Actuation],
+            Self::Estimator => &[Topic::Odometry, Topic::Actuation, Topic::Scan],
             Self::Obstacles => &[Topic::Scan, Topic::Pose],
             Self::Controller => &[Topic::Pose, Topic::Obstacles],
             Self::Actuator => &[Topic::Command],
         }
+    }
+
+    /// Whether a program may fill the role without reading this topic of it.
+    pub const fn may_ignore(self, topic: Topic) -> bool {
+        matches!((self, topic), (Self::Estimator, Topic::Actuation | Topic::Scan))
     }
 
     /// The topic whose samples the role answers one by one: its last input of a scan.

@@ -33,6 +33,9 @@ pub trait Stage: Clone + Send + Sync + 'static {
     /// Inputs that are handed over one by one as they come, before newer ones of [`Stage::ANSWERS`]. In lock-step the
     /// stage gets those of the scan before first.
     const NOTES: &'static [&'static SampleType] = &[];
+    /// Inputs that are handed over once the [`Stage::NOTES`] of their scan were: what is worked off while no process waits for
+    /// it. In lock-step the stage gets those of the scan before first.
+    const LATER: &'static [&'static SampleType] = &[];
     /// Fields of type f64 that it reads of a topic of your own, if the system file gives it one: for each sample a
     /// [`StageEvent::Own`] and a [`StageEvent::Number`] per field, before the next of [`Stage::ANSWERS`]. In lock-step
     /// the stage gets those up to its scan first, in real time those that have come.
@@ -273,6 +276,8 @@ pub struct StageShape {
     pub answers: &'static [&'static SampleType],
     /// [`Stage::NOTES`].
     pub notes: &'static [&'static SampleType],
+    /// [`Stage::LATER`].
+    pub later: &'static [&'static SampleType],
     /// [`Stage::OWN_FIELDS`].
     pub own_fields: &'static [&'static str],
     /// The type of [`Stage::Output`].
@@ -317,6 +322,7 @@ impl<T: Stage> AnyStage for T {
             role: T::ROLE,
             answers: T::ANSWERS,
             notes: T::NOTES,
+            later: T::LATER,
             own_fields: T::OWN_FIELDS,
             output: T::Output::TYPE,
             holds_wheels: T::HOLDS_WHEELS,

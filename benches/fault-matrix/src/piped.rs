@@ -224,6 +224,7 @@ fn shape(outline: &StageOutline) -> Result<StageShape, String> {
         role: Role::try_from(outline.role).map_err(|fault| fault.to_string())?,
         answers: of(&outline.answers),
         notes: of(&outline.notes),
+        later: of(&outline.later),
         output: TOPICS[outline.output as usize].sample_type(),
         own_fields: &[],
         holds_wheels: outline.holds_wheels,

@@ -127,6 +127,9 @@ pub(crate) struct Node {
     pub(crate) writer: SimulatedWriter,
     answers: Vec<SimulatedInput>,
     notes: Vec<SimulatedInput>,
+    later: Vec<SimulatedInput>,
+    /// The scan of what was noted last.
+    noted: u64,
     /// Samples of its inputs were dropped.
     is_dropped: bool,
 }
@@ -139,6 +142,8 @@ impl Clone for Node {
             writer: self.writer.clone(),
             answers: self.answers.clone(),
             notes: self.notes.clone(),
+            later: self.later.clone(),
+            noted: self.noted,
             is_dropped: self.is_dropped,
         }
     }
@@ -154,9 +159,9 @@ impl Node {
         let inputs = |of: &[&'static SampleType]| {
             of.iter().map(|of| SimulatedInput::new(shape.role, of)).collect::<Vec<_>>()
         };
-        let (answers, notes) = (inputs(shape.answers), inputs(shape.notes));
+        let [answers, notes, later] = [shape.answers, shape.notes, shape.later].map(inputs);
         let writer = SimulatedWriter::new(shape.role, incarnation);
-        Self { stage, shape, writer, answers, notes, is_dropped: false }
+        Self { stage, shape, writer, answers, notes, later, noted: 0, is_dropped: false }
     }
 
     /// Its role.
@@ -171,7 +176,7 @@ impl Node {
 
     /// Its inputs of a topic.
     pub(crate) fn inputs(&mut self, topic: Topic) -> impl Iterator<Item = &mut SimulatedInput> {
-        let all = self.answers.iter_mut().chain(&mut self.notes);
+        let all = self.answers.iter_mut().chain(&mut self.notes).chain(&mut self.later);
         all.filter(move |input| input.inbox.of().topic == topic)
     }
 
@@ -213,6 +218,14 @@ impl Node {
         }
         for input in &mut self.notes {
             while let Some(sample) = input.inbox.pop() {
+                let sample = AnySample::new(input.inbox.of(), &sample);
+                self.noted = sample.header().scan_id;
+                self.stage.take(sample, now_ns);
+                any = true;
+            }
+        }
+        for input in &mut self.later {
+            while let Some(sample) = input.inbox.pop_up_to(self.noted) {
                 self.stage.take(AnySample::new(input.inbox.of(), &sample), now_ns);
                 any = true;
             }

@@ -125,6 +125,8 @@ struct Runner<'s> {
     answers: Vec<Enclosed<Rc<Reader>>>,
     /// Inputs that are handed over as they come.
     notes: Vec<Enclosed<Rc<Reader>>>,
+    /// Inputs that are handed over after the notes of their scan.
+    later: Vec<Enclosed<Rc<Reader>>>,
     output: Enclosed<Rc<Writer>>,
     output_type: &'static SampleType,
     holds_wheels: bool,
@@ -133,6 +135,8 @@ struct Runner<'s> {
     orders: Option<(u64, u32, u64)>,
     /// The scan of what was noted last.
     noted: u64,
+    /// The scan of what was worked off last.
+    worked_off: u64,
     /// The scan that was answered last.
     answered: u64,
     dropped: u64,
@@ -152,7 +156,7 @@ impl<'s> Runner<'s> {
         let mut open = |of: &[&'static SampleType]| -> Result<Vec<_>, RuntimeError> {
             of.iter().map(|of| process.open_input(of)).collect()
         };
-        let (answers, notes) = (open(shape.answers)?, open(shape.notes)?);
+        let (answers, notes, later) = (open(shape.answers)?, open(shape.notes)?, open(shape.later)?);
         let output = process.open_output(shape.output)?;
         let mut own = match (shape.holds_wheels, shape.own_fields) {
             (true, _) => process.open_own_fields((EMERGENCY_STOP_FIELDS, "u8"))?,
@@ -166,12 +170,14 @@ impl<'s> Runner<'s> {
             stage,
             answers,
             notes,
+            later,
             output,
             output_type: shape.output,
             holds_wheels: shape.holds_wheels,
             takes_orders: shape.takes_orders,
             orders: Some(Directive::default().orders()),
             noted: 0,
+            worked_off: 0,
             answered: 0,
             dropped: 0,
             emergency_stops,
@@ -206,6 +212,7 @@ impl<'s> Runner<'s> {
             runner.follow(StageEvent::StateLost { in_charge: runner.process.is_in_charge() })?;
         }
         runner.noted = runner.process.handed_scan();
+        runner.worked_off = runner.noted;
         runner.join()?;
         Ok(Some(runner))
     }
@@ -357,6 +364,19 @@ impl<'s> Runner<'s> {
                 self.save(sample.header())?;
             }
         }
+        self.work_off()
+    }
+
+    /// Hands over what is worked off after the notes of its scan.
+    fn work_off(&mut self) -> Result<(), RuntimeError> {
+        for input in &self.later {
+            while let Some(sample) = input.take_up_to(self.noted) {
+                let sample = AnySample::new(input.of(), &sample);
+                self.worked_off = sample.header().scan_id;
+                self.stage.take(sample, self.process.now_ns());
+                self.save(sample.header())?;
+            }
+        }
         Ok(())
     }
 
@@ -364,8 +384,11 @@ impl<'s> Runner<'s> {
     /// arrives.
     fn awaits_notes(&self) -> bool {
         let next = self.answers.first().and_then(|input| input.next_scan());
-        let is_early = next.is_some_and(|scan_id| self.noted < scan_id.saturating_sub(1));
-        is_early && !self.notes.is_empty() && self.process.clock().is_simulated()
+        let is_early = |done: u64| next.is_some_and(|scan_id| done < scan_id.saturating_sub(1));
+        let awaits_notes = !self.notes.is_empty() && is_early(self.noted);
+        // Where none has come, there are none: a robot without a scanner, or a test of this stage alone.
+        let is_there = self.worked_off > 0 || self.later.iter().any(|input| input.next_scan().is_some());
+        self.process.clock().is_simulated() && (awaits_notes || is_there && is_early(self.worked_off))
     }
 
     /// The samples of one scan that give an output.

@@ -261,6 +261,6 @@ fn topics_that_a_role_has_nothing_to_do_with_are_not_compared() {
         .copied()
         .filter(|role| difference(&mine, &theirs, topics_of(*role)).is_some())
         .collect();
-    assert_eq!(refused, [Role::Robot, Role::Obstacles]);
+    assert_eq!(refused, [Role::Robot, Role::Estimator, Role::Obstacles]);
     assert_eq!(Role::ALL.len(), ROLES);
 }

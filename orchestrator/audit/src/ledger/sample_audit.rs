@@ -249,6 +249,9 @@ impl SampleAudit {
         let (midway, polled_ns) = (self.midway, heartbeat.looked_ns);
         for (topic, counters) in role.reads().iter().zip(&heartbeat.inputs) {
             let Some(ledger) = self.topics.get_mut(topic) else { continue };
+            if role.may_ignore(*topic) && *counters == Default::default() {
+                continue;
+            }
             if polled_ns == 0 {
                 ledger.add_silent_reader(incarnation, role);
             } else {

@@ -63,6 +63,16 @@ impl Reader {
         }
     }
 
+    /// The oldest sample, unless it is of a later scan.
+    pub(crate) fn take_up_to(&self, scan_id: u64) -> Option<Enclosed<Received>> {
+        loop {
+            let sample = self.inbox.borrow_mut().pop_up_to(scan_id)?;
+            if let Some(sample) = self.hand_over(sample) {
+                return Some(sample);
+            }
+        }
+    }
+
     pub(super) fn take_newest(&self) -> Option<Enclosed<Received>> {
         let sample = self.inbox.borrow_mut().pop_newest()?;
         self.hand_over(sample)

@@ -67,6 +67,8 @@ pub struct StageOutline {
     pub answers: Vec<u32>,
     /// Numbers of the topics of [`Stage::NOTES`].
     pub notes: Vec<u32>,
+    /// Numbers of the topics of [`Stage::LATER`].
+    pub later: Vec<u32>,
 }
 
 impl StageOutline {
@@ -80,21 +82,25 @@ impl StageOutline {
             takes_orders: shape.takes_orders,
             answers: topics(shape.answers),
             notes: topics(shape.notes),
+            later: topics(shape.later),
         }
     }
 
     fn to_numbers(&self) -> Vec<u32> {
         let flags = [self.holds_wheels, self.takes_orders].map(u32::from);
-        let mut numbers = vec![self.role, self.output, flags[0], flags[1], self.answers.len() as u32];
-        numbers.extend(self.answers.iter().chain(&self.notes));
+        let [answers, notes] = [&self.answers, &self.notes].map(|topics| topics.len() as u32);
+        let mut numbers = vec![self.role, self.output, flags[0], flags[1], answers, notes];
+        numbers.extend(self.answers.iter().chain(&self.notes).chain(&self.later));
         numbers
     }
 
     /// Reads it back; `None` when it is none.
     pub fn read(bytes: &[u8]) -> Option<Self> {
         let numbers: Vec<u32> = bytes.chunks_exact(4).map(bytemuck::pod_read_unaligned).collect();
-        let (&[role, output, holds_wheels, takes_orders, answers], topics) = numbers.split_first_chunk()?;
-        let (answers, notes) = topics.split_at_checked(answers as usize)?;
+        let (&[role, output, holds_wheels, takes_orders, answers, notes], topics) =
+            numbers.split_first_chunk()?;
+        let (answers, others) = topics.split_at_checked(answers as usize)?;
+        let (notes, later) = others.split_at_checked(notes as usize)?;
         let is_known = topics.iter().chain([&output]).all(|topic| (*topic as usize) < TOPICS.len());
         is_known.then(|| Self {
             role,
@@ -103,6 +109,7 @@ impl StageOutline {
             takes_orders: takes_orders == 1,
             answers: answers.to_vec(),
             notes: notes.to_vec(),
+            later: later.to_vec(),
         })
     }
 }
@@ -271,6 +278,7 @@ mod tests {
             takes_orders: false,
             answers: vec![0, 2],
             notes: vec![5],
+            later: vec![0],
         };
         let mut numbers = outline.to_numbers();
         assert_eq!(StageOutline::read(cast_slice(&numbers)), Some(outline));
