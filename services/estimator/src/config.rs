@@ -1,10 +1,11 @@
 //! Settings of the estimator.
 
 use serde::{Deserialize, Serialize};
-use vehicle::{Description, Invalid, Setting, settings};
+use vehicle::{Description, Invalid, Setting, Track, settings};
 
 use crate::correction::{CorrectionMode, Drift};
 use crate::dead_reckoning::DriftSources;
+use crate::laser::LaserMode;
 use crate::motion::{Lag, MotionModel};
 use crate::observability::{Measured, require_observable};
 
@@ -12,8 +13,11 @@ use crate::observability::{Measured, require_observable};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NoiseProfile {
-    /// Noise in metres and radians, so that the gate and the consistency of the filter mean something.
+    /// The odometer as increments whose errors grow with way and time, which a laser corrects.
     #[default]
+    Increments,
+    /// The report of the odometer as a measurement of the place, with noise in metres and radians, so that the gate and
+    /// the consistency of the filter mean something.
     Scaled,
     /// The values printed in the source, with the printed drift.
     ///
@@ -24,9 +28,12 @@ pub enum NoiseProfile {
 settings! {
     /// Settings of the estimator; the profile sets what the file does not.
     pub struct EstimatorConfig {
-        /// Set of default values for noise and correction: `scaled` is in metres and radians, `source` has the values
-        /// that the source prints, of which only the ratios matter.
-        pub profile: NoiseProfile = NoiseProfile::Scaled;
+        /// What the odometer is taken for: `increments` whose errors grow; or measurements of the place, `scaled` with noise in
+        /// metres and radians, `source` with the values that the source prints, of which only the ratios matter.
+        pub profile: NoiseProfile = NoiseProfile::Increments;
+        /// What of the scans corrects the pose: `off`; `walls`, the surfaces that the track states; `match`, those that were seen
+        /// before. `match` with profile `increments`, else `off`.
+        pub laser: Option<LaserMode> = None, "`off` with the profiles `scaled` and `source`";
         /// Measured components of the pose.
         pub measure: Vec<Measured> = vec![Measured::Yaw, Measured::X, Measured::Y],
             "each once; they must determine the state, (7.1)-(7.2), as `[\"x\", \"y\"]` does";
@@ -59,6 +66,12 @@ settings! {
         /// Factor on the standard deviations of slip, gyro noise and gyro bias in the covariance of the pose; 0 with profile
         /// `source`.
         pub drift_scale: f64 = 1.0, 0.0..=100.0;
+        /// Standard deviation of the gyro's bias at the start, in the covariance of the pose and in what the laser learns [rad/s].
+        pub gyro_bias_radps: f64 = 3e-4, 0.0..=0.1;
+        /// The same of the fraction of the distance that the odometry reports too little or too much.
+        pub odometry_scale: f64 = 0.006, 0.0..=0.2;
+        /// The track, whose walls the scanner sees; `run` takes it from the scenario.
+        pub track: Track = Track::default();
         /// The robot as this stage knows it; `run` takes it from the table `[vehicle]`.
         pub vehicle: Description = Description::default();
     }
@@ -73,6 +86,10 @@ impl Setting for Measured {}
 pub struct FilterSettings {
     /// Whether the yaw is measured; x and y always are, because nothing else determines the state.
     pub yaw_is_measured: bool,
+    /// Whether the odometer is taken as increments.
+    pub is_increments: bool,
+    /// What of the scans corrects the pose.
+    pub laser: LaserMode,
     /// Variances Q per 100 ms.
     pub process_noise: [f64; 3],
     /// Whether Q is along and across the heading instead of along the axes of the track.
@@ -106,6 +123,9 @@ const SOURCE_NOISE: ([f64; 3], [f64; 3]) = ([0.1, 0.1, 100.0], [1.0, 1.0, 10.0])
 /// leaves 30 % of the noise, and follows a bend of the way that the model does not know within half a second.
 pub(crate) const SCALED_NOISE: ([f64; 3], [f64; 3]) = ([4e-6, 1.6e-5, 4e-6], [1e-4, 4e-4, 4e-4]);
 
+/// Random walk of the fraction of the distance that is not reported: standard deviation after one metre.
+const SCALE_WALK: f64 = 1e-4;
+
 impl EstimatorConfig {
     /// The settings with the values of the profile filled in.
     ///
@@ -124,13 +144,25 @@ impl EstimatorConfig {
             lateral_rate: self.odometry_lateral_rate.unwrap_or(if source { 0.053 } else { 0.0 }),
             reset_s: self.drift_reset_s,
         };
+        let is_increments = self.profile == NoiseProfile::Increments;
         let settings = FilterSettings {
             yaw_is_measured: self.measure.contains(&Measured::Yaw),
+            is_increments,
+            laser: self.laser.unwrap_or(if is_increments { LaserMode::Match } else { LaserMode::Off }),
             process_noise: self.process_noise.unwrap_or(process_noise),
             noise_turns: !source,
             measurement_noise: self.measurement_noise.unwrap_or(measurement_noise),
             drift,
-            dead_reckoning: if source { DriftSources::default() } else { self.dead_reckoning() },
+            dead_reckoning: match self.profile {
+                NoiseProfile::Source => DriftSources::default(),
+                NoiseProfile::Scaled => self.dead_reckoning(),
+                NoiseProfile::Increments => DriftSources {
+                    scale: SCALE_WALK,
+                    unknown: [self.gyro_bias_radps, self.odometry_scale]
+                        .map(|unknown| self.drift_scale * unknown),
+                    ..self.dead_reckoning()
+                },
+            },
             gate: self.gate.unwrap_or(!source),
             self_check: self.self_check,
             recover_after: u64::from(self.recover_after),
@@ -150,6 +182,9 @@ impl EstimatorConfig {
                 "false with the noise of profile \"source\", which has no unit",
             ));
         }
+        if settings.laser != LaserMode::Off && !is_increments {
+            return Err(Invalid::new("laser", settings.laser.name(), "off without profile \"increments\""));
+        }
         Ok(settings)
     }
 
@@ -159,6 +194,7 @@ impl EstimatorConfig {
             slip_m: self.drift_scale * vehicle.encoder_slip_m,
             yaw_rad: self.drift_scale * vehicle.gyro_noise_rad,
             bias_radps: self.drift_scale * vehicle.gyro_bias_walk_radps,
+            ..DriftSources::default()
         }
     }
 
@@ -189,8 +225,9 @@ impl EstimatorConfig {
     /// # Errors
     /// [`Invalid`] as [`Self::settings`].
     pub fn complete(&self) -> Result<Self, Invalid> {
-        let FilterSettings { process_noise, measurement_noise, drift, gate, .. } = self.settings()?;
+        let FilterSettings { process_noise, measurement_noise, drift, gate, laser, .. } = self.settings()?;
         Ok(Self {
+            laser: Some(laser),
             process_noise: Some(process_noise),
             measurement_noise: Some(measurement_noise),
             correction: Some(drift.mode),

@@ -1,14 +1,24 @@
-//! How far the dead reckoning of the odometry has drifted since the start: a covariance that only grows.
+//! Dead reckoning: the pose that follows from the reported motion, what is learned of its errors, and how far it may
+//! have drifted.
 //!
-//! The odometry is the only measurement, so no filter can see its accumulated error. Encoders that slip give an error
-//! along the way, and a gyro with noise and a bias that walks at random gives one in yaw, which turns the way behind it.
-//! The errors of (yaw, x, y, bias of the gyro) are propagated through the Jacobian of the motion.
+//! Encoders that slip give an error along the way, and a gyro with noise and a bias that walks at random gives one in
+//! yaw, which turns the way behind it. The errors of (yaw, x, y, turn rate and fraction of the distance that are not reported)
+//! are propagated through the Jacobian of the motion. Without a laser nothing sees them, and the covariance only grows;
+//! a match of a scan ([`crate::laser`]) corrects all five by their covariance.
 //!
-//! Assumptions: calibrated scale errors and lateral errors are exact; slip is independent from metre to metre. A wrong
-//! calibration is not contained: its error grows in proportion to the distance.
+//! Two errors are kept apart, because repeated sightings of the same surfaces make only the first smaller: that of the
+//! pose against the surfaces around (`covariance`), and that of these surfaces on the track (`map_covariance`).
+//!
+//! Assumptions: slip is independent from metre to metre; what is learned changes at random and slowly.
 
-use nalgebra::{Matrix3, Matrix4, Vector4};
+use nalgebra::{Matrix3, Matrix5, Matrix5x3, Vector3, Vector5};
 use shared_types::plain_state;
+use vehicle::frame::{to_track, wrap_angle};
+
+/// Smallest variance of a component of the place of surfaces [rad^2, m^2].
+const MIN_VARIANCE: f64 = 1e-12;
+/// Share of what two components have in common that leaves a covariance with a margin for rounding.
+const TO_ROUND: f64 = 1.001;
 
 /// What makes dead reckoning drift.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -19,18 +29,28 @@ pub struct DriftSources {
     pub yaw_rad: f64,
     /// Standard deviation of the gyro's bias after one second [rad/s].
     pub bias_radps: f64,
+    /// Standard deviation of the fraction of the distance that is not reported after one metre.
+    pub scale: f64,
+    /// The same two at the start: of the bias [rad/s] and of the share.
+    pub unknown: [f64; 2],
 }
 
 plain_state! {
-    /// The accumulated error of dead reckoning.
+    /// The accumulated error of dead reckoning, and the pose that it makes.
     pub struct DeadReckoning {
-        /// Covariance of (yaw, x, y, bias of the gyro), column by column
-        pub covariance: [f64; 16],
+        /// Yaw, x and y [rad, m, m]
+        pub pose: [f64; 3],
+        /// Turn rate [rad/s] and fraction of the distance that are not reported
+        pub unreported: [f64; 2],
+        /// Covariance of these five against the surfaces around, column by column
+        pub covariance: [f64; 25],
+        /// Covariance of the place of these surfaces, as one of (yaw, x, y), column by column
+        pub map_covariance: [f64; 9],
     }
 }
 
 /// A step of the way.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct OdometryStep {
     /// Duration [s].
     pub seconds: f64,
@@ -38,6 +58,8 @@ pub struct OdometryStep {
     pub distance_m: f64,
     /// Standard deviation of the distance that blocked wheels may have slid [m].
     pub slid_m: f64,
+    /// Standard deviation of what it may have slipped to the side without being noticed [m].
+    pub beside_m: f64,
     /// Displacement along the track [m].
     pub dx_m: f64,
     /// Lateral displacement [m].
@@ -46,43 +68,171 @@ pub struct OdometryStep {
     pub yaw_rad: f64,
 }
 
+/// What a match of a scan with surfaces says of the pose.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Sighting {
+    /// Its weight as information about (yaw, x, y), zero in directions that nothing shows.
+    pub information: Matrix3<f64>,
+    /// That information times the difference of the pose that was seen from the one expected.
+    pub pull: Vector3<f64>,
+    /// What the noise of the scan adds to the covariance of `pull`.
+    pub noise: Matrix3<f64>,
+    /// Sum over the surfaces of information times the covariance of their place.
+    pub surfaces: Matrix3<f64>,
+    /// Covariance of what the pose seen may be beside the one expected because surfaces that are known better show it.
+    pub beside: Matrix3<f64>,
+}
+
 impl DeadReckoning {
+    /// Begins at a pose of this covariance.
+    pub fn begin(pose: [f64; 3], covariance: &Matrix3<f64>, sources: &DriftSources) -> Self {
+        let [bias, share] = sources.unknown;
+        let variances = Vector5::new(0.0, 0.0, 0.0, bias * bias, share * share);
+        let mut matrix = Matrix5::from_diagonal(&variances);
+        matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(covariance);
+        let mut state = Self { pose, ..Self::default() };
+        state.keep(&matrix);
+        state
+    }
+
+    /// Follows a reported motion of `seconds`, in the frame of the robot before it; returns what dead reckoning makes of it.
+    pub fn advance(&mut self, turn_rad: f64, ahead_m: f64, left_m: f64, seconds: f64) -> [f64; 2] {
+        let [yaw, x, y] = self.pose;
+        let [rate, share] = self.unreported;
+        let missed_rad = rate * seconds;
+        let step = to_track(yaw + missed_rad / 2.0, ahead_m, left_m) * (1.0 + share);
+        self.pose = [wrap_angle(yaw + turn_rad + missed_rad), x + step.x, y + step.y];
+        [step.x, step.y]
+    }
+
+    /// The robot is somewhere else, known to these standard deviations.
+    pub fn put(&mut self, pose: Vector3<f64>, deviation_m: f64, deviation_rad: f64) {
+        let deviations = Vector3::new(deviation_rad, deviation_m, deviation_m);
+        let covariance = Matrix3::from_diagonal(&deviations.component_mul(&deviations));
+        let mut matrix = self.matrix();
+        for place in 0..3 {
+            matrix.fixed_view_mut::<1, 5>(place, 0).fill(0.0);
+            matrix.fixed_view_mut::<5, 1>(0, place).fill(0.0);
+        }
+        matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(&covariance);
+        self.keep(&matrix);
+        self.pose = pose.into();
+    }
+
+    /// The pose has noise of this covariance, which is new in each report.
+    pub fn shake(&mut self, noise: &Matrix3<f64>) {
+        let mut covariance = self.matrix();
+        let mut of_pose = covariance.fixed_view_mut::<3, 3>(0, 0);
+        of_pose += noise;
+        self.keep(&covariance);
+    }
+
     /// Adds the errors of one step.
     pub fn grow(&mut self, sources: &DriftSources, step: &OdometryStep) {
-        let OdometryStep { seconds, distance_m, slid_m, dx_m, dy_m, yaw_rad } = *step;
-        let mut transition = Matrix4::identity();
+        let OdometryStep { seconds, distance_m, slid_m, beside_m, dx_m, dy_m, yaw_rad } = *step;
+        let mut transition = Matrix5::identity();
         (transition[(1, 0)], transition[(2, 0)]) = (-dy_m, dx_m);
         // The bias turns the way of this step by half of what it turns the robot.
-        let by_bias = Vector4::new(seconds, -dy_m * seconds / 2.0, dx_m * seconds / 2.0, 1.0);
-        transition.set_column(3, &by_bias);
+        transition
+            .set_column(3, &Vector5::new(seconds, -dy_m * seconds / 2.0, dx_m * seconds / 2.0, 1.0, 0.0));
+        (transition[(1, 4)], transition[(2, 4)]) = (dx_m, dy_m);
         let (sin, cos) = yaw_rad.sin_cos();
-        let ahead = Vector4::new(0.0, cos, sin, 0.0);
+        let ahead = Vector5::new(0.0, cos, sin, 0.0, 0.0);
         let (slip, slide) = (ahead * sources.slip_m, ahead * slid_m);
-        let turn = Vector4::new(1.0, -dy_m / 2.0, dx_m / 2.0, 0.0) * sources.yaw_rad;
+        let turn = Vector5::new(1.0, -dy_m / 2.0, dx_m / 2.0, 0.0, 0.0) * sources.yaw_rad;
         let mut covariance = transition * self.matrix() * transition.transpose();
         covariance += slip * slip.transpose() * distance_m + turn * turn.transpose() * seconds;
         covariance += slide * slide.transpose();
+        let beside = Vector5::new(0.0, -sin, cos, 0.0, 0.0) * beside_m;
+        covariance += beside * beside.transpose();
         covariance[(3, 3)] += sources.bias_radps * sources.bias_radps * seconds;
+        covariance[(4, 4)] += sources.scale * sources.scale * distance_m;
+        self.keep(&covariance);
+        let of_pose: Matrix3<f64> = transition.fixed_view::<3, 3>(0, 0).into();
+        let map = of_pose * self.map() * of_pose.transpose();
+        self.map_covariance.copy_from_slice(map.as_slice());
+    }
+
+    /// Corrects pose and what is learned by a match, (7.24)-(7.26) in terms of its information; false, and unchanged, when
+    /// that is not possible.
+    pub fn correct(&mut self, sighting: &Sighting) -> bool {
+        let Sighting { information, pull, noise, surfaces, beside } = sighting;
+        let covariance = self.matrix();
+        let mut with_pose: Matrix5x3<f64> = covariance.fixed_view::<5, 3>(0, 0).into();
+        let mut of_pose = with_pose.fixed_view_mut::<3, 3>(0, 0);
+        of_pose += beside;
+        let of_pose: Matrix3<f64> = of_pose.into();
+        let Some(inverse) = (Matrix3::identity() + information * of_pose).try_inverse() else { return false };
+        let gain = with_pose * inverse;
+        let correction = gain * pull;
+        let mut rest = Matrix5::identity();
+        let mut by_pose = rest.fixed_view_mut::<5, 3>(0, 0);
+        by_pose -= gain * information;
+        let left = rest * covariance * rest.transpose() + gain * noise * gain.transpose();
+        let map = self.map_after(&inverse, &of_pose, surfaces);
+        if !correction.iter().chain(left.iter()).chain(map.iter()).all(|value| value.is_finite()) {
+            return false;
+        }
+        let [yaw, x, y] = self.pose;
+        self.pose = [wrap_angle(yaw + correction[0]), x + correction[1], y + correction[2]];
+        self.unreported = [self.unreported[0] + correction[3], self.unreported[1] + correction[4]];
+        self.keep(&left);
+        self.map_covariance.copy_from_slice(map.as_slice());
+        true
+    }
+
+    /// Covariance of the place of the surfaces around after a match: that of the surfaces before, and of those that were
+    /// seen, by their weights in the pose. Their errors may be one and the same, so the mean of several is no better.
+    pub(crate) fn map_after(
+        &self,
+        inverse: &Matrix3<f64>,
+        of_pose: &Matrix3<f64>,
+        surfaces: &Matrix3<f64>,
+    ) -> Matrix3<f64> {
+        let blend = inverse.transpose() * (self.map() + of_pose * surfaces);
+        let mut blend = (blend + blend.transpose()) / 2.0;
+        // Blending by directions may leave no covariance: what two components share is made smaller until it is one.
+        for place in 0..3 {
+            blend[(place, place)] = blend[(place, place)].max(MIN_VARIANCE);
+        }
+        let diagonal = Matrix3::from_diagonal(&blend.diagonal());
+        while (blend * TO_ROUND + diagonal * (1.0 - TO_ROUND)).cholesky().is_none() {
+            blend = (blend + diagonal) / 2.0;
+        }
+        blend
+    }
+
+    /// Covariance of (yaw, x, y) against the surfaces around.
+    pub fn against_surfaces(&self) -> Matrix3<f64> {
+        self.matrix().fixed_view::<3, 3>(0, 0).into()
+    }
+
+    /// Covariance of (yaw, x, y) on the track.
+    pub fn of_pose(&self) -> Matrix3<f64> {
+        self.against_surfaces() + self.map()
+    }
+
+    fn keep(&mut self, covariance: &Matrix5<f64>) {
         // Rounding makes the two halves differ.
         let symmetric = (covariance + covariance.transpose()) / 2.0;
         self.covariance.copy_from_slice(symmetric.as_slice());
     }
 
-    /// Covariance of (yaw, x, y).
-    pub fn of_pose(&self) -> Matrix3<f64> {
-        self.matrix().fixed_view::<3, 3>(0, 0).into()
+    /// Covariance of the place of the surfaces around, as one of (yaw, x, y).
+    pub fn map(&self) -> Matrix3<f64> {
+        Matrix3::from_column_slice(&self.map_covariance)
     }
 
-    fn matrix(&self) -> Matrix4<f64> {
-        Matrix4::from_column_slice(&self.covariance)
+    fn matrix(&self) -> Matrix5<f64> {
+        Matrix5::from_column_slice(&self.covariance)
     }
 }
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const SOURCES: DriftSources = DriftSources { slip_m: 5e-3, yaw_rad: 2e-4, bias_radps: 2e-5 };
+    const SOURCES: DriftSources =
+        DriftSources { slip_m: 5e-3, yaw_rad: 2e-4, bias_radps: 2e-5, scale: 0.0, unknown: [0.0; 2] };
 
     /// Drives straight along `yaw_rad` at 1 m/s.
     fn straight(sources: DriftSources, yaw_rad: f64, seconds: u32) -> DeadReckoning {
@@ -91,7 +241,15 @@ mod tests {
         for _ in 0..10 * seconds {
             state.grow(
                 &sources,
-                &OdometryStep { seconds: 0.1, distance_m: 0.1, slid_m: 0.0, dx_m, dy_m, yaw_rad },
+                &OdometryStep {
+                    seconds: 0.1,
+                    distance_m: 0.1,
+                    slid_m: 0.0,
+                    beside_m: 0.0,
+                    dx_m,
+                    dy_m,
+                    yaw_rad,
+                },
             );
         }
         state
@@ -137,9 +295,74 @@ mod tests {
         let mut state = DeadReckoning::default();
         state.grow(
             &SOURCES,
-            &OdometryStep { seconds: 10.0, distance_m: 0.0, slid_m: 0.0, dx_m: 0.0, dy_m: 0.0, yaw_rad: 0.3 },
+            &OdometryStep {
+                seconds: 10.0,
+                distance_m: 0.0,
+                slid_m: 0.0,
+                beside_m: 0.0,
+                dx_m: 0.0,
+                dy_m: 0.0,
+                yaw_rad: 0.3,
+            },
         );
         let pose = state.of_pose();
         assert!(pose[(0, 0)] > 0.0 && pose[(1, 1)] == 0.0 && pose[(2, 2)] == 0.0);
+    }
+
+    #[test]
+    fn a_match_corrects_by_the_weights_of_a_kalman_filter_and_what_the_errors_share() {
+        let variance = |deviation: f64| deviation * deviation;
+        let start = Matrix3::from_diagonal(&Vector3::new(variance(1e-3), variance(0.1), variance(0.2)));
+        let mut state = DeadReckoning::begin([0.0, 1.0, 2.0], &start, &DriftSources::default());
+        // x is seen 0.3 m further, with a deviation of 0.1 m: half of it, and half of the variance.
+        let information = Matrix3::from_diagonal(&Vector3::new(0.0, 100.0, 0.0));
+        let sighting = Sighting {
+            information,
+            pull: information * Vector3::new(0.0, 0.3, 0.0),
+            noise: information,
+            ..Sighting::default()
+        };
+        assert!(state.correct(&sighting));
+        assert!((state.pose[1] - 1.15).abs() < 1e-12 && state.pose[0] == 0.0 && state.pose[2] == 2.0);
+        let left = state.of_pose();
+        assert!((left[(1, 1)] - 0.005).abs() < 1e-9 && (left[(2, 2)] - 0.04).abs() < 1e-9);
+
+        // After 10 m the share of the way that is not reported explains all of what is seen: 0.1 m are 1 %.
+        let sources = DriftSources { unknown: [0.0, 0.01], ..DriftSources::default() };
+        let mut state = DeadReckoning::begin([0.0; 3], &Matrix3::zeros(), &sources);
+        for _ in 0..100 {
+            state.advance(0.0, 0.1, 0.0, 0.1);
+            let step = OdometryStep { distance_m: 0.1, dx_m: 0.1, ..OdometryStep::default() };
+            state.grow(&DriftSources::default(), &step);
+        }
+        let information = Matrix3::from_diagonal(&Vector3::new(0.0, 1e8, 0.0));
+        let pull = information * Vector3::new(0.0, 0.1, 0.0);
+        assert!(state.correct(&Sighting { information, pull, noise: information, ..Sighting::default() }));
+        assert!((state.unreported[1] - 0.01).abs() < 1e-4, "{:?}", state.unreported);
+    }
+
+    #[test]
+    fn the_place_of_surfaces_that_are_known_better_takes_the_place_of_that_of_others() {
+        let mut state = DeadReckoning::begin([0.0; 3], &Matrix3::identity(), &DriftSources::default());
+        let (worse, better) = (Matrix3::identity() * 0.04, Matrix3::identity() * 0.01);
+        state.map_covariance.copy_from_slice(worse.as_slice());
+        let information = Matrix3::identity() * 1e9;
+        let sighting = Sighting {
+            information,
+            noise: information,
+            surfaces: information * better,
+            ..Sighting::default()
+        };
+        assert!(state.correct(&sighting));
+        assert!((state.map() - better).norm() < 1e-6, "{}", state.map());
+        // A covariance, whatever is blended.
+        let odd = Matrix3::new(1.0, 5.0, -5.0, 0.0, 1.0, 3.0, 0.0, 0.0, 1.0);
+        assert!(state.correct(&Sighting {
+            information,
+            noise: information,
+            surfaces: information * odd,
+            ..Sighting::default()
+        }));
+        assert!(state.map().symmetric_eigenvalues().min() > -1e-9);
     }
 }

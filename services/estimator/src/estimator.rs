@@ -24,19 +24,22 @@ use std::f64::consts::TAU;
 use std::hint::black_box;
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
-use shared_types::{Actuation, Alarm, Fault, Header, MAX_LATE, Odometry, Pose, Role, Suspect, finite};
+use shared_types::{Actuation, Alarm, Fault, Header, MAX_LATE, Odometry, Pose, Role, Scan, Suspect, finite};
 use vehicle::bounds::ANY_SENT_VELOCITY_MAX_MPS;
 use vehicle::frame::wrap_angle;
 use vehicle::{Invalid, SIDEWAYS_RAD};
 
 use crate::config::SCALED_NOISE;
 use crate::correction::{CorrectionState, Planar, STANDSTILL_MPS};
-use crate::dead_reckoning::OdometryStep;
+use crate::dead_reckoning::{DeadReckoning, OdometryStep};
 use crate::ekf::{Ekf, Innovation, NotPositive};
 use crate::gyro::{GyroSample, Interval, MAX_BIAS_RADPS};
+use crate::increments::{self, Increments};
+use crate::laser::pieces::SweepMotion;
+use crate::laser::{LaserMode, Matcher};
 use crate::motion::{MotionModel, MotionState, Moved};
 use crate::observability::motion_jacobian;
-use crate::self_check::Evidence;
+use crate::self_check::{Evidence, SelfCheckState};
 use crate::{EstimatorConfig, EstimatorState, FilterSettings};
 
 /// Positions beyond this are no measurement [m]: every track lies within 10 km of the origin, and a reported position may
@@ -85,6 +88,7 @@ const MIN_MISFIT: f64 = 0.2;
 pub struct Estimator {
     settings: FilterSettings,
     state: EstimatorState,
+    matcher: Matcher,
     /// Why the content of the last sample can't be used.
     refusal: Option<Fault>,
 }
@@ -103,7 +107,9 @@ impl Estimator {
     /// # Errors
     /// [`Invalid`] when a setting is outside its range or the measured states do not determine the state.
     pub fn new(config: &EstimatorConfig) -> Result<Self, Invalid> {
-        Ok(Self { settings: config.settings()?, state: EstimatorState::default(), refusal: None })
+        let settings = config.settings()?;
+        let matcher = Matcher::new(settings.laser, config.track, &config.vehicle);
+        Ok(Self { settings, state: EstimatorState::default(), matcher, refusal: None })
     }
 
     /// The pose at the time of an odometry sample, and predicted to `now_ns` plus the expected latency.
@@ -143,9 +149,9 @@ impl Estimator {
             let measured = self.state.correction.correct(&self.settings.drift, reported, speed, dt, way_m);
             let before = self.state;
             let can_be_there = self.is_in_reach(measured, speed, dt);
-            let mut update = None;
+            let (mut update, mut expected) = (None, None);
             if dt <= self.settings.max_gap_s && !(is_cut && can_be_there && self.settings.gate) {
-                self.predict(odometry, dt);
+                expected = Some(self.predict(odometry, dt));
                 update = Some(self.update_and_check(measured, odometry, dt, is_known));
                 if !is_known && can_be_there && self.state.rejected > before.rejected {
                     // Undo the comparison: the misfit is explained, so it is no evidence against the calibration.
@@ -157,13 +163,26 @@ impl Estimator {
                 self.state.misfit = before.misfit;
                 Update::default()
             });
-            self.drift(from, from_mps, dt, is_cut);
+            if self.settings.is_increments {
+                let is_refused = self.state.rejected > before.rejected;
+                let expected = expected.filter(|_| self.state.restarts == before.restarts);
+                let from = self.state.reckoning.pose;
+                let measured = if self.settings.yaw_is_measured { measured } else { self.filtered() };
+                let beside_m = self.follow((!is_refused).then_some(measured), measured, expected, dt);
+                self.drift(from, self.state.reckoning.pose, from_mps, dt, is_cut, beside_m);
+            } else {
+                self.drift(from, self.state.estimate, from_mps, dt, is_cut, 0.0);
+            }
             update
         } else {
             self.state.gyro.begin(odometry.header.scan_id, reported);
             self.state.correction = CorrectionState::begin(reported, speed);
             self.state.usual_age_ns = age_ns;
             self.begin(reported, odometry);
+            self.state.increments = Increments::begin(reported, self.settings.measurement_noise);
+            if self.settings.is_increments {
+                self.start();
+            }
             Update::default()
         };
         self.state.initialised = true.into();
@@ -370,8 +389,15 @@ impl Estimator {
     ///
     /// Encoders do not count what locked wheels slide. In an outage it is not known how the robot braked, so it may have
     /// slid for all that it has lost of its speed.
-    fn drift(&mut self, [yaw, x, y]: [f64; 3], from_mps: f64, seconds: f64, is_cut: bool) {
-        let [to_yaw, to_x, to_y] = self.state.estimate;
+    fn drift(
+        &mut self,
+        [yaw, x, y]: [f64; 3],
+        [to_yaw, to_x, to_y]: [f64; 3],
+        from_mps: f64,
+        seconds: f64,
+        is_cut: bool,
+        beside_m: f64,
+    ) {
         let (dx_m, dy_m, to_mps) = (to_x - x, to_y - y, self.state.motion.speed_mps);
         let lost = (from_mps * from_mps - to_mps * to_mps).max(0.0);
         let slid_m = UNIFORM * lost / (2.0 * self.settings.motion.blocked_deceleration_mps2);
@@ -383,15 +409,16 @@ impl Estimator {
                 f64::midpoint(from_mps, to_mps).abs() * seconds
             },
             slid_m: if is_cut && self.settings.noise_turns { slid_m } else { 0.0 },
+            beside_m,
             dx_m,
             dy_m,
             yaw_rad: yaw + wrap_angle(to_yaw - yaw) / 2.0,
         };
-        self.state.drift.grow(&self.settings.dead_reckoning, &step);
+        self.state.reckoning.grow(&self.settings.dead_reckoning, &step);
     }
 
     /// Time update (7.22), (7.23) from the last sample to this one. The process f of (7.14)-(7.19) is the motion of the robot.
-    fn predict(&mut self, odometry: &Odometry, dt: f64) {
+    fn predict(&mut self, odometry: &Odometry, dt: f64) -> increments::Increment {
         let mut filter = self.filter();
         let before = Planar { yaw: filter.state[0], x: filter.state[1], y: filter.state[2] };
         let (from_ns, to_ns) = (self.state.acquired_ns, odometry.header.acquired_ns);
@@ -417,6 +444,68 @@ impl Estimator {
         let predicted = Vector3::new(wrap_angle(after.yaw), after.x, after.y);
         filter.predict(predicted, &by_state, &by_noise, &Matrix3::from_diagonal(&noise));
         self.keep(&filter);
+        increments::Increment::between(before, after)
+    }
+
+    /// Dead reckoning begins where the odometer says, as well as that is known.
+    fn start(&mut self) {
+        let Increments { pose, .. } = self.state.increments;
+        let covariance = self.state.increments.covariance(pose[0]);
+        self.state.reckoning = DeadReckoning::begin(pose, &covariance, &self.settings.dead_reckoning);
+    }
+
+    /// The pose by the filter.
+    fn filtered(&self) -> Planar {
+        let [yaw, x, y] = self.state.estimate;
+        Planar { yaw, x, y }
+    }
+
+    /// The pose follows the increments of the odometer, or those of the model where the report is not usable.
+    ///
+    /// Without a model, after a restart, it follows the report. Returns how far to the left the odometer did not see the robot
+    /// slip, by the model [m].
+    fn follow(
+        &mut self,
+        reported: Option<Planar>,
+        measured: Planar,
+        expected: Option<increments::Increment>,
+        dt: f64,
+    ) -> f64 {
+        let increments = &mut self.state.increments;
+        let spread = self.settings.process_noise.map(|variance| variance * dt / NOISE_INTERVAL_S);
+        let moved = match expected {
+            Some(expected) => increments.follow(reported, &expected, spread),
+            None => increments.restart(measured),
+        };
+        self.state.increments.turn_radps = if dt > 0.0 { moved.turn_rad / dt } else { 0.0 };
+        if self.state.increments.is_known() {
+            self.state.reckoning.advance(moved.turn_rad, moved.ahead_m, moved.left_m, dt);
+            if self.settings.laser != LaserMode::Off {
+                self.state.reckoning.shake(&self.state.increments.covariance(self.state.reckoning.pose[0]));
+            }
+        } else {
+            self.start();
+        }
+        expected.map_or(0.0, |expected| expected.left_m - moved.left_m)
+    }
+
+    /// Corrects the pose by a scan of its time.
+    ///
+    /// A scan of another time is counted: the one before when the next pose was computed already.
+    pub fn see(&mut self, scan: &Scan) {
+        if self.settings.laser == LaserMode::Off || !self.state.increments.is_known() {
+            return;
+        }
+        if scan.header.acquired_ns != self.state.acquired_ns {
+            self.state.laser.late += 1;
+            return;
+        }
+        let motion = SweepMotion {
+            speed_mps: self.state.motion.speed_mps,
+            yaw_rate_radps: self.state.increments.turn_radps,
+        };
+        let EstimatorState { laser, reckoning, .. } = &mut self.state;
+        self.matcher.see(scan, &motion, laser, reckoning);
     }
 
     /// Measurement update, followed by the check of the calibration.
@@ -537,7 +626,8 @@ impl Estimator {
     }
 
     fn pose(&self, odometry: &Odometry, update: &Update, now_ns: u64) -> Pose {
-        let [yaw, x, y] = self.state.estimate;
+        let is_increments = self.settings.is_increments;
+        let [yaw, x, y] = if is_increments { self.state.reckoning.pose } else { self.state.estimate };
         let motion: MotionState = self.state.motion;
         let acquired_ns = self.state.acquired_ns;
         let age_ns = now_ns.saturating_sub(acquired_ns).saturating_add(self.settings.lead_ns);
@@ -546,9 +636,19 @@ impl Estimator {
         let predicted =
             ahead.advance(&self.settings.motion, Planar { yaw, x, y }, acquired_ns, predicted_ns, None).pose;
         let local_covariance = self.local_covariance();
-        let mut covariance = if self.settings.noise_turns { local_covariance } else { self.state.covariance };
-        let drift = self.state.drift.of_pose();
+        let mut covariance = if is_increments {
+            // Before, dead reckoning begins anew with each report, and with its noise.
+            let noise = self.state.increments.covariance(yaw) * f64::from(self.state.increments.is_known());
+            noise.data.0.as_flattened().try_into().unwrap_or_default()
+        } else if self.settings.noise_turns {
+            local_covariance
+        } else {
+            self.state.covariance
+        };
+        let drift = self.state.reckoning.of_pose();
         covariance.iter_mut().zip(drift.as_slice()).for_each(|(sum, drift)| *sum += drift);
+        let SelfCheckState { suspect, alarm, .. } = self.state.self_check;
+        let is_sought = alarm == Alarm::None.wire() && self.state.laser.search.is_on();
         let mut gain = [0.0; 9];
         // Row by row, where the matrix is stored column by column.
         gain.copy_from_slice(update.gain.transpose().as_slice());
@@ -573,8 +673,8 @@ impl Estimator {
             gain,
             nis: update.nis,
             rejected: self.state.rejected,
-            suspect: self.state.self_check.suspect,
-            alarm: self.state.self_check.alarm,
+            suspect: if is_sought { Suspect::Position.wire() } else { suspect },
+            alarm: if is_sought { Alarm::Slow.wire() } else { alarm },
         }
     }
 

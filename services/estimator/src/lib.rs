@@ -10,6 +10,8 @@ pub mod dead_reckoning;
 pub mod ekf;
 mod estimator;
 pub mod gyro;
+pub mod increments;
+pub mod laser;
 pub mod motion;
 pub mod observability;
 pub mod self_check;

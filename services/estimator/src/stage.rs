@@ -1,7 +1,7 @@
-//! The estimator as a stage of the loop: odometry, actuation, and the samples of a gyro in, pose out.
+//! The estimator as a stage of the loop: odometry, actuation, scans and the samples of a gyro in, pose out.
 
 use shared_types::{
-    Actuation, AnySample, Fault, Odometry, Pose, Role, Sample, SampleType, Stage, StageEvent, Stopwatch,
+    Actuation, AnySample, Fault, Odometry, Pose, Role, Sample, SampleType, Scan, Stage, StageEvent, Stopwatch,
 };
 use vehicle::Invalid;
 
@@ -58,6 +58,7 @@ impl Stage for EstimatorStage {
     const ANSWERS: &'static [&'static SampleType] = &[Odometry::TYPE];
     const OWN_FIELDS: &'static [&'static str] = &["yaw_rate_radps", "dt_s"];
     const NOTES: &'static [&'static SampleType] = &[Actuation::TYPE];
+    const LATER: &'static [&'static SampleType] = &[Scan::TYPE];
 
     fn begin(settings: EstimatorConfig, period_ns: u64) -> Result<Self, Invalid> {
         let estimator = Estimator::new(&settings)?;
@@ -77,6 +78,8 @@ impl Stage for EstimatorStage {
     fn take(&mut self, sample: AnySample<'_>, now_ns: u64) {
         if let Some(actuation) = sample.get::<Actuation>() {
             self.estimator.note(actuation, now_ns);
+        } else if let Some(scan) = sample.get::<Scan>() {
+            self.estimator.see(scan);
         } else if let Some(odometry) = sample.get::<Odometry>().filter(|_| !self.is_lost) {
             let kept = self.estimator.kept_turns();
             self.pose = self.estimator.step(odometry, None, now_ns);

@@ -6,6 +6,8 @@ use shared_types::{Fault, Flag, finite, plain_state};
 use crate::correction::CorrectionState;
 use crate::dead_reckoning::DeadReckoning;
 use crate::gyro::GyroState;
+use crate::increments::Increments;
+use crate::laser::LaserState;
 use crate::motion::{HISTORY, MotionState};
 use crate::self_check::{SelfCheckState, WINDOW};
 
@@ -32,8 +34,10 @@ plain_state! {
         pub covariance: [f64; 9],
         /// Mean NIS per measured state: 1 when innovations are as large as Q and R make expect
         pub misfit: f64,
-        /// Accumulated error of the odometry, which the filter cannot see
-        pub drift: DeadReckoning,
+        /// The odometer as increments
+        pub increments: Increments,
+        /// The pose that follows from them, and the accumulated error of the odometry, which the filter cannot see
+        pub reckoning: DeadReckoning,
         /// The gyro that replaces the yaw of the odometry
         pub gyro: GyroState,
         /// Correction of measured data
@@ -52,6 +56,8 @@ plain_state! {
         pub invalid: u64,
         /// The watch over the calibration
         pub self_check: SelfCheckState,
+        /// What became of the scans
+        pub laser: LaserState,
     }
 }
 
@@ -65,7 +71,11 @@ impl EstimatorState {
         finite("covariance", &self.covariance)?;
         finite("misfit", &[self.misfit])?;
         self.gyro.check()?;
-        finite("drift", &self.drift.covariance)?;
+        let reckoning: &[f64; 39] = bytemuck::cast_ref(&self.reckoning);
+        finite("reckoning", reckoning)?;
+        let increments: &[f64; 20] = bytemuck::cast_ref(&self.increments);
+        finite("increments", increments)?;
+        self.laser.map.check()?;
         finite("correction", bytemuck::cast_ref::<_, [f64; 9]>(&self.correction))?;
         let residuals: &[f64; 4 * WINDOW] = bytemuck::cast_ref(&self.self_check.residuals);
         finite("self_check", residuals)?;

@@ -2,7 +2,7 @@
 
 use emulator::Scenario;
 use serde::{Deserialize, Serialize};
-use vehicle::{Description, Invalid};
+use vehicle::{Description, Invalid, Surroundings, Track};
 
 /// Settings of the four stages behind the robot.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -55,6 +55,10 @@ impl Tuning {
         self.controller.goal = goals.first().copied().unwrap_or_default();
         self.controller.next_goals = goals.get(1..).unwrap_or_default().to_vec();
         self.controller.track = track;
+        // Where the walls along a course stand is not stated.
+        let is_stated = scenario.course.is_none();
+        let surroundings = if is_stated { track.surroundings } else { Surroundings::Open };
+        self.estimator.track = Track { surroundings, ..track };
         self.obstacles.walls = track.walls;
         self.obstacles.wall_y_m = track.y_m;
         self.obstacles.track_x_m = track.x_m;

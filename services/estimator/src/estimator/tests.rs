@@ -15,6 +15,10 @@ mod possible;
 const PERIOD_NS: u64 = 100_000_000;
 
 /// The default settings for a robot that follows at once.
+fn scaled() -> EstimatorConfig {
+    EstimatorConfig { profile: NoiseProfile::Scaled, ..at_once() }
+}
+
 fn at_once() -> EstimatorConfig {
     EstimatorConfig { vehicle: Description::default().without_lag(), ..EstimatorConfig::default() }
 }

@@ -6,6 +6,7 @@ mod examples;
 mod gaps;
 mod goal;
 mod hostile;
+mod laser;
 mod models;
 mod presets;
 mod released;

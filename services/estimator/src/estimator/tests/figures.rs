@@ -228,7 +228,7 @@ fn the_scaled_profile_keeps_a_noisy_estimate_within_3_cm_and_1_cm_on_average_and
     let robot = Robot { odometry_longitudinal: 0.01, noise_m: 0.02, noise_rad: 0.01, ..PERFECT };
     let mut total = Errors::default();
     for seed in 1..=5 {
-        let errors = run(&at_once(), robot, 40, seed, sine);
+        let errors = run(&scaled(), robot, 40, seed, sine);
         assert!(errors.settled_max < 0.03, "seed {seed}: {errors:?}");
         total.sum_of_squares += errors.sum_of_squares;
         total.nis_sum += errors.nis_sum;

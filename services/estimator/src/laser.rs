@@ -1,0 +1,175 @@
+//! The pose is corrected by the laser: each scan is laid onto the surfaces that stand still.
+//!
+//! [`pieces`] makes straight pieces of a scan, [`surface`] remembers those that were seen, [`known`] has those that the
+//! track states, and [`align`] finds the pose from which pieces and surfaces agree; where they contradict it, [`search`]
+//! finds another.
+//!
+//! A match is computed when the actuation of its scan is out, so the way from scan to wheels gets no longer, and corrects
+//! the pose of the next scan.
+
+pub mod align;
+pub mod known;
+pub mod pieces;
+pub mod search;
+pub mod surface;
+
+use nalgebra::{Vector2, Vector3};
+use serde::{Deserialize, Serialize};
+use shared_types::{Scan, plain_state};
+use vehicle::{Description, Setting, Track};
+
+use crate::dead_reckoning::DeadReckoning;
+use align::{Prior, align, part_of};
+use pieces::{Pieces, SweepMotion};
+use search::{Search, Whereabouts};
+use surface::{Placed, SURFACES, SurfaceLine, SurfaceMap};
+
+/// Lines that are compared with one scan at most.
+const MAX_LINES: usize = 256;
+/// Scans that are matched are at least so far apart [ns].
+const INTERVAL_NS: u64 = 9_000_000;
+/// A new surface has so many returns.
+const MIN_COUNT: f64 = 5.0;
+/// How well a robot that was searched for is known when it was found, and when it was not [m, rad].
+const FOUND_M: f64 = 0.1;
+const FOUND_RAD: f64 = 0.05;
+const LOST_M: f64 = 1.0;
+const LOST_RAD: f64 = 0.3;
+/// A surface that stands still is found within this of where it was [m].
+const STILL_M: f64 = 0.02;
+
+/// What of the scans corrects the pose.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LaserMode {
+    /// Nothing: the pose is that of the odometry.
+    Off,
+    /// Surfaces that the track states: its walls, or the hall around it.
+    Walls,
+    /// Surfaces that were seen before.
+    Match,
+}
+
+impl Setting for LaserMode {}
+
+impl LaserMode {
+    /// The name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Off => "off",
+            Self::Walls => "walls",
+            Self::Match => "match",
+        }
+    }
+}
+
+plain_state! {
+    /// What became of the scans.
+    pub struct LaserState {
+        /// Time of the last scan that was matched [ns]
+        pub looked_ns: u64,
+        /// Scans that corrected the pose
+        pub matched: u64,
+        /// Scans that showed too little of what is known
+        pub unmatched: u64,
+        /// Scans that came too fast after the one before
+        pub skipped: u64,
+        /// Scans that came after the next pose was computed
+        pub late: u64,
+        /// The search for a robot that is not where it was
+        pub search: Search,
+        /// Surfaces that were seen
+        pub map: SurfaceMap,
+    }
+}
+
+/// The matcher: memory that is kept between scans, but no state.
+#[derive(Debug, Clone)]
+pub struct Matcher {
+    laser: LaserMode,
+    track: Track,
+    vehicle: Description,
+    pieces: Pieces,
+    lines: Vec<SurfaceLine>,
+}
+
+impl Matcher {
+    /// A matcher for scans of this robot.
+    pub fn new(laser: LaserMode, track: Track, vehicle: &Description) -> Self {
+        let lines = Vec::with_capacity(MAX_LINES);
+        Self { laser, track, vehicle: *vehicle, pieces: Pieces::default(), lines }
+    }
+
+    /// Corrects the pose, which is that of the time of the scan, and remembers the surfaces.
+    pub fn see(
+        &mut self,
+        scan: &Scan,
+        motion: &SweepMotion,
+        state: &mut LaserState,
+        reckoning: &mut DeadReckoning,
+    ) {
+        let acquired_ns = scan.header.acquired_ns;
+        if self.laser == LaserMode::Off || scan.missing.is_set() || acquired_ns <= state.looked_ns {
+            return;
+        }
+        if state.looked_ns > 0 && acquired_ns < state.looked_ns + INTERVAL_NS {
+            state.skipped += 1;
+            return;
+        }
+        state.looked_ns = acquired_ns;
+        self.pieces.find(scan, &self.vehicle, motion);
+        self.gather(state, &reckoning.pose);
+        match state.search.follow(scan, &self.pieces, &self.lines, reckoning.pose, &self.vehicle) {
+            Whereabouts::Known => {}
+            Whereabouts::Sought => return,
+            Whereabouts::Found(pose) => return reckoning.put(pose, FOUND_M, FOUND_RAD),
+            Whereabouts::Lost => {
+                // What it has learned of its surroundings is of no use here.
+                state.map = SurfaceMap::default();
+                return reckoning.put(Vector3::from(reckoning.pose), LOST_M, LOST_RAD);
+            }
+        }
+        let found = align(&self.pieces, &self.lines, reckoning);
+        match found {
+            Some(found) if reckoning.correct(&found.sighting) => state.matched += 1,
+            _ => state.unmatched += 1,
+        }
+        if self.laser == LaserMode::Match {
+            self.remember(acquired_ns, state, reckoning);
+        }
+    }
+
+    /// The lines that the scan may show.
+    fn gather(&mut self, state: &LaserState, pose: &[f64; 3]) {
+        self.lines.clear();
+        let [_, x, y] = *pose;
+        known::surfaces(&self.track, Vector2::new(x, y), self.vehicle.scanner.range_m, &mut |line| {
+            if self.lines.len() < MAX_LINES - SURFACES {
+                self.lines.push(line);
+            }
+        });
+        if self.laser == LaserMode::Match {
+            self.lines.extend(state.map.lines());
+        }
+    }
+
+    /// Remembers the pieces of the scan, seen from the corrected pose.
+    fn remember(&mut self, now_ns: u64, state: &mut LaserState, reckoning: &DeadReckoning) {
+        let (prior, covariance) = (Prior::of(reckoning), reckoning.of_pose());
+        let pose = prior.pose;
+        for piece in self.pieces.all() {
+            let placed = Placed::new(piece, &pose);
+            match part_of(piece, &self.lines, &prior, self.pieces.noise_m).and_then(|line| line.index) {
+                Some(index) => state.map.see(index, piece.count, &placed, now_ns, STILL_M),
+                None if piece.count >= MIN_COUNT => {
+                    let own = placed.uncertainty(piece.count, self.pieces.noise_m, &pose);
+                    state.map.add(piece, &placed, &pose, &(covariance + own), now_ns);
+                }
+                None => {}
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

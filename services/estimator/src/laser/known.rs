@@ -1,0 +1,61 @@
+//! The surfaces that a track states: its walls, or the hall around it.
+
+use nalgebra::{Matrix3, Vector2};
+use vehicle::{Surroundings, Track};
+
+use super::surface::SurfaceLine;
+
+/// Hands over the surfaces within `reach_m` of a place.
+pub fn surfaces(track: &Track, place: Vector2<f64>, reach_m: f64, take: &mut dyn FnMut(SurfaceLine)) {
+    let Track { x_m, y_m, walls, surroundings } = *track;
+    let (across, along) = (Vector2::y(), Vector2::x());
+    let mut wall = |normal: Vector2<f64>, middle: Vector2<f64>, half_m: f64| {
+        if normal.dot(&(place - middle)) <= reach_m {
+            take(SurfaceLine {
+                normal,
+                middle,
+                extent_m: [-half_m, half_m],
+                is_long: half_m > Surroundings::PILLAR_M,
+                covariance: Matrix3::zeros(),
+                seen_from: middle,
+                center: (half_m <= Surroundings::PILLAR_M).then_some(middle),
+                index: None,
+                counts: true,
+            });
+        }
+    };
+    let middle_m = x_m.map(|bound| bound.clamp(place.x - reach_m, place.x + reach_m));
+    let (middle_x, half_m) = (f64::midpoint(middle_m[0], middle_m[1]), (middle_m[1] - middle_m[0]) / 2.0);
+    if walls {
+        wall(-across, Vector2::new(middle_x, y_m[1]), half_m);
+        wall(across, Vector2::new(middle_x, y_m[0]), half_m);
+        return;
+    }
+    if surroundings == Surroundings::Open {
+        return;
+    }
+    let out_m = Surroundings::HALL_M;
+    let (low, high) =
+        (Vector2::new(x_m[0] - out_m, y_m[0] - out_m), Vector2::new(x_m[1] + out_m, y_m[1] + out_m));
+    let center = (low + high) / 2.0;
+    let half = (high - low) / 2.0;
+    wall(-across, Vector2::new(middle_x, high.y), half_m + out_m);
+    wall(across, Vector2::new(middle_x, low.y), half_m + out_m);
+    wall(-along, Vector2::new(high.x, center.y), half.y);
+    wall(along, Vector2::new(low.x, center.y), half.y);
+    let side_m = Surroundings::PILLAR_M;
+    let first = ((place.x - reach_m) / Surroundings::SPACING_M).ceil() as i64;
+    let last = ((place.x + reach_m) / Surroundings::SPACING_M).floor() as i64;
+    for pillar in first..=last {
+        let x = pillar as f64 * Surroundings::SPACING_M;
+        if x + side_m / 2.0 < low.x || x - side_m / 2.0 > high.x {
+            continue;
+        }
+        for (face_y, normal) in [(high.y - side_m, -across), (low.y + side_m, across)] {
+            let center_y = face_y - normal.y * side_m / 2.0;
+            wall(normal, Vector2::new(x, face_y), side_m / 2.0);
+            wall(along, Vector2::new(x + side_m / 2.0, center_y), side_m / 2.0);
+            wall(-along, Vector2::new(x - side_m / 2.0, center_y), side_m / 2.0);
+        }
+    }
+}

@@ -1,0 +1,162 @@
+//! A robot that was lifted or pushed finds itself among the surfaces that it knows.
+//!
+//! Where a scanner looks through a surface that stands there, and this in several places and more often than it sees what
+//! it should, the pose is wrong. Then poses around it are tried, some with each scan, and the one from which most
+//! returns lie on known lines is taken.
+
+use nalgebra::{Matrix3, Vector2, Vector3};
+use shared_types::{Scan, plain_state};
+use vehicle::Description;
+use vehicle::frame::{to_robot, wrap_angle};
+
+use super::align::{Prior, nearest};
+use super::pieces::Pieces;
+use super::surface::SurfaceLine;
+
+/// So many scans in a row contradict the pose before it is searched for.
+const DOUBTS: u64 = 3;
+/// Poses that are tried: steps to each side of [`STEP_M`] and [`STEP_RAD`]; one turn with each scan.
+const STEPS: i32 = 8;
+const TURNS: u64 = 11;
+const STEP_M: f64 = 0.1;
+const STEP_RAD: f64 = 0.06;
+/// Share of the returns that lie on known lines where the robot is.
+const ENOUGH: f64 = 0.6;
+/// Of poses that explain the scan alike, the nearer one is taken: share of the returns that a metre costs.
+const PER_M: f64 = 0.05;
+/// A surface is seen where it stands to this, and looked through when the return is further behind it [m].
+const THERE_M: (f64, f64) = (0.12, 0.2);
+/// Surfaces further away, or less in the view, are not asked [m].
+const ASKED_M: (f64, f64) = (0.3, 5.0);
+/// Cosine between a beam and the normal of the surface, at least.
+const FACING: f64 = 0.35;
+/// Places of a surface that are asked: the nearest one, and these beside it [m].
+const BESIDE_M: [f64; 3] = [-1.5, 0.0, 1.5];
+/// Places that have to be looked through at least.
+const THROUGH: u32 = 3;
+
+plain_state! {
+    /// How far the search is.
+    pub struct Search {
+        /// Scans in a row that contradict the pose
+        pub doubts: u64,
+        /// Turns that were tried
+        pub turns: u64,
+        /// The best pose so far, against the one that is doubted: yaw, x and y [rad, m, m]
+        pub best: [f64; 3],
+        /// Share of the returns that it explains, less what its distance costs
+        pub score: f64,
+        /// How often the robot has found itself
+        pub found: u64,
+        /// How often it has not
+        pub lost: u64,
+    }
+}
+
+/// What comes of a scan.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Whereabouts {
+    /// Nothing speaks against the pose.
+    Known,
+    /// The pose is searched for.
+    Sought,
+    /// The robot is here.
+    Found(Vector3<f64>),
+    /// It is nowhere near.
+    Lost,
+}
+
+impl Search {
+    /// Whether the pose is not known.
+    pub fn is_on(&self) -> bool {
+        self.doubts >= DOUBTS
+    }
+
+    /// Takes a scan into account.
+    pub fn follow(
+        &mut self,
+        scan: &Scan,
+        pieces: &Pieces,
+        lines: &[SurfaceLine],
+        pose: [f64; 3],
+        vehicle: &Description,
+    ) -> Whereabouts {
+        if !self.is_on() {
+            self.doubts = if contradicts(scan, lines, pose, vehicle) { self.doubts + 1 } else { 0 };
+            if !self.is_on() {
+                return Whereabouts::Known;
+            }
+        }
+        self.try_turn(pieces, lines, pose);
+        self.turns += 1;
+        if self.turns < TURNS {
+            return Whereabouts::Sought;
+        }
+        let Self { best, score, found, lost, .. } = *self;
+        *self = Self { found, lost, ..Self::default() };
+        if score < ENOUGH {
+            self.lost += 1;
+            return Whereabouts::Lost;
+        }
+        self.found += 1;
+        let [yaw, x, y] = pose;
+        Whereabouts::Found(Vector3::new(wrap_angle(yaw + best[0]), x + best[1], y + best[2]))
+    }
+
+    /// Tries the poses with the next turn: none first, then ever larger ones to both sides.
+    fn try_turn(&mut self, pieces: &Pieces, lines: &[SurfaceLine], [yaw, x, y]: [f64; 3]) {
+        let side = if self.turns.is_multiple_of(2) { 1.0 } else { -1.0 };
+        let turn = side * self.turns.div_ceil(2) as f64 * STEP_RAD;
+        let returns: f64 = pieces.all().iter().map(|piece| piece.count).sum();
+        let coarse = Matrix3::from_diagonal(
+            &Vector3::new(STEP_RAD / 4.0, STEP_M / 4.0, STEP_M / 4.0).map(|sigma| sigma * sigma),
+        );
+        for (ahead, left) in
+            (-STEPS..=STEPS).flat_map(|ahead| (-STEPS..=STEPS).map(move |left| (ahead, left)))
+        {
+            let (dx, dy) = (f64::from(ahead) * STEP_M, f64::from(left) * STEP_M);
+            let pose = Vector3::new(yaw + turn, x + dx, y + dy);
+            let prior = Prior { pose, covariance: coarse, map: Matrix3::zeros() };
+            let explained = pieces.all().iter().filter(|piece| {
+                nearest(piece, lines, &pose, pieces.noise_m, &prior, |line| line.counts).is_some()
+            });
+            let score =
+                explained.map(|piece| piece.count).sum::<f64>() / returns.max(1.0) - PER_M * dx.hypot(dy);
+            if score > self.score {
+                (self.score, self.best) = (score, [turn, dx, dy]);
+            }
+        }
+    }
+}
+
+/// Whether the scan looks through surfaces that should be seen, more often than it sees them.
+fn contradicts(scan: &Scan, lines: &[SurfaceLine], [yaw, x, y]: [f64; 3], vehicle: &Description) -> bool {
+    let robot = Vector2::new(x, y);
+    let (mut seen, mut through) = (0, 0);
+    for line in lines.iter().filter(|line| line.counts) {
+        let [first, last] = line.extent_m;
+        let nearest_m = line.along().dot(&(robot - line.middle));
+        let half_m = (last - first) / 2.0;
+        for beside_m in
+            BESIDE_M.map(|beside_m| beside_m.clamp(-half_m, half_m) / if half_m < 1.5 { 2.0 } else { 1.0 })
+        {
+            let at_m = (nearest_m + beside_m).clamp(first, last);
+            let from = line.middle + line.along() * at_m - robot;
+            let place =
+                to_robot(yaw, from.x, from.y) - Vector2::new(vehicle.scanner_x_m, vehicle.scanner_y_m);
+            let expected_m = place.norm();
+            let is_asked = (ASKED_M.0..ASKED_M.1).contains(&expected_m)
+                && -line.normal.dot(&from) >= FACING * from.norm();
+            let angle = wrap_angle(place.y.atan2(place.x) - vehicle.scanner_yaw_rad);
+            let beam = ((angle - scan.first_rad) / scan.increment_rad).round();
+            if !is_asked || !(0.0..scan.ranges().len() as f64).contains(&beam) {
+                continue;
+            }
+            let Some(range_m) = scan.range_m(beam as usize) else { continue };
+            let behind_m = range_m - expected_m;
+            seen += u32::from(behind_m.abs() <= THERE_M.0);
+            through += u32::from(behind_m >= THERE_M.1);
+        }
+    }
+    through >= THROUGH && through > seen
+}

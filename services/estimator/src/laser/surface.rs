@@ -1,0 +1,312 @@
+//! Surfaces that stand still, and the memory of those that were seen.
+//!
+//! A surface begins as a piece of a scan that nothing known explains. It counts when it was seen often enough, for long
+//! enough, and always in one place: what moves does not. Its line is fitted through all returns until then and for a
+//! while after, and stays: a wall along which the robot drives for a kilometre keeps its direction. The surface that
+//! was not seen for longest makes place for a new one.
+
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use shared_types::{Fault, finite, plain_state};
+
+use super::pieces::{Piece, normal_of};
+
+/// How many surfaces are remembered.
+pub const SURFACES: usize = 42;
+/// A surface counts after so many sightings, over this time [ns].
+const CONFIRMED: (u64, u64) = (5, 450_000_000);
+/// Its line is kept after so many sightings, and that of a long one after so many returns.
+const SETTLED: (u64, f64) = (6, 1500.0);
+
+plain_state! {
+    /// A straight surface on the track.
+    pub struct Surface {
+        /// How many returns its line is fitted through; 0 for no surface
+        pub count: f64,
+        /// Their mean [m]
+        pub mean_m: [f64; 2],
+        /// Sum of their squares about it: xx, xy, yy [m^2]
+        pub scatter_m2: [f64; 3],
+        /// From where to where it was seen, along it from its mean [m]
+        pub extent_m: [f64; 2],
+        /// Length of the piece that it was when it was seen first [m]
+        pub length_m: f64,
+        /// Mean of its middles between its edges [m]
+        pub middle_m: [f64; 2],
+        /// How often both were seen, until its line was kept
+        pub middles: u64,
+        /// Its mean at the first sighting [m]
+        pub first_m: [f64; 2],
+        /// 1 when its normal is the negative of that of its scatter
+        pub is_turned: u64,
+        /// How often it was seen
+        pub sightings: u64,
+        /// When it was seen first [ns]
+        pub since_ns: u64,
+        /// When it was seen last [ns]
+        pub seen_ns: u64,
+        /// Where the robot was when it was seen first [m]
+        pub seen_from_m: [f64; 2],
+        /// Covariance of its place, as one of (yaw, x, y) of the robot then: its lower triangle, column by column
+        pub covariance: [f64; 6],
+    }
+}
+
+plain_state! {
+    /// Surfaces that were seen.
+    pub struct SurfaceMap {
+        /// Each in a place of its own
+        pub surfaces: [Surface; SURFACES],
+    }
+}
+
+/// A line on the track that a piece of a scan may be a part of.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SurfaceLine {
+    /// Direction that it faces.
+    pub normal: Vector2<f64>,
+    /// A place on it [m].
+    pub middle: Vector2<f64>,
+    /// From where to where, along it from there, to the left of where it faces [m].
+    pub extent_m: [f64; 2],
+    /// Whether it is a long one: its direction counts, and it continues beyond what was seen of it.
+    pub is_long: bool,
+    /// Covariance of its place, as one of (yaw, x, y) of a robot that was there.
+    pub covariance: Matrix3<f64>,
+    /// Where that was [m].
+    pub seen_from: Vector2<f64>,
+    /// Its middle between its edges, if they were seen [m].
+    pub center: Option<Vector2<f64>>,
+    /// Which surface of the map it is, if it is one that was seen.
+    pub index: Option<usize>,
+    /// Whether it counts in a match.
+    pub counts: bool,
+}
+
+/// A middle between edges that stands still is found within so many of its standard deviations.
+const SIGMAS: f64 = 3.0;
+/// A line of this length is a long one: its direction counts, and it continues beyond what was seen of it [m].
+const LONG_M: f64 = 1.5;
+
+impl SurfaceLine {
+    /// Direction along it, to the left of where it faces.
+    pub fn along(&self) -> Vector2<f64> {
+        Vector2::new(-self.normal.y, self.normal.x)
+    }
+}
+
+/// A piece as it lies on the track.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Placed {
+    pub(super) mean: Vector2<f64>,
+    pub(super) scatter: Matrix2<f64>,
+    pub(super) normal: Vector2<f64>,
+    pub(super) ends: [Vector2<f64>; 2],
+    pub(super) middle: Option<(Vector2<f64>, f64)>,
+}
+
+impl Placed {
+    pub(super) fn new(piece: &Piece, pose: &Vector3<f64>) -> Self {
+        let (sin, cos) = pose[0].sin_cos();
+        let turn = Matrix2::new(cos, -sin, sin, cos);
+        let place = |point: Vector2<f64>| turn * point + Vector2::new(pose[1], pose[2]);
+        Self {
+            mean: place(piece.mean),
+            scatter: turn * piece.scatter * turn.transpose(),
+            normal: turn * piece.normal,
+            ends: piece.ends.map(place),
+            middle: piece.middle.map(|(middle, sigma_m)| (place(middle), sigma_m)),
+        }
+    }
+}
+
+impl Placed {
+    fn length_m(&self) -> f64 {
+        (self.ends[1] - self.ends[0]).norm()
+    }
+
+    /// Covariance of its line by the noise of its returns, as one of (yaw, x, y) of the robot at `pose` that saw it.
+    pub(super) fn uncertainty(&self, count: f64, noise_m: f64, pose: &Vector3<f64>) -> Matrix3<f64> {
+        let apart = Vector2::new(pose[1], pose[2]) - self.mean;
+        let turned = Vector3::new(1.0, -apart.y, apart.x);
+        let moved = Vector3::new(0.0, self.normal.x, self.normal.y);
+        let along_m2 = self.scatter.trace().max(f64::MIN_POSITIVE);
+        // The direction of a short one is not used.
+        let is_long = self.length_m() >= LONG_M;
+        let by_direction = if is_long { turned * turned.transpose() / along_m2 } else { Matrix3::zeros() };
+        (by_direction + moved * moved.transpose() / count) * noise_m.powi(2)
+    }
+}
+
+impl Surface {
+    /// Whether there is one.
+    fn is_there(&self) -> bool {
+        self.count > 0.0
+    }
+
+    fn scatter(&self) -> Matrix2<f64> {
+        let [xx, xy, yy] = self.scatter_m2;
+        Matrix2::new(xx, xy, xy, yy)
+    }
+
+    fn mean(&self) -> Vector2<f64> {
+        Vector2::from(self.mean_m)
+    }
+
+    fn normal(&self) -> Vector2<f64> {
+        let normal = normal_of(&self.scatter());
+        if self.is_turned == 1 { -normal } else { normal }
+    }
+
+    /// Whether it was seen often enough and for long enough.
+    fn counts(&self) -> bool {
+        self.sightings >= CONFIRMED.0 && self.seen_ns.saturating_sub(self.since_ns) >= CONFIRMED.1
+    }
+
+    /// Whether its first piece was long: a line that pieces of a bent wall make longer is no straight one.
+    fn is_long(&self) -> bool {
+        self.length_m >= LONG_M
+    }
+
+    fn is_settled(&self) -> bool {
+        let (sightings, count) = SETTLED;
+        self.sightings >= sightings && (!self.is_long() || self.count >= count)
+    }
+
+    fn line(&self, index: usize) -> SurfaceLine {
+        let [a, b, c, d, e, f] = self.covariance;
+        SurfaceLine {
+            normal: self.normal(),
+            middle: self.mean(),
+            extent_m: self.extent_m,
+            is_long: self.is_long(),
+            covariance: Matrix3::new(a, b, c, b, d, e, c, e, f),
+            seen_from: Vector2::from(self.seen_from_m),
+            center: (self.middles > 0).then(|| Vector2::from(self.middle_m)),
+            index: Some(index),
+            counts: self.counts(),
+        }
+    }
+
+    fn fit(&mut self, count: f64, placed: &Placed) {
+        let sum = self.count + count;
+        let apart = placed.mean - self.mean();
+        let before = self.normal();
+        let scatter =
+            self.scatter() + placed.scatter + apart * apart.transpose() * (self.count * count / sum);
+        let mean = self.mean() + apart * (count / sum);
+        (self.mean_m, self.count) = ([mean.x, mean.y], sum);
+        self.scatter_m2 = [scatter[(0, 0)], scatter[(0, 1)], scatter[(1, 1)]];
+        self.is_turned = u64::from(normal_of(&scatter).dot(&before) < 0.0);
+        let moved_m = Vector2::new(-before.y, before.x).dot(&apart) * (count / sum);
+        self.extent_m = self.extent_m.map(|end| end - moved_m);
+        self.center(placed);
+    }
+
+    /// Takes the middle between its edges into the mean.
+    fn center(&mut self, placed: &Placed) {
+        let Some((middle, _)) = placed.middle else { return };
+        self.middles += 1;
+        let mean = Vector2::from(self.middle_m);
+        let mean = mean + (middle - mean) / self.middles as f64;
+        self.middle_m = [mean.x, mean.y];
+    }
+
+    fn extend(&mut self, placed: &Placed) {
+        let normal = self.normal();
+        let along = Vector2::new(-normal.y, normal.x);
+        for end in placed.ends {
+            let at = along.dot(&(end - self.mean()));
+            self.extent_m = [self.extent_m[0].min(at), self.extent_m[1].max(at)];
+        }
+    }
+}
+
+impl SurfaceMap {
+    /// The lines of the surfaces.
+    pub(super) fn lines(&self) -> impl Iterator<Item = SurfaceLine> {
+        let there = self.surfaces.iter().enumerate().filter(|(_, surface)| surface.is_there());
+        there.map(|(index, surface)| surface.line(index))
+    }
+
+    /// A piece of a surface was seen again; one that does not count yet is forgotten when it is further than `tolerance_m` from
+    /// where it was.
+    pub(super) fn see(&mut self, index: usize, count: f64, placed: &Placed, now_ns: u64, tolerance_m: f64) {
+        let surface = &mut self.surfaces[index];
+        let moved_m = surface.normal().dot(&(placed.mean - Vector2::from(surface.first_m))).abs();
+        let center = Vector2::from(surface.middle_m);
+        let along_m = placed
+            .middle
+            .filter(|_| surface.middles > 0)
+            .map_or(0.0, |(middle, sigma_m)| ((middle - center).norm() - SIGMAS * sigma_m).max(0.0));
+        if !surface.counts() && moved_m.max(along_m) > tolerance_m {
+            *surface = Surface::default();
+            return;
+        }
+        if !surface.is_settled() {
+            surface.fit(count, placed);
+        }
+        if !surface.is_settled() || surface.is_long() {
+            surface.extend(placed);
+        }
+        surface.sightings += 1;
+        surface.seen_ns = now_ns;
+    }
+
+    /// Remembers a piece as a new surface; `covariance` is that of its place.
+    pub(super) fn add(
+        &mut self,
+        piece: &Piece,
+        placed: &Placed,
+        pose: &Vector3<f64>,
+        covariance: &Matrix3<f64>,
+        now_ns: u64,
+    ) {
+        let oldest = (0..SURFACES).min_by_key(|index| {
+            let surface = &self.surfaces[*index];
+            if surface.is_there() { surface.seen_ns + 1 } else { 0 }
+        });
+        let Some(index) = oldest else { return };
+        let scatter = placed.scatter;
+        let mut surface = Surface {
+            count: piece.count,
+            mean_m: [placed.mean.x, placed.mean.y],
+            scatter_m2: [scatter[(0, 0)], scatter[(0, 1)], scatter[(1, 1)]],
+            length_m: placed.length_m(),
+            first_m: [placed.mean.x, placed.mean.y],
+            is_turned: u64::from(normal_of(&scatter).dot(&placed.normal) < 0.0),
+            sightings: 1,
+            since_ns: now_ns,
+            seen_ns: now_ns,
+            seen_from_m: [pose[1], pose[2]],
+            covariance: [(0, 0), (1, 0), (2, 0), (1, 1), (2, 1), (2, 2)].map(|place| covariance[place]),
+            ..Surface::default()
+        };
+        surface.extend(placed);
+        surface.center(placed);
+        self.surfaces[index] = surface;
+    }
+
+    /// Passes when all numbers are finite.
+    ///
+    /// # Errors
+    /// [`Fault`] of the first surface with another.
+    pub fn check(&self) -> Result<(), Fault> {
+        for surface in &self.surfaces {
+            let Surface {
+                count,
+                mean_m,
+                scatter_m2,
+                extent_m,
+                first_m,
+                middle_m,
+                seen_from_m,
+                covariance,
+                ..
+            } = surface;
+            finite("map", &[*count])?;
+            let numbers = [&mean_m[..], scatter_m2, extent_m, first_m, middle_m, seen_from_m, covariance];
+            numbers.into_iter().try_for_each(|numbers| finite("map", numbers))?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,248 @@
+//! Scans of places that are drawn by hand.
+
+use nalgebra::{Matrix3, Vector2, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use shared_types::{BEAMS, Scan, ScanGeometry};
+use vehicle::frame::heading;
+use vehicle::{Description, Surroundings, Track};
+
+use super::align::align;
+use super::known::surfaces;
+use super::pieces::{Pieces, SweepMotion};
+use super::surface::{SurfaceLine, SurfaceMap};
+use super::{LaserMode, LaserState, Matcher};
+use crate::dead_reckoning::{DeadReckoning, DriftSources};
+
+/// What a beam hits.
+#[derive(Clone, Copy)]
+enum Body {
+    /// From one corner to another.
+    Wall([f64; 2], [f64; 2]),
+    /// Middle and radius.
+    Post([f64; 2], f64),
+}
+
+impl Body {
+    /// Distance along a beam.
+    fn range(&self, from: Vector2<f64>, direction: Vector2<f64>) -> f64 {
+        match *self {
+            Self::Wall(one, other) => {
+                let (one, other) = (Vector2::from(one) - from, Vector2::from(other) - from);
+                let along = other - one;
+                let cross = direction.perp(&along);
+                let (range, share) = (one.perp(&along) / cross, one.perp(&direction) / cross);
+                if range > 0.0 && (0.0..=1.0).contains(&share) { range } else { f64::INFINITY }
+            }
+            Self::Post(middle, radius) => {
+                let middle = Vector2::from(middle) - from;
+                let ahead = middle.dot(&direction);
+                let inside = radius * radius - (middle.norm_squared() - ahead * ahead);
+                if ahead > 0.0 && inside > 0.0 { ahead - inside.sqrt() } else { f64::INFINITY }
+            }
+        }
+    }
+}
+
+/// A normal number, by twelve even ones.
+fn normal(generator: &mut Pcg64) -> f64 {
+    (0..12).map(|_| generator.random::<f64>()).sum::<f64>() - 6.0
+}
+
+/// A box of this length and width.
+fn boxed([x, y]: [f64; 2], [length, width]: [f64; 2]) -> [Body; 4] {
+    let corner = |along: f64, across: f64| [x + along * length / 2.0, y + across * width / 2.0];
+    let corners = [corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)];
+    [0, 1, 2, 3].map(|side| Body::Wall(corners[side], corners[(side + 1) % 4]))
+}
+
+/// A scan from a pose (yaw, x, y), with noise of 10 mm that differs from scan to scan.
+fn scan(number: u64, [yaw, x, y]: [f64; 3], bodies: &[Body]) -> Scan {
+    let mut scan = Scan { sweep_ns: 66_666_667, ..Scan::of(ScanGeometry::URG_04LX) };
+    scan.header.acquired_ns = number * 100_000_000;
+    let mut generator = Pcg64::seed_from_u64(number);
+    for beam in 0..BEAMS {
+        let direction = heading(yaw + ScanGeometry::URG_04LX.yaw_rad(beam));
+        let ranges = bodies.iter().map(|body| body.range(Vector2::new(x, y), direction));
+        let range_m = ranges.fold(f64::INFINITY, f64::min);
+        let noise_m = 0.01 * normal(&mut generator);
+        if range_m < 5.6 {
+            scan.ranges_mm[beam] = (1e3 * (range_m + noise_m)) as u32;
+        }
+    }
+    scan
+}
+
+fn pieces(bodies: &[Body]) -> Pieces {
+    let mut pieces = Pieces::default();
+    pieces.find(&scan(1, [0.0; 3], bodies), &Description::default(), &SweepMotion::default());
+    pieces
+}
+
+/// A room of 8 m by 6 m, with a box in it.
+fn room() -> Vec<Body> {
+    [boxed([1.0, 0.0], [8.0, 6.0]), boxed([3.0, 1.0], [0.5, 0.8])].concat()
+}
+
+/// Walls at 1.5 m on both sides, without an end.
+const CORRIDOR: [Body; 2] = [Body::Wall([-50.0, 1.5], [50.0, 1.5]), Body::Wall([-50.0, -1.5], [50.0, -1.5])];
+
+#[test]
+fn a_wall_is_one_piece_on_its_line() {
+    let pieces = pieces(&[Body::Wall([2.0, -1.5], [2.0, 1.5])]);
+    let [piece] = pieces.all() else { panic!("{:?}", pieces.all()) };
+    assert!((piece.mean.x - 2.0).abs() < 0.003 && piece.normal.x < -0.999, "{piece:?}");
+    assert!((0.007..0.013).contains(&pieces.noise_m), "{}", pieces.noise_m);
+    // The edges are half a beam beyond the last returns: 6 mm at 2.5 m.
+    let (middle, sigma_m) = piece.middle.unwrap();
+    assert!(middle.y.abs() < 3.0 * sigma_m && sigma_m < 0.01, "{middle} {sigma_m}");
+}
+
+#[test]
+fn two_sides_of_a_box_are_two_pieces_and_a_round_body_is_none() {
+    let corner = pieces(&boxed([2.0, 1.0], [1.0, 1.0]));
+    let normals: Vec<_> = corner.all().iter().map(|piece| piece.normal).collect();
+    assert_eq!(normals.len(), 2, "{normals:?}");
+    assert!(normals[0].dot(&normals[1]).abs() < 0.05, "{normals:?}");
+    for radius in [0.1, 0.2, 0.4, 1.0] {
+        let round = pieces(&[Body::Post([2.5 + radius, 0.3], radius)]);
+        assert!(round.all().is_empty(), "{radius}: {:?}", round.all());
+    }
+}
+
+#[test]
+fn what_is_partly_hidden_has_no_middle() {
+    // A post in front of the wall's left end.
+    let pieces = pieces(&[Body::Wall([3.0, -1.0], [3.0, 1.0]), Body::Post([1.5, 0.5], 0.1)]);
+    let right = pieces.all().iter().max_by(|one, other| one.ends[1].y.total_cmp(&other.ends[1].y)).unwrap();
+    assert!(right.ends[1].y < 0.8 && right.middle.is_none(), "{right:?}");
+}
+
+#[test]
+fn the_sweep_of_a_robot_that_drives_and_turns_is_made_straight() {
+    let motion = SweepMotion { speed_mps: 1.0, yaw_rate_radps: 0.3 };
+    let wall = [Body::Wall([-3.0, 2.0], [6.0, 2.0])];
+    let mut swept = scan(1, [0.0; 3], &[]);
+    for beam in 0..BEAMS {
+        let time_s = swept.beam_time_s(beam);
+        let yaw = motion.yaw_rate_radps * time_s;
+        let place = heading(yaw / 2.0) * (motion.speed_mps * time_s);
+        swept.ranges_mm[beam] = scan(1, [yaw, place.x, place.y], &wall).ranges_mm[beam];
+    }
+    let mut pieces = Pieces::default();
+    let mut off_rad = |motion: &SweepMotion| {
+        pieces.find(&swept, &Description::default(), motion);
+        pieces.all().iter().map(|piece| piece.normal.x.abs()).fold(0.0, f64::max)
+    };
+    let (straight, bent) = (off_rad(&motion), off_rad(&SweepMotion::default()));
+    assert!(straight < 0.01 && bent > 2.0 * straight, "{straight} {bent}");
+}
+
+/// Lines of a room, as if they had been seen before.
+fn lines() -> Vec<SurfaceLine> {
+    let side = |normal: [f64; 2], middle: [f64; 2], half_m: f64| SurfaceLine {
+        normal: Vector2::from(normal),
+        middle: Vector2::from(middle),
+        extent_m: [-half_m, half_m],
+        is_long: half_m > 0.75,
+        covariance: Matrix3::zeros(),
+        seen_from: Vector2::zeros(),
+        center: None,
+        index: None,
+        counts: true,
+    };
+    vec![
+        side([-1.0, 0.0], [5.0, 0.0], 3.0),
+        side([0.0, -1.0], [1.0, 3.0], 4.0),
+        side([0.0, 1.0], [1.0, -3.0], 4.0),
+        side([-1.0, 0.0], [2.75, 1.0], 0.4),
+    ]
+}
+
+fn known(pose: [f64; 3], deviations: [f64; 3]) -> DeadReckoning {
+    let covariance =
+        Matrix3::from_diagonal(&Vector3::from(deviations.map(|deviation| deviation * deviation)));
+    DeadReckoning::begin(pose, &covariance, &DriftSources::default())
+}
+
+#[test]
+fn the_pose_in_a_room_is_found_to_millimetres_from_a_wrong_guess() {
+    let truth = [0.05, 0.1, -0.2];
+    let mut pieces = Pieces::default();
+    pieces.find(&scan(1, truth, &room()), &Description::default(), &SweepMotion::default());
+    for guess in [[0.05, 0.1, -0.2], [0.0, 0.0, -0.1], [0.1, 0.2, -0.3]] {
+        let mut reckoning = known(guess, [0.1, 0.2, 0.2]);
+        let found = align(&pieces, &lines(), &reckoning).unwrap();
+        assert!(reckoning.correct(&found.sighting));
+        let [yaw, x, y] = reckoning.pose;
+        assert!((yaw - truth[0]).abs() < 0.003, "{yaw}");
+        assert!((x - truth[1]).abs() < 0.008 && (y - truth[2]).abs() < 0.008, "{x} {y}");
+        assert!(reckoning.of_pose().diagonal().max() < 0.03_f64.powi(2), "{}", reckoning.of_pose());
+    }
+}
+
+#[test]
+fn walls_along_the_way_show_no_way() {
+    let mut pieces = Pieces::default();
+    pieces.find(&scan(1, [0.02, 0.0, 0.1], &CORRIDOR), &Description::default(), &SweepMotion::default());
+    let track = Track { y_m: [-1.5, 1.5], x_m: [-50.0, 50.0], walls: true, ..Track::default() };
+    let mut lines = Vec::new();
+    surfaces(&track, Vector2::zeros(), 5.6, &mut |line| lines.push(line));
+    let mut reckoning = known([0.0, 0.3, 0.0], [0.05, 0.2, 0.2]);
+    let found = align(&pieces, &lines, &reckoning).unwrap();
+    assert!(reckoning.correct(&found.sighting));
+    let [yaw, x, y] = reckoning.pose;
+    assert!((yaw - 0.02).abs() < 0.003 && (y - 0.1).abs() < 0.006, "{yaw} {y}");
+    let left = reckoning.of_pose();
+    assert!((x - 0.3).abs() < 0.01 && left[(1, 1)] > 0.19_f64.powi(2) && left[(2, 2)] < 0.01_f64.powi(2));
+}
+
+#[test]
+fn a_track_states_its_walls_or_the_hall_around_it() {
+    let count = |track: &Track, x: f64| {
+        let mut lines = Vec::new();
+        surfaces(track, Vector2::new(x, 0.0), 5.6, &mut |line| lines.push(line));
+        lines
+    };
+    let hall = Track::default();
+    let seen = count(&hall, 10.0);
+    assert!(seen.iter().any(|line| line.normal == -Vector2::y() && line.middle.y == 3.5));
+    // A pillar at 10 m: its face 0.3 m before the wall.
+    assert!(seen.iter().any(|line| line.middle == Vector2::new(10.0, 3.2) && line.center.is_some()));
+    assert!(seen.iter().all(|line| line.normal.x == 0.0 || (line.middle.x - 10.0).abs() < 5.8));
+    assert_eq!(count(&Track { walls: true, ..hall }, 10.0).len(), 2);
+    assert!(count(&Track { surroundings: Surroundings::Open, ..hall }, 10.0).is_empty());
+}
+
+/// Surfaces that count after scans at rest, and the pose.
+fn after(scans: u64, bodies: impl Fn(u64) -> Vec<Body>) -> (SurfaceMap, DeadReckoning) {
+    let track = Track { surroundings: Surroundings::Open, ..Track::default() };
+    let mut matcher = Matcher::new(LaserMode::Match, track, &Description::default());
+    let (mut state, mut reckoning) = (LaserState::default(), known([0.0; 3], [1e-4; 3]));
+    for number in 1..=scans {
+        matcher.see(
+            &scan(number, [0.0; 3], &bodies(number)),
+            &SweepMotion::default(),
+            &mut state,
+            &mut reckoning,
+        );
+    }
+    (state.map, reckoning)
+}
+
+#[test]
+fn what_stands_still_counts_and_what_moves_does_not() {
+    let counting = |map: &SurfaceMap| map.lines().filter(|line| line.counts).count();
+    let (at_rest, reckoning) = after(15, |_| room());
+    assert!(counting(&at_rest) >= 4, "{}", counting(&at_rest));
+    assert!(reckoning.pose.iter().all(|number| number.abs() < 1e-3), "{:?}", reckoning.pose);
+    for [ahead_mps, left_mps] in [[-0.3, 0.0], [0.0, 0.3], [0.1, 0.1]] {
+        let moving = |number: u64| {
+            let time_s = number as f64 * 0.1;
+            boxed([3.0 + ahead_mps * time_s, -0.5 + left_mps * time_s], [0.5, 0.6]).to_vec()
+        };
+        let (map, reckoning) = after(15, moving);
+        assert_eq!(counting(&map), 0, "{ahead_mps} {left_mps}");
+        assert_eq!(reckoning.pose, [0.0; 3]);
+    }
+}

@@ -1,0 +1,99 @@
+//! The pose is corrected by the laser: long ways, with surroundings that the stack is told of and those that it is not.
+
+use emulator::Scenario;
+use pipeline::{PipelineSettings, SimulatedLoop, Tuning};
+use shared_types::{AnySample, AnyStage, Odometry, Pose, Role, Scan, Stage, Truth};
+use vehicle::Surroundings;
+
+use crate::{parse, seeds};
+
+/// Errors of the pose against the truth of its scan.
+#[derive(Debug, Default)]
+struct Errors {
+    truth: Truth,
+    scans: f64,
+    squares: f64,
+    most_m: f64,
+    inside: f64,
+}
+
+impl pipeline::LoopWatch for Errors {
+    fn measured(&mut self, _: &Scan, _: &Odometry, truth: &Truth) {
+        self.truth = *truth;
+    }
+
+    fn stepped(&mut self, _: &dyn AnyStage, output: Option<AnySample<'_>>) {
+        let Some(pose) = output.and_then(|output| output.get::<Pose>()) else { return };
+        let (x, y) = (pose.x_m - self.truth.x_m, pose.y_m - self.truth.y_m);
+        let [.., xx, xy, _, _, yy] = pose.covariance;
+        let squares = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy);
+        self.scans += 1.0;
+        self.squares += x * x + y * y;
+        self.most_m = self.most_m.max(x.hypot(y));
+        self.inside += f64::from(u8::from(squares <= 9.21));
+    }
+}
+
+/// Drives so far; surroundings that are not stated are told to no stage of the pose.
+fn drive(text: &str, way_m: f64, is_stated: bool, change: impl Fn(&mut Tuning)) -> Errors {
+    let scenario: Scenario = parse(text);
+    let mut settings = PipelineSettings::of(scenario);
+    change(&mut settings.tuning);
+    let mut simulation = SimulatedLoop::new(&settings, true).unwrap();
+    if !is_stated {
+        let mut tuning = settings.tuning.clone().for_scenario(&settings.scenario);
+        (tuning.estimator.track.walls, tuning.estimator.track.surroundings) = (false, Surroundings::Open);
+        let stage = estimator::EstimatorStage::begin(tuning.estimator, settings.period_ns).unwrap();
+        assert_eq!(<estimator::EstimatorStage as Stage>::ROLE, Role::Estimator);
+        simulation.replace_stage(Box::new(stage));
+    }
+    let mut errors = Errors::default();
+    while simulation.way_m() < way_m && simulation.next_scan() < 100 * way_m as u64 {
+        simulation.move_on();
+        simulation.measure(&mut errors);
+        simulation.settle(&mut errors);
+    }
+    assert!(simulation.way_m() >= way_m, "stopped after {} m: {errors:?}", simulation.way_m());
+    errors
+}
+
+fn endless(preset: &str, seed: u64, surroundings: &str) -> String {
+    format!(
+        "name = \"way\"\nseed = {seed}\ntimeout_s = 4000.0\n[track]\nx_m = [0.0, 1000.0]\n\
+         surroundings = \"{surroundings}\"\n[goal]\nx_m = 990.0\n[robot]\npreset = \"{preset}\"\n\
+         [endless]\nspacing_m = 5.5\nwidth_m = [0.2, 0.5]\nlength_m = 0.1\nlateral_m = 0.6\n"
+    )
+}
+
+#[test]
+fn a_hall_that_is_stated_keeps_the_pose_to_centimetres() {
+    for preset in ["summit", "worn"] {
+        for (seed, errors) in
+            seeds::each(1..=4, |seed| drive(&endless(preset, seed, "hall"), 100.0, true, |_| {}))
+        {
+            let rms_m = (errors.squares / errors.scans).sqrt();
+            assert!(rms_m < 0.01 && errors.most_m < 0.05, "{preset} {seed}: {rms_m} {errors:?}");
+            assert!(errors.inside / errors.scans > 0.9, "{preset} {seed}: {errors:?}");
+        }
+    }
+}
+
+#[test]
+fn surroundings_that_nobody_stated_keep_the_pose_to_a_thousandth_of_the_way() {
+    for (seed, errors) in
+        seeds::each(1..=4, |seed| drive(&endless("summit", seed, "hall"), 100.0, false, |_| {}))
+    {
+        assert!(errors.most_m < 0.15, "{seed}: {errors:?}");
+        assert!(errors.inside / errors.scans > 0.9, "{seed}: {errors:?}");
+    }
+}
+
+#[test]
+fn without_a_laser_the_pose_is_that_of_the_odometer() {
+    let off = |tuning: &mut Tuning| tuning.estimator.laser = Some(estimator::laser::LaserMode::Off);
+    for (seed, errors) in seeds::each(1..=3, |seed| drive(&endless("summit", seed, "hall"), 60.0, true, off))
+    {
+        assert!(errors.most_m > 0.03 && errors.most_m < 0.6, "{seed}: {errors:?}");
+        assert!(errors.inside / errors.scans > 0.9, "{seed}: {errors:?}");
+    }
+}
