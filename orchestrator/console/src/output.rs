@@ -3,12 +3,13 @@
 //! With `--json` the JSON alone goes to standard output, and the text for people to standard error.
 
 use std::ffi::OsString;
-use std::io::{self, ErrorKind, IsTerminal, Write};
+use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::Context;
 use clap::builder::{OsStringValueParser, TypedValueParser};
+use clap::error::ErrorKind;
 use clap::{ColorChoice, Parser};
 
 use runtime::printable;
@@ -68,7 +69,8 @@ pub fn redraw(text: &str) -> anyhow::Result<bool> {
 pub fn arguments<A: Parser>() -> A {
     let matches = A::command().color(colours()).try_get_matches();
     matches.and_then(|matches| A::from_arg_matches(&matches)).unwrap_or_else(|error| {
-        if !error.use_stderr() {
+        // A command without its words has its help for an answer.
+        if !error.use_stderr() || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
             error.exit();
         }
         // Names of files may stand in it, as after `scanloop check *`.
@@ -80,7 +82,8 @@ pub fn arguments<A: Parser>() -> A {
 /// Whether help has colours. `CLICOLOR_FORCE=0` forces none: the library takes any value for force.
 fn colours() -> ColorChoice {
     let is_forced = std::env::var_os("CLICOLOR_FORCE").is_none_or(|value| value != "0");
-    if is_forced || io::stdout().is_terminal() { ColorChoice::Auto } else { ColorChoice::Never }
+    let is_terminal = io::stdout().is_terminal() && io::stderr().is_terminal();
+    if is_forced || is_terminal { ColorChoice::Auto } else { ColorChoice::Never }
 }
 
 fn write(before: &str, text: &str) -> anyhow::Result<bool> {
@@ -92,7 +95,7 @@ fn write(before: &str, text: &str) -> anyhow::Result<bool> {
         .and_then(|()| output.write_all(end.as_bytes()))
         .and_then(|()| output.flush());
     match written {
-        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(false),
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(false),
         written => written.map(|()| true).context("standard output"),
     }
 }
@@ -110,7 +113,8 @@ pub fn folder() -> impl TypedValueParser<Value = PathBuf> {
 /// # Errors
 /// The folder that refuses a file, the reason, and what is allowed.
 pub fn require_writable(folder: &Path) -> Result<(), String> {
-    let missing = |path: &&Path| matches!(path.metadata(), Err(error) if error.kind() == ErrorKind::NotFound);
+    let missing =
+        |path: &&Path| matches!(path.metadata(), Err(error) if error.kind() == io::ErrorKind::NotFound);
     let folder = std::path::absolute(folder).map_err(|error| error.to_string())?;
     let there = folder.ancestors().find(|path| !missing(path)).unwrap_or(&folder);
     new_file::probe(there).map_err(|error| {

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use clap::builder::{StyledStr, Styles};
 use clap::{Args, Parser, Subcommand};
 use conformance::ConformanceArguments;
 use plan::Choice;
@@ -37,9 +38,21 @@ const EXIT_CODES: &str = include_str!("exit-codes.txt");
 /// The help of the program: its commands by what one wants to do.
 const HELP: &str = include_str!("help.txt");
 
+/// The help of the program, its heads as those in the help of a command.
+fn help() -> StyledStr {
+    let look = *Styles::default().get_header();
+    let lines = HELP.split_inclusive('\n').map(|line| {
+        let head = line.split(' ').next().unwrap_or_default();
+        let rest = &line[head.len()..];
+        let is_head = !head.is_empty() && (head.ends_with(':') || rest.starts_with("  "));
+        if is_head { format!("{look}{head}{look:#}{rest}") } else { line.to_owned() }
+    });
+    lines.collect::<String>().into()
+}
+
 /// Autonomous driving that closes the loop within one laser scan.
 #[derive(Debug, Parser)]
-#[command(name = "scanloop", version, max_term_width = 100, override_help = HELP, after_help = EXIT_CODES)]
+#[command(name = "scanloop", version, max_term_width = 100, override_help = help(), after_help = EXIT_CODES)]
 pub struct Cli {
     /// Name of the system on this machine: 1 to 16 letters, digits or `-`.
     #[arg(long, global = true, value_name = "NAME", env = runtime::SYSTEM_ID_VARIABLE, default_value = DEFAULT_SYSTEM_ID)]

@@ -184,23 +184,31 @@ fn man_pages_cover_the_commands_of_both_executables() {
     assert!(system.folder().join("few/scanloop-campaign.1").exists());
 }
 
-/// What the executable writes to a pipe with these variables.
-fn help_of(system: &TestSystem, variables: &[(&str, &str)]) -> String {
-    let mut command = system.command(&["run", "--help"]);
+/// What the executable writes to pipes with these variables.
+fn help_of(system: &TestSystem, words: &[&str], variables: &[(&str, &str)]) -> String {
+    let mut command = system.command(words);
     for name in ["NO_COLOR", "CLICOLOR_FORCE", "CLICOLOR"] {
         command.env_remove(name);
     }
     let output = command.envs(variables.iter().copied()).env("TERM", "xterm").output().unwrap();
-    String::from_utf8(output.stdout).unwrap()
+    printed(&output)
 }
 
 #[test]
-fn the_help_has_colours_where_the_user_wants_them() {
+fn every_help_has_colours_where_the_user_wants_them() {
     let system = TestSystem::new(EXECUTABLE);
-    assert!(!help_of(&system, &[]).contains('\u{1b}'), "a pipe");
-    assert!(help_of(&system, &[("CLICOLOR_FORCE", "1")]).contains('\u{1b}'));
-    assert!(!help_of(&system, &[("NO_COLOR", "1"), ("CLICOLOR_FORCE", "0")]).contains('\u{1b}'));
-    assert!(!help_of(&system, &[("CLICOLOR_FORCE", "0")]).contains('\u{1b}'), "zero forces nothing");
+    // The last two are the answer to a command without its words.
+    for words in [&["run", "--help"][..], &["--help"], &[], &["bench"]] {
+        let is_styled = |variables: &[_]| help_of(&system, words, variables).contains('\u{1b}');
+        assert!(!is_styled(&[]), "{words:?}: a pipe");
+        assert!(is_styled(&[("CLICOLOR_FORCE", "1")]), "{words:?}");
+        assert!(!is_styled(&[("NO_COLOR", "1"), ("CLICOLOR_FORCE", "1")]), "{words:?}");
+        assert!(!is_styled(&[("CLICOLOR_FORCE", "0")]), "{words:?}: zero forces nothing");
+    }
+    for words in [&["rnu"][..], &["run", "nowhere.toml"], &["status"], &["doctor"]] {
+        let text = help_of(&system, words, &[("CLICOLOR_FORCE", "1")]);
+        assert!(!text.contains('\u{1b}'), "reports and errors are plain: {text}");
+    }
     for (no_color, has_colours) in [("", true), ("1", false)] {
         let terminal = Terminal::new(100, 50);
         let mut command = system.command(&["run", "--help"]);
