@@ -19,8 +19,10 @@ struct Seen {
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum What {
-    /// It runs, with so many processes; none is seen of a system in another namespace.
+    /// It runs, with so many processes; it has none while it starts or ends.
     Running(usize),
+    /// It runs in another namespace, where its processes are not seen.
+    Elsewhere,
     /// Its orchestrator died, and these processes drive on.
     Orphaned(String),
     /// Its run is over, and these processes live.
@@ -56,7 +58,8 @@ fn all() -> Vec<Seen> {
     let runs = LivingRun::with_strays(rustix::process::geteuid().as_raw());
     let list = |processes: Vec<String>| processes.join(", ");
     let mut found: BTreeMap<String, What> = BTreeMap::new();
-    for run in &runs {
+    // The page of a run that has just ended may still be open: it has no name any more.
+    for run in runs.iter().filter(|run| !run.system_id.is_empty()) {
         let what = if run.is_over() {
             What::Strays(list(run.strays().map(RunProcess::description).collect()))
         } else if run.orchestrator().is_none() {
@@ -69,7 +72,7 @@ fn all() -> Vec<Seen> {
     let (domains, _) = Domain::all_found();
     let run_ids: Vec<String> = domains.iter().map(|domain| domain.run_id().to_owned()).collect();
     for domain in domains {
-        let what = if is_hidden(&domain) { What::Running(0) } else { What::Files };
+        let what = if is_hidden(&domain) { What::Elsewhere } else { What::Files };
         found.entry(domain.system_id().to_owned()).or_insert(what);
     }
     let known: BTreeSet<String> = runs.iter().map(|run| run.run_id.clone()).chain(run_ids).collect();
@@ -90,7 +93,8 @@ fn runs_of_bus() -> BTreeSet<String> {
 
 fn running_of(systems: &[Seen]) -> Check {
     let text = |seen: &Seen| match seen.what {
-        What::Running(0) => Some(format!("`{}` in another namespace", seen.system_id)),
+        What::Elsewhere => Some(format!("`{}` in another namespace", seen.system_id)),
+        What::Running(1) => Some(format!("`{}` with 1 process", seen.system_id)),
         What::Running(count) => Some(format!("`{}` with {count} processes", seen.system_id)),
         _ => None,
     };
@@ -117,7 +121,7 @@ fn left_over(seen: &Seen) -> Option<[String; 2]> {
     let id = &seen.system_id;
     let stop = format!("`scanloop stop --system-id {id}`");
     Some(match &seen.what {
-        What::Running(_) => return None,
+        What::Running(_) | What::Elsewhere => return None,
         What::Orphaned(alive) => [format!("`{id}` has lost its orchestrator, but drives: {alive}"), stop],
         What::Strays(strays) => [format!("`{id}` is over, and has left {strays}"), stop],
         What::Files => [format!("files of `{id}`, of which nothing lives"), stop],
@@ -139,10 +143,11 @@ mod tests {
 
     #[test]
     fn running_systems_are_no_left_overs() {
-        let systems = [seen("a", What::Running(5)), seen("b", What::Running(0))];
+        let systems = [seen("a", What::Running(5)), seen("b", What::Elsewhere), seen("c", What::Running(1))];
         assert_eq!(left_overs_of(&systems), Check::ok("left_overs", "none"));
         let detail = running_of(&systems).detail;
-        assert_eq!(detail, "`a` with 5 processes, `b` in another namespace; another one needs `--system-id`");
+        let expected = "`a` with 5 processes, `b` in another namespace, `c` with 1 process; another one needs `--system-id`";
+        assert_eq!(detail, expected);
         assert_eq!(running_of(&[seen("c", What::Files)]).detail, "no system");
     }
 
