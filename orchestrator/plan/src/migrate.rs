@@ -48,9 +48,7 @@ pub fn migrate(text: &str) -> Result<Migration, String> {
         }
     }
     let (stage, key, why) = WITHOUT_EFFECT;
-    if let Some(stage) = document.get_mut(stage).and_then(Item::as_table_like_mut)
-        && stage.remove(key).is_some()
-    {
+    if document.get_mut(stage).is_some_and(|stage| remove(stage, key)) {
         changes.push(format!("{}.{key} is removed: it {why}", WITHOUT_EFFECT.0));
     }
     let rewritten = || {
@@ -99,6 +97,27 @@ fn take(table: &mut dyn TableLike, key: &str) -> Option<(Key, Item)> {
     let (key, item) = table.get_key_value(key).map(|(key, item)| (key.clone(), item.clone()))?;
     table.remove(key.get());
     Some((key, item))
+}
+
+/// Removes a key of a stage for good; whether it was there. Its comments go before the value that follows, else before the
+/// stage.
+fn remove(stage: &mut Item, key: &str) -> bool {
+    let Some(table) = stage.as_table_like_mut() else { return false };
+    let values = table.iter().filter(|(_, item)| item.is_value());
+    let next = values.skip_while(|(name, _)| *name != key).nth(1).map(|(name, _)| name.to_owned());
+    let Some((key, item)) = take(table, key) else { return false };
+    let [lead, trail] = comments(&key, &item).map(Option::unwrap_or_default);
+    let line = if trail.is_empty() { String::new() } else { format!("{}\n", trail.trim()) };
+    let text = format!("{}{line}", lead.trim_end_matches([' ', '\t']));
+    let after = |own: Option<&RawString>| own.and_then(RawString::as_str).unwrap_or_default().to_owned();
+    if let Some(mut next) = next.and_then(|next| table.key_mut(&next)) {
+        let own = after(next.leaf_decor().prefix());
+        next.leaf_decor_mut().set_prefix(format!("{text}{own}"));
+    } else if let Item::Table(table) = stage {
+        let own = after(table.decor().prefix());
+        table.decor_mut().set_prefix(format!("{own}{text}"));
+    }
+    true
 }
 
 /// Puts an item at a place below `table`, with the comments of its old key, unless what is there holds.
@@ -258,6 +277,17 @@ fn scaled(item: Item, old: &OldKey) -> Item {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_comments_of_a_key_that_is_removed_stay() {
+        let migrated = |old: &str| migrate(old).unwrap().text;
+        let old =
+            "[controller] # mine\n# of the scanner\nperiod_s = 0.1 # measured\n# far\nhorizon_s = 2.0\n";
+        let new = "[controller] # mine\n# of the scanner\n# measured\n# far\nhorizon_s = 2.0\n";
+        assert_eq!(migrated(old), new);
+        let last = "rate_hz = 10.0\n\n[controller]\nhorizon_s = 2.0\n# of the scanner\nperiod_s = 0.1\n";
+        assert_eq!(migrated(last), "rate_hz = 10.0\n\n# of the scanner\n[controller]\nhorizon_s = 2.0\n");
+    }
 
     #[test]
     fn every_old_key_moves_with_its_comments_and_means_the_same() {
