@@ -49,6 +49,24 @@ impl Dice {
     }
 }
 
+#[test]
+fn a_stage_that_does_not_take_a_topic_of_its_role_is_charged_with_no_loss() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        let file = system.folder().join("system.toml");
+        let program = env!("CARGO_BIN_EXE_dead-reckoning-under-test");
+        std::fs::write(&file, system_file(100, &[Role::Estimator], program, &[])).unwrap();
+        system.start(&["free", "--system", file.to_str().unwrap(), "--duration", "2"]);
+        system.wait();
+        let ledger = system.report().ledger;
+        assert_eq!((ledger.residual, ledger.faults.len()), (0, 0), "{:?}", ledger.faults);
+        let row =
+            ledger.topics.iter().find(|row| row.topic == "actuation" && row.reader == "estimator").unwrap();
+        assert!(row.replaced > 100 && row.used == 0, "{row:?}");
+        system.assert_nothing_left();
+    });
+}
+
 /// Plants one fault in a run; returns scan and number of the sample that it affected, if any, and the report.
 fn hide(fault: &str, topic: Topic, role: Role, scan: u64, lockstep: bool) -> (Option<[u64; 2]>, Report) {
     let mut system = TestSystem::new(EXECUTABLE);
