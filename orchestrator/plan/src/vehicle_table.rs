@@ -232,6 +232,15 @@ mod tests {
     }
 
     #[test]
+    fn errors_of_sensors_and_wheels_stay_with_the_emulated_robot() {
+        let robot = "[robot]\ngyro_bias_radps = 0.001\ngyro_scale = 0.005\nwheel_smaller = 0.01\nslip_share = 0.3\n\
+            slip_at_m = 5\nslip_length_m = 1\nsteering_backlash_rad = 0.006\npushed_left_m = 0.5\npushed_yaw_rad = 0.1";
+        let mut system = Table::new();
+        adopt_scenario(&table(robot), &mut system);
+        assert_eq!(system["vehicle"].as_table().map(Table::len), Some(0));
+    }
+
+    #[test]
     fn tyres_without_a_limit_are_those_of_the_emulated_robot_alone() {
         for (friction, adopted) in [("0", None), ("0.0", None), ("0.4", Some(0.4))] {
             let mut system = table("");

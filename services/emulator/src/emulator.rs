@@ -300,9 +300,11 @@ impl Emulator {
             self.plant.block();
             self.state.dead_man = true.into();
         }
-        let Robot { pushed_s, pushed_left_m, .. } = self.scenario.robot;
-        if (self.state.plant_ns..end_ns).contains(&((pushed_s * 1e9) as u64)) && pushed_s > 0.0 {
-            self.plant.push(pushed_left_m);
+        let Robot { pushed_s, pushed_left_m, pushed_yaw_rad, .. } = self.scenario.robot;
+        let is_pushed = (self.state.plant_ns..end_ns).contains(&((pushed_s * 1e9) as u64));
+        if is_pushed && pushed_s > 0.0 && !self.plant.wrecked {
+            self.plant.push(pushed_left_m, pushed_yaw_rad);
+            self.reckoning.turn(pushed_yaw_rad);
         }
         let turned = !self.plant.is_blocked() && self.plant.speed() != 0.0;
         let distance = move_on(&mut self.plant, &mut self.reckoning, self.state.plant_ns, end_ns);
@@ -350,8 +352,9 @@ impl Emulator {
 /// Moves the robot and its odometry; returns the distance driven, negative backwards [m].
 fn move_on(plant: &mut Plant, reckoning: &mut Reckoning, start_ns: u64, end_ns: u64) -> f64 {
     let (before, duration) = (*plant.state(), seconds(end_ns - start_ns));
+    let turns_per_way = plant.turns_per_way();
     let distance = plant.step(duration);
-    reckoning.step(start_ns, &before, plant.state(), distance, duration);
+    reckoning.step(start_ns, [&before, plant.state()], distance, turns_per_way, duration);
     distance
 }
 

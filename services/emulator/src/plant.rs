@@ -5,6 +5,10 @@
 //! tyres are linear, as in the model, or limited by friction. The robot has no brake: it stops by blocking its wheels,
 //! which slide with a constant deceleration while the steering angle stays as it was.
 //!
+//! A wheel that is smaller than the one on the other side, and slippery ground, make the wheels turn more per way; the drive
+//! turns them as fast as before, so the robot is slower. A smaller wheel also pulls it to its side. Slippery ground holds
+//! to the side as any other.
+//!
 //! It drives backwards as it drives forwards, and changes its direction at rest: by the drive, or at once where that has no
 //! lag.
 //!
@@ -16,9 +20,9 @@ use nalgebra::SVector;
 use vehicle::integrate::{is_stiff, runge_kutta, runge_kutta_vector, stiff_step};
 use vehicle::model::lateral_velocity;
 use vehicle::tyre::{GRAVITY_MPS2, derivative_with_friction};
-use vehicle::{Control, Lag, Parameters, State, slid};
+use vehicle::{Control, Lag, Parameters, State, VehicleModel, slid};
 
-use crate::scenario::{Scenario, Values};
+use crate::scenario::{Robot, Scenario, Values};
 
 /// Longest plant step [ns]. RK4 is stable up to 3.9 ms at the slowest velocity of the lateral part of the shipped robots;
 /// a robot that is too stiff for it moves in closed form.
@@ -27,15 +31,25 @@ pub const STEP_NS: u64 = 1_000_000;
 /// Tolerance of the limits, for numbers that went through a conversion.
 const LIMIT_SLACK: f64 = 1e-9;
 
+/// Share of the curvature of a cone, which both wheels of an axle are when one is smaller, that a robot with steered wheels
+/// follows: they hold against it, and are as stiff as those that roll along the cone.
+const PULL_SHARE: f64 = 0.5;
+
 /// State of the robot and of its drive.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plant {
     parameters: Parameters,
     values: Values,
+    /// Angle that is added to the wheels: the offset, and what a smaller wheel pulls [rad].
+    offset_rad: f64,
+    /// Where slippery ground begins and ends along x [m].
+    slippery_m: [f64; 2],
+    /// Fraction of the turning of the wheels that is lost there.
+    slip_share: f64,
     pub(crate) state: State,
     pub(crate) speed: f64,
     pub(crate) steering: f64,
-    /// Speed that the drive is to reach [m/s].
+    /// Speed that the drive is to reach where the wheels roll without slip [m/s].
     pub(crate) target_speed: f64,
     /// Angle of the wheels that the shaft asks for, after the play and without the offset [rad].
     pub(crate) target_steering: f64,
@@ -49,12 +63,20 @@ impl Plant {
     pub fn new(scenario: &Scenario) -> Self {
         let start = scenario.start;
         let values = scenario.robot_values();
+        let Robot { width_m, slip_at_m, slip_length_m, slip_share, .. } = scenario.robot;
+        let parameters = values.parameters();
+        let share = if parameters.model == VehicleModel::Differential { 1.0 } else { PULL_SHARE };
+        let pull = parameters.steering_of(share * values.wheel_smaller / width_m);
+        let offset_rad = values.steering_offset_rad + pull;
         Self {
-            parameters: values.parameters(),
+            parameters,
             values,
+            offset_rad,
+            slippery_m: [slip_at_m, slip_at_m + slip_length_m],
+            slip_share,
             state: State { x: start.x_m, y: start.y_m, yaw: start.yaw_rad, ..State::default() },
             speed: 0.0,
-            steering: values.steering_offset_rad,
+            steering: offset_rad,
             target_speed: 0.0,
             target_steering: 0.0,
             blocked: true,
@@ -95,7 +117,7 @@ impl Plant {
         // The wheels stay where they are until the shaft has used up the play.
         self.target_steering = self.target_steering.clamp(shaft - play, shaft + play);
         if self.values.velocity_lag_s <= 0.0 {
-            self.speed = self.target_speed;
+            self.speed = self.ground_target();
         }
         if self.values.steering_lag_s <= 0.0 {
             self.steering = self.wheels_target();
@@ -115,12 +137,25 @@ impl Plant {
         self.blocked = true;
     }
 
-    /// Pushes a robot that stands with blocked wheels to its left [m]: its wheels slide.
-    pub fn push(&mut self, left_m: f64) {
-        if self.blocked && self.speed == 0.0 && !self.wrecked {
-            self.state.x -= left_m * self.state.yaw.sin();
-            self.state.y += left_m * self.state.yaw.cos();
-        }
+    /// Puts the robot down to the left of where it was [m], turned by `turn_rad`; its wheels and its drive go on.
+    pub fn push(&mut self, left_m: f64, turn_rad: f64) {
+        self.state.x -= left_m * self.state.yaw.sin();
+        self.state.y += left_m * self.state.yaw.cos();
+        self.state.yaw += turn_rad;
+    }
+
+    /// Distance that the wheels turn per distance over ground, of both sides in the mean; one without slip, with equal wheels.
+    /// Wheels that are blocked do not slip on top of what they slide.
+    pub fn turns_per_way(&self) -> f64 {
+        let [begin, end] = self.slippery_m;
+        let slips = !self.blocked && (begin..end).contains(&self.state.x);
+        let rolled = 1.0 - if slips { self.slip_share } else { 0.0 };
+        (1.0 + self.values.wheel_smaller.abs() / 2.0) / rolled
+    }
+
+    /// Speed over ground that the drive is to reach where it is now [m/s].
+    fn ground_target(&self) -> f64 {
+        self.target_speed / self.turns_per_way()
     }
 
     /// Stops the body at once and for good: it has run into something.
@@ -133,6 +168,11 @@ impl Plant {
 
     /// Moves on by `duration` seconds, at most a plant step; returns the distance driven, negative backwards [m].
     pub fn step(&mut self, duration: f64) -> f64 {
+        if !self.blocked && self.values.velocity_lag_s <= 0.0 {
+            // Slippery ground may begin or end here.
+            self.speed = self.ground_target();
+            self.settle();
+        }
         match self.blocked {
             true => self.slide(duration),
             false if self.follows_at_once() => self.roll(self.speed, duration),
@@ -146,7 +186,7 @@ impl Plant {
 
     /// Angle of the wheels that is asked for [rad].
     fn wheels_target(&self) -> f64 {
-        let offset = self.values.steering_offset_rad;
+        let offset = self.offset_rad;
         // The sum with zero would lose the sign of a zero.
         if offset == 0.0 { self.target_steering } else { self.target_steering + offset }
     }
@@ -221,7 +261,7 @@ impl Plant {
         if self.blocked {
             self.speed = slid(from_mps, self.sliding_mps2(), duration);
         } else {
-            self.speed = self.velocity_lag().after(from_mps, self.target_speed, duration);
+            self.speed = self.velocity_lag().after(from_mps, self.ground_target(), duration);
             self.steering = self.steering_lag().after(from_rad, self.wheels_target(), duration);
         }
         let mean_mps = f64::midpoint(from_mps, self.speed);
@@ -280,7 +320,7 @@ impl Plant {
             return rates;
         }
         if velocity_lag_s > 0.0 {
-            let wanted = (self.target_speed - speed) / velocity_lag_s;
+            let wanted = (self.ground_target() - speed) / velocity_lag_s;
             let is_backwards = speed < 0.0 || speed == 0.0 && self.target_speed < 0.0;
             rates[5] = if is_backwards {
                 wanted.clamp(-acceleration_max_mps2, deceleration_max_mps2)

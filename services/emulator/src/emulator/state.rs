@@ -49,7 +49,7 @@ plain_state! {
         pub odometry_m: [f64; 2],
         /// Yaw that the odometer reports, without noise; it counts full turns [rad]
         pub odometry_yaw: f64,
-        /// Bias of the gyro [rad/s]
+        /// What the bias of the gyro has walked since the start [rad/s]
         pub gyro_bias_radps: f64,
         /// Distance that the wheels have measured, before it is counted in pulses [m]
         pub wheels_m: f64,

@@ -612,3 +612,50 @@ fn the_truth_has_the_distance_to_the_last_goal_as_it_was_given() {
         assert!((distance_m - f64::hypot(expected[0], expected[1])).abs() < 1e-4, "{text}: {distance_m}");
     }
 }
+
+#[test]
+fn a_robot_that_is_lifted_while_it_drives_goes_on_aside_and_its_odometry_knows_the_turn_alone() {
+    let encoders = "odometry_model = \"encoders\"\nencoder_slip_m = 0.0\ngyro_noise_rad = 0.0\n\
+        gyro_bias_walk_radps = 0.0";
+    let robot = "[robot]\nvelocity_factor = 1.0\nsteering_map = \"identity\"\nodometry_longitudinal = 0.0";
+    let pushed = "pushed_s = 1.0335\npushed_left_m = 0.5\npushed_yaw_rad = 0.2";
+    let mut emulator = Emulator::new(&parse(&format!("{robot}\n{encoders}\n{pushed}")), PERIOD);
+    let mut ends = Vec::new();
+    for scan_id in 1..=20 {
+        emulator.advance_to(emulator.scan_ready_ns(scan_id));
+        let (_, odometry, truth) = measure(&mut emulator, scan_id);
+        ends.push((truth, odometry));
+        emulator.actuate(&drive(1.0, 0.0));
+    }
+    // It drives from 133.3 ms on.
+    let (before, after) = (&ends[9], &ends[19]);
+    assert!(before.0.y_m == 0.0 && (before.0.x_m - 0.8667).abs() < 1e-3, "{:?}", before.0);
+    let driven_m = 2.0 - 1.0335;
+    let expected = [0.9 + driven_m * 0.2_f64.cos(), 0.5 + driven_m * 0.2_f64.sin(), 0.2];
+    let (truth, odometry) = (after.0, after.1);
+    for (value, expected) in [truth.x_m, truth.y_m, truth.yaw_rad].into_iter().zip(expected) {
+        // The step in which it is lifted lasts 1 ms.
+        assert!((value - expected).abs() < 2e-3, "{truth:?}");
+    }
+    assert!((truth.path_length_m - odometry.x_m.hypot(odometry.y_m)).abs() < 0.05, "{odometry:?}");
+    assert!((odometry.y_m - driven_m * 0.2_f64.sin()).abs() < 2e-3 && (odometry.yaw_rad - 0.2).abs() < 1e-9);
+    assert!((odometry.speed_mps - 1.0).abs() < 0.011, "the wheels turn as before: {odometry:?}");
+}
+
+#[test]
+fn encoders_count_the_slip_of_the_ground_and_of_a_smaller_wheel() {
+    let robot = "preset = \"ideal\"\nodometry_model = \"encoders\"\nencoder_slip_m = 0.0\n\
+        odometry_longitudinal = 0.0\nslip_at_m = 0.5\nslip_length_m = 0.5\nslip_share = 0.2\nwheel_smaller = -0.01";
+    let mut emulator = Emulator::new(&parse(&format!("[robot]\n{robot}")), PERIOD);
+    let (mut truth, mut odometry) = (Truth::default(), Odometry::default());
+    for scan_id in 1..=30 {
+        emulator.advance_to(emulator.scan_ready_ns(scan_id));
+        (_, odometry, truth) = measure(&mut emulator, scan_id);
+        emulator.actuate(&drive(1.0, 0.0));
+    }
+    // Each way counts 1.005, half a metre of it 1.25 times.
+    let slipped_m = 0.5 / 0.8 - 0.5;
+    let counted_m = 1.005 * (truth.path_length_m - 0.0333 / 1.407 + slipped_m);
+    let way_m = odometry.x_m.hypot(odometry.y_m);
+    assert!(truth.x_m > 1.2 && (way_m - counted_m).abs() < 3e-3, "{way_m} {counted_m} {truth:?}");
+}

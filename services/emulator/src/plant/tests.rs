@@ -240,6 +240,66 @@ fn the_offset_is_added_after_map_and_play() {
     assert!((plant.steering() - (nonlinear(0.06) - 0.006 + 0.01)).abs() < 1e-15, "it does not add up");
 }
 
+/// The robot with slippery ground from 1 to 2 m, on which half of the turning is slip.
+fn on_slippery_ground(robot: Robot) -> Plant {
+    plant(Robot { slip_at_m: 1.0, slip_length_m: 1.0, slip_share: 0.5, ..robot })
+}
+
+#[test]
+fn on_slippery_ground_the_robot_is_slower_by_the_share_and_its_wheels_turn_as_before() {
+    let mut plant = on_slippery_ground(ideal());
+    plant.drive(1.0, 0.0);
+    let mut turned_m = 0.0;
+    let mut after = |milliseconds: usize| {
+        for _ in 0..milliseconds {
+            let turns_per_way = plant.turns_per_way();
+            turned_m += turns_per_way * plant.step(1e-3);
+        }
+        (plant.state().x, plant.speed(), turned_m)
+    };
+    // One second to the ground, two over it, and the step in which it ends is the slower one.
+    for (milliseconds, x_m, speed_mps) in [(900, 0.9, 1.0), (1100, 1.5, 0.5), (1500, 2.5, 1.0)] {
+        let (x, speed, turned) = after(milliseconds);
+        assert!((x - x_m).abs() < 1.1e-3 && speed == speed_mps, "{x} m, {speed} m/s");
+        assert!(
+            (turned - x_m - if x_m > 1.0 { x_m.min(2.0) - 1.0 } else { 0.0 }).abs() < 2.2e-3,
+            "{turned} m"
+        );
+    }
+}
+
+#[test]
+fn a_robot_with_a_lag_settles_to_the_slower_speed_and_blocked_wheels_do_not_slip() {
+    let mut plant = on_slippery_ground(lagging());
+    plant.drive(0.4, 0.0);
+    // 0.4 m/s t - 0.06 m of the lag.
+    run(&mut plant, 4500);
+    assert!((plant.speed() - 0.2).abs() < 1e-4, "{}", plant.speed());
+    assert_eq!(plant.turns_per_way(), 2.0);
+    plant.block();
+    assert_eq!(plant.turns_per_way(), 1.0);
+    let slid = run(&mut plant, 100);
+    assert!((slid - 0.04 / 10.0).abs() < 1e-5, "v^2 / 2 a of the speed over ground: {slid}");
+}
+
+#[test]
+fn a_smaller_wheel_pulls_to_its_side_and_makes_the_robot_slower_by_half_its_fraction() {
+    let turned = |fraction: f64, robot: Robot| {
+        let mut plant = plant(Robot { wheel_smaller: Some(fraction), width_m: 0.4, ..robot });
+        plant.drive(1.005, 0.0);
+        let way_m = run(&mut plant, 8000);
+        // 8.04 m of the wheels, with 1.005 turns per way.
+        assert!((way_m - 8.0).abs() < 1e-9 && plant.turns_per_way() == 1.005, "{way_m}");
+        plant.state().yaw
+    };
+    // Half of 0.01 / 0.4 m is 0.0125 1/m, over 8 m 0.1 rad; the start of the turn takes a hundredth.
+    let [left, right] = [0.01, -0.01].map(|fraction| turned(fraction, ideal()));
+    assert!((left - 0.1).abs() < 1.5e-3 && (left + right).abs() < 1e-12, "{left} {right}");
+    // Nothing holds a differential drive; its yaw rate lags.
+    let differential = Robot { model: Some(VehicleModel::Differential), ..ideal() };
+    assert!((turned(0.01, differential) - 0.2).abs() < 5e-3, "{}", turned(0.01, differential));
+}
+
 /// Drives in turns of its own over the whole range of what moves a robot.
 fn extreme(numbers: [f64; 5], lags: [f64; 2], friction: f64) -> Plant {
     let [mass, rear, front, stiffness, inertia] =

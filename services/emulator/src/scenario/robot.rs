@@ -103,6 +103,16 @@ settings! {
         pub steering_map: Option<SteeringMap> = None;
         /// Constant angle that is added to the wheels after map and play [rad].
         pub steering_offset_rad: Option<f64> = None, -0.1..=0.1;
+        /// Fraction by which the radius of the left wheels is smaller; negative for the right ones. The robot pulls to that
+        /// side, and its wheels turn more per way by half the fraction, which encoders count.
+        pub wheel_smaller: Option<f64> = None, -0.1..=0.1;
+        /// Fraction of the turning of the wheels that is lost as slip on slippery ground: encoders count it, the body does not
+        /// move by it.
+        pub slip_share: f64 = 0.0, 0.0..=0.9;
+        /// Where slippery ground begins, along x [m].
+        pub slip_at_m: f64 = 0.0, -1e4..=1e4;
+        /// Length of the slippery ground along x; it is as wide as the track [m].
+        pub slip_length_m: f64 = 0.0, 0.0..=1e4;
         /// Deceleration while the wheels are blocked, at most what the friction of the tyres allows [m/s^2].
         pub blocked_deceleration_mps2: Option<f64> = None, 0.1..=50.0;
         /// Time constant with which the velocity follows; 0 for at once, without a limit of the acceleration [s].
@@ -134,16 +144,23 @@ settings! {
         pub odometry_jump_rad: f64 = 0.0, -PI..=PI;
         /// Time at which the reported yaw jumps [s].
         pub odometry_jump_s: f64 = 0.0, 0.0..=1e6;
-        /// Time at which somebody pushes the robot, if it stands with blocked wheels; 0 for never [s].
+        /// Time at which somebody pushes the robot aside, or lifts it and puts it down, whether it stands or drives; 0 for
+        /// never [s].
         pub pushed_s: f64 = 0.0, 0.0..=1e6;
-        /// How far it is pushed to its left [m].
+        /// How far it is pushed to its left; no encoder counts that [m].
         pub pushed_left_m: f64 = 0.0, -10.0..=10.0;
+        /// How far it is turned meanwhile; a gyro measures that [rad].
+        pub pushed_yaw_rad: f64 = 0.0, -PI..=PI;
         /// Slip of the wheel encoders: standard deviation of the measured distance after one metre [m].
         pub encoder_slip_m: Option<f64> = None, 0.0..=1.0;
         /// White noise of the gyro: standard deviation of the integrated yaw after one second [rad].
         pub gyro_noise_rad: Option<f64> = None, 0.0..=1.0;
         /// Random walk of the gyro's bias: standard deviation after one second [rad/s].
         pub gyro_bias_walk_radps: Option<f64> = None, 0.0..=1.0;
+        /// Turn-on bias of the gyro: what it measures at rest from the start on [rad/s].
+        pub gyro_bias_radps: Option<f64> = None, -0.1..=0.1;
+        /// Scale error of the gyro: fraction by which a measured turn is larger than the true one.
+        pub gyro_scale: Option<f64> = None, -0.1..=0.1;
         /// Standard deviation of the error of a scan's time stamp [s].
         pub scan_stamp_jitter_s: Option<f64> = None, 0.0..=1.0;
         /// One scan in this many is missing, at random: it is published without ranges; 0 for none.

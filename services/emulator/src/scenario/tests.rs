@@ -62,6 +62,18 @@ fn messages_name_file_key_value_and_what_is_allowed() {
             "[robot]\nsteering_map = \"bent\"",
             "my.toml: robot.steering_map = \"bent\" is not allowed: `nonlinear` or `identity`",
         ),
+        (
+            "[robot]\ngyro_bias_radps = 0.2",
+            "my.toml: robot.gyro_bias_radps = 0.2 is not allowed: -0.1 to 0.1",
+        ),
+        ("[robot]\ngyro_scale = -1", "my.toml: robot.gyro_scale = -1 is not allowed: -0.1 to 0.1"),
+        ("[robot]\nwheel_smaller = 0.5", "my.toml: robot.wheel_smaller = 0.5 is not allowed: -0.1 to 0.1"),
+        ("[robot]\nslip_share = 1", "my.toml: robot.slip_share = 1 is not allowed: 0 to 0.9"),
+        ("[robot]\nslip_length_m = -1", "my.toml: robot.slip_length_m = -1 is not allowed: 0 to 10000"),
+        (
+            "[robot]\npushed_yaw_rad = 4",
+            "my.toml: robot.pushed_yaw_rad = 4 is not allowed: -3.141592653589793 to 3.141592653589793",
+        ),
         ("obstacle = 3", "my.toml: obstacle = 3 is not allowed: tables [[obstacle]]"),
         (
             "name = \"../up\"",
