@@ -10,6 +10,7 @@ mod campaign;
 mod compare;
 mod cores;
 mod empty_stages;
+mod estimator;
 mod faults;
 mod lap;
 mod load;
@@ -39,6 +40,7 @@ pub use round_trips::{EchoClient, Peer, echo_until_told};
 use analyse::AnalyseCommand;
 use campaign::arguments::CampaignArguments;
 use compare::CompareArguments;
+use estimator::EstimatorArguments;
 use faults::FaultsArguments;
 use price::PriceArguments;
 use ride::RideArguments;
@@ -92,6 +94,12 @@ enum Command {
     /// that of the optimum; J has fixed weights (docs/ride.md). Exit code 1 if a regret is below 0.99: then the bench
     /// is wrong.
     Ride(RideArguments),
+    /// Measure how far the estimated pose is from the true one, and whether its covariance says so.
+    ///
+    /// The drives run in one process, in simulated time, on all cores. NEES is the squared error over its covariance, 3 in
+    /// the mean when the covariance is right; NIS is the same for what is measured. The odometer without a filter is
+    /// measured in the same drives.
+    Estimator(EstimatorArguments),
     /// Measure the cost of one solve of the optimal control problem, on recorded initial states.
     ///
     /// For each Hessian, each QP solver and each number of intervals it reports median, 99th percentile and maximum of
@@ -153,6 +161,7 @@ fn run() -> anyhow::Result<Exit> {
         Command::Faults(arguments) => faults::faults(arguments),
         Command::Price(arguments) => price::price(arguments),
         Command::Ride(arguments) => ride::ride(arguments),
+        Command::Estimator(arguments) => estimator::estimator(arguments),
         Command::Solver(arguments) => solver::solver(arguments),
         Command::Compare(arguments) => compare::compare(arguments),
         Command::Transport(arguments) => transport::transport(arguments),

@@ -33,6 +33,9 @@ pub enum BenchCommand {
     /// Measure how well courses are driven, compared with the optimum that sees what the robot saw.
     #[command(disable_help_flag = true)]
     Ride(StudyArguments),
+    /// Measure how far the estimated pose is from the true one, and whether its covariance says so.
+    #[command(disable_help_flag = true)]
+    Estimator(StudyArguments),
     /// Measure four hops between five processes over other transports, as ratios to ours.
     #[command(disable_help_flag = true)]
     Transport(StudyArguments),
@@ -48,6 +51,7 @@ pub(crate) fn bench(system_id: &str, command: &BenchCommand) -> anyhow::Result<E
         BenchCommand::Solver(study) => Err(laboratory::hand_over(system_id, "solver", study)),
         BenchCommand::Compare(study) => Err(laboratory::hand_over(system_id, "compare", study)),
         BenchCommand::Ride(study) => Err(laboratory::hand_over(system_id, "ride", study)),
+        BenchCommand::Estimator(study) => Err(laboratory::hand_over(system_id, "estimator", study)),
         BenchCommand::Transport(study) => Err(laboratory::hand_over(system_id, "transport", study)),
     }
 }

@@ -86,7 +86,7 @@ pub fn draw(chart: &Chart) -> Result<String> {
 
 /// Draws charts side by side as the text of an SVG file: the same curves over several quantities.
 ///
-/// The charts have one vertical range, and the legend of the first one.
+/// Charts of one quantity have one vertical range, and all have the legend of the first one.
 ///
 /// # Errors
 /// [`super::PictureError`] when the drawing library refuses.
@@ -121,12 +121,12 @@ impl Chart {
     }
 }
 
-/// Draws a chart with the vertical range of several.
+/// Draws a chart with the vertical range of those among several that have its quantity.
 fn curves(area: &Area<'_>, chart: &Chart, together: &[Chart]) -> Result<()> {
     let place = |point: &[f64; 2]| chart.place(point);
     let (left, right) = range(chart.points().map(|point| point.0), 0.0);
-    let heights =
-        together.iter().flat_map(|chart| chart.points().map(|point| point.1).chain(chart.heights()));
+    let together = together.iter().filter(|other| other.y == chart.y);
+    let heights = together.flat_map(|chart| chart.points().map(|point| point.1).chain(chart.heights()));
     let (low, high) = range(heights, if chart.logarithmic { 0.15 } else { 0.06 });
     let across = area.dim_in_pixel().0 as usize / fine(LABEL) as usize;
     let mut axes = ChartBuilder::on(area)

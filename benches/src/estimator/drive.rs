@@ -1,0 +1,62 @@
+//! One drive, with what its estimate and its odometer were off.
+
+use emulator::Outcome;
+use estimator::FilterSettings;
+use estimator::correction::{CorrectionState, Planar};
+use pipeline::PipelineSettings;
+use plan::Plan;
+use shared_types::Odometry;
+
+use super::tally::Tally;
+
+/// What one drive was.
+#[derive(Debug, Clone)]
+pub(super) struct Drive {
+    pub(super) outcome: Outcome,
+    pub(super) estimate: Tally,
+    pub(super) odometer: Tally,
+    /// Scans for which the estimator gave no pose.
+    pub(super) without_pose: u64,
+}
+
+/// The odometer without a filter: the reported pose with the correction of the estimator.
+struct Odometer {
+    settings: FilterSettings,
+    correction: Option<CorrectionState>,
+}
+
+/// Drives a plan to its end.
+///
+/// # Errors
+/// A setting that is not allowed; exit code 2.
+pub(super) fn drive(plan: &Plan) -> anyhow::Result<Drive> {
+    let (tuning, period_ns) = (plan.system.tuning(), plan.system.period_ns());
+    let mut odometer = Odometer { settings: tuning.estimator.settings()?, correction: None };
+    let settings = PipelineSettings { scenario: plan.scenario.clone(), tuning, period_ns };
+    let (mut of_estimate, mut of_odometer, mut without_pose) = (Tally::default(), Tally::default(), 0);
+    let end = pipeline::drive(&settings, |step| {
+        of_odometer.add_place(odometer.follow(&step.odometry), &step.truth);
+        match &step.pose {
+            Some(pose) => of_estimate.add_pose(pose, &step.truth),
+            None => without_pose += 1,
+        }
+    })?;
+    Ok(Drive { outcome: end.outcome, estimate: of_estimate, odometer: of_odometer, without_pose })
+}
+
+impl Odometer {
+    /// Yaw, x and y after a sample.
+    fn follow(&mut self, odometry: &Odometry) -> [f64; 3] {
+        let Odometry { x_m, y_m, yaw_rad, speed_mps, dt_s, .. } = *odometry;
+        let reported = Planar { yaw: yaw_rad, x: x_m, y: y_m };
+        let correct = |state: &mut CorrectionState| {
+            state.correct(&self.settings.drift, reported, speed_mps, dt_s, None)
+        };
+        let corrected = self.correction.as_mut().map(correct);
+        if corrected.is_none() {
+            self.correction = Some(CorrectionState::begin(reported, speed_mps));
+        }
+        let Planar { yaw, x, y } = corrected.unwrap_or(reported);
+        [yaw, x, y]
+    }
+}
