@@ -20,6 +20,7 @@ pub(super) struct Row {
     pub(super) runs: u64,
     pub(super) reached: u64,
     pub(super) stopped: u64,
+    pub(super) missed: u64,
     pub(super) collision: u64,
     pub(super) scans: u64,
     /// Scans without a pose.
@@ -83,6 +84,7 @@ impl Row {
             runs,
             reached: ended(Outcome::Reached),
             stopped: ended(Outcome::Stopped),
+            missed: ended(Outcome::Missed),
             collision: ended(Outcome::Collision),
             scans: all.squares_m2.count,
             without_pose: drives.iter().map(|drive| drive.without_pose).sum(),

@@ -6,7 +6,8 @@ use super::results::{Results, Row};
 
 /// The table, and what its numbers should be.
 pub(super) fn text(results: &Results) -> String {
-    let headings = ["runs", "reached", "stopped", "rms", "max", "yaw", "in 95 %", "NEES", "NIS", "sigma"];
+    let headings =
+        ["runs", "reached", "stopped", "missed", "rms", "max", "yaw", "in 95 %", "NEES", "NIS", "sigma"];
     let names = ["scenario", "robot", "laser"].map(|name| (name, Align::Left));
     let mut table = Table::new(&[&names[..], &headings.map(|heading| (heading, Align::Right))].concat());
     let rows = results.rows.iter().map(|row| (row, row.laser));
@@ -33,6 +34,7 @@ fn cells(row: &Row, laser: &str) -> Vec<String> {
         row.runs.to_string(),
         row.reached.to_string(),
         row.stopped.to_string(),
+        row.missed.to_string(),
         format!("{:.4}", row.rms_m),
         format!("{:.3}", row.max_m),
         format!("{:.2}", 1e3 * row.yaw_rms_rad),

@@ -2,6 +2,7 @@
 
 mod analyse;
 mod bad_input;
+mod bench_estimator;
 mod bench_latency;
 mod bench_ride;
 mod bench_solver;
