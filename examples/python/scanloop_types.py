@@ -773,7 +773,7 @@ TOPICS = {
 # What each role reads.
 READS = {
     Role.ROBOT: [Actuation],
-    Role.ESTIMATOR: [Odometry, Actuation],
+    Role.ESTIMATOR: [Odometry, Actuation, Scan],
     Role.OBSTACLES: [Scan, Pose],
     Role.CONTROLLER: [Pose, Obstacles],
     Role.ACTUATOR: [Command],

@@ -137,7 +137,7 @@ impl Plant {
         self.blocked = true;
     }
 
-    /// Puts the robot down to the left of where it was [m], turned by `turn_rad`; its wheels and its drive go on.
+    /// Puts the robot down to the left of where it was [m], turned by `turn_rad`; its wheels and its drive continue.
     pub fn push(&mut self, left_m: f64, turn_rad: f64) {
         self.state.x -= left_m * self.state.yaw.sin();
         self.state.y += left_m * self.state.yaw.cos();

@@ -327,7 +327,7 @@ mod tests {
         let left = state.of_pose();
         assert!((left[(1, 1)] - 0.005).abs() < 1e-9 && (left[(2, 2)] - 0.04).abs() < 1e-9);
 
-        // After 10 m the share of the way that is not reported explains all of what is seen: 0.1 m are 1 %.
+        // After 10 m the fraction of the distance that is not reported explains all of what is seen: 0.1 m are 1 %.
         let sources = DriftSources { unknown: [0.0, 0.01], ..DriftSources::default() };
         let mut state = DeadReckoning::begin([0.0; 3], &Matrix3::zeros(), &sources);
         for _ in 0..100 {
@@ -356,11 +356,11 @@ mod tests {
         assert!(state.correct(&sighting));
         assert!((state.map() - better).norm() < 1e-6, "{}", state.map());
         // A covariance, whatever is blended.
-        let odd = Matrix3::new(1.0, 5.0, -5.0, 0.0, 1.0, 3.0, 0.0, 0.0, 1.0);
+        let skewed = Matrix3::new(1.0, 5.0, -5.0, 0.0, 1.0, 3.0, 0.0, 0.0, 1.0);
         assert!(state.correct(&Sighting {
             information,
             noise: information,
-            surfaces: information * odd,
+            surfaces: information * skewed,
             ..Sighting::default()
         }));
         assert!(state.map().symmetric_eigenvalues().min() > -1e-9);

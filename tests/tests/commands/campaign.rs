@@ -43,8 +43,13 @@ fn a_bad_course_is_a_file_in_the_folder_of_its_cause_that_run_replays() {
 
 fn replay_a_bad_course() {
     let system = TestSystem::new(EXECUTABLE);
-    // No robot with encoders lands within 1 cm of the true goal, and the speed is no part of a scenario.
-    let set = ["--set", "goal.tolerance_m=0.01", "--set", "controller.cruise_mps=0.9"];
+    // No robot with encoders alone lands within 1 cm of the true goal, and the speed is no part of a scenario.
+    let set = [
+        ["--set", "goal.tolerance_m=0.01"],
+        ["--set", "controller.cruise_mps=0.9"],
+        ["--set", "estimator.laser=off"],
+    ]
+    .concat();
     let chosen = ["--family", "anywhere", "--robot", "random", "--runs", "2"];
     let (code, results) = results(&system, &[&chosen[..], &set].concat());
     assert_eq!(code, Some(1), "{results}");
@@ -60,7 +65,7 @@ fn replay_a_bad_course() {
     let report: Value = serde_json::from_str(&report).unwrap();
     assert_eq!((&report["outcome"], &report["reason"]), (&bad["outcome"], &bad["reason"]));
     let text = std::fs::read_to_string(system.folder().join(file)).unwrap();
-    let command = "FILE --set 'goal.tolerance_m=0.01' --set 'controller.cruise_mps=0.9'";
+    let command = "FILE --set 'goal.tolerance_m=0.01' --set 'controller.cruise_mps=0.9' --set 'estimator.laser=off'";
     assert!(text.contains(command), "{text}");
 }
 
