@@ -20,7 +20,10 @@ fn each_robot_has_a_row_with_a_filter_and_one_without() {
         let robots: Vec<&str> = rows.iter().filter_map(|row| row["robot"].as_str()).collect();
         assert_eq!(robots, ["ideal", "summit"]);
         for row in rows {
-            assert_eq!((&row["runs"], &row["collision"], &row["laser"]), (&2.into(), &0.into(), &"off".into()));
+            assert_eq!(
+                (&row["runs"], &row["collision"], &row["laser"]),
+                (&2.into(), &0.into(), &"off".into())
+            );
             assert!(number(row, "rms_m") < number(row, "max_m") && number(row, "max_m") < 0.5, "{row}");
             assert_eq!(row["coverage_95"].is_number() && row["nis_mean"].is_number(), filters, "{row}");
             assert!(row["over_time"].as_array().unwrap().len() > 10, "{row}");

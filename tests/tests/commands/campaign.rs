@@ -65,7 +65,8 @@ fn replay_a_bad_course() {
     let report: Value = serde_json::from_str(&report).unwrap();
     assert_eq!((&report["outcome"], &report["reason"]), (&bad["outcome"], &bad["reason"]));
     let text = std::fs::read_to_string(system.folder().join(file)).unwrap();
-    let command = "FILE --set 'goal.tolerance_m=0.01' --set 'controller.cruise_mps=0.9' --set 'estimator.laser=off'";
+    let command =
+        "FILE --set 'goal.tolerance_m=0.01' --set 'controller.cruise_mps=0.9' --set 'estimator.laser=off'";
     assert!(text.contains(command), "{text}");
 }
 
