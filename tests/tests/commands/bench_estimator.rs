@@ -34,7 +34,12 @@ fn each_robot_has_a_row_with_a_filter_and_one_without() {
     // White noise of 20 mm on each of two axes, which the filter makes smaller.
     let [filtered, raw] = [rows, odometers].map(|rows| number(&rows[0], "rms_m"));
     assert!((raw - 0.0283).abs() < 0.003 && filtered < raw / 2.0, "{filtered} of {raw}");
-    assert!(number(&rows[1], "rms_m") < filtered && number(&rows[3], "rms_m") < 0.01, "{} {}", rows[1], rows[3]);
+    assert!(
+        number(&rows[1], "rms_m") < filtered && number(&rows[3], "rms_m") < 0.01,
+        "{} {}",
+        rows[1],
+        rows[3]
+    );
     let picture = std::fs::read_to_string(system.folder().join("pose.svg")).unwrap();
     assert!(picture.contains("summit, no filter") && picture.contains("NEES"), "{picture}");
     let again = system.run(&["bench", "estimator", "--svg", "pose.svg"]);

