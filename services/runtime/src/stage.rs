@@ -135,8 +135,9 @@ struct Runner<'s> {
     orders: Option<(u64, u32, u64)>,
     /// The scan of what was noted last.
     noted: u64,
-    /// The scan of what was worked off last.
+    /// The scan of what was worked off last, and whether there was any.
     worked_off: u64,
+    has_worked: bool,
     /// The scan that was answered last.
     answered: u64,
     dropped: u64,
@@ -178,6 +179,7 @@ impl<'s> Runner<'s> {
             orders: Some(Directive::default().orders()),
             noted: 0,
             worked_off: 0,
+            has_worked: false,
             answered: 0,
             dropped: 0,
             emergency_stops,
@@ -372,7 +374,7 @@ impl<'s> Runner<'s> {
         for input in &self.later {
             while let Some(sample) = input.take_up_to(self.noted) {
                 let sample = AnySample::new(input.of(), &sample);
-                self.worked_off = sample.header().scan_id;
+                (self.worked_off, self.has_worked) = (sample.header().scan_id, true);
                 self.stage.take(sample, self.process.now_ns());
                 self.save(sample.header())?;
             }
@@ -387,7 +389,7 @@ impl<'s> Runner<'s> {
         let is_early = |done: u64| next.is_some_and(|scan_id| done < scan_id.saturating_sub(1));
         let awaits_notes = !self.notes.is_empty() && is_early(self.noted);
         // Where none has come, there are none: a robot without a scanner, or a test of this stage alone.
-        let is_there = self.worked_off > 0 || self.later.iter().any(|input| input.next_scan().is_some());
+        let is_there = self.has_worked || self.later.iter().any(|input| input.next_scan().is_some());
         self.process.clock().is_simulated() && (awaits_notes || is_there && is_early(self.worked_off))
     }
 
