@@ -33,9 +33,6 @@ pub trait Stage: Clone + Send + Sync + 'static {
     /// Inputs that are handed over one by one as they come, before newer ones of [`Stage::ANSWERS`]. In lock-step the
     /// stage gets those of the scan before first.
     const NOTES: &'static [&'static SampleType] = &[];
-    /// Inputs that are handed over once the [`Stage::NOTES`] of their scan were: what is worked off while no process waits for
-    /// it. In lock-step the stage gets those of the scan before first.
-    const LATER: &'static [&'static SampleType] = &[];
     /// Fields of type f64 that it reads of a topic of your own, if the system file gives it one: for each sample a
     /// [`StageEvent::Own`] and a [`StageEvent::Number`] per field, before the next of [`Stage::ANSWERS`]. In lock-step
     /// the stage gets those up to its scan first, in real time those that have come.
@@ -50,6 +47,12 @@ pub trait Stage: Clone + Send + Sync + 'static {
     /// # Errors
     /// The first setting that is not allowed.
     fn begin(settings: Self::Settings, period_ns: u64) -> Result<Self, Self::Invalid>;
+
+    /// Inputs that are handed over once the [`Stage::NOTES`] of their scan were: what is worked off while no process waits for
+    /// it. In lock-step the stage gets those of the scan before first.
+    fn later(&self) -> &'static [&'static SampleType] {
+        &[]
+    }
 
     /// Continues from the state of another stage; false, and unchanged, when it can't be used.
     fn resume(&mut self, _state: &Self::State) -> bool {
@@ -276,7 +279,7 @@ pub struct StageShape {
     pub answers: &'static [&'static SampleType],
     /// [`Stage::NOTES`].
     pub notes: &'static [&'static SampleType],
-    /// [`Stage::LATER`].
+    /// [`Stage::later`].
     pub later: &'static [&'static SampleType],
     /// [`Stage::OWN_FIELDS`].
     pub own_fields: &'static [&'static str],
@@ -322,7 +325,7 @@ impl<T: Stage> AnyStage for T {
             role: T::ROLE,
             answers: T::ANSWERS,
             notes: T::NOTES,
-            later: T::LATER,
+            later: Stage::later(self),
             own_fields: T::OWN_FIELDS,
             output: T::Output::TYPE,
             holds_wheels: T::HOLDS_WHEELS,

@@ -489,6 +489,11 @@ impl Estimator {
         expected.map_or(0.0, |expected| expected.left_m - moved.left_m)
     }
 
+    /// Whether scans correct its pose.
+    pub fn sees(&self) -> bool {
+        self.settings.laser != LaserMode::Off
+    }
+
     /// Corrects the pose by a scan of its time.
     ///
     /// A scan of another time is counted: the one before when the next pose was computed already.

@@ -58,11 +58,14 @@ impl Stage for EstimatorStage {
     const ANSWERS: &'static [&'static SampleType] = &[Odometry::TYPE];
     const OWN_FIELDS: &'static [&'static str] = &["yaw_rate_radps", "dt_s"];
     const NOTES: &'static [&'static SampleType] = &[Actuation::TYPE];
-    const LATER: &'static [&'static SampleType] = &[Scan::TYPE];
 
     fn begin(settings: EstimatorConfig, period_ns: u64) -> Result<Self, Invalid> {
         let estimator = Estimator::new(&settings)?;
         Ok(Self { estimator, period_ns, is_lost: false, last: None, gyro: Default::default(), pose: None })
+    }
+
+    fn later(&self) -> &'static [&'static SampleType] {
+        if self.estimator.sees() { &[Scan::TYPE] } else { &[] }
     }
 
     fn resume(&mut self, state: &EstimatorState) -> bool {

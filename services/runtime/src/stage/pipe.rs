@@ -67,7 +67,7 @@ pub struct StageOutline {
     pub answers: Vec<u32>,
     /// Numbers of the topics of [`Stage::NOTES`].
     pub notes: Vec<u32>,
-    /// Numbers of the topics of [`Stage::LATER`].
+    /// Numbers of the topics of [`Stage::later`].
     pub later: Vec<u32>,
 }
 

@@ -96,7 +96,12 @@ fn innovations_larger_than_expected_inflate_the_local_covariance() {
 #[test]
 fn the_ellipses_contain_the_truth_in_95_percent_of_scans() {
     // These robots have no other errors than those of the description.
-    let known = EstimatorConfig { gyro_bias_radps: 0.0, odometry_scale: 0.0, ..EstimatorConfig::default() };
+    let known = EstimatorConfig {
+        profile: NoiseProfile::Increments,
+        gyro_bias_radps: 0.0,
+        odometry_scale: 0.0,
+        ..EstimatorConfig::default()
+    };
     for (config, seconds) in [(&scaled(), 20), (&scaled(), 40), (&known, 20), (&known, 40)] {
         let share = coverage(config, seconds);
         // Errors within a drive are alike, so 100 drives give the share to 2 %. Before 20 s the covariance of the filter
