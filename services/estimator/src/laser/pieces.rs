@@ -230,7 +230,7 @@ impl Pieces {
         off_m > CURVED.0 + CURVED.1 * self.noise_m * (1.5 / third as f64).sqrt()
     }
 
-    /// The edge of a surface that ends with the return `at`, where what is seen beside it is behind it, or nothing is: half a
+    /// The edge of a surface that ends with the return `at`, where what is seen next to it is behind it, or nothing is: half a
     /// beam beyond the last return; `inner` is the one before.
     fn edge(&self, at: usize, outer: Option<&Return>, inner: usize) -> Option<Vector2<f64>> {
         let last = &self.returns[at];

@@ -97,7 +97,7 @@ fn a_hall_that_is_stated_keeps_the_pose_to_centimetres() {
 }
 
 #[test]
-fn surroundings_that_nobody_stated_keep_the_pose_to_a_thousandth_of_the_way() {
+fn surroundings_that_are_not_stated_keep_the_pose_to_a_thousandth_of_the_way() {
     for (seed, errors) in
         seeds::each(1..=4, |seed| drive(&endless("summit", seed, "hall"), 100.0, false, |_| {}))
     {
