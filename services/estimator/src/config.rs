@@ -14,10 +14,10 @@ use crate::observability::{Measured, require_observable};
 #[serde(rename_all = "snake_case")]
 pub enum NoiseProfile {
     /// The odometer as increments whose errors grow with way and time, which a laser corrects.
+    #[default]
     Increments,
     /// The report of the odometer as a measurement of the place, with noise in metres and radians, so that the gate and
     /// the consistency of the filter mean something.
-    #[default]
     Scaled,
     /// The values printed in the source, with the printed drift.
     ///
@@ -30,7 +30,7 @@ settings! {
     pub struct EstimatorConfig {
         /// What the odometer is taken for: `increments` whose errors grow; or measurements of the place, `scaled` with noise in
         /// metres and radians, `source` with the values that the source prints, of which only the ratios matter.
-        pub profile: NoiseProfile = NoiseProfile::Scaled;
+        pub profile: NoiseProfile = NoiseProfile::Increments;
         /// What of the scans corrects the pose: `off`; `walls`, the surfaces that the track states; `match`, those that were seen
         /// before. `match` with profile `increments`, else `off`.
         pub laser: Option<LaserMode> = None, "`off` with the profiles `scaled` and `source`";

@@ -511,6 +511,10 @@ impl Estimator {
         };
         let EstimatorState { laser, reckoning, .. } = &mut self.state;
         self.matcher.see(scan, &motion, laser, reckoning);
+        if laser.search.again > 0 && self.settings.self_check {
+            let check = &mut self.state.self_check;
+            (check.suspect, check.alarm) = (Suspect::Position.wire(), Alarm::Stop.wire());
+        }
     }
 
     /// Measurement update, followed by the check of the calibration.

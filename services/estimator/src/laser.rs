@@ -9,6 +9,7 @@
 
 pub mod align;
 pub mod known;
+pub mod offset;
 pub mod pieces;
 pub mod search;
 pub mod surface;
@@ -20,6 +21,7 @@ use vehicle::{Description, Setting, Track};
 
 use crate::dead_reckoning::DeadReckoning;
 use align::{Prior, align, part_of};
+use offset::RangeOffset;
 use pieces::{Pieces, SweepMotion};
 use search::{Search, Whereabouts};
 use surface::{Placed, SURFACES, SurfaceLine, SurfaceMap};
@@ -76,6 +78,8 @@ plain_state! {
         pub skipped: u64,
         /// Scans that came after the next pose was computed
         pub late: u64,
+        /// What the ranges have too much
+        pub offset: RangeOffset,
         /// The search for a robot that is not where it was
         pub search: Search,
         /// Surfaces that were seen
@@ -117,7 +121,7 @@ impl Matcher {
             return;
         }
         state.looked_ns = acquired_ns;
-        self.pieces.find(scan, &self.vehicle, motion);
+        self.pieces.find(scan, &self.vehicle, motion, state.offset.offset_m);
         self.gather(state, &reckoning.pose);
         match state.search.follow(scan, &self.pieces, &self.lines, reckoning.pose, &self.vehicle) {
             Whereabouts::Known => {}
@@ -128,6 +132,13 @@ impl Matcher {
                 state.map = SurfaceMap::default();
                 return reckoning.put(Vector3::from(reckoning.pose), LOST_M, LOST_RAD);
             }
+        }
+        if state.offset.follow(&self.pieces, &self.lines, reckoning) {
+            self.pieces.find(scan, &self.vehicle, motion, state.offset.offset_m);
+        }
+        if state.offset.is_in_doubt() {
+            state.unmatched += 1;
+            return;
         }
         let found = align(&self.pieces, &self.lines, reckoning);
         match found {

@@ -76,6 +76,10 @@ impl EstimatorState {
         let increments: &[f64; 20] = bytemuck::cast_ref(&self.increments);
         finite("increments", increments)?;
         self.laser.map.check()?;
+        let LaserState { search, offset, .. } = &self.laser;
+        finite("search", &[search.score])?;
+        finite("search", &search.best)?;
+        finite("offset", &[offset.offset_m, offset.more_m])?;
         finite("correction", bytemuck::cast_ref::<_, [f64; 9]>(&self.correction))?;
         let residuals: &[f64; 4 * WINDOW] = bytemuck::cast_ref(&self.self_check.residuals);
         finite("self_check", residuals)?;

@@ -224,11 +224,12 @@ impl Controller {
             self.find_goal(initial.x);
         }
         self.smooth(pose.predicted_ns);
-        if !by_person {
-            self.arrive(&initial, pose.predicted_speed_mps, period_s)?;
-        }
+        // Where the place is not known, no goal is reached.
         if pose.alarm == Alarm::Stop.wire() {
             return Err(StopReason::SelfCheck);
+        }
+        if !by_person {
+            self.arrive(&initial, pose.predicted_speed_mps, period_s)?;
         }
         let mut start = Start::new(&self.config, pose, scanner, initial, period_s, self.legs.is_reverse())?;
         (command.speed_limit_mps, command.margin) =

@@ -75,12 +75,12 @@ pub struct Found {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Pair<'l> {
     pub(super) line: &'l SurfaceLine,
-    placed: Placed,
+    pub(super) placed: Placed,
     count: f64,
     /// Distance of the mean from the line [m].
-    off_m: f64,
+    pub(super) off_m: f64,
     /// Change of that with (yaw, x, y).
-    slope: Vector3<f64>,
+    pub(super) slope: Vector3<f64>,
     /// Covariance of the place of the line, as one of the pose.
     place: Matrix3<f64>,
 }
@@ -193,7 +193,7 @@ impl Pair<'_> {
     }
 
     /// Variance of the place of the line where the piece is [m^2].
-    fn variance(&self) -> f64 {
+    pub(super) fn variance(&self) -> f64 {
         self.slope.dot(&(self.place * self.slope))
     }
 }

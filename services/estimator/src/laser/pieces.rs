@@ -120,14 +120,14 @@ impl Pieces {
         &self.pieces
     }
 
-    /// Finds the pieces of a scan.
-    pub fn find(&mut self, scan: &Scan, vehicle: &Description, motion: &SweepMotion) {
+    /// Finds the pieces of a scan whose ranges are too long by `offset_m`.
+    pub fn find(&mut self, scan: &Scan, vehicle: &Description, motion: &SweepMotion, offset_m: f64) {
         let Self { returns, pieces, .. } = self;
         returns.clear();
         pieces.clear();
         let scanner = Vector2::new(vehicle.scanner_x_m, vehicle.scanner_y_m);
         for beam in 0..scan.ranges().len() {
-            let Some(range_m) = scan.range_m(beam) else { continue };
+            let Some(range_m) = scan.range_m(beam).map(|range_m| range_m - offset_m) else { continue };
             let place = scanner + heading(scan.beam_yaw_rad(beam) + vehicle.scanner_yaw_rad) * range_m;
             returns.push(Return { place: motion.at_front(place, scan.beam_time_s(beam)), range_m, beam });
         }

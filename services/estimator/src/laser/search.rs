@@ -15,6 +15,8 @@ use super::surface::SurfaceLine;
 
 /// So many scans in a row contradict the pose before it is searched for.
 const DOUBTS: u64 = 3;
+/// A robot that has to be searched for again so soon was not lifted: its scans contradict its motion [ns].
+const AGAIN_NS: u64 = 20_000_000_000;
 /// Poses that are tried: steps to each side of [`STEP_M`] and [`STEP_RAD`]; one turn with each scan.
 const STEPS: i32 = 8;
 const TURNS: u64 = 11;
@@ -50,6 +52,10 @@ plain_state! {
         pub found: u64,
         /// How often it has not
         pub lost: u64,
+        /// When it was searched for last [ns]
+        pub since_ns: u64,
+        /// How often it was searched for again soon after
+        pub again: u64,
     }
 }
 
@@ -92,8 +98,11 @@ impl Search {
         if self.turns < TURNS {
             return Whereabouts::Sought;
         }
-        let Self { best, score, found, lost, .. } = *self;
-        *self = Self { found, lost, ..Self::default() };
+        let Self { best, score, found, lost, since_ns, again, .. } = *self;
+        let now_ns = scan.header.acquired_ns;
+        let is_again = since_ns > 0 && now_ns.saturating_sub(since_ns) < AGAIN_NS;
+        let again = again + u64::from(is_again);
+        *self = Self { found, lost, since_ns: now_ns, again, ..Self::default() };
         if score < ENOUGH {
             self.lost += 1;
             return Whereabouts::Lost;

@@ -75,7 +75,7 @@ fn scan(number: u64, [yaw, x, y]: [f64; 3], bodies: &[Body]) -> Scan {
 
 fn pieces(bodies: &[Body]) -> Pieces {
     let mut pieces = Pieces::default();
-    pieces.find(&scan(1, [0.0; 3], bodies), &Description::default(), &SweepMotion::default());
+    pieces.find(&scan(1, [0.0; 3], bodies), &Description::default(), &SweepMotion::default(), 0.0);
     pieces
 }
 
@@ -131,7 +131,7 @@ fn the_sweep_of_a_robot_that_drives_and_turns_is_made_straight() {
     }
     let mut pieces = Pieces::default();
     let mut off_rad = |motion: &SweepMotion| {
-        pieces.find(&swept, &Description::default(), motion);
+        pieces.find(&swept, &Description::default(), motion, 0.0);
         pieces.all().iter().map(|piece| piece.normal.x.abs()).fold(0.0, f64::max)
     };
     let (straight, bent) = (off_rad(&motion), off_rad(&SweepMotion::default()));
@@ -169,7 +169,7 @@ fn known(pose: [f64; 3], deviations: [f64; 3]) -> DeadReckoning {
 fn the_pose_in_a_room_is_found_to_millimetres_from_a_wrong_guess() {
     let truth = [0.05, 0.1, -0.2];
     let mut pieces = Pieces::default();
-    pieces.find(&scan(1, truth, &room()), &Description::default(), &SweepMotion::default());
+    pieces.find(&scan(1, truth, &room()), &Description::default(), &SweepMotion::default(), 0.0);
     for guess in [[0.05, 0.1, -0.2], [0.0, 0.0, -0.1], [0.1, 0.2, -0.3]] {
         let mut reckoning = known(guess, [0.1, 0.2, 0.2]);
         let found = align(&pieces, &lines(), &reckoning).unwrap();
@@ -184,7 +184,7 @@ fn the_pose_in_a_room_is_found_to_millimetres_from_a_wrong_guess() {
 #[test]
 fn walls_along_the_way_show_no_way() {
     let mut pieces = Pieces::default();
-    pieces.find(&scan(1, [0.02, 0.0, 0.1], &CORRIDOR), &Description::default(), &SweepMotion::default());
+    pieces.find(&scan(1, [0.02, 0.0, 0.1], &CORRIDOR), &Description::default(), &SweepMotion::default(), 0.0);
     let track = Track { y_m: [-1.5, 1.5], x_m: [-50.0, 50.0], walls: true, ..Track::default() };
     let mut lines = Vec::new();
     surfaces(&track, Vector2::zeros(), 5.6, &mut |line| lines.push(line));
