@@ -24,6 +24,8 @@ const WIDE_M: f64 = 0.1;
 const BIAS_M: f64 = 0.01;
 /// Share of the squares that the offset explains.
 const EXPLAINED: f64 = 0.8;
+/// Share of the returns on surfaces that are known which are not where they should be.
+const BESIDE: f64 = 0.7;
 
 plain_state! {
     /// What the ranges have too much.
@@ -65,7 +67,8 @@ impl RangeOffset {
 fn fit(pieces: &Pieces, lines: &[SurfaceLine], prior: &Prior) -> Option<f64> {
     let square = |sigma: f64| sigma * sigma;
     let wide = Matrix3::from_diagonal(&Vector3::new(0.0, square(WIDE_M), square(WIDE_M)));
-    let prior = Prior { covariance: prior.covariance + wide, ..*prior };
+    let (expected, prior) = (prior, Prior { covariance: prior.covariance + wide, ..*prior });
+    let (mut beside, mut returns) = (0.0, 0.0);
     let robot = Vector2::new(prior.pose[1], prior.pose[2]);
     // Sums for the least squares in pose and offset.
     let (mut by_pose, mut pose_off, mut both) = (Matrix3::zeros(), Vector3::zeros(), Vector3::zeros());
@@ -73,6 +76,10 @@ fn fit(pieces: &Pieces, lines: &[SurfaceLine], prior: &Prior) -> Option<f64> {
     for piece in pieces.all() {
         let pair = nearest(piece, lines, &prior.pose, pieces.noise_m, &prior, |line| line.counts);
         let Some(pair) = pair else { continue };
+        returns += piece.count;
+        if nearest(piece, lines, &expected.pose, pieces.noise_m, expected, |line| line.counts).is_none() {
+            beside += piece.count;
+        }
         let weight = 1.0 / (square(pieces.noise_m) / piece.count + square(BIAS_M) + pair.variance());
         let (slope, off_m) = (pair.slope, pair.off_m);
         let longer = pair.line.normal.dot(&(pair.placed.mean - robot).normalize());
@@ -82,6 +89,9 @@ fn fit(pieces: &Pieces, lines: &[SurfaceLine], prior: &Prior) -> Option<f64> {
         by_offset += longer * longer * weight;
         offset_off += longer * off_m * weight;
         squares += off_m * off_m * weight;
+    }
+    if beside < BESIDE * returns {
+        return None;
     }
     let free = Matrix3::from_diagonal(&Vector3::new(square(FREE.1), square(FREE.0), square(FREE.0)));
     let left = free * (Matrix3::identity() + by_pose * free).try_inverse()?;
