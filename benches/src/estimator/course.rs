@@ -17,10 +17,8 @@ pub(super) const ROBOTS: [(&str, &[&str]); 3] = [
 ];
 
 /// Settings of the estimator that are compared, with their keys.
-const LASERS: [(&str, &[&str]); 2] = [
-    ("off", &["estimator.profile=increments", "estimator.laser=off"]),
-    ("match", &["estimator.profile=increments", "estimator.laser=match"]),
-];
+const LASERS: [(&str, &[&str]); 2] =
+    [("off", &["estimator.laser=off"]), ("match", &["estimator.laser=match"])];
 
 /// Slower than this no robot drives in the mean, so it has reached its goal or stands for good [m/s].
 const SLOWEST_MPS: f64 = 0.2;

@@ -56,7 +56,6 @@ fn drive_scans(
 ) -> (Errors, f64) {
     let scenario: Scenario = parse(text);
     let mut settings = PipelineSettings::of(scenario);
-    settings.tuning.estimator.profile = estimator::NoiseProfile::Increments;
     change(&mut settings.tuning);
     let mut simulation = SimulatedLoop::new(&settings, true).unwrap();
     if !is_stated {
