@@ -135,6 +135,8 @@ struct Runner<'s> {
     orders: Option<(u64, u32, u64)>,
     /// The scan of what was noted last.
     noted: u64,
+    /// Its header.
+    noted_header: Option<Header>,
     /// The scan of what was worked off last, and whether there was any.
     worked_off: u64,
     has_worked: bool,
@@ -178,6 +180,7 @@ impl<'s> Runner<'s> {
             takes_orders: shape.takes_orders,
             orders: Some(Directive::default().orders()),
             noted: 0,
+            noted_header: None,
             worked_off: 0,
             has_worked: false,
             answered: 0,
@@ -356,30 +359,43 @@ impl<'s> Runner<'s> {
         Ok(())
     }
 
-    /// Hands over what is noted as it comes.
+    /// Hands over what is noted as it comes, then what is worked off after it; the state is saved when all of a scan is in it.
     fn note(&mut self) -> Result<(), RuntimeError> {
+        let mut header = None;
         for input in &self.notes {
             while let Some(sample) = input.take() {
                 let sample = AnySample::new(input.of(), &sample);
                 self.noted = sample.header().scan_id;
                 self.stage.take(sample, self.process.now_ns());
-                self.save(sample.header())?;
+                header = Some(*sample.header());
             }
         }
-        self.work_off()
+        self.noted_header = header.or(self.noted_header);
+        let has_worked = self.work_off();
+        let is_whole = !self.has_more() || self.worked_off >= self.noted;
+        match self.noted_header {
+            Some(noted) if is_whole && (has_worked || header.is_some()) => self.save(&noted),
+            _ => Ok(()),
+        }
     }
 
-    /// Hands over what is worked off after the notes of its scan.
-    fn work_off(&mut self) -> Result<(), RuntimeError> {
+    /// Hands over what is worked off after the notes of its scan; whether there was any.
+    fn work_off(&mut self) -> bool {
+        let before = self.worked_off;
         for input in &self.later {
             while let Some(sample) = input.take_up_to(self.noted) {
                 let sample = AnySample::new(input.of(), &sample);
                 (self.worked_off, self.has_worked) = (sample.header().scan_id, true);
                 self.stage.take(sample, self.process.now_ns());
-                self.save(sample.header())?;
             }
         }
-        Ok(())
+        self.worked_off != before
+    }
+
+    /// Whether there is something to work off with each scan. Where none has come, there is none: a robot without a scanner,
+    /// or a test of this stage alone.
+    fn has_more(&self) -> bool {
+        self.has_worked || self.later.iter().any(|input| input.next_scan().is_some())
     }
 
     /// Whether something has to be noted before the next scan, in lock-step: the result must not depend on when it
@@ -388,9 +404,7 @@ impl<'s> Runner<'s> {
         let next = self.answers.first().and_then(|input| input.next_scan());
         let is_early = |done: u64| next.is_some_and(|scan_id| done < scan_id.saturating_sub(1));
         let awaits_notes = !self.notes.is_empty() && is_early(self.noted);
-        // Where none has come, there are none: a robot without a scanner, or a test of this stage alone.
-        let is_there = self.has_worked || self.later.iter().any(|input| input.next_scan().is_some());
-        self.process.clock().is_simulated() && (awaits_notes || is_there && is_early(self.worked_off))
+        self.process.clock().is_simulated() && (awaits_notes || self.has_more() && is_early(self.worked_off))
     }
 
     /// The samples of one scan that give an output.
