@@ -117,8 +117,12 @@ impl<'a> Inputs<'a> {
                 continue;
             }
             let (input, is_actuation) = (self.recorded(number)?, number.0 == Topic::Actuation as u16);
+            let is_answered = match self.role {
+                Role::Estimator => input.topic == Topic::Odometry,
+                _ => !is_actuation,
+            };
             // What was taken before an output of another process would be answered once more.
-            if is_actuation || input.scan_id > self.last_scan {
+            if !is_answered || input.scan_id > self.last_scan {
                 inputs.push(input);
             }
             if is_actuation {
