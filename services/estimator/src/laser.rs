@@ -21,6 +21,7 @@ use vehicle::{Description, Setting, Track};
 
 use crate::dead_reckoning::DeadReckoning;
 use align::{Prior, align, part_of};
+use known::Stated;
 use offset::RangeOffset;
 use pieces::{Pieces, SweepMotion};
 use search::{Search, Whereabouts};
@@ -80,6 +81,8 @@ plain_state! {
         pub late: u64,
         /// What the ranges have too much
         pub offset: RangeOffset,
+        /// Whether the surfaces that the track states are there
+        pub stated: Stated,
         /// The search for a robot that is not where it was
         pub search: Search,
         /// Surfaces that were seen
@@ -123,7 +126,14 @@ impl Matcher {
         state.looked_ns = acquired_ns;
         self.pieces.find(scan, &self.vehicle, motion, state.offset.offset_m);
         self.gather(state, &reckoning.pose);
-        match state.search.follow(scan, &self.pieces, &self.lines, reckoning.pose, &self.vehicle) {
+        match state.search.follow(
+            scan,
+            &self.pieces,
+            &self.lines,
+            reckoning.pose,
+            &self.vehicle,
+            &mut state.stated,
+        ) {
             Whereabouts::Known => {}
             Whereabouts::Sought => return,
             Whereabouts::Found(pose) => return reckoning.put(pose, FOUND_M, FOUND_RAD),
@@ -155,7 +165,7 @@ impl Matcher {
         self.lines.clear();
         let [_, x, y] = *pose;
         known::surfaces(&self.track, Vector2::new(x, y), self.vehicle.scanner.range_m, &mut |line| {
-            if self.lines.len() < MAX_LINES - SURFACES {
+            if self.lines.len() < MAX_LINES - SURFACES && state.stated.is_there(line.is_long) {
                 self.lines.push(line);
             }
         });

@@ -1,9 +1,44 @@
-//! The surfaces that a track states: its walls, or the hall around it.
+//! The surfaces that a track states: its walls, or the hall around it. A robot may be elsewhere: they count while scans
+//! show them more often than what is behind them.
 
 use nalgebra::{Matrix3, Vector2};
+use shared_types::plain_state;
 use vehicle::{Surroundings, Track};
 
 use super::surface::SurfaceLine;
+
+/// Looks through a kind of surface that are let pass.
+const LET_PASS: u64 = 6;
+/// As many looks are remembered.
+const REMEMBERED: u64 = 4096;
+
+plain_state! {
+    /// Whether what the track states is there: walls first, then pillars.
+    pub struct Stated {
+        /// How often each was seen where it should be
+        pub seen: [u64; 2],
+        /// How often what is behind was
+        pub through: [u64; 2],
+    }
+}
+
+impl Stated {
+    /// Whether walls, or pillars, are there.
+    pub(super) fn is_there(&self, is_long: bool) -> bool {
+        let kind = usize::from(!is_long);
+        self.through[kind] <= self.seen[kind] + LET_PASS
+    }
+
+    /// Takes into account how often a kind was seen, and how often what is behind it.
+    pub(super) fn note(&mut self, is_long: bool, seen: u64, through: u64) {
+        let kind = usize::from(!is_long);
+        self.seen[kind] += seen;
+        self.through[kind] += through;
+        if self.seen[kind] + self.through[kind] > REMEMBERED {
+            (self.seen[kind], self.through[kind]) = (self.seen[kind] / 2, self.through[kind] / 2);
+        }
+    }
+}
 
 /// Hands over the surfaces within `reach_m` of a place.
 pub fn surfaces(track: &Track, place: Vector2<f64>, reach_m: f64, take: &mut dyn FnMut(SurfaceLine)) {

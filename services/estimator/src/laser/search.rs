@@ -10,6 +10,7 @@ use vehicle::Description;
 use vehicle::frame::{to_robot, wrap_angle};
 
 use super::align::{Prior, nearest};
+use super::known::Stated;
 use super::pieces::Pieces;
 use super::surface::SurfaceLine;
 
@@ -86,9 +87,11 @@ impl Search {
         lines: &[SurfaceLine],
         pose: [f64; 3],
         vehicle: &Description,
+        stated: &mut Stated,
     ) -> Whereabouts {
         if !self.is_on() {
-            self.doubts = if contradicts(scan, lines, pose, vehicle) { self.doubts + 1 } else { 0 };
+            self.doubts =
+                if contradicts(scan, lines, pose, vehicle, stated) { self.doubts + 1 } else { 0 };
             if !self.is_on() {
                 return Whereabouts::Known;
             }
@@ -138,8 +141,15 @@ impl Search {
     }
 }
 
-/// Whether the scan looks through surfaces that should be seen, more often than it sees them.
-fn contradicts(scan: &Scan, lines: &[SurfaceLine], [yaw, x, y]: [f64; 3], vehicle: &Description) -> bool {
+/// Whether the scan looks through surfaces that should be seen, more often than it sees them; notes the same of those that
+/// the track states.
+fn contradicts(
+    scan: &Scan,
+    lines: &[SurfaceLine],
+    [yaw, x, y]: [f64; 3],
+    vehicle: &Description,
+    stated: &mut Stated,
+) -> bool {
     let robot = Vector2::new(x, y);
     let (mut seen, mut through) = (0, 0);
     for line in lines.iter().filter(|line| line.counts) {
@@ -163,8 +173,12 @@ fn contradicts(scan: &Scan, lines: &[SurfaceLine], [yaw, x, y]: [f64; 3], vehicl
             }
             let Some(range_m) = scan.range_m(beam as usize) else { continue };
             let behind_m = range_m - expected_m;
-            seen += u32::from(behind_m.abs() <= THERE_M.0);
-            through += u32::from(behind_m >= THERE_M.1);
+            let (is_seen, is_through) = (behind_m.abs() <= THERE_M.0, behind_m >= THERE_M.1);
+            if line.index.is_none() {
+                stated.note(line.is_long, u64::from(is_seen), u64::from(is_through));
+            }
+            seen += u32::from(is_seen);
+            through += u32::from(is_through);
         }
     }
     through >= THROUGH && through > seen
