@@ -14,7 +14,7 @@ pub mod pieces;
 pub mod search;
 pub mod surface;
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 use shared_types::{Scan, plain_state};
 use vehicle::{Description, Setting, Track};
@@ -33,6 +33,9 @@ const MAX_LINES: usize = 256;
 const INTERVAL_NS: u64 = 9_000_000;
 /// A new surface has so many returns.
 const MIN_COUNT: f64 = 5.0;
+/// Standard deviations of where a new surface is seen, beside those by its returns: of its edges, and of what is no straight
+/// line [rad, m, m].
+const BESIDE: [f64; 3] = [1.5e-3, 2e-3, 2e-3];
 /// How well a robot that was searched for is known when it was found, and when it was not [m, rad].
 const FOUND_M: f64 = 0.1;
 const FOUND_RAD: f64 = 0.05;
@@ -184,7 +187,8 @@ impl Matcher {
                 Some(index) => state.map.see(index, piece.count, &placed, now_ns, STILL_M),
                 None if piece.count >= MIN_COUNT => {
                     let own = placed.uncertainty(piece.count, self.pieces.noise_m, &pose);
-                    state.map.add(piece, &placed, &pose, &(covariance + own), now_ns);
+                    let beside = Matrix3::from_diagonal(&Vector3::from(BESIDE)).map(|sigma| sigma * sigma);
+                    state.map.add(piece, &placed, &pose, &(covariance + own + beside), now_ns);
                 }
                 None => {}
             }

@@ -1,12 +1,14 @@
 //! The surfaces that a track states: its walls, or the hall around it. A robot may be elsewhere: they count while scans
 //! show them more often than what is behind them.
 
-use nalgebra::{Matrix3, Vector2};
+use nalgebra::{Matrix3, Vector2, Vector3};
 use shared_types::plain_state;
 use vehicle::{Surroundings, Track};
 
 use super::surface::SurfaceLine;
 
+/// Standard deviations of where a surface is seen, the same in many scans: stamps and ranges are off a little [rad, m, m].
+const SEEN: [f64; 3] = [3e-4, 1.5e-3, 1.5e-3];
 /// Looks through a kind of surface that are let pass.
 const LET_PASS: u64 = 6;
 /// As many looks are remembered.
@@ -51,7 +53,7 @@ pub fn surfaces(track: &Track, place: Vector2<f64>, reach_m: f64, take: &mut dyn
                 middle,
                 extent_m: [-half_m, half_m],
                 is_long: half_m > Surroundings::PILLAR_M,
-                covariance: Matrix3::zeros(),
+                covariance: Matrix3::from_diagonal(&Vector3::from(SEEN)).map(|sigma| sigma * sigma),
                 seen_from: middle,
                 center: (half_m <= Surroundings::PILLAR_M).then_some(middle),
                 index: None,
