@@ -67,9 +67,11 @@ settings! {
         /// `source`.
         pub drift_scale: f64 = 1.0, 0.0..=100.0;
         /// Standard deviation of the gyro's bias at the start, in the covariance of the pose and in what the laser learns [rad/s].
-        pub gyro_bias_radps: f64 = 3e-4, 0.0..=0.1;
+        pub gyro_bias_radps: f64 = 6e-4, 0.0..=0.1;
         /// The same of the fraction of the distance that the odometry reports too little or too much.
         pub odometry_scale: f64 = 0.006, 0.0..=0.2;
+        /// The same of the fraction of the turn.
+        pub gyro_scale: f64 = 0.006, 0.0..=0.2;
         /// The track, whose walls the scanner sees; `run` takes it from the scenario.
         pub track: Track = Track::default();
         /// The robot as this stage knows it; `run` takes it from the table `[vehicle]`.
@@ -158,7 +160,7 @@ impl EstimatorConfig {
                 NoiseProfile::Scaled => self.dead_reckoning(),
                 NoiseProfile::Increments => DriftSources {
                     scale: SCALE_WALK,
-                    unknown: [self.gyro_bias_radps, self.odometry_scale]
+                    unknown: [self.gyro_bias_radps, self.odometry_scale, self.gyro_scale]
                         .map(|unknown| self.drift_scale * unknown),
                     ..self.dead_reckoning()
                 },

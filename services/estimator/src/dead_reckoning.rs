@@ -2,16 +2,16 @@
 //! have drifted.
 //!
 //! Encoders that slip give an error along the way, and a gyro with noise and a bias that walks at random gives one in
-//! yaw, which turns the way behind it. The errors of (yaw, x, y, turn rate and fraction of the distance that are not reported)
-//! are propagated through the Jacobian of the motion. Without a laser nothing sees them, and the covariance only grows;
-//! a match of a scan ([`crate::laser`]) corrects all five by their covariance.
+//! yaw, which turns the way behind it. The errors of (yaw, x, y, and of the turn rate, the fraction of the distance and that of the
+//! turn that are not reported) are propagated through the Jacobian of the motion. Without a laser nothing sees them, and the covariance only grows;
+//! a match of a scan ([`crate::laser`]) corrects all six by their covariance.
 //!
 //! Two errors are kept apart, because repeated sightings of the same surfaces make only the first smaller: that of the
 //! pose against the surfaces around (`covariance`), and that of these surfaces on the track (`map_covariance`).
 //!
 //! Assumptions: slip is independent from metre to metre; what is learned changes at random and slowly.
 
-use nalgebra::{Matrix3, Matrix5, Matrix5x3, Vector3, Vector5};
+use nalgebra::{Matrix3, Matrix6, Matrix6x3, Vector3, Vector6};
 use shared_types::plain_state;
 use vehicle::frame::{to_track, wrap_angle};
 
@@ -31,8 +31,8 @@ pub struct DriftSources {
     pub bias_radps: f64,
     /// Standard deviation of the fraction of the distance that is not reported after one metre.
     pub scale: f64,
-    /// The same two at the start: of the bias [rad/s] and of the share.
-    pub unknown: [f64; 2],
+    /// Standard deviation at the start of the bias [rad/s], of the fraction of the distance and of that of the turn.
+    pub unknown: [f64; 3],
 }
 
 plain_state! {
@@ -40,10 +40,10 @@ plain_state! {
     pub struct DeadReckoning {
         /// Yaw, x and y [rad, m, m]
         pub pose: [f64; 3],
-        /// Turn rate [rad/s] and fraction of the distance that are not reported
-        pub unreported: [f64; 2],
-        /// Covariance of these five against the surfaces around, column by column
-        pub covariance: [f64; 25],
+        /// Turn rate [rad/s], fraction of the distance and fraction of the turn that are not reported
+        pub unreported: [f64; 3],
+        /// Covariance of these six against the surfaces around, column by column
+        pub covariance: [f64; 36],
         /// Covariance of the place of these surfaces, as one of (yaw, x, y), column by column
         pub map_covariance: [f64; 9],
     }
@@ -60,6 +60,8 @@ pub struct OdometryStep {
     pub slid_m: f64,
     /// Standard deviation of what it may have slipped to the side without being noticed [m].
     pub beside_m: f64,
+    /// Turn to the left [rad].
+    pub turn_rad: f64,
     /// Displacement along the track [m].
     pub dx_m: f64,
     /// Lateral displacement [m].
@@ -86,9 +88,9 @@ pub struct Sighting {
 impl DeadReckoning {
     /// Begins at a pose of this covariance.
     pub fn begin(pose: [f64; 3], covariance: &Matrix3<f64>, sources: &DriftSources) -> Self {
-        let [bias, share] = sources.unknown;
-        let variances = Vector5::new(0.0, 0.0, 0.0, bias * bias, share * share);
-        let mut matrix = Matrix5::from_diagonal(&variances);
+        let [bias, share, turn] = sources.unknown.map(|unknown| unknown * unknown);
+        let variances = Vector6::new(0.0, 0.0, 0.0, bias, share, turn);
+        let mut matrix = Matrix6::from_diagonal(&variances);
         matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(covariance);
         let mut state = Self { pose, ..Self::default() };
         state.keep(&matrix);
@@ -98,8 +100,8 @@ impl DeadReckoning {
     /// Follows a reported motion of `seconds`, in the frame of the robot before it; returns what dead reckoning makes of it.
     pub fn advance(&mut self, turn_rad: f64, ahead_m: f64, left_m: f64, seconds: f64) -> [f64; 2] {
         let [yaw, x, y] = self.pose;
-        let [rate, share] = self.unreported;
-        let missed_rad = rate * seconds;
+        let [rate, share, turn] = self.unreported;
+        let missed_rad = rate * seconds + turn * turn_rad;
         let step = to_track(yaw + missed_rad / 2.0, ahead_m, left_m) * (1.0 + share);
         self.pose = [wrap_angle(yaw + turn_rad + missed_rad), x + step.x, y + step.y];
         [step.x, step.y]
@@ -111,8 +113,8 @@ impl DeadReckoning {
         let covariance = Matrix3::from_diagonal(&deviations.component_mul(&deviations));
         let mut matrix = self.matrix();
         for place in 0..3 {
-            matrix.fixed_view_mut::<1, 5>(place, 0).fill(0.0);
-            matrix.fixed_view_mut::<5, 1>(0, place).fill(0.0);
+            matrix.fixed_view_mut::<1, 6>(place, 0).fill(0.0);
+            matrix.fixed_view_mut::<6, 1>(0, place).fill(0.0);
         }
         matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(&covariance);
         self.keep(&matrix);
@@ -129,21 +131,22 @@ impl DeadReckoning {
 
     /// Adds the errors of one step.
     pub fn grow(&mut self, sources: &DriftSources, step: &OdometryStep) {
-        let OdometryStep { seconds, distance_m, slid_m, beside_m, dx_m, dy_m, yaw_rad } = *step;
-        let mut transition = Matrix5::identity();
+        let OdometryStep { seconds, distance_m, slid_m, beside_m, turn_rad, dx_m, dy_m, yaw_rad } = *step;
+        let mut transition = Matrix6::identity();
         (transition[(1, 0)], transition[(2, 0)]) = (-dy_m, dx_m);
-        // The bias turns the way of this step by half of what it turns the robot.
-        transition
-            .set_column(3, &Vector5::new(seconds, -dy_m * seconds / 2.0, dx_m * seconds / 2.0, 1.0, 0.0));
+        // What is not reported of a turn turns the way of this step by half of it.
+        let turned = Vector6::new(1.0, -dy_m / 2.0, dx_m / 2.0, 0.0, 0.0, 0.0);
+        transition.set_column(3, &(turned * seconds + Vector6::ith(3, 1.0)));
         (transition[(1, 4)], transition[(2, 4)]) = (dx_m, dy_m);
+        transition.set_column(5, &(turned * turn_rad + Vector6::ith(5, 1.0)));
         let (sin, cos) = yaw_rad.sin_cos();
-        let ahead = Vector5::new(0.0, cos, sin, 0.0, 0.0);
+        let ahead = Vector6::new(0.0, cos, sin, 0.0, 0.0, 0.0);
         let (slip, slide) = (ahead * sources.slip_m, ahead * slid_m);
-        let turn = Vector5::new(1.0, -dy_m / 2.0, dx_m / 2.0, 0.0, 0.0) * sources.yaw_rad;
+        let turn = turned * sources.yaw_rad;
         let mut covariance = transition * self.matrix() * transition.transpose();
         covariance += slip * slip.transpose() * distance_m + turn * turn.transpose() * seconds;
         covariance += slide * slide.transpose();
-        let beside = Vector5::new(0.0, -sin, cos, 0.0, 0.0) * beside_m;
+        let beside = Vector6::new(0.0, -sin, cos, 0.0, 0.0, 0.0) * beside_m;
         covariance += beside * beside.transpose();
         covariance[(3, 3)] += sources.bias_radps * sources.bias_radps * seconds;
         covariance[(4, 4)] += sources.scale * sources.scale * distance_m;
@@ -158,15 +161,15 @@ impl DeadReckoning {
     pub fn correct(&mut self, sighting: &Sighting) -> bool {
         let Sighting { information, pull, noise, surfaces, beside } = sighting;
         let covariance = self.matrix();
-        let mut with_pose: Matrix5x3<f64> = covariance.fixed_view::<5, 3>(0, 0).into();
+        let mut with_pose: Matrix6x3<f64> = covariance.fixed_view::<6, 3>(0, 0).into();
         let mut of_pose = with_pose.fixed_view_mut::<3, 3>(0, 0);
         of_pose += beside;
         let of_pose: Matrix3<f64> = of_pose.into();
         let Some(inverse) = (Matrix3::identity() + information * of_pose).try_inverse() else { return false };
         let gain = with_pose * inverse;
         let correction = gain * pull;
-        let mut rest = Matrix5::identity();
-        let mut by_pose = rest.fixed_view_mut::<5, 3>(0, 0);
+        let mut rest = Matrix6::identity();
+        let mut by_pose = rest.fixed_view_mut::<6, 3>(0, 0);
         by_pose -= gain * information;
         let left = rest * covariance * rest.transpose() + gain * noise * gain.transpose();
         let map = self.map_after(&inverse, &of_pose, surfaces);
@@ -175,7 +178,7 @@ impl DeadReckoning {
         }
         let [yaw, x, y] = self.pose;
         self.pose = [wrap_angle(yaw + correction[0]), x + correction[1], y + correction[2]];
-        self.unreported = [self.unreported[0] + correction[3], self.unreported[1] + correction[4]];
+        self.unreported = std::array::from_fn(|error| self.unreported[error] + correction[3 + error]);
         self.keep(&left);
         self.map_covariance.copy_from_slice(map.as_slice());
         true
@@ -212,7 +215,7 @@ impl DeadReckoning {
         self.against_surfaces() + self.map()
     }
 
-    fn keep(&mut self, covariance: &Matrix5<f64>) {
+    fn keep(&mut self, covariance: &Matrix6<f64>) {
         // Rounding makes the two halves differ.
         let symmetric = (covariance + covariance.transpose()) / 2.0;
         self.covariance.copy_from_slice(symmetric.as_slice());
@@ -223,8 +226,8 @@ impl DeadReckoning {
         Matrix3::from_column_slice(&self.map_covariance)
     }
 
-    fn matrix(&self) -> Matrix5<f64> {
-        Matrix5::from_column_slice(&self.covariance)
+    fn matrix(&self) -> Matrix6<f64> {
+        Matrix6::from_column_slice(&self.covariance)
     }
 }
 #[cfg(test)]
@@ -232,7 +235,7 @@ mod tests {
     use super::*;
 
     const SOURCES: DriftSources =
-        DriftSources { slip_m: 5e-3, yaw_rad: 2e-4, bias_radps: 2e-5, scale: 0.0, unknown: [0.0; 2] };
+        DriftSources { slip_m: 5e-3, yaw_rad: 2e-4, bias_radps: 2e-5, scale: 0.0, unknown: [0.0; 3] };
 
     /// Drives straight along `yaw_rad` at 1 m/s.
     fn straight(sources: DriftSources, yaw_rad: f64, seconds: u32) -> DeadReckoning {
@@ -246,6 +249,7 @@ mod tests {
                     distance_m: 0.1,
                     slid_m: 0.0,
                     beside_m: 0.0,
+                    turn_rad: 0.0,
                     dx_m,
                     dy_m,
                     yaw_rad,
@@ -300,6 +304,7 @@ mod tests {
                 distance_m: 0.0,
                 slid_m: 0.0,
                 beside_m: 0.0,
+                turn_rad: 0.0,
                 dx_m: 0.0,
                 dy_m: 0.0,
                 yaw_rad: 0.3,
@@ -328,7 +333,7 @@ mod tests {
         assert!((left[(1, 1)] - 0.005).abs() < 1e-9 && (left[(2, 2)] - 0.04).abs() < 1e-9);
 
         // After 10 m the fraction of the distance that is not reported explains all of what is seen: 0.1 m are 1 %.
-        let sources = DriftSources { unknown: [0.0, 0.01], ..DriftSources::default() };
+        let sources = DriftSources { unknown: [0.0, 0.01, 0.0], ..DriftSources::default() };
         let mut state = DeadReckoning::begin([0.0; 3], &Matrix3::zeros(), &sources);
         for _ in 0..100 {
             state.advance(0.0, 0.1, 0.0, 0.1);

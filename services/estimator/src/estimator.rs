@@ -410,6 +410,7 @@ impl Estimator {
             },
             slid_m: if is_cut && self.settings.noise_turns { slid_m } else { 0.0 },
             beside_m,
+            turn_rad: wrap_angle(to_yaw - yaw),
             dx_m,
             dy_m,
             yaw_rad: yaw + wrap_angle(to_yaw - yaw) / 2.0,
