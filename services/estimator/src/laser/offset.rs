@@ -48,7 +48,12 @@ impl RangeOffset {
     }
 
     /// Takes a scan into account; true when another offset is used from now on.
-    pub(super) fn follow(&mut self, pieces: &Pieces, lines: &[SurfaceLine], reckoning: &DeadReckoning) -> bool {
+    pub(super) fn follow(
+        &mut self,
+        pieces: &Pieces,
+        lines: &[SurfaceLine],
+        reckoning: &DeadReckoning,
+    ) -> bool {
         let Some(more_m) = fit(pieces, lines, &Prior::of(reckoning)) else {
             self.agree = 0;
             return false;
@@ -102,6 +107,7 @@ fn fit(pieces: &Pieces, lines: &[SurfaceLine], prior: &Prior) -> Option<f64> {
     let offset_m = (offset_off - both.dot(&(left * pose_off))) / information;
     let squares = squares - pose_off.dot(&(left * pose_off));
     let explained = offset_m * offset_m * information;
-    let is_there = offset_m.abs() >= LEAST_M && explained > SIGMAS * SIGMAS && explained > EXPLAINED * squares;
+    let is_there =
+        offset_m.abs() >= LEAST_M && explained > SIGMAS * SIGMAS && explained > EXPLAINED * squares;
     is_there.then_some(offset_m)
 }

@@ -90,8 +90,7 @@ impl Search {
         stated: &mut Stated,
     ) -> Whereabouts {
         if !self.is_on() {
-            self.doubts =
-                if contradicts(scan, lines, pose, vehicle, stated) { self.doubts + 1 } else { 0 };
+            self.doubts = if contradicts(scan, lines, pose, vehicle, stated) { self.doubts + 1 } else { 0 };
             if !self.is_on() {
                 return Whereabouts::Known;
             }
