@@ -25,12 +25,25 @@ pub enum NoiseProfile {
     Source,
 }
 
+/// Which Kalman filter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FilterKind {
+    /// The extended one, (7.20)-(7.26), with the Jacobian of the motion.
+    #[default]
+    Extended,
+    /// The linear one, (7.9)-(7.13), with A and H of ones; B u is the motion of the model.
+    Linear,
+}
+
 settings! {
     /// Settings of the estimator; the profile sets what the file does not.
     pub struct EstimatorConfig {
         /// What the odometer is taken for: `increments` whose errors grow; or measurements of the place, `scaled` with noise in
         /// metres and radians, `source` with the values that the source prints, of which only the ratios matter.
         pub profile: NoiseProfile = NoiseProfile::Increments;
+        /// The Kalman filter: `extended`, (7.20)-(7.26), or `linear`, (7.9)-(7.13), to which yaw and place are independent.
+        pub filter: FilterKind = FilterKind::Extended;
         /// What of the scans corrects the pose: `off`; `walls`, the surfaces that the track states; `match`, those that were seen
         /// before. `match` with profile `increments`, else `off`.
         pub laser: Option<LaserMode> = None, "`off` with the profiles `scaled` and `source`";
@@ -80,6 +93,7 @@ settings! {
 }
 
 impl Setting for NoiseProfile {}
+impl Setting for FilterKind {}
 impl Setting for CorrectionMode {}
 impl Setting for Measured {}
 
@@ -90,6 +104,8 @@ pub struct FilterSettings {
     pub yaw_is_measured: bool,
     /// Whether the odometer is taken as increments.
     pub is_increments: bool,
+    /// Whether A is the identity instead of the Jacobian of the motion.
+    pub is_linear: bool,
     /// What of the scans corrects the pose.
     pub laser: LaserMode,
     /// Variances Q per 100 ms.
@@ -150,6 +166,7 @@ impl EstimatorConfig {
         let settings = FilterSettings {
             yaw_is_measured: self.measure.contains(&Measured::Yaw),
             is_increments,
+            is_linear: self.filter == FilterKind::Linear,
             laser: self.laser.unwrap_or(if is_increments { LaserMode::Match } else { LaserMode::Off }),
             process_noise: self.process_noise.unwrap_or(process_noise),
             noise_turns: !source,
@@ -176,6 +193,9 @@ impl EstimatorConfig {
         };
 
         require_observable(&self.measure)?;
+        if settings.is_linear && !Measured::ALL.iter().all(|state| self.measure.contains(state)) {
+            return Err(Invalid::new("filter", "linear", "extended where not all of yaw, x and y are measured"));
+        }
         self.require_ranges()?;
         if settings.gate && source {
             return Err(Invalid::new(

@@ -430,7 +430,11 @@ impl Estimator {
             to_ns,
             Some(odometry.speed_mps),
         );
-        let by_state = motion_jacobian(after.x - before.x, after.y - before.y);
+        let by_state = if self.settings.is_linear {
+            Matrix3::identity()
+        } else {
+            motion_jacobian(after.x - before.x, after.y - before.y)
+        };
         let by_noise = if self.settings.noise_turns {
             // Noise ahead and to the left of the robot, in the middle of its turn.
             let (sin, cos) = ((before.yaw + after.yaw) / 2.0).sin_cos();
@@ -493,6 +497,11 @@ impl Estimator {
     /// Whether scans correct its pose.
     pub fn sees(&self) -> bool {
         self.settings.laser != LaserMode::Off
+    }
+
+    /// How often each of [`crate::laser::EVENTS`] was.
+    pub fn laser_events(&self) -> [u64; 6] {
+        self.state.laser.events()
     }
 
     /// Corrects the pose by a scan of its time.

@@ -93,6 +93,25 @@ plain_state! {
     }
 }
 
+/// What scans may say against the pose or the scanner, in the words of a log.
+pub const EVENTS: [&str; 6] = [
+    "all ranges are too long or too short: the difference is taken off",
+    "the robot was elsewhere and has found itself",
+    "the robot is elsewhere and does not find itself",
+    "the robot had to be searched for again: its scans contradict its motion",
+    "the walls that the track states are not there: they are not used",
+    "the pillars that the track states are not there: they are not used",
+];
+
+impl LaserState {
+    /// How often each of [`EVENTS`] was.
+    pub fn events(&self) -> [u64; 6] {
+        let Self { offset, search, stated, .. } = self;
+        let is_missing = |is_long| u64::from(!stated.is_there(is_long));
+        [offset.found, search.found, search.lost, search.again, is_missing(true), is_missing(false)]
+    }
+}
+
 /// The matcher: memory that is kept between scans, but no state.
 #[derive(Debug, Clone)]
 pub struct Matcher {

@@ -6,6 +6,7 @@ use shared_types::{
 use vehicle::Invalid;
 
 use crate::gyro::{GyroFault, GyroSample};
+use crate::laser::EVENTS;
 use crate::{Estimator, EstimatorConfig, EstimatorState};
 
 /// The stage.
@@ -33,6 +34,15 @@ impl EstimatorStage {
                 self.estimator.note_gyro(*sample);
             }
             _ => {}
+        }
+    }
+
+    /// Names what a scan said against the pose or the scanner.
+    fn log_laser(&self, scan: &Scan, before: &[u64; 6]) {
+        for (event, (count, before)) in EVENTS.iter().zip(self.estimator.laser_events().iter().zip(before)) {
+            if count > before {
+                tracing::warn!(scan_id = scan.header.scan_id, count, "{event}");
+            }
         }
     }
 
@@ -82,7 +92,9 @@ impl Stage for EstimatorStage {
         if let Some(actuation) = sample.get::<Actuation>() {
             self.estimator.note(actuation, now_ns);
         } else if let Some(scan) = sample.get::<Scan>() {
+            let before = self.estimator.laser_events();
             self.estimator.see(scan);
+            self.log_laser(scan, &before);
         } else if let Some(odometry) = sample.get::<Odometry>().filter(|_| !self.is_lost) {
             let kept = self.estimator.kept_turns();
             self.pose = self.estimator.step(odometry, None, now_ns);

@@ -6,6 +6,7 @@ use vehicle::{Control, Description};
 
 use super::*;
 use crate::NoiseProfile;
+use crate::config::FilterKind;
 use crate::correction::CorrectionMode;
 
 mod drift;
@@ -367,4 +368,25 @@ fn lost_samples_are_no_evidence_against_the_calibration() {
             scan += lost;
         }
     }
+}
+
+#[test]
+fn the_linear_filter_keeps_yaw_and_place_apart() {
+    // Each is a scalar filter: P + Q, K = P / (P + R), (1 - K) P, (7.9)-(7.13).
+    let config = EstimatorConfig { filter: FilterKind::Linear, ..source() };
+    let (estimator, _) = straight(&config, 8);
+    let covariance = estimator.state().covariance;
+    let noise = [(0.1, 1.0), (0.1, 1.0), (100.0, 10.0)];
+    for (axis, (process, measured)) in noise.into_iter().enumerate() {
+        let after = (1..8).fold(measured, |variance: f64, _| {
+            let before = variance + process;
+            before * measured / (before + measured)
+        });
+        assert!((covariance[4 * axis] - after).abs() < 1e-12, "{axis}: {} {after}", covariance[4 * axis]);
+    }
+    assert!([1, 2, 3, 5, 6, 7].iter().all(|place| covariance[*place] == 0.0), "{covariance:?}");
+    let partial = EstimatorConfig { measure: vec![crate::observability::Measured::X], ..config.clone() };
+    assert!(partial.validate().is_err());
+    let two = vec![crate::observability::Measured::X, crate::observability::Measured::Y];
+    assert_eq!(EstimatorConfig { measure: two, ..config }.validate().unwrap_err().key, "filter");
 }

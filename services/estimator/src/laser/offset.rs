@@ -14,7 +14,7 @@ use crate::dead_reckoning::DeadReckoning;
 /// So many scans in a row have to agree, to this [m].
 const AGREE: (u64, f64) = (3, 0.02);
 /// A smaller one is left to the match [m]; so many standard deviations of it.
-const LEAST_M: f64 = 0.03;
+const MIN_OFFSET_M: f64 = 0.03;
 const SIGMAS: f64 = 5.0;
 /// How well the pose is known beside it [m, rad].
 const FREE: (f64, f64) = (0.3, 0.03);
@@ -108,6 +108,6 @@ fn fit(pieces: &Pieces, lines: &[SurfaceLine], prior: &Prior) -> Option<f64> {
     let squares = squares - pose_off.dot(&(left * pose_off));
     let explained = offset_m * offset_m * information;
     let is_there =
-        offset_m.abs() >= LEAST_M && explained > SIGMAS * SIGMAS && explained > EXPLAINED * squares;
+        offset_m.abs() >= MIN_OFFSET_M && explained > SIGMAS * SIGMAS && explained > EXPLAINED * squares;
     is_there.then_some(offset_m)
 }

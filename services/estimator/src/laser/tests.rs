@@ -8,7 +8,7 @@ use vehicle::frame::heading;
 use vehicle::{Description, Surroundings, Track};
 
 use super::align::align;
-use super::known::surfaces;
+use super::known::{Stated, surfaces};
 use super::pieces::{Pieces, SweepMotion};
 use super::surface::{SurfaceLine, SurfaceMap};
 use super::{LaserMode, LaserState, Matcher};
@@ -245,4 +245,73 @@ fn what_stands_still_counts_and_what_moves_does_not() {
         assert_eq!(counting(&map), 0, "{ahead_mps} {left_mps}");
         assert_eq!(reckoning.pose, [0.0; 3]);
     }
+}
+
+/// What becomes of a robot at rest at a place of the room, scan by scan, whose ranges are too long by so much.
+fn at_rest(
+    track: Track,
+    scans: u64,
+    place: impl Fn(u64) -> [f64; 3],
+    longer_m: impl Fn(u64) -> f64,
+) -> (LaserState, DeadReckoning) {
+    let mut matcher = Matcher::new(LaserMode::Match, track, &Description::default());
+    let (mut state, mut reckoning) = (LaserState::default(), known([0.0; 3], [1e-4; 3]));
+    for number in 1..=scans {
+        let mut scan = scan(number, place(number), &room());
+        for range_mm in scan.ranges_mm.iter_mut().filter(|range_mm| **range_mm > 0) {
+            *range_mm += (1e3 * longer_m(number)) as u32;
+        }
+        matcher.see(&scan, &SweepMotion::default(), &mut state, &mut reckoning);
+    }
+    (state, reckoning)
+}
+
+const OPEN: Track =
+    Track { x_m: [0.0, 20.0], y_m: [-1.5, 1.5], walls: false, surroundings: Surroundings::Open };
+
+#[test]
+fn ranges_that_are_all_too_long_are_found_and_move_no_pose() {
+    for longer_m in [0.05, 0.1, 0.2] {
+        let (state, reckoning) =
+            at_rest(OPEN, 30, |_| [0.0; 3], |number| if number > 15 { longer_m } else { 0.0 });
+        // One of 5 cm is not found in each scan.
+        let is_found = (state.offset.offset_m - longer_m).abs() < 0.01;
+        assert!(is_found || longer_m < 0.1, "{longer_m}: {:?}", state.offset);
+        let [yaw, x, y] = reckoning.pose;
+        assert!(yaw.abs() < 0.003 && x.hypot(y) < 0.01, "{longer_m}: {:?}", reckoning.pose);
+    }
+    // A robot that was moved has ranges that are longer on one side and shorter on the other.
+    let (state, _) =
+        at_rest(OPEN, 30, |number| if number > 15 { [0.0, 0.0, 0.15] } else { [0.0; 3] }, |_| 0.0);
+    assert_eq!(state.offset.found, 0, "{:?}", state.offset);
+}
+
+#[test]
+fn a_hall_that_is_not_there_is_not_used() {
+    // The track states a hall whose walls are 3.5 m to each side, with pillars; the room is narrower.
+    let (state, reckoning) = at_rest(Track::default(), 15, |_| [0.0; 3], |_| 0.0);
+    assert_eq!((state.search.found, state.search.lost), (0, 0));
+    assert!(reckoning.pose.iter().all(|number| number.abs() < 0.01), "{:?}", reckoning.pose);
+    let mut stated = Stated::default();
+    stated.note(false, 0, 6);
+    assert!(stated.is_there(false) && stated.is_there(true));
+    stated.note(false, 0, 1);
+    assert!(!stated.is_there(false) && stated.is_there(true));
+    stated.note(false, 3, 0);
+    assert!(stated.is_there(false), "seen after all");
+}
+
+#[test]
+fn a_robot_that_is_searched_for_twice_in_twenty_seconds_was_not_lifted() {
+    let lifted = |again: u64| {
+        let place = move |number: u64| match number {
+            0..=15 => [0.0; 3],
+            _ if number < again => [0.0, -0.4, 0.5],
+            _ => [0.0, 0.3, -0.5],
+        };
+        at_rest(OPEN, 60, place, |_| 0.0).0.search
+    };
+    let (once, twice) = (lifted(100), lifted(40));
+    assert_eq!((once.found + once.lost, once.again), (1, 0), "{once:?}");
+    assert_eq!(twice.again, 1, "{twice:?}");
 }
