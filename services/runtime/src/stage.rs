@@ -312,6 +312,11 @@ impl<'s> Runner<'s> {
     fn answer(&mut self) -> Result<(), RuntimeError> {
         loop {
             self.note()?;
+            // Published before the next scan, but perhaps after this input was emptied.
+            if self.process.clock().is_simulated() && self.is_early(self.worked_off) {
+                self.later.iter().try_for_each(|input| input.drain())?;
+                self.note()?;
+            }
             if self.awaits_notes() {
                 return Ok(());
             }
@@ -398,13 +403,18 @@ impl<'s> Runner<'s> {
         self.has_worked || self.later.iter().any(|input| input.next_scan().is_some())
     }
 
+    /// Whether the next scan is not the one after `done`.
+    fn is_early(&self, done: u64) -> bool {
+        let next = self.answers.first().and_then(|input| input.next_scan());
+        next.is_some_and(|scan_id| done < scan_id.saturating_sub(1))
+    }
+
     /// Whether something has to be noted before the next scan, in lock-step: the result must not depend on when it
     /// arrives.
     fn awaits_notes(&self) -> bool {
-        let next = self.answers.first().and_then(|input| input.next_scan());
-        let is_early = |done: u64| next.is_some_and(|scan_id| done < scan_id.saturating_sub(1));
-        let awaits_notes = !self.notes.is_empty() && is_early(self.noted);
-        self.process.clock().is_simulated() && (awaits_notes || self.has_more() && is_early(self.worked_off))
+        let awaits_notes = !self.notes.is_empty() && self.is_early(self.noted);
+        let awaits_more = self.has_more() && self.is_early(self.worked_off);
+        self.process.clock().is_simulated() && (awaits_notes || awaits_more)
     }
 
     /// The samples of one scan that give an output.

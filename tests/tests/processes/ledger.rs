@@ -233,7 +233,7 @@ fn assert_clean(report: &Report) {
     assert_eq!(ledger.faults, [], "{ledger:?}");
     assert_eq!((ledger.residual, ledger.duplicates, ledger.reordered), (0, 0, 0));
     assert_eq!(report.scans.unaccounted, 0, "{:?}", report.scans);
-    assert_eq!(ledger.topics.len(), 8, "{ledger:?}");
+    assert_eq!(ledger.topics.len(), 9, "{ledger:?}");
     for row in &ledger.topics {
         assert_eq!(row.residual, 0, "{row:?}");
         assert_eq!(row.published, row.used + row.replaced + row.lost + row.in_flight, "{row:?}");
