@@ -194,7 +194,11 @@ impl EstimatorConfig {
 
         require_observable(&self.measure)?;
         if settings.is_linear && !Measured::ALL.iter().all(|state| self.measure.contains(state)) {
-            return Err(Invalid::new("filter", "linear", "extended where not all of yaw, x and y are measured"));
+            return Err(Invalid::new(
+                "filter",
+                "linear",
+                "extended where not all of yaw, x and y are measured",
+            ));
         }
         self.require_ranges()?;
         if settings.gate && source {

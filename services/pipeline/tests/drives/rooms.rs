@@ -88,9 +88,9 @@ fn a_doorway_is_driven_through_and_a_closed_room_is_not_left() {
 #[test]
 fn bodies_that_overlap_are_passed() {
     ends(Outcome::Reached, 10.0, &[[5.0, 0.3, 0.8, 0.4, 0.0], [5.3, 0.7, 0.4, 0.8, 0.0]], "");
-    // Of 40 ideal robots 8 find no way here that they can verify.
+    // Of 40 ideal robots 7 find no way here that they can verify, 5 with the profile `scaled`; of `summit` 12 and 8.
     let crossed = [[5.0, 0.1, 0.9, 0.2, 0.6], [5.1, 0.2, 0.9, 0.2, -0.7]];
-    ends_from(6, Outcome::Reached, 10.0, &crossed, "");
+    ends_from(30, Outcome::Reached, 10.0, &crossed, "");
     let circle = |x: f64, y: f64, radius: f64| {
         format!("[[obstacle]]\nshape = \"circle\"\nx_m = {x:?}\ny_m = {y:?}\nradius_m = {radius:?}\n")
     };
