@@ -28,15 +28,15 @@ impl Stated {
     /// Whether walls, or pillars, are there.
     pub(super) fn is_there(&self, is_long: bool) -> bool {
         let kind = usize::from(!is_long);
-        self.through[kind] <= self.seen[kind] + LET_PASS
+        self.through[kind] <= self.seen[kind].saturating_add(LET_PASS)
     }
 
     /// Takes into account how often a kind was seen, and how often what is behind it.
     pub(super) fn note(&mut self, is_long: bool, seen: u64, through: u64) {
         let kind = usize::from(!is_long);
-        self.seen[kind] += seen;
-        self.through[kind] += through;
-        if self.seen[kind] + self.through[kind] > REMEMBERED {
+        self.seen[kind] = self.seen[kind].saturating_add(seen);
+        self.through[kind] = self.through[kind].saturating_add(through);
+        if self.seen[kind].max(self.through[kind]) > REMEMBERED {
             (self.seen[kind], self.through[kind]) = (self.seen[kind] / 2, self.through[kind] / 2);
         }
     }

@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use shared_types::plain_state;
 
 use super::align::{Prior, nearest};
-use super::pieces::Pieces;
+use super::pieces::{Piece, Pieces};
 use super::surface::SurfaceLine;
 use crate::dead_reckoning::DeadReckoning;
 
@@ -16,11 +16,11 @@ const AGREE: (u64, f64) = (3, 0.02);
 /// A smaller one is left to the match [m]; so many standard deviations of it.
 const MIN_OFFSET_M: f64 = 0.03;
 const SIGMAS: f64 = 5.0;
-/// How well the pose is known beside it [m, rad].
+/// How well the pose is known apart from it [m, rad].
 const FREE: (f64, f64) = (0.3, 0.03);
 /// A piece is looked for so far from its line, in standard deviations [m].
 const WIDE_M: f64 = 0.1;
-/// Standard deviation of the place of a piece beside its noise [m].
+/// Standard deviation of the place of a piece, its noise aside [m].
 const BIAS_M: f64 = 0.01;
 /// Share of the squares that the offset explains.
 const EXPLAINED: f64 = 0.8;
@@ -54,7 +54,7 @@ impl RangeOffset {
         lines: &[SurfaceLine],
         reckoning: &DeadReckoning,
     ) -> bool {
-        let Some(more_m) = fit(pieces, lines, &Prior::of(reckoning)) else {
+        let Some(more_m) = shown(pieces, lines, &Prior::of(reckoning)) else {
             self.agree = 0;
             return false;
         };
@@ -68,12 +68,22 @@ impl RangeOffset {
     }
 }
 
-/// What all ranges have too much, where the scan shows it [m].
-fn fit(pieces: &Pieces, lines: &[SurfaceLine], prior: &Prior) -> Option<f64> {
+/// What all ranges have too much, where the scan shows it [m]: not where it shows what is known in its place.
+fn shown(pieces: &Pieces, lines: &[SurfaceLine], prior: &Prior) -> Option<f64> {
+    let is_known = |piece: &&Piece| {
+        nearest(piece, lines, &prior.pose, pieces.noise_m, prior, |line| line.counts).is_some()
+    };
+    let all: f64 = pieces.all().iter().map(|piece| piece.count).sum();
+    let as_known: f64 = pieces.all().iter().filter(is_known).map(|piece| piece.count).sum();
+    if as_known > (1.0 - BESIDE) * all { None } else { fit(pieces, lines, prior, as_known) }
+}
+
+/// The same by least squares; `as_known` returns are on surfaces where these should be.
+fn fit(pieces: &Pieces, lines: &[SurfaceLine], prior: &Prior, as_known: f64) -> Option<f64> {
     let square = |sigma: f64| sigma * sigma;
     let wide = Matrix3::from_diagonal(&Vector3::new(0.0, square(WIDE_M), square(WIDE_M)));
-    let (expected, prior) = (prior, Prior { covariance: prior.covariance + wide, ..*prior });
-    let (mut beside, mut returns) = (0.0, 0.0);
+    let prior = Prior { covariance: prior.covariance + wide, ..*prior };
+    let mut returns = 0.0;
     let robot = Vector2::new(prior.pose[1], prior.pose[2]);
     // Sums for the least squares in pose and offset.
     let (mut by_pose, mut pose_off, mut both) = (Matrix3::zeros(), Vector3::zeros(), Vector3::zeros());
@@ -82,9 +92,6 @@ fn fit(pieces: &Pieces, lines: &[SurfaceLine], prior: &Prior) -> Option<f64> {
         let pair = nearest(piece, lines, &prior.pose, pieces.noise_m, &prior, |line| line.counts);
         let Some(pair) = pair else { continue };
         returns += piece.count;
-        if nearest(piece, lines, &expected.pose, pieces.noise_m, expected, |line| line.counts).is_none() {
-            beside += piece.count;
-        }
         let weight = 1.0 / (square(pieces.noise_m) / piece.count + square(BIAS_M) + pair.variance());
         let (slope, off_m) = (pair.slope, pair.off_m);
         let longer = pair.line.normal.dot(&(pair.placed.mean - robot).normalize());
@@ -95,7 +102,7 @@ fn fit(pieces: &Pieces, lines: &[SurfaceLine], prior: &Prior) -> Option<f64> {
         offset_off += longer * off_m * weight;
         squares += off_m * off_m * weight;
     }
-    if beside < BESIDE * returns {
+    if as_known > (1.0 - BESIDE) * returns {
         return None;
     }
     let free = Matrix3::from_diagonal(&Vector3::new(square(FREE.1), square(FREE.0), square(FREE.0)));

@@ -127,7 +127,8 @@ impl Pieces {
         pieces.clear();
         let scanner = Vector2::new(vehicle.scanner_x_m, vehicle.scanner_y_m);
         for beam in 0..scan.ranges().len() {
-            let Some(range_m) = scan.range_m(beam).map(|range_m| range_m - offset_m) else { continue };
+            let range_m = scan.range_m(beam).map(|range_m| range_m - offset_m);
+            let Some(range_m) = range_m.filter(|range_m| *range_m > 0.0) else { continue };
             let place = scanner + heading(scan.beam_yaw_rad(beam) + vehicle.scanner_yaw_rad) * range_m;
             returns.push(Return { place: motion.at_front(place, scan.beam_time_s(beam)), range_m, beam });
         }
