@@ -384,11 +384,12 @@ impl<'s> Runner<'s> {
         }
     }
 
-    /// Hands over what is worked off after the notes of its scan; whether there was any.
+    /// Hands over what is worked off after the answer and the notes of its scan; whether there was any. A process beside the
+    /// one in charge may have the notes before it has answered.
     fn work_off(&mut self) -> bool {
-        let before = self.worked_off;
+        let (before, up_to) = (self.worked_off, self.noted.min(self.answered));
         for input in &self.later {
-            while let Some(sample) = input.take_up_to(self.noted) {
+            while let Some(sample) = input.take_up_to(up_to) {
                 let sample = AnySample::new(input.of(), &sample);
                 (self.worked_off, self.has_worked) = (sample.header().scan_id, true);
                 self.stage.take(sample, self.process.now_ns());
