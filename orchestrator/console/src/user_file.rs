@@ -108,7 +108,10 @@ pub fn read_start(path: &Path, count: u64) -> io::Result<Vec<u8>> {
 }
 
 /// The content of a regular file with at most `max_bytes`.
-pub(crate) fn read_bytes(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
+///
+/// # Errors
+/// As [`read_start`], and a larger file.
+pub fn read_bytes(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
     let bytes = read_start(path, max_bytes + 1)?;
     if bytes.len() as u64 > max_bytes {
         return Err(io::Error::other(format!("it has more than {max_bytes} bytes, the limit")));

@@ -22,7 +22,7 @@ const OF_THE_ROBOT: [&str; 3] = ["robot", "noise", "scanner"];
 const TABLES: [&str; 9] =
     ["estimator", "obstacles", "controller", "actuator", "robot", "noise", "scanner", "player", "ros2"];
 /// Keys of a role that have their value from elsewhere when a run starts, and from where.
-const DERIVED: [(&str, &str); 11] = [
+const DERIVED: [(&str, &str); 12] = [
     ("controller.goal", "the scenario sets it"),
     ("controller.track", "the scenario sets it"),
     ("controller.course", "the scenario sets it"),
@@ -33,6 +33,7 @@ const DERIVED: [(&str, &str); 11] = [
     ("controller.period_s", "it follows from rate_hz"),
     ("controller.profile", "it gives defaults to other keys at the start of a run: set those"),
     ("estimator.profile", "it gives defaults to other keys at the start of a run: set those"),
+    ("estimator.map", "its file is read at the start of a run"),
     ("robot.preset", "it gives defaults to other keys at the start of a run: set those"),
 ];
 

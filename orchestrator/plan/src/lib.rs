@@ -6,6 +6,7 @@ pub mod difference;
 mod driven_robot;
 pub mod goal;
 pub mod hosts;
+pub mod map_file;
 pub mod migrate;
 pub mod overrides;
 mod path_file;

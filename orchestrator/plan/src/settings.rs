@@ -120,7 +120,7 @@ mod tests {
             assert!(named.len() >= 5);
             // Keys that have no value without a scenario that gives them.
             named.retain(|key| {
-                !["course.path", "course.turn_radius_m", "goal.yaw_rad", "vehicle.scanner.first_rad"]
+                !["map", "course.path", "course.turn_radius_m", "goal.yaw_rad", "vehicle.scanner.first_rad"]
                     .contains(&key.as_str())
             });
             assert_eq!(written, named, "{role}");

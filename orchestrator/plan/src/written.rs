@@ -14,7 +14,7 @@ use vehicle::{Invalid, Key, Setting, did_you_mean};
 
 use crate::overrides::{index_of, parse_override, set};
 use crate::source::SourceFile;
-use crate::{Choice, SYSTEM, System, calibration_file, is_of_scenario, path_file};
+use crate::{Choice, SYSTEM, System, calibration_file, is_of_scenario, map_file, path_file};
 
 /// What an option of the command line gives.
 #[derive(Debug, Clone)]
@@ -113,6 +113,7 @@ impl Written {
         let mut tables = [self.scenario.table.clone(), self.system.table.clone()];
         self.given.iter().try_for_each(|given| given.apply(&mut tables))?;
         path_file::read(&mut tables[0], &self.scenario.name)?;
+        map_file::read(&mut tables[1], &self.system.name)?;
         Ok(tables)
     }
 

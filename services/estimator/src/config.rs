@@ -1,11 +1,14 @@
 //! Settings of the estimator.
 
+use std::ops::RangeInclusive;
+
 use serde::{Deserialize, Serialize};
 use vehicle::{Description, Invalid, Setting, Track, settings};
 
 use crate::correction::{CorrectionMode, Drift};
 use crate::dead_reckoning::DriftSources;
 use crate::laser::LaserMode;
+use crate::laser::map::MAX_SURFACES;
 use crate::motion::{Lag, MotionModel};
 use crate::observability::{Measured, require_observable};
 
@@ -47,6 +50,15 @@ settings! {
         /// What of the scans corrects the pose: `off`; `walls`, the surfaces that the track states; `match`, those that were seen
         /// before. `match` with profile `increments`, else `off`.
         pub laser: Option<LaserMode> = None, "`off` with the profiles `scaled` and `source`";
+        /// An occupancy grid in the format of ROS `map_server`, beside the system file: `NAME.yaml` with its image. Its straight
+        /// surfaces become `surfaces`.
+        pub map: Option<String> = None, "a file; with profile `increments` and laser `match`";
+        /// Straight surfaces that stand around, instead of those that the track states: each as x, y, x, y from end to end, with what
+        /// is free to the right [m].
+        pub surfaces: Vec<[f64; 4]> = Vec::new(),
+            (-1e4..=1e4, "at most 2048, each 0.05 to 1000 m long; with profile `increments` and laser `match`");
+        /// Standard deviation of where such a surface is [m].
+        pub surface_deviation_m: f64 = 0.015, 0.001..=0.5;
         /// Measured components of the pose.
         pub measure: Vec<Measured> = vec![Measured::Yaw, Measured::X, Measured::Y],
             "each once; they must determine the state, (7.1)-(7.2), as `[\"x\", \"y\"]` does";
@@ -141,6 +153,9 @@ const SOURCE_NOISE: ([f64; 3], [f64; 3]) = ([0.1, 0.1, 100.0], [1.0, 1.0, 10.0])
 /// leaves 30 % of the noise, and follows a bend of the way that the model does not know within half a second.
 pub(crate) const SCALED_NOISE: ([f64; 3], [f64; 3]) = ([4e-6, 1.6e-5, 4e-6], [1e-4, 4e-4, 4e-4]);
 
+/// Length of a surface [m].
+const SURFACE_M: RangeInclusive<f64> = 0.05..=1e3;
+
 /// Random walk of the fraction of the distance that is not reported: standard deviation after one metre.
 const SCALE_WALK: f64 = 1e-4;
 
@@ -208,10 +223,33 @@ impl EstimatorConfig {
                 "false with the noise of profile \"source\", which has no unit",
             ));
         }
+        self.require_surfaces(settings.laser)?;
         if settings.laser != LaserMode::Off && !is_increments {
             return Err(Invalid::new("laser", settings.laser.name(), "off without profile \"increments\""));
         }
         Ok(settings)
+    }
+
+    /// Passes when the surfaces of a map can be used.
+    fn require_surfaces(&self, laser: LaserMode) -> Result<(), Invalid> {
+        if let Some(map) = &self.map {
+            return Err(Invalid::new("map", map, "a file that is read when a run starts"));
+        }
+        let count = self.surfaces.len();
+        if count > MAX_SURFACES {
+            let surfaces = format!("{count} surfaces");
+            return Err(Invalid::new("surfaces", surfaces, format!("at most {MAX_SURFACES}")));
+        }
+        let length_m = |[x, y, to_x, to_y]: &[f64; 4]| (to_x - x).hypot(to_y - y);
+        let wrong = self.surfaces.iter().position(|surface| !SURFACE_M.contains(&length_m(surface)));
+        if let Some(index) = wrong {
+            let length = format!("{} m long", length_m(&self.surfaces[index]));
+            return Err(Invalid::new(&format!("surfaces[{index}]"), length, "0.05 to 1000 m long"));
+        }
+        if count > 0 && laser != LaserMode::Match {
+            return Err(Invalid::new("laser", laser.name(), "match with a map or surfaces"));
+        }
+        Ok(())
     }
 
     fn dead_reckoning(&self) -> DriftSources {

@@ -35,6 +35,7 @@ use crate::dead_reckoning::{DeadReckoning, OdometryStep};
 use crate::ekf::{Ekf, Innovation, NotPositive};
 use crate::gyro::{GyroSample, Interval, MAX_BIAS_RADPS};
 use crate::increments::{self, Increments};
+use crate::laser::known::given;
 use crate::laser::pieces::SweepMotion;
 use crate::laser::{LaserMode, Matcher};
 use crate::motion::{MotionModel, MotionState, Moved};
@@ -108,7 +109,8 @@ impl Estimator {
     /// [`Invalid`] when a setting is outside its range or the measured states do not determine the state.
     pub fn new(config: &EstimatorConfig) -> Result<Self, Invalid> {
         let settings = config.settings()?;
-        let matcher = Matcher::new(settings.laser, config.track, &config.vehicle);
+        let matcher = Matcher::new(settings.laser, config.track, &config.vehicle)
+            .with_map(given(&config.surfaces, config.surface_deviation_m));
         Ok(Self { settings, state: EstimatorState::default(), matcher, refusal: None })
     }
 

@@ -1,14 +1,16 @@
 //! The pose is corrected by the laser: each scan is laid onto the surfaces that stand still.
 //!
 //! [`pieces`] makes straight pieces of a scan, [`surface`] remembers those that were seen, [`known`] has those that the
-//! track states, and [`align`] finds the pose from which pieces and surfaces agree; where they contradict it, [`search`]
+//! track states or a map, and [`align`] finds the pose from which pieces and surfaces agree; where they contradict it, [`search`]
 //! finds another.
 //!
 //! A match is computed when the actuation of its scan is out, so the way from scan to wheels gets no longer, and corrects
 //! the pose of the next scan.
 
 pub mod align;
+pub mod grid;
 pub mod known;
+pub mod map;
 pub mod offset;
 pub mod pieces;
 pub mod search;
@@ -120,13 +122,22 @@ pub struct Matcher {
     vehicle: Description,
     pieces: Pieces,
     lines: Vec<SurfaceLine>,
+    /// Those of a map.
+    given: Vec<SurfaceLine>,
 }
 
 impl Matcher {
     /// A matcher for scans of this robot.
     pub fn new(laser: LaserMode, track: Track, vehicle: &Description) -> Self {
         let lines = Vec::with_capacity(MAX_LINES);
-        Self { laser, track, vehicle: *vehicle, pieces: Pieces::default(), lines }
+        let given = Vec::new();
+        Self { laser, track, vehicle: *vehicle, pieces: Pieces::default(), lines, given }
+    }
+
+    /// One that knows the surfaces of a map, instead of those that the track states.
+    #[must_use]
+    pub fn with_map(self, given: Vec<SurfaceLine>) -> Self {
+        Self { given, ..self }
     }
 
     /// Corrects the pose, which is that of the time of the scan, and remembers the surfaces.
@@ -186,11 +197,16 @@ impl Matcher {
     fn gather(&mut self, state: &LaserState, pose: &[f64; 3]) {
         self.lines.clear();
         let [_, x, y] = *pose;
-        known::surfaces(&self.track, Vector2::new(x, y), self.vehicle.scanner.range_m, &mut |line| {
+        let (place, reach_m) = (Vector2::new(x, y), self.vehicle.scanner.range_m);
+        let mut take = |line: SurfaceLine| {
             if self.lines.len() < MAX_LINES - SURFACES && state.stated.is_there(line.is_long) {
                 self.lines.push(line);
             }
-        });
+        };
+        if self.given.is_empty() {
+            known::surfaces(&self.track, place, reach_m, &mut take);
+        }
+        known::within(&self.given, place, reach_m).for_each(|line| take(*line));
         if self.laser == LaserMode::Match {
             self.lines.extend(state.map.lines());
         }

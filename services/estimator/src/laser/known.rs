@@ -1,11 +1,11 @@
-//! The surfaces that a track states: its walls, or the hall around it. A robot may be elsewhere: they count while scans
-//! show them more often than what is behind them.
+//! The surfaces that a track states, its walls or the hall around it, or a map. A robot may be elsewhere: they count while
+//! scans show them more often than what is behind them.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 use shared_types::plain_state;
 use vehicle::{Surroundings, Track};
 
-use super::surface::SurfaceLine;
+use super::surface::{LONG_M, SurfaceLine};
 
 /// Standard deviations of where a surface is seen, the same in many scans: stamps and ranges are off a little [rad, m, m].
 const SEEN: [f64; 3] = [3e-4, 1.5e-3, 1.5e-3];
@@ -40,6 +40,45 @@ impl Stated {
             (self.seen[kind], self.through[kind]) = (self.seen[kind] / 2, self.through[kind] / 2);
         }
     }
+}
+
+/// The lines of surfaces that are given from end to end, what is free to the right, as x, y, x and y [m]; `deviation_m` is how well
+/// each is known [m].
+pub fn given(surfaces: &[[f64; 4]], deviation_m: f64) -> Vec<SurfaceLine> {
+    let line = |&[x, y, to_x, to_y]: &[f64; 4]| {
+        let (from, way) = (Vector2::new(x, y), Vector2::new(to_x - x, to_y - y));
+        let half_m = way.norm() / 2.0;
+        let middle = from + way / 2.0;
+        let deviations = Vector3::new(deviation_m / (2.0 * half_m), deviation_m, deviation_m);
+        SurfaceLine {
+            normal: Vector2::new(way.y, -way.x).normalize(),
+            middle,
+            extent_m: [-half_m, half_m],
+            is_long: 2.0 * half_m >= LONG_M,
+            covariance: Matrix3::from_diagonal(&deviations.map(|sigma| sigma * sigma)),
+            seen_from: middle,
+            center: None,
+            index: None,
+            counts: true,
+        }
+    };
+    surfaces.iter().map(line).collect()
+}
+
+/// Those of them that are within `reach_m` of a place.
+pub(super) fn within(
+    lines: &[SurfaceLine],
+    place: Vector2<f64>,
+    reach_m: f64,
+) -> impl Iterator<Item = &SurfaceLine> {
+    lines.iter().filter(move |line| {
+        let from = place - line.middle;
+        let along_m = line.along().dot(&from);
+        let beyond_m = along_m - along_m.clamp(line.extent_m[0], line.extent_m[1]);
+        let off_m = line.normal.dot(&from);
+        // What faces away is not seen.
+        off_m > 0.0 && off_m.hypot(beyond_m) <= reach_m
+    })
 }
 
 /// Hands over the surfaces within `reach_m` of a place.

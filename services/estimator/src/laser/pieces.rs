@@ -261,7 +261,7 @@ impl Pieces {
 
 impl SweepMotion {
     /// A place that was seen `time_s` after the front beam, from where the robot was then.
-    fn at_front(&self, place: Vector2<f64>, time_s: f64) -> Vector2<f64> {
+    pub fn at_front(&self, place: Vector2<f64>, time_s: f64) -> Vector2<f64> {
         let turn = self.yaw_rate_radps * time_s;
         let moved = heading(turn / 2.0) * (self.speed_mps * time_s);
         let (sin, cos) = turn.sin_cos();

@@ -85,7 +85,7 @@ pub struct SurfaceLine {
 /// A middle between edges that stands still is found within so many of its standard deviations.
 const SIGMAS: f64 = 3.0;
 /// A line of this length is a long one: its direction counts, and it continues beyond what was seen of it [m].
-const LONG_M: f64 = 1.5;
+pub(super) const LONG_M: f64 = 1.5;
 
 impl SurfaceLine {
     /// Direction along it, to the left of where it faces.
