@@ -32,7 +32,9 @@ pub(crate) fn read(system: &mut Table, system_file: &str) -> anyhow::Result<()> 
     let Some(map) = estimator.get("map").and_then(Value::as_str) else { return Ok(()) };
     if estimator.contains_key("surfaces") {
         let both = "either `map` or `surfaces`, not both";
-        return Err(Failure::bad_input(format!("{system_file}: estimator.map = {map} is not allowed: {both}")));
+        return Err(Failure::bad_input(format!(
+            "{system_file}: estimator.map = {map} is not allowed: {both}"
+        )));
     }
     let file = Path::new(system_file).with_file_name(map);
     let grid = read_file(&file)?;
@@ -202,9 +204,14 @@ fn pgm(bytes: &[u8]) -> Result<([usize; 2], impl Iterator<Item = f64>), String> 
         while bytes.get(at).is_some_and(u8::is_ascii_whitespace) || bytes.get(at) == Some(&b'#') {
             let is_comment = bytes[at] == b'#';
             let rest = &bytes[at..];
-            at += if is_comment { rest.iter().position(|byte| *byte == b'\n').unwrap_or(rest.len()) } else { 1 };
+            at += if is_comment {
+                rest.iter().position(|byte| *byte == b'\n').unwrap_or(rest.len())
+            } else {
+                1
+            };
         }
-        let digits = bytes.get(at..).unwrap_or_default().iter().take_while(|byte| byte.is_ascii_digit()).count();
+        let digits =
+            bytes.get(at..).unwrap_or_default().iter().take_while(|byte| byte.is_ascii_digit()).count();
         let digits = std::str::from_utf8(&bytes[at..at + digits]).unwrap_or_default();
         at += digits.len();
         digits.parse::<usize>().map_err(|_| FORM.to_owned())
@@ -291,7 +298,10 @@ mod tests {
     fn an_image_of_another_form_or_size_is_refused() {
         let read = |bytes: &[u8]| pgm(bytes).map(|(size, pixels)| (size, pixels.collect::<Vec<_>>()));
         let expected = Ok(([3, 2], vec![0.0, 1.0, 0.0, 1.0, 0.0, 0.2]));
-        assert_eq!(read(b"P5\n# CREATOR: map_saver.cpp 0.050 m/pix\n3 2\n255\n\x00\xff\x00\xff\x00\x33"), expected);
+        assert_eq!(
+            read(b"P5\n# CREATOR: map_saver.cpp 0.050 m/pix\n3 2\n255\n\x00\xff\x00\xff\x00\x33"),
+            expected
+        );
         assert_eq!(read(b"P5 3 2 5 \x00\x05\x00\x05\x00\x01"), expected);
         for (bytes, message) in [
             (&b"P5\n3 2\n255\n\x00\xff\x00\xff\x00"[..], "it has 5 pixels, where its header says 3 x 2"),

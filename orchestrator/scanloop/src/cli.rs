@@ -17,6 +17,7 @@ use crate::inject::InjectArguments;
 use crate::laboratory::StudyArguments;
 use crate::live_check::LiveArguments;
 use crate::man::ManArguments;
+use crate::map::MapArguments;
 use crate::new::NewArguments;
 use crate::record::{RecordArguments, RecordingCommand};
 use crate::reference::ReferenceArguments;
@@ -248,6 +249,12 @@ pub enum CliCommand {
     /// Show, repair, cut or export a recording.
     #[command(subcommand)]
     Recording(RecordingCommand),
+    /// Draw a map from a recording, in which `estimator.map` finds the robot.
+    ///
+    /// It is an occupancy grid in the format of ROS `map_server`: NAME.yaml with its image NAME.pgm. The scans are drawn from the
+    /// recorded estimates; bodies that move leave nothing where more beams passed than ended. Exit code 2 if the recording
+    /// has no scan with an estimate.
+    Map(MapArguments),
     /// Show the samples on the bus.
     #[command(subcommand)]
     Topic(TopicCommand),

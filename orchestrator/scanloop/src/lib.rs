@@ -12,6 +12,7 @@ pub mod laboratory;
 pub mod live_check;
 mod live_latency;
 pub mod man;
+pub mod map;
 pub mod new;
 mod record;
 pub mod reference;
@@ -189,6 +190,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         }
         CliCommand::Record(arguments) => record::record(&cli.system_id, arguments),
         CliCommand::Recording(command) => record::recording(command),
+        CliCommand::Map(arguments) => map::map(arguments),
         CliCommand::Replay(arguments) => replay::replay(arguments),
         CliCommand::Reference(arguments) => print(&reference::text(arguments, Cli::command())?),
         CliCommand::New(arguments) => new::new(arguments),

@@ -99,11 +99,7 @@ impl Grid {
 }
 
 /// The beams of a scan with a return, from the scanner to the return on the track [m]; the pose is that of the front beam.
-pub fn beams(
-    scan: &Scan,
-    pose: &Pose,
-    vehicle: &Description,
-) -> impl Iterator<Item = [Vector2<f64>; 2]> {
+pub fn beams(scan: &Scan, pose: &Pose, vehicle: &Description) -> impl Iterator<Item = [Vector2<f64>; 2]> {
     let motion = SweepMotion { speed_mps: pose.speed_mps, yaw_rate_radps: pose.yaw_rate_radps };
     let scanner = Vector2::new(vehicle.scanner_x_m, vehicle.scanner_y_m);
     (0..scan.ranges().len()).filter_map(move |beam| {
@@ -209,7 +205,8 @@ mod tests {
 
     #[test]
     fn a_body_that_moves_leaves_nothing_where_it_was_passed_more_often() {
-        let (from, near, far) = (Vector2::new(-0.75, 0.25), Vector2::new(0.25, 0.25), Vector2::new(1.75, 0.25));
+        let (from, near, far) =
+            (Vector2::new(-0.75, 0.25), Vector2::new(0.25, 0.25), Vector2::new(1.75, 0.25));
         let mut drawing = drawing();
         (0..3).for_each(|_| drawing.beam(from, near));
         (0..9).for_each(|_| drawing.beam(from, far));

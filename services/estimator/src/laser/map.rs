@@ -102,7 +102,9 @@ impl Run {
 
     /// Both as one, if they are pieces of one surface.
     fn joined(&self, other: &Self) -> Option<Self> {
-        if self.normal.dot(&other.normal) < ALIKE || self.normal.dot(&(other.mean - self.mean)).abs() > STRAIGHT.0 {
+        if self.normal.dot(&other.normal) < ALIKE
+            || self.normal.dot(&(other.mean - self.mean)).abs() > STRAIGHT.0
+        {
             return None;
         }
         let along = |point: &Vector2<f64>| self.along().dot(&(point - self.mean));
@@ -265,7 +267,11 @@ mod tests {
     fn a_room_has_four_walls_that_face_inwards_and_a_box_in_it_four_that_face_outwards() {
         let mut rows = vec!["#".repeat(40)];
         rows.extend((0..30).map(|row| {
-            let inside = if (10..20).contains(&row) { ".".repeat(14) + &"#".repeat(10) + &".".repeat(14) } else { ".".repeat(38) };
+            let inside = if (10..20).contains(&row) {
+                ".".repeat(14) + &"#".repeat(10) + &".".repeat(14)
+            } else {
+                ".".repeat(38)
+            };
             format!("#{inside}#")
         }));
         rows.push("#".repeat(40));
@@ -277,7 +283,13 @@ mod tests {
             let (way, from) = (Vector2::new(to_x - x, to_y - y), middle - Vector2::new(*x, *y));
             let faces_middle = Vector2::new(way.y, -way.x).dot(&from) > 0.0;
             assert_eq!(faces_middle, index < 4, "the walls are longer than the box");
-            let expected_m = if index < 2 { 1.9 } else if index < 4 { 1.5 } else { 0.5 };
+            let expected_m = if index < 2 {
+                1.9
+            } else if index < 4 {
+                1.5
+            } else {
+                0.5
+            };
             assert!((way.norm() - expected_m).abs() < 0.11, "{found:?}");
             assert!(way.x.abs().min(way.y.abs()) < 1e-9, "no corner turns them: {found:?}");
         }

@@ -1,0 +1,145 @@
+//! `scanloop map`: an occupancy grid from the scans and estimates of a recording.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use console::answer;
+use console::exit::{Exit, Failure};
+use console::new_file::{Existing, NewFile, finish_all};
+use estimator::laser::grid::{Cell, Drawing, Frame, MAX_CELLS, RESOLUTION_M, beams};
+use estimator::laser::map::surfaces;
+use nalgebra::Vector2;
+use plan::map_file;
+use recording::Recording;
+use recording::mcap::Contents;
+use recording::read::attachment;
+use runtime::{settings_file, settings_table};
+use shared_types::{Pose, Role, Scan, Suspect, Topic};
+use toml::Table;
+use vehicle::{Description, read};
+
+/// Arguments of `map`.
+#[derive(Debug, Args)]
+pub struct MapArguments {
+    /// The recording.
+    #[arg(value_name = "FILE")]
+    pub file: PathBuf,
+    /// Name of the map: NAME.yaml and NAME.pgm are written.
+    #[arg(short, long, value_name = "NAME", default_value = "map")]
+    pub out: PathBuf,
+    /// Side of a cell [m].
+    #[arg(long, value_name = "M", default_value_t = 0.05)]
+    pub resolution: f64,
+    /// Replace files of these names.
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// Draws the scans of a recording, seen from the recorded estimates.
+///
+/// # Errors
+/// A recording that can't be read or has no scan with an estimate, a map that is too large; exit code 2.
+pub(crate) fn map(arguments: &MapArguments) -> anyhow::Result<Exit> {
+    let MapArguments { file, out, resolution, force } = arguments;
+    let [low, high] = RESOLUTION_M;
+    if !(low..=high).contains(resolution) {
+        return Err(Failure::bad_input(format!(
+            "--resolution = {resolution} is not allowed: {low} to {high}"
+        )));
+    }
+    let refuse = |reason: String| Failure::bad_input(format!("{}: {reason}", file.display()));
+    let name = out.file_name().filter(|_| out.extension().is_none_or(|last| last != "pgm"));
+    let Some(name) = name else {
+        let allowed = "a name, to which .yaml and .pgm are added";
+        return Err(Failure::bad_input(format!("--out = {} is not allowed: {allowed}", out.display())));
+    };
+    let stem = name.to_string_lossy();
+    let stem = stem.strip_suffix(".yaml").unwrap_or(&stem);
+    let image = format!("{stem}.pgm");
+    let paths = [format!("{stem}.yaml"), image.clone()].map(|name| out.with_file_name(name));
+    let create = |path: &PathBuf| NewFile::create(path, Existing::forced(*force), &[file]);
+    let mut files = paths.iter().map(create).collect::<anyhow::Result<Vec<_>>>()?;
+
+    let (views, robots) = views(file)?;
+    let all = || views.iter().flat_map(|view| beams(&view.scan, &view.pose, &robots[view.file]));
+    let corners = [f64::INFINITY, f64::NEG_INFINITY].map(Vector2::repeat);
+    let [first, last] = all()
+        .flatten()
+        .fold(corners, |[first, last]: [Vector2<f64>; 2], place| [first.inf(&place), last.sup(&place)]);
+    if first.x > last.x {
+        return Err(refuse("no scan with returns has an estimate: nothing can be drawn".to_owned()));
+    }
+    let Some(frame) = Frame::around(first, last, *resolution) else {
+        let extent = last - first;
+        return Err(refuse(format!(
+            "its scans reach over {:.0} m by {:.0} m: more than {MAX_CELLS} cells with --resolution = {resolution}",
+            extent.x, extent.y
+        )));
+    };
+    let mut drawing = Drawing::new(frame);
+    all().for_each(|[from, to]| drawing.beam(from, to));
+    let grid = drawing.grid();
+    for (file, content) in files.iter_mut().zip(map_file::written(&grid, &image)) {
+        file.write_all(&content)?;
+    }
+    finish_all(files)?;
+    let [width, height] = frame.size;
+    let occupied = grid.cells.iter().filter(|cell| **cell == Cell::Occupied).count();
+    answer!(
+        false,
+        "{}: {width} x {height} cells of {resolution} m, {occupied} occupied, {} straight surfaces, from {} scans",
+        paths[0].display(),
+        surfaces(&grid).len(),
+        views.len()
+    )?;
+    Ok(Exit::Done)
+}
+
+/// A scan with the estimate of its pose, of one of the joined files.
+struct View {
+    file: usize,
+    scan: Box<Scan>,
+    pose: Pose,
+}
+
+/// All of a recording, without those whose robot did not know where it was, and the robots of its files.
+fn views(path: &Path) -> anyhow::Result<(Vec<View>, Vec<Description>)> {
+    let mut recording = Recording::open(path)?;
+    let robots = recording.files().iter().map(|contents| described(path, contents));
+    let robots = robots.collect::<anyhow::Result<Vec<_>>>()?;
+    let mut views = Vec::new();
+    let mut waiting: BTreeMap<(usize, u64), Box<Scan>> = BTreeMap::new();
+    recording.samples(|_, sample| {
+        let file = sample.file;
+        match sample.topic {
+            Topic::Scan => {
+                let scan: &Scan = bytemuck::from_bytes(sample.bytes);
+                if !scan.missing.is_set() {
+                    waiting.insert((file, scan.header.scan_id), Box::new(*scan));
+                }
+            }
+            Topic::Pose => {
+                let pose: &Pose = bytemuck::from_bytes(sample.bytes);
+                let scan = waiting.remove(&(file, pose.header.scan_id));
+                let scan = scan.filter(|_| pose.suspect != Suspect::Position.wire());
+                views.extend(scan.map(|scan| View { file, scan, pose: *pose }));
+            }
+            _ => {}
+        }
+        Ok(())
+    })?;
+    Ok((views, robots))
+}
+
+/// The robot as the recorded estimator was told of it.
+fn described(path: &Path, contents: &Contents) -> anyhow::Result<Description> {
+    let name = settings_file(Role::Estimator);
+    let refuse = |reason: String| Failure::bad_input(format!("{}: {name}: {reason}", path.display()));
+    let text = attachment(contents, &name)
+        .ok_or_else(|| refuse("it is missing: no recording of a drive".to_owned()))?;
+    let table: Table = text.parse().map_err(|error| refuse(format!("{error}")))?;
+    let vehicle = table.get(settings_table(Role::Estimator)).and_then(|own| own.get("vehicle")?.as_table());
+    read(vehicle.cloned().unwrap_or_default()).map_err(|invalid| refuse(invalid.to_string()))
+}
