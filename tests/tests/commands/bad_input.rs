@@ -317,3 +317,60 @@ fn a_choice_of_log_lines_that_cannot_be_read_is_refused_before_anything_is_start
     }
     system.assert_nothing_left();
 }
+
+#[test]
+fn a_map_is_checked() {
+    let system = TestSystem::new(EXECUTABLE);
+    let map = "image: room.pgm\nresolution: 0.05\norigin: [0.0, 0.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\n\
+        free_thresh: 0.196\n";
+    let write = |name: &str, content: &[u8]| std::fs::write(system.folder().join(name), content).unwrap();
+    // Five rows of free cells above one of occupied ones.
+    let image = |size: &str, pixels: usize| {
+        let header = format!("P5\n{size}\n255\n").into_bytes();
+        let shade = |number: usize| if number < 50 { 254 } else { 0 };
+        header.into_iter().chain((0..pixels).map(shade)).collect::<Vec<u8>>()
+    };
+    write("room.pgm", &image("10 6", 60));
+    write("short.pgm", &image("10 6", 59));
+    write("large.pgm", &image("100000 100000", 60));
+    write("text.pgm", b"P2\n1 1\n255\n0\n");
+    let use_map = ["check", "corridor", "--set", "estimator.map=room.yaml"];
+    write("room.yaml", map.as_bytes());
+    assert!(system.run(&use_map).status.success());
+    for (from, to, names) in [
+        ("0.05", "0", &["room.yaml", "resolution", "0.005 to 1"][..]),
+        ("0.05", "-0.05", &["room.yaml", "resolution", "-0.05"]),
+        ("0.05", ".nan", &["room.yaml", "resolution", ".nan"]),
+        ("0.05", "5000", &["room.yaml", "resolution", "5000"]),
+        ("0.0, 0.0]", "0.0]", &["room.yaml", "origin", "three numbers"]),
+        ("0.0]", "nan]", &["room.yaml", "origin", "nan"]),
+        ("negate", "mode: round\nnegate", &["room.yaml", "mode", "round", "trinary"]),
+        ("room.pgm", "none.pgm", &["room.yaml", "image", "none.pgm"]),
+        ("room.pgm", "text.pgm", &["text.pgm", "P5"]),
+        ("room.pgm", "short.pgm", &["short.pgm", "59 pixels", "10 x 6"]),
+        ("room.pgm", "large.pgm", &["large.pgm", "100000 x 100000", "16777216"]),
+        ("negate: 0", "negate: 1", &["room.yaml", "0 straight surfaces", "1 to 2048"]),
+    ] {
+        assert!(map.contains(from), "{from}");
+        write("room.yaml", map.replacen(from, to, 1).as_bytes());
+        for command in ["check", "run"] {
+            refused(&system, &[&[command], &use_map[1..]].concat(), names);
+        }
+    }
+    write("room.yaml", map.as_bytes());
+    for (set, names) in [
+        ("estimator.map=none.yaml", &["none.yaml", "estimator.map"][..]),
+        ("estimator.laser=walls", &["estimator.laser", "walls", "match"]),
+        ("estimator.profile=scaled", &["estimator.profile=scaled", "estimator.laser", "match"]),
+        ("estimator.surfaces=[[0.0, 0.0, 1.0, 0.0]]", &["estimator.map", "not both"]),
+    ] {
+        refused(&system, &[&use_map[..], &["--set", set]].concat(), names);
+    }
+    refused(
+        &system,
+        &["check", "corridor", "--set", "estimator.surfaces=[[0.0, 0.0, 0.0, 0.0]]"],
+        &["estimator.surfaces[0]", "0 m long"],
+    );
+    refused(&system, &["map", "room.yaml"], &["room.yaml", "no MCAP file"]);
+    refused(&system, &["map", "none.mcap", "--resolution", "0"], &["--resolution", "0.005 to 1"]);
+}

@@ -7,6 +7,7 @@ mod gaps;
 mod goal;
 mod hostile;
 mod laser;
+mod map;
 mod models;
 mod presets;
 mod released;
