@@ -10,7 +10,7 @@ use std::str::FromStr;
 
 use console::exit::Failure;
 use console::user_file::{self, TEXT_BYTES};
-use estimator::laser::grid::{Cell, Frame, Grid, MAX_CELLS, RESOLUTION_M};
+use estimator::laser::grid::{Grid, GridCell, GridFrame, MAX_CELLS, RESOLUTION_M};
 use estimator::laser::map::{DEVIATION, MAX_SURFACES, surfaces};
 use toml::{Table, Value};
 
@@ -74,17 +74,17 @@ pub fn read_file(path: &Path) -> anyhow::Result<Grid> {
 
 /// The YAML file and the image of a map; `image` is the name of the latter.
 pub fn written(grid: &Grid, image: &str) -> [Vec<u8>; 2] {
-    let Frame { resolution_m, origin: [x, y, yaw], size: [width, height] } = grid.frame;
+    let GridFrame { resolution_m, origin: [x, y, yaw], size: [width, height] } = grid.frame;
     let [free, occupied] = THRESHOLDS;
     let text = format!(
         "image: {image}\nmode: trinary\nresolution: {resolution_m:?}\norigin: [{x:?}, {y:?}, {yaw:?}]\n\
          negate: 0\noccupied_thresh: {occupied}\nfree_thresh: {free}\n"
     );
     let mut pixels = format!("P5\n# {resolution_m:?} m/pixel\n{width} {height}\n255\n").into_bytes();
-    let shade = |cell: &Cell| match cell {
-        Cell::Occupied => SHADES[0],
-        Cell::Unknown => SHADES[1],
-        Cell::Free => SHADES[2],
+    let shade = |cell: &GridCell| match cell {
+        GridCell::Occupied => SHADES[0],
+        GridCell::Unknown => SHADES[1],
+        GridCell::Free => SHADES[2],
     };
     // The first row of an image is the upper one.
     pixels.extend(grid.cells.chunks(width.max(1)).rev().flatten().map(shade));
@@ -143,13 +143,13 @@ impl MapKeys {
     fn grid(&self, size: [usize; 2], pixels: impl Iterator<Item = f64>) -> Grid {
         let [free, occupied] = self.thresholds;
         let cell = |shade: f64| match if self.is_negated { shade } else { 1.0 - shade } {
-            share if share > occupied => Cell::Occupied,
-            share if share < free => Cell::Free,
-            _ => Cell::Unknown,
+            share if share > occupied => GridCell::Occupied,
+            share if share < free => GridCell::Free,
+            _ => GridCell::Unknown,
         };
-        let upper_first: Vec<Cell> = pixels.map(cell).collect();
+        let upper_first: Vec<GridCell> = pixels.map(cell).collect();
         let cells = upper_first.chunks(size[0]).rev().flatten().copied().collect();
-        Grid { frame: Frame { resolution_m: self.resolution_m, origin: self.origin, size }, cells }
+        Grid { frame: GridFrame { resolution_m: self.resolution_m, origin: self.origin, size }, cells }
     }
 }
 
@@ -322,8 +322,8 @@ mod tests {
 
     #[test]
     fn what_is_written_is_read_again_and_the_first_row_of_an_image_is_the_upper_one() {
-        use Cell::{Free, Occupied, Unknown};
-        let frame = Frame { resolution_m: 0.05, origin: [-0.1, 1e-7, 0.0], size: [3, 2] };
+        use GridCell::{Free, Occupied, Unknown};
+        let frame = GridFrame { resolution_m: 0.05, origin: [-0.1, 1e-7, 0.0], size: [3, 2] };
         let grid = Grid { frame, cells: vec![Occupied, Free, Unknown, Free, Free, Free] };
         let [text, image] = written(&grid, "a.pgm");
         assert!(image.ends_with(b"3 2\n255\n\xfe\xfe\xfe\x00\xfe\xcd"), "{image:?}");

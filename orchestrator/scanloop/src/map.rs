@@ -8,7 +8,7 @@ use clap::Args;
 use console::answer;
 use console::exit::{Exit, Failure};
 use console::new_file::{Existing, NewFile, finish_all};
-use estimator::laser::grid::{Cell, Drawing, Frame, MAX_CELLS, RESOLUTION_M, beams};
+use estimator::laser::grid::{Drawing, GridCell, GridFrame, MAX_CELLS, RESOLUTION_M, beams};
 use estimator::laser::map::surfaces;
 use nalgebra::Vector2;
 use plan::map_file;
@@ -71,7 +71,7 @@ pub(crate) fn map(arguments: &MapArguments) -> anyhow::Result<Exit> {
     if first.x > last.x {
         return Err(refuse("no scan with returns has an estimate: nothing can be drawn".to_owned()));
     }
-    let Some(frame) = Frame::around(first, last, *resolution) else {
+    let Some(frame) = GridFrame::around(first, last, *resolution) else {
         let extent = last - first;
         return Err(refuse(format!(
             "its scans reach over {:.0} m by {:.0} m: more than {MAX_CELLS} cells with --resolution = {resolution}",
@@ -86,7 +86,7 @@ pub(crate) fn map(arguments: &MapArguments) -> anyhow::Result<Exit> {
     }
     finish_all(files)?;
     let [width, height] = frame.size;
-    let occupied = grid.cells.iter().filter(|cell| **cell == Cell::Occupied).count();
+    let occupied = grid.cells.iter().filter(|cell| **cell == GridCell::Occupied).count();
     answer!(
         false,
         "{}: {width} x {height} cells of {resolution} m, {occupied} occupied, {} straight surfaces, from {} scans",

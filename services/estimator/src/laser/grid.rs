@@ -22,7 +22,7 @@ const MIN_HITS: u16 = 2;
 
 /// What is known of a cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Cell {
+pub enum GridCell {
     /// Nothing.
     Unknown,
     /// Nothing stands there.
@@ -33,7 +33,7 @@ pub enum Cell {
 
 /// Where the cells of a grid are.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Frame {
+pub struct GridFrame {
     /// Side of a cell [m].
     pub resolution_m: f64,
     /// The corner of the first cell on the track, x and y [m], and the yaw of the grid [rad].
@@ -42,7 +42,7 @@ pub struct Frame {
     pub size: [usize; 2],
 }
 
-impl Frame {
+impl GridFrame {
     /// The frame without yaw around two corners, with a free cell beyond; `None` where it has more than [`MAX_CELLS`].
     pub fn around(low: Vector2<f64>, high: Vector2<f64>, resolution_m: f64) -> Option<Self> {
         let first = low.map(|value| (value / resolution_m).floor() - 1.0);
@@ -86,15 +86,15 @@ impl Frame {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Grid {
     /// Where it is.
-    pub frame: Frame,
+    pub frame: GridFrame,
     /// Its cells, row by row from the origin on.
-    pub cells: Vec<Cell>,
+    pub cells: Vec<GridCell>,
 }
 
 impl Grid {
     /// What is known of a cell; beyond the grid nothing is.
-    pub fn at(&self, x: i64, y: i64) -> Cell {
-        self.frame.number(x, y).map_or(Cell::Unknown, |number| self.cells[number])
+    pub fn at(&self, x: i64, y: i64) -> GridCell {
+        self.frame.number(x, y).map_or(GridCell::Unknown, |number| self.cells[number])
     }
 }
 
@@ -115,14 +115,14 @@ pub fn beams(scan: &Scan, pose: &Pose, vehicle: &Description) -> impl Iterator<I
 /// A grid that is drawn.
 #[derive(Debug, Clone)]
 pub struct Drawing {
-    frame: Frame,
+    frame: GridFrame,
     /// Of each cell, how many beams ended in it and passed it.
     counts: Vec<[u16; 2]>,
 }
 
 impl Drawing {
     /// An empty one.
-    pub fn new(frame: Frame) -> Self {
+    pub fn new(frame: GridFrame) -> Self {
         Self { frame, counts: vec![[0; 2]; frame.cells()] }
     }
 
@@ -132,7 +132,7 @@ impl Drawing {
         let way = to - from;
         let mut cell = from.map(|value| value.floor() as i64);
         let last = to.map(|value| value.floor() as i64);
-        // Share of the way up to the next side of a cell in x and y, and from one to the next.
+        // Fraction of the beam up to the next side of a cell in x and y, and from one to the next.
         let step = way.map(|value| if value < 0.0 { -1 } else { 1 });
         let apart = way.map(|value| if value == 0.0 { f64::INFINITY } else { 1.0 / value.abs() });
         let mut next = Vector2::from_fn(|axis, _| {
@@ -161,10 +161,10 @@ impl Drawing {
     /// The grid.
     pub fn grid(&self) -> Grid {
         let cell = |[hits, passes]: &[u16; 2]| match u32::from(*hits) + u32::from(*passes) {
-            0 => Cell::Unknown,
-            reached if *hits >= MIN_HITS && SHARE * u32::from(*hits) >= reached => Cell::Occupied,
-            _ if *passes == 0 => Cell::Unknown,
-            _ => Cell::Free,
+            0 => GridCell::Unknown,
+            reached if *hits >= MIN_HITS && SHARE * u32::from(*hits) >= reached => GridCell::Occupied,
+            _ if *passes == 0 => GridCell::Unknown,
+            _ => GridCell::Free,
         };
         Grid { frame: self.frame, cells: self.counts.iter().map(cell).collect() }
     }
@@ -175,16 +175,16 @@ mod tests {
     use super::*;
 
     fn drawing() -> Drawing {
-        let frame = Frame { resolution_m: 0.5, origin: [-1.0, -1.0, 0.0], size: [6, 4] };
+        let frame = GridFrame { resolution_m: 0.5, origin: [-1.0, -1.0, 0.0], size: [6, 4] };
         Drawing::new(frame)
     }
 
     /// The grid as it is seen from above: y upwards.
     fn text(grid: &Grid) -> Vec<String> {
-        let letter = |cell: &Cell| match cell {
-            Cell::Unknown => '?',
-            Cell::Free => '.',
-            Cell::Occupied => '#',
+        let letter = |cell: &GridCell| match cell {
+            GridCell::Unknown => '?',
+            GridCell::Free => '.',
+            GridCell::Occupied => '#',
         };
         let rows = grid.cells.chunks(grid.frame.size[0]).rev();
         rows.map(|row| row.iter().map(letter).collect()).collect()
@@ -224,22 +224,22 @@ mod tests {
             (0..2).for_each(|_| drawing.beam(Vector2::new(0.4, 0.1), to));
             let cell = drawing.frame.in_cells(to).map(|value| value.floor() as i64);
             let grid = drawing.grid();
-            assert_eq!(grid.at(cell.x, cell.y), Cell::Occupied, "{number}");
-            assert_eq!(grid.cells.iter().filter(|cell| **cell == Cell::Occupied).count(), 1);
+            assert_eq!(grid.at(cell.x, cell.y), GridCell::Occupied, "{number}");
+            assert_eq!(grid.cells.iter().filter(|cell| **cell == GridCell::Occupied).count(), 1);
         }
     }
 
     #[test]
     fn a_frame_holds_its_corners_and_has_a_limit() {
         let (low, high) = (Vector2::new(-0.23, 1.02), Vector2::new(0.21, 1.38));
-        let frame = Frame::around(low, high, 0.1).unwrap();
+        let frame = GridFrame::around(low, high, 0.1).unwrap();
         for corner in [low, high] {
             let cell = frame.in_cells(corner).map(|value| value.floor() as i64);
             assert!(frame.number(cell.x - 1, cell.y - 1).and(frame.number(cell.x + 1, cell.y + 1)).is_some());
             assert!((frame.place(frame.in_cells(corner)) - corner).norm() < 1e-12);
         }
-        assert_eq!(Frame::around(low, Vector2::new(500.0, 500.0), 0.05), None);
-        let turned = Frame { origin: [1.0, 2.0, std::f64::consts::FRAC_PI_2], ..frame };
+        assert_eq!(GridFrame::around(low, Vector2::new(500.0, 500.0), 0.05), None);
+        let turned = GridFrame { origin: [1.0, 2.0, std::f64::consts::FRAC_PI_2], ..frame };
         assert!((turned.place(Vector2::new(10.0, 0.0)) - Vector2::new(1.0, 3.0)).norm() < 1e-12);
     }
 }

@@ -9,7 +9,7 @@
 
 use nalgebra::{Matrix2, Vector2};
 
-use super::grid::{Cell, Grid};
+use super::grid::{Grid, GridCell};
 use super::pieces::normal_of;
 
 /// Most surfaces of a map.
@@ -46,9 +46,9 @@ impl Side {
         let (outward, along) = (DIRECTIONS[direction], DIRECTIONS[ahead_at]);
         let (ahead, across) = (cell + along, cell + outward + along);
         match [across, ahead].map(|cell| grid.at(cell.x, cell.y)) {
-            [Cell::Occupied, _] => Some(Self { cell: across, direction: (ahead_at + 2) % 4 }),
-            [Cell::Free, Cell::Occupied] => Some(Self { cell: ahead, direction }),
-            [_, Cell::Free] => Some(Self { cell, direction: ahead_at }),
+            [GridCell::Occupied, _] => Some(Self { cell: across, direction: (ahead_at + 2) % 4 }),
+            [GridCell::Free, GridCell::Occupied] => Some(Self { cell: ahead, direction }),
+            [_, GridCell::Free] => Some(Self { cell, direction: ahead_at }),
             _ => None,
         }
     }
@@ -158,14 +158,14 @@ fn chains(grid: &Grid) -> Vec<Vec<Vector2<f64>>> {
     for closed in [false, true] {
         for place in 0..width * height {
             let cell = Vector2::new(place % width, place / width);
-            if grid.at(cell.x, cell.y) != Cell::Occupied {
+            if grid.at(cell.x, cell.y) != GridCell::Occupied {
                 continue;
             }
             for (direction, outward) in DIRECTIONS.iter().enumerate() {
                 let (side, free) = (Side { cell, direction }, cell + outward);
                 let begins = closed || side.next(grid, true).is_none();
                 let number = place as usize;
-                if begins && !is_done[number][direction] && grid.at(free.x, free.y) == Cell::Free {
+                if begins && !is_done[number][direction] && grid.at(free.x, free.y) == GridCell::Free {
                     found.push(chain(grid, side, &mut is_done));
                 }
             }
@@ -235,17 +235,17 @@ fn joined(mut runs: Vec<Run>) -> Vec<Run> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::laser::grid::Frame;
+    use crate::laser::grid::GridFrame;
 
     /// A grid as it is seen from above, y upwards: `#` occupied, `.` free, ` ` unknown.
     fn grid(resolution_m: f64, origin: [f64; 3], rows: &[&str]) -> Grid {
         let cell = |letter: u8| match letter {
-            b'#' => Cell::Occupied,
-            b'.' => Cell::Free,
-            _ => Cell::Unknown,
+            b'#' => GridCell::Occupied,
+            b'.' => GridCell::Free,
+            _ => GridCell::Unknown,
         };
         let cells = rows.iter().rev().flat_map(|row| row.bytes().map(cell)).collect();
-        Grid { frame: Frame { resolution_m, origin, size: [rows[0].len(), rows.len()] }, cells }
+        Grid { frame: GridFrame { resolution_m, origin, size: [rows[0].len(), rows.len()] }, cells }
     }
 
     fn assert_near(found: &[f64; 4], expected: [f64; 4]) {

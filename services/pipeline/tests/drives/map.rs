@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use estimator::laser::grid::{Drawing, Frame, beams};
+use estimator::laser::grid::{Drawing, GridFrame, beams};
 use estimator::laser::map::surfaces;
 use nalgebra::Vector2;
 use pipeline::{LoopWatch, PipelineSettings, SimulatedLoop};
@@ -52,7 +52,7 @@ impl Seen {
     /// The surfaces of the map that its scans make, seen from the estimates or from where they were taken.
     fn map(&self, is_true: bool) -> Vec<[f64; 4]> {
         let frame =
-            Frame::around(Vector2::new(-10.0, -10.0), Vector2::new(GOAL_M + 20.0, 10.0), 0.05).unwrap();
+            GridFrame::around(Vector2::new(-10.0, -10.0), Vector2::new(GOAL_M + 20.0, 10.0), 0.05).unwrap();
         let mut drawing = Drawing::new(frame);
         for (scan, poses) in &self.views {
             beams(scan, &poses[usize::from(is_true)], &Description::default())
