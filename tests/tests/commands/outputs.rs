@@ -199,3 +199,26 @@ fn a_link_to_a_folder_that_another_user_has_placed_is_refused() {
     assert!(files(&place("theirs")).contains(&"controller.log".to_owned()));
     system.assert_nothing_left();
 }
+
+#[test]
+fn a_map_of_a_drive_is_driven_in_and_the_new_recording_needs_no_map() {
+    let system = TestSystem::new(EXECUTABLE);
+    let drive = |more: &[&str]| system.lockstep(&[&SHORT_FREE[..], more].concat());
+    drive(&["--record=first.mcap"]);
+    let map = ["map", "first.mcap", "--out", "hall"];
+    succeeds(&system, &map);
+    let image = std::fs::read(system.folder().join("hall.pgm")).unwrap();
+    assert!(image.starts_with(b"P5\n") && image.contains(&0), "a wall was seen");
+    let message = refused(&system, &map);
+    assert!(message.contains("hall.yaml") && message.contains("--force"), "{message}");
+    succeeds(&system, &[&map[..], &["--force"]].concat());
+    assert_eq!(std::fs::read(system.folder().join("hall.pgm")).unwrap(), image);
+    drive(&["--record=second.mcap", "--set", "estimator.map=hall.yaml"]);
+    for name in ["hall.yaml", "hall.pgm"] {
+        std::fs::remove_file(system.folder().join(name)).unwrap();
+    }
+    succeeds(&system, &["replay", "second.mcap"]);
+    let message = refused(&system, &["map", "first.mcap", "--out", "hall", "--resolution", "2"]);
+    assert!(message.contains("--resolution") && message.contains("0.005 to 1"), "{message}");
+    assert_eq!(files(system.folder()).iter().filter(|name| name.starts_with("hall")).count(), 0);
+}
