@@ -16,6 +16,8 @@ use toml::{Table, Value};
 
 /// Largest origin [m], and its largest yaw [rad].
 const ORIGIN: (f64, f64) = (1e4, 6.3);
+/// A map is off by so much at most [m].
+pub const MAX_DEVIATION_M: f64 = 1.0;
 /// Thresholds that are written: `map_saver` has the same.
 const THRESHOLDS: [f64; 2] = [0.196, 0.65];
 /// Shades that it writes, of occupied, unknown and free cells.
@@ -37,7 +39,7 @@ pub(crate) fn read(system: &mut Table, system_file: &str) -> anyhow::Result<()> 
         )));
     }
     let file = Path::new(system_file).with_file_name(map);
-    let grid = read_file(&file)?;
+    let (grid, own_m) = read_file(&file)?;
     let found = surfaces(&grid);
     if found.is_empty() || found.len() > MAX_SURFACES {
         let allowed = format!("a map has 1 to {MAX_SURFACES}");
@@ -49,17 +51,17 @@ pub(crate) fn read(system: &mut Table, system_file: &str) -> anyhow::Result<()> 
     }
     estimator.remove("map");
     estimator.insert("surfaces".to_owned(), Value::try_from(found)?);
-    let deviation_m = grid.frame.resolution_m * DEVIATION;
+    let deviation_m = own_m.hypot(grid.frame.resolution_m * DEVIATION);
     estimator.entry("surface_deviation_m").or_insert(Value::Float(deviation_m));
     Ok(())
 }
 
-/// Reads a map and its image.
+/// Reads a map with its image, and how far it may be off [m].
 ///
 /// # Errors
 /// A file that can't be read, with its name; a key that is missing or has a value that is not allowed; an image of another form or
 /// size; exit code 2.
-pub fn read_file(path: &Path) -> anyhow::Result<Grid> {
+fn read_file(path: &Path) -> anyhow::Result<(Grid, f64)> {
     let refuse = |path: &Path, reason: String| Failure::bad_input(format!("{}: {reason}", path.display()));
     let text =
         user_file::read(path, TEXT_BYTES).map_err(|error| refuse(path, format!("estimator.map: {error}")))?;
@@ -69,16 +71,17 @@ pub fn read_file(path: &Path) -> anyhow::Result<Grid> {
     let bytes = user_file::read_bytes(&image, limit)
         .map_err(|error| refuse(path, format!("image = {}: {error}", keys.image)))?;
     let (size, pixels) = pgm(&bytes).map_err(|reason| refuse(&image, reason))?;
-    Ok(keys.grid(size, pixels))
+    Ok((keys.grid(size, pixels), keys.deviation_m))
 }
 
-/// The YAML file and the image of a map; `image` is the name of the latter.
-pub fn written(grid: &Grid, image: &str) -> [Vec<u8>; 2] {
+/// The YAML file and the image of a map that may be off by `deviation_m`; `image` is the name of the latter.
+pub fn written(grid: &Grid, deviation_m: f64, image: &str) -> [Vec<u8>; 2] {
     let GridFrame { resolution_m, origin: [x, y, yaw], size: [width, height] } = grid.frame;
     let [free, occupied] = THRESHOLDS;
     let text = format!(
         "image: {image}\nmode: trinary\nresolution: {resolution_m:?}\norigin: [{x:?}, {y:?}, {yaw:?}]\n\
-         negate: 0\noccupied_thresh: {occupied}\nfree_thresh: {free}\n"
+         negate: 0\noccupied_thresh: {occupied}\nfree_thresh: {free}\n\
+         # Standard deviation of where it is [m], for Scanloop:\ndeviation: {deviation_m:.4}\n"
     );
     let mut pixels = format!("P5\n# {resolution_m:?} m/pixel\n{width} {height}\n255\n").into_bytes();
     let shade = |cell: &GridCell| match cell {
@@ -100,6 +103,8 @@ struct MapKeys {
     is_negated: bool,
     /// Below the first a cell is free, above the second occupied.
     thresholds: [f64; 2],
+    /// Standard deviation of where it is [m]; a key of ours.
+    deviation_m: f64,
 }
 
 impl MapKeys {
@@ -136,7 +141,10 @@ impl MapKeys {
             "trinary" | "scale" => {}
             other => return Err(refusal("mode", other, "trinary or scale")),
         }
-        Ok(Self { image, resolution_m, origin, is_negated, thresholds })
+        let deviation_m = keys
+            .get("deviation")
+            .map_or(Ok(0.0), |text| number("deviation", text, [0.0, MAX_DEVIATION_M]))?;
+        Ok(Self { image, resolution_m, origin, is_negated, thresholds, deviation_m })
     }
 
     /// The grid of an image of this size, whose pixels are from black, 0, to white, 1.
@@ -259,6 +267,7 @@ mod tests {
             origin: [-1.5, 2.0, 0.0],
             is_negated: false,
             thresholds: [0.196, 0.65],
+            deviation_m: 0.0,
         };
         assert_eq!(MapKeys::parse(SAVED), Ok(expected.clone()));
         let below = keys("[-1.500000, 2.000000, 0.000000]", "\n  - -1.5 # [m]\n- 2\n- 0");
@@ -287,6 +296,7 @@ mod tests {
             ("0.65", "65", "occupied_thresh = 65 is not allowed: a number from 0 to 1"),
             ("negate", "mode: raw\nnegate", "mode = raw is not allowed: trinary or scale"),
             ("room.pgm", "", "image = \"\" is not allowed"),
+            ("negate", "deviation: 1.5\nnegate", "deviation = 1.5 is not allowed: a number from 0 to 1"),
             ("image: ", "image ", "line 1: expected"),
         ] {
             let refused = keys(from, to).unwrap_err();
@@ -325,11 +335,11 @@ mod tests {
         use GridCell::{Free, Occupied, Unknown};
         let frame = GridFrame { resolution_m: 0.05, origin: [-0.1, 1e-7, 0.0], size: [3, 2] };
         let grid = Grid { frame, cells: vec![Occupied, Free, Unknown, Free, Free, Free] };
-        let [text, image] = written(&grid, "a.pgm");
+        let [text, image] = written(&grid, 0.08, "a.pgm");
         assert!(image.ends_with(b"3 2\n255\n\xfe\xfe\xfe\x00\xfe\xcd"), "{image:?}");
         let (size, pixels) = pgm(&image).unwrap();
         let keys = MapKeys::parse(std::str::from_utf8(&text).unwrap()).unwrap();
-        assert_eq!(keys.grid(size, pixels), grid);
+        assert_eq!((keys.grid(size, pixels), keys.deviation_m), (grid, 0.08));
         let negated = MapKeys { is_negated: true, ..keys };
         assert_eq!(negated.grid([1, 1], [1.0].into_iter()).cells, [Occupied]);
     }

@@ -8,10 +8,10 @@ use clap::Args;
 use console::answer;
 use console::exit::{Exit, Failure};
 use console::new_file::{Existing, NewFile, finish_all};
-use estimator::laser::grid::{Drawing, GridCell, GridFrame, MAX_CELLS, RESOLUTION_M, beams};
+use estimator::laser::grid::{Deviation, Drawing, GridCell, GridFrame, MAX_CELLS, RESOLUTION_M, beams};
 use estimator::laser::map::surfaces;
 use nalgebra::Vector2;
-use plan::map_file;
+use plan::map_file::{self, MAX_DEVIATION_M};
 use recording::Recording;
 use recording::mcap::Contents;
 use recording::read::attachment;
@@ -19,6 +19,9 @@ use runtime::{settings_file, settings_table};
 use shared_types::{Pose, Role, Scan, Suspect, Topic};
 use toml::Table;
 use vehicle::{Description, read};
+
+/// Scans that wait for their estimate, at most.
+const WAITING: usize = 64;
 
 /// Arguments of `map`.
 #[derive(Debug, Args)]
@@ -62,12 +65,16 @@ pub(crate) fn map(arguments: &MapArguments) -> anyhow::Result<Exit> {
     let create = |path: &PathBuf| NewFile::create(path, Existing::forced(*force), &[file]);
     let mut files = paths.iter().map(create).collect::<anyhow::Result<Vec<_>>>()?;
 
-    let (views, robots) = views(file)?;
-    let all = || views.iter().flat_map(|view| beams(&view.scan, &view.pose, &robots[view.file]));
     let corners = [f64::INFINITY, f64::NEG_INFINITY].map(Vector2::repeat);
-    let [first, last] = all()
-        .flatten()
-        .fold(corners, |[first, last]: [Vector2<f64>; 2], place| [first.inf(&place), last.sup(&place)]);
+    let ([mut first, mut last], mut views) = (corners, 0);
+    let mut deviation = Deviation::default();
+    each_view(file, |scan, pose, robot| {
+        views += 1;
+        deviation.see(pose);
+        for place in beams(scan, pose, robot).flatten() {
+            (first, last) = (first.inf(&place), last.sup(&place));
+        }
+    })?;
     if first.x > last.x {
         return Err(refuse("no scan with returns has an estimate: nothing can be drawn".to_owned()));
     }
@@ -79,9 +86,11 @@ pub(crate) fn map(arguments: &MapArguments) -> anyhow::Result<Exit> {
         )));
     };
     let mut drawing = Drawing::new(frame);
-    all().for_each(|[from, to]| drawing.beam(from, to));
-    let grid = drawing.grid();
-    for (file, content) in files.iter_mut().zip(map_file::written(&grid, &image)) {
+    each_view(file, |scan, pose, robot| {
+        beams(scan, pose, robot).for_each(|[from, to]| drawing.beam(from, to));
+    })?;
+    let (grid, deviation_m) = (drawing.grid(), deviation.root_m().min(MAX_DEVIATION_M));
+    for (file, content) in files.iter_mut().zip(map_file::written(&grid, deviation_m, &image)) {
         file.write_all(&content)?;
     }
     finish_all(files)?;
@@ -89,27 +98,19 @@ pub(crate) fn map(arguments: &MapArguments) -> anyhow::Result<Exit> {
     let occupied = grid.cells.iter().filter(|cell| **cell == GridCell::Occupied).count();
     answer!(
         false,
-        "{}: {width} x {height} cells of {resolution} m, {occupied} occupied, {} straight surfaces, from {} scans",
+        "{}: {width} x {height} cells of {resolution} m, {occupied} occupied, {} straight surfaces, from {views} scans; off by {deviation_m:.3} m",
         paths[0].display(),
-        surfaces(&grid).len(),
-        views.len()
+        surfaces(&grid).len()
     )?;
     Ok(Exit::Done)
 }
 
-/// A scan with the estimate of its pose, of one of the joined files.
-struct View {
-    file: usize,
-    scan: Box<Scan>,
-    pose: Pose,
-}
-
-/// All of a recording, without those whose robot did not know where it was, and the robots of its files.
-fn views(path: &Path) -> anyhow::Result<(Vec<View>, Vec<Description>)> {
+/// Hands over the scans of a recording with the estimates of their poses and the robots of their files, without those of a robot
+/// that did not know where it was.
+fn each_view(path: &Path, mut take: impl FnMut(&Scan, &Pose, &Description)) -> anyhow::Result<()> {
     let mut recording = Recording::open(path)?;
     let robots = recording.files().iter().map(|contents| described(path, contents));
     let robots = robots.collect::<anyhow::Result<Vec<_>>>()?;
-    let mut views = Vec::new();
     let mut waiting: BTreeMap<(usize, u64), Box<Scan>> = BTreeMap::new();
     recording.samples(|_, sample| {
         let file = sample.file;
@@ -119,18 +120,22 @@ fn views(path: &Path) -> anyhow::Result<(Vec<View>, Vec<Description>)> {
                 if !scan.missing.is_set() {
                     waiting.insert((file, scan.header.scan_id), Box::new(*scan));
                 }
+                if waiting.len() > WAITING {
+                    waiting.pop_first();
+                }
             }
             Topic::Pose => {
                 let pose: &Pose = bytemuck::from_bytes(sample.bytes);
                 let scan = waiting.remove(&(file, pose.header.scan_id));
                 let scan = scan.filter(|_| pose.suspect != Suspect::Position.wire());
-                views.extend(scan.map(|scan| View { file, scan, pose: *pose }));
+                if let Some(scan) = scan {
+                    take(&scan, pose, &robots[file]);
+                }
             }
             _ => {}
         }
         Ok(())
-    })?;
-    Ok((views, robots))
+    })
 }
 
 /// The robot as the recorded estimator was told of it.

@@ -122,22 +122,22 @@ pub struct Matcher {
     vehicle: Description,
     pieces: Pieces,
     lines: Vec<SurfaceLine>,
-    /// Those of a map.
+    /// Those of a map, and which of them are near and how far [m].
     given: Vec<SurfaceLine>,
+    near: Vec<(f64, usize)>,
 }
 
 impl Matcher {
     /// A matcher for scans of this robot.
     pub fn new(laser: LaserMode, track: Track, vehicle: &Description) -> Self {
-        let lines = Vec::with_capacity(MAX_LINES);
-        let given = Vec::new();
-        Self { laser, track, vehicle: *vehicle, pieces: Pieces::default(), lines, given }
+        let (lines, given, near) = (Vec::with_capacity(MAX_LINES), Vec::new(), Vec::new());
+        Self { laser, track, vehicle: *vehicle, pieces: Pieces::default(), lines, given, near }
     }
 
     /// One that knows the surfaces of a map, instead of those that the track states.
     #[must_use]
     pub fn with_map(self, given: Vec<SurfaceLine>) -> Self {
-        Self { given, ..self }
+        Self { near: Vec::with_capacity(given.len()), given, ..self }
     }
 
     /// Corrects the pose, which is that of the time of the scan, and remembers the surfaces.
@@ -205,8 +205,10 @@ impl Matcher {
         };
         if self.given.is_empty() {
             known::surfaces(&self.track, place, reach_m, &mut take);
+        } else {
+            let (near, most) = (&mut self.near, MAX_LINES - SURFACES);
+            known::within(&self.given, place, (reach_m, most), near, &mut take);
         }
-        known::within(&self.given, place, reach_m).for_each(|line| take(*line));
         if self.laser == LaserMode::Match {
             self.lines.extend(state.map.lines());
         }

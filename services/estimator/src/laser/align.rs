@@ -230,9 +230,7 @@ pub(super) fn nearest<'l>(
         }
         let [x, y] = line.normal.into();
         let slope = Vector3::new(y * from.x - x * from.y, x, y);
-        let moved = robot - line.seen_from;
-        let transport = Matrix3::new(1.0, 0.0, 0.0, -moved.y, 1.0, 0.0, moved.x, 0.0, 1.0);
-        let place = transport * line.covariance * transport.transpose();
+        let place = line.place_from(robot);
         // What was seen later shares the errors of what was seen before.
         let beside = slope.dot(&((place - prior.map) * slope)).abs();
         let variance = slope.dot(&(prior.covariance * slope)) + beside + noise_m * noise_m / piece.count;

@@ -19,6 +19,8 @@ pub const RESOLUTION_M: [f64; 2] = [0.005, 1.0];
 /// A cell is occupied when at least one of so many beams that reach it ends there, and this many at least.
 const SHARE: u32 = 4;
 const MIN_HITS: u16 = 2;
+/// Speed with which a robot counts that stands [m/s].
+const STANDS_MPS: f64 = 1e-3;
 
 /// What is known of a cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -110,6 +112,27 @@ pub fn beams(scan: &Scan, pose: &Pose, vehicle: &Description) -> impl Iterator<I
             Vector2::new(pose.x_m, pose.y_m) + to_track(pose.yaw_rad, place.x, place.y)
         }))
     })
+}
+
+/// How well the poses are known from which a map is drawn, by the way between them.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Deviation {
+    squares: f64,
+    weight: f64,
+}
+
+impl Deviation {
+    /// One more; a robot that stands counts little.
+    pub fn see(&mut self, pose: &Pose) {
+        let weight = pose.speed_mps.abs().max(STANDS_MPS);
+        self.weight += weight;
+        self.squares += weight * f64::midpoint(pose.covariance[4], pose.covariance[8]);
+    }
+
+    /// Root of the mean variance of x and y [m]; none of no pose.
+    pub fn root_m(&self) -> f64 {
+        (self.squares / self.weight.max(STANDS_MPS)).sqrt()
+    }
 }
 
 /// A grid that is drawn.

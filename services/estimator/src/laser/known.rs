@@ -9,6 +9,8 @@ use super::surface::{LONG_M, SurfaceLine};
 
 /// Standard deviations of where a surface is seen, the same in many scans: stamps and ranges are off a little [rad, m, m].
 const SEEN: [f64; 3] = [3e-4, 1.5e-3, 1.5e-3];
+/// A map that is off in a place is off in direction as if it bent over this [m].
+const BENDS_M: f64 = 8.0;
 /// Looks through a kind of surface that are let pass.
 const LET_PASS: u64 = 6;
 /// As many looks are remembered.
@@ -43,7 +45,7 @@ impl Stated {
 }
 
 /// The lines of surfaces that are given from end to end, what is free to the right, as x, y, x and y [m]; `deviation_m` is how well
-/// each is known [m].
+/// they are known where the robot is [m].
 pub fn given(surfaces: &[[f64; 4]], deviation_m: f64) -> Vec<SurfaceLine> {
     let line = |&[x, y, to_x, to_y]: &[f64; 4]| {
         let (from, way) = (Vector2::new(x, y), Vector2::new(to_x - x, to_y - y));
@@ -65,20 +67,36 @@ pub fn given(surfaces: &[[f64; 4]], deviation_m: f64) -> Vec<SurfaceLine> {
     surfaces.iter().map(line).collect()
 }
 
-/// Those of them that are within `reach_m` of a place.
+/// Hands over those of them that face a place within `reach_m`, the nearest `most`; `near` is memory that is kept.
+///
+/// Beside its own error each has one in direction that all around share: the map may be turned here.
 pub(super) fn within(
     lines: &[SurfaceLine],
     place: Vector2<f64>,
-    reach_m: f64,
-) -> impl Iterator<Item = &SurfaceLine> {
-    lines.iter().filter(move |line| {
+    (reach_m, most): (f64, usize),
+    near: &mut Vec<(f64, usize)>,
+    take: &mut dyn FnMut(SurfaceLine),
+) {
+    let faces = |(index, line): (usize, &SurfaceLine)| {
         let from = place - line.middle;
         let along_m = line.along().dot(&from);
         let beyond_m = along_m - along_m.clamp(line.extent_m[0], line.extent_m[1]);
         let off_m = line.normal.dot(&from);
-        // What faces away is not seen.
-        off_m > 0.0 && off_m.hypot(beyond_m) <= reach_m
-    })
+        let apart_m = off_m.hypot(beyond_m);
+        (off_m > 0.0 && apart_m <= reach_m).then_some((apart_m, index))
+    };
+    near.clear();
+    near.extend(lines.iter().enumerate().filter_map(faces));
+    if near.len() > most {
+        near.select_nth_unstable_by(most, |one, other| one.0.total_cmp(&other.0));
+        near.truncate(most);
+    }
+    for (_, index) in near {
+        let line = lines[*index];
+        let mut covariance = line.place_from(place);
+        covariance[(0, 0)] += line.covariance[(1, 1)] / (BENDS_M * BENDS_M);
+        take(SurfaceLine { covariance, seen_from: place, ..line });
+    }
 }
 
 /// Hands over the surfaces within `reach_m` of a place.

@@ -92,6 +92,13 @@ impl SurfaceLine {
     pub fn along(&self) -> Vector2<f64> {
         Vector2::new(-self.normal.y, self.normal.x)
     }
+
+    /// Covariance of its place, as one of (yaw, x, y) of a robot that is here.
+    pub(super) fn place_from(&self, robot: Vector2<f64>) -> Matrix3<f64> {
+        let moved = robot - self.seen_from;
+        let transport = Matrix3::new(1.0, 0.0, 0.0, -moved.y, 1.0, 0.0, moved.x, 0.0, 1.0);
+        transport * self.covariance * transport.transpose()
+    }
 }
 
 /// A piece as it lies on the track.
