@@ -51,8 +51,9 @@ pub(crate) fn read(system: &mut Table, system_file: &str) -> anyhow::Result<()> 
     }
     estimator.remove("map");
     estimator.insert("surfaces".to_owned(), Value::try_from(found)?);
-    let deviation_m = own_m.hypot(grid.frame.resolution_m * DEVIATION);
-    estimator.entry("surface_deviation_m").or_insert(Value::Float(deviation_m));
+    let of_cell_m = grid.frame.resolution_m * DEVIATION;
+    estimator.entry("map_deviation_m").or_insert(Value::Float(own_m.hypot(of_cell_m)));
+    estimator.entry("surface_deviation_m").or_insert(Value::Float(of_cell_m));
     Ok(())
 }
 

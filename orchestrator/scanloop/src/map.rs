@@ -33,7 +33,7 @@ pub struct MapArguments {
     #[arg(short, long, value_name = "NAME", default_value = "map")]
     pub out: PathBuf,
     /// Side of a cell [m].
-    #[arg(long, value_name = "M", default_value_t = 0.05)]
+    #[arg(long, value_name = "M", default_value_t = 0.025)]
     pub resolution: f64,
     /// Replace files of these names.
     #[arg(long)]

@@ -57,8 +57,10 @@ settings! {
         /// is free to the right [m].
         pub surfaces: Vec<[f64; 4]> = Vec::new(),
             (-1e4..=1e4, "at most 2048, each 0.05 to 1000 m long; with profile `increments` and laser `match`");
-        /// Standard deviation of where such surfaces are [m]; with a map, what it says and that of a place in a cell.
-        pub surface_deviation_m: f64 = 0.015, 0.001..=2.0;
+        /// Standard deviation of where a map is, all of it; with `map` what that says, and a cell's [m].
+        pub map_deviation_m: f64 = 0.015, 0.001..=2.0;
+        /// Standard deviation of where each of its surfaces is beside that; with `map` a cell's [m].
+        pub surface_deviation_m: f64 = 0.015, 0.001..=0.5;
         /// Measured components of the pose.
         pub measure: Vec<Measured> = vec![Measured::Yaw, Measured::X, Measured::Y],
             "each once; they must determine the state, (7.1)-(7.2), as `[\"x\", \"y\"]` does";

@@ -109,8 +109,11 @@ impl Estimator {
     /// [`Invalid`] when a setting is outside its range or the measured states do not determine the state.
     pub fn new(config: &EstimatorConfig) -> Result<Self, Invalid> {
         let settings = config.settings()?;
-        let matcher = Matcher::new(settings.laser, config.track, &config.vehicle)
-            .with_map(given(&config.surfaces, config.surface_deviation_m));
+        let matcher = Matcher::new(settings.laser, config.track, &config.vehicle).with_map(given(
+            &config.surfaces,
+            config.map_deviation_m,
+            config.surface_deviation_m,
+        ));
         Ok(Self { settings, state: EstimatorState::default(), matcher, refusal: None })
     }
 

@@ -27,6 +27,8 @@ const SIGMAS: f64 = 3.0;
 /// Standard deviation of what is wrong with a surface in all its returns: of a short one, whose edges are a larger part of
 /// it, and of a long one [m].
 const BIAS_M: (f64, f64) = (0.02, 0.006);
+/// Where a surface alone is off, it is off in so many scans alike.
+const SAME: f64 = 20.0;
 /// A residual of this size counts half [m].
 const HALF_M: f64 = 0.03;
 /// A piece of a line may be beyond its ends by this, and of one that continues by this [m].
@@ -139,7 +141,8 @@ fn sight(
         let (squares, residual) = pair.squares();
         // Of a return: its own noise, and that which all have.
         let bias_m = if pair.line.is_long { BIAS_M.1 } else { BIAS_M.0 };
-        let variance = pieces.noise_m.powi(2) / pair.count + bias_m.powi(2);
+        let same = pair.same(prior);
+        let variance = pieces.noise_m.powi(2) / pair.count + bias_m.powi(2) + same;
         let of_return = 1.0 / (variance * pair.count);
         let alike = pairs().filter(|other| other.line.normal.dot(&pair.line.normal).abs() >= ALIKE);
         let least = alike.map(Pair::variance).fold(f64::INFINITY, f64::min);
@@ -192,6 +195,13 @@ impl Pair<'_> {
         (!self.line.is_long && is_it).then_some((off_m, by_pose, sigma_m))
     }
 
+    /// Variance by which the line alone may be off, and so be in scans before this one: not where the pose is known worse [m^2].
+    fn same(&self, prior: &Prior) -> f64 {
+        let off = self.line.off_m.powi(2);
+        let expected = self.slope.dot(&(prior.covariance * self.slope)).max(f64::MIN_POSITIVE);
+        off + SAME * off * off / (off + expected)
+    }
+
     /// Variance of the place of the line where the piece is [m^2].
     pub(super) fn variance(&self) -> f64 {
         self.slope.dot(&(self.place * self.slope))
@@ -230,10 +240,13 @@ pub(super) fn nearest<'l>(
         }
         let [x, y] = line.normal.into();
         let slope = Vector3::new(y * from.x - x * from.y, x, y);
-        let place = line.place_from(robot);
+        let moved = robot - line.seen_from;
+        let transport = Matrix3::new(1.0, 0.0, 0.0, -moved.y, 1.0, 0.0, moved.x, 0.0, 1.0);
+        let place = transport * line.covariance * transport.transpose();
         // What was seen later shares the errors of what was seen before.
         let beside = slope.dot(&((place - prior.map) * slope)).abs();
-        let variance = slope.dot(&(prior.covariance * slope)) + beside + noise_m * noise_m / piece.count;
+        let own = noise_m * noise_m / piece.count + line.off_m * line.off_m;
+        let variance = slope.dot(&(prior.covariance * slope)) + beside + own;
         if off_m.abs() <= NEAR_M + SIGMAS * variance.sqrt() {
             best = Some(Pair { line, placed, count: piece.count, off_m, slope, place });
         }

@@ -12,7 +12,7 @@ use vehicle::frame::{heading, to_track};
 
 use super::pieces::SweepMotion;
 
-/// Most cells of a grid: 204 m by 204 m at 5 cm.
+/// Most cells of a grid: 102 m by 102 m at 2.5 cm.
 pub const MAX_CELLS: usize = 1 << 24;
 /// Smallest and largest side of a cell [m].
 pub const RESOLUTION_M: [f64; 2] = [0.005, 1.0];

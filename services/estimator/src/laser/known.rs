@@ -44,14 +44,14 @@ impl Stated {
     }
 }
 
-/// The lines of surfaces that are given from end to end, what is free to the right, as x, y, x and y [m]; `deviation_m` is how well
-/// they are known where the robot is [m].
-pub fn given(surfaces: &[[f64; 4]], deviation_m: f64) -> Vec<SurfaceLine> {
+/// The lines of surfaces that are given from end to end, what is free to the right, as x, y, x and y [m]; all of them may be off by
+/// `map_m` where the robot is, and each by `off_m`, standard deviations [m].
+pub fn given(surfaces: &[[f64; 4]], map_m: f64, off_m: f64) -> Vec<SurfaceLine> {
+    let deviations = Vector3::new(map_m / BENDS_M, map_m, map_m);
     let line = |&[x, y, to_x, to_y]: &[f64; 4]| {
         let (from, way) = (Vector2::new(x, y), Vector2::new(to_x - x, to_y - y));
         let half_m = way.norm() / 2.0;
         let middle = from + way / 2.0;
-        let deviations = Vector3::new(deviation_m / (2.0 * half_m), deviation_m, deviation_m);
         SurfaceLine {
             normal: Vector2::new(way.y, -way.x).normalize(),
             middle,
@@ -59,6 +59,7 @@ pub fn given(surfaces: &[[f64; 4]], deviation_m: f64) -> Vec<SurfaceLine> {
             is_long: 2.0 * half_m >= LONG_M,
             covariance: Matrix3::from_diagonal(&deviations.map(|sigma| sigma * sigma)),
             seen_from: middle,
+            off_m,
             center: None,
             index: None,
             counts: true,
@@ -68,8 +69,6 @@ pub fn given(surfaces: &[[f64; 4]], deviation_m: f64) -> Vec<SurfaceLine> {
 }
 
 /// Hands over those of them that face a place within `reach_m`, the nearest `most`; `near` is memory that is kept.
-///
-/// Beside its own error each has one in direction that all around share: the map may be turned here.
 pub(super) fn within(
     lines: &[SurfaceLine],
     place: Vector2<f64>,
@@ -91,12 +90,8 @@ pub(super) fn within(
         near.select_nth_unstable_by(most, |one, other| one.0.total_cmp(&other.0));
         near.truncate(most);
     }
-    for (_, index) in near {
-        let line = lines[*index];
-        let mut covariance = line.place_from(place);
-        covariance[(0, 0)] += line.covariance[(1, 1)] / (BENDS_M * BENDS_M);
-        take(SurfaceLine { covariance, seen_from: place, ..line });
-    }
+    // Where a map is off, it is so for all that is seen from one place.
+    near.iter().for_each(|(_, index)| take(SurfaceLine { seen_from: place, ..lines[*index] }));
 }
 
 /// Hands over the surfaces within `reach_m` of a place.
@@ -112,6 +107,7 @@ pub fn surfaces(track: &Track, place: Vector2<f64>, reach_m: f64, take: &mut dyn
                 is_long: half_m > Surroundings::PILLAR_M,
                 covariance: Matrix3::from_diagonal(&Vector3::from(SEEN)).map(|sigma| sigma * sigma),
                 seen_from: middle,
+                off_m: 0.0,
                 center: (half_m <= Surroundings::PILLAR_M).then_some(middle),
                 index: None,
                 counts: true,

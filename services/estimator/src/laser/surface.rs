@@ -74,6 +74,8 @@ pub struct SurfaceLine {
     pub covariance: Matrix3<f64>,
     /// Where that was [m].
     pub seen_from: Vector2<f64>,
+    /// Standard deviation of where it alone is beside that, in one scan as in the next [m].
+    pub off_m: f64,
     /// Its middle between its edges, if they were seen [m].
     pub center: Option<Vector2<f64>>,
     /// Which surface of the map it is, if it is one that was seen.
@@ -91,13 +93,6 @@ impl SurfaceLine {
     /// Direction along it, to the left of where it faces.
     pub fn along(&self) -> Vector2<f64> {
         Vector2::new(-self.normal.y, self.normal.x)
-    }
-
-    /// Covariance of its place, as one of (yaw, x, y) of a robot that is here.
-    pub(super) fn place_from(&self, robot: Vector2<f64>) -> Matrix3<f64> {
-        let moved = robot - self.seen_from;
-        let transport = Matrix3::new(1.0, 0.0, 0.0, -moved.y, 1.0, 0.0, moved.x, 0.0, 1.0);
-        transport * self.covariance * transport.transpose()
     }
 }
 
@@ -188,6 +183,7 @@ impl Surface {
             is_long: self.is_long(),
             covariance: Matrix3::new(a, b, c, b, d, e, c, e, f),
             seen_from: Vector2::from(self.seen_from_m),
+            off_m: 0.0,
             center: (self.middles > 0).then(|| Vector2::from(self.middle_m)),
             index: Some(index),
             counts: self.counts(),

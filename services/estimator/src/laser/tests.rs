@@ -8,7 +8,7 @@ use vehicle::frame::heading;
 use vehicle::{Description, Surroundings, Track};
 
 use super::align::align;
-use super::known::{Stated, surfaces};
+use super::known::{Stated, given, surfaces, within};
 use super::pieces::{Pieces, SweepMotion};
 use super::surface::{SurfaceLine, SurfaceMap};
 use super::{LaserMode, LaserState, Matcher};
@@ -147,6 +147,7 @@ fn lines() -> Vec<SurfaceLine> {
         is_long: half_m > 0.75,
         covariance: Matrix3::zeros(),
         seen_from: Vector2::zeros(),
+        off_m: 0.0,
         center: None,
         index: None,
         counts: true,
@@ -314,4 +315,39 @@ fn a_robot_that_is_searched_for_twice_in_twenty_seconds_was_not_lifted() {
     let (once, twice) = (lifted(100), lifted(40));
     assert_eq!((once.found + once.lost, once.again), (1, 0), "{once:?}");
     assert_eq!(twice.again, 1, "{twice:?}");
+}
+
+#[test]
+fn a_map_that_is_off_leaves_the_pose_as_unsure_however_often_it_is_seen() {
+    let off_m = 0.03;
+    let walls = [[5.0, 3.0, 5.0, -3.0], [-3.0, 3.0, 5.0, 3.0], [5.0, -3.0, -3.0, -3.0]];
+    let walls = walls.map(|[x, y, to_x, to_y]| [x + off_m, y, to_x + off_m, to_y]);
+    let track = Track { surroundings: Surroundings::Open, ..Track::default() };
+    let mut matcher =
+        Matcher::new(LaserMode::Match, track, &Description::default()).with_map(given(&walls, 0.03, 0.015));
+    let (mut state, mut reckoning) = (LaserState::default(), known([0.0; 3], [0.01, 0.1, 0.1]));
+    for number in 1..=100 {
+        matcher.see(&scan(number, [0.0; 3], &room()), &SweepMotion::default(), &mut state, &mut reckoning);
+    }
+    let [yaw, x, y] = reckoning.pose;
+    assert!((x - off_m).abs() < 0.01 && y.abs() < 0.01 && yaw.abs() < 0.003, "{:?}", reckoning.pose);
+    let [sigma_rad, sigma_x, sigma_y] = reckoning.of_pose().diagonal().map(f64::sqrt).into();
+    for sigma_m in [sigma_x, sigma_y] {
+        assert!((0.027..0.04).contains(&sigma_m), "{sigma_m}");
+    }
+    assert!((0.003..0.01).contains(&sigma_rad), "{sigma_rad}");
+}
+
+#[test]
+fn of_a_map_the_nearest_surfaces_that_face_the_robot_are_taken() {
+    let at = |x: f64| [x, 1.0, x, -1.0];
+    let lines = given(&[at(4.0), at(1.0), at(3.0), [2.0, -1.0, 2.0, 1.0], at(9.0), at(2.0)], 0.015, 0.015);
+    let taken = |most: usize| {
+        let (mut near, mut found) = (Vec::with_capacity(lines.len()), Vec::new());
+        within(&lines, Vector2::zeros(), (5.0, most), &mut near, &mut |line| found.push(line.middle.x));
+        found.sort_by(f64::total_cmp);
+        found
+    };
+    assert_eq!(taken(9), [1.0, 2.0, 3.0, 4.0]);
+    assert_eq!(taken(2), [1.0, 2.0]);
 }
