@@ -8,8 +8,8 @@ use clap::Args;
 use console::answer;
 use console::exit::{Exit, Failure};
 use console::new_file::{Existing, NewFile, finish_all};
-use estimator::laser::grid::{Deviation, Drawing, GridCell, GridFrame, MAX_CELLS, RESOLUTION_M, beams};
-use estimator::laser::map::surfaces;
+use estimator::laser::grid::{Drawing, GridCell, GridFrame, MAX_CELLS, MapDeviation, RESOLUTION_M, beams};
+use estimator::laser::map::{MAX_SURFACES, surfaces};
 use nalgebra::Vector2;
 use plan::map_file::{self, MAX_DEVIATION_M};
 use recording::Recording;
@@ -67,7 +67,7 @@ pub(crate) fn map(arguments: &MapArguments) -> anyhow::Result<Exit> {
 
     let corners = [f64::INFINITY, f64::NEG_INFINITY].map(Vector2::repeat);
     let ([mut first, mut last], mut views) = (corners, 0);
-    let mut deviation = Deviation::default();
+    let mut deviation = MapDeviation::default();
     each_view(file, |scan, pose, robot| {
         views += 1;
         deviation.see(pose);
@@ -96,11 +96,13 @@ pub(crate) fn map(arguments: &MapArguments) -> anyhow::Result<Exit> {
     finish_all(files)?;
     let [width, height] = frame.size;
     let occupied = grid.cells.iter().filter(|cell| **cell == GridCell::Occupied).count();
+    let count = surfaces(&grid).len();
+    let more =
+        if count > MAX_SURFACES { format!(" (`estimator.map` takes {MAX_SURFACES})") } else { String::new() };
     answer!(
         false,
-        "{}: {width} x {height} cells of {resolution} m, {occupied} occupied, {} straight surfaces, from {views} scans; off by {deviation_m:.3} m",
-        paths[0].display(),
-        surfaces(&grid).len()
+        "{}: {width} x {height} cells of {resolution} m, {occupied} occupied, {count} straight surfaces{more}, from {views} scans; off by {deviation_m:.3} m",
+        paths[0].display()
     )?;
     Ok(Exit::Done)
 }

@@ -116,12 +116,12 @@ pub fn beams(scan: &Scan, pose: &Pose, vehicle: &Description) -> impl Iterator<I
 
 /// How well the poses are known from which a map is drawn, by the way between them.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Deviation {
+pub struct MapDeviation {
     squares: f64,
     weight: f64,
 }
 
-impl Deviation {
+impl MapDeviation {
     /// One more; a robot that stands counts little.
     pub fn see(&mut self, pose: &Pose) {
         let weight = pose.speed_mps.abs().max(STANDS_MPS);

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use estimator::laser::grid::{Deviation, Drawing, GridFrame, beams};
+use estimator::laser::grid::{Drawing, GridFrame, MapDeviation, beams};
 use estimator::laser::map::{DEVIATION, surfaces};
 use nalgebra::Vector2;
 use pipeline::{LoopWatch, PipelineSettings, SimulatedLoop};
@@ -27,8 +27,8 @@ struct Seen {
     errors_m: Vec<f64>,
     /// How many of them are in the ellipse of 95 %.
     inside: f64,
-    /// What the estimates say of themselves.
-    deviation: Deviation,
+    /// How well the poses are known.
+    deviation: MapDeviation,
 }
 
 /// A map of a drive: its surfaces, and how far they may be off [m].
