@@ -345,6 +345,7 @@ fn a_map_is_checked() {
         ("0.0, 0.0]", "0.0]", &["room.yaml", "origin", "three numbers"]),
         ("0.0]", "nan]", &["room.yaml", "origin", "nan"]),
         ("negate", "mode: round\nnegate", &["room.yaml", "mode", "round", "trinary"]),
+        ("negate", "deviation: -1\nnegate", &["room.yaml", "deviation", "-1", "0 to 1"]),
         ("room.pgm", "none.pgm", &["room.yaml", "image", "none.pgm"]),
         ("room.pgm", "text.pgm", &["text.pgm", "P5"]),
         ("room.pgm", "short.pgm", &["short.pgm", "59 pixels", "10 x 6"]),

@@ -253,6 +253,18 @@ mod tests {
     }
 
     #[test]
+    fn a_map_is_as_uncertain_as_the_poses_along_the_way_of_its_drive() {
+        let mut deviation = MapDeviation::default();
+        assert_eq!(deviation.root_m(), 0.0);
+        let mut pose = Pose { speed_mps: 1.0, ..Pose::default() };
+        (pose.covariance[4], pose.covariance[8]) = (1e-4, 7e-4);
+        (0..10).for_each(|_| deviation.see(&pose));
+        let at_rest = Pose::default();
+        (0..100).for_each(|_| deviation.see(&at_rest));
+        assert!((deviation.root_m() - 0.02).abs() < 2e-4, "{}", deviation.root_m());
+    }
+
+    #[test]
     fn a_frame_holds_its_corners_and_has_a_limit() {
         let (low, high) = (Vector2::new(-0.23, 1.02), Vector2::new(0.21, 1.38));
         let frame = GridFrame::around(low, high, 0.1).unwrap();
