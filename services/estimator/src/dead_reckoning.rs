@@ -15,11 +15,6 @@ use nalgebra::{Matrix3, Matrix6, Matrix6x3, Vector3, Vector6};
 use shared_types::plain_state;
 use vehicle::frame::{to_track, wrap_angle};
 
-/// Smallest variance of a component of the place of surfaces [rad^2, m^2].
-const MIN_VARIANCE: f64 = 1e-12;
-/// Share of what two components have in common that leaves a covariance with a margin for rounding.
-const TO_ROUND: f64 = 1.001;
-
 /// What makes dead reckoning drift.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct DriftSources {
@@ -79,8 +74,8 @@ pub struct Sighting {
     pub pull: Vector3<f64>,
     /// What the noise of the scan adds to the covariance of `pull`.
     pub noise: Matrix3<f64>,
-    /// Sum over the surfaces of information times the covariance of their place.
-    pub surfaces: Matrix3<f64>,
+    /// Covariance of the place of the surfaces around after it.
+    pub map: Matrix3<f64>,
     /// Covariance of what the pose seen may be beside the one expected because surfaces that are known better show it.
     pub beside: Matrix3<f64>,
 }
@@ -159,7 +154,7 @@ impl DeadReckoning {
     /// Corrects pose and what is learned by a match, (7.24)-(7.26) in terms of its information; false, and unchanged, when
     /// that is not possible.
     pub fn correct(&mut self, sighting: &Sighting) -> bool {
-        let Sighting { information, pull, noise, surfaces, beside } = sighting;
+        let Sighting { information, pull, noise, map, beside } = sighting;
         let covariance = self.matrix();
         let mut with_pose: Matrix6x3<f64> = covariance.fixed_view::<6, 3>(0, 0).into();
         let mut of_pose = with_pose.fixed_view_mut::<3, 3>(0, 0);
@@ -172,7 +167,6 @@ impl DeadReckoning {
         let mut by_pose = rest.fixed_view_mut::<6, 3>(0, 0);
         by_pose -= gain * information;
         let left = rest * covariance * rest.transpose() + gain * noise * gain.transpose();
-        let map = self.map_after(&inverse, &of_pose, surfaces);
         if !correction.iter().chain(left.iter()).chain(map.iter()).all(|value| value.is_finite()) {
             return false;
         }
@@ -182,27 +176,6 @@ impl DeadReckoning {
         self.keep(&left);
         self.map_covariance.copy_from_slice(map.as_slice());
         true
-    }
-
-    /// Covariance of the place of the surfaces around after a match: that of the surfaces before, and of those that were
-    /// seen, by their weights in the pose. Their errors may be one and the same, so the mean of several is no better.
-    pub(crate) fn map_after(
-        &self,
-        inverse: &Matrix3<f64>,
-        of_pose: &Matrix3<f64>,
-        surfaces: &Matrix3<f64>,
-    ) -> Matrix3<f64> {
-        let blend = inverse.transpose() * (self.map() + of_pose * surfaces);
-        let mut blend = (blend + blend.transpose()) / 2.0;
-        // Blending by directions may leave no covariance: what two components share is made smaller until it is one.
-        for place in 0..3 {
-            blend[(place, place)] = blend[(place, place)].max(MIN_VARIANCE);
-        }
-        let diagonal = Matrix3::from_diagonal(&blend.diagonal());
-        while (blend * TO_ROUND + diagonal * (1.0 - TO_ROUND)).cholesky().is_none() {
-            blend = (blend + diagonal) / 2.0;
-        }
-        blend
     }
 
     /// Covariance of (yaw, x, y) against the surfaces around.
@@ -362,30 +335,5 @@ mod tests {
         let before_rad = state.pose[0];
         state.advance(0.2, 0.0, 0.0, 0.1);
         assert!((state.pose[0] - before_rad - 0.2 * 1.005).abs() < 1e-5, "{:?}", state.pose);
-    }
-
-    #[test]
-    fn the_place_of_surfaces_that_are_known_better_takes_the_place_of_that_of_others() {
-        let mut state = DeadReckoning::begin([0.0; 3], &Matrix3::identity(), &DriftSources::default());
-        let (worse, better) = (Matrix3::identity() * 0.04, Matrix3::identity() * 0.01);
-        state.map_covariance.copy_from_slice(worse.as_slice());
-        let information = Matrix3::identity() * 1e9;
-        let sighting = Sighting {
-            information,
-            noise: information,
-            surfaces: information * better,
-            ..Sighting::default()
-        };
-        assert!(state.correct(&sighting));
-        assert!((state.map() - better).norm() < 1e-6, "{}", state.map());
-        // A covariance, whatever is blended.
-        let skewed = Matrix3::new(1.0, 5.0, -5.0, 0.0, 1.0, 3.0, 0.0, 0.0, 1.0);
-        assert!(state.correct(&Sighting {
-            information,
-            noise: information,
-            surfaces: information * skewed,
-            ..Sighting::default()
-        }));
-        assert!(state.map().symmetric_eigenvalues().min() > -1e-9);
     }
 }

@@ -35,9 +35,9 @@ const MAX_LINES: usize = 256;
 const INTERVAL_NS: u64 = 9_000_000;
 /// A new surface has so many returns.
 const MIN_COUNT: f64 = 5.0;
-/// Standard deviations of where a new surface is seen, beside those by its returns: of its edges, and of what is no straight
-/// line [rad, m, m].
-const BESIDE: [f64; 3] = [1.5e-3, 2e-3, 2e-3];
+/// Standard deviations of where a new surface is seen, beside those by its returns, of a short one and of a long one
+/// [rad, m, m]: with these 95 % of the poses of a kilometre are in their ellipse.
+const BESIDE: ([f64; 3], [f64; 3]) = ([3e-3, 1.5e-2, 1.5e-2], [5e-4, 2e-3, 2e-3]);
 /// How well a robot that was searched for is known when it was found, and when it was not [m, rad].
 const FOUND_M: f64 = 0.1;
 const FOUND_RAD: f64 = 0.05;
@@ -224,7 +224,8 @@ impl Matcher {
                 Some(index) => state.map.see(index, piece.count, &placed, now_ns, STILL_M),
                 None if piece.count >= MIN_COUNT => {
                     let own = placed.uncertainty(piece.count, self.pieces.noise_m, &pose);
-                    let beside = Matrix3::from_diagonal(&Vector3::from(BESIDE)).map(|sigma| sigma * sigma);
+                    let beside = if placed.is_long() { BESIDE.1 } else { BESIDE.0 };
+                    let beside = Matrix3::from_diagonal(&Vector3::from(beside)).map(|sigma| sigma * sigma);
                     state.map.add(piece, &placed, &pose, &(covariance + own + beside), now_ns);
                 }
                 None => {}

@@ -85,6 +85,8 @@ pub(super) struct Pair<'l> {
     pub(super) slope: Vector3<f64>,
     /// Covariance of the place of the line, as one of the pose.
     place: Matrix3<f64>,
+    /// What it says of the pose.
+    information: Matrix3<f64>,
 }
 
 /// Finds the pose; `None` when no piece lies on a line that counts.
@@ -93,13 +95,15 @@ pub fn align(pieces: &Pieces, lines: &[SurfaceLine], reckoning: &DeadReckoning) 
     let mut pose = prior.pose;
     let (mut found, mut beside) = (None, Matrix3::zeros());
     for _ in 0..STEPS {
-        let (mut sighting, returns) = sight(pieces, lines, prior, &pose)?;
+        let mut pairs = [None; MAX_PIECES];
+        let (mut sighting, returns) = sight(pieces, lines, prior, &pose, &mut pairs)?;
         sighting.beside = beside;
         let covariance = prior.covariance + beside;
         let inverse = (Matrix3::identity() + sighting.information * covariance).try_inverse()?;
         let next = prior.pose + covariance * (inverse * sighting.pull);
         let step = next - pose;
         pose = next;
+        sighting.map = blended(prior, &pairs, &covariance, &inverse);
         found = Some(Found { pose, sighting, returns });
         if !step.iter().all(|value| value.is_finite()) {
             return None;
@@ -107,7 +111,7 @@ pub fn align(pieces: &Pieces, lines: &[SurfaceLine], reckoning: &DeadReckoning) 
         if step.amax() < FOUND {
             break;
         }
-        let map = reckoning.map_after(&inverse, &covariance, &sighting.surfaces);
+        let map = sighting.map;
         let far = |axis| prior.map[(axis, axis)] > LOST_M.powi(2);
         if (1..3).any(|axis| far(axis) && map[(axis, axis)] * WORSE < prior.map[(axis, axis)]) {
             beside = prior.map;
@@ -116,14 +120,34 @@ pub fn align(pieces: &Pieces, lines: &[SurfaceLine], reckoning: &DeadReckoning) 
     found
 }
 
-/// What the pieces say of the expected pose when they are seen from `pose`.
-fn sight(
+/// Covariance of the place of the surfaces around after a match: the mean of that before and of those that were seen, each
+/// axis by their weights in the pose. Their errors may be one and the same, so several are no better than one.
+fn blended(
+    prior: &Prior,
+    pairs: &[Option<Pair<'_>>],
+    covariance: &Matrix3<f64>,
+    inverse: &Matrix3<f64>,
+) -> Matrix3<f64> {
+    let gain = inverse.transpose() * covariance;
+    let weights = |pair: &Pair<'_>| (gain * pair.information).diagonal().map(|weight| weight.max(0.0));
+    let kept = inverse.diagonal().map(|weight| weight.max(0.0));
+    let sum = pairs.iter().flatten().map(weights).sum::<Vector3<f64>>() + kept;
+    let share = |weights: Vector3<f64>, place: &Matrix3<f64>| {
+        let root = Matrix3::from_diagonal(&weights.component_div(&sum).map(f64::sqrt));
+        root * place * root
+    };
+    pairs.iter().flatten().map(|pair| share(weights(pair), &pair.place)).sum::<Matrix3<f64>>()
+        + share(kept, &prior.map)
+}
+
+/// What the pieces say of the expected pose when they are seen from `pose`; the pairs of piece and line.
+fn sight<'l>(
     pieces: &Pieces,
-    lines: &[SurfaceLine],
+    lines: &'l [SurfaceLine],
     prior: &Prior,
     pose: &Vector3<f64>,
+    pairs: &mut [Option<Pair<'l>>; MAX_PIECES],
 ) -> Option<(Sighting, [f64; 2])> {
-    let mut pairs = [None; MAX_PIECES];
     let (mut count, mut returns) = (0, [0.0; 2]);
     for piece in pieces.all() {
         returns[1] += piece.count;
@@ -134,33 +158,36 @@ fn sight(
             count += 1;
         }
     }
-    let pairs = || pairs[..count].iter().flatten();
     let mut sighting = Sighting::default();
     let mut slope = Vector3::zeros();
-    for pair in pairs() {
+    for index in 0..count {
+        let Some(pair) = pairs[index] else { continue };
         let (squares, residual) = pair.squares();
         // Of a return: its own noise, and that which all have.
         let bias_m = if pair.line.is_long { BIAS_M.1 } else { BIAS_M.0 };
         let same = pair.same(prior);
         let variance = pieces.noise_m.powi(2) / pair.count + bias_m.powi(2) + same;
         let of_return = 1.0 / (variance * pair.count);
-        let alike = pairs().filter(|other| other.line.normal.dot(&pair.line.normal).abs() >= ALIKE);
+        let alike = pairs[..count]
+            .iter()
+            .flatten()
+            .filter(|other| other.line.normal.dot(&pair.line.normal).abs() >= ALIKE);
         let least = alike.map(Pair::variance).fold(f64::INFINITY, f64::min);
         let worse = (pair.variance() - WORSE * (least + variance)).max(0.0);
         let weight = 1.0 / (1.0 + worse / variance) / (1.0 + (pair.off_m / HALF_M).powi(2));
-        sighting.information += squares * (of_return * weight);
+        let mut information = squares * (of_return * weight);
         sighting.noise += squares * (of_return * weight * weight);
-        sighting.surfaces += squares * (of_return * weight) * pair.place;
         slope += residual * (of_return * weight);
         if let Some((off_m, by_pose, sigma_m)) = pair.along(pose, prior) {
             let variance = sigma_m.powi(2) + BIAS_M.0.powi(2);
             let weight = 1.0 / variance / (1.0 + (off_m / HALF_M).powi(2));
             let squares = by_pose * by_pose.transpose() * weight;
-            sighting.information += squares;
+            information += squares;
             sighting.noise += squares / (1.0 + (off_m / HALF_M).powi(2));
-            sighting.surfaces += squares * pair.place;
             slope += by_pose * (off_m * weight);
         }
+        sighting.information += information;
+        pairs[index] = Some(Pair { information, ..pair });
     }
     let [yaw, x, y] = (pose - prior.pose).into();
     sighting.pull = sighting.information * Vector3::new(wrap_angle(yaw), x, y) - slope;
@@ -248,7 +275,15 @@ pub(super) fn nearest<'l>(
         let own = noise_m * noise_m / piece.count + line.off_m * line.off_m;
         let variance = slope.dot(&(prior.covariance * slope)) + beside + own;
         if off_m.abs() <= NEAR_M + SIGMAS * variance.sqrt() {
-            best = Some(Pair { line, placed, count: piece.count, off_m, slope, place });
+            best = Some(Pair {
+                line,
+                placed,
+                count: piece.count,
+                off_m,
+                slope,
+                place,
+                information: Matrix3::zeros(),
+            });
         }
     }
     best
@@ -263,4 +298,42 @@ pub(super) fn part_of<'l>(
 ) -> Option<&'l SurfaceLine> {
     let find = |counts| nearest(piece, lines, &prior.pose, noise_m, prior, |line| line.counts == counts);
     find(true).or_else(|| find(false)).map(|pair| pair.line)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A pair that tells `information` of a surface of this covariance.
+    fn pair<'l>(line: &'l SurfaceLine, information: Matrix3<f64>, place: Matrix3<f64>) -> Option<Pair<'l>> {
+        let placed = Placed::new(&Piece::default(), &Vector3::zeros());
+        let slope = Vector3::zeros();
+        Some(Pair { line, placed, count: 1.0, off_m: 0.0, slope, place, information })
+    }
+
+    #[test]
+    fn each_axis_has_the_place_of_the_surfaces_that_show_it_and_several_are_no_better_than_one() {
+        let mut line = None;
+        let track = vehicle::Track { walls: true, ..Default::default() };
+        crate::laser::known::surfaces(&track, Vector2::zeros(), 5.6, &mut |wall| line = Some(wall));
+        let line = &line.unwrap();
+        let covariance = Matrix3::identity();
+        let prior = Prior {
+            pose: Vector3::zeros(),
+            covariance,
+            map: Matrix3::from_diagonal(&Vector3::new(0.1, 4.0, 9.0)),
+        };
+        // Two surfaces show y alone, each as well: of these y is the mean, the rest stays as it was.
+        let shown = Matrix3::from_diagonal(&Vector3::new(0.0, 0.0, 1e9));
+        let (one, other) = (Matrix3::identity() * 0.04, Matrix3::identity() * 0.02);
+        let pairs = [pair(line, shown, one), None, pair(line, shown, other)];
+        let inverse = (Matrix3::identity() + shown * 2.0 * covariance).try_inverse().unwrap();
+        let map = blended(&prior, &pairs, &covariance, &inverse);
+        assert!((map.diagonal() - Vector3::new(0.1, 4.0, 0.03)).amax() < 1e-6, "{map}");
+        // A covariance, whatever is blended.
+        let skewed = Matrix3::new(0.1, 0.6, -0.9, 0.6, 4.0, -5.9, -0.9, -5.9, 9.0);
+        let pairs = [pair(line, Matrix3::repeat(1.0), skewed)];
+        let inverse = (Matrix3::identity() + Matrix3::repeat(1.0)).try_inverse().unwrap();
+        assert!(blended(&prior, &pairs, &covariance, &inverse).symmetric_eigenvalues().min() > -1e-9);
+    }
 }

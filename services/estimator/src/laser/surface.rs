@@ -122,20 +122,30 @@ impl Placed {
 }
 
 impl Placed {
+    /// Whether its direction counts.
+    pub(super) fn is_long(&self) -> bool {
+        self.length_m() >= LONG_M
+    }
+
     fn length_m(&self) -> f64 {
         (self.ends[1] - self.ends[0]).norm()
     }
 
-    /// Covariance of its line by the noise of its returns, as one of (yaw, x, y) of the robot at `pose` that saw it.
+    /// Covariance of its line by the noise of its returns, as one of (yaw, x, y) of the robot at `pose` that saw it; that of a
+    /// long one when it is kept.
     pub(super) fn uncertainty(&self, count: f64, noise_m: f64, pose: &Vector3<f64>) -> Matrix3<f64> {
         let apart = Vector2::new(pose[1], pose[2]) - self.mean;
         let turned = Vector3::new(1.0, -apart.y, apart.x);
         let moved = Vector3::new(0.0, self.normal.x, self.normal.y);
         let along_m2 = self.scatter.trace().max(f64::MIN_POSITIVE);
+        let (by_direction, by_place) =
+            (turned * turned.transpose() / along_m2, moved * moved.transpose() / count);
+        let noise_m2 = noise_m.powi(2);
         // The direction of a short one is not used.
-        let is_long = self.length_m() >= LONG_M;
-        let by_direction = if is_long { turned * turned.transpose() / along_m2 } else { Matrix3::zeros() };
-        (by_direction + moved * moved.transpose() / count) * noise_m.powi(2)
+        match self.is_long() {
+            true => (by_direction + by_place) * (noise_m2 * (count / SETTLED.1).min(1.0)),
+            false => by_place * noise_m2,
+        }
     }
 }
 
