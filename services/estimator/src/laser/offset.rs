@@ -15,7 +15,7 @@ use crate::dead_reckoning::DeadReckoning;
 const AGREE: (u64, f64) = (3, 0.02);
 /// A smaller one is left to the match [m]; so many standard deviations of it.
 const MIN_OFFSET_M: f64 = 0.03;
-const SIGMAS: f64 = 5.0;
+const SIGMAS: f64 = 4.0;
 /// How well the pose is known apart from it [m, rad].
 const FREE: (f64, f64) = (0.3, 0.03);
 /// A piece is looked for so far from its line, in standard deviations [m].
