@@ -8,6 +8,7 @@ mod course;
 mod drive;
 mod picture;
 mod results;
+mod scans;
 mod tally;
 mod text;
 
@@ -53,6 +54,13 @@ pub(crate) struct EstimatorArguments {
     /// Replace the file of the picture.
     #[arg(long)]
     pub force: bool,
+    /// Write what the estimator got in each drive, and the truth, to a text file in this folder.
+    #[arg(long, value_name = "FOLDER")]
+    pub scans: Option<PathBuf>,
+    /// Drive nothing: estimate the poses along such a file in surroundings that are not stated, and print for each scan x, y
+    /// and yaw, how long it took [ns], and innovation, state and covariance of the filter.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["robots", "scans", "svg", "json"])]
+    pub follow: Option<PathBuf>,
     /// Print JSON to standard output.
     #[arg(long)]
     pub json: bool,
@@ -68,6 +76,11 @@ pub(crate) struct EstimatorArguments {
 pub(crate) fn estimator(arguments: &EstimatorArguments) -> anyhow::Result<Exit> {
     require("way", arguments.way, 10.0, 9900.0)?;
     arguments.duration.map_or(Ok(()), |duration_s| require("duration", duration_s, 1.0, 1e5))?;
+    if let Some(file) = &arguments.follow {
+        let config = Condition::without_track(arguments)?.system.tuning().estimator;
+        answer!(false, "{}", scans::follow(file, &config)?)?;
+        return Ok(Exit::Done);
+    }
     let picture = |path: &PathBuf| NewFile::create(path, Existing::forced(arguments.force), &[]);
     let picture = arguments.svg.as_ref().map(picture).transpose()?;
     let conditions = Condition::all(arguments);
@@ -77,8 +90,10 @@ pub(crate) fn estimator(arguments: &EstimatorArguments) -> anyhow::Result<Exit> 
     let seeds = usize::try_from(arguments.seeds)?;
     let mut steps = Steps::new((conditions.len() * seeds) as u64, "drives");
     let drive = |index: usize| {
-        let plan = conditions[index / seeds].plan(arguments, first.wrapping_add((index % seeds) as u64))?;
-        drive::drive(&plan)
+        let (condition, seed) = (&conditions[index / seeds], first.wrapping_add((index % seeds) as u64));
+        let plan = condition.plan(arguments, seed)?;
+        let name = format!("{}-{}-{}-{seed}.txt", condition.ground.name(), condition.robot, condition.laser);
+        drive::drive(&plan, arguments.scans.as_ref().map(|folder| folder.join(name)).as_deref())
     };
     let drives = on_all_cores(conditions.len() * seeds, drive, || steps.step(""))?;
     drop(steps);

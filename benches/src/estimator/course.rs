@@ -68,6 +68,18 @@ impl Condition {
         conditions
     }
 
+    /// Nothing is known of the surroundings, and the pose is corrected by the laser; keys that the user sets win.
+    ///
+    /// # Errors
+    /// As [`Self::plan`].
+    pub(super) fn without_track(arguments: &EstimatorArguments) -> anyhow::Result<Plan> {
+        let text = "name = \"follow\"\n[goal]\nx_m = 10.0\n[track]\nsurroundings = \"open\"\n";
+        let own = LASERS[1].1.iter().map(|key| (*key).to_owned());
+        let overrides = own.chain(arguments.choice.overrides.iter().cloned()).collect();
+        let choice = Choice { overrides, ..arguments.choice.clone() };
+        Plan::of(&Scenario::parse(text, "follow")?, &choice)
+    }
+
     /// Whether it is the first one of its robot and course: the odometer is measured there.
     pub(super) fn is_first_setting(&self) -> bool {
         self.laser == LASERS[0].0

@@ -1,5 +1,8 @@
 //! One drive, with what its estimate and its odometer were off.
 
+use std::path::Path;
+
+use anyhow::Context as _;
 use emulator::Outcome;
 use estimator::FilterSettings;
 use estimator::correction::{CorrectionState, Planar};
@@ -7,6 +10,7 @@ use pipeline::PipelineSettings;
 use plan::Plan;
 use shared_types::Odometry;
 
+use super::scans;
 use super::tally::Tally;
 
 /// What one drive was.
@@ -25,22 +29,32 @@ struct Odometer {
     correction: Option<CorrectionState>,
 }
 
-/// Drives a plan to its end.
+/// Drives a plan to its end, and writes its scans to a file when one is named.
 ///
 /// # Errors
-/// A setting that is not allowed; exit code 2.
-pub(super) fn drive(plan: &Plan) -> anyhow::Result<Drive> {
+/// A setting that is not allowed, exit code 2; errors of the file system.
+pub(super) fn drive(plan: &Plan, scans: Option<&Path>) -> anyhow::Result<Drive> {
     let (tuning, period_ns) = (plan.system.tuning(), plan.system.period_ns());
     let mut odometer = Odometer { settings: tuning.estimator.settings()?, correction: None };
     let settings = PipelineSettings { scenario: plan.scenario.clone(), tuning, period_ns };
     let (mut of_estimate, mut of_odometer, mut without_pose) = (Tally::default(), Tally::default(), 0);
+    let mut text = String::new();
     let end = pipeline::drive(&settings, |step| {
+        if scans.is_some() {
+            if text.is_empty() {
+                text = scans::heading(&step.scan);
+            }
+            text += &scans::line(step);
+        }
         of_odometer.add_place(odometer.follow(&step.odometry), &step.truth);
         match &step.pose {
             Some(pose) => of_estimate.add_pose(pose, &step.truth),
             None => without_pose += 1,
         }
     })?;
+    if let Some(path) = scans {
+        std::fs::write(path, text).with_context(|| format!("can't write {}", path.display()))?;
+    }
     Ok(Drive { outcome: end.outcome, estimate: of_estimate, odometer: of_odometer, without_pose })
 }
 
