@@ -22,7 +22,7 @@ use console::exit::{Exit, Failure};
 use console::new_file::{Existing, NewFile};
 use console::progress::Steps;
 use plan::Choice;
-use vehicle::Invalid;
+use vehicle::{Invalid, Surroundings};
 
 use crate::cores::on_all_cores;
 use commands::print_json;
@@ -77,7 +77,8 @@ pub(crate) fn estimator(arguments: &EstimatorArguments) -> anyhow::Result<Exit> 
     require("way", arguments.way, 10.0, 9900.0)?;
     arguments.duration.map_or(Ok(()), |duration_s| require("duration", duration_s, 1.0, 1e5))?;
     if let Some(file) = &arguments.follow {
-        let config = Condition::without_track(arguments)?.system.tuning().estimator;
+        let mut config = Condition::alone(arguments)?.system.tuning().estimator;
+        (config.track.walls, config.track.surroundings) = (false, Surroundings::Open);
         answer!(false, "{}", scans::follow(file, &config)?)?;
         return Ok(Exit::Done);
     }

@@ -68,12 +68,12 @@ impl Condition {
         conditions
     }
 
-    /// Nothing is known of the surroundings, and the pose is corrected by the laser; keys that the user sets win.
+    /// A system without a drive, whose pose is corrected by the laser; keys that the user sets win.
     ///
     /// # Errors
     /// As [`Self::plan`].
-    pub(super) fn without_track(arguments: &EstimatorArguments) -> anyhow::Result<Plan> {
-        let text = "name = \"follow\"\n[goal]\nx_m = 10.0\n[track]\nsurroundings = \"open\"\n";
+    pub(super) fn alone(arguments: &EstimatorArguments) -> anyhow::Result<Plan> {
+        let text = "name = \"follow\"\n[goal]\nx_m = 10.0\n";
         let own = LASERS[1].1.iter().map(|key| (*key).to_owned());
         let overrides = own.chain(arguments.choice.overrides.iter().cloned()).collect();
         let choice = Choice { overrides, ..arguments.choice.clone() };
