@@ -34,8 +34,8 @@ class Kiss:
     """The loop of its class KissICP, with the odometer's motion in place of a constant velocity."""
 
     # Size of a voxel [m], and the threshold: the first one of those that adapt, or a fixed one [m].
-    SETTINGS = [(voxel, threshold, is_fixed) for voxel in (0.05, 0.1, 0.2, 0.4)
-                for threshold, is_fixed in ((0.5, False), (0.03, True), (0.1, True))]
+    SETTINGS = [(voxel, threshold, is_fixed) for voxel in (0.1, 0.2, 0.4)
+                for threshold, is_fixed in ((0.5, False), (0.1, True))]
 
     def __init__(self, setting):
         self.voxel, self.threshold, self.is_fixed = setting
@@ -66,9 +66,8 @@ class Gicp:
     """A scan is aligned with the last key scan, which a new one replaces after some way or turn, or with the sum of all."""
 
     # Kind, distance of points after thinning [m], farthest correspondence [m], way to the next key scan [m].
-    SETTINGS = [(kind, thin, far, key) for kind in ("GICP", "PLANE_ICP", "ICP") for thin in (0.02, 0.05)
-                for far in (0.1, 0.3) for key in (0.3, 1.0)]
-    SETTINGS += [("VGICP", thin, 0.3, voxel) for thin in (0.02, 0.05) for voxel in (0.1, 0.25)]
+    SETTINGS = [(kind, thin, 0.3, key) for kind in ("GICP", "PLANE_ICP") for thin in (0.02, 0.05) for key in (0.3, 1.0)]
+    SETTINGS += [("VGICP", thin, 0.3, 0.25) for thin in (0.02, 0.05)]
 
     def __init__(self, setting):
         self.kind, self.thin, self.far, self.key = setting
