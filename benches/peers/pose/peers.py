@@ -14,7 +14,7 @@ from drives import Drive, integrated
 from odometers import Gicp, Kiss, follow
 
 GROUNDS, ROBOTS, SEEDS, WAY_M = ("empty", "endless", "plain-walls", "rooms"), ("summit", "worn"), 2, 60
-RECORDING = Path(__file__).resolve().parents[3] / "shared/recordings/urg-rover.dat"
+RECORDING = Path(__file__).resolve().parents[4] / "shared/recordings/urg-rover.dat"
 SCANNER_X_M = 0.145
 # Its wheels slip, and no model of the SUMMIT fits it.
 ROVER = ["estimator.gate=false", "estimator.self_check=false", "estimator.odometry_longitudinal=0",
