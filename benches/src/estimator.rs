@@ -51,7 +51,7 @@ pub(crate) struct EstimatorArguments {
     /// Write a picture of error and NEES over time to this file.
     #[arg(long, value_name = "FILE")]
     pub svg: Option<PathBuf>,
-    /// Replace the file of the picture.
+    /// Replace the files that are written.
     #[arg(long)]
     pub force: bool,
     /// Write what the estimator got in each drive, and the truth, to a text file in this folder.
@@ -82,8 +82,8 @@ pub(crate) fn estimator(arguments: &EstimatorArguments) -> anyhow::Result<Exit> 
         answer!(false, "{}", scans::follow(file, &config)?)?;
         return Ok(Exit::Done);
     }
-    let picture = |path: &PathBuf| NewFile::create(path, Existing::forced(arguments.force), &[]);
-    let picture = arguments.svg.as_ref().map(picture).transpose()?;
+    let new_file = |path: &PathBuf| NewFile::create(path, Existing::forced(arguments.force), &[]);
+    let picture = arguments.svg.as_ref().map(new_file).transpose()?;
     let conditions = Condition::all(arguments);
     let first = arguments.choice.seed.unwrap_or(1);
     // What a run would refuse is refused before the first drive.
@@ -94,7 +94,8 @@ pub(crate) fn estimator(arguments: &EstimatorArguments) -> anyhow::Result<Exit> 
         let (condition, seed) = (&conditions[index / seeds], first.wrapping_add((index % seeds) as u64));
         let plan = condition.plan(arguments, seed)?;
         let name = format!("{}-{}-{}-{seed}.txt", condition.ground.name(), condition.robot, condition.laser);
-        drive::drive(&plan, arguments.scans.as_ref().map(|folder| folder.join(name)).as_deref())
+        let scans = arguments.scans.as_ref().map(|folder| new_file(&folder.join(name)));
+        drive::drive(&plan, scans.transpose()?)
     };
     let drives = on_all_cores(conditions.len() * seeds, drive, || steps.step(""))?;
     drop(steps);

@@ -1,8 +1,8 @@
 //! One drive, with what its estimate and its odometer were off.
 
-use std::path::Path;
+use std::io::Write as _;
 
-use anyhow::Context as _;
+use console::new_file::NewFile;
 use emulator::Outcome;
 use estimator::FilterSettings;
 use estimator::correction::{CorrectionState, Planar};
@@ -29,11 +29,11 @@ struct Odometer {
     correction: Option<CorrectionState>,
 }
 
-/// Drives a plan to its end, and writes its scans to a file when one is named.
+/// Drives a plan to its end, and writes its scans to a file if there is one.
 ///
 /// # Errors
 /// A setting that is not allowed, exit code 2; errors of the file system.
-pub(super) fn drive(plan: &Plan, scans: Option<&Path>) -> anyhow::Result<Drive> {
+pub(super) fn drive(plan: &Plan, scans: Option<NewFile>) -> anyhow::Result<Drive> {
     let (tuning, period_ns) = (plan.system.tuning(), plan.system.period_ns());
     let mut odometer = Odometer { settings: tuning.estimator.settings()?, correction: None };
     let settings = PipelineSettings { scenario: plan.scenario.clone(), tuning, period_ns };
@@ -52,8 +52,9 @@ pub(super) fn drive(plan: &Plan, scans: Option<&Path>) -> anyhow::Result<Drive> 
             None => without_pose += 1,
         }
     })?;
-    if let Some(path) = scans {
-        std::fs::write(path, text).with_context(|| format!("can't write {}", path.display()))?;
+    if let Some(mut file) = scans {
+        file.write_all(text.as_bytes())?;
+        file.finish()?;
     }
     Ok(Drive { outcome: end.outcome, estimate: of_estimate, odometer: of_odometer, without_pose })
 }

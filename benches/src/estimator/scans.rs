@@ -9,8 +9,8 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::time::Instant;
 
-use anyhow::Context as _;
 use console::exit::Failure;
+use console::user_file::{self, DATA_BYTES};
 use estimator::{Estimator, EstimatorConfig};
 use pipeline::Step;
 use shared_types::{Actuation, ActuationKind, Flag, Header, Odometry, Role, Scan, ScanGeometry};
@@ -52,7 +52,8 @@ pub(super) fn line(step: &Step) -> String {
 /// # Errors
 /// A file that can't be read or has other lines, with its number: exit code 2.
 pub(super) fn follow(path: &Path, config: &EstimatorConfig) -> anyhow::Result<String> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("can't read {}", path.display()))?;
+    let text = user_file::read(path, DATA_BYTES)
+        .map_err(|reason| Failure::bad_input(format!("{}: {reason}", path.display())))?;
     let bad = |number: usize, what: &str| {
         Failure::bad_input(format!("{}, line {}: {what}", path.display(), number + 1))
     };
@@ -137,5 +138,38 @@ fn actuation(header: &Header, fields: &[f64]) -> Actuation {
         desired_velocity_mps: fields[7],
         desired_steering_rad: fields[8],
         ..Actuation::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use console::new_file::Scratch;
+
+    use super::*;
+
+    /// What following a file of these lines says.
+    fn followed(lines: &[&str]) -> anyhow::Result<String> {
+        let folder = Scratch::new().unwrap();
+        let path = folder.path().join("drive.txt");
+        std::fs::write(&path, lines.join("\n")).unwrap();
+        follow(&path, &EstimatorConfig::default())
+    }
+
+    #[test]
+    fn poses_follow_the_odometer_and_bad_lines_are_named() {
+        const HEADING: &str = "3 -0.5 0.5 0 100000000";
+        const FIRST: &str = "100000000 100000000 0 0 0 1 0 0 0 nan nan nan 1000 1000 1000";
+        const SECOND: &str = "200000000 200000000 0.1 0 0 1 0 0 0 nan nan nan 1000 1000 1000";
+        let poses = followed(&[HEADING, FIRST, SECOND]).unwrap();
+        let x_m: Vec<f64> = poses.lines().map(|line| numbers(line).unwrap()[0]).collect();
+        assert!(x_m.len() == 2 && x_m[0] == 0.0 && (x_m[1] - 0.1).abs() < 0.03, "{x_m:?}");
+        for (lines, expected) in [
+            (&["3 -0.5 0.5"][..], "line 1: expected beams"),
+            (&[HEADING, "1 2 3"], "line 2: expected 12 numbers and 3 ranges"),
+            (&[HEADING, SECOND, FIRST], "line 3: the time goes back"),
+        ] {
+            let error = followed(lines).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+        }
     }
 }
