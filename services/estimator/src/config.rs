@@ -9,6 +9,7 @@ use crate::correction::{CorrectionMode, Drift};
 use crate::dead_reckoning::DriftSources;
 use crate::laser::LaserMode;
 use crate::laser::map::MAX_SURFACES;
+use crate::learned::Learned;
 use crate::motion::{Lag, MotionModel};
 use crate::observability::{Measured, require_observable};
 
@@ -283,6 +284,7 @@ impl EstimatorConfig {
                 rise_per_s: vehicle.steering_rate_max_radps,
                 fall_per_s: vehicle.steering_rate_max_radps,
             },
+            learned: Learned::default(),
         }
     }
 

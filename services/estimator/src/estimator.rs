@@ -38,7 +38,8 @@ use crate::increments::{self, Increments};
 use crate::laser::known::given;
 use crate::laser::pieces::SweepMotion;
 use crate::laser::{LaserMode, Matcher};
-use crate::motion::{MotionModel, MotionState, Moved};
+use crate::learned::{Learned, Turn};
+use crate::motion::{MotionModel, MotionState, Moved, curvature_per_angle};
 use crate::observability::motion_jacobian;
 use crate::self_check::{Evidence, SelfCheckState};
 use crate::{EstimatorConfig, EstimatorState, FilterSettings};
@@ -92,6 +93,13 @@ pub struct Estimator {
     matcher: Matcher,
     /// Why the content of the last sample can't be used.
     refusal: Option<Fault>,
+}
+
+/// The motion by the model, and the standard deviation of its turn [rad].
+#[derive(Debug, Clone, Copy)]
+struct Expected {
+    moved: increments::Increment,
+    yaw_rad: f64,
 }
 
 /// The measurement update in terms of (yaw, x, y), whichever of them is measured.
@@ -171,6 +179,8 @@ impl Estimator {
             if self.settings.is_increments {
                 let is_refused = self.state.rejected > before.rejected;
                 let expected = expected.filter(|_| self.state.restarts == before.restarts);
+                self.learn(measured, odometry, expected.filter(|_| is_known), from_mps, dt);
+                let expected = expected.map(|expected| expected.moved);
                 let from = self.state.reckoning.pose;
                 let measured = if self.settings.yaw_is_measured { measured } else { self.filtered() };
                 let beside_m = self.follow((!is_refused).then_some(measured), measured, expected, dt);
@@ -186,6 +196,7 @@ impl Estimator {
             self.begin(reported, odometry);
             self.state.increments = Increments::begin(reported, self.settings.measurement_noise);
             if self.settings.is_increments {
+                self.state.learned = Learned::begin(reported.yaw, self.settings.measurement_noise[0]);
                 self.start();
             }
             Update::default()
@@ -387,6 +398,7 @@ impl Estimator {
 
     fn restart(&mut self, measured: Planar, odometry: &Odometry) {
         self.begin(measured, odometry);
+        self.state.learned.correct(1.0);
         self.state.restarts += 1;
     }
 
@@ -424,17 +436,13 @@ impl Estimator {
     }
 
     /// Time update (7.22), (7.23) from the last sample to this one. The process f of (7.14)-(7.19) is the motion of the robot.
-    fn predict(&mut self, odometry: &Odometry, dt: f64) -> increments::Increment {
+    fn predict(&mut self, odometry: &Odometry, dt: f64) -> Expected {
         let mut filter = self.filter();
         let before = Planar { yaw: filter.state[0], x: filter.state[1], y: filter.state[2] };
         let (from_ns, to_ns) = (self.state.acquired_ns, odometry.header.acquired_ns);
-        let Moved { pose: after, ahead_m, yaw_rad } = self.state.motion.advance(
-            &self.settings.motion,
-            before,
-            from_ns,
-            to_ns,
-            Some(odometry.speed_mps),
-        );
+        let model = self.model();
+        let Moved { pose: after, ahead_m, yaw_rad } =
+            self.state.motion.advance(&model, before, from_ns, to_ns, Some(odometry.speed_mps));
         let by_state = if self.settings.is_linear {
             Matrix3::identity()
         } else {
@@ -454,7 +462,48 @@ impl Estimator {
         let predicted = Vector3::new(wrap_angle(after.yaw), after.x, after.y);
         filter.predict(predicted, &by_state, &by_noise, &Matrix3::from_diagonal(&noise));
         self.keep(&filter);
-        increments::Increment::between(before, after)
+        let moved = increments::Increment::between(before, after);
+        self.state
+            .learned
+            .predict(moved.turn_rad, curvature_per_angle(&self.settings.motion) * moved.ahead_m);
+        Expected { moved, yaw_rad }
+    }
+
+    /// The model with what is learned of the robot.
+    fn model(&self) -> MotionModel {
+        MotionModel { learned: self.state.learned, ..self.settings.motion }
+    }
+
+    /// Learns from a report how the robot steers and drives, where it is known what its wheels were told.
+    fn learn(
+        &mut self,
+        reported: Planar,
+        odometry: &Odometry,
+        expected: Option<Expected>,
+        from_mps: f64,
+        dt: f64,
+    ) {
+        let noise = (-self.state.increments.product[0]).max(0.0);
+        let Some(Expected { moved, yaw_rad }) = expected else {
+            return self.state.learned.restart(reported.yaw, noise);
+        };
+        let [rate, share, turn] = self.state.reckoning.unreported;
+        let speed_mps = self.speed(odometry);
+        let way_m = f64::midpoint(from_mps, speed_mps) * dt;
+        let learned = &mut self.state.learned;
+        learned.walk(way_m);
+        learned.turned(&Turn {
+            yaw_rad: reported.yaw,
+            expected_rad: moved.turn_rad * (1.0 - turn) - rate * dt,
+            by_offset: curvature_per_angle(&self.settings.motion) * way_m,
+            spread: self.settings.process_noise[0] * dt / NOISE_INTERVAL_S + yaw_rad * yaw_rad,
+            noise,
+        });
+        let in_force = self.state.motion.in_force(odometry.header.acquired_ns);
+        if let Some(control) = in_force.filter(|control| control.drives == 1) {
+            let seen_mps = speed_mps * (1.0 + self.settings.drift.longitudinal + share);
+            learned.driven(seen_mps, control.velocity_mps, self.state.motion.expected_mps);
+        }
     }
 
     /// Dead reckoning begins where the odometer says, as well as that is known.
@@ -541,7 +590,11 @@ impl Estimator {
         is_known: bool,
     ) -> Update {
         let (expected, refused, restarts) = (self.filter(), self.state.rejected, self.state.restarts);
+        let apart = Vector3::new(self.state.learned.apart_rad, 0.0, 0.0);
         let update = self.update(measured, odometry);
+        if self.state.rejected == refused {
+            self.state.learned.correct(update.gain[(0, 0)]);
+        }
         if self.settings.self_check {
             let acquired_ns = odometry.header.acquired_ns;
             let speed_mps = self.speed(odometry);
@@ -559,7 +612,7 @@ impl Estimator {
                     .map(|control| control.velocity_mps),
                 expected_mps: self.state.motion.expected_mps,
                 innovation: (self.settings.gate && is_known)
-                    .then(|| self.normalised(&expected, &update.innovation)),
+                    .then(|| self.normalised(&expected, &(update.innovation + apart))),
                 refused: self.state.rejected > refused,
                 restarted: self.state.restarts > restarts,
             });
@@ -658,7 +711,7 @@ impl Estimator {
         let predicted_ns = acquired_ns.saturating_add(age_ns.min(MAX_AHEAD_NS));
         let mut ahead = motion;
         let predicted =
-            ahead.advance(&self.settings.motion, Planar { yaw, x, y }, acquired_ns, predicted_ns, None).pose;
+            ahead.advance(&self.model(), Planar { yaw, x, y }, acquired_ns, predicted_ns, None).pose;
         let local_covariance = self.local_covariance();
         let mut covariance = if is_increments {
             // Before, dead reckoning begins anew with each report, and with its noise.

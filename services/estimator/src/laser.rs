@@ -13,6 +13,7 @@ pub mod known;
 pub mod map;
 pub mod offset;
 pub mod pieces;
+pub mod round;
 pub mod search;
 pub mod surface;
 
@@ -210,7 +211,7 @@ impl Matcher {
             known::within(&self.given, place, (reach_m, most), near, &mut take);
         }
         if self.laser == LaserMode::Match {
-            self.lines.extend(state.map.lines());
+            self.lines.extend(state.map.lines(place));
         }
     }
 

@@ -12,6 +12,7 @@ mod estimator;
 pub mod gyro;
 pub mod increments;
 pub mod laser;
+pub mod learned;
 pub mod motion;
 pub mod observability;
 pub mod self_check;

@@ -23,9 +23,11 @@ use vehicle::model::{SLOWEST_MPS, derivative_at, lateral_velocity};
 use vehicle::{Bounds, Control, Parameters, State, slid};
 
 use crate::correction::Planar;
+use crate::learned::Learned;
 
 mod follow;
 
+pub(crate) use follow::curvature_per_angle;
 pub use vehicle::Lag;
 
 /// Number of actuations that are remembered: enough for a gap of several scans, and for a block with its recovery within
@@ -83,6 +85,8 @@ pub struct MotionModel {
     pub velocity_lag: Lag,
     /// How the steering angle follows the desired one [rad].
     pub steering_lag: Lag,
+    /// How it really steers.
+    pub learned: Learned,
 }
 
 /// Where the robot got to, and how far the true response may differ from the described one.
@@ -222,7 +226,7 @@ impl MotionState {
                     let slide = seconds.min(speed.abs() / model.blocked_deceleration_mps2);
                     let end = slid(speed, model.blocked_deceleration_mps2, slide);
                     let piece = Piece { duration_s: slide, from_mps: speed, to_mps: end, steering_rad };
-                    state = integrate(&model.parameters, state, &piece);
+                    state = integrate(model, state, &piece);
                     // Where the slide ends within the piece, rounding may leave a speed of 1e-17.
                     speed = blend(if slide < seconds { 0.0 } else { end });
                 }
@@ -231,7 +235,7 @@ impl MotionState {
                     let end = blend(if continues { speed } else { desired });
                     let from_mps = if continues { speed } else { end };
                     let piece = Piece { duration_s: seconds, from_mps, to_mps: end, steering_rad };
-                    state = integrate(&model.parameters, state, &piece);
+                    state = integrate(model, state, &piece);
                     speed = end;
                 }
             }
@@ -293,7 +297,7 @@ impl MotionModel {
 }
 
 /// The state after a piece, in steps of at most [`MAX_STEP_S`], each with the speed of its middle.
-fn integrate(parameters: &Parameters, state: State, piece: &Piece) -> State {
+fn integrate(model: &MotionModel, state: State, piece: &Piece) -> State {
     if piece.duration_s <= 0.0 || (piece.from_mps == 0.0 && piece.to_mps == 0.0) {
         return state;
     }
@@ -302,12 +306,13 @@ fn integrate(parameters: &Parameters, state: State, piece: &Piece) -> State {
     (0..steps as usize).fold(state, |state, index| {
         let share = (index as f64 + 0.5) / steps;
         let speed = piece.from_mps + share * (piece.to_mps - piece.from_mps);
-        step(parameters, &state, speed, piece.steering_rad, step_s)
+        step(model, &state, speed, piece.steering_rad, step_s)
     })
 }
 
 /// One step of the classical Runge-Kutta method on the model; where that is stiff, the closed form.
-fn step(parameters: &Parameters, state: &State, speed: f64, steering: f64, step_s: f64) -> State {
+fn step(model: &MotionModel, state: &State, speed: f64, steering: f64, step_s: f64) -> State {
+    let (parameters, steering) = (&model.parameters, model.learned.acting(steering));
     let lateral_control = Control { velocity: lateral_velocity(speed), steering };
     if is_stiff(parameters, state, &lateral_control, step_s) {
         return stiff_step(parameters, 0.0, state, &lateral_control, speed, step_s);

@@ -8,6 +8,7 @@ use crate::dead_reckoning::DeadReckoning;
 use crate::gyro::GyroState;
 use crate::increments::Increments;
 use crate::laser::LaserState;
+use crate::learned::Learned;
 use crate::motion::{HISTORY, MotionState};
 use crate::self_check::{SelfCheckState, WINDOW};
 
@@ -38,6 +39,8 @@ plain_state! {
         pub increments: Increments,
         /// The pose that follows from them, and the accumulated error of the odometry, which the filter cannot see
         pub reckoning: DeadReckoning,
+        /// How the robot steers and drives beside what is described
+        pub learned: Learned,
         /// The gyro that replaces the yaw of the odometry
         pub gyro: GyroState,
         /// Correction of measured data
@@ -75,6 +78,7 @@ impl EstimatorState {
         finite("reckoning", reckoning)?;
         let increments: &[f64; 20] = bytemuck::cast_ref(&self.increments);
         finite("increments", increments)?;
+        self.learned.check()?;
         self.laser.map.check()?;
         let LaserState { search, offset, .. } = &self.laser;
         finite("search", &[search.score])?;

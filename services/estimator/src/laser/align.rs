@@ -27,6 +27,8 @@ const SIGMAS: f64 = 3.0;
 /// Standard deviation of what is wrong with a surface in all its returns: of a short one, whose edges are a larger part of
 /// it, and of a long one [m].
 const BIAS_M: (f64, f64) = (0.02, 0.006);
+/// The same of a round body [m].
+const ROUND_BIAS_M: f64 = 0.006;
 /// Where a surface alone is off, it is off in so many scans alike.
 const SAME: f64 = 20.0;
 /// A residual of this size counts half [m].
@@ -164,7 +166,7 @@ fn sight<'l>(
         let Some(pair) = pairs[index] else { continue };
         let (squares, residual) = pair.squares();
         // Of a return: its own noise, and that which all have.
-        let bias_m = if pair.line.is_long { BIAS_M.1 } else { BIAS_M.0 };
+        let bias_m = pair.bias_m();
         let same = pair.same(prior);
         let variance = pieces.noise_m.powi(2) / pair.count + bias_m.powi(2) + same;
         let of_return = 1.0 / (variance * pair.count);
@@ -179,7 +181,7 @@ fn sight<'l>(
         sighting.noise += squares * (of_return * weight * weight);
         slope += residual * (of_return * weight);
         if let Some((off_m, by_pose, sigma_m)) = pair.along(pose, prior) {
-            let variance = sigma_m.powi(2) + BIAS_M.0.powi(2);
+            let variance = sigma_m.powi(2) + bias_m.powi(2);
             let weight = 1.0 / variance / (1.0 + (off_m / HALF_M).powi(2));
             let squares = by_pose * by_pose.transpose() * weight;
             information += squares;
@@ -207,6 +209,15 @@ impl Pair<'_> {
             residual[0] += arm.dot(&(scatter * normal));
         }
         (squares, residual)
+    }
+
+    /// Standard deviation of what is wrong with it in all its returns [m].
+    fn bias_m(&self) -> f64 {
+        match self.line {
+            SurfaceLine { radius_m, .. } if *radius_m > 0.0 => ROUND_BIAS_M,
+            SurfaceLine { is_long: true, .. } => BIAS_M.1,
+            _ => BIAS_M.0,
+        }
     }
 
     /// How far the middle of a short surface is along it, how that changes with (yaw, x, y), and its standard deviation.
@@ -246,13 +257,16 @@ pub(super) fn nearest<'l>(
 ) -> Option<Pair<'l>> {
     let placed = Placed::new(piece, pose);
     let robot = Vector2::new(pose[1], pose[2]);
-    let from = placed.mean - robot;
     let direction = noise_m * noise_m / placed.scatter.trace().max(f64::MIN_POSITIVE);
     let turned_rad = PARALLEL_RAD.0 + SIGMAS * (direction + prior.covariance[(0, 0)]).sqrt();
     let turned_rad = turned_rad.min(PARALLEL_RAD.1);
     let mut best: Option<Pair<'l>> = None;
     for line in lines.iter().filter(|line| may(line)) {
-        if line.normal.dot(&placed.normal) < 0.0 || line.along().dot(&placed.normal).abs() > turned_rad {
+        let placed = placed.with_radius(line.radius_m);
+        if !placed.is_alike(line.radius_m)
+            || line.normal.dot(&placed.normal) < 0.0
+            || line.along().dot(&placed.normal).abs() > turned_rad
+        {
             continue;
         }
         let off_m = line.normal.dot(&(placed.mean - line.middle));
@@ -266,6 +280,7 @@ pub(super) fn nearest<'l>(
             continue;
         }
         let [x, y] = line.normal.into();
+        let from = placed.mean - robot;
         let slope = Vector3::new(y * from.x - x * from.y, x, y);
         let moved = robot - line.seen_from;
         let transport = Matrix3::new(1.0, 0.0, 0.0, -moved.y, 1.0, 0.0, moved.x, 0.0, 1.0);

@@ -61,6 +61,7 @@ pub fn given(surfaces: &[[f64; 4]], map_m: f64, off_m: f64) -> Vec<SurfaceLine> 
             seen_from: middle,
             off_m,
             center: None,
+            radius_m: 0.0,
             index: None,
             counts: true,
         }
@@ -109,6 +110,7 @@ pub fn surfaces(track: &Track, place: Vector2<f64>, reach_m: f64, take: &mut dyn
                 seen_from: middle,
                 off_m: 0.0,
                 center: (half_m <= Surroundings::PILLAR_M).then_some(middle),
+                radius_m: 0.0,
                 index: None,
                 counts: true,
             });

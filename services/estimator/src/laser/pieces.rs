@@ -6,7 +6,8 @@
 //! follows exactly. The robot moves while the scanner sweeps, so each return is placed where it was at the time of the
 //! front beam.
 //!
-//! Assumptions: speed and yaw rate are constant during the sweep. What is round gives no piece.
+//! Assumptions: speed and yaw rate are constant during the sweep. What is round gives no straight piece; a small body is a
+//! piece of its own then.
 
 use std::ops::Range;
 
@@ -14,6 +15,8 @@ use nalgebra::{Matrix2, Vector2};
 use shared_types::{MAX_BEAMS, Scan};
 use vehicle::Description;
 use vehicle::frame::heading;
+
+use super::round::Round;
 
 /// Most pieces of a scan.
 pub const MAX_PIECES: usize = 64;
@@ -66,7 +69,9 @@ pub struct Piece {
     pub ends: [Vector2<f64>; 2],
     /// The middle between both, where they are the edges of the surface, and its standard deviation [m].
     pub middle: Option<(Vector2<f64>, f64)>,
-    is_round: bool,
+    /// The circle that it is seen to be instead; its mean is the middle of that.
+    pub round: Option<Round>,
+    is_chord: bool,
 }
 
 impl Piece {
@@ -144,6 +149,9 @@ impl Pieces {
                 let known = self.pieces.len();
                 self.split(first, next, scanner, pitch_rad);
                 self.drop_curved(known, first..next);
+                if self.pieces.len() == known {
+                    self.pieces.extend(self.round(first..next, scanner));
+                }
                 first = next;
             }
         }
@@ -197,7 +205,7 @@ impl Pieces {
         let size_m = (self.returns[cluster.end - 1].place - self.returns[cluster.start].place).norm();
         if let [only] = &mut self.pieces[known..] {
             // A part of a small body, the rest of which is no piece.
-            only.is_round = size_m < SMALL_M && only.count + REST < cluster.len() as f64;
+            only.is_chord = size_m < SMALL_M && only.count + REST < cluster.len() as f64;
         }
         for place in known + 1..self.pieces.len() {
             let [before, piece] = [self.pieces[place - 1], self.pieces[place]];
@@ -205,17 +213,41 @@ impl Pieces {
             let is_near = (piece.ends[0] - before.ends[1]).norm() <= CORNER_M;
             let are_long = before.length_m().min(piece.length_m()) >= LONG_M && cos < ROUND.1;
             if is_near && !are_long && (ROUND.0..ROUND.2).contains(&cos) {
-                (self.pieces[place - 1].is_round, self.pieces[place].is_round) = (true, true);
+                (self.pieces[place - 1].is_chord, self.pieces[place].is_chord) = (true, true);
             }
         }
         let mut place = known;
         while place < self.pieces.len() {
-            if self.pieces[place].is_round {
+            if self.pieces[place].is_chord {
                 self.pieces.remove(place);
             } else {
                 place += 1;
             }
         }
+    }
+
+    /// A small round body, if the returns of a cluster lie on a circle. Those at its edges may be of something else in part.
+    fn round(&self, cluster: Range<usize>, scanner: Vector2<f64>) -> Option<Piece> {
+        let inner = self.returns.get(cluster.start + 1..cluster.end - 1)?;
+        let size_m = (inner.last()?.place - inner.first()?.place).norm();
+        let flat_m = FLAT.0 + FLAT.1 * self.noise_m;
+        let places = inner.iter().map(|one| one.place);
+        let round = Round::fit(places, scanner, flat_m)
+            .filter(|_| size_m < SMALL_M && self.pieces.len() < MAX_PIECES)?;
+        let Round { middle, radius_m, count, aside, .. } = round;
+        let normal = (scanner - middle).normalize();
+        let side = Vector2::new(-normal.y, normal.x) * radius_m;
+        let ends = [middle - side, middle + side];
+        let middle = (middle, self.noise_m * aside);
+        Some(Piece {
+            count,
+            mean: middle.0,
+            normal,
+            ends,
+            middle: Some(middle),
+            round: Some(round),
+            ..Piece::default()
+        })
     }
 
     /// Whether the middle third of returns lies beside the other two, further than noise explains.
@@ -284,7 +316,16 @@ fn fit(returns: &[Return], scanner: Vector2<f64>, noise_m: f64) -> Option<Piece>
     let ends = [inner[0].place, inner[inner.len() - 1].place];
     let is_line = (ends[1] - ends[0]).norm() >= MIN_LENGTH_M && across.sqrt() <= FLAT.0 + FLAT.1 * noise_m;
     let normal = if normal.dot(&(scanner - mean)) < 0.0 { -normal } else { normal };
-    is_line.then_some(Piece { count, mean, scatter, normal, ends, middle: None, is_round: false })
+    is_line.then_some(Piece {
+        count,
+        mean,
+        scatter,
+        normal,
+        ends,
+        middle: None,
+        round: None,
+        is_chord: false,
+    })
 }
 
 /// Normal of the line through places of this scatter.

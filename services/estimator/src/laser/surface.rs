@@ -9,6 +9,7 @@ use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use shared_types::{Fault, finite, plain_state};
 
 use super::pieces::{Piece, normal_of};
+use super::round::Round;
 
 /// How many surfaces are remembered.
 pub const SURFACES: usize = 42;
@@ -18,7 +19,7 @@ const CONFIRMED: (u64, u64) = (5, 450_000_000);
 const SETTLED: (u64, f64) = (6, 1500.0);
 
 plain_state! {
-    /// A straight surface on the track.
+    /// A straight surface or a small round body on the track.
     pub struct Surface {
         /// How many returns its line is fitted through; 0 for no surface
         pub count: f64,
@@ -38,6 +39,8 @@ plain_state! {
         pub first_m: [f64; 2],
         /// 1 when its normal is the negative of that of its scatter
         pub is_turned: u64,
+        /// Radius of a round body, whose middle is its mean; 0 for a straight surface [m]
+        pub radius_m: f64,
         /// How often it was seen
         pub sightings: u64,
         /// When it was seen first [ns]
@@ -78,12 +81,16 @@ pub struct SurfaceLine {
     pub off_m: f64,
     /// Its middle between its edges, if they were seen [m].
     pub center: Option<Vector2<f64>>,
+    /// Radius of a round body, which faces the robot from everywhere; 0 for a straight surface [m].
+    pub radius_m: f64,
     /// Which surface of the map it is, if it is one that was seen.
     pub index: Option<usize>,
     /// Whether it counts in a match.
     pub counts: bool,
 }
 
+/// Straight sides of a small body are so near its middle [m].
+const BESIDE_M: f64 = 0.1;
 /// A middle between edges that stands still is found within so many of its standard deviations.
 const SIGMAS: f64 = 3.0;
 /// A line of this length is a long one: its direction counts, and it continues beyond what was seen of it [m].
@@ -104,6 +111,7 @@ pub(super) struct Placed {
     pub(super) normal: Vector2<f64>,
     pub(super) ends: [Vector2<f64>; 2],
     pub(super) middle: Option<(Vector2<f64>, f64)>,
+    pub(super) round: Option<Round>,
 }
 
 impl Placed {
@@ -117,11 +125,22 @@ impl Placed {
             normal: turn * piece.normal,
             ends: piece.ends.map(place),
             middle: piece.middle.map(|(middle, sigma_m)| (place(middle), sigma_m)),
+            round: piece.round,
         }
     }
-}
 
-impl Placed {
+    /// A round body where it is if it has this radius.
+    pub(super) fn with_radius(self, radius_m: f64) -> Self {
+        let Some(Round { radius_m: seen_m, per_radius, .. }) = self.round else { return self };
+        let mean = self.mean - self.normal * (per_radius * (radius_m - seen_m));
+        Self { mean, middle: self.middle.map(|(_, sigma_m)| (mean, sigma_m)), ..self }
+    }
+
+    /// Whether it can be a part of a surface of this radius, 0 for a straight one.
+    pub(super) fn is_alike(&self, radius_m: f64) -> bool {
+        self.round.is_some() == (radius_m > 0.0)
+    }
+
     /// Whether its direction counts.
     pub(super) fn is_long(&self) -> bool {
         self.length_m() >= LONG_M
@@ -164,7 +183,11 @@ impl Surface {
         Vector2::from(self.mean_m)
     }
 
+    /// Where it faces; a round body where it was seen from first.
     fn normal(&self) -> Vector2<f64> {
+        if self.radius_m > 0.0 {
+            return (Vector2::from(self.seen_from_m) - self.mean()).normalize();
+        }
         let normal = normal_of(&self.scatter());
         if self.is_turned == 1 { -normal } else { normal }
     }
@@ -184,17 +207,21 @@ impl Surface {
         self.sightings >= sightings && (!self.is_long() || self.count >= count)
     }
 
-    fn line(&self, index: usize) -> SurfaceLine {
+    /// Its line for a robot at a place.
+    fn line(&self, index: usize, place: Vector2<f64>) -> SurfaceLine {
         let [a, b, c, d, e, f] = self.covariance;
+        let is_round = self.radius_m > 0.0;
         SurfaceLine {
-            normal: self.normal(),
+            normal: if is_round { (place - self.mean()).normalize() } else { self.normal() },
             middle: self.mean(),
             extent_m: self.extent_m,
             is_long: self.is_long(),
             covariance: Matrix3::new(a, b, c, b, d, e, c, e, f),
             seen_from: Vector2::from(self.seen_from_m),
             off_m: 0.0,
-            center: (self.middles > 0).then(|| Vector2::from(self.middle_m)),
+            center: (self.middles > 0)
+                .then(|| if is_round { self.mean() } else { Vector2::from(self.middle_m) }),
+            radius_m: self.radius_m,
             index: Some(index),
             counts: self.counts(),
         }
@@ -213,6 +240,12 @@ impl Surface {
         let moved_m = Vector2::new(-before.y, before.x).dot(&apart) * (count / sum);
         self.extent_m = self.extent_m.map(|end| end - moved_m);
         self.center(placed);
+        if let Some(Round { radius_m, per_radius, .. }) = placed.round {
+            let more_m = (radius_m - self.radius_m) / self.middles as f64;
+            self.radius_m += more_m;
+            let first = Vector2::from(self.first_m) - placed.normal * (per_radius * more_m);
+            self.first_m = [first.x, first.y];
+        }
     }
 
     /// Takes the middle between its edges into the mean.
@@ -236,18 +269,19 @@ impl Surface {
 
 impl SurfaceMap {
     /// The lines of the surfaces.
-    pub(super) fn lines(&self) -> impl Iterator<Item = SurfaceLine> {
+    pub(super) fn lines(&self, place: Vector2<f64>) -> impl Iterator<Item = SurfaceLine> {
         let there = self.surfaces.iter().enumerate().filter(|(_, surface)| surface.is_there());
-        there.map(|(index, surface)| surface.line(index))
+        there.map(move |(index, surface)| surface.line(index, place))
     }
 
     /// A piece of a surface was seen again; one that does not count yet is forgotten when it is further than `tolerance_m` from
     /// where it was.
     pub(super) fn see(&mut self, index: usize, count: f64, placed: &Placed, now_ns: u64, tolerance_m: f64) {
         let surface = &mut self.surfaces[index];
-        let moved_m = surface.normal().dot(&(placed.mean - Vector2::from(surface.first_m))).abs();
+        let seen = placed.with_radius(surface.radius_m);
+        let moved_m = surface.normal().dot(&(seen.mean - Vector2::from(surface.first_m))).abs();
         let center = Vector2::from(surface.middle_m);
-        let along_m = placed
+        let along_m = seen
             .middle
             .filter(|_| surface.middles > 0)
             .map_or(0.0, |(middle, sigma_m)| ((middle - center).norm() - SIGMAS * sigma_m).max(0.0));
@@ -265,6 +299,21 @@ impl SurfaceMap {
         surface.seen_ns = now_ns;
     }
 
+    /// Whether a piece looks round where a straight surface is known; a round body that looks straight now is forgotten.
+    fn contradicts(&mut self, placed: &Placed) -> bool {
+        let is_round = placed.round.is_some();
+        let others = self.surfaces.iter_mut().filter(|other| {
+            let near_m = other.radius_m + placed.round.map_or(0.0, |round| round.radius_m) + BESIDE_M;
+            let is_other = (other.radius_m > 0.0) != is_round && !other.is_long();
+            other.is_there() && is_other && (other.mean() - placed.mean).norm() <= near_m
+        });
+        if is_round {
+            return others.count() > 0;
+        }
+        others.for_each(|round| *round = Surface::default());
+        false
+    }
+
     /// Remembers a piece as a new surface; `covariance` is that of its place.
     pub(super) fn add(
         &mut self,
@@ -279,6 +328,9 @@ impl SurfaceMap {
             if surface.is_there() { surface.seen_ns + 1 } else { 0 }
         });
         let Some(index) = oldest else { return };
+        if self.contradicts(placed) {
+            return;
+        }
         let scatter = placed.scatter;
         let mut surface = Surface {
             count: piece.count,
@@ -287,6 +339,7 @@ impl SurfaceMap {
             length_m: placed.length_m(),
             first_m: [placed.mean.x, placed.mean.y],
             is_turned: u64::from(normal_of(&scatter).dot(&placed.normal) < 0.0),
+            radius_m: placed.round.map_or(0.0, |round| round.radius_m),
             sightings: 1,
             since_ns: now_ns,
             seen_ns: now_ns,
@@ -314,9 +367,10 @@ impl SurfaceMap {
                 middle_m,
                 seen_from_m,
                 covariance,
+                radius_m,
                 ..
             } = surface;
-            finite("map", &[*count])?;
+            finite("map", &[*count, *radius_m])?;
             let numbers = [&mean_m[..], scatter_m2, extent_m, first_m, middle_m, seen_from_m, covariance];
             numbers.into_iter().try_for_each(|numbers| finite("map", numbers))?;
         }

@@ -107,7 +107,7 @@ impl MotionState {
                 let speed = speed.max(floor_mps);
                 let steering = (wheels.steering + next.steering) / 2.0;
                 if speed != 0.0 {
-                    state = super::step(&model.parameters, &state, speed, steering, step_s);
+                    state = super::step(model, &state, speed, steering, step_s);
                     turned += speed.abs()
                         * step_s
                         * control.map_or(0.0, |control| (control.steering_rad - steering).abs());
@@ -138,7 +138,7 @@ fn steps(from_mps: f64, to_mps: f64, duration: f64) -> f64 {
 }
 
 /// Curvature of the path per steering angle for small angles [1/m].
-fn curvature_per_angle(model: &MotionModel) -> f64 {
+pub(crate) fn curvature_per_angle(model: &MotionModel) -> f64 {
     let parameters = &model.parameters;
     if parameters.model != VehicleModel::CounterSteered {
         return parameters.yaw_rate_gain();

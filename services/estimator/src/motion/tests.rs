@@ -1,6 +1,7 @@
 //! Numbers that can be checked by hand, of a robot that follows at once and of one that lags.
 
 use super::*;
+use crate::learned::Learned;
 use shared_types::Header;
 use vehicle::integrate;
 
@@ -16,6 +17,7 @@ fn model(speed_weight: f64) -> MotionModel {
         delay_ns: 0,
         velocity_lag: Lag::default(),
         steering_lag: Lag::default(),
+        learned: Learned::default(),
     }
 }
 
