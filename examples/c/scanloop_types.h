@@ -580,10 +580,12 @@ typedef struct scanloop_pose {
     double gain[9]; /* Kalman gain of (yaw, x, y), row by row */
     double nis; /* Normalised innovation squared */
     uint64_t rejected; /* Measurements refused by the gate since the start */
+    double learned[6]; /* What the estimator has learned of the robot: turn rate [rad/s], shares of the distance and of the turn that the */
+    double learned_deviation[6]; /* Their standard deviations; 0 for what is not learned */
     uint32_t suspect; /* Part of the calibration that is suspected to be wrong, `Suspect` */
     uint32_t alarm; /* Reaction that the estimator asks for because of it, `Alarm` */
 } scanloop_pose;
-_Static_assert(sizeof(scanloop_pose) == 656, "scanloop_pose");
+_Static_assert(sizeof(scanloop_pose) == 752, "scanloop_pose");
 _Static_assert(offsetof(scanloop_pose, header) == 0, "scanloop_pose.header");
 _Static_assert(offsetof(scanloop_pose, yaw_rad) == 288, "scanloop_pose.yaw_rad");
 _Static_assert(offsetof(scanloop_pose, x_m) == 296, "scanloop_pose.x_m");
@@ -604,8 +606,10 @@ _Static_assert(offsetof(scanloop_pose, innovation) == 536, "scanloop_pose.innova
 _Static_assert(offsetof(scanloop_pose, gain) == 560, "scanloop_pose.gain");
 _Static_assert(offsetof(scanloop_pose, nis) == 632, "scanloop_pose.nis");
 _Static_assert(offsetof(scanloop_pose, rejected) == 640, "scanloop_pose.rejected");
-_Static_assert(offsetof(scanloop_pose, suspect) == 648, "scanloop_pose.suspect");
-_Static_assert(offsetof(scanloop_pose, alarm) == 652, "scanloop_pose.alarm");
+_Static_assert(offsetof(scanloop_pose, learned) == 648, "scanloop_pose.learned");
+_Static_assert(offsetof(scanloop_pose, learned_deviation) == 696, "scanloop_pose.learned_deviation");
+_Static_assert(offsetof(scanloop_pose, suspect) == 744, "scanloop_pose.suspect");
+_Static_assert(offsetof(scanloop_pose, alarm) == 748, "scanloop_pose.alarm");
 
 /* Topic obstacles, published once per scan, when scan and pose are there. */
 typedef struct scanloop_obstacles {
@@ -965,7 +969,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("odometry", scanloop_odometry, "dyaw_rad", dyaw_rad),
     SCANLOOP_VALUE("odometry", scanloop_odometry, "dt_s", dt_s),
     SCANLOOP_VALUE("odometry", scanloop_odometry, "speed_mps", speed_mps),
-    SCANLOOP_SAMPLE("pose", scanloop_pose, "scanloop.Pose.v3"),
+    SCANLOOP_SAMPLE("pose", scanloop_pose, "scanloop.Pose.v4"),
     SCANLOOP_STRUCT("pose", scanloop_pose, "header", "Header", header),
     SCANLOOP_VALUE("pose", scanloop_pose, "header.layout", header.layout),
     SCANLOOP_VALUE("pose", scanloop_pose, "header.incarnation", header.incarnation),
@@ -996,6 +1000,8 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUES("pose", scanloop_pose, "gain", gain),
     SCANLOOP_VALUE("pose", scanloop_pose, "nis", nis),
     SCANLOOP_VALUE("pose", scanloop_pose, "rejected", rejected),
+    SCANLOOP_VALUES("pose", scanloop_pose, "learned", learned),
+    SCANLOOP_VALUES("pose", scanloop_pose, "learned_deviation", learned_deviation),
     SCANLOOP_VALUE("pose", scanloop_pose, "suspect", suspect),
     SCANLOOP_VALUE("pose", scanloop_pose, "alarm", alarm),
     SCANLOOP_SAMPLE("obstacles", scanloop_obstacles, "scanloop.Obstacles.v3"),

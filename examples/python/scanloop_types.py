@@ -483,7 +483,7 @@ class Pose(ctypes.Structure):
     """Topic pose, published once per odometry sample."""
 
     TOPIC = "pose"
-    LAYOUT = 0xa19f8064
+    LAYOUT = 0xe5773226
     _fields_ = [
         ("header", Header),  # Identity and stamps
         ("yaw_rad", ctypes.c_double),  # Estimated yaw at the acquisition of the scan, x2 of (7.28) [rad]
@@ -505,13 +505,15 @@ class Pose(ctypes.Structure):
         ("gain", ctypes.c_double * 9),  # Kalman gain of (yaw, x, y), row by row
         ("nis", ctypes.c_double),  # Normalised innovation squared
         ("rejected", ctypes.c_uint64),  # Measurements refused by the gate since the start
+        ("learned", ctypes.c_double * 6),  # What the estimator has learned of the robot: turn rate [rad/s], shares of the distance and of the turn that the
+        ("learned_deviation", ctypes.c_double * 6),  # Their standard deviations; 0 for what is not learned
         ("suspect", ctypes.c_uint32),  # Part of the calibration that is suspected to be wrong, `Suspect`
         ("alarm", ctypes.c_uint32),  # Reaction that the estimator asks for because of it, `Alarm`
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Pose.v3"
+        return "scanloop.Pose.v4"
 
 
 class Obstacles(ctypes.Structure):

@@ -74,7 +74,7 @@ pub use numbering::{KnownScan, MAX_LATE, MAX_NUMBER, MAX_STAMP_NS, highest_seque
 pub use obstacles::{MAX_OBSTACLES, Obstacle, Obstacles};
 pub use odometry::Odometry;
 pub use own::{LayoutFault, MAX_OWN_BYTES, OwnField, OwnType};
-pub use pose::{Alarm, Pose, Suspect};
+pub use pose::{Alarm, LEARNED, Pose, Suspect};
 pub use refusal::{FIELD_NAME_BYTES, Refusal};
 pub use role::{PORTS, ROLES, Role, SLOTS};
 pub use rule::Rule;

@@ -39,9 +39,19 @@ wire_enum! {
     }
 }
 
+/// Names of what [`Pose::learned`] holds.
+pub const LEARNED: [&str; 6] = [
+    "gyro_bias_radps",
+    "odometry_longitudinal",
+    "gyro_scale",
+    "steering_offset_rad",
+    "turn_share",
+    "velocity_share",
+];
+
 sample! {
     /// Estimated state of the robot at the time of the front beam, and at the time the command will act.
-    pub struct Pose(656, Pose, 0xa19f_8064, "scanloop.Pose.v3", check) {
+    pub struct Pose(752, Pose, 0xe577_3226, "scanloop.Pose.v4", check) {
         /// Identity and stamps
         pub header: Header,
         /// Estimated yaw at the acquisition of the scan, x2 of (7.28) [rad]
@@ -83,6 +93,11 @@ sample! {
         pub nis: f64,
         /// Measurements refused by the gate since the start
         pub rejected: u64,
+        /// What the estimator has learned of the robot: turn rate [rad/s], shares of the distance and of the turn that the
+        /// odometry does not report, offset of the steering angle [rad], shares of turn and speed beyond those described
+        pub learned: [f64; 6],
+        /// Their standard deviations; 0 for what is not learned
+        pub learned_deviation: [f64; 6],
         /// Part of the calibration that is suspected to be wrong, `Suspect`
         pub suspect: u32,
         /// Reaction that the estimator asks for because of it, `Alarm`
@@ -100,6 +115,8 @@ fn check(pose: &Pose) -> Result<(), Fault> {
     )?;
     finite("covariance", &pose.covariance)?;
     finite("local_covariance", &pose.local_covariance)?;
+    finite("learned", &pose.learned)?;
+    finite("learned_deviation", &pose.learned_deviation)?;
     finite(
         "predicted",
         &[

@@ -95,6 +95,9 @@ pub struct Report {
     pub stop_reasons: BTreeMap<String, u64>,
     /// What the estimator's self-check of the calibration found.
     pub self_check: SelfCheckReport,
+    /// What the estimator learned of the robot until the end, and the standard deviation, by the keys of [`shared_types::LEARNED`].
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub learned: BTreeMap<String, [f64; 2]>,
     /// The processes that filled the roles.
     pub processes: Vec<ProcessReport>,
     /// Processes beside the loop.

@@ -188,6 +188,11 @@ impl DeadReckoning {
         self.against_surfaces() + self.map()
     }
 
+    /// Standard deviations of what is not reported.
+    pub fn deviations(&self) -> [f64; 3] {
+        [21, 28, 35].map(|place| self.covariance[place].max(0.0).sqrt())
+    }
+
     fn keep(&mut self, covariance: &Matrix6<f64>) {
         // Rounding makes the two halves differ.
         let symmetric = (covariance + covariance.transpose()) / 2.0;

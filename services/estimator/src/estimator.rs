@@ -750,9 +750,29 @@ impl Estimator {
             gain,
             nis: update.nis,
             rejected: self.state.rejected,
+            learned: self.learned(),
+            learned_deviation: self.learned_deviation(),
             suspect: if is_sought { Suspect::Position.wire() } else { suspect },
             alarm: if is_sought { Alarm::Slow.wire() } else { alarm },
         }
+    }
+
+    /// What is learned of the robot, by [`shared_types::LEARNED`]; without increments nothing.
+    fn learned(&self) -> [f64; 6] {
+        let EstimatorState { reckoning, learned, .. } = &self.state;
+        let [rate, share, turn] = reckoning.unreported;
+        let [offset_rad, turned] = learned.steering;
+        let distance = self.settings.drift.longitudinal + share;
+        let all = [rate, distance, turn, offset_rad, turned, learned.velocity];
+        if self.settings.is_increments { all } else { [0.0; 6] }
+    }
+
+    /// The standard deviations of that.
+    fn learned_deviation(&self) -> [f64; 6] {
+        let EstimatorState { reckoning, learned, .. } = &self.state;
+        let [rate, share, turn] = reckoning.deviations();
+        let [offset_rad, turned, velocity] = learned.deviations();
+        if self.settings.is_increments { [rate, share, turn, offset_rad, turned, velocity] } else { [0.0; 6] }
     }
 
     /// Covariance of the filter, scaled by how large its innovations really are (the variance of unit weight).

@@ -71,6 +71,7 @@ impl Recorder {
             controller: self.tally.controller(),
             stop_reasons: self.tally.stops(),
             self_check: self.tally.self_check(),
+            learned: self.tally.learned(),
             processes: result.processes.clone(),
             companions: result.companions.clone(),
             swaps: result.swaps.clone(),

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use figures::Distribution;
 use shared_types::{
-    Actuation, ActuationKind, Alarm, BlockReason, Command, Level, Pose, SolveStatus, StopReason, Suspect,
+    Actuation, ActuationKind, Alarm, BlockReason, Command, LEARNED, Level, Pose, SolveStatus, StopReason,
+    Suspect,
 };
 
 use crate::report::{ControllerReport, SelfCheckReport};
@@ -27,6 +28,7 @@ pub(super) struct Tally {
     /// Whether the newest block is a silence, which may turn out to be a gap.
     is_silent: bool,
     self_check: SelfCheckReport,
+    learned: [[f64; 2]; LEARNED.len()],
     alarmed: bool,
 }
 
@@ -48,6 +50,7 @@ impl Tally {
                 alarm: Alarm::None.name().to_owned(),
                 ..SelfCheckReport::default()
             },
+            learned: Default::default(),
             alarmed: false,
         }
     }
@@ -56,6 +59,7 @@ impl Tally {
     pub(super) fn pose(&mut self, pose: &Pose) {
         let seen = &mut self.self_check;
         seen.rejected = pose.rejected;
+        self.learned = std::array::from_fn(|place| [pose.learned[place], pose.learned_deviation[place]]);
         let alarm = Alarm::try_from(pose.alarm).unwrap_or(Alarm::None);
         if alarm != Alarm::None {
             if !self.alarmed {
@@ -75,6 +79,12 @@ impl Tally {
     /// What the self-check of the calibration found.
     pub(super) fn self_check(&self) -> SelfCheckReport {
         self.self_check.clone()
+    }
+
+    /// What the estimator has learned: of what it does not learn, nothing.
+    pub(super) fn learned(&self) -> BTreeMap<String, [f64; 2]> {
+        let all = LEARNED.iter().zip(self.learned).filter(|(_, [_, deviation])| *deviation > 0.0);
+        all.map(|(name, figures)| ((*name).to_owned(), figures)).collect()
     }
 
     /// Counts a command.
