@@ -64,7 +64,11 @@ impl RunRecorder {
         });
         if !is_attached {
             let said = std::fs::read_to_string(log).unwrap_or_default();
-            return Err(Failure::process(format!("the recorder did not start: {}", said.trim())));
+            let why = match said.trim() {
+                "" => "it said nothing within 10 s, as on a machine that is too busy for it",
+                said => said,
+            };
+            return Err(Failure::process(format!("the recorder did not start: {why}")));
         }
         Ok(recorder)
     }
