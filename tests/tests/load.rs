@@ -59,7 +59,8 @@ fn a_drive_that_gets_little_of_the_processors_is_not_taken_for_a_robot_with_a_fa
     beside_busy_threads(3, || system.wait());
     let report = system.report();
     let told = format!("{} ({}), {:?}", report.outcome, report.reason, report.scans);
-    assert_eq!((report.self_check.alarm.as_str(), report.outcome == Outcome::Collision), ("none", false), "{told}");
+    assert_ne!(report.self_check.alarm, "stop", "{told}");
+    assert_ne!(report.outcome, Outcome::Collision, "{told}");
     assert!(report.drive.path_length_m > 2.0, "{told}");
     assert_eq!(report.scans.unaccounted, 0, "{told}");
     system.assert_nothing_left();

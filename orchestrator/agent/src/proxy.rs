@@ -114,7 +114,7 @@ pub fn run(host: &str, implementation: &str) -> anyhow::Result<Exit> {
             continue;
         }
         (is_known, heard_ns) = (true, monotonic_ns());
-        // What it reported before it knew of a stop does not confirm that stop, nor one that came while the report was on its way.
+        // What it reported before it knew of a stop does not confirm that stop, also not one that has come just now.
         if let (Some(word), Some(wheels)) = (&stop_word, up.wheels)
             && up.stopped != word.is_armed()
         {

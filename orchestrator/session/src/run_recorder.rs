@@ -64,11 +64,7 @@ impl RunRecorder {
         });
         if !is_attached {
             let said = std::fs::read_to_string(log).unwrap_or_default();
-            let why = match said.trim() {
-                "" => "it said nothing within 10 s, as on a machine that is too busy for it",
-                said => said,
-            };
-            return Err(Failure::process(format!("the recorder did not start: {why}")));
+            return Err(Failure::process(format!("the recorder did not start: {}", said.trim())));
         }
         Ok(recorder)
     }

@@ -255,7 +255,10 @@ fn a_wish_that_no_orchestrator_has_is_refused_and_neither_link_nor_process_is_st
             let told = answer["state"]["refused"]["reason"].as_str().unwrap_or_default();
             assert!(told.contains(reason), "{answer}");
             let messages = hosts.messages();
-            assert!(messages.contains("refused controller of system") && messages.contains(reason), "{messages}");
+            assert!(
+                messages.contains("refused controller of system") && messages.contains(reason),
+                "{messages}"
+            );
         }
         assert_eq!(processes_of(&hosts.other_id()), before);
         assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
