@@ -111,6 +111,20 @@ class Browser:
         """Loads a page."""
         self.call("Page.navigate", url=url)
 
+    def note_texts(self):
+        """Has pages keep the texts that they draw: `drawn[ID OF A CANVAS]` has text and place of each since it was cleared."""
+        self.call("Page.addScriptToEvaluateOnNewDocument", source="""
+            window.drawn = {};
+            const { fillText, clearRect } = CanvasRenderingContext2D.prototype;
+            CanvasRenderingContext2D.prototype.clearRect = function (...box) {
+                drawn[this.canvas.id] = [];
+                clearRect.apply(this, box);
+            };
+            CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
+                drawn[this.canvas.id]?.push([text, x, y]);
+                fillText.call(this, text, x, y);
+            };""")
+
     def value(self, expression):
         """The value of a JavaScript expression."""
         found = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)

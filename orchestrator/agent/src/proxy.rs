@@ -114,9 +114,9 @@ pub fn run(host: &str, implementation: &str) -> anyhow::Result<Exit> {
             continue;
         }
         (is_known, heard_ns) = (true, monotonic_ns());
-        // What it reported before it knew of a stop does not confirm that stop.
+        // What it reported before it knew of a stop does not confirm that stop, also not one that has come just now.
         if let (Some(word), Some(wheels)) = (&stop_word, up.wheels)
-            && up.stopped == down.stopped
+            && up.stopped != word.is_armed()
         {
             word.report(role, Wheels::from(wheels));
         }

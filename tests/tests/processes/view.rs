@@ -505,6 +505,8 @@ fn a_recording_plays_in_a_browser() {
         let output = Command::new("python3")
             .arg(browser_test("recording.py"))
             .arg(format!("http://{}/", view.address))
+            // The goal of the course.
+            .arg("7")
             .output()
             .unwrap();
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));

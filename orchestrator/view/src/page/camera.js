@@ -94,12 +94,12 @@ export function camera(canvas, changed, clicked) {
     get scale() { return now.scale; },
     get follows() { return follows; },
     set follows(on) { follows = on; changed(); },
-    /** Shows the part of the plane between these bounds. */
+    /** Shows the part of the plane between these bounds, below the buttons. */
     fit([x0, x1], [y0, y1]) {
       const [width, height] = size();
       release();
-      Object.assign(goal, { x: (x0 + x1) / 2, y: (y0 + y1) / 2 });
-      goal.scale = clamp(Math.min((width - 60) / Math.max(1, x1 - x0), (height - 60) / Math.max(1, y1 - y0)));
+      const scale = clamp(Math.min((width - 60) / Math.max(1, x1 - x0), (height - 90) / Math.max(1, y1 - y0)));
+      Object.assign(goal, { x: (x0 + x1) / 2, y: (y0 + y1) / 2 + 15 / scale, scale });
       changed();
     },
     /** Moves towards its goal; returns whether it still moves. */

@@ -52,16 +52,16 @@ export function charts(canvas, rows, course, until_s, colour) {
   const steering = course?.bounds?.steering_max_rad ?? 0.06;
   const each = (height - 8) / 3;
   const strips = [
-    { name: "speed", unit: "m/s", low: reverse * 1.15, high: speed * 1.15, bounds: [speed], digits: 2, thin: "desired_velocity_mps", thick: "speed_mps", style: colour.plan },
-    { name: "steering", unit: "rad", low: -steering * 1.25, high: steering * 1.25, bounds: [steering, -steering], digits: 3, thick: "desired_steering_rad", style: colour.plan },
-    { name: "clearance, margin", unit: "m", low: 0, high: 1.5, bounds: [], digits: 2, thin: "margin_m", thick: "clearance_m", style: colour.body },
+    { name: "speed", unit: "m/s", low: reverse * 1.15, high: speed * 1.15, bounds: [speed], ticks: [0, speed], digits: 2, thin: "desired_velocity_mps", thick: "speed_mps", style: colour.plan },
+    { name: "steering", unit: "rad", low: -steering * 1.25, high: steering * 1.25, bounds: [steering, -steering], ticks: [-steering, 0, steering], digits: 3, thick: "desired_steering_rad", style: colour.plan },
+    { name: "clearance, margin", unit: "m", low: 0, high: 1.5, bounds: [], ticks: [0, 1], digits: 2, thin: "margin_m", thick: "clearance_m", style: colour.body },
   ];
   strips.forEach((strip, index) => draw(context, seen, strip, { top: index * (each + 4), each, width, until_s }, colour));
 }
 
 function draw(context, rows, strip, { top, each, width, until_s }, colour) {
   const { low, high, digits } = strip;
-  const left = 132;
+  const left = 140;
   const y = (value) => top + each * (1 - (Math.min(high, Math.max(low, value)) - low) / (high - low));
   const x = (time_s) => left + (width - left) * (1 - (until_s - time_s) / SPAN_S);
   context.fillStyle = colour.back;
@@ -80,19 +80,20 @@ function draw(context, rows, strip, { top, each, width, until_s }, colour) {
   context.lineWidth = 1;
   for (const bound of strip.bounds) level(context, left, width, y(bound));
   context.setLineDash([]);
-  if (low < 0) {
-    context.strokeStyle = colour.line;
-    level(context, left, width, y(0));
-  }
+  context.strokeStyle = colour.line;
+  for (const tick of strip.ticks) if (!strip.bounds.includes(tick)) level(context, left, width, y(tick));
   if (strip.thin) curve(context, rows, strip.thin, x, y, colour.muted, 1.2);
   curve(context, rows, strip.thick, x, y, strip.style, 2);
-  // The ends of the axis.
   context.fillStyle = colour.muted;
   context.font = "10px system-ui, sans-serif";
   context.textAlign = "right";
-  context.fillText(+high.toFixed(2), left - 4, top + 9);
-  context.fillText(+low.toFixed(2), left - 4, top + each - 1);
+  context.textBaseline = "middle";
+  for (const tick of strip.ticks) {
+    const label = `${+tick.toPrecision(3)} ${strip.unit}`;
+    context.fillText(label, left - 4, Math.min(top + each - 5, Math.max(top + 5, y(tick))));
+  }
   context.textAlign = "left";
+  context.textBaseline = "alphabetic";
   const last = rows.at(-1)?.[strip.thick];
   context.fillStyle = colour.muted;
   context.font = "11px system-ui, sans-serif";
@@ -100,9 +101,6 @@ function draw(context, rows, strip, { top, each, width, until_s }, colour) {
   context.fillStyle = colour.ink;
   context.font = "600 18px system-ui, sans-serif";
   context.fillText(last == null ? "–" : (Math.abs(last) < 0.0005 ? 0 : last).toFixed(digits), 0, top + 31);
-  context.fillStyle = colour.muted;
-  context.font = "11px system-ui, sans-serif";
-  context.fillText(strip.unit, 72, top + 31);
 }
 
 function level(context, left, width, y) {

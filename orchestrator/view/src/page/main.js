@@ -5,7 +5,7 @@ import { charts, onResize, prepare } from "./charts.js";
 import { control } from "./control.js";
 import { latency } from "./latency.js";
 import { loop } from "./loop.js";
-import { draw, toGoal } from "./map.js";
+import { draw, extent, toGoal } from "./map.js";
 import { legend, panels, stateOf } from "./panels.js";
 import { bounds, past } from "./past.js";
 import { player } from "./player.js";
@@ -135,16 +135,17 @@ function between(before, pose, share) {
   }, true];
 }
 
-// The last minute of the run that the frame belongs to: scans count up within a run.
-function trailOf(frame) {
+// The last seconds of the run that the frame belongs to, of these rows: scans count up within a run.
+function trailOf(frame, rows, span_s) {
   const until = frame?.row.time_s ?? Infinity;
-  let end = page.rows.length;
-  while (end > 0 && page.rows[end - 1].time_s > until) end--;
+  let end = rows.length;
+  while (end > 0 && rows[end - 1].time_s > until) end--;
   let start = end;
-  while (start > 0 && page.rows[start - 1].time_s > until - 60 && (start === end || page.rows[start - 1].scan_id <= page.rows[start].scan_id)) start--;
-  return page.rows.slice(start, end);
+  while (start > 0 && rows[start - 1].time_s > until - span_s && (start === end || rows[start - 1].scan_id <= rows[start].scan_id)) start--;
+  return rows.slice(start, end);
 }
 
+let shown = { frame: null, course: null };
 let body = null;
 let trail = [];
 let painted = null;
@@ -172,13 +173,14 @@ function paint(now_ms) {
   page.course = page.system?.course ?? page.course;
   // A frame has the goals once one of them has changed.
   const course = page.course && frame?.goals ? { ...page.course, goals: frame.goals, goal: frame.goals.at(-1) } : page.course;
+  shown = { frame, course };
   const track = course?.track?.y_m;
   const centre_y = course?.way ? body?.y_m : track ? (track[0] + track[1]) / 2 : 0;
   const isMoving = eye.step(seconds, body, centre_y);
   last_ms = now_ms;
   if (!isDirty && !moves && !isMoving) return;
   const { context, width, height } = prepare(by("map"));
-  if (isDirty) trail = trailOf(frame);
+  if (isDirty) trail = trailOf(frame, page.rows, 60);
   draw(context, eye, { frame, course, rows: trail, body, size: { width, height } }, colour);
   if (isDirty) paintPanels(frame, course);
   isDirty = false;
@@ -231,17 +233,8 @@ by("live").addEventListener("click", () => choose(null));
 by("legend-button").addEventListener("click", toggleLegend);
 
 function fit() {
-  const { track, way } = page.course ?? {};
-  if (way) {
-    const extent = (axis) => {
-      const values = [...way.left, ...way.right].map((point) => point[axis]);
-      return [Math.min(...values), Math.max(...values)];
-    };
-    eye.fit(extent(0), extent(1));
-    return;
-  }
-  if (!track?.x_m) return;
-  eye.fit(track.x_m, track.y_m);
+  const place = extent(shown.course, trailOf(shown.frame, page.overview ?? page.rows, Infinity), body);
+  if (place) eye.fit(...place);
 }
 
 function toggleLegend() {

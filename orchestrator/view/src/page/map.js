@@ -130,6 +130,26 @@ export function toGoal({ goals, way }, pose) {
   return way ? Math.abs(next.along_m - along_m) : Math.hypot(pose.x_m - next.x_m, pose.y_m - next.y_m);
 }
 
+/** Bounds of what matters, in x and y: the course up to its last goal, the robot and its path; null where there is none. */
+export function extent(course, rows, body) {
+  const { goals = [], way, track, body: size } = course ?? {};
+  const length = size?.length_m ?? 0;
+  const known = (place) => place?.x_m != null;
+  const places = [...goals, ...rows].filter(known).map((place) => [place.x_m, place.y_m]);
+  if (known(body)) for (const add of [-length, length]) places.push([body.x_m + add, body.y_m + add]);
+  if (way) {
+    const [from_m, to_m] = way.along_m;
+    const last_m = Math.max(...goals.map((goal) => goal.along_m));
+    const count = Math.ceil((way.centre.length - 1) * (last_m - from_m) / (to_m - from_m)) + 1;
+    places.push(...way.left.slice(0, count), ...way.right.slice(0, count));
+  }
+  if (!places.length) return null;
+  const [x, y] = [0, 1].map((axis) => places.map((place) => place[axis])).map((all) => [Math.min(...all), Math.max(...all)]);
+  // The bounds beside the way, where they are not farther than the scanner sees.
+  const beside = track?.y_m ?? y;
+  return [x, [Math.min(y[0], Math.max(beside[0], y[0] - RANGE_M)), Math.max(y[1], Math.min(beside[1], y[1] + RANGE_M))]];
+}
+
 // The index of the point of a way that is nearest to a place.
 function nearest({ centre }, place) {
   const far = centre.map(([x, y]) => Math.hypot(place.x_m - x, place.y_m - y));

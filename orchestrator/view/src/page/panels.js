@@ -58,6 +58,11 @@ export function panels(by) {
     const place = by(id);
     if (place.textContent !== text) place.textContent = text;
   };
+  // A line that ends with an ellipsis where it is too long.
+  const setLine = (id, text) => {
+    set(id, text);
+    if (by(id).title !== text) by(id).title = text;
+  };
   const digits = (value, count) => (value == null ? "–" : value.toFixed(count));
   let shown = "";
 
@@ -66,7 +71,7 @@ export function panels(by) {
       document.body.dataset.state = state;
       set("state-mark", MARKS[state] ?? "");
       set("state-text", text);
-      set("state-detail", detail);
+      setLine("state-detail", detail);
       document.title = `${text} · Scanloop`;
       by("hint").hidden = state !== "waiting";
       if (state === "waiting" && by("hint").dataset.of !== system.system_id) {
@@ -76,7 +81,6 @@ export function panels(by) {
         by("hint").dataset.of = system.system_id;
       }
       const status = system?.status;
-      const run = by("run");
       const place = system?.file ? `recording ${system.file}` : `system ${system?.system_id ?? "–"}`;
       const facts = [status?.scenario, place];
       if (system?.lost) facts.push(`${system.lost} samples lost`);
@@ -84,8 +88,7 @@ export function panels(by) {
       const scan = frame?.row?.scan_id ?? status?.scan;
       if (scan != null) facts.push(`scan ${scan}`);
       if (frame?.time_s != null) facts.push(`${frame.time_s.toFixed(1)} s`);
-      const line = facts.filter(Boolean).join(" · ");
-      if (run.textContent !== line) run.textContent = line;
+      setLine("run", facts.filter(Boolean).join(" · "));
     },
     frame(frame) {
       const row = frame?.row;
@@ -102,7 +105,7 @@ export function panels(by) {
       const scanner = frame?.scanner;
       by("scanner-panel").dataset.state = scanner?.state ?? "none";
       const percent = (share) => `${Math.round(100 * share)} %`;
-      set("scanner-note", scanner ? `${scanner.state} · ${percent(scanner.returned_share)} returns · ` +
+      setLine("scanner-note", scanner ? `${scanner.state} · ${percent(scanner.returned_share)} returns · ` +
         `${scanner.unseen_sectors.length}/62 sectors unseen · sees ${scanner.seen_ahead_m.toFixed(1)} m` : "no description yet");
     },
     /** The last events up to a time; without `epoch_ms` times count from the start. */
@@ -118,10 +121,11 @@ export function panels(by) {
         time.textContent = epoch_ms == null ? clock(event.time_s, 1) : new Date(epoch_ms + 1000 * event.time_s).toTimeString().slice(0, 8);
         const text = document.createElement("b");
         text.textContent = event.text;
-        item.title = event.text;
         item.append(time, text);
         return item;
       }));
+      // The newest is the last, also where long texts need more than the place there is.
+      by("events").scrollTop = by("events").scrollHeight;
     },
   };
 }

@@ -1,8 +1,12 @@
 //! Hosts that do not trust each other, and files that are refused: each is named with what is wrong.
 
 use std::io::{BufRead, BufReader};
+use std::os::unix::net::UnixDatagram;
+use std::time::Duration;
 
+use runtime::{LINK_SOCKET, Realtime, link_version, reply_socket};
 use scanloop_tests::printed;
+use serde_json::{Value, json};
 
 use super::*;
 
@@ -199,4 +203,69 @@ fn an_agent_starts_only_what_its_file_names() {
         "{stderr}"
     );
     hosts.end();
+}
+
+/// An incarnation that no process of a run gets.
+const STRANGER: u32 = 4_000_000;
+
+/// Has the link of a run ask the agent of the lab to start a controller, with another value of one key; returns the answer.
+fn wish(hosts: &TwoHosts, key: &str, value: &Value) -> Value {
+    let domain = hosts.system.domain();
+    let reply = domain.directory().join(reply_socket(STRANGER));
+    let _ = std::fs::remove_file(&reply);
+    let socket = UnixDatagram::bind(reply).unwrap();
+    socket.set_read_timeout(Some(Duration::from_millis(200))).unwrap();
+    let mut start = json!({
+        "implementation": "nmpc", "restart": false, "period_ns": 100_000_000, "realtime": Realtime::default(),
+        "settings": "", "receives": ["scan"], "sends": ["command"],
+    });
+    start[key] = value.clone();
+    let message = json!({
+        "version": link_version(), "system_id": domain.system_id(), "run_id": domain.run_id(),
+        "incarnation": STRANGER, "role": "controller", "order": "start", "start": start,
+    });
+    let message = format!("lab\n{message}");
+    let answer = std::cell::RefCell::new(vec![0; 1 << 16]);
+    // A message may be lost.
+    hosts.system.wait_until("the agent answers", |_| {
+        socket.send_to(message.as_bytes(), domain.directory().join(LINK_SOCKET)).unwrap();
+        let received = socket.recv(&mut answer.borrow_mut());
+        received.is_ok_and(|length| {
+            answer.borrow_mut().truncate(length);
+            true
+        })
+    });
+    serde_json::from_slice(&answer.take()).unwrap()
+}
+
+#[test]
+fn a_wish_that_no_orchestrator_has_is_refused_and_neither_link_nor_process_is_started_again() {
+    repeat_when_late(|| {
+        let Some(mut hosts) = TwoHosts::new("a wish that no orchestrator has") else { return };
+        hosts.start_agent();
+        hosts.start(&SHORT_FREE);
+        hosts.system.wait_until_driving();
+        let before = processes_of(&hosts.other_id());
+        for (key, value, reason) in [
+            ("period_ns", json!(0), "period_ns = 0 is not allowed: 1000000 to 2000000000"),
+            ("receives", json!(["no-such-topic"]), "receives = \"no-such-topic\" is not allowed"),
+            ("sends", json!(["pose", "no-such-topic"]), "sends = \"no-such-topic\" is not allowed"),
+        ] {
+            let answer = wish(&hosts, key, &value);
+            let told = answer["state"]["refused"]["reason"].as_str().unwrap_or_default();
+            assert!(told.contains(reason), "{answer}");
+            let messages = hosts.messages();
+            assert!(
+                messages.contains("refused controller of system") && messages.contains(reason),
+                "{messages}"
+            );
+        }
+        assert_eq!(processes_of(&hosts.other_id()), before);
+        assert_eq!(hosts.system.wait().code(), Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
+        assert!(!hosts.messages().contains("link of this host has ended"), "{}", hosts.messages());
+        let report = hosts.system.report();
+        let restarts: Vec<u32> = report.processes.iter().map(|process| process.restarts).collect();
+        assert_eq!((report.outcome, report.scans.unaccounted, restarts), (Outcome::Reached, 0, vec![0; 5]));
+        hosts.end();
+    });
 }
