@@ -10,6 +10,7 @@
 mod command;
 pub mod compare;
 mod drive;
+pub mod fork;
 mod stage;
 
 use std::path::Path;

@@ -213,6 +213,9 @@ pub enum CliCommand {
     /// Inject each fault in each phase of a drive, and judge what the loop makes of it.
     #[command(disable_help_flag = true)]
     Faults(StudyArguments),
+    /// Drive a recorded drive on from one of its scans, with something changed.
+    #[command(disable_help_flag = true)]
+    Fork(StudyArguments),
     /// Measure by driving what latency, scan rate and pose uncertainty cost in centimetres.
     #[command(disable_help_flag = true)]
     Price(StudyArguments),

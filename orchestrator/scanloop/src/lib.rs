@@ -142,6 +142,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         CliCommand::Calibrate(arguments) => calibrate::calibrate(arguments),
         CliCommand::Campaign(study) => Err(laboratory::hand_over(&cli.system_id, "campaign", study)),
         CliCommand::Faults(study) => Err(laboratory::hand_over(&cli.system_id, "faults", study)),
+        CliCommand::Fork(study) => Err(laboratory::hand_over(&cli.system_id, "fork", study)),
         CliCommand::Price(study) => Err(laboratory::hand_over(&cli.system_id, "price", study)),
         CliCommand::Analyse(study) => Err(laboratory::hand_over(&cli.system_id, "analyse", study)),
         CliCommand::Bench(command) => {

@@ -3,6 +3,7 @@
 mod changed;
 mod damaged;
 mod foreign;
+mod fork;
 mod incidents;
 mod limits;
 mod own_topics;
