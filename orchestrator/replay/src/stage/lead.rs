@@ -41,7 +41,18 @@ where
         return Err(refuse(NO_JOURNAL));
     }
     let first = changed.map_or(to, |(_, at)| at.min(to));
-    let mut process = Replayed::<T>::begin(incarnation, drive, Some(first))?;
+    // What has no inputs changes at once after its output before, so it begins before that one.
+    let is_source = T::ANSWERS.is_empty();
+    let mut process = Replayed::<T>::begin(incarnation, drive, Some(first - u64::from(is_source)))?;
+    let mut is_changed = false;
+    let mut change = |process: &mut Replayed<'_, T>, scan: u64| -> anyhow::Result<()> {
+        let Some((settings, _)) = changed.filter(|(_, at)| scan >= *at && !is_changed) else { return Ok(()) };
+        let other = settings.of_process(incarnation, T::ROLE)?;
+        let other = process.stage.with_settings(other, drive.period_ns, scan);
+        process.stage = other.map_err(|reason| refuse(&format!("scan {scan}: {reason}")))?;
+        is_changed = true;
+        Ok(())
+    };
     let led = |process: &Replayed<'_, T>, scan| Led {
         stage: process.stage.clone(),
         actuation: process.actuation,
@@ -56,19 +67,15 @@ where
         for entry in entries.chain([None]) {
             let scan = match entry {
                 Some(entry) => answered::<T>(drive, entry),
-                None => (journal.output > 0 && T::ANSWERS.is_empty()).then_some(journal.header.scan_id),
+                None => (journal.output > 0 && is_source).then_some(journal.header.scan_id),
             };
             if let Some(scan) = scan.filter(|scan| *scan > begun) {
                 begun = scan;
                 if let Some(reason) = process.unknown.filter(|_| scan >= first) {
                     return Err(refuse(reason));
                 }
-                if let Some((settings, at)) = changed.filter(|(_, at)| scan >= *at) {
-                    if before.is_none() {
-                        let settings = settings.of_process(incarnation, T::ROLE)?;
-                        let other = process.stage.with_settings(settings, drive.period_ns, scan);
-                        process.stage = other.map_err(|reason| refuse(&format!("scan {at}: {reason}")))?;
-                    }
+                if changed.is_some_and(|(_, at)| scan >= at) {
+                    change(&mut process, scan)?;
                     before = Some(led(&process, scan));
                 }
                 if scan >= to {
@@ -95,6 +102,9 @@ where
             if before.parts.is_some() {
                 break;
             }
+        }
+        if is_source && process.unknown.is_none() && journal.header.scan_id < to {
+            change(&mut process, journal.header.scan_id + 1)?;
         }
     }
     match before {
