@@ -99,11 +99,7 @@ pub(crate) fn fork(arguments: &ForkArguments) -> anyhow::Result<Exit> {
     if let Some(seconds) = duration.filter(|seconds| !(0.1..=1e6).contains(seconds)) {
         return Err(Failure::bad_input(format!("--duration {seconds} is not allowed: 0.1 to 1000000")));
     }
-    let mut drives = ReplayDrive::read(file)?.into_iter();
-    let (Some(drive), None) = (drives.next(), drives.next()) else {
-        let reason = "several drives were joined in it; `scanloop recording cut` takes one out";
-        return Err(Failure::bad_input(format!("{}: {reason}", file.display())));
-    };
+    let drive = ReplayDrive::read_one(file)?;
     let sweep = sweep.as_deref().map(str::parse::<Sweep>).transpose();
     let sweep = sweep.map_err(|reason| Failure::bad_input(format!("--sweep {reason}")))?;
     let variants = sweep.map_or_else(|| vec![None], |sweep| sweep.settings().map(Some).collect());
@@ -223,7 +219,12 @@ impl Course {
     fn row(&self) -> String {
         let Self { outcome, scans, time_s, min_clearance_m, path_length_m, .. } = self;
         let outcome = outcome.map_or("drives", |outcome| outcome.name());
-        format!("{outcome:<10} {scans:>6} {time_s:>8.1} {path_length_m:>8.2} {min_clearance_m:>8.3}")
+        let nearest = if *min_clearance_m < report::NO_OBSTACLE_M {
+            format!("{min_clearance_m:.3}")
+        } else {
+            "-".to_owned()
+        };
+        format!("{outcome:<10} {scans:>6} {time_s:>8.1} {path_length_m:>8.2} {nearest:>10}")
     }
 }
 

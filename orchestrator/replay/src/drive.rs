@@ -85,6 +85,21 @@ impl ReplayDrive {
         Ok(drives)
     }
 
+    /// Reads a recording of one drive.
+    ///
+    /// # Errors
+    /// As [`Self::read`], and several drives that were joined.
+    pub fn read_one(path: &Path) -> anyhow::Result<Self> {
+        let mut drives = Self::read(path)?.into_iter();
+        match (drives.next(), drives.next()) {
+            (Some(drive), None) => Ok(drive),
+            _ => {
+                let reason = "several drives were joined in it; `scanloop recording cut` takes one out";
+                Err(Failure::bad_input(format!("{}: {reason}", path.display())))
+            }
+        }
+    }
+
     /// Takes in what stands beside the samples.
     fn note_contents(
         &mut self,

@@ -12,6 +12,7 @@ pub mod compare;
 mod drive;
 pub mod fork;
 mod stage;
+pub mod why;
 
 use std::path::Path;
 use std::sync::Mutex;

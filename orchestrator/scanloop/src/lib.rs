@@ -28,6 +28,7 @@ pub mod top;
 mod topic;
 mod types;
 pub mod urg;
+mod why;
 
 use std::process::ExitCode;
 use std::time::Duration;
@@ -193,6 +194,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         CliCommand::Recording(command) => record::recording(command),
         CliCommand::Map(arguments) => map::map(arguments),
         CliCommand::Replay(arguments) => replay::replay(arguments),
+        CliCommand::Why(arguments) => why::why(arguments),
         CliCommand::Reference(arguments) => print(&reference::text(arguments, Cli::command())?),
         CliCommand::New(arguments) => new::new(arguments),
         CliCommand::Doctor(arguments) => doctor::doctor(&cli.system_id, arguments),

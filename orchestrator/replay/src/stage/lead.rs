@@ -35,7 +35,7 @@ where
 {
     let refuse = |reason: &str| drive.refuse(&format!("{}: {reason}", T::ROLE));
     if let Some(program) = drive.foreign(incarnation) {
-        return Err(refuse(&format!("it was `{program}`, whose state only it can compute again")));
+        return Err(refuse(&format!("it was `{program}`, whose state this program can't compute again")));
     }
     if drive.journals(incarnation).next().is_none() {
         return Err(refuse(NO_JOURNAL));
