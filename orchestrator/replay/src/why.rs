@@ -108,7 +108,7 @@ pub fn why(drive: &ReplayDrive, scan_id: u64) -> anyhow::Result<Why> {
         why.add("stop", stop(command, seen.obstacles, decided_at, scan_id));
         why.add("speed", speed(command));
         why.add("margin", margin(command));
-        why.add("sides", sides(command));
+        why.add("sides", sides(command).filter(|_| why.drives));
     }
     match shaped_by(drive, &seen) {
         Ok(text) => why.add("shaped by", text),

@@ -47,19 +47,18 @@ pub(crate) fn why(arguments: &WhyArguments) -> anyhow::Result<Exit> {
 }
 
 fn overview(arguments: &WhyArguments, drive: &ReplayDrive) -> anyhow::Result<Exit> {
-    let (rows, unit): (Vec<Row>, _) = match arguments {
-        WhyArguments { stops: true, .. } => (stops(drive), "scans"),
+    let rows: Vec<Row> = match arguments {
+        WhyArguments { stops: true, .. } => stops(drive),
         WhyArguments { slow: true, .. } if drive.is_in_lockstep() => {
             let reason = "in simulated time nothing is slow; it was recorded in lock-step";
             return Err(Failure::bad_input(format!("{}: {reason}", arguments.file.display())));
         }
-        WhyArguments { slow: true, .. } => (slow(drive), "ms"),
-        _ => (late(drive), "ms"),
+        WhyArguments { slow: true, .. } => slow(drive),
+        _ => late(drive),
     };
     print_json(arguments.json, &rows)?;
-    for Row { scan, amount, text } in &rows {
-        let amount = if unit == "ms" { format!("{amount:.2}") } else { format!("{amount:.0}") };
-        answer!(arguments.json, "scan {scan:>6} {amount:>8} {unit}  {text}")?;
+    for row in &rows {
+        answer!(arguments.json, "scan {:>6} {:>10}  {}", row.scan, row.amount(), row.text)?;
     }
     if rows.is_empty() {
         answer!(arguments.json, "none")?;

@@ -10,6 +10,7 @@ mod own_topics;
 mod programs;
 mod refused;
 mod replay;
+mod why;
 
 use scanloop_tests::machine::repeat_when_late;
 use std::fs::File;

@@ -1,5 +1,7 @@
 //! Which scans of a drive are worth a question: stops, slow ones, late and lost ones.
 
+use std::cmp::Ordering;
+
 use serde::Serialize;
 use shared_types::{Actuation, Header, Role};
 
@@ -14,10 +16,29 @@ const SLOWEST: usize = 10;
 pub struct Row {
     /// The scan.
     pub scan: u64,
-    /// How many scans it lasted, or how long it took [ms].
-    pub amount: f64,
+    /// How many scans a stop lasted.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lasted_scans: Option<u64>,
+    /// How long the answer took from the end of the sweep [ms]; nothing where there was none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub took_ms: Option<f64>,
     /// What happened.
     pub text: String,
+}
+
+impl Row {
+    /// Its amount with the unit.
+    pub fn amount(&self) -> String {
+        match (self.lasted_scans, self.took_ms) {
+            (Some(scans), _) => format!("{scans} scans"),
+            (None, Some(ms)) => format!("{ms:.2} ms"),
+            (None, None) => "-".to_owned(),
+        }
+    }
+
+    fn timed(scan: u64, took_ms: Option<f64>, text: String) -> Self {
+        Self { scan, lasted_scans: None, took_ms, text }
+    }
 }
 
 /// The stops of a drive: the first scan of each with blocked wheels, how many followed, and the reason.
@@ -33,14 +54,16 @@ pub fn stops(drive: &ReplayDrive) -> Vec<Row> {
         };
         let reason = reasons(Some(actuation));
         match (rows.last_mut(), last) {
-            (Some(row), Some((before, same))) if before + 1 == scan && same == reason => row.amount += 1.0,
+            (Some(row), Some((before, same))) if before + 1 == scan && same == reason => {
+                row.lasted_scans = Some(scan + 1 - row.scan);
+            }
             _ => {
                 let cause = seen.command.and_then(|command| stop(command, seen.obstacles, scan, scan));
                 let text = match cause {
                     Some(cause) if reason[0] == "commanded" => cause,
                     _ => reason[0].to_owned(),
                 };
-                rows.push(Row { scan, amount: 1.0, text });
+                rows.push(Row { scan, lasted_scans: Some(1), took_ms: None, text });
             }
         }
         last = Some((scan, reason));
@@ -52,8 +75,7 @@ pub fn stops(drive: &ReplayDrive) -> Vec<Row> {
 pub fn slow(drive: &ReplayDrive) -> Vec<Row> {
     let answered = drive.scans.scans().filter_map(|scan| drive.counted(&drive.actuations, scan));
     let mut rows: Vec<Row> = answered.filter_map(|actuation| took(&actuation.header)).collect();
-    rows.retain(|row| row.amount > 0.0);
-    rows.sort_by(|one, other| other.amount.total_cmp(&one.amount));
+    rows.sort_by(|one, other| other.took_ms.partial_cmp(&one.took_ms).unwrap_or(Ordering::Equal));
     rows.truncate(SLOWEST);
     rows
 }
@@ -69,7 +91,7 @@ fn took(header: &Header) -> Option<Row> {
     let computed = ms(header.stage(most).taken_ns, header.stage(most).computed_ns);
     let amount = ms(begun_ns, published(Role::Actuator));
     let text = format!("{most} took {part:.3} ms of it, {computed:.3} ms of that computing");
-    Some(Row { scan: header.scan_id, amount, text })
+    Some(Row::timed(header.scan_id, Some(amount), text))
 }
 
 /// The scans that were answered after the next one was published, or never, with the last stage that answered.
@@ -84,11 +106,11 @@ pub fn late(drive: &ReplayDrive) -> Vec<Row> {
             seen.scan.header.stage(Role::Robot).published_ns,
         );
         match seen.actuation.map(published_ns) {
-            None => rows.push(Row { scan, amount: 0.0, text: format!("never answered: {}", ends_at(&seen)) }),
+            None => rows.push(Row::timed(scan, None, format!("never answered: {}", ends_at(&seen)))),
             Some(at_ns) if next.is_some_and(|next_ns| at_ns > next_ns) => {
                 let amount = at_ns.saturating_sub(begun_ns) as f64 * 1e-6;
                 let text = seen.actuation.and_then(|sent| took(&sent.header)).map(|row| row.text);
-                rows.push(Row { scan, amount, text: text.unwrap_or_default() });
+                rows.push(Row::timed(scan, Some(amount), text.unwrap_or_default()));
             }
             Some(_) => {}
         }
