@@ -1,13 +1,13 @@
 //! Why a robot did what it did, by its recording.
 
 use scanloop_tests::machine::repeat_when_late;
-use scanloop_tests::printed;
+use scanloop_tests::{SHORT_CORRIDOR, printed};
 use serde_json::Value;
 
 use super::{json, recorded, text};
 
 #[test]
-fn a_stop_is_explained_with_what_would_have_changed_it_and_a_fork_with_that_drives_on() {
+fn a_stop_is_explained_at_the_scan_that_decided_it() {
     repeat_when_late(|| {
         let (system, file) = recorded(&["sudden", "--set", "stop_final_s=0.5"]);
         let ask = |arguments: &[&str]| {
@@ -27,6 +27,7 @@ fn a_stop_is_explained_with_what_would_have_changed_it_and_a_fork_with_that_driv
         };
         assert!(about(&at, "stop") && about(&at, "otherwise") && !about(&before, "stop"), "{at}");
         assert!(about(&before, "margin") && about(&before, "shaped by"), "{before}");
+        assert_ne!(at["alternatives"][0], Value::Null, "{at}");
         assert_eq!(at["alternatives"], later["alternatives"], "they are those of the decision");
         for alternative in at["alternatives"].as_array().expect("alternatives") {
             assert_eq!(alternative["drives"], true, "{at}");
@@ -36,17 +37,28 @@ fn a_stop_is_explained_with_what_would_have_changed_it_and_a_fork_with_that_driv
             assert_eq!(output.status.code(), Some(2));
             assert!(printed(&output).contains(reason), "{}", printed(&output));
         }
-        // The robot of the scan before drives: with the clearance that is named, it stops.
-        let stopping = before["alternatives"].as_array().expect("alternatives");
-        let clearance = stopping.iter().find(|found| found["by"] == "controller.clearance_m");
-        if let Some(clearance) = clearance.and_then(|found| found["value"].as_f64()) {
-            let set = format!("controller.clearance_m={clearance}");
-            let scan = (first - 1).to_string();
-            let fork = ["fork", text(&file), "--json", "--at", &scan, "--set", &set];
-            let forked = json(&system.run(&fork));
-            let parts = &forked["forks"][0]["parts"];
-            assert_eq!((&parts["scan"], &parts["field"]), (&(first - 1).into(), &"kind".into()), "{forked}");
-        }
         system.assert_nothing_left();
+    });
+}
+
+#[test]
+fn a_fork_with_the_value_that_would_have_changed_a_decision_decides_otherwise() {
+    repeat_when_late(|| {
+        let (system, file) = recorded(&SHORT_CORRIDOR);
+        let why = json(&system.run(&["why", text(&file), "35", "--json"]));
+        let found = &why["alternatives"][0];
+        assert_eq!(
+            (&found["by"], &found["drives"]),
+            (&"controller.clearance_m".into(), &false.into()),
+            "{why}"
+        );
+        let set = format!("controller.clearance_m={}", found["value"]);
+        let fork = ["fork", text(&file), "--json", "--at", "35", "--duration", "1", "--set", &set];
+        let forked = json(&system.run(&fork));
+        let parts = &forked["forks"][0]["parts"];
+        assert_eq!(
+            (&parts["scan"], &parts["field"], &parts["replayed"]),
+            (&35.into(), &"kind".into(), &"0".into())
+        );
     });
 }
