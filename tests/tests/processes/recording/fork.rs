@@ -63,6 +63,6 @@ fn a_drive_in_real_time_is_followed_up_to_the_first_other_output() {
         let other = fork(&["--at", "9", "--obstacle", obstacle]);
         let forked = &other["forks"][0];
         assert!((14..=16).contains(&forked["scan"].as_u64().expect("a scan")), "{other}");
-        assert_eq!(forked["driven"]["outcome"].as_str().is_some(), true, "{other}");
+        assert!(forked["driven"]["outcome"].is_string(), "{other}");
     });
 }
