@@ -26,6 +26,7 @@ use crate::cores::on_all_cores;
 use commands::print_json;
 use commands::replay::program;
 use live::Live;
+pub(crate) use system::product;
 
 /// Arguments of `faults`.
 #[derive(Debug, Args, Default)]

@@ -12,6 +12,7 @@ mod cores;
 mod empty_stages;
 mod estimator;
 mod faults;
+mod fork;
 mod lap;
 mod load;
 mod optimum;
@@ -42,6 +43,7 @@ use campaign::arguments::CampaignArguments;
 use compare::CompareArguments;
 use estimator::EstimatorArguments;
 use faults::FaultsArguments;
+use fork::ForkArguments;
 use price::PriceArguments;
 use ride::RideArguments;
 use solver::SolverArguments;
@@ -82,6 +84,14 @@ enum Command {
     /// the fault is detected in time, or has no effect on the wheels. `docs/faults.md` lists the faults. Exit code 1 if
     /// a cell fails.
     Faults(FaultsArguments),
+    /// Drive a recorded drive on from one of its scans, with something changed.
+    ///
+    /// Robot, stages and random numbers have the state of that scan. With changed keys or a new obstacle, the journals are
+    /// followed until the first output that is another one: that scan is printed, and from there the drive goes on in
+    /// lock-step, in one process. A program in place of a stage drives from the scan itself. Without a change, a drive that
+    /// was recorded in lock-step repeats to the bit; exit code 1 if it does not. Exit code 2 for a drive of a robot that is
+    /// not emulated.
+    Fork(ForkArguments),
     /// Measure by driving what latency, scan rate and pose uncertainty cost in centimetres.
     ///
     /// Under each condition the robot drives through gaps between two boxes, which are bisected to 1 cm, and towards a
@@ -159,6 +169,7 @@ fn run() -> anyhow::Result<Exit> {
     match &cli.command {
         Command::Campaign(arguments) => campaign::campaign(arguments),
         Command::Faults(arguments) => faults::faults(arguments),
+        Command::Fork(arguments) => fork::fork(arguments),
         Command::Price(arguments) => price::price(arguments),
         Command::Ride(arguments) => ride::ride(arguments),
         Command::Estimator(arguments) => estimator::estimator(arguments),

@@ -157,7 +157,7 @@ fn command_of(id: &str, folder: &Path) -> anyhow::Result<Command> {
 ///
 /// # Errors
 /// A missing product, with the command that builds it; exit code 4.
-pub(super) fn product() -> anyhow::Result<PathBuf> {
+pub(crate) fn product() -> anyhow::Result<PathBuf> {
     if let Some(product) = std::env::var_os(PRODUCT_VARIABLE) {
         return Ok(PathBuf::from(product));
     }

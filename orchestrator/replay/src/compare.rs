@@ -38,6 +38,21 @@ impl std::fmt::Display for FieldDifference {
     }
 }
 
+impl FieldDifference {
+    /// There is no output where one was recorded.
+    pub(crate) fn missing<S: Sample>(recorded: &S) -> Self {
+        let scan = recorded.header().scan_id;
+        let [field, recorded, replayed] = ["sample", "valid", "none"].map(str::to_owned);
+        Self { topic: S::TOPIC.name(), scan, field, recorded, replayed }
+    }
+}
+
+/// The first difference of an output of a role to the recorded one, but for what is not compared.
+pub(crate) fn difference_to<S: Sample>(recorded: &S, mut replayed: S, role: Role) -> Option<FieldDifference> {
+    take_over(recorded, &mut replayed, role);
+    difference(recorded, &replayed)
+}
+
 /// Gives `replayed` what is not compared from `recorded`.
 pub(crate) fn take_over<S: Sample>(recorded: &S, replayed: &mut S, role: Role) {
     let (from, to) = (recorded.header(), replayed.header_mut());

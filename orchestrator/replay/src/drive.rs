@@ -7,16 +7,14 @@ mod lane;
 pub(crate) mod tests;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use anyhow::Context;
 use console::exit::Failure;
 use recording::Recording;
 use recording::mcap::Contents;
 use recording::read::{attachment, metadata, settings_of};
 use runtime::{monotonic_ns, settings_file, wait_for};
 
-use serde::de::DeserializeOwned;
 use shared_types::{
     Actuation, Authority, Checkpoint, ClockOffset, Command, Directive, Header, Journal, JournalEntry,
     JournalKind, Obstacles, Odometry, Pose, ROLES, Role, Sample, Scan, Topic, Truth, topics_of,
@@ -25,6 +23,7 @@ use supervision::entry::{ProcessEntry, ProcessRow, recorded_processes};
 use toml::Table;
 
 pub(crate) use self::clocks::{Clocks, moved};
+pub(crate) use self::keys::DriveSettings;
 pub(crate) use self::lane::Lane;
 use crate::NotReplayed;
 
@@ -53,9 +52,7 @@ pub struct ReplayDrive {
     pub(crate) period_ns: u64,
     /// The last scan of the run in lock-step.
     pub(crate) last_scan: Option<u64>,
-    settings: BTreeMap<Role, Table>,
-    /// Settings of processes that had others than those of their role at the start.
-    settings_of: BTreeMap<u32, (Role, Table)>,
+    pub(crate) settings: DriveSettings,
     /// Keys were changed: outputs are expected to differ.
     pub(crate) is_changed: bool,
     /// Processes that are no implementation of this program, and what they are.
@@ -64,6 +61,8 @@ pub struct ReplayDrive {
     other_layouts: Vec<shared_types::Difference>,
     /// When the first scan was replayed, and when it was acquired, in a replay in real time [ns].
     pace_ns: Option<[u64; 2]>,
+    /// The file.
+    pub(crate) path: PathBuf,
 }
 
 impl ReplayDrive {
@@ -74,7 +73,8 @@ impl ReplayDrive {
     pub fn read(path: &Path) -> anyhow::Result<Vec<Self>> {
         let refuse = |reason: String| Failure::bad_input(format!("{}: {reason}", path.display()));
         let mut recording = Recording::open(path)?;
-        let mut drives: Vec<Self> = recording.files().iter().map(|_| Self::default()).collect();
+        let mut drives: Vec<Self> =
+            recording.files().iter().map(|_| Self { path: path.to_owned(), ..Self::default() }).collect();
         recording.samples(|_, sample| {
             drives[sample.file].add(sample.topic, sample.log_ns, sample.bytes);
             Ok(())
@@ -83,6 +83,21 @@ impl ReplayDrive {
             drive.note_contents(contents, &refuse)?;
         }
         Ok(drives)
+    }
+
+    /// Reads a recording of one drive.
+    ///
+    /// # Errors
+    /// As [`Self::read`], and several drives that were joined.
+    pub fn read_one(path: &Path) -> anyhow::Result<Self> {
+        let mut drives = Self::read(path)?.into_iter();
+        match (drives.next(), drives.next()) {
+            (Some(drive), None) => Ok(drive),
+            _ => {
+                let reason = "several drives were joined in it; `scanloop recording cut` takes one out";
+                Err(Failure::bad_input(format!("{}: {reason}", path.display())))
+            }
+        }
     }
 
     /// Takes in what stands beside the samples.
@@ -104,16 +119,16 @@ impl ReplayDrive {
             };
             let text = attachment(contents, &name).ok_or_else(of_another)?;
             let table: Table = text.parse().map_err(|error| refuse(format!("{name}: {error}")))?;
-            drive.settings.insert(*role, table);
+            drive.settings.roles.insert(*role, table);
         }
         for ((role, incarnation), attached) in
             contents.attachments.iter().filter_map(|attached| Some((process_of(&attached.name)?, attached)))
         {
             let table = toml::from_slice::<Table>(&attached.data)
                 .map_err(|error| refuse(format!("{}: {error}", attached.name)))?;
-            drive.settings_of.insert(incarnation, (role, table));
+            drive.settings.processes.insert(incarnation, (role, table));
         }
-        let run: runtime::RunSettings = drive.table(Role::Robot, "run")?;
+        let run: runtime::RunSettings = drive.settings.table(Role::Robot, "run")?;
         drive.period_ns = run.period_ns;
         drive.simulated = run.clock == runtime::ClockKind::Simulated;
         let last_scan = metadata(contents, "end", "last_scan").and_then(|scan| scan.parse().ok());
@@ -133,13 +148,7 @@ impl ReplayDrive {
     /// What is wrong with a text that is no `ROLE.KEY=VALUE`.
     pub fn set(&mut self, texts: &[String]) -> Result<(), String> {
         self.is_changed |= !texts.is_empty();
-        for text in texts {
-            keys::set(&mut self.settings, text)?;
-            for (role, table) in self.settings_of.values_mut() {
-                keys::set_of(*role, table, text)?;
-            }
-        }
-        Ok(())
+        texts.iter().try_for_each(|text| self.settings.set(text))
     }
 
     /// Of these roles, those whose samples have the layouts of this program, and why the others can't be replayed.
@@ -169,6 +178,11 @@ impl ReplayDrive {
         Ok((stages, others))
     }
 
+    /// The error that something is not possible with this recording; exit code 2.
+    pub(crate) fn refuse(&self, reason: &str) -> anyhow::Error {
+        Failure::bad_input(format!("{}: {reason}", self.path.display()))
+    }
+
     /// From now on, [`ReplayDrive::keep_pace`] waits for the time of each scan, counted from the scan `from`.
     pub(crate) fn set_pace(&mut self, from: Option<u64>) {
         let first = self.scans.samples.iter().find(|scan| scan.header.scan_id >= from.unwrap_or(0));
@@ -186,41 +200,13 @@ impl ReplayDrive {
 
     /// The settings of each role.
     pub(crate) fn settings(&self) -> impl Iterator<Item = (Role, &Table)> {
-        self.settings.iter().map(|(role, table)| (*role, table))
+        self.settings.roles.iter().map(|(role, table)| (*role, table))
     }
 
     /// Scans between two limits.
     pub(crate) fn scans(&self, from: Option<u64>, to: Option<u64>) -> u64 {
         let ids: BTreeSet<u64> = self.scans.samples.iter().map(|scan| scan.header.scan_id).collect();
         ids.range(from.unwrap_or(0)..=to.unwrap_or(u64::MAX)).count() as u64
-    }
-
-    /// One table of the settings of a role.
-    pub(crate) fn table<T: DeserializeOwned>(&self, role: Role, name: &str) -> anyhow::Result<T> {
-        self.table_in(self.settings.get(&role), role, name)
-    }
-
-    /// One table of the settings of a process.
-    pub(crate) fn table_of<T: DeserializeOwned>(
-        &self,
-        incarnation: u32,
-        role: Role,
-        name: &str,
-    ) -> anyhow::Result<T> {
-        let own = self.settings_of.get(&incarnation).filter(|(of, _)| *of == role).map(|(_, table)| table);
-        self.table_in(own.or(self.settings.get(&role)), role, name)
-    }
-
-    fn table_in<T: DeserializeOwned>(
-        &self,
-        table: Option<&Table>,
-        role: Role,
-        name: &str,
-    ) -> anyhow::Result<T> {
-        let value = table.and_then(|table| table.get(name)).cloned();
-        let value = value.with_context(|| format!("{}: table {name} is missing", settings_file(role)))?;
-        T::deserialize(value)
-            .map_err(|error| Failure::bad_input(format!("{}: {name}: {error}", settings_file(role))))
     }
 
     /// The sample that an output with this header was made from: same scan, same stamps of the role that wrote it.
@@ -245,9 +231,31 @@ impl ReplayDrive {
         in_force.is_some_and(|(_, authority)| authority.accepts(header.incarnation, header.scan_id))
     }
 
+    /// The sample of a scan that counts.
+    pub(crate) fn counted<'a, S: Sample>(&self, lane: &'a Lane<S>, scan_id: u64) -> Option<&'a S> {
+        let role = S::TOPIC.writer()?;
+        lane.of_scan(scan_id).find(|sample| sample.is_answer() && self.counts(role, sample.header()))
+    }
+
+    /// The process of a role that counts for a scan: of its outputs, or of the one before where it has none.
+    pub(crate) fn in_charge<S: Sample>(&self, lane: &Lane<S>, scan_id: u64) -> Option<u32> {
+        let counted = |scan| self.counted(lane, scan).map(|sample| sample.header().incarnation);
+        lane.scans_down_from(scan_id).find_map(counted)
+    }
+
+    /// Whether a process ran on another host than the recorder.
+    pub(crate) fn is_elsewhere(&self, incarnation: u32) -> bool {
+        self.clocks.is_elsewhere(incarnation)
+    }
+
     /// Whether an injected fault has changed a sample.
     pub(crate) fn is_injected(&self, topic: Topic, header: &Header) -> bool {
         self.injected.contains(&(topic as u16, header.incarnation, header.sequence))
+    }
+
+    /// The journals of all processes.
+    pub(crate) fn all_journals(&self) -> impl Iterator<Item = &Journal> {
+        self.journals.values().flat_map(BTreeMap::values)
     }
 
     /// The journals of a process in their order.

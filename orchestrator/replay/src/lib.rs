@@ -10,7 +10,9 @@
 mod command;
 pub mod compare;
 mod drive;
+pub mod fork;
 mod stage;
+pub mod why;
 
 use std::path::Path;
 use std::sync::Mutex;

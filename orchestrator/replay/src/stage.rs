@@ -1,6 +1,7 @@
 //! One stage: what is found in the outputs of its processes.
 
 mod journal;
+mod lead;
 mod robot;
 
 use std::collections::BTreeMap;
@@ -14,7 +15,9 @@ use nmpc::ControllerStage;
 use obstacles::DetectorStage;
 use shared_types::{Actuation, Command, Header, Obstacles, Pose, Role, Sample, Topic};
 
-use self::robot::Robot;
+pub(crate) use self::journal::Recomputed;
+pub(crate) use self::lead::{Led, lead};
+pub(crate) use self::robot::Robot;
 use crate::compare::{FieldDifference, difference, take_over};
 use crate::{
     MAX_DIFFERENCES, NotCompared, ReplayDrive, ReplayOptions, ReplayReport, Skipped, StageStatistics,

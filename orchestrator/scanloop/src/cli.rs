@@ -28,6 +28,7 @@ use crate::teleop::TeleopArguments;
 use crate::top::TopArguments;
 use crate::types::TypesArguments;
 use crate::urg::UrgCommand;
+use crate::why::WhyArguments;
 use view::ViewArguments;
 
 /// The system of commands that name none.
@@ -213,6 +214,9 @@ pub enum CliCommand {
     /// Inject each fault in each phase of a drive, and judge what the loop makes of it.
     #[command(disable_help_flag = true)]
     Faults(StudyArguments),
+    /// Drive a recorded drive on from one of its scans, with something changed.
+    #[command(disable_help_flag = true)]
+    Fork(StudyArguments),
     /// Measure by driving what latency, scan rate and pose uncertainty cost in centimetres.
     #[command(disable_help_flag = true)]
     Price(StudyArguments),
@@ -246,6 +250,13 @@ pub enum CliCommand {
     /// Exit code 0 if all compared outputs are identical, or with `--set` and `--with` within the bounds; else 1, and 2
     /// when nothing could be compared.
     Replay(ReplayArguments),
+    /// Tell why the robot did what it did in one scan of a recorded drive.
+    ///
+    /// What the wheels did, the samples that it rests on with their times, the rung of the ladder, the margin by its parts,
+    /// the limits that shaped the plan with their multipliers, the sides, the reason of a stop with its numbers, processes
+    /// that were new or late, and what would have changed the decision. Each is computed from the recording, the limits and
+    /// the other decisions by the controller itself. Exit code 2 for a scan that the recording does not have.
+    Why(WhyArguments),
     /// Show, repair, cut or export a recording.
     #[command(subcommand)]
     Recording(RecordingCommand),

@@ -28,6 +28,7 @@ pub mod top;
 mod topic;
 mod types;
 pub mod urg;
+mod why;
 
 use std::process::ExitCode;
 use std::time::Duration;
@@ -142,6 +143,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         CliCommand::Calibrate(arguments) => calibrate::calibrate(arguments),
         CliCommand::Campaign(study) => Err(laboratory::hand_over(&cli.system_id, "campaign", study)),
         CliCommand::Faults(study) => Err(laboratory::hand_over(&cli.system_id, "faults", study)),
+        CliCommand::Fork(study) => Err(laboratory::hand_over(&cli.system_id, "fork", study)),
         CliCommand::Price(study) => Err(laboratory::hand_over(&cli.system_id, "price", study)),
         CliCommand::Analyse(study) => Err(laboratory::hand_over(&cli.system_id, "analyse", study)),
         CliCommand::Bench(command) => {
@@ -192,6 +194,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         CliCommand::Recording(command) => record::recording(command),
         CliCommand::Map(arguments) => map::map(arguments),
         CliCommand::Replay(arguments) => replay::replay(arguments),
+        CliCommand::Why(arguments) => why::why(arguments),
         CliCommand::Reference(arguments) => print(&reference::text(arguments, Cli::command())?),
         CliCommand::New(arguments) => new::new(arguments),
         CliCommand::Doctor(arguments) => doctor::doctor(&cli.system_id, arguments),

@@ -12,7 +12,7 @@
 //! Pure: the time comes with the samples, the clock of the budget is handed in. After [`Controller::resume`] a
 //! controller gives the same commands as the one that [`Controller::state`] was taken from.
 
-use ocp::Budget;
+use ocp::{ActiveLimit, Budget, Limit};
 use shared_types::{
     Alarm, Command, CommandKind, DrivenBy, GivenControl, GivenGoal, Level, Obstacles, PLAN_NODES, PlanNode,
     Pose, StopReason,
@@ -35,6 +35,26 @@ use crate::state::{Arrival, ControllerState};
 
 /// A body that blocks the way and came less than this ago may go again [s].
 const COMES_AND_GOES_S: f64 = 6.5;
+
+/// What a limit of a plan belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ShapedBy {
+    /// The obstacle with this identity.
+    Obstacle(u32),
+    /// The bound of a component of the state: sideslip, yaw, yaw rate, x, y.
+    Bound(usize),
+}
+
+/// A limit that shapes a plan.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shaping {
+    /// What it belongs to.
+    pub by: ShapedBy,
+    /// Time of the plan at which it presses most [s].
+    pub after_s: f64,
+    /// By how much the objective falls if it gives way by one unit there.
+    pub multiplier: f64,
+}
 
 /// The controller of the robot.
 #[derive(Debug, Clone)]
@@ -88,6 +108,27 @@ impl Controller {
     /// Number of ellipse constraints (7.34) that are active in the last solution.
     pub fn active_ellipses(&self) -> u32 {
         self.planner.active_ellipses()
+    }
+
+    /// The limits that shape the last solution, each with its largest multiplier: an ellipse by the identity of its
+    /// obstacle, or the bound of a coordinate of the track.
+    pub fn shaping(&self) -> Vec<Shaping> {
+        let mut found: Vec<Shaping> = Vec::new();
+        for (ActiveLimit { node, limit, multiplier }, owner) in self.planner.active_limits() {
+            let by = match (limit, owner.and_then(|owner| self.predicted.get(owner))) {
+                (Limit::State(component), _) => ShapedBy::Bound(component),
+                (Limit::Ellipse(_), Some(obstacle)) => ShapedBy::Obstacle(obstacle.id),
+                (Limit::Ellipse(_), None) => continue,
+            };
+            let shaping = Shaping { by, after_s: node as f64 * self.config.interval_s(), multiplier };
+            match found.iter_mut().find(|other| other.by == by) {
+                Some(other) if other.multiplier < multiplier => *other = shaping,
+                Some(_) => {}
+                None => found.push(shaping),
+            }
+        }
+        found.sort_by(|one, other| other.multiplier.total_cmp(&one.multiplier));
+        found
     }
 
     /// State that a successor continues from.

@@ -16,7 +16,7 @@
 
 use std::sync::Arc;
 
-use ocp::{Budget, Problem, Solution, Solver, Status, Trajectory};
+use ocp::{ActiveLimit, Budget, Limit, Problem, Solution, Solver, Status, Trajectory};
 use shared_types::{Command, Level, PlanNode, Pose, SolveStatus};
 use vehicle::{Control, Parameters, State};
 
@@ -389,6 +389,14 @@ impl Planner {
     /// Number of ellipse constraints that are active in the last solution.
     pub(crate) fn active_ellipses(&self) -> u32 {
         self.solution.active_ellipses
+    }
+
+    /// The limits that shape the last solution: its nodes, multipliers, and the obstacle of an ellipse by its place.
+    pub(crate) fn active_limits(&self) -> impl Iterator<Item = (ActiveLimit, Option<usize>)> {
+        self.solver.active_limits(&self.problem).map(|active| match active.limit {
+            Limit::Ellipse(ellipse) => (active, self.owners.get(ellipse).copied()),
+            Limit::State(_) => (active, None),
+        })
     }
 
     /// By how much the ellipse of an obstacle was enlarged for this plan [m].

@@ -104,7 +104,7 @@ pub use hessian::Hessian;
 pub use interval::{Interval, Linearisation, StageValues};
 pub use model::{LateralModel, LateralSlope};
 pub use node_frame::NodeFrame;
-pub use problem::{Budget, EllipsePath, Problem, Solution, Status, Trajectory, Weights};
+pub use problem::{ActiveLimit, Budget, EllipsePath, Limit, Problem, Solution, Status, Trajectory, Weights};
 pub use propagate::{Propagation, converge, propagate, roll_out};
 pub use qp::QpChoice;
 pub use settings::SolverSettings;

@@ -111,6 +111,26 @@ pub struct Solution {
     pub active_ellipses: u32,
 }
 
+/// A soft limit of the problem.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Limit {
+    /// The bound of a component of the state: sideslip, yaw, yaw rate, x, y.
+    State(usize),
+    /// An ellipse (7.34), by its place in the problem.
+    Ellipse(usize),
+}
+
+/// A limit at one node that shapes the solution.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ActiveLimit {
+    /// The node, from 1 on.
+    pub node: usize,
+    /// What it limits.
+    pub limit: Limit,
+    /// By how much the objective falls if the limit gives way by one unit.
+    pub multiplier: f64,
+}
+
 impl Problem {
     /// Reference of (velocity, steering) in an interval.
     #[inline]

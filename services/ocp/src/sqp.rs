@@ -33,10 +33,10 @@ use crate::dense::{fill, refill};
 use crate::hessian::{self, Block, Hessian, Point};
 use crate::kkt::{self, Multipliers};
 use crate::objective::{control_bounds, linearised_penalties, penalties, smooth, smooth_slope};
-use crate::problem::{Budget, Problem, Solution, Status, Trajectory};
+use crate::problem::{ActiveLimit, Budget, Problem, Solution, Status, Trajectory};
 use crate::qp::active_set::ActiveSet;
 use crate::qp::{BoundState, Qp, QpSolution, RowState};
-use crate::rows::ellipse_row;
+use crate::rows::{ellipse_row, limit_of_row};
 use crate::settings::SolverSettings;
 use crate::shooting::{Iterate, Shooting, Sweep};
 use crate::usable::is_usable;
@@ -106,6 +106,18 @@ impl Solver {
     /// How many quadratic programs the active set could not solve, so that the interior-point method did.
     pub fn fallbacks(&self) -> u64 {
         self.fallbacks
+    }
+
+    /// The soft limits with a multiplier in the last solution, which was that of `problem`.
+    pub fn active_limits(&self, problem: &Problem) -> impl Iterator<Item = ActiveLimit> {
+        let (count, ellipses) = (problem.intervals.len(), problem.ellipses.len());
+        let is_of_problem = self.row_multipliers.len() == (5 + ellipses) * count;
+        let rows =
+            self.row_multipliers.iter().enumerate().filter(move |(_, value)| is_of_problem && **value != 0.0);
+        rows.map(move |(row, value)| {
+            let (node, limit) = limit_of_row(count, ellipses, row);
+            ActiveLimit { node, limit, multiplier: value.abs() }
+        })
     }
 
     /// Solves `problem` from `guess`, with the measured state in the place of the guess's first.

@@ -15,9 +15,9 @@ const MAX_AGE_PERIODS: u64 = 3;
 /// The end of a topic at its writer: numbers samples and completes their headers as the runtime does.
 #[derive(Debug, Clone)]
 pub(crate) struct SimulatedWriter {
-    role: Role,
+    pub(crate) role: Role,
     pub(crate) incarnation: u32,
-    sequence: u64,
+    pub(crate) sequence: u64,
     /// By how much later than now its samples are stamped [ns].
     pub(crate) later_ns: u64,
 }

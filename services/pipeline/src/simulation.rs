@@ -8,8 +8,8 @@ use estimator::EstimatorStage;
 use nmpc::ControllerStage;
 use obstacles::DetectorStage;
 use shared_types::{
-    Actuation, AnySample, AnyStage, Authority, Directive, Header, Odometry, Role, SLOTS, Sample, Scan, Stage,
-    TOPICS, Topic, Truth,
+    Actuation, AnySample, AnyStage, Authority, Directive, GivenGoal, Header, Odometry, Role, SLOTS, Sample,
+    Scan, Stage, TOPICS, Topic, Truth,
 };
 use vehicle::Invalid;
 
@@ -39,8 +39,12 @@ pub trait LoopWatch {
 #[derive(Clone)]
 pub struct SimulatedLoop {
     time: LoopTime,
+    /// When the run began on the clock of the loop [ns].
+    origin_ns: u64,
     next_scan: u64,
     emulator: Emulator,
+    /// The goal that was set last.
+    goal: GivenGoal,
     scans: SimulatedWriter,
     odometries: SimulatedWriter,
     truths: SimulatedWriter,
@@ -72,23 +76,58 @@ impl SimulatedLoop {
             begin::<ControllerStage>(tuning.controller, period_ns)?,
             begin::<actuation::ActuatorStage>(tuning.actuator, period_ns)?,
         ];
+        let emulator = Emulator::new(scenario, period_ns);
+        let time = LoopTime { now_ns: 0, period_ns, is_lockstep };
+        Ok(Self::of(emulator, stages.into(), time))
+    }
+
+    /// What another loop has driven so far, continued in lock-step: the robot and the four stages before the scan
+    /// `next_scan`. The run began at `origin_ns` on the clock of that loop; `last` is what was published last on a topic.
+    pub fn continued(
+        emulator: Emulator,
+        stages: Vec<Box<dyn AnyStage>>,
+        period_ns: u64,
+        origin_ns: u64,
+        next_scan: u64,
+        last: &dyn Fn(Topic) -> Option<Header>,
+    ) -> Self {
+        let now_ns = origin_ns + emulator.now_ns();
+        let time = LoopTime { now_ns, period_ns, is_lockstep: true };
+        let mut continued = Self { origin_ns, next_scan, ..Self::of(emulator, stages, time) };
+        let robot = [&mut continued.scans, &mut continued.odometries, &mut continued.truths];
+        let robot = robot.into_iter().zip([Topic::Scan, Topic::Odometry, Topic::Truth]);
+        let nodes = continued.nodes.iter_mut().map(|node| {
+            let topic = node.stage.shape().output.topic;
+            (&mut node.writer, topic)
+        });
+        for (writer, topic) in robot.chain(nodes) {
+            let Some(Header { incarnation, sequence, .. }) = last(topic) else { continue };
+            (writer.incarnation, writer.sequence) = (incarnation, sequence);
+            let authority = Authority { incarnation, previous: 0, from_scan: 0 };
+            continued.authority[writer.role.index()] = authority;
+        }
+        continued
+    }
+
+    fn of(emulator: Emulator, stages: Vec<Box<dyn AnyStage>>, time: LoopTime) -> Self {
         let node = |stage: Box<dyn AnyStage>| {
             let incarnation = first_incarnation(stage.shape().role);
             Node::new(stage, incarnation)
         };
-        let emulator = Emulator::new(scenario, period_ns);
         let state = emulator.plant().state();
         let writer = || SimulatedWriter::new(Role::Robot, first_incarnation(Role::Robot));
-        Ok(Self {
-            time: LoopTime { now_ns: 0, period_ns, is_lockstep },
+        Self {
+            time,
+            origin_ns: 0,
             next_scan: 1,
+            goal: GivenGoal::default(),
             at_m: [state.x, state.y],
             emulator,
             scans: writer(),
             odometries: writer(),
             truths: writer(),
             robot: SimulatedInput::new(Role::Robot, Actuation::TYPE),
-            nodes: stages.map(node).into(),
+            nodes: stages.into_iter().map(node).collect(),
             wires: TOPICS.map(|topic| Wire::new(topic.sample_type())).into(),
             to_robot: Wire::new(Actuation::TYPE),
             authority: std::array::from_fn(|slot| {
@@ -96,7 +135,7 @@ impl SimulatedLoop {
             }),
             is_halted: false,
             way_m: 0.0,
-        })
+        }
     }
 
     /// Puts another stage in the place of the first one of its role.
@@ -119,7 +158,7 @@ impl SimulatedLoop {
 
     /// When a scan is published [ns].
     pub fn scan_ready_ns(&self, scan_id: u64) -> u64 {
-        self.emulator.scan_ready_ns(scan_id)
+        self.origin_ns + self.emulator.scan_ready_ns(scan_id)
     }
 
     /// Way that the robot has driven [m].
@@ -192,16 +231,22 @@ impl SimulatedLoop {
         }
     }
 
-    /// Tells the stages that take orders who drives, and what a person asks for.
+    /// Tells the stages that take orders who drives, what a person asks for and where to; the robot is told the goal.
     pub fn order(&mut self, directive: &Directive) {
+        self.give(&directive.goal);
         for node in &mut self.nodes {
             node.order(directive, self.time.now_ns);
         }
     }
 
+    /// Tells the robot a goal, which its truth shows from its scan on.
+    pub fn give(&mut self, goal: &GivenGoal) {
+        self.goal = *goal;
+    }
+
     /// Goes to the next time at which something happens; true when that is a scan.
     pub fn move_on(&mut self) -> bool {
-        let ready_ns = self.emulator.scan_ready_ns(self.next_scan);
+        let ready_ns = self.scan_ready_ns(self.next_scan);
         let mut next_ns = ready_ns;
         if !self.time.is_lockstep {
             let poll_ns = self.time.period_ns / POLLS;
@@ -209,7 +254,7 @@ impl SimulatedLoop {
             next_ns = arrivals.fold(ready_ns.min((self.time.now_ns / poll_ns + 1) * poll_ns), u64::min);
         }
         self.time.now_ns = next_ns.max(self.time.now_ns);
-        self.emulator.advance_to(self.time.now_ns);
+        self.emulator.advance_to(self.time.now_ns - self.origin_ns);
         let state = self.emulator.plant().state();
         self.way_m += (state.x - self.at_m[0]).hypot(state.y - self.at_m[1]);
         self.at_m = [state.x, state.y];
@@ -220,8 +265,9 @@ impl SimulatedLoop {
     pub fn measure(&mut self, watch: &mut dyn LoopWatch) {
         let (scan_id, now_ns) = (self.next_scan, self.time.now_ns);
         let (mut scan, mut odometry, mut truth) = (Scan::default(), Odometry::default(), Truth::default());
+        self.emulator.give(&self.goal, scan_id);
         self.emulator.measure(scan_id, &mut scan, &mut odometry, &mut truth);
-        let acquired_ns = self.emulator.stamp_ns(scan_id);
+        let acquired_ns = self.origin_ns.wrapping_add(self.emulator.stamp_ns(scan_id));
         for header in [&mut scan.header, &mut odometry.header, &mut truth.header] {
             *header = Header { scan_id, acquired_ns, ..Header::default() };
         }

@@ -3,12 +3,14 @@
 mod changed;
 mod damaged;
 mod foreign;
+mod fork;
 mod incidents;
 mod limits;
 mod own_topics;
 mod programs;
 mod refused;
 mod replay;
+mod why;
 
 use scanloop_tests::machine::repeat_when_late;
 use std::fs::File;

@@ -31,6 +31,11 @@ impl Clocks {
         }
     }
 
+    /// Whether a process ran on another host.
+    pub(super) fn is_elsewhere(&self, incarnation: u32) -> bool {
+        self.hosts.contains_key(&incarnation)
+    }
+
     /// What the orchestrator's clock is ahead of that of a process by in a scan [ns]; `None` when that is not known.
     fn offset_ns(&self, incarnation: u32, scan_id: u64) -> Option<i64> {
         match self.hosts.get(&incarnation) {

@@ -1,33 +1,86 @@
-//! Changes keys in the recorded settings of the stages.
+//! The recorded settings of the stages, and changes of their keys.
 
 use std::collections::BTreeMap;
 
+use anyhow::Context;
+use console::exit::Failure;
+use runtime::{settings_file, settings_table};
+use serde::de::DeserializeOwned;
 use shared_types::{Role, did_you_mean};
 use toml::{Table, Value};
 
-/// Sets one key.
-///
-/// # Errors
-/// What is wrong with a text that is no `ROLE.KEY=VALUE`.
-pub(super) fn set(settings: &mut BTreeMap<Role, Table>, text: &str) -> Result<(), String> {
-    let (targets, value) = parse(text)?;
-    for (role, key) in targets {
-        let table = settings.get_mut(&role).ok_or("a role has no settings")?;
-        set_key(table, &key, value.clone()).map_err(|reason| format!("{text}: {reason}"))?;
-    }
-    Ok(())
+/// The settings of all processes of a drive.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct DriveSettings {
+    pub(super) roles: BTreeMap<Role, Table>,
+    /// Of processes that had others than those of their role at the start.
+    pub(super) processes: BTreeMap<u32, (Role, Table)>,
 }
 
-/// Sets one key in the settings of a process, if it is one of its role.
-///
-/// # Errors
-/// As [`set`].
-pub(super) fn set_of(role: Role, table: &mut Table, text: &str) -> Result<(), String> {
-    let (targets, value) = parse(text)?;
-    for (_, key) in targets.iter().filter(|(of, _)| *of == role) {
-        set_key(table, key, value.clone()).map_err(|reason| format!("{text}: {reason}"))?;
+impl DriveSettings {
+    /// Sets one key, in the settings of all processes of its role.
+    ///
+    /// # Errors
+    /// What is wrong with a text that is no `ROLE.KEY=VALUE`.
+    pub(crate) fn set(&mut self, text: &str) -> Result<(), String> {
+        let (targets, value) = parse(text)?;
+        for (role, key) in &targets {
+            let of_processes =
+                self.processes.values_mut().filter(|(of, _)| of == role).map(|(_, table)| table);
+            for table in self.roles.get_mut(role).into_iter().chain(of_processes) {
+                set_key(table, key, value.clone()).map_err(|reason| format!("{text}: {reason}"))?;
+            }
+        }
+        Ok(())
     }
-    Ok(())
+
+    /// Whether a role has other settings than in `other`.
+    pub(crate) fn differ(&self, other: &Self, role: Role) -> bool {
+        self.roles.get(&role) != other.roles.get(&role)
+    }
+
+    /// Adds an obstacle to the scenario of the robot: its keys as in the scenario file.
+    ///
+    /// # Errors
+    /// What is wrong with a text that is no list of `KEY=VALUE`.
+    pub(crate) fn add_obstacle(&mut self, text: &str) -> Result<(), String> {
+        let keys = text.split(',').map(|pair| match pair.split_once('=') {
+            Some((key, value)) => Ok((key.trim().to_owned(), parsed(value.trim()))),
+            None => Err(format!(
+                "{text}: expected keys of [[obstacle]], like shape=circle,x_m=5,y_m=0,radius_m=0.2"
+            )),
+        });
+        let obstacle = keys.collect::<Result<Table, String>>()?;
+        let scenario = self.roles.get_mut(&Role::Robot).and_then(|table| table.get_mut("scenario"));
+        let scenario = scenario.and_then(Value::as_table_mut).ok_or("the robot has no scenario")?;
+        let all = scenario.entry("obstacle").or_insert_with(|| Value::Array(Vec::new()));
+        all.as_array_mut().ok_or("obstacle is no list")?.push(Value::Table(obstacle));
+        Ok(())
+    }
+
+    /// One table of the settings of a role.
+    pub(crate) fn table<T: DeserializeOwned>(&self, role: Role, name: &str) -> anyhow::Result<T> {
+        table_in(self.roles.get(&role), role, name)
+    }
+
+    /// The settings of the stage of a process.
+    pub(crate) fn of_process<T: DeserializeOwned>(&self, incarnation: u32, role: Role) -> anyhow::Result<T> {
+        let own = self.processes.get(&incarnation).filter(|(of, _)| *of == role).map(|(_, table)| table);
+        table_in(own.or(self.roles.get(&role)), role, settings_table(role))
+    }
+}
+
+fn table_in<T: DeserializeOwned>(table: Option<&Table>, role: Role, name: &str) -> anyhow::Result<T> {
+    let value = table.and_then(|table| table.get(name)).cloned();
+    let value = value.with_context(|| format!("{}: table {name} is missing", settings_file(role)))?;
+    T::deserialize(value)
+        .map_err(|error| Failure::bad_input(format!("{}: {name}: {error}", settings_file(role))))
+}
+
+/// A value in TOML, or a text without its quotes.
+fn parsed(value: &str) -> Value {
+    let table = format!("value = {value}").parse::<Table>().ok();
+    table.and_then(|mut table| table.remove("value")).unwrap_or_else(|| Value::String(value.to_owned()))
 }
 
 /// The roles whose settings a text changes, each with the key in them, and the value.
@@ -35,11 +88,7 @@ fn parse(text: &str) -> Result<(Vec<(Role, String)>, Value), String> {
     let allowed =
         "KEY=VALUE, where KEY begins with estimator, obstacles, controller, actuator, vehicle or scenario";
     let (key, value) = text.split_once('=').ok_or_else(|| format!("{text}: expected {allowed}"))?;
-    let value: Value = format!("value = {value}")
-        .parse::<Table>()
-        .ok()
-        .and_then(|mut table| table.remove("value"))
-        .unwrap_or_else(|| Value::String(value.to_owned()));
+    let value = parsed(value);
     let (table, rest) = key.split_once('.').ok_or_else(|| format!("{text}: expected {allowed}"))?;
     let targets: Vec<(Role, String)> = match table {
         "scenario" => vec![(Role::Robot, key.to_owned())],

@@ -32,9 +32,19 @@ impl<S: Sample> Lane<S> {
         self.by_scan.keys().copied()
     }
 
+    /// The scans with samples up to this one, the newest first.
+    pub(crate) fn scans_down_from(&self, scan_id: u64) -> impl Iterator<Item = u64> {
+        self.by_scan.range(..=scan_id).rev().map(|(scan, _)| *scan)
+    }
+
     /// The sample of a process with this number.
     pub(crate) fn of_number(&self, incarnation: u32, sequence: u64) -> Option<&S> {
         self.by_number.get(&(incarnation, sequence)).map(|index| &self.samples[*index])
+    }
+
+    /// The scan of a sample.
+    pub(crate) fn scan_of(&self, (incarnation, sequence): (u32, u64)) -> Option<u64> {
+        self.of_number(incarnation, sequence).map(|sample| sample.header().scan_id)
     }
 
     /// The samples of a process, by number.

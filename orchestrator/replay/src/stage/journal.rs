@@ -10,7 +10,7 @@ use console::exit::Failure;
 use estimator::EstimatorStage;
 use nmpc::ControllerStage;
 use obstacles::DetectorStage;
-use runtime::{settings_file, settings_table};
+use runtime::settings_file;
 use serde::de::DeserializeOwned;
 use shared_types::{
     Actuation, AnySample, Checkpoint, Described, Journal, JournalEntry, JournalKind, Sample, Stage,
@@ -24,7 +24,8 @@ use crate::{ReplayDrive, ReplayOptions};
 /// An output that can't be recomputed.
 const NO_STATE: &str = "no state of the process was recorded";
 const LOST: &str = "a journal of the process was not recorded";
-const NO_JOURNAL: &str = "no journal of the process was recorded, as before processes published journals";
+pub(super) const NO_JOURNAL: &str =
+    "no journal of the process was recorded, as before processes published journals";
 /// An injected fault alters the robot: a state is that of another robot.
 const ALTERED: &str = "an injected fault altered the robot";
 /// The fault is over, but it has changed the state.
@@ -102,7 +103,7 @@ impl Taking<'_> {
 }
 
 /// A stage that is replayed.
-pub(super) trait Recomputed: Stage {
+pub(crate) trait Recomputed: Stage {
     /// Compares what else the process has published for the scan of `recorded`.
     fn compare_others(
         &mut self,
@@ -111,6 +112,18 @@ pub(super) trait Recomputed: Stage {
         _options: &ReplayOptions,
         _findings: &mut Findings,
     ) {
+    }
+
+    /// The same process with other settings, before the scan `scan_id`.
+    ///
+    /// # Errors
+    /// Why it can't continue with them.
+    fn with_settings(&self, settings: Self::Settings, period_ns: u64, _scan_id: u64) -> Result<Self, String> {
+        let mut other = Self::begin(settings, period_ns).map_err(|invalid| invalid.to_string())?;
+        match self.state() {
+            Some(state) if !other.resume(&state) => Err("it can't continue with these keys".to_owned()),
+            _ => Ok(other),
+        }
     }
 }
 
@@ -182,24 +195,9 @@ fn replay_process<T: Recomputed>(
 where
     T::Settings: DeserializeOwned,
 {
-    let nearest = nearest_state(incarnation, drive, options);
-    let settings = drive.table_of(incarnation, T::ROLE, settings_table(T::ROLE))?;
-    let stage = T::begin(settings, drive.period_ns)
-        .map_err(|invalid| Failure::bad_input(format!("{}: {invalid}", settings_file(T::ROLE))))?;
-    let mut process = Replayed {
-        stage,
-        taking: Taking { drive, incarnation },
-        waiting: Vec::new(),
-        moved_ns: None,
-        readings: None,
-        is_held_back: false,
-        nearest,
-        unknown: nearest.map(|_| NO_STATE),
-    };
+    let mut process = Replayed::<T>::begin(incarnation, drive, options.from)?;
     for (place, (journal, follows)) in drive.numbered_journals(incarnation).enumerate() {
-        if !follows {
-            process.unknown = Some(if place == 0 { NO_STATE } else { LOST });
-        }
+        process.come_to(place, follows);
         journal.used().iter().for_each(|entry| process.follow(entry));
         if journal.output == 0 {
             continue;
@@ -216,8 +214,8 @@ where
 }
 
 /// A process that is replayed.
-struct Replayed<'d, T> {
-    stage: T,
+pub(super) struct Replayed<'d, T> {
+    pub(super) stage: T,
     taking: Taking<'d>,
     /// What it has taken and not used yet.
     waiting: Vec<Waiting>,
@@ -230,12 +228,45 @@ struct Replayed<'d, T> {
     /// Number of the state that it begins with, if it does not begin with its start.
     nearest: Option<u64>,
     /// Why the state of the stage is not that of the process.
-    unknown: Option<&'static str>,
+    pub(super) unknown: Option<&'static str>,
+    /// Incarnation and number of the actuation that it has used last.
+    pub(super) actuation: Option<(u32, u64)>,
+}
+
+impl<'d, T: Recomputed> Replayed<'d, T>
+where
+    T::Settings: DeserializeOwned,
+{
+    /// A process before its first journal, or before that of the state from which the scan `from` is reached first.
+    pub(super) fn begin(incarnation: u32, drive: &'d ReplayDrive, from: Option<u64>) -> anyhow::Result<Self> {
+        let nearest = nearest_state(incarnation, drive, from);
+        let settings = drive.settings.of_process(incarnation, T::ROLE)?;
+        let stage = T::begin(settings, drive.period_ns)
+            .map_err(|invalid| Failure::bad_input(format!("{}: {invalid}", settings_file(T::ROLE))))?;
+        Ok(Self {
+            stage,
+            taking: Taking { drive, incarnation },
+            waiting: Vec::new(),
+            moved_ns: None,
+            readings: None,
+            is_held_back: false,
+            nearest,
+            unknown: nearest.map(|_| NO_STATE),
+            actuation: None,
+        })
+    }
 }
 
 impl<T: Recomputed> Replayed<'_, T> {
+    /// Comes to its journal with this place; whether it follows the one before.
+    pub(super) fn come_to(&mut self, place: usize, follows: bool) {
+        if !follows {
+            self.unknown = Some(if place == 0 { NO_STATE } else { LOST });
+        }
+    }
+
     /// Does what one entry states.
-    fn follow(&mut self, entry: &JournalEntry) {
+    pub(super) fn follow(&mut self, entry: &JournalEntry) {
         let Ok(kind) = JournalKind::try_from(u32::from(entry.kind)) else { return };
         match kind {
             JournalKind::Moved => self.moved_ns = Some(entry.value.cast_signed()),
@@ -271,6 +302,10 @@ impl<T: Recomputed> Replayed<'_, T> {
     /// Hands over what the process has taken, at the time at which it was used.
     fn give(&mut self, now_ns: u64) {
         for waiting in self.waiting.drain(..) {
+            let JournalEntry { topic, incarnation, value, .. } = waiting.entry;
+            if topic == Topic::Actuation as u16 {
+                self.actuation = Some((incarnation, value));
+            }
             if self.unknown.is_none() {
                 self.unknown = self.taking.give(&waiting, now_ns, &mut self.stage).err().map(Missing::reason);
             }
@@ -278,7 +313,7 @@ impl<T: Recomputed> Replayed<'_, T> {
     }
 
     /// The output of the stage for a scan, or why there is none.
-    fn output(&mut self, scan_id: u64) -> Result<T::Output, &'static str> {
+    pub(super) fn output(&mut self, scan_id: u64) -> Result<T::Output, &'static str> {
         // Detectors and controllers of earlier versions noted no time. A robot has what does not act yet.
         if T::ANSWERS.len() > 1 {
             self.give(0);
@@ -351,8 +386,8 @@ fn hold_back<S: Sample>(output: &mut S) {
 ///
 /// The scan of a state does not tell: an estimator that got an actuation late has saved a state of an earlier scan after
 /// its pose.
-fn nearest_state(incarnation: u32, drive: &ReplayDrive, options: &ReplayOptions) -> Option<u64> {
-    let (from, mut nearest) = (options.from?, None);
+fn nearest_state(incarnation: u32, drive: &ReplayDrive, from: Option<u64>) -> Option<u64> {
+    let (from, mut nearest) = (from?, None);
     for journal in drive.journals(incarnation) {
         let saved = journal.used().iter().filter(|entry| entry.kind == JournalKind::Saved.wire() as u16);
         let is_recorded = |number: &u64| drive.checkpoints.of_number(incarnation, *number).is_some();
@@ -420,8 +455,7 @@ mod tests {
     #[test]
     fn a_replay_begins_with_the_newest_state_before_its_first_output() {
         let drive = late_actuation();
-        let nearest =
-            |from| nearest_state(ESTIMATOR, &drive, &ReplayOptions { from, ..ReplayOptions::default() });
+        let nearest = |from| nearest_state(ESTIMATOR, &drive, from);
         // State 3 is of scan 1 too, but holds the pose of scan 2.
         let found = [None, Some(1), Some(2), Some(3), Some(4)].map(nearest);
         assert_eq!(found, [None, None, Some(1), Some(3), Some(4)]);

@@ -15,12 +15,12 @@ use crate::{ReplayDrive, ReplayOptions};
 
 /// The process of an emulated robot.
 #[derive(Clone)]
-pub(super) struct Robot {
-    emulator: Emulator,
+pub(crate) struct Robot {
+    pub(crate) emulator: Emulator,
     /// When the drive began [ns].
-    origin_ns: u64,
+    pub(crate) origin_ns: u64,
     /// The goal that was set last.
-    goal: GivenGoal,
+    pub(crate) goal: GivenGoal,
     odometry: Odometry,
     truth: Truth,
 }
@@ -82,6 +82,17 @@ impl Stage for Robot {
 }
 
 impl Recomputed for Robot {
+    /// What stood in the old scenario stays as it was; obstacles that were added at its end have not appeared.
+    fn with_settings(&self, scenario: Scenario, period_ns: u64, scan_id: u64) -> Result<Self, String> {
+        scenario.validate().map_err(|invalid| invalid.to_string())?;
+        let state = self.emulator.state(scan_id - 1);
+        let mut state = state.ok_or("the next sweep has begun; the scan before or after may do")?;
+        let mut emulator = Emulator::new(&scenario, period_ns);
+        state.appearing = emulator.state(0).map_or(0, |beginning| beginning.appearing);
+        emulator.resume(&state).map_err(|fault| fault.to_string())?;
+        Ok(Self { emulator, ..self.clone() })
+    }
+
     fn compare_others(
         &mut self,
         recorded: &Scan,

@@ -151,6 +151,8 @@ impl Emulator {
         self.state = *state;
         let plant = &mut self.plant;
         plant.state = State { sideslip, yaw, yaw_rate, x, y };
+        // Where the course comes by again, the lateral position is the same at each of its places here.
+        self.along_m = self.scenario.course.as_ref().map_or(self.along_m, |course| course.find(&plant.state));
         (plant.speed, plant.steering) = (state.speed_mps, state.steering_rad);
         (plant.target_speed, plant.target_steering) = (state.target_speed_mps, state.target_steering_rad);
         (plant.blocked, plant.wrecked) = (state.blocked.is_set(), state.wrecked.is_set());

@@ -336,8 +336,13 @@ fn eventful() -> Scenario {
 
 #[test]
 fn one_that_continues_from_a_state_measures_the_same_to_the_last_bit() {
-    let scenario = eventful();
-    let mut old = Emulator::new(&scenario, PERIOD);
+    continues_after(12, &eventful());
+    // Far from its start on a course: the lateral position is that at its place.
+    continues_after(50, &parse(Scenario::shipped("figure-eight").unwrap()));
+}
+
+fn continues_after(scans: u64, scenario: &Scenario) {
+    let mut old = Emulator::new(scenario, PERIOD);
     let actuation = |scan_id: u64| {
         let steering = 0.06 * (scan_id as f64 * 0.7).sin();
         if scan_id.is_multiple_of(11) { block() } else { drive(0.9, steering) }
@@ -357,17 +362,17 @@ fn one_that_continues_from_a_state_measures_the_same_to_the_last_bit() {
         assert!(samples.windows(2).all(|pair| pair[0] == pair[1]), "scan {scan_id}");
         samples[0].2.path_length_m
     };
-    for scan_id in 1..=12 {
+    for scan_id in 1..=scans {
         step(&mut [&mut old], scan_id);
     }
-    let mut new = Emulator::new(&scenario, PERIOD);
-    new.resume(&old.state(12).unwrap()).unwrap();
+    let mut new = Emulator::new(scenario, PERIOD);
+    new.resume(&old.state(scans).unwrap()).unwrap();
     let mut way_m = 0.0;
-    for scan_id in 13..=30 {
+    for scan_id in scans + 1..=scans + 18 {
         way_m = step(&mut [&mut old, &mut new], scan_id);
     }
     assert!(way_m > 1.2, "it drove: {way_m}");
-    assert_eq!(old.state(30), new.state(30));
+    assert_eq!(old.state(scans + 18), new.state(scans + 18));
 }
 
 #[test]

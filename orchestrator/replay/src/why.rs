@@ -1,0 +1,358 @@
+//! Why the robot did what it did in one scan of a recorded drive.
+//!
+//! Each sentence is computed from the recording: from the samples of the scan, or by leading the controller there by its
+//! journals and asking it. What is not known is left out, or said to be not known.
+
+mod decision;
+mod overview;
+
+use nmpc::{ControllerStage, ShapedBy};
+use serde::Serialize;
+use shared_types::{
+    Actuation, Alarm, BlockReason, Command, CommandKind, Level, Obstacles, Pose, ROLES, Role, Sample, Scan,
+    ScannerState, SolveStatus, StopReason, Suspect,
+};
+
+use self::decision::{Decision, changes};
+pub use self::overview::{Row, late, slow, stops};
+use crate::ReplayDrive;
+use crate::drive::Lane;
+use crate::stage::lead;
+
+/// A process counts as new for so many scans.
+const NEW_SCANS: u64 = 10;
+/// Components of the state as a reader knows them.
+const COMPONENTS: [&str; 5] = ["sideslip", "yaw", "yaw rate", "x", "y"];
+
+/// One sentence of the answer.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Sentence {
+    /// What it is about.
+    pub about: &'static str,
+    /// The sentence.
+    pub text: String,
+}
+
+/// A value with which the decision would have been another one.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Alternative {
+    /// What is changed: `controller.clearance_m`, `earlier_s`, `later_s` or `speed_mps`.
+    pub by: &'static str,
+    /// The value nearest to the recorded one that was found.
+    pub value: f64,
+    /// Whether the robot drives with it.
+    pub drives: bool,
+}
+
+/// The answer for one scan.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Why {
+    /// The scan.
+    pub scan: u64,
+    /// The scan in which the stop was decided that holds in this one; else the scan itself.
+    pub decided_at: u64,
+    /// Whether the wheels might turn.
+    pub drives: bool,
+    /// Why they were blocked: names of a `BlockReason` and a `StopReason`.
+    pub reason: [&'static str; 2],
+    /// The sentences in their order.
+    pub sentences: Vec<Sentence>,
+    /// What would have changed the decision; empty where nothing is found or known.
+    pub alternatives: Vec<Alternative>,
+}
+
+/// The samples of a scan that count.
+struct Seen<'d> {
+    scan: &'d Scan,
+    pose: Option<&'d Pose>,
+    obstacles: Option<&'d Obstacles>,
+    command: Option<&'d Command>,
+    actuation: Option<&'d Actuation>,
+}
+
+impl<'d> Seen<'d> {
+    fn of(drive: &'d ReplayDrive, scan_id: u64) -> Option<Self> {
+        Some(Self {
+            scan: drive.counted(&drive.scans, scan_id)?,
+            pose: drive.counted(&drive.poses, scan_id),
+            obstacles: drive.counted(&drive.obstacles, scan_id),
+            command: drive.counted(&drive.commands, scan_id),
+            actuation: drive.counted(&drive.actuations, scan_id),
+        })
+    }
+}
+
+/// Answers for one scan.
+///
+/// # Errors
+/// A scan that the recording does not have; exit code 2.
+pub fn why(drive: &ReplayDrive, scan_id: u64) -> anyhow::Result<Why> {
+    let Some(seen) = Seen::of(drive, scan_id) else {
+        let scans: Vec<u64> = drive.scans.scans().collect();
+        let (first, last) = (scans.first().unwrap_or(&0), scans.last().unwrap_or(&0));
+        return Err(drive.refuse(&format!("scan {scan_id} is not in it: it has the scans {first} to {last}")));
+    };
+    let decided_at = decided_at(drive, scan_id);
+    let mut why = Why {
+        scan: scan_id,
+        decided_at,
+        drives: seen.actuation.is_some_and(Actuation::drives),
+        reason: reasons(seen.actuation),
+        sentences: Vec::new(),
+        alternatives: Vec::new(),
+    };
+    why.add("wheels", wheels(drive, &seen));
+    why.add("rests on", rests_on(drive, &seen));
+    if let Some(command) = seen.command {
+        why.add("decision", decision(command));
+        why.add("stop", stop(command, seen.obstacles, decided_at, scan_id));
+        why.add("speed", speed(command));
+        why.add("margin", margin(command));
+        why.add("sides", sides(command).filter(|_| why.drives));
+    }
+    match shaped_by(drive, &seen) {
+        Ok(text) => why.add("shaped by", text),
+        Err(reason) => why.add("shaped by", Some(format!("not known: {reason}"))),
+    }
+    why.add("estimate", seen.pose.and_then(estimate));
+    why.add("scanner", seen.obstacles.and_then(scanner));
+    for role in Role::ALL {
+        why.add("processes", process(drive, *role, scan_id));
+    }
+    match Decision::of(drive, decided_at) {
+        Ok(decision) => why.alternatives = changes(&decision),
+        Err(reason) => why.add("otherwise", Some(format!("not known: {reason:#}"))),
+    }
+    let texts: Vec<String> = why.alternatives.iter().map(Alternative::text).collect();
+    texts.into_iter().for_each(|text| why.add("otherwise", Some(text)));
+    Ok(why)
+}
+
+impl Why {
+    fn add(&mut self, about: &'static str, text: Option<String>) {
+        self.sentences.extend(text.map(|text| Sentence { about, text }));
+    }
+}
+
+impl Alternative {
+    fn text(&self) -> String {
+        let does = if self.drives { "it would have driven on" } else { "it would have stopped" };
+        let value = self.value;
+        match self.by {
+            "earlier_s" => format!("{:.0} ms earlier on its way {does}", 1e3 * value),
+            "later_s" => format!("{:.0} ms later on its way {does}", 1e3 * value),
+            "speed_mps" => format!("at {value:.2} m/s {does}"),
+            key => format!("with {key}={value:.3} {does}"),
+        }
+    }
+}
+
+/// The first scan of a stop of the controller for one reason.
+fn decided_at(drive: &ReplayDrive, scan_id: u64) -> u64 {
+    let stopped = |scan| {
+        let command: &Command = drive.counted(&drive.commands, scan)?;
+        (command.kind == CommandKind::Stop.wire()).then_some(command.reason)
+    };
+    let Some(reason) = stopped(scan_id) else { return scan_id };
+    let before = drive.commands.scans_down_from(scan_id);
+    before.take_while(|scan| stopped(*scan) == Some(reason)).last().unwrap_or(scan_id)
+}
+
+fn reasons(actuation: Option<&Actuation>) -> [&'static str; 2] {
+    let Some(actuation) = actuation else { return ["no_command", "none"] };
+    [
+        BlockReason::try_from(actuation.reason).map_or("unknown", BlockReason::name),
+        StopReason::try_from(actuation.stop_reason).map_or("unknown", StopReason::name),
+    ]
+}
+
+fn wheels(drive: &ReplayDrive, seen: &Seen<'_>) -> Option<String> {
+    let Some(actuation) = seen.actuation else {
+        let newest = newest_in_period(drive, seen.scan);
+        let does = newest.and_then(|newest| wheels(drive, &Seen { actuation: Some(newest), ..*seen }));
+        let does = does.unwrap_or_else(|| "nothing was sent yet".to_owned());
+        return Some(format!("this scan was not answered; at the end of its period {does}"));
+    };
+    let Actuation {
+        desired_velocity_mps, desired_steering_rad, sent_velocity_mps, sent_steering_rad, ..
+    } = actuation;
+    if actuation.drives() {
+        return Some(format!(
+            "driven with {desired_velocity_mps:.3} m/s and {desired_steering_rad:.4} rad, sent as \
+             {sent_velocity_mps:.3} m/s and {sent_steering_rad:.4} rad"
+        ));
+    }
+    let limit_ms = 1.5e-6 * drive.period_ns as f64;
+    Some(match reasons(Some(actuation)) {
+        ["no_command", _] => format!("blocked: no valid command for {limit_ms:.0} ms, 1.5 scan periods"),
+        [reason, "none" | "landed"] => format!("blocked: {reason}"),
+        [reason, stop] => format!("blocked: {reason}, because of {stop}"),
+    })
+}
+
+/// What was sent last in the period of a scan.
+fn newest_in_period<'d>(drive: &'d ReplayDrive, scan: &Scan) -> Option<&'d Actuation> {
+    let published_ns = |sent: &Actuation| sent.header.stage(Role::Actuator).published_ns;
+    let end_ns = scan.header.stage(Role::Robot).published_ns + drive.period_ns;
+    let counted = drive.actuations.samples.iter().filter(|sent| drive.counts(Role::Actuator, &sent.header));
+    counted.filter(|sent| published_ns(sent) <= end_ns).max_by_key(|sent| published_ns(sent))
+}
+
+/// The samples on the way to the wheels, with their processes and ages.
+fn rests_on(drive: &ReplayDrive, seen: &Seen<'_>) -> Option<String> {
+    let newest = seen.actuation.map(|sample| &sample.header);
+    let newest = newest.or(seen.command.map(|sample| &sample.header)).unwrap_or(&seen.scan.header);
+    let ms = |at_ns: u64| (at_ns as f64 - newest.acquired_ns as f64) * 1e-6;
+    let stages = Role::ALL.iter().filter(|role| newest.stage(**role).published_ns > 0);
+    let steps: Vec<String> = stages
+        .map(|role| {
+            let stage = newest.stage(*role);
+            format!("{role} {:.2} ms", ms(stage.published_ns))
+        })
+        .collect();
+    Some(match drive.simulated {
+        true => format!(
+            "scan {}, {:.2} ms after its front beam; in simulated time stages take none",
+            newest.scan_id,
+            ms(newest.stage(Role::Robot).published_ns)
+        ),
+        false => format!("scan {}, published after its front beam by {}", newest.scan_id, steps.join(", ")),
+    })
+}
+
+fn decision(command: &Command) -> Option<String> {
+    let name = |level: u32| Level::try_from(level).map_or("unknown", Level::name);
+    let status = SolveStatus::try_from(command.status).map_or("unknown", SolveStatus::name);
+    let Command { iterations, kkt_residual, slack, objective, .. } = command;
+    let solved = match command.status == SolveStatus::NotSolved.wire() {
+        true => "no problem was solved".to_owned(),
+        false => format!(
+            "{status} after {iterations} iterations, residual {kkt_residual:.1e}, slack {slack:.3}, objective {objective:.3}"
+        ),
+    };
+    Some(format!("rung `{}` of converged, best_iterate, last_plan, stop; {solved}", name(command.level)))
+}
+
+fn stop(command: &Command, obstacles: Option<&Obstacles>, decided_at: u64, scan: u64) -> Option<String> {
+    if command.kind == CommandKind::Drive.wire() {
+        return None;
+    }
+    let reason = StopReason::try_from(command.reason).map_or("unknown", StopReason::name);
+    let number = match (command.stopped_for(), obstacles) {
+        (Some(blocking), _) => format!(" by {blocking}"),
+        (None, Some(obstacles)) if reason == "scanner" => format!(": {}", obstacles.scanner),
+        _ => String::new(),
+    };
+    let held = if decided_at < scan { format!(", since scan {decided_at}") } else { String::new() };
+    Some(format!("{reason}{number}{held}"))
+}
+
+fn speed(command: &Command) -> Option<String> {
+    let Command { velocity_mps, speed_limit_mps, .. } = command;
+    (command.kind == CommandKind::Drive.wire()).then(|| {
+        format!("{velocity_mps:.3} m/s; {speed_limit_mps:.3} m/s is the fastest at which it can still stop in time")
+    })
+}
+
+fn margin(command: &Command) -> Option<String> {
+    let shared_types::Margin { base_m, pose_m, latency_m, model_m, perception_m } = command.margin;
+    (command.margin.sum() > 0.0).then(|| {
+        format!(
+            "{:.3} m = base {base_m:.3} + pose {pose_m:.3} + latency {latency_m:.3} + model {model_m:.3} + perception {perception_m:.3}",
+            command.margin.sum()
+        )
+    })
+}
+
+/// How both sides of an obstacle scored, where a plan was solved for each.
+fn sides(command: &Command) -> Option<String> {
+    let shared_types::Sides { left_objective, right_objective, id, .. } = command.sides;
+    let side = match command.side {
+        1 => "left",
+        -1 => "right",
+        _ => return None,
+    };
+    let cost = |value: f64| if value < 0.0 { "no plan".to_owned() } else { format!("{value:.3}") };
+    Some(match id {
+        0 => format!("the nearest obstacle is passed on its {side}; no plan was solved for the other side"),
+        id => format!(
+            "the nearest obstacle is passed on its {side}; obstacle {id} costs {} on its left and {} on its right",
+            cost(left_objective),
+            cost(right_objective)
+        ),
+    })
+}
+
+/// The limits that shaped the plan, which the controller computes again.
+fn shaped_by(drive: &ReplayDrive, seen: &Seen<'_>) -> anyhow::Result<Option<String>> {
+    let Some(command) = seen.command else { return Ok(None) };
+    if command.status == SolveStatus::NotSolved.wire() {
+        return Ok(None);
+    }
+    let (incarnation, scan_id) = (command.header.incarnation, command.header.scan_id);
+    let led = lead::<ControllerStage>((incarnation, &drive.commands), drive, None, scan_id + 1)?;
+    let limits = led.stage.controller().shaping();
+    let list = seen.obstacles.map(Obstacles::list).unwrap_or_default();
+    let texts = limits.iter().take(3).map(|shaping| {
+        let what = match shaping.by {
+            ShapedBy::Bound(component) => format!("the bound of {}", COMPONENTS[component.min(4)]),
+            ShapedBy::Obstacle(id) => match list.iter().find(|obstacle| obstacle.id == id) {
+                Some(body) => format!("ellipse {id} at ({:.2}, {:.2})", body.x_m, body.y_m),
+                None => format!("ellipse {id}"),
+            },
+        };
+        format!("{what} after {:.2} s, multiplier {:.3}", shaping.after_s, shaping.multiplier)
+    });
+    let texts: Vec<String> = texts.collect();
+    Ok(Some(if texts.is_empty() { "no limit: the reference alone".to_owned() } else { texts.join("; ") }))
+}
+
+fn estimate(pose: &Pose) -> Option<String> {
+    let suspect = Suspect::try_from(pose.suspect).map_or("unknown", Suspect::name);
+    let alarm = Alarm::try_from(pose.alarm).map_or("unknown", Alarm::name);
+    (pose.suspect != Suspect::None.wire())
+        .then(|| format!("the estimator suspects {suspect}, and asks for: {alarm}; NIS {:.1}", pose.nis))
+}
+
+fn scanner(obstacles: &Obstacles) -> Option<String> {
+    (obstacles.scanner.state() != ScannerState::Healthy).then(|| obstacles.scanner.to_string())
+}
+
+/// What is unusual about the process of a role: new, late, or altered by an injected fault.
+fn process(drive: &ReplayDrive, role: Role, scan: u64) -> Option<String> {
+    match role {
+        Role::Robot => unusual(drive, &drive.scans, scan),
+        Role::Estimator => unusual(drive, &drive.poses, scan),
+        Role::Obstacles => unusual(drive, &drive.obstacles, scan),
+        Role::Controller => unusual(drive, &drive.commands, scan),
+        Role::Actuator => unusual(drive, &drive.actuations, scan),
+    }
+}
+
+fn unusual<S: Sample>(drive: &ReplayDrive, lane: &Lane<S>, scan: u64) -> Option<String> {
+    let role = S::TOPIC.writer()?;
+    let Some(output) = drive.counted(lane, scan) else {
+        return Some(format!("{role}: it gave no output that counts"));
+    };
+    let header = output.header();
+    let mut found = Vec::new();
+    let lately = lane.scans_down_from(scan.saturating_sub(1)).take(NEW_SCANS as usize);
+    let earlier =
+        lately.filter_map(|before| Some((before, drive.counted(lane, before)?.header().incarnation)));
+    let other = earlier.into_iter().find(|(_, process)| *process != header.incarnation);
+    if let Some((before, process)) = other {
+        found.push(format!("process {} is new: until scan {before} it was {process}", header.incarnation));
+    }
+    let stamps = header.chain[..ROLES].iter().map(|stage| stage.published_ns).filter(|at| *at > 0);
+    let since_ns = header.stage(role).published_ns.saturating_sub(header.acquired_ns);
+    if role != Role::Robot && since_ns > drive.period_ns + drive.period_ns / 2 && stamps.count() > 1 {
+        found.push(format!("late: {:.1} ms after the front beam", since_ns as f64 * 1e-6));
+    }
+    if drive.is_injected(S::TOPIC, header) {
+        found.push("an injected fault has changed its output".to_owned());
+    }
+    if let Some(program) = drive.foreign(header.incarnation) {
+        found.push(format!("it is `{program}`"));
+    }
+    (!found.is_empty()).then(|| format!("{role}: {}", found.join("; ")))
+}
