@@ -1,4 +1,4 @@
-"""A recording in a browser: recording.py URL
+"""A recording in a browser, from a server or as a page of `report`: recording.py URL
 
 Checks that it plays to its end and stops there, that pause, speed, keys and the time axis do what they say, and that
 control is not offered.

@@ -495,18 +495,19 @@ fn an_arrow_drives_while_it_is_pressed_in_a_browser() {
 }
 
 #[test]
-fn a_recording_plays_in_a_browser() {
+fn a_recording_plays_in_a_browser_from_a_server_and_from_a_file() {
     repeat_when_late(|| {
-        if !has_browser("a_recording_plays_in_a_browser") {
+        if !has_browser("a_recording_plays_in_a_browser_from_a_server_and_from_a_file") {
             return;
         }
         let (system, file) = recorded(&SHORT_CORRIDOR);
         let view = View::start(&system, &[file.to_str().unwrap()]);
-        let output = Command::new("python3")
-            .arg(browser_test("recording.py"))
-            .arg(format!("http://{}/", view.address))
-            .output()
-            .unwrap();
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        assert!(system.run(&["report", file.to_str().unwrap()]).status.success());
+        let page = system.folder().join("drive.html");
+        for link in [format!("http://{}/", view.address), format!("file://{}", page.display())] {
+            let output =
+                Command::new("python3").arg(browser_test("recording.py")).arg(&link).output().unwrap();
+            assert!(output.status.success(), "{link}: {}", String::from_utf8_lossy(&output.stderr));
+        }
     });
 }
