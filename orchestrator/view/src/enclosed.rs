@@ -168,7 +168,8 @@ fn slim(mut frame: Value) -> Value {
         };
         scan.insert("steps_cm".to_owned(), bytes.chunks_exact(2).map(step).collect());
     }
-    for node in frame["command"]["plan"].as_array_mut().into_iter().flatten().filter_map(Value::as_array_mut) {
+    for node in frame["command"]["plan"].as_array_mut().into_iter().flatten().filter_map(Value::as_array_mut)
+    {
         // Only the place is drawn.
         node.truncate(2);
     }

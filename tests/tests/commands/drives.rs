@@ -73,7 +73,8 @@ fn drives_are_equal_to_themselves_and_part_from_those_of_another_seed() {
     for (folder, seeds) in [("a", ["1", "2"]), ("b", ["1", "2"]), ("c", ["2", "3"])] {
         fs::create_dir(system.folder().join(folder)).unwrap();
         for seed in seeds {
-            let [from, to] = ["", folder].map(|place| system.folder().join(place).join(format!("{seed}.mcap")));
+            let [from, to] =
+                ["", folder].map(|place| system.folder().join(place).join(format!("{seed}.mcap")));
             fs::hard_link(from, to).unwrap();
         }
     }
