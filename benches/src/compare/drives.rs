@@ -20,8 +20,8 @@ use self::drive::{Drive, Station};
 /// Distance between stations [m].
 pub(super) const STEP_M: f64 = 0.1;
 /// Drives part where they differ by more than this across the course [m] or in speed [m/s].
-const PART_M: f64 = 0.02;
-const PART_MPS: f64 = 0.05;
+const PART_M: f64 = 0.005;
+const PART_MPS: f64 = 0.02;
 /// First bytes of a recording.
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
@@ -227,8 +227,8 @@ mod tests {
     fn drives_part_where_they_first_differ() {
         let (a, b) = (drive(1, |_| 0.0), drive(1, |along_m| 0.1 * (along_m - 4.0).max(0.0)));
         let part = part(&a, &b).unwrap();
-        // 2 cm are reached at 4.2 m and exceeded one station later.
-        assert!((4.15..4.35).contains(&part.along_m), "{part:?}");
+        // 5 mm are exceeded at the station after 4 m, by 1 cm.
+        assert!((4.05..4.15).contains(&part.along_m), "{part:?}");
         assert_eq!(part.scans[0], part.scans[1]);
         assert!((part.max_along_m - 10.0).abs() < 1e-9 && (part.max_across_m - 0.6).abs() < 1e-9);
         assert!(super::part(&a, &a).is_none());

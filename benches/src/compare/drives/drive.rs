@@ -72,7 +72,9 @@ struct Reading {
     ride: RideRecording,
     /// By the truth, and by the estimate.
     seen: [BTreeMap<u64, Seen>; 2],
-    clearance_m: Option<f64>,
+    clearances_m: BTreeMap<u64, f64>,
+    /// With the times at which they were recorded [ns].
+    actuations: Vec<(u64, Actuation)>,
     reactions_ms: Vec<f64>,
     is_simulated: bool,
     first_ns: Option<u64>,
@@ -111,8 +113,12 @@ impl Drive {
         let course = of("course").and_then(|course| course.try_into::<Course>().ok());
         let course = course.filter(|course| !course.is_line());
         let goal = of("goal").and_then(|goal| goal.try_into::<Goal>().ok());
-        let seed = table(RUN).get("seed").and_then(toml::Value::as_integer).map(i64::cast_unsigned);
-        let drive = reading.finish(course.as_ref(), goal.as_ref(), seed);
+        let run = table(RUN);
+        let seed = run.get("scenario").and_then(|scenario| scenario.get("seed"));
+        let seed = seed.and_then(toml::Value::as_integer).map(i64::cast_unsigned);
+        let last_scan = metadata(contents, "end", "last_scan").and_then(|scan| scan.parse().ok());
+        let last_scan = last_scan.filter(|scan| reading.is_simulated && *scan > 0).unwrap_or(u64::MAX);
+        let drive = reading.finish(last_scan, course.as_ref(), goal.as_ref(), seed);
         if drive.stations.is_empty() {
             return Err(refuse("it holds no scan of a drive"));
         }
@@ -134,7 +140,7 @@ impl Reading {
                 let state = State { x: pose.x_m, y: pose.y_m, yaw: pose.yaw_rad, ..State::default() };
                 self.seen[1].insert(pose.header.scan_id, (state, pose.speed_mps));
             }
-            Topic::Actuation => self.actuation(of(bytes), log_ns),
+            Topic::Actuation => self.actuations.push((log_ns, *of(bytes))),
             _ => {}
         }
     }
@@ -143,8 +149,9 @@ impl Reading {
         self.ride.truth(truth);
         let state = State { x: truth.x_m, y: truth.y_m, yaw: truth.yaw_rad, ..State::default() };
         self.seen[0].insert(truth.header.scan_id, (state, truth.speed_mps));
-        let near = Some(truth.clearance_m).filter(|clearance| *clearance < NOTHING_NEAR_M);
-        self.clearance_m = near.map(|near| near.min(self.clearance_m.unwrap_or(near))).or(self.clearance_m);
+        if truth.clearance_m < NOTHING_NEAR_M {
+            self.clearances_m.insert(truth.header.scan_id, truth.clearance_m);
+        }
     }
 
     /// Stops are blocks after the first drive command and before landing or end.
@@ -170,8 +177,24 @@ impl Reading {
         }
     }
 
-    fn finish(mut self, course: Option<&Course>, goal: Option<&Goal>, seed: Option<u64>) -> Drive {
-        let [truth, estimate] = self.seen;
+    /// The drive up to a scan: what follows the end is not the same in each run.
+    fn finish(
+        mut self,
+        last_scan: u64,
+        course: Option<&Course>,
+        goal: Option<&Goal>,
+        seed: Option<u64>,
+    ) -> Drive {
+        for (log_ns, actuation) in std::mem::take(&mut self.actuations) {
+            if actuation.header.scan_id <= last_scan {
+                self.actuation(&actuation, log_ns);
+            }
+        }
+        self.clearances_m.retain(|scan_id, _| *scan_id <= last_scan);
+        let [truth, estimate] = self.seen.map(|mut seen| {
+            seen.retain(|scan_id, _| *scan_id <= last_scan);
+            seen
+        });
         let seen = if truth.is_empty() { estimate } else { truth };
         let trace = self.ride.drive();
         let trace = course.map_or_else(|| trace.clone(), |course| trace.clone().along(course));
@@ -181,7 +204,7 @@ impl Reading {
             seed,
             stations: stations(&seen, course),
             ride: goal.and_then(|goal| measure(&trace, goal)),
-            clearance_m: self.clearance_m,
+            clearance_m: self.clearances_m.into_values().reduce(f64::min),
             time_s: self.last_ns.saturating_sub(self.first_ns.unwrap_or(self.last_ns)) as f64 * 1e-9,
             stops: self.stops,
             stopped_s: self.stopped_s,
