@@ -1,10 +1,11 @@
 //! `scanloop-lab compare`: whether B is slower than A, with a confidence interval and the smallest visible
-//! difference.
+//! difference; of recordings, where drives part and how they differ, see `drives`.
 //!
 //! Two files were made one after the other, so their difference includes what changed on the machine in between.
 //! Two commands are run in turns, which is the way to compare two builds. For the confidence of both see
 //! `figures::difference`.
 
+mod drives;
 mod files;
 mod turns;
 mod verdict;
@@ -28,8 +29,8 @@ const METRICS: [&str; 2] = ["scan_to_actuation_us.p50", "scan_to_actuation_us.p9
 #[derive(Debug, Clone, Args)]
 #[command(group = clap::ArgGroup::new("what").required(true).multiple(false))]
 pub(crate) struct CompareArguments {
-    /// Two results of `bench latency --json` with the same arguments.
-    #[arg(num_args = 2, value_names = ["A.json", "B.json"], group = "what")]
+    /// Two recordings, two folders of recordings, or two results of `bench latency --json` with the same arguments.
+    #[arg(num_args = 2, value_names = ["A", "B"], group = "what")]
     pub files: Vec<PathBuf>,
     /// Two shell commands that run in turns.
     #[arg(long, num_args = 2, value_names = ["CMD A", "CMD B"], group = "what")]
@@ -62,6 +63,17 @@ struct Comparison {
 /// # Errors
 /// Bad arguments and files, commands that fail.
 pub(crate) fn compare(arguments: &CompareArguments) -> anyhow::Result<Exit> {
+    if let [a, b] = arguments.files.as_slice()
+        && (drives::is_drives(a) || drives::is_drives(b))
+    {
+        if let Some(metric) = &arguments.metric {
+            let which = "recordings are compared in all figures";
+            return Err(Failure::bad_input(format!("--metric {metric} is not allowed: {which}")));
+        }
+        let compared = drives::compare([a, b])?;
+        answer!(arguments.json, "{}", drives::text(&compared))?;
+        return print_json(arguments.json, &compared).map(|()| Exit::Done);
+    }
     let metrics: Vec<String> = match &arguments.metric {
         Some(metric) => vec![metric.clone()],
         None => METRICS.map(str::to_owned).to_vec(),

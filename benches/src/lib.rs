@@ -118,9 +118,12 @@ enum Command {
     /// a run. The feedback phase is the work that remains when the measured state arrives: move the linearised model to
     /// it, condense, solve one quadratic program.
     Solver(SolverArguments),
-    /// Compare two builds: whether one is slower, with a confidence interval and the smallest visible difference.
+    /// Compare two drives, or two builds: where and how they differ, and whether one is slower.
     ///
-    /// The input is two files of `bench latency --json`, or two commands that run in turns. Commands print JSON with
+    /// Two recordings are compared along their way, not by time: where they part, then time, stops, clearance, ride and
+    /// latency. Of two folders of recordings the means are compared, with 99 % intervals; drives of the same seeds are
+    /// compared one by one. Files of `bench latency --json`, and two commands that run in turns, are compared with a
+    /// confidence interval and the smallest visible difference. Commands print JSON with
     /// the figure that `--metric` names; with `--metric wall` their run time is compared.
     Compare(CompareArguments),
     /// What four hops between five processes cost over other transports, as ratios to ours.

@@ -1,4 +1,4 @@
-"""A recording in a browser: recording.py URL GOAL_M
+"""A recording in a browser, from a server or as a page of `report`: recording.py URL GOAL_M
 
 Checks that it plays to its end and stops there, that pause, speed, keys and the time axis do what they say, that control
 is not offered, and that what is shown can be read: the whole course, axes with units, and every text.

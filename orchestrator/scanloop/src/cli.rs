@@ -29,7 +29,7 @@ use crate::top::TopArguments;
 use crate::types::TypesArguments;
 use crate::urg::UrgCommand;
 use crate::why::WhyArguments;
-use view::ViewArguments;
+use view::{ReportArguments, ViewArguments};
 
 /// The system of commands that name none.
 pub(crate) const DEFAULT_SYSTEM_ID: &str = "default";
@@ -220,6 +220,9 @@ pub enum CliCommand {
     /// Measure by driving what latency, scan rate and pose uncertainty cost in centimetres.
     #[command(disable_help_flag = true)]
     Price(StudyArguments),
+    /// Compare two recorded drives, or two folders of them, along their way: where they part, and how they differ.
+    #[command(disable_help_flag = true)]
+    Compare(StudyArguments),
     /// Measure parts of the loop.
     #[command(subcommand)]
     Bench(BenchCommand),
@@ -260,6 +263,13 @@ pub enum CliCommand {
     /// Show, repair, cut or export a recording.
     #[command(subcommand)]
     Recording(RecordingCommand),
+    /// Write a recorded drive as one page that opens in a browser without a server or network, to be sent or kept.
+    ///
+    /// It is the page of `view` with the recording in it, of at most 3 MB: speed, steering, clearance, margin and latency of
+    /// each scan, all events, and map, plan and processes of each scan, in a long drive of as many as fit. Ranges of scans are
+    /// rounded to 1 cm, places to 1 mm. `#t=12.5` after the name of the page opens it at that time. Exit code 2 for a file that
+    /// is no recording or has no scan of a drive, and for a page that exists.
+    Report(ReportArguments),
     /// Draw a map from a recording, in which `estimator.map` finds the robot.
     ///
     /// It is an occupancy grid in the format of ROS `map_server`: NAME.yaml with its image NAME.pgm. The scans are drawn from the

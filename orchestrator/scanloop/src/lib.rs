@@ -145,6 +145,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         CliCommand::Faults(study) => Err(laboratory::hand_over(&cli.system_id, "faults", study)),
         CliCommand::Fork(study) => Err(laboratory::hand_over(&cli.system_id, "fork", study)),
         CliCommand::Price(study) => Err(laboratory::hand_over(&cli.system_id, "price", study)),
+        CliCommand::Compare(study) => Err(laboratory::hand_over(&cli.system_id, "compare", study)),
         CliCommand::Analyse(study) => Err(laboratory::hand_over(&cli.system_id, "analyse", study)),
         CliCommand::Bench(command) => {
             runtime::start_logging();
@@ -195,6 +196,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         CliCommand::Map(arguments) => map::map(arguments),
         CliCommand::Replay(arguments) => replay::replay(arguments),
         CliCommand::Why(arguments) => why::why(arguments),
+        CliCommand::Report(arguments) => view::report(arguments),
         CliCommand::Reference(arguments) => print(&reference::text(arguments, Cli::command())?),
         CliCommand::New(arguments) => new::new(arguments),
         CliCommand::Doctor(arguments) => doctor::doctor(&cli.system_id, arguments),

@@ -92,6 +92,7 @@ impl Samples {
             scan_id: self.newest_scan(),
             x_m: or_unknown(pose.map(|pose| pose.x_m)),
             y_m: or_unknown(pose.map(|pose| pose.y_m)),
+            yaw_rad: or_unknown(pose.map(|pose| pose.yaw_rad)),
             true_x_m: or_unknown(self.truth.map(|truth| truth.x_m)),
             true_y_m: or_unknown(self.truth.map(|truth| truth.y_m)),
             speed_mps: or_unknown(pose.map(|pose| pose.speed_mps)),

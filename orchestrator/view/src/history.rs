@@ -19,6 +19,7 @@ pub(crate) struct Row {
     /// Estimated position.
     pub(crate) x_m: f64,
     pub(crate) y_m: f64,
+    pub(crate) yaw_rad: f64,
     pub(crate) true_x_m: f64,
     pub(crate) true_y_m: f64,
     pub(crate) speed_mps: f64,
@@ -91,6 +92,7 @@ pub(crate) mod tests {
             scan_id: number,
             x_m: 0.0,
             y_m: 0.0,
+            yaw_rad: 0.0,
             true_x_m: f64::NAN,
             true_y_m: f64::NAN,
             speed_mps: 0.0,

@@ -8,6 +8,8 @@
 //!
 //! A recording has no newest frame: each page asks for the frame of the time that it shows, see `recorded`.
 //!
+//! `scanloop report` writes the same page to a file, with a recording in it, see `enclosed`.
+//!
 //! Who may read and who may control is decided in `access`, once per request.
 
 mod access;
@@ -15,6 +17,7 @@ mod actions;
 mod arguments;
 mod child;
 mod course;
+mod enclosed;
 mod events;
 pub mod follower;
 mod frame;
@@ -35,4 +38,5 @@ mod stream;
 pub use actions::Verb;
 pub use arguments::ViewArguments;
 pub use child::ViewOfRun;
+pub use enclosed::{ReportArguments, report};
 pub use server::serve;

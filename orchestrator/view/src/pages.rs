@@ -1,5 +1,8 @@
 //! The files of the page, which the executable contains.
 
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+
 use crate::http::Response;
 
 /// Path, type and content.
@@ -24,6 +27,14 @@ const FILES: &[(&str, &str, &str)] = &[
     ("/control.js", SCRIPT, include_str!("page/control.js")),
 ];
 
+/// Scripts that only a page of a server needs.
+const ONLINE: [&str; 2] = ["/stream.js", "/worker.js"];
+/// Where the page names its style and its first script.
+const STYLE: &str = r#"<link rel="stylesheet" href="/page.css">"#;
+const MAIN: &str = r#"<script type="module" src="/main.js"></script>"#;
+/// What stands for `link.js` in a page that is a file.
+const ENCLOSED: &str = include_str!("page/enclosed.js");
+
 const HTML: &str = "text/html; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
@@ -31,6 +42,29 @@ const SCRIPT: &str = "text/javascript; charset=utf-8";
 pub(crate) fn file(path: &str) -> Option<Response> {
     let (_, content_type, content) = FILES.iter().find(|(known, ..)| *known == path)?;
     Some(Response::file(content_type, content.as_bytes()))
+}
+
+/// The page as one file, with a drive in it as `enclosed.js` reads it. A script imports others by their names, which an import
+/// map leads to their texts.
+pub(crate) fn enclosed(drive: &str) -> String {
+    let as_url = |kind: &str, text: &str| format!("data:{kind};base64,{}", STANDARD.encode(text));
+    let text_of = |path: &str| FILES.iter().find(|(known, ..)| *known == path).map_or("", |(.., text)| text);
+    let scripts = FILES.iter().filter(|(path, kind, _)| *kind == SCRIPT && !ONLINE.contains(path));
+    let imports: serde_json::Map<String, serde_json::Value> = scripts
+        .map(|(path, _, text)| {
+            let text = if *path == "/link.js" { ENCLOSED } else { text };
+            (path[1..].to_owned(), as_url("text/javascript", &text.replace("from \"./", "from \"")).into())
+        })
+        .collect();
+    let map = serde_json::json!({ "imports": imports });
+    let script = format!(
+        "<script type=\"importmap\">{map}</script>\n<script type=\"module\">import \"main.js\";</script>"
+    );
+    let page = text_of("/")
+        .replace("/icon.svg", &as_url("image/svg+xml", text_of("/icon.svg")))
+        .replace(STYLE, &format!("<style>\n{}</style>", text_of("/page.css")))
+        .replace(MAIN, &script);
+    page.replace("</body>", &format!("<script type=\"text/plain\" id=\"drive\">{drive}</script>\n</body>"))
 }
 
 #[cfg(test)]

@@ -133,21 +133,30 @@ impl RecordedDrive {
     }
 
     /// What stays the same, as JSON.
-    pub(crate) fn system(&self) -> String {
-        self.system.to_string()
+    pub(crate) fn system(&self) -> &Value {
+        &self.system
+    }
+
+    /// What has happened, in the order of time.
+    pub(crate) fn events(&self) -> &[Event] {
+        &self.events
+    }
+
+    /// The rows of the whole recording, in at most `most` steps.
+    pub(crate) fn rows(&self, most: usize) -> Vec<Row> {
+        let step = self.frames.len().div_ceil(most).max(1);
+        // A step is shown as blocked if any of its frames is.
+        let of = |frames: &[Frame]| {
+            let blocked = frames.iter().find(|frame| frame.row.blocked == 1);
+            blocked.or(frames.first()).map(|frame| frame.row)
+        };
+        self.frames.chunks(step).filter_map(of).collect()
     }
 
     /// The rows around a time, or those of the whole recording in at most [`MAX_ROWS`] steps, with all events; as JSON.
     pub(crate) fn history(&self, at_s: Option<f64>) -> String {
         let Some(at_s) = at_s else {
-            let step = self.frames.len().div_ceil(MAX_ROWS).max(1);
-            // A step is shown as blocked if any of its frames is.
-            let of = |frames: &[Frame]| {
-                let blocked = frames.iter().find(|frame| frame.row.blocked == 1);
-                blocked.or(frames.first()).map(|frame| frame.row)
-            };
-            let rows: Vec<Row> = self.frames.chunks(step).filter_map(of).collect();
-            let frames = self.frames.len();
+            let (rows, frames) = (self.rows(MAX_ROWS), self.frames.len());
             return json!({ "recording": { "frames": frames }, "rows": rows, "events": self.events })
                 .to_string();
         };
@@ -165,7 +174,7 @@ impl RecordedDrive {
     ///
     /// # Errors
     /// A file that was changed meanwhile.
-    pub(crate) fn frame(&mut self, at_s: f64) -> anyhow::Result<String> {
+    pub(crate) fn frame(&mut self, at_s: f64) -> anyhow::Result<Value> {
         let Frame { row, newest, chunks } = self.frames[self.frames_until(at_s).saturating_sub(1)];
         let last = chunks.iter().flatten().max().copied().unwrap_or_default();
         // Rates are those of a second.
@@ -201,7 +210,7 @@ impl RecordedDrive {
             "status": self.processes[file].status(directives, &outputs, now_ns),
             "authority": self.directives.at(newest).authority.map(|authority| authority.incarnation),
         });
-        Ok(frame.to_string())
+        Ok(frame)
     }
 }
 
@@ -315,4 +324,4 @@ impl Reading {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

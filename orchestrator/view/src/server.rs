@@ -54,7 +54,7 @@ pub fn serve(system_id: &str, arguments: &ViewArguments, verbs: &[Verb]) -> anyh
     let listener = if arguments.for_run { inherited()? } else { listen(arguments.listen, arguments.port)? };
     let verbs = if arguments.control { verbs.to_vec() } else { Vec::new() };
     let mut source: Box<dyn Source> = match &recorded {
-        Some(recorded) => Box::new(Still(Some(recorded.system()))),
+        Some(recorded) => Box::new(Still(Some(recorded.system().to_string()))),
         None => Box::new(Live::new(system_id, verbs.clone())?),
     };
     let site = Arc::new(Site::new(Actions::new(system_id, verbs), recorded)?);
@@ -213,7 +213,7 @@ impl Site {
             return Some(ok(recorded.history(at_s).as_bytes()));
         }
         Some(match recorded.frame(at_s?) {
-            Ok(frame) => ok(frame.as_bytes()),
+            Ok(frame) => ok(frame.to_string().as_bytes()),
             Err(error) => Response::text(Status::Unavailable, &format!("{error:#}")),
         })
     }

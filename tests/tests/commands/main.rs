@@ -10,6 +10,7 @@ mod bench_transport;
 mod calibrate;
 mod campaign;
 mod description;
+mod drives;
 mod foreign_files;
 mod moving_bodies;
 mod outputs;

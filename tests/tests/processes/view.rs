@@ -495,20 +495,20 @@ fn an_arrow_drives_while_it_is_pressed_in_a_browser() {
 }
 
 #[test]
-fn a_recording_plays_in_a_browser() {
+fn a_recording_plays_in_a_browser_from_a_server_and_from_a_file() {
     repeat_when_late(|| {
-        if !has_browser("a_recording_plays_in_a_browser") {
+        if !has_browser("a_recording_plays_in_a_browser_from_a_server_and_from_a_file") {
             return;
         }
         let (system, file) = recorded(&SHORT_CORRIDOR);
         let view = View::start(&system, &[file.to_str().unwrap()]);
-        let output = Command::new("python3")
-            .arg(browser_test("recording.py"))
-            .arg(format!("http://{}/", view.address))
+        assert!(system.run(&["report", file.to_str().unwrap()]).status.success());
+        let page = system.folder().join("drive.html");
+        for link in [format!("http://{}/", view.address), format!("file://{}", page.display())] {
             // The goal of the course.
-            .arg("7")
-            .output()
-            .unwrap();
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+            let arguments = [browser_test("recording.py").as_os_str(), link.as_ref(), "7".as_ref()];
+            let output = Command::new("python3").args(arguments).output().unwrap();
+            assert!(output.status.success(), "{link}: {}", String::from_utf8_lossy(&output.stderr));
+        }
     });
 }

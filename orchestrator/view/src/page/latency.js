@@ -34,6 +34,7 @@ export function latency(place, note) {
   const canvas = document.createElement("canvas");
   place.append(table, canvas);
   let axis_us = 1000;
+  let isFitted = false;
   const recent = [];
 
   const milliseconds = (value) => (value == null ? "–" : (value / 1000).toFixed(value < 9995 ? 2 : 1));
@@ -69,6 +70,9 @@ export function latency(place, note) {
     },
     system(system) {
       const report = system?.latency_us;
+      // The bars of the first scan have the usual length too.
+      if (!isFitted && report?.scan_to_actuation?.p50 > 0) axis_us = niceAbove(1.3 * report.scan_to_actuation.p50);
+      isFitted ||= report?.scan_to_actuation?.p50 > 0;
       for (const { role, figures } of rows) {
         const found = role === "all" ? report?.scan_to_actuation : report?.stages?.[role] ?? report?.stages?.compute?.[role];
         figures[1].textContent = milliseconds(found?.p50);

@@ -119,7 +119,7 @@ connect({
 function glide(frame, now_ms) {
   const before = glided.frame === frame ? glided.before : null;
   const share = Math.min(1, (now_ms - glided.came_ms) / glided.length_ms);
-  const [pose, moves] = between(before?.pose, frame?.pose, share);
+  const [pose, moves] = between(before?.body ?? before?.pose, frame?.body ?? frame?.pose, share);
   return [pose && { ...pose, truth: between(before?.truth, frame.truth, share)[0] }, moves];
 }
 
@@ -206,8 +206,8 @@ function paintPanels(frame, course) {
   show.frame(frame);
   show.events(page.events, page.shown_s ?? Infinity, isRecording ? null : page.epoch_ms);
   showLoop(system);
-  showLatency.frame(frame);
   showLatency.system(system);
+  showLatency.frame(frame);
   showLatency.history(page.rows, until_s, colour);
   charts(by("charts"), page.rows, course, until_s, colour);
   const shown_s = page.shown_s;

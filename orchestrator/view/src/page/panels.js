@@ -87,6 +87,8 @@ export function panels(by) {
       if (system?.complete === false) facts.push("cut off");
       const scan = frame?.row?.scan_id ?? status?.scan;
       if (scan != null) facts.push(`scan ${scan}`);
+      // A report has fewer maps than scans.
+      if (frame?.map_scan != null) facts.push(`map of ${frame.map_scan}`);
       if (frame?.time_s != null) facts.push(`${frame.time_s.toFixed(1)} s`);
       setLine("run", facts.filter(Boolean).join(" · "));
     },

@@ -10,7 +10,7 @@ use shared_types::{
 const PERIOD_NS: u64 = 100_000_000;
 
 /// A file in the folder of temporary files; it is removed with the value.
-struct File(std::path::PathBuf);
+pub(crate) struct File(pub(crate) std::path::PathBuf);
 
 impl Drop for File {
     fn drop(&mut self) {
@@ -32,16 +32,21 @@ fn header<S: Sample>(scan_id: u64, incarnation: u32, role: Role) -> Header {
 
 /// Twelve seconds: the pose moves a decimetre per scan, the estimator is restarted at scan 60, and the controller is
 /// silent from scan 80 on.
-fn drive(name: &str) -> File {
-    drive_with(name, |_| {})
+pub(crate) fn drive(name: &str) -> File {
+    drive_with(name, 120, |_| {}, |_| {})
 }
 
-/// The same, and what `change` makes of the actuations.
-fn drive_with(name: &str, change: impl Fn(&mut Actuation)) -> File {
+/// The same of so many scans, and what is made of the actuations and scans.
+pub(crate) fn drive_with(
+    name: &str,
+    scans: u64,
+    change: impl Fn(&mut Actuation),
+    measure: impl Fn(&mut Scan),
+) -> File {
     let file = file(name);
     let mut tape =
         recording::Tape::new(recording::writer(std::fs::File::create(&file.0).unwrap()).unwrap(), false, 0);
-    for scan_id in 1..=120 {
+    for scan_id in 1..=scans {
         let estimator = if scan_id < 60 { 2 } else { 12 };
         let authority: [Authority; SLOTS] = std::array::from_fn(|index| {
             let is_estimator = index == Role::Estimator.index();
@@ -57,12 +62,13 @@ fn drive_with(name: &str, change: impl Fn(&mut Actuation)) -> File {
         };
         tape.sample(Topic::Directive, bytes_of(&directive)).unwrap();
         let of = |role: Role| authority[role.index()].incarnation;
-        let scan = Scan {
+        let mut scan = Scan {
             header: header::<Scan>(scan_id, of(Role::Robot), Role::Robot),
             period_ns: PERIOD_NS,
             sweep_ns: PERIOD_NS / 2,
             ..Scan::of(ScanGeometry::URG_04LX)
         };
+        measure(&mut scan);
         tape.sample(Topic::Scan, bytes_of(&scan)).unwrap();
         let pose = Pose {
             header: header::<Pose>(scan_id, of(Role::Estimator), Role::Estimator),
@@ -109,7 +115,7 @@ fn each_frame_has_the_samples_of_its_time_in_any_order() {
     assert_eq!(rows["recording"]["frames"], 120);
     for number in [120_u64, 1, 77, 10, 11, 95] {
         let row = rows["rows"][number as usize - 1].clone();
-        let frame = json(&drive.frame(row["time_s"].as_f64().unwrap()).unwrap());
+        let frame = drive.frame(row["time_s"].as_f64().unwrap()).unwrap();
         assert_eq!(frame["row"], row);
         let ids = ["scan", "pose", "actuation"].map(|part| frame[part]["scan_id"].as_u64().unwrap());
         assert_eq!(ids, [number; 3]);
@@ -117,8 +123,8 @@ fn each_frame_has_the_samples_of_its_time_in_any_order() {
         assert_eq!(frame["command"]["scan_id"].as_u64(), Some(number.min(79)), "{frame}");
         assert!((frame["pose"]["x_m"].as_f64().unwrap() - 0.1 * number as f64).abs() < 1e-9);
     }
-    assert_eq!(json(&drive.frame(1e9).unwrap())["row"]["number"], 120, "after the end the last one");
-    assert_eq!(json(&drive.frame(0.0).unwrap())["row"]["number"], 1);
+    assert_eq!(drive.frame(1e9).unwrap()["row"]["number"], 120, "after the end the last one");
+    assert_eq!(drive.frame(0.0).unwrap()["row"]["number"], 1);
 }
 
 #[test]
@@ -139,7 +145,7 @@ fn a_restart_is_an_event_and_the_processes_are_those_of_the_time() {
         history["events"].as_array().unwrap().iter().map(|event| event["time_s"].as_f64().unwrap()).collect();
     assert!(times.is_sorted() && times.iter().any(|time_s| (5.5..6.5).contains(time_s)), "{times:?}");
     let mut restarts = |at_s: f64| {
-        let frame = json(&drive.frame(at_s).unwrap());
+        let frame = drive.frame(at_s).unwrap();
         let row = &frame["system"]["status"]["processes"][1];
         (row["role"].clone(), row["restarts"].clone(), frame["system"]["authority"][1].clone())
     };
@@ -168,12 +174,17 @@ fn a_file_without_a_drive_is_refused() {
 
 #[test]
 fn a_sample_that_was_recorded_at_a_time_of_long_ago_ends_no_page() {
-    let file = drive_with("long-ago", |actuation| {
-        if actuation.header.scan_id == 60 {
-            actuation.header.chain[Role::Actuator.index()].published_ns = 1;
-        }
-    });
+    let file = drive_with(
+        "long-ago",
+        120,
+        |actuation| {
+            if actuation.header.scan_id == 60 {
+                actuation.header.chain[Role::Actuator.index()].published_ns = 1;
+            }
+        },
+        |_| {},
+    );
     let mut drive = RecordedDrive::open(&file.0).unwrap();
     assert_eq!(json(&drive.history(None))["recording"]["frames"], 120);
-    assert_eq!(json(&drive.frame(1e9).unwrap())["row"]["number"], 120);
+    assert_eq!(drive.frame(1e9).unwrap()["row"]["number"], 120);
 }

@@ -1,0 +1,203 @@
+//! `scanloop report`: the page with a recording enclosed in it, as one file that opens without a server.
+//!
+//! The scripts are those of the live page, but for their source: `enclosed.js` stands for `link.js`. What the page shows
+//! over time, its rows, is enclosed of each scan, in steps of the resolution in [`COLUMNS`]. Frames, with scan, plan and
+//! obstacles, are larger: they are enclosed of each scan too where they fit into [`MAX_BYTES`], else of as many scans as
+//! fit, at equal distances, and of those at which something happened. Ranges are rounded to 1 cm, plans to 1 mm, latencies to 1 us.
+
+use std::collections::BTreeSet;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use clap::Args;
+use console::exit::{Exit, Failure};
+use console::new_file::{Existing, NewFile};
+use console::note;
+use flate2::Compression;
+use flate2::write::ZlibEncoder;
+use serde_json::{Value, json};
+
+use crate::history::Row;
+use crate::pages;
+use crate::recorded::RecordedDrive;
+
+/// The largest file [bytes].
+const MAX_BYTES: usize = 3_000_000;
+/// Rows of a longer recording than two hours at 10 Hz stand for some scans each.
+const MAX_ROWS: usize = 72_000;
+/// So many frames tell how large one is.
+const TRIED: usize = 64;
+/// Frames that are enclosed because something happened, at most.
+const MAX_HAPPENED: usize = 300;
+
+/// Name, values per unit, and value of a column of rows.
+type Column = (&'static str, f64, fn(&Row) -> f64);
+
+const COLUMNS: &[Column] = &[
+    ("number", 1.0, |row| row.number as f64),
+    ("time_s", 1e3, |row| row.time_s),
+    ("scan_id", 1.0, |row| row.scan_id as f64),
+    ("x_m", 1e3, |row| row.x_m),
+    ("y_m", 1e3, |row| row.y_m),
+    ("yaw_rad", 1e3, |row| row.yaw_rad),
+    ("true_x_m", 1e3, |row| row.true_x_m),
+    ("true_y_m", 1e3, |row| row.true_y_m),
+    ("speed_mps", 1e3, |row| row.speed_mps),
+    ("desired_velocity_mps", 1e3, |row| row.desired_velocity_mps),
+    ("desired_steering_rad", 1e4, |row| row.desired_steering_rad),
+    ("clearance_m", 1e3, |row| row.clearance_m),
+    ("margin_m", 1e3, |row| row.margin_m),
+    ("reaction_us", 1.0, |row| row.reaction_us),
+    ("blocked", 1.0, |row| f64::from(row.blocked)),
+];
+
+/// Arguments of `report`.
+#[derive(Debug, Clone, Args)]
+pub struct ReportArguments {
+    /// The recording.
+    #[arg(value_name = "FILE")]
+    pub file: PathBuf,
+    /// The page.
+    #[arg(short, long, value_name = "FILE", default_value = "drive.html")]
+    pub out: PathBuf,
+    /// Replace a file of that name.
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// Writes the page with a recording in it.
+///
+/// # Errors
+/// A recording that can't be read, or has no scan of a drive; a page that exists or can't be written; exit code 2.
+pub fn report(arguments: &ReportArguments) -> anyhow::Result<Exit> {
+    let ReportArguments { file, out, force } = arguments;
+    // Before the work: whether it may be written.
+    let mut page = NewFile::create(out, Existing::forced(*force), &[file])?;
+    let Enclosed { text, rows, frames } = enclosed(file)?;
+    page.write_all(text.as_bytes())?;
+    page.finish()?;
+    let megabytes = text.len() as f64 * 1e-6;
+    note!("{}: {megabytes:.2} MB, {rows} scans, {frames} of them with map and plan", out.display());
+    Ok(Exit::Done)
+}
+
+/// A page, and what is in it.
+struct Enclosed {
+    text: String,
+    rows: usize,
+    frames: usize,
+}
+
+fn enclosed(file: &Path) -> anyhow::Result<Enclosed> {
+    let mut drive = RecordedDrive::open(file)?;
+    let rows = drive.rows(MAX_ROWS);
+    let rest = json!({
+        "system": drive.system(), "events": drive.events(),
+        "columns": COLUMNS.iter().map(|column| steps(&rows, column)).collect::<Vec<_>>(),
+    });
+    let whole = |frames: &[(usize, Value)]| -> anyhow::Result<String> {
+        let mut content = rest.clone();
+        content["frames"] = json!(frames);
+        Ok(pages::enclosed(&packed(&content)?))
+    };
+    let smallest = whole(&[])?.len();
+    let mut frames_at = |indices: &mut dyn Iterator<Item = usize>| -> anyhow::Result<Vec<(usize, Value)>> {
+        indices.map(|index| Ok((index, slim(drive.frame(rows[index].time_s)?)))).collect()
+    };
+    let tried = frames_at(&mut (0..rows.len()).step_by(rows.len().div_ceil(TRIED)))?;
+    let bytes_each = (whole(&tried)?.len() - smallest) as f64 / tried.len() as f64;
+    let happened = happened(&rows, drive_events(&rest));
+    let mut room = MAX_BYTES.saturating_sub(smallest) as f64 * 0.95;
+    while room > bytes_each {
+        let regular = (room / bytes_each - happened.len() as f64).max(1.0);
+        let step = (rows.len() as f64 / regular).ceil().max(1.0) as usize;
+        let mut chosen = happened.clone();
+        chosen.extend((0..rows.len()).step_by(step));
+        let frames = frames_at(&mut chosen.into_iter())?;
+        let text = whole(&frames)?;
+        if text.len() <= MAX_BYTES {
+            return Ok(Enclosed { text, rows: rows.len(), frames: frames.len() });
+        }
+        room *= 0.9;
+    }
+    let reason = format!("its page would be larger than {MAX_BYTES} bytes");
+    let cut = "`scanloop recording cut` makes a shorter recording";
+    Err(Failure::bad_input(format!("{}: {reason}; {cut}", file.display())))
+}
+
+/// The times of what happened [s].
+fn drive_events(rest: &Value) -> impl Iterator<Item = f64> + '_ {
+    rest["events"].as_array().into_iter().flatten().filter_map(|event| event["time_s"].as_f64())
+}
+
+/// The rows at which something happened: an event, or wheels that were blocked or set free.
+fn happened(rows: &[Row], events_s: impl Iterator<Item = f64>) -> BTreeSet<usize> {
+    let at = |time_s: f64| rows.partition_point(|row| row.time_s < time_s).min(rows.len().saturating_sub(1));
+    let changes = rows.windows(2).zip(1..).filter(|(pair, _)| pair[0].blocked != pair[1].blocked);
+    let all: BTreeSet<usize> = events_s.map(at).chain(changes.map(|(_, index)| index)).collect();
+    let step = all.len().div_ceil(MAX_HAPPENED).max(1);
+    all.into_iter().step_by(step).collect()
+}
+
+/// A column as steps from row to row, `null` where nothing is known.
+fn steps(rows: &[Row], (name, per_unit, value): &Column) -> Value {
+    let mut before = 0;
+    let mut step = |row| {
+        let value = value(row);
+        let rounded = value.is_finite().then_some((value * per_unit).round() as i64);
+        rounded.map(|rounded| rounded - std::mem::replace(&mut before, rounded))
+    };
+    json!({ "name": name, "per_unit": per_unit, "steps": rows.iter().map(&mut step).collect::<Vec<_>>() })
+}
+
+/// A frame without what its row has, and without digits that no pixel shows.
+fn slim(mut frame: Value) -> Value {
+    if let Some(frame) = frame.as_object_mut() {
+        frame.remove("row");
+    }
+    if let Some(scan) = frame["scan"].as_object_mut() {
+        let ranges = scan.remove("ranges_mm_base64").unwrap_or_default();
+        let bytes = STANDARD.decode(ranges.as_str().unwrap_or_default()).unwrap_or_default();
+        let mut before = 0;
+        let step = |range: &[u8]| {
+            // A range below 20 mm is none.
+            let cm = (i32::from(u16::from_le_bytes([range[0], range[1]])).min(65_530) + 5) / 10;
+            cm - std::mem::replace(&mut before, cm)
+        };
+        scan.insert("steps_cm".to_owned(), bytes.chunks_exact(2).map(step).collect());
+    }
+    for node in frame["command"]["plan"].as_array_mut().into_iter().flatten().filter_map(Value::as_array_mut)
+    {
+        // Only the place is drawn.
+        node.truncate(2);
+    }
+    round(&mut frame["command"]["plan"], 1e3);
+    round(&mut frame["latency_us"], 1.0);
+    round(&mut frame["system"], 1e1);
+    round(&mut frame["pose"]["covariance_m2"], 1e7);
+    frame
+}
+
+/// Rounds all numbers in a value that are not whole.
+fn round(value: &mut Value, per_unit: f64) {
+    match value {
+        Value::Number(number) if number.is_f64() => {
+            *value = json!(number.as_f64().map(|number| (number * per_unit).round() / per_unit));
+        }
+        Value::Array(values) => values.iter_mut().for_each(|value| round(value, per_unit)),
+        Value::Object(values) => values.values_mut().for_each(|value| round(value, per_unit)),
+        _ => {}
+    }
+}
+
+/// A value as compressed JSON in letters.
+fn packed(value: &Value) -> anyhow::Result<String> {
+    let mut encoder = ZlibEncoder::new(Vec::new(), Compression::best());
+    serde_json::to_writer(&mut encoder, value)?;
+    Ok(STANDARD.encode(encoder.finish()?))
+}
+
+#[cfg(test)]
+mod tests;
