@@ -14,7 +14,7 @@ use fault_matrix::PipedStage;
 use pipeline::Step;
 use replay::ReplayDrive;
 use replay::compare::FieldDifference;
-use replay::fork::{Change, Fork, Repetition};
+use replay::fork::{Fork, ForkChange, Repetition};
 use serde::Serialize;
 use shared_types::{AnyStage, Role};
 
@@ -106,7 +106,7 @@ pub(crate) fn fork(arguments: &ForkArguments) -> anyhow::Result<Exit> {
     let one = |index: usize| {
         let variant: &Option<String> = &variants[index];
         let set: Vec<String> = set.iter().chain(variant).cloned().collect();
-        let change = Change::new(&drive, *at, &set, obstacle)?;
+        let change = ForkChange::new(&drive, *at, &set, obstacle)?;
         drive_on(&drive, &change, with, *duration, variant.clone())
     };
     let forks = on_all_cores(variants.len(), one, || ())?.into_iter().collect::<anyhow::Result<Vec<_>>>()?;
@@ -121,7 +121,7 @@ pub(crate) fn fork(arguments: &ForkArguments) -> anyhow::Result<Exit> {
 /// Drives on from where a change makes an output another one.
 fn drive_on(
     drive: &ReplayDrive,
-    change: &Change,
+    change: &ForkChange,
     with: &[String],
     duration_s: Option<f64>,
     set: Option<String>,

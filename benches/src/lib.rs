@@ -87,7 +87,7 @@ enum Command {
     /// Drive a recorded drive on from one of its scans, with something changed.
     ///
     /// Robot, stages and random numbers have the state of that scan. With changed keys or a new obstacle, the journals are
-    /// followed until the first output that is another one: that scan is printed, and from there the drive goes on in
+    /// followed until the first output that is another one: that scan is printed, and from there the drive continues in
     /// lock-step, in one process. A program in place of a stage drives from the scan itself. Without a change, a drive that
     /// was recorded in lock-step repeats to the bit; exit code 1 if it does not. Exit code 2 for a drive of a robot that is
     /// not emulated.

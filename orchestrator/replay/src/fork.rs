@@ -26,13 +26,13 @@ use crate::stage::{Led, Recomputed, Robot, lead};
 
 /// What is changed, and from which scan on.
 #[derive(Debug, Clone)]
-pub struct Change {
+pub struct ForkChange {
     at: u64,
     settings: DriveSettings,
     roles: Vec<Role>,
 }
 
-impl Change {
+impl ForkChange {
     /// Other values of keys of the recorded settings, and obstacles that are added, each a list of keys of the scenario.
     ///
     /// # Errors
@@ -79,7 +79,7 @@ pub struct Fork {
     pub parts: Option<FieldDifference>,
     /// The scenario that is driven on.
     pub scenario: Scenario,
-    /// The estimator had fields of a topic of your own after this, which the drive goes on without.
+    /// The estimator had fields of a topic of your own after this, without which the drive continues.
     pub lacks_own: bool,
     /// States for programs in the place of stages, where they are known.
     pub states: Vec<(Role, Checkpoint)>,
@@ -97,7 +97,7 @@ impl Fork {
     ///
     /// # Errors
     /// A recording without the state of the robot, or of a stage; keys and values that are not allowed. Exit code 2.
-    pub fn find(drive: &ReplayDrive, change: &Change, replaced: &[Role]) -> anyhow::Result<Option<Self>> {
+    pub fn find(drive: &ReplayDrive, change: &ForkChange, replaced: &[Role]) -> anyhow::Result<Option<Self>> {
         let others = drive.replayable(Role::ALL, &drive.path)?.1;
         if let Some(other) = others.first() {
             let fields = other.fields.join("; ");
@@ -126,7 +126,7 @@ impl Fork {
 
     fn at(
         drive: &ReplayDrive,
-        change: &Change,
+        change: &ForkChange,
         scan: u64,
         parts: Option<FieldDifference>,
         replaced: &[Role],
@@ -182,7 +182,7 @@ impl Fork {
 }
 
 /// The first output of a role that is another with the change.
-fn parts(drive: &ReplayDrive, change: &Change, role: Role) -> anyhow::Result<Option<FieldDifference>> {
+fn parts(drive: &ReplayDrive, change: &ForkChange, role: Role) -> anyhow::Result<Option<FieldDifference>> {
     match role {
         Role::Robot => parts_of::<Robot>(drive, &drive.scans, change),
         Role::Estimator => parts_of::<EstimatorStage>(drive, &drive.poses, change),
@@ -195,7 +195,7 @@ fn parts(drive: &ReplayDrive, change: &Change, role: Role) -> anyhow::Result<Opt
 fn parts_of<T: Recomputed>(
     drive: &ReplayDrive,
     lane: &Lane<T::Output>,
-    change: &Change,
+    change: &ForkChange,
 ) -> anyhow::Result<Option<FieldDifference>>
 where
     T::Settings: DeserializeOwned,
@@ -218,7 +218,7 @@ where
 /// The stage of a role before a scan, with all that was sent to it until then.
 fn stage_at(
     drive: &ReplayDrive,
-    change: &Change,
+    change: &ForkChange,
     scan: u64,
     now_ns: u64,
     role: Role,
@@ -243,7 +243,7 @@ fn stage_at(
 fn at<T: Recomputed>(
     drive: &ReplayDrive,
     lane: &Lane<T::Output>,
-    change: &Change,
+    change: &ForkChange,
     scan: u64,
 ) -> anyhow::Result<Led<T>>
 where
@@ -252,7 +252,7 @@ where
     let process = drive.in_charge(lane, scan);
     let process = process.ok_or_else(|| drive.refuse(&format!("{}: no output was recorded", T::ROLE)))?;
     if drive.is_elsewhere(process) {
-        let reason = format!("{}: it ran on another host, whose clock does not go on here", T::ROLE);
+        let reason = format!("{}: it ran on another host, whose clock stands still here", T::ROLE);
         return Err(drive.refuse(&reason));
     }
     lead((process, lane), drive, change.of(T::ROLE), scan)

@@ -52,7 +52,7 @@ pub struct Shaping {
     pub by: ShapedBy,
     /// Time of the plan at which it presses most [s].
     pub after_s: f64,
-    /// By how much the objective falls if it gives way by one unit there.
+    /// By how much the objective falls if it is one unit further away there.
     pub multiplier: f64,
 }
 

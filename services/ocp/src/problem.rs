@@ -127,7 +127,7 @@ pub struct ActiveLimit {
     pub node: usize,
     /// What it limits.
     pub limit: Limit,
-    /// By how much the objective falls if the limit gives way by one unit.
+    /// By how much the objective falls if the limit is one unit further away.
     pub multiplier: f64,
 }
 

@@ -14,7 +14,7 @@ const RADIUS_M: std::ops::RangeInclusive<f64> = 0.03..=0.6;
 /// Share of its width that is seen at least.
 const SEEN: f64 = 0.75;
 /// Fewer returns show no circle.
-const FEWEST: f64 = 5.0;
+const MIN_COUNT: f64 = 5.0;
 
 /// A circle that was seen from one side.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,7 +40,7 @@ impl Round {
         flat_m: f64,
     ) -> Option<Self> {
         let count = places.clone().count() as f64;
-        if count < FEWEST {
+        if count < MIN_COUNT {
             return None;
         }
         let mean = places.clone().sum::<Vector2<f64>>() / count;

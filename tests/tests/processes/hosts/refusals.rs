@@ -209,7 +209,7 @@ fn an_agent_starts_only_what_its_file_names() {
 const STRANGER: u32 = 4_000_000;
 
 /// Has the link of a run ask the agent of the lab to start a controller, with another value of one key; returns the answer.
-fn wish(hosts: &TwoHosts, key: &str, value: &Value) -> Value {
+fn ask(hosts: &TwoHosts, key: &str, value: &Value) -> Value {
     let domain = hosts.system.domain();
     let reply = domain.directory().join(reply_socket(STRANGER));
     let _ = std::fs::remove_file(&reply);
@@ -239,9 +239,9 @@ fn wish(hosts: &TwoHosts, key: &str, value: &Value) -> Value {
 }
 
 #[test]
-fn a_wish_that_no_orchestrator_has_is_refused_and_neither_link_nor_process_is_started_again() {
+fn a_request_that_no_orchestrator_makes_is_refused_and_neither_link_nor_process_is_started_again() {
     repeat_when_late(|| {
-        let Some(mut hosts) = TwoHosts::new("a wish that no orchestrator has") else { return };
+        let Some(mut hosts) = TwoHosts::new("a request that no orchestrator makes") else { return };
         hosts.start_agent();
         hosts.start(&SHORT_FREE);
         hosts.system.wait_until_driving();
@@ -251,7 +251,7 @@ fn a_wish_that_no_orchestrator_has_is_refused_and_neither_link_nor_process_is_st
             ("receives", json!(["no-such-topic"]), "receives = \"no-such-topic\" is not allowed"),
             ("sends", json!(["pose", "no-such-topic"]), "sends = \"no-such-topic\" is not allowed"),
         ] {
-            let answer = wish(&hosts, key, &value);
+            let answer = ask(&hosts, key, &value);
             let told = answer["state"]["refused"]["reason"].as_str().unwrap_or_default();
             assert!(told.contains(reason), "{answer}");
             let messages = hosts.messages();
