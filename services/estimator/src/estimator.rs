@@ -38,7 +38,7 @@ use crate::increments::{self, Increments};
 use crate::laser::known::given;
 use crate::laser::pieces::SweepMotion;
 use crate::laser::{LaserMode, Matcher};
-use crate::learned::{Learned, Turn};
+use crate::learned::{Learned, SeenTurn};
 use crate::motion::{MotionModel, MotionState, Moved, curvature_per_angle};
 use crate::observability::motion_jacobian;
 use crate::self_check::{Evidence, SelfCheckState};
@@ -492,7 +492,7 @@ impl Estimator {
         let way_m = f64::midpoint(from_mps, speed_mps) * dt;
         let learned = &mut self.state.learned;
         learned.walk(way_m);
-        learned.turned(&Turn {
+        learned.turned(&SeenTurn {
             yaw_rad: reported.yaw,
             expected_rad: moved.turn_rad * (1.0 - turn) - rate * dt,
             by_offset: curvature_per_angle(&self.settings.motion) * way_m,

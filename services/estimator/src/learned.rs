@@ -55,7 +55,7 @@ plain_state! {
 
 /// A report of the yaw, and what the model expects.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Turn {
+pub struct SeenTurn {
     /// The yaw that is reported now [rad].
     pub yaw_rad: f64,
     /// The turn since the report before, by the model with what is learned [rad].
@@ -107,7 +107,7 @@ impl Learned {
     }
 
     /// Takes a turn into account.
-    pub fn turned(&mut self, turn: &Turn) {
+    pub fn turned(&mut self, turn: &SeenTurn) {
         let [offset_rad, share] = self.steering;
         let (by_offset, by_share) = (turn.by_offset * (1.0 + share), turn.expected_rad / (1.0 + share));
         let transition = Matrix3::new(1.0, by_offset, by_share, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0);
@@ -200,7 +200,7 @@ mod tests {
             yaw_rad += 0.2 * (steering_rad + offset_rad) * (1.0 + share);
             let expected_rad = 0.2 * learned.acting(steering_rad);
             learned.walk(0.1);
-            learned.turned(&Turn { yaw_rad, expected_rad, by_offset: 0.2, spread: 1e-6, noise: 1e-6 });
+            learned.turned(&SeenTurn { yaw_rad, expected_rad, by_offset: 0.2, spread: 1e-6, noise: 1e-6 });
         }
         learned
     }
@@ -224,9 +224,9 @@ mod tests {
         let broken = drive(0.05, 0.0, |_| 0.0);
         assert!(broken.steering[0] <= OFFSET_MAX_RAD, "{broken:?}");
         let mut jumped = Learned::begin(0.0, 1e-6);
-        jumped.turned(&Turn { yaw_rad: 0.5, by_offset: 0.2, noise: 1e-6, ..Turn::default() });
+        jumped.turned(&SeenTurn { yaw_rad: 0.5, by_offset: 0.2, noise: 1e-6, ..SeenTurn::default() });
         assert_eq!((jumped.yaw_rad, jumped.steering), (0.5, [0.0; 2]));
-        jumped.turned(&Turn { yaw_rad: f64::NAN, ..Turn::default() });
+        jumped.turned(&SeenTurn { yaw_rad: f64::NAN, ..SeenTurn::default() });
         assert_eq!((jumped.yaw_rad, jumped.steering), (0.5, [0.0; 2]));
     }
 
