@@ -506,8 +506,8 @@ fn a_recording_plays_in_a_browser_from_a_server_and_from_a_file() {
         let page = system.folder().join("drive.html");
         for link in [format!("http://{}/", view.address), format!("file://{}", page.display())] {
             // The goal of the course.
-            let arguments = [browser_test("recording.py").as_os_str(), link.as_ref(), "7".as_ref()];
-            let output = Command::new("python3").args(arguments).output().unwrap();
+            let test = browser_test("recording.py");
+            let output = Command::new("python3").arg(test).args([&link, "7"]).output().unwrap();
             assert!(output.status.success(), "{link}: {}", String::from_utf8_lossy(&output.stderr));
         }
     });
