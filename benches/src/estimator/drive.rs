@@ -21,6 +21,8 @@ pub(super) struct Drive {
     pub(super) odometer: Tally,
     /// Scans for which the estimator gave no pose.
     pub(super) without_pose: u64,
+    /// What was learned and is wrong at the end: steering offset [rad], factor of the velocity, fraction of the distance.
+    pub(super) unlearned: [f64; 3],
 }
 
 /// The odometer without a filter: the reported pose with the correction of the estimator.
@@ -38,7 +40,9 @@ pub(super) fn drive(plan: &Plan, scans: Option<NewFile>) -> anyhow::Result<Drive
     let mut odometer = Odometer { settings: tuning.estimator.settings()?, correction: None };
     let settings = PipelineSettings { scenario: plan.scenario.clone(), tuning, period_ns };
     let (mut of_estimate, mut of_odometer, mut without_pose) = (Tally::default(), Tally::default(), 0);
-    let mut text = String::new();
+    let (mut text, mut unlearned) = (String::new(), [0.0; 3]);
+    let truth = plan.scenario.robot.values(plan.scenario.seed);
+    let sent = settings.tuning.actuator.calibration.correction().velocity_factor;
     let end = pipeline::drive(&settings, |step| {
         if scans.is_some() {
             if text.is_empty() {
@@ -48,7 +52,15 @@ pub(super) fn drive(plan: &Plan, scans: Option<NewFile>) -> anyhow::Result<Drive
         }
         of_odometer.add_place(odometer.follow(&step.odometry), &step.truth);
         match &step.pose {
-            Some(pose) => of_estimate.add_pose(pose, &step.truth),
+            Some(pose) => {
+                of_estimate.add_pose(pose, &step.truth);
+                let [_, distance, _, offset_rad, _, velocity] = pose.learned;
+                unlearned = [
+                    offset_rad - truth.steering_offset_rad,
+                    sent / (1.0 + velocity) / truth.velocity_factor - 1.0,
+                    distance - truth.odometry_longitudinal,
+                ];
+            }
             None => without_pose += 1,
         }
     })?;
@@ -56,7 +68,7 @@ pub(super) fn drive(plan: &Plan, scans: Option<NewFile>) -> anyhow::Result<Drive
         file.write_all(text.as_bytes())?;
         file.finish()?;
     }
-    Ok(Drive { outcome: end.outcome, estimate: of_estimate, odometer: of_odometer, without_pose })
+    Ok(Drive { outcome: end.outcome, estimate: of_estimate, odometer: of_odometer, without_pose, unlearned })
 }
 
 impl Odometer {

@@ -38,6 +38,8 @@ pub(super) struct Row {
     /// Median over the time of stated sigma over error of the position.
     pub(super) sigma_over_error: Option<f64>,
     pub(super) over_time: Vec<Moment>,
+    /// What was learned and is wrong at the end, at most: steering offset [rad], factor of the velocity, fraction of the distance.
+    pub(super) unlearned: [f64; 3],
 }
 
 /// What the command prints.
@@ -98,6 +100,9 @@ impl Row {
             nis_bounds_95: bounds_95(all.nis.count),
             sigma_over_error: all.sigma_over_error(),
             over_time: all.over_time(PARTS),
+            unlearned: std::array::from_fn(|place| {
+                drives.iter().map(|drive| drive.unlearned[place].abs()).fold(0.0, f64::max)
+            }),
         }
     }
 }

@@ -17,11 +17,25 @@ pub(super) fn text(results: &Results) -> String {
     for (row, laser) in rows {
         table.row(cells(row, laser));
     }
+    let learned: String = results.rows.iter().filter(|row| row.laser != "off").map(learned).collect();
     let bounds = results.rows.first().and_then(|row| row.nees_bounds_95).unwrap_or_default();
     format!(
         "{table}rms and max of the position in m, yaw in mrad; in 95 %: share of scans inside the ellipsoid; sigma: stated over \
-         measured, the median over time\nconsistent      NEES {:.2} to {:.2} with {} runs, NIS 3, sigma 1\n",
+         measured, the median over time\nconsistent      NEES {:.2} to {:.2} with {} runs, NIS 3, sigma 1\n{learned}",
         bounds[0], bounds[1], results.seeds
+    )
+}
+
+/// What of a robot was learned until the end, at its worst.
+fn learned(row: &Row) -> String {
+    let [offset_rad, velocity, distance] = row.unlearned;
+    format!(
+        "learned         {} {}: steering offset to {:.2} mrad, velocity to {:.2} %, distance to {:.2} %\n",
+        row.scenario,
+        row.robot,
+        1e3 * offset_rad,
+        1e2 * velocity,
+        1e2 * distance
     )
 }
 

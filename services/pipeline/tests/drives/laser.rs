@@ -17,6 +17,8 @@ struct Errors {
     squares: f64,
     most_m: f64,
     inside: f64,
+    /// What was learned until the end.
+    learned: [f64; 6],
 }
 
 impl pipeline::LoopWatch for Errors {
@@ -31,6 +33,7 @@ impl pipeline::LoopWatch for Errors {
         let [.., xx, xy, _, _, yy] = pose.covariance;
         let squares = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy);
         self.scans += 1.0;
+        self.learned = pose.learned;
         self.squares += x * x + y * y;
         self.most_m = self.most_m.max(x.hypot(y));
         self.inside += f64::from(u8::from(squares <= 9.21));
@@ -112,6 +115,20 @@ fn without_a_laser_the_pose_is_that_of_the_odometer() {
     {
         assert!(errors.most_m > 0.03 && errors.most_m < 0.6, "{seed}: {errors:?}");
         assert!(errors.inside / errors.scans > 0.9, "{seed}: {errors:?}");
+    }
+}
+
+#[test]
+fn a_worn_robot_is_known_after_twenty_metres() {
+    for (seed, errors) in seeds::each(1..=4, |seed| drive(&endless("worn", seed, "hall"), 20.0, true, |_| {})) {
+        let scenario: Scenario = parse(&endless("worn", seed, "hall"));
+        let truth = scenario.robot.values(seed);
+        let [_, distance, _, offset_rad, _, velocity] = errors.learned;
+        // 1.4 times the desired velocity is sent.
+        let factor = 1.4 / (1.0 + velocity);
+        assert!((distance - truth.odometry_longitudinal).abs() < 3e-3, "{seed}: {distance}");
+        assert!((offset_rad - truth.steering_offset_rad).abs() < 1e-3, "{seed}: {offset_rad}");
+        assert!((factor / truth.velocity_factor - 1.0).abs() < 0.02, "{seed}: {factor}");
     }
 }
 
