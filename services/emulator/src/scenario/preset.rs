@@ -15,16 +15,6 @@ const LONGITUDINAL_SPREAD: f64 = 0.01;
 /// Its steering offset is within this [rad].
 const OFFSET_SPREAD_RAD: f64 = 0.01;
 
-/// Turn-on bias of the gyro is within this [rad/s].
-///
-/// What is left after it was zeroed at rest: the zero of a plain MEMS gyro moves by up to 20 deg/s over 125 K (MPU-6050,
-/// product specification 3.4), 0.0028 rad/s a kelvin, and a third of a kelvin is little from one start to the next.
-const GYRO_BIAS_RADPS: f64 = 0.001;
-/// Scale error of the gyro: that sheet allows 2 % over the temperature and 3 % without calibration.
-const GYRO_SCALE: f64 = 0.005;
-/// The scale error of a worn robot's gyro is within this.
-const GYRO_SCALE_SPREAD: f64 = 0.01;
-
 macro_rules! values {
     ($($key:ident: $type:ty,)*) => {
         /// What the emulated robot really is: [`Robot`] with all values known.
@@ -95,12 +85,10 @@ values! {
 impl Values {
     /// Follows every command at once.
     ///
-    /// Limits of a lag and noise of encoders and gyro are those of `summit`: they act when their lag or model is asked for.
+    /// Limits of a lag and errors of encoders are those of `summit`: they act when their lag or model is asked for.
     fn ideal(description: &Description) -> Self {
         Self {
             tyre_friction: 0.0,
-            gyro_bias_radps: 0.0,
-            gyro_scale: 0.0,
             velocity_lag_s: 0.0,
             steering_lag_s: 0.0,
             command_delay_s: 0.0,
@@ -153,7 +141,7 @@ impl Values {
             gyro_noise_rad: description.gyro_noise_rad,
             gyro_bias_walk_radps: description.gyro_bias_walk_radps,
             gyro_bias_radps: 0.0,
-            gyro_scale: GYRO_SCALE,
+            gyro_scale: 0.0,
             scan_stamp_jitter_s: 0.002,
             scan_missing_every: 500,
             scanner_x_m: description.scanner_x_m,
@@ -165,7 +153,11 @@ impl Values {
     /// Each value drawn from a stream of its own, so that no key changes another.
     fn worn(description: &Description, seed: u64) -> Self {
         let middle = Self::summit(description);
-        let about = |key, middle: f64, spread: f64| middle + spread * draw(seed, key);
+        let about = |key, middle: f64, spread: f64| {
+            // From -1 to 1.
+            let draw = 2.0 * NoiseStream::new(seed, Purpose::Wear, name_hash(key)).uniform() - 1.0;
+            middle + spread * draw
+        };
         let share = |key, middle: f64| about(key, middle, SPREAD * middle);
         macro_rules! drawn {
             ($($key:ident),*) => { Self { $($key: share(stringify!($key), middle.$key),)* ..middle } };
@@ -204,7 +196,6 @@ impl Values {
                 LONGITUDINAL_SPREAD,
             ),
             steering_offset_rad: about("steering_offset_rad", 0.0, OFFSET_SPREAD_RAD),
-            gyro_scale: about("gyro_scale", 0.0, GYRO_SCALE_SPREAD),
             scan_missing_every: share("scan_missing_every", middle.scan_missing_every as f64).round() as u64,
             ..drawn
         }
@@ -256,14 +247,9 @@ impl Robot {
             Preset::Summit => Values::summit(&known),
             Preset::Worn => Values::worn(description, seed),
         };
-        // A turn-on bias is another one at each start.
-        let gyro_bias_radps = match self.preset {
-            Preset::Ideal => 0.0,
-            Preset::Summit | Preset::Worn => GYRO_BIAS_RADPS * draw(seed, "gyro_bias_radps"),
-        };
         // What a robot may be sent is a limit that is set, not a property that may be described wrongly.
         let Bounds { sent_velocity_max_mps, sent_steering_max_rad, .. } = description.bounds;
-        Values { sent_velocity_max_mps, sent_steering_max_rad, gyro_bias_radps, ..values }
+        Values { sent_velocity_max_mps, sent_steering_max_rad, ..values }
     }
 
     /// Keys in which a resolved robot differs from its description, with the true and the believed value.
@@ -314,11 +300,6 @@ impl Robot {
         let is_linear = |key: &str, truth: f64| key == "tyre_friction" && truth == 0.0;
         known.filter(|(key, truth, believed)| truth != believed && !is_linear(key, *truth)).collect()
     }
-}
-
-/// A number from -1 to 1 of the stream of a key.
-fn draw(seed: u64, key: &str) -> f64 {
-    2.0 * NoiseStream::new(seed, Purpose::Wear, name_hash(key)).uniform() - 1.0
 }
 
 /// Number of a key's stream: 64-bit FNV-1a of its name, so that a new key leaves the draws of the others as they are.
@@ -402,20 +383,6 @@ mod tests {
                 "{low} {high}"
             );
         }
-    }
-
-    #[test]
-    fn a_gyro_has_another_bias_at_each_start_and_one_scale_unless_it_is_worn() {
-        let of_seeds = |preset| [1, 2, 3].map(|seed| resolved(preset, seed));
-        let [summit, worn, ideal] = [Preset::Summit, Preset::Worn, Preset::Ideal].map(of_seeds);
-        for values in [summit, worn] {
-            let biases = values.map(|values| values.gyro_bias_radps);
-            assert!(biases.iter().all(|bias| bias.abs() <= GYRO_BIAS_RADPS), "{biases:?}");
-            assert!(biases[0] != biases[1] && biases[1] != biases[2], "{biases:?}");
-        }
-        assert!(summit.iter().all(|values| values.gyro_scale == 0.005));
-        assert!(worn.iter().all(|values| values.gyro_scale.abs() <= 0.01 && values.gyro_scale != 0.005));
-        assert!(ideal.iter().all(|values| [values.gyro_bias_radps, values.gyro_scale] == [0.0; 2]));
     }
 
     #[test]
