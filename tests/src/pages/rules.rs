@@ -132,6 +132,8 @@ const RULES: &[(&str, How)] = &[
     ("scanloop replay drive.mcap --speed 1", Read(REAL_TIME)),
     ("scanloop replay drive.mcap --set", Alone("", &[0, 1])),
     ("scanloop replay drive.mcap", Alone("", DONE)),
+    ("scanloop why drive.mcap", Alone("", DONE)),
+    ("scanloop fork drive.mcap", Alone("", &[0, 1])),
     // Which watch and change a running system.
     ("scanloop status", Beside("")),
     ("scanloop latency", As("scanloop latency --duration 0.5")),
