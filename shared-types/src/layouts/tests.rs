@@ -225,11 +225,11 @@ fn a_version_that_differs_in_nothing_but_its_name_is_refused_too() {
     let theirs = Layouts::built_in();
     let mut mine = theirs.clone();
     let row = mine.rows.iter_mut().find(|row| row.topic == "pose").unwrap();
-    "scanloop.Pose.v4".clone_into(&mut row.kind);
+    "scanloop.Pose.v5".clone_into(&mut row.kind);
     let found = difference(&mine, &theirs, TOPICS).unwrap();
     assert_eq!(
         found.to_string(),
-        "topic pose: the sample is of type scanloop.Pose.v4 in this process, scanloop.Pose.v3 in the system"
+        "topic pose: the sample is of type scanloop.Pose.v5 in this process, scanloop.Pose.v4 in the system"
     );
     mine.rows.retain(|row| row.topic != "pose");
     let found = difference(&mine, &theirs, TOPICS).unwrap();
