@@ -117,7 +117,8 @@ impl Learned {
         let off_rad = wrap_angle(turn.yaw_rad - predicted_rad);
         let square = off_rad * off_rad;
         let spread = covariance[(0, 0)] + turn.noise.max(self.misfit_rad2 - covariance[(0, 0)]);
-        if !(square <= SIGMAS * SIGMAS * spread) {
+        let fits = square <= SIGMAS * SIGMAS * spread;
+        if !fits {
             if turn.yaw_rad.is_finite() {
                 self.restart(turn.yaw_rad, turn.noise);
             }
@@ -169,7 +170,8 @@ impl Learned {
         let Self { yaw_rad, misfit_rad2, apart_rad, velocity, velocity_variance, .. } = *self;
         finite("learned", &[yaw_rad, misfit_rad2, apart_rad, velocity, velocity_variance])?;
         for (value, most) in [(offset_rad, OFFSET_MAX_RAD), (share, SHARE_MAX)] {
-            if !(value.abs() <= most) {
+            // NaN is within no bounds.
+            if !(-most..=most).contains(&value) {
                 return Err(Fault::OutOfRange { field: "learned", value });
             }
         }

@@ -1,5 +1,4 @@
 //! Recorded drives as pages that are sent, and compared along their way.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs;
 

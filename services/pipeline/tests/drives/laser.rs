@@ -120,7 +120,8 @@ fn without_a_laser_the_pose_is_that_of_the_odometer() {
 
 #[test]
 fn a_worn_robot_is_known_after_twenty_metres() {
-    for (seed, errors) in seeds::each(1..=4, |seed| drive(&endless("worn", seed, "hall"), 20.0, true, |_| {})) {
+    for (seed, errors) in seeds::each(1..=4, |seed| drive(&endless("worn", seed, "hall"), 20.0, true, |_| {}))
+    {
         let scenario: Scenario = parse(&endless("worn", seed, "hall"));
         let truth = scenario.robot.values(seed);
         let [_, distance, _, offset_rad, _, velocity] = errors.learned;
