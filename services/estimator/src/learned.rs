@@ -95,7 +95,8 @@ impl Learned {
 
     /// Standard deviations of offset [rad], share and velocity.
     pub fn deviations(&self) -> [f64; 3] {
-        [self.covariance[4], self.covariance[8], self.velocity_variance].map(f64::sqrt)
+        [self.covariance[4], self.covariance[8], self.velocity_variance]
+            .map(|variance| variance.max(0.0).sqrt())
     }
 
     /// The robot has moved on by a way: all may have changed a little.
@@ -228,6 +229,8 @@ mod tests {
         let mut jumped = Learned::begin(0.0, 1e-6);
         jumped.turned(&SeenTurn { yaw_rad: 0.5, by_offset: 0.2, noise: 1e-6, ..SeenTurn::default() });
         assert_eq!((jumped.yaw_rad, jumped.steering), (0.5, [0.0; 2]));
+        let forged = Learned { velocity_variance: -1.0, ..jumped };
+        assert_eq!(forged.deviations()[2], 0.0, "a checkpoint of any bytes gives a pose of numbers");
         jumped.turned(&SeenTurn { yaw_rad: f64::NAN, ..SeenTurn::default() });
         assert_eq!((jumped.yaw_rad, jumped.steering), (0.5, [0.0; 2]));
     }
