@@ -12,7 +12,7 @@ use vehicle::{Control, State};
 use crate::braking::Stopping;
 use crate::rollout::Rollout;
 use crate::scene::{Baseline, Scene};
-use crate::verify::VERIFIED_S;
+use crate::verify::{VERIFIED_S, verify};
 
 /// How long the robot is thought to rest [s]: about the horizon.
 const REST_S: f64 = 5.0;
@@ -90,8 +90,8 @@ fn resting(scene: &Scene, rest: &Rectangle, [from_s, until_s]: [f64; 2]) -> f64 
     (0..=steps).map(|step| distance(from_s + step as f64 * STEP_S)).fold(f64::INFINITY, f64::min)
 }
 
-/// Fills `controls` with the turn that keeps the largest distance to all bodies, and rests behind its end; false when none
-/// is better than a stop that comes as near as `stopped_m` to one.
+/// Fills `controls` with the turn that keeps the largest distance to all bodies of those that may be driven, and rests behind
+/// its end; false when none is better than a stop that comes as near as `stopped_m` to one.
 pub(crate) fn turn_away(
     scene: &Scene,
     stopped_m: f64,
@@ -117,7 +117,7 @@ pub(crate) fn turn_away(
         rollout.drive(scene, controls);
         let enough = best.map_or(stopped_m + GAIN_M, |(clearance, _)| clearance);
         let clearance = clearance(scene, &baseline, rollout, enough);
-        if clearance > enough {
+        if clearance > enough && verify(scene, controls, rollout).verified().is_some() {
             best = Some((clearance, both));
         }
     }
@@ -193,6 +193,35 @@ mod tests {
         let body = Rectangle { centre: Vector2::new(0.4, 0.0), yaw: 0.0, length: 0.1, width: 2.0 };
         let wall = PredictedObstacle { id: 2, centre: [0.4, 0.0], velocity: [0.0; 2], a: 1.2, b: 1.2, body };
         assert_eq!(turns(Some(wall)), None);
+    }
+
+    /// How many of the turns that are chosen may be driven, and how many are chosen, beside the left bound with a body that comes
+    /// from the right.
+    fn driven_turns() -> [usize; 2] {
+        let config = ControllerConfig::default();
+        let mut counts = [0, 0];
+        for (y, yaw, below) in (0..216).map(|index| (index % 6, index / 6 % 6, index / 36)) {
+            let [y, yaw, below] = [0.7 + 0.1 * f64::from(y), 0.06 * f64::from(yaw), 0.5 + 0.05 * f64::from(below)];
+            let body = Rectangle { centre: Vector2::new(4.9, y - below), yaw: 0.0, length: 0.3, width: 0.4 };
+            let centre = [4.9, y - below];
+            let crossing = [PredictedObstacle { id: 1, centre, velocity: [0.2, 0.5], a: 1.2, b: 0.7, body }];
+            let initial = State { x: 5.0, y, yaw, ..State::default() };
+            let scene = Scene { speed: 1.0, ..Scene::new(&config, &crossing, initial) };
+            let Some(stopped_m) = struck_at_rest(&scene, &Stopping::new(&config, 0.1, 0.1)) else { continue };
+            let scene = Scene { escapes: true, ..scene.keeping(scene.margin.none(), 1.0) };
+            let (mut rollout, mut controls) = (Rollout::default(), Vec::new());
+            if turn_away(&scene, stopped_m, &mut rollout, &mut controls) {
+                let may_be_driven = verify(&scene, &controls, &mut rollout).verified().is_some();
+                counts = [counts[0] + usize::from(may_be_driven), counts[1] + 1];
+            }
+        }
+        counts
+    }
+
+    #[test]
+    fn every_turn_that_is_chosen_may_be_driven() {
+        let [driven, chosen] = driven_turns();
+        assert!(driven == chosen && chosen > 20, "{driven} of {chosen}");
     }
 
     #[test]
