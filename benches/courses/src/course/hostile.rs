@@ -9,7 +9,7 @@ mod lane;
 
 use shared_types::named_enum;
 
-use self::bodies::{Motion, appear, mover};
+use self::bodies::{Motion, appear, changing, mover};
 use self::lane::Lane;
 use super::random_obstacle::obstacle;
 use emulator::noise::{NoiseStream, Purpose};
@@ -44,6 +44,8 @@ named_enum! {
         Combined "combined",
         /// The track is closed.
         Closed "closed",
+        /// A body begins to move, stops, turns back or aside, or gets faster when the robot is near.
+        Changing "changing",
     }
 }
 
@@ -114,6 +116,14 @@ pub fn hostile(family: Hostile, seed: u64) -> HostileCourse {
             };
             let mover = mover(motion, &scenario, &mut stream);
             scenario.obstacles.push(mover);
+            scenario.stop_final_s = STOP_FINAL_S;
+            None
+        }
+        Hostile::Changing => {
+            let count = stream.count(0, 1);
+            spread(&mut scenario, &mut stream, count, 3.0, obstacle);
+            let parts = changing(&scenario, &mut stream);
+            scenario.obstacles.extend(parts);
             scenario.stop_final_s = STOP_FINAL_S;
             None
         }

@@ -40,7 +40,11 @@ pub(super) fn touched(scenario: &Scenario, period_ns: u64, sent: &[Option<Actuat
     drive.nearest()
 }
 
-/// Whether a mover touches the robot that brakes fully from the first scan that can show it.
+/// Time after which a robot can know that a body in its view has another motion: two scans, and one to answer [s].
+const CHANGE_KNOWN_S: f64 = 0.3;
+
+/// Whether a mover touches the robot that brakes fully from the first scan that can show it; where the body has changed its
+/// motion, [`CHANGE_KNOWN_S`] later.
 pub(super) fn twin_is_touched(
     scenario: &Scenario,
     period_ns: u64,
@@ -48,13 +52,14 @@ pub(super) fn twin_is_touched(
     mover: &ScenarioObstacle,
 ) -> bool {
     let mut twin = Repetition::new(scenario, period_ns);
+    let known_s = if mover.appears_s > 0.0 { mover.appears_s + CHANGE_KNOWN_S } else { 0.0 };
     let mut brakes = false;
     loop {
         twin.advance();
         if twin.is_touched() {
             return matches!(twin.nearest(), Touched::Moving(_));
         }
-        brakes = brakes || twin.can_see(mover);
+        brakes = brakes || (twin.time_s() >= known_s && twin.can_see(mover));
         let driven = sent.get(twin.scan_id as usize - 1);
         // Without a sight there is nothing to brake for: the drive itself is the twin.
         match driven {

@@ -54,6 +54,37 @@ pub(super) fn mover(motion: Motion, scenario: &Scenario, stream: &mut NoiseStrea
     mover
 }
 
+/// A body that changes its motion while the robot comes near: two parts, the second of which begins where the first ends.
+pub(super) fn changing(scenario: &Scenario, stream: &mut NoiseStream) -> [ScenarioObstacle; 2] {
+    let mut before = mover(Motion::Crossing, scenario, stream);
+    let way_m = before.x_m - scenario.start.x_m;
+    let [x_mps, y_mps] = [before.velocity_x_mps, before.velocity_y_mps];
+    let speed = stream.between(0.2, 0.6);
+    let to_line = (scenario.start.y_m - before.y_m).signum();
+    let [then_x_mps, then_y_mps] = match stream.count(0, 4) {
+        // At rest it begins.
+        0 | 1 => {
+            (before.velocity_x_mps, before.velocity_y_mps) = (0.0, 0.0);
+            before.y_m = to_line * stream.between(-1.4, -0.5);
+            [stream.between(-0.2, 0.2), to_line * speed]
+        }
+        2 => [0.0, 0.0],
+        3 => [-x_mps, -y_mps],
+        _ => [stream.between(-1.0, 1.0) * speed, y_mps.signum() * speed],
+    };
+    // The robot, which gets there after about as many seconds as metres, is 0.5 to 3 m away.
+    let change_s = (way_m - stream.between(0.5, 3.0)).max(0.5);
+    let after = ScenarioObstacle {
+        x_m: before.x_m + before.velocity_x_mps * change_s,
+        y_m: before.y_m + before.velocity_y_mps * change_s,
+        velocity_x_mps: then_x_mps,
+        velocity_y_mps: then_y_mps,
+        appears_s: change_s,
+        ..before
+    };
+    [ScenarioObstacle { disappears_s: Some(change_s), ..before }, after]
+}
+
 /// Lets each obstacle appear when the robot is near; they may be wider.
 pub(super) fn appear(scenario: &mut Scenario, stream: &mut NoiseStream) {
     for obstacle in &mut scenario.obstacles {
