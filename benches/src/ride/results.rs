@@ -109,6 +109,9 @@ impl Row {
     pub(super) fn compare(&mut self, driven: RideFigures, optimum: Option<RideFigures>) {
         (self.optimum, self.goals) = (optimum, Goals::of(&driven, optimum));
         match optimum {
+            Some(optimum) if optimum.min_clearance_m < 0.0 => {
+                self.note = "the optimum touches a body that was described too late".to_owned();
+            }
             Some(optimum) if optimum.objective >= CLEAR_OBJECTIVE => {
                 self.regret = Some(driven.objective / optimum.objective);
             }
@@ -233,6 +236,10 @@ mod tests {
             row
         };
         assert_eq!((compare(0.1).regret, compare(0.09).regret), (Some(2.0), None));
+        let touches = RideFigures { objective: 0.1, min_clearance_m: -0.01, ..RideFigures::default() };
+        let mut row = Row::default();
+        row.compare(touches, Some(touches));
+        assert!(row.regret.is_none() && row.note.contains("touches"));
         let results = Results::new(vec![compare(0.1), compare(0.0)], true);
         assert_eq!(results.summary.unwrap().clear_objective_max, Some(0.2));
     }
