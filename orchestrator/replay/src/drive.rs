@@ -10,9 +10,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use console::exit::Failure;
-use recording::Recording;
 use recording::mcap::Contents;
 use recording::read::{attachment, metadata, settings_of};
+use recording::{LogLine, Recording};
 use runtime::{monotonic_ns, settings_file, wait_for};
 
 use shared_types::{
@@ -46,6 +46,10 @@ pub struct ReplayDrive {
     journals: BTreeMap<u32, BTreeMap<u64, Journal>>,
     /// Samples that an injected fault has changed: topic, incarnation, sequence number.
     injected: BTreeSet<(u16, u32, u64)>,
+    /// Whether an injected fault alters the robot, from scans on.
+    altered: BTreeMap<u64, bool>,
+    /// What orchestrator and processes have logged.
+    pub(crate) lines: Vec<LogLine>,
     /// Changes of authority per role in their order, and when each was announced [ns].
     authority: [Vec<(u64, Authority)>; ROLES],
     pub(crate) simulated: bool,
@@ -79,6 +83,9 @@ impl ReplayDrive {
             drives[sample.file].add(sample.topic, sample.log_ns, sample.bytes);
             Ok(())
         })?;
+        if let [drive] = &mut drives[..] {
+            drive.lines = recording.take_lines();
+        }
         for (drive, contents) in drives.iter_mut().zip(recording.files()) {
             drive.note_contents(contents, &refuse)?;
         }
@@ -253,6 +260,19 @@ impl ReplayDrive {
         self.injected.contains(&(topic as u16, header.incarnation, header.sequence))
     }
 
+    /// The scan since which an injected fault alters the robot, if one does in this scan.
+    pub(crate) fn altered_since(&self, scan_id: u64) -> Option<u64> {
+        let (since, _) = self.altered.range(..=scan_id).next_back().filter(|(_, is_altered)| **is_altered)?;
+        Some(*since)
+    }
+
+    /// Whether authority over a role ever passed from one process to another while both computed.
+    pub(crate) fn was_handed_over(&self, role: Role, from: u32, to: u32) -> bool {
+        self.authority[role.index()]
+            .iter()
+            .any(|(_, change)| (change.previous, change.incarnation) == (from, to))
+    }
+
     /// The journals of all processes.
     pub(crate) fn all_journals(&self) -> impl Iterator<Item = &Journal> {
         self.journals.values().flat_map(BTreeMap::values)
@@ -318,6 +338,9 @@ impl ReplayDrive {
                 let is_change = |entry: &&JournalEntry| entry.kind == JournalKind::Injected.wire() as u16;
                 let changed = journal.used().iter().filter(is_change);
                 self.injected.extend(changed.map(|entry| (entry.topic, entry.incarnation, entry.value)));
+                let is_altered = |entry: &&JournalEntry| entry.kind == JournalKind::Altered.wire() as u16;
+                let altered = journal.used().iter().filter(is_altered);
+                self.altered.extend(altered.map(|entry| (journal.header.scan_id, entry.value == 1)));
                 self.journals.entry(incarnation).or_default().insert(sequence, *journal);
             }
             Topic::Clock => self.clocks.add(bytemuck::from_bytes::<ClockOffset>(bytes)),
