@@ -17,6 +17,7 @@ use console::new_file::{Existing, NewFile};
 use console::note;
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
+use report::compare::{compare, sentences};
 use serde_json::{Value, json};
 
 use crate::history::Row;
@@ -57,11 +58,15 @@ const COLUMNS: &[Column] = &[
 #[derive(Debug, Clone, Args)]
 pub struct ReportArguments {
     /// The recording.
-    #[arg(value_name = "FILE")]
-    pub file: PathBuf,
-    /// The page.
-    #[arg(short, long, value_name = "FILE", default_value = "drive.html")]
-    pub out: PathBuf,
+    #[arg(value_name = "FILE", required_unless_present = "compare")]
+    pub file: Option<PathBuf>,
+    /// Compare two recordings, or two folders of them, along their way instead: charts of both, where they part, and the figures
+    /// of `compare` in one page.
+    #[arg(long, num_args = 2, value_names = ["A", "B"], conflicts_with = "file")]
+    pub compare: Vec<PathBuf>,
+    /// The page; without it `drive.html`, or `compare.html`.
+    #[arg(short, long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
     /// Replace a file of that name.
     #[arg(long)]
     pub force: bool,
@@ -72,15 +77,34 @@ pub struct ReportArguments {
 /// # Errors
 /// A recording that can't be read, or has no scan of a drive; a page that exists or can't be written; exit code 2.
 pub fn report(arguments: &ReportArguments) -> anyhow::Result<Exit> {
-    let ReportArguments { file, out, force } = arguments;
+    let ReportArguments { file, compare, out, force } = arguments;
+    let inputs: Vec<&Path> = file.iter().chain(compare).map(PathBuf::as_path).collect();
+    let default = if compare.is_empty() { "drive.html" } else { "compare.html" };
+    let out = out.as_deref().unwrap_or(Path::new(default));
     // Before the work: whether it may be written.
-    let mut page = NewFile::create(out, Existing::forced(*force), &[file])?;
-    let Enclosed { text, rows, frames } = enclosed(file)?;
+    let files: Vec<&Path> = inputs.iter().copied().filter(|input| !input.is_dir()).collect();
+    let mut page = NewFile::create(out, Existing::forced(*force), &files)?;
+    let (text, what) = match inputs[..] {
+        [a, b] => (compared([a, b])?, "drives compared".to_owned()),
+        _ => {
+            let Enclosed { text, rows, frames } = enclosed(inputs[0])?;
+            (text, format!("{rows} scans, {frames} of them with map and plan"))
+        }
+    };
     page.write_all(text.as_bytes())?;
     page.finish()?;
-    let megabytes = text.len() as f64 * 1e-6;
-    note!("{}: {megabytes:.2} MB, {rows} scans, {frames} of them with map and plan", out.display());
+    note!("{}: {:.2} MB, {what}", out.display(), text.len() as f64 * 1e-6);
     Ok(Exit::Done)
+}
+
+/// The page of two drives, or two sets of them, along their way.
+fn compared(paths: [&Path; 2]) -> anyhow::Result<String> {
+    let compared = compare(paths)?;
+    let names = paths.map(|path| path.display().to_string());
+    let content = json!({
+        "names": names, "sentences": sentences(&compared), "compared": compared, "ways": compared.ways(),
+    });
+    Ok(pages::compared(&packed(&content)?))
 }
 
 /// A page, and what is in it.

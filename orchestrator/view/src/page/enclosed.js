@@ -10,19 +10,19 @@ export const startTime = Number.isFinite(parseFloat(fragment.get("t"))) ? parseF
 /** There is nobody to ask for anything but the past. */
 export const urgent = async () => ({ ok: false });
 
-const drive = unpack();
+const drive = unpack().then(({ columns, ...rest }) => ({ rows: rowsOf(columns ?? []), ...rest }));
 
-async function unpack() {
+/** What is enclosed in the page. */
+export async function unpack() {
   const text = document.getElementById("drive").textContent;
   const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-  const { columns, ...rest } = await new Response(stream).json();
-  return { rows: rowsOf(columns), ...rest };
+  return new Response(stream).json();
 }
 
 // A column has the steps from value to value, in units of its resolution, and null where nothing is known.
 function rowsOf(columns) {
-  const rows = Array.from(columns[0].steps, () => ({}));
+  const rows = Array.from(columns[0]?.steps ?? [], () => ({}));
   for (const { name, per_unit, steps } of columns) {
     let value = 0;
     steps.forEach((step, index) => {

@@ -39,7 +39,7 @@ impl Controller {
     ) -> Option<StopNumber> {
         let config = &self.config;
         let is_reverse = self.legs.is_reverse();
-        let pose = &is_reverse.then(|| gear::turned(pose)).unwrap_or(*pose);
+        let pose = &if is_reverse { gear::turned(pose) } else { *pose };
         let slowest_mps = config.vehicle.bounds.velocity_min_mps;
         let number =
             |what, value, unit, allowed, limit| Some(StopNumber { what, value, unit, allowed, limit, id: 0 });

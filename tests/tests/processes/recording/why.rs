@@ -3,8 +3,9 @@
 use scanloop_tests::machine::repeat_when_late;
 use scanloop_tests::{SHORT_CORRIDOR, printed};
 use serde_json::Value;
+use shared_types::{Pose, Sample};
 
-use super::{json, recorded, text};
+use super::{json, recorded, replayed, rewrite, text};
 
 #[test]
 fn a_stop_is_explained_at_the_scan_that_decided_it() {
@@ -61,4 +62,60 @@ fn a_fork_with_the_value_that_would_have_changed_a_decision_decides_otherwise() 
             (&35.into(), &"kind".into(), &"0".into())
         );
     });
+}
+
+#[test]
+fn a_replay_with_each_value_that_why_names_decides_otherwise() {
+    repeat_when_late(|| {
+        let near = ["sudden", "--set", "obstacle.0.appears_ahead_m=0.9", "--set", "obstacle.0.y_m=0.3"];
+        for (drive, scan, by) in
+            [(&near[..], 42, &["controller.clearance_m", "earlier_s"][..]), (&["corridor"], 30, &["later_s"])]
+        {
+            let (system, file) = recorded(drive);
+            let why = json(&system.run(&["why", text(&file), &scan.to_string(), "--json"]));
+            let named = why["alternatives"].as_array().expect("alternatives");
+            for by in by {
+                let found =
+                    named.iter().find(|other| other["by"] == *by).unwrap_or_else(|| panic!("{by}: {why}"));
+                let value = found["value"].as_f64().expect("a value");
+                let other = system.folder().join("other.mcap");
+                // One message a scan.
+                rewrite(&file, &other, "/scanloop/pose", |number, data| {
+                    if number + 1 == scan {
+                        changed(&mut data[4..], by, value);
+                    }
+                });
+                let scan = scan.to_string();
+                let set = format!("controller.clearance_m={value}");
+                let mut replay = vec!["--stage", "controller", "--from", &scan, "--to", &scan];
+                if *by == "controller.clearance_m" {
+                    replay.extend(["--set", &set]);
+                }
+                let (report, _) = replayed(&system, &other, &replay);
+                let difference = report["differences"][0].clone();
+                assert_eq!(
+                    (&difference["field"], &difference["scan"]),
+                    (&"kind".into(), &why["scan"]),
+                    "{report}"
+                );
+                assert_ne!(difference["recorded"], difference["replayed"], "{by}: {report}");
+            }
+        }
+    });
+}
+
+/// Another pose: the robot so much earlier or later on its way.
+fn changed(data: &mut [u8], by: &str, value: f64) {
+    let mut pose: Pose = bytemuck::pod_read_unaligned(&data[..size_of::<Pose>()]);
+    let way_m = match by {
+        "earlier_s" => -value * pose.speed_mps,
+        "later_s" => value * pose.speed_mps,
+        // The clearance is a key.
+        _ => return,
+    };
+    (pose.x_m, pose.y_m) = (pose.x_m + way_m * pose.yaw_rad.cos(), pose.y_m + way_m * pose.yaw_rad.sin());
+    pose.predicted_x_m += way_m * pose.predicted_yaw_rad.cos();
+    pose.predicted_y_m += way_m * pose.predicted_yaw_rad.sin();
+    assert_eq!(pose.check(), Ok(()));
+    data[..size_of::<Pose>()].copy_from_slice(bytemuck::bytes_of(&pose));
 }
