@@ -267,7 +267,8 @@ pub enum CliCommand {
     ///
     /// It is the page of `view` with the recording in it, of at most 3 MB: speed, steering, clearance, margin and latency of
     /// each scan, all events, and map, plan and processes of each scan, in a long drive of as many as fit. Ranges of scans are
-    /// rounded to 1 cm, places to 1 mm. `#t=12.5` after the name of the page opens it at that time. Exit code 2 for a file that
+    /// rounded to 1 cm, places to 1 mm. `#t=12.5` after the name of the page opens it at that time. With `--compare` the
+    /// page has two drives, or two sets of them, along their way, as `scanloop compare` has in text. Exit code 2 for a file that
     /// is no recording or has no scan of a drive, and for a page that exists.
     Report(ReportArguments),
     /// Draw a map from a recording, in which `estimator.map` finds the robot.
