@@ -39,12 +39,12 @@ pub struct ComparedDrives {
     figures: Vec<Figure>,
     /// Of A and B, no part of the answer as JSON.
     #[serde(skip)]
-    ways: [Vec<DrivenWay>; 2],
+    ways: [Vec<ComparedWay>; 2],
 }
 
 /// A drive at its stations, for charts.
 #[derive(Debug, Serialize)]
-pub struct DrivenWay {
+pub struct ComparedWay {
     /// The seed of its scenario.
     pub seed: Option<u64>,
     /// At each station: its place [m], position across the course [m], speed [m/s], desired steering angle [rad], and clearance
@@ -115,7 +115,7 @@ pub fn compare(paths: [&Path; 2]) -> anyhow::Result<ComparedDrives> {
     })
 }
 
-fn way(drive: &Drive) -> DrivenWay {
+fn way(drive: &Drive) -> ComparedWay {
     let rounded = |value: f64| (value * 1e4).round() / 1e4;
     let row = |station: &Station| {
         let Station { along_m, across_m, speed_mps, steering_rad, clearance_m, .. } = *station;
@@ -123,7 +123,7 @@ fn way(drive: &Drive) -> DrivenWay {
             .map(|value| value.map(rounded).filter(|value| value.is_finite()))
     };
     let step = drive.stations.len().div_ceil(MAX_STATIONS).max(1);
-    DrivenWay { seed: drive.seed, stations: drive.stations.values().step_by(step).map(row).collect() }
+    ComparedWay { seed: drive.seed, stations: drive.stations.values().step_by(step).map(row).collect() }
 }
 
 /// The drives of a file, or of the recordings in a folder and the folders in it.
@@ -199,7 +199,7 @@ fn figure(name: &'static str, a: &[f64], b: &[f64], by_seed: bool) -> Option<Fig
 
 impl ComparedDrives {
     /// The ways of A and B.
-    pub fn ways(&self) -> &[Vec<DrivenWay>; 2] {
+    pub fn ways(&self) -> &[Vec<ComparedWay>; 2] {
         &self.ways
     }
 }
