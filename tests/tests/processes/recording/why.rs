@@ -42,77 +42,67 @@ fn a_stop_is_explained_at_the_scan_that_decided_it() {
     });
 }
 
-#[test]
-fn a_fork_with_the_value_that_would_have_changed_a_decision_decides_otherwise() {
-    repeat_when_late(|| {
-        let (system, file) = recorded(&SHORT_CORRIDOR);
-        let why = json(&system.run(&["why", text(&file), "35", "--json"]));
-        let found = &why["alternatives"][0];
-        assert_eq!(
-            (&found["by"], &found["drives"]),
-            (&"controller.clearance_m".into(), &false.into()),
-            "{why}"
-        );
-        let set = format!("controller.clearance_m={}", found["value"]);
-        let fork = ["fork", text(&file), "--json", "--at", "35", "--duration", "1", "--set", &set];
-        let forked = json(&system.run(&fork));
-        let parts = &forked["forks"][0]["parts"];
-        assert_eq!(
-            (&parts["scan"], &parts["field"], &parts["replayed"]),
-            (&35.into(), &"kind".into(), &"0".into())
-        );
-    });
+/// A box that appears where a little less clearance, or a little more way, would do.
+const NEAR: [&str; 5] = ["sudden", "--set", "obstacle.0.appears_ahead_m=0.9", "--set", "obstacle.0.y_m=0.3"];
+
+/// The value by which something would have changed a decision.
+fn named(why: &Value, by: &str) -> f64 {
+    let all = why["alternatives"].as_array().expect("alternatives");
+    let found = all.iter().find(|other| other["by"] == by).unwrap_or_else(|| panic!("{by}: {why}"));
+    assert_ne!(found["drives"], why["drives"], "{why}");
+    found["value"].as_f64().expect("a value")
 }
 
 #[test]
-fn a_replay_with_each_value_that_why_names_decides_otherwise() {
+fn a_fork_with_the_clearance_that_would_have_changed_a_decision_decides_otherwise() {
     repeat_when_late(|| {
-        let near = ["sudden", "--set", "obstacle.0.appears_ahead_m=0.9", "--set", "obstacle.0.y_m=0.3"];
-        for (drive, scan, by) in
-            [(&near[..], 42, &["controller.clearance_m", "earlier_s"][..]), (&["corridor"], 30, &["later_s"])]
-        {
+        // Another kind of command: 1 drives, 0 stops.
+        for (drive, scan, kind) in [(&SHORT_CORRIDOR[..], "35", "0"), (&NEAR, "42", "1")] {
             let (system, file) = recorded(drive);
-            let why = json(&system.run(&["why", text(&file), &scan.to_string(), "--json"]));
-            let named = why["alternatives"].as_array().expect("alternatives");
-            for by in by {
-                let found =
-                    named.iter().find(|other| other["by"] == *by).unwrap_or_else(|| panic!("{by}: {why}"));
-                let value = found["value"].as_f64().expect("a value");
-                let other = system.folder().join("other.mcap");
-                // One message a scan.
-                rewrite(&file, &other, "/scanloop/pose", |number, data| {
-                    if number + 1 == scan {
-                        changed(&mut data[4..], by, value);
-                    }
-                });
-                let scan = scan.to_string();
-                let set = format!("controller.clearance_m={value}");
-                let mut replay = vec!["--stage", "controller", "--from", &scan, "--to", &scan];
-                if *by == "controller.clearance_m" {
-                    replay.extend(["--set", &set]);
-                }
-                let (report, _) = replayed(&system, &other, &replay);
-                let difference = report["differences"][0].clone();
-                assert_eq!(
-                    (&difference["field"], &difference["scan"]),
-                    (&"kind".into(), &why["scan"]),
-                    "{report}"
-                );
-                assert_ne!(difference["recorded"], difference["replayed"], "{by}: {report}");
-            }
+            let why = json(&system.run(&["why", text(&file), scan, "--json"]));
+            let set = format!("controller.clearance_m={}", named(&why, "controller.clearance_m"));
+            let fork = ["fork", text(&file), "--json", "--at", scan, "--duration", "1", "--set", &set];
+            let forked = json(&system.run(&fork));
+            let parts = &forked["forks"][0]["parts"];
+            assert_eq!(
+                (&parts["scan"], &parts["field"], &parts["replayed"]),
+                (&why["scan"], &"kind".into(), &kind.into()),
+                "{forked}"
+            );
         }
     });
 }
 
-/// Another pose: the robot so much earlier or later on its way.
-fn changed(data: &mut [u8], by: &str, value: f64) {
+#[test]
+fn a_replay_of_a_robot_that_is_so_much_earlier_or_later_on_its_way_decides_otherwise() {
+    repeat_when_late(|| {
+        for (drive, scan, by, sign) in
+            [(&NEAR[..], 42, "earlier_s", -1.0), (&["corridor"], 28, "later_s", 1.0)]
+        {
+            let (system, file) = recorded(drive);
+            let at = scan.to_string();
+            let why = json(&system.run(&["why", text(&file), &at, "--json"]));
+            let moved_s = sign * named(&why, by);
+            let other = system.folder().join("other.mcap");
+            // One pose a scan, behind the encapsulation.
+            rewrite(&file, &other, "/scanloop/pose", |number, data| {
+                if number + 1 == scan {
+                    shift(&mut data[4..], moved_s);
+                }
+            });
+            let replay = ["--stage", "controller", "--from", &at, "--to", &at];
+            let difference = replayed(&system, &other, &replay).0["differences"][0].clone();
+            assert_eq!((&difference["field"], &difference["scan"]), (&"kind".into(), &why["scan"]), "{by}");
+            // A replay of the pose as it was decides as recorded.
+            assert_eq!(replayed(&system, &file, &replay).0["identical"], 1, "{by}");
+        }
+    });
+}
+
+/// Moves a pose by a time on its way.
+fn shift(data: &mut [u8], moved_s: f64) {
     let mut pose: Pose = bytemuck::pod_read_unaligned(&data[..size_of::<Pose>()]);
-    let way_m = match by {
-        "earlier_s" => -value * pose.speed_mps,
-        "later_s" => value * pose.speed_mps,
-        // The clearance is a key.
-        _ => return,
-    };
+    let way_m = moved_s * pose.speed_mps;
     (pose.x_m, pose.y_m) = (pose.x_m + way_m * pose.yaw_rad.cos(), pose.y_m + way_m * pose.yaw_rad.sin());
     pose.predicted_x_m += way_m * pose.predicted_yaw_rad.cos();
     pose.predicted_y_m += way_m * pose.predicted_yaw_rad.sin();
