@@ -338,8 +338,8 @@ fn other_topics(path: &Path, contents: &Contents) -> anyhow::Result<BTreeSet<Str
     Ok(found.into_iter().map(|found| found.topic).collect())
 }
 
-/// The error about a file that can't be read.
-pub(crate) fn refusal(path: &Path, error: &ReadError) -> anyhow::Error {
+/// The error about a file that can't be read; exit code 2.
+pub fn refusal(path: &Path, error: &ReadError) -> anyhow::Error {
     let advice = match error {
         ReadError::Damaged { .. } => {
             format!("; `scanloop recording repair {}` keeps what is readable", path.display())

@@ -260,7 +260,7 @@ pub enum CliCommand {
     /// that were new or late, and what would have changed the decision. Each is computed from the recording, the limits and
     /// the other decisions by the controller itself. Exit code 2 for a scan that the recording does not have.
     Why(WhyArguments),
-    /// Show, repair, cut or export a recording.
+    /// Show, repair, cut, export or import a recording.
     #[command(subcommand)]
     Recording(RecordingCommand),
     /// Write a recorded drive as one page that opens in a browser without a server or network, to be sent or kept.

@@ -1,0 +1,350 @@
+//! Drives of other programs as recordings: scans and odometry are taken over, estimator and obstacle detector run over them.
+//!
+//! The source is read twice: for the scanner, its rate and the odometry, and for the scans. What is not used is counted.
+
+mod bag;
+mod drive;
+mod rays;
+mod rover;
+mod settings;
+mod source;
+mod times;
+
+use std::fmt;
+use std::io::{BufWriter, IntoInnerError};
+use std::path::{Path, PathBuf};
+
+use console::new_file::{Existing, NewFile};
+use driver::join::Motions;
+use driver::motion::{BaseState, Convention, Motion, Turn};
+use driver::odometry::TrackedOdometry;
+use plan::Plan;
+use recording::imported::{begin, end};
+use recording::ros2::BaseOdometry;
+use serde::Serialize;
+use shared_types::Scan;
+
+use crate::drive::Drive;
+pub use crate::drive::Computed;
+use crate::rays::Beams;
+pub use crate::rays::Mounting;
+use crate::source::{Message, Source, refuse};
+use crate::times::Times;
+pub use crate::times::StampCounts;
+
+/// Messages of the odometry that are held: those of a day at 48 Hz, in 235 MB.
+const MAX_MOTIONS: usize = 1 << 22;
+/// Scans of a drive: those of a day at 48 Hz.
+const MAX_SCANS: usize = 1 << 22;
+/// A scan further from the odometry is left out, in scan periods, as a driver does.
+const MAX_AWAY_PERIODS: u64 = 2;
+/// The first scan of a recording is at this time [ns].
+const START_NS: u64 = 1_000_000_000;
+
+/// What is imported, and how.
+#[derive(Debug, Clone)]
+pub struct ImportOptions {
+    /// The topic with the scans; without it the only one.
+    pub scan: Option<String>,
+    /// The topic with the odometry; without it the only one.
+    pub odometry: Option<String>,
+    /// System file with the vehicle.
+    pub system: Option<PathBuf>,
+    /// Scenario with the track.
+    pub scenario: Option<String>,
+    /// Keys of both that are overridden.
+    pub overrides: Vec<String>,
+    /// How the scanner is mounted.
+    pub mounting: Mounting,
+    /// Factors on way and turn of the log of a rover.
+    pub wheel_factors: [f64; 2],
+    /// Whether a file of the same name is replaced.
+    pub force: bool,
+}
+
+/// What was imported.
+#[derive(Debug, Clone, Serialize)]
+pub struct Imported {
+    /// The source.
+    pub file: String,
+    /// What it is.
+    pub kind: &'static str,
+    /// Its topics with scans and odometry; empty for a log.
+    pub topics: Vec<String>,
+    /// Whether its end is missing.
+    pub cut_off: bool,
+    /// From the first to the last scan [s].
+    pub duration_s: f64,
+    /// Scans in it.
+    pub scans: u64,
+    /// Scans in the recording.
+    pub taken: u64,
+    /// Scans that were left out, because no odometry is near in time.
+    pub without_odometry: u64,
+    /// Scans that were left out, because their rays are impossible.
+    pub impossible: u64,
+    /// Stamps of the scans.
+    pub scan_stamps: StampCounts,
+    /// Messages of the odometry.
+    pub odometry: u64,
+    /// Of them, those with numbers that are not finite.
+    pub not_finite: u64,
+    /// Places where the odometry jumps: the robot is taken to be where it was.
+    pub jumps: u64,
+    /// Stamps of the odometry.
+    pub odometry_stamps: StampCounts,
+    /// Beams of a scan.
+    pub beams: usize,
+    /// Rays that were merged to each.
+    pub merged: usize,
+    /// Angles of the first and the last beam, and from one to the next [deg].
+    pub angles_deg: [f64; 3],
+    /// Largest range [m].
+    pub range_m: f64,
+    /// Scans per second.
+    pub rate_hz: f64,
+    /// Share of the beams that are returns.
+    pub valid_share: f64,
+    /// What the stages made of them.
+    pub computed: Computed,
+}
+
+/// What the first reading found.
+struct Survey {
+    motions: Vec<Motion>,
+    beams: Beams,
+    period_ns: u64,
+    sweep_share: f64,
+    imported: Imported,
+}
+
+/// Imports a bag of ROS 2 or the log of a rover as a new recording.
+///
+/// # Errors
+/// A file of another kind, topics that are missing, messages that are none, and a file that can't be written; exit code 2.
+pub fn import(from: &Path, out: &Path, options: &ImportOptions) -> anyhow::Result<Imported> {
+    let source = Source::open(from, options)?;
+    let Survey { motions, mut beams, period_ns, sweep_share, mut imported } = survey(from, &source, options)?;
+    let plan = settings::plan(options, source.vehicle(), &beams, period_ns, sweep_share)?;
+    let period_ns = plan.system.period_ns();
+    let file = NewFile::create(out, Existing::forced(options.force), &source.files(from))?;
+    let mut writer = begin(BufWriter::new(file), period_ns)?;
+    settings::attach(&mut writer, &plan, source.name())?;
+    let mut drive = Drive::new(writer, &plan.system.tuning().for_scenario(&plan.scenario), period_ns)?;
+    let mut joined = Joined::new(&motions, &plan, period_ns);
+    let (mut times, mut returns) = (Times::default(), 0_usize);
+    source.read(&mut |log_ns, message| {
+        let Message::Scan(message) = message else { return Ok(()) };
+        let Some(stamp_ns) = times.next(message.stamp_ns, log_ns) else { return Ok(()) };
+        let mut scan = joined.scan;
+        let Ok(before_front_ns) = beams.fill(&message, scan.ranges_mut()) else {
+            imported.impossible += 1;
+            return Ok(());
+        };
+        let Some(motion) = joined.motion(stamp_ns.saturating_add(before_front_ns)) else {
+            imported.without_odometry += 1;
+            return Ok(());
+        };
+        let (mut odometry, jump) = joined.tracked.next(&motion, [0.0; 2]);
+        imported.jumps += u64::from(jump.is_some());
+        imported.taken += 1;
+        returns += scan.ranges().iter().filter(|range| **range > 0).count();
+        scan.header = odometry.header;
+        Ok(drive.add(&mut scan, &mut odometry, motion.time_ns + joined.after_front_ns)?)
+    })?;
+    if imported.taken == 0 {
+        let left_out = imported.left_out();
+        return Err(refuse(from, format_args!("none of its {} scans can be used: {left_out}", imported.scans)));
+    }
+    imported.scan_stamps = times.counts;
+    imported.valid_share = returns as f64 / (imported.taken * beams.geometry.count as u64) as f64;
+    imported.computed = drive.computed;
+    let buffer = end(drive.into_target(), imported.taken)?;
+    buffer.into_inner().map_err(IntoInnerError::into_error)?.finish()?;
+    Ok(imported)
+}
+
+/// Reads all but the ranges.
+fn survey(from: &Path, source: &Source, options: &ImportOptions) -> anyhow::Result<Survey> {
+    let (mut scan_times, mut odometry_times) = (Times::default(), Times::default());
+    let (mut first, mut motions, mut stamps_ns) = (None, Vec::new(), Vec::new());
+    let [mut scans, mut odometry, mut not_finite] = [0; 3];
+    source.read(&mut |log_ns, message| {
+        match message {
+            Message::Scan(scan) => {
+                scans += 1;
+                stamps_ns.extend(scan_times.next(scan.stamp_ns, log_ns));
+                if first.is_none() {
+                    let beams = Beams::new(&scan, options.mounting);
+                    let beams = beams.map_err(|unusable| refuse(from, format_args!("the first scan: {unusable}")))?;
+                    first = Some((beams, rays::ray_s(&scan) * scan.ranges_m.len() as f64));
+                }
+            }
+            Message::Odometry(message) => {
+                odometry += 1;
+                match (motion(&message), odometry_times.next(message.stamp_ns, log_ns)) {
+                    (Some(motion), Some(time_ns)) => motions.push(Motion { time_ns, ..motion }),
+                    (None, _) => not_finite += 1,
+                    _ => {}
+                }
+            }
+        }
+        for (count, most, what) in [(motions.len(), MAX_MOTIONS, "odometry"), (stamps_ns.len(), MAX_SCANS, "scans")] {
+            if count > most {
+                return Err(refuse(from, format_args!("more than {most} messages with {what}; cut it first")));
+            }
+        }
+        Ok(())
+    })?;
+    let Some((beams, sweep_s)) = first else { return Err(refuse(from, "it has no scan")) };
+    if motions.is_empty() {
+        return Err(refuse(from, format_args!("none of its {odometry} messages with odometry can be used")));
+    }
+    let duration_ns = stamps_ns.last().zip(stamps_ns.first()).map_or(0, |(last, first)| last - first);
+    let period_ns = period_ns(&stamps_ns).ok_or_else(|| refuse(from, "it has less than two scans"))?;
+    let is_swept = beams.is_in_order() && sweep_s > 0.0;
+    let sweep_share = if is_swept { (sweep_s * 1e9 / period_ns as f64).clamp(0.01, 1.0) } else { 0.01 };
+    let geometry = beams.geometry;
+    let angles_rad = [geometry.first_rad, geometry.yaw_rad(geometry.count - 1), geometry.increment_rad];
+    let imported = Imported {
+        file: from.display().to_string(),
+        kind: source.kind(),
+        topics: source.topics(),
+        cut_off: source.is_cut_off()?,
+        duration_s: duration_ns as f64 * 1e-9,
+        scans,
+        taken: 0,
+        without_odometry: 0,
+        impossible: 0,
+        scan_stamps: scan_times.counts,
+        odometry,
+        not_finite,
+        jumps: 0,
+        odometry_stamps: odometry_times.counts,
+        beams: geometry.count,
+        merged: beams.merged,
+        angles_deg: angles_rad.map(f64::to_degrees),
+        range_m: beams.limits_m[1],
+        rate_hz: 1e9 / period_ns as f64,
+        valid_share: 0.0,
+        computed: Computed::default(),
+    };
+    Ok(Survey { motions, beams, period_ns, sweep_share, imported })
+}
+
+/// The median time between two scans [ns].
+fn period_ns(stamps_ns: &[u64]) -> Option<u64> {
+    let mut apart_ns: Vec<u64> = stamps_ns.windows(2).map(|two| two[1] - two[0]).collect();
+    apart_ns.sort_unstable();
+    apart_ns.get(apart_ns.len() / 2).copied()
+}
+
+/// What a base reports, without its time; `None` for numbers that are not finite.
+fn motion(message: &BaseOdometry) -> Option<Motion> {
+    let state = BaseState { pose: message.pose, velocity: message.velocity, stalled: false };
+    Motion::of(&Convention::usual(Turn::YawRate, 1.0), &state, 0)
+}
+
+/// Joins scans with the odometry.
+struct Joined<'m> {
+    ahead: std::slice::Iter<'m, Motion>,
+    known: Motions,
+    first_ns: u64,
+    /// What is taken from stamps [ns].
+    origin_ns: Option<u64>,
+    newest_ns: u64,
+    period_ns: u64,
+    after_front_ns: u64,
+    tracked: TrackedOdometry,
+    /// A scan without ranges.
+    scan: Scan,
+}
+
+impl<'m> Joined<'m> {
+    fn new(motions: &'m [Motion], plan: &Plan, period_ns: u64) -> Self {
+        let scanner = plan.system.vehicle.scanner;
+        let start = plan.scenario.start;
+        let scan = Scan { sweep_ns: scanner.sweep_ns(period_ns), period_ns, ..Scan::of(scanner.geometry()) };
+        Self {
+            ahead: motions.iter(),
+            known: Motions::default(),
+            first_ns: motions.first().map_or(0, |motion| motion.time_ns),
+            origin_ns: None,
+            newest_ns: 0,
+            period_ns,
+            after_front_ns: scanner.after_front_ns(period_ns),
+            tracked: TrackedOdometry::new([start.x_m, start.y_m, start.yaw_rad]),
+            scan,
+        }
+    }
+
+    /// The motion at a front beam, in the time of the recording; `None` if no odometry is near, or the beam is not newer than the
+    /// one before.
+    fn motion(&mut self, front_ns: u64) -> Option<Motion> {
+        let away_ns = MAX_AWAY_PERIODS * self.period_ns;
+        while !self.known.covers(front_ns, 0)
+            && let Some(motion) = self.ahead.next()
+        {
+            self.known.add(*motion);
+        }
+        let is_near = self.known.covers(front_ns, away_ns) && front_ns.saturating_add(away_ns) >= self.first_ns;
+        if !is_near || front_ns <= self.newest_ns {
+            return None;
+        }
+        self.newest_ns = front_ns;
+        let origin_ns = *self.origin_ns.get_or_insert(front_ns);
+        let motion = self.known.at(front_ns)?;
+        Some(Motion { time_ns: front_ns - origin_ns + START_NS, ..motion })
+    }
+}
+
+impl Imported {
+    /// Why scans were left out.
+    fn left_out(&self) -> String {
+        let reasons = [
+            (self.without_odometry, "without odometry near in time"),
+            (self.impossible, "with impossible rays"),
+            (self.scan_stamps.left_out, "not later than the one before"),
+        ];
+        let some = reasons.into_iter().filter(|(count, _)| *count > 0);
+        some.map(|(count, why)| format!("{count} {why}")).collect::<Vec<_>>().join(", ")
+    }
+}
+
+impl fmt::Display for Imported {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { file, kind, duration_s, scans, taken, beams, computed, .. } = self;
+        let cut_off = if self.cut_off { ", cut off" } else { "" };
+        writeln!(formatter, "{file}: {kind}{cut_off}, {duration_s:.1} s")?;
+        let topic = |index: usize| self.topics.get(index).map(|topic| format!(" of {topic}")).unwrap_or_default();
+        let left_out = Some(self.left_out()).filter(|reasons| !reasons.is_empty());
+        let left_out = left_out.map(|reasons| format!("; left out: {reasons}")).unwrap_or_default();
+        writeln!(formatter, "{taken} of {scans} scans{}{left_out}", topic(0))?;
+        let not_finite = if self.not_finite > 0 { format!("; not finite: {}", self.not_finite) } else { String::new() };
+        let jumps = if self.jumps > 0 { format!("; jumps: {}", self.jumps) } else { String::new() };
+        writeln!(formatter, "{} messages with odometry{}{not_finite}{jumps}", self.odometry, topic(1))?;
+        for (name, StampCounts { zero, wrong, left_out }) in
+            [("scans", self.scan_stamps), ("odometry", self.odometry_stamps)]
+        {
+            if zero + wrong > 0 {
+                let text = format!("{zero} without a stamp, {wrong} with a wrong one: the log time holds");
+                writeln!(formatter, "{name}: {text}; {left_out} left out")?;
+            }
+        }
+        let [first, last, step] = self.angles_deg;
+        let merged = if self.merged > 1 { format!(", {} rays each", self.merged) } else { String::new() };
+        let (range_m, rate_hz) = (self.range_m, self.rate_hz);
+        writeln!(
+            formatter,
+            "scanner: {beams} beams{merged}, {first:.1} to {last:.1} degrees by {step:.3}, up to {range_m} m, {rate_hz:.2} Hz, \
+             {:.1} % are returns",
+            1e2 * self.valid_share
+        )?;
+        let Computed { poses, obstacles, bodies, healthy, degraded, stopping } = computed;
+        write!(
+            formatter,
+            "computed: {poses} poses, {obstacles} descriptions of obstacles with {bodies} bodies; scanner healthy in {healthy}, \
+             degraded in {degraded}, to be stopped for in {stopping}"
+        )
+    }
+}
