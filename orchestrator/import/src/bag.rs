@@ -13,6 +13,8 @@ use runtime::one_line;
 use crate::ImportOptions;
 use crate::source::{Each, Message, refuse};
 
+/// First bytes of what is packed with Zstandard.
+const ZSTD: &[u8] = &[0x28, 0xb5, 0x2f, 0xfd];
 /// An error names so many topics.
 const MAX_NAMED: usize = 20;
 
@@ -70,7 +72,7 @@ impl Bag {
     /// A damaged file, or a message that is none of its type; exit code 2. Errors of `each`.
     pub(crate) fn read(&self, each: &mut Each<'_>) -> anyhow::Result<()> {
         for file in &self.files {
-            let mut reader = open(file)?;
+            let (mut reader, mut data) = (open(file)?, Vec::new());
             loop {
                 let message = match reader.next_message() {
                     Ok(Some(message)) => message,
@@ -78,9 +80,13 @@ impl Bag {
                     Err(error) => return Err(refusal(file, &error)),
                 };
                 let (channel, log_ns) = (message.channel, message.log_ns);
-                let data = message.data.to_owned();
+                data.clear();
+                data.extend_from_slice(message.data);
                 let Some(read) = self.message(reader.contents(), channel, &data) else { continue };
-                each(log_ns, read.map_err(|reason| refuse(file, format_args!("message at {log_ns} ns: {reason}")))?)?;
+                each(
+                    log_ns,
+                    read.map_err(|reason| refuse(file, format_args!("message at {log_ns} ns: {reason}")))?,
+                )?;
             }
         }
         Ok(())
@@ -98,6 +104,9 @@ impl Bag {
             return None;
         };
         Some(decoded.filter(|_| channel.encoding == "cdr").ok_or_else(|| {
+            if data.starts_with(ZSTD) {
+                return "its messages are packed one by one; `ros2 bag convert` unpacks them".to_owned();
+            }
             let (topic, encoding) = (one_line(&channel.topic), one_line(&channel.encoding));
             format!("topic {topic}: {} bytes in {encoding} are no {kind} in CDR, little endian", data.len())
         }))

@@ -10,8 +10,8 @@ use pipeline::{SimulatedWriter, Tuning, first_incarnation};
 use recording::{Tape, TapeTarget};
 use serde::Serialize;
 use shared_types::{
-    AnySample, Authority, Directive, Header, Journal, JournalEntry, JournalKind, Obstacles, Odometry, Phase, Pose,
-    Role, SLOTS, Sample, Scan, ScannerState, Stage, Stopwatch,
+    AnySample, Authority, Directive, Header, Journal, JournalEntry, JournalKind, Obstacles, Odometry, Phase,
+    Pose, Role, SLOTS, Sample, Scan, ScannerState, Stage, Stopwatch,
 };
 use vehicle::Invalid;
 
@@ -140,7 +140,9 @@ impl<S: Stage<Invalid = Invalid>> Runner<S> {
         tape: &mut Tape<impl TapeTarget>,
     ) -> io::Result<Option<S::Output>> {
         self.used(now_ns);
-        let Some(mut output) = self.stage.output(scan.scan_id, &Stopwatch::standing()) else { return Ok(None) };
+        let Some(mut output) = self.stage.output(scan.scan_id, &Stopwatch::standing()) else {
+            return Ok(None);
+        };
         self.outputs.complete(S::Output::TYPE, bytemuck::bytes_of_mut(&mut output), now_ns);
         self.journals += 1;
         let Header { incarnation, sequence, .. } = *output.header();

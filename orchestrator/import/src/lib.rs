@@ -24,18 +24,22 @@ use recording::ros2::BaseOdometry;
 use serde::Serialize;
 use shared_types::Scan;
 
-use crate::drive::Drive;
 pub use crate::drive::Computed;
+use crate::drive::Drive;
 use crate::rays::Beams;
 pub use crate::rays::Mounting;
 use crate::source::{Message, Source, refuse};
-use crate::times::Times;
 pub use crate::times::StampCounts;
+use crate::times::Times;
 
 /// Messages of the odometry that are held: those of a day at 48 Hz, in 235 MB.
 const MAX_MOTIONS: usize = 1 << 22;
 /// Scans of a drive: those of a day at 48 Hz.
 const MAX_SCANS: usize = 1 << 22;
+/// Poses and velocities beyond are none [m, rad].
+const MAX_NUMBER: f64 = 1e7;
+/// No drive is longer: a year [ns].
+const MAX_DURATION_NS: u64 = 365 * 24 * 3600 * 1_000_000_000;
 /// A scan further from the odometry is left out, in scan periods, as a driver does.
 const MAX_AWAY_PERIODS: u64 = 2;
 /// The first scan of a recording is at this time [ns].
@@ -87,7 +91,7 @@ pub struct Imported {
     pub scan_stamps: StampCounts,
     /// Messages of the odometry.
     pub odometry: u64,
-    /// Of them, those with numbers that are not finite.
+    /// Of them, those with numbers that are not finite, or beyond ten thousand kilometres.
     pub not_finite: u64,
     /// Places where the odometry jumps: the robot is taken to be where it was.
     pub jumps: u64,
@@ -128,11 +132,11 @@ pub fn import(from: &Path, out: &Path, options: &ImportOptions) -> anyhow::Resul
     let plan = settings::plan(options, source.vehicle(), &beams, period_ns, sweep_share)?;
     let period_ns = plan.system.period_ns();
     let file = NewFile::create(out, Existing::forced(options.force), &source.files(from))?;
-    let mut writer = begin(BufWriter::new(file), period_ns)?;
+    let mut writer = begin(BufWriter::new(file), period_ns, &imported.file)?;
     settings::attach(&mut writer, &plan, source.name())?;
     let mut drive = Drive::new(writer, &plan.system.tuning().for_scenario(&plan.scenario), period_ns)?;
     let mut joined = Joined::new(&motions, &plan, period_ns);
-    let (mut times, mut returns) = (Times::default(), 0_usize);
+    let (mut times, mut returns, mut overtaken) = (Times::default(), 0_usize, 0);
     source.read(&mut |log_ns, message| {
         let Message::Scan(message) = message else { return Ok(()) };
         let Some(stamp_ns) = times.next(message.stamp_ns, log_ns) else { return Ok(()) };
@@ -141,7 +145,12 @@ pub fn import(from: &Path, out: &Path, options: &ImportOptions) -> anyhow::Resul
             imported.impossible += 1;
             return Ok(());
         };
-        let Some(motion) = joined.motion(stamp_ns.saturating_add(before_front_ns)) else {
+        let front_ns = stamp_ns.saturating_add(before_front_ns);
+        if front_ns <= joined.newest_ns {
+            overtaken += 1;
+            return Ok(());
+        }
+        let Some(motion) = joined.motion(front_ns) else {
             imported.without_odometry += 1;
             return Ok(());
         };
@@ -152,11 +161,14 @@ pub fn import(from: &Path, out: &Path, options: &ImportOptions) -> anyhow::Resul
         scan.header = odometry.header;
         Ok(drive.add(&mut scan, &mut odometry, motion.time_ns + joined.after_front_ns)?)
     })?;
+    imported.scan_stamps.left_out += overtaken;
     if imported.taken == 0 {
         let left_out = imported.left_out();
-        return Err(refuse(from, format_args!("none of its {} scans can be used: {left_out}", imported.scans)));
+        return Err(refuse(
+            from,
+            format_args!("none of its {} scans can be used: {left_out}", imported.scans),
+        ));
     }
-    imported.scan_stamps = times.counts;
     imported.valid_share = returns as f64 / (imported.taken * beams.geometry.count as u64) as f64;
     imported.computed = drive.computed;
     let buffer = end(drive.into_target(), imported.taken)?;
@@ -176,7 +188,8 @@ fn survey(from: &Path, source: &Source, options: &ImportOptions) -> anyhow::Resu
                 stamps_ns.extend(scan_times.next(scan.stamp_ns, log_ns));
                 if first.is_none() {
                     let beams = Beams::new(&scan, options.mounting);
-                    let beams = beams.map_err(|unusable| refuse(from, format_args!("the first scan: {unusable}")))?;
+                    let beams =
+                        beams.map_err(|unusable| refuse(from, format_args!("the first scan: {unusable}")))?;
                     first = Some((beams, rays::ray_s(&scan) * scan.ranges_m.len() as f64));
                 }
             }
@@ -189,9 +202,14 @@ fn survey(from: &Path, source: &Source, options: &ImportOptions) -> anyhow::Resu
                 }
             }
         }
-        for (count, most, what) in [(motions.len(), MAX_MOTIONS, "odometry"), (stamps_ns.len(), MAX_SCANS, "scans")] {
+        for (count, most, what) in
+            [(motions.len(), MAX_MOTIONS, "odometry"), (stamps_ns.len(), MAX_SCANS, "scans")]
+        {
             if count > most {
-                return Err(refuse(from, format_args!("more than {most} messages with {what}; cut it first")));
+                return Err(refuse(
+                    from,
+                    format_args!("more than {most} messages with {what}; cut it first"),
+                ));
             }
         }
         Ok(())
@@ -201,6 +219,9 @@ fn survey(from: &Path, source: &Source, options: &ImportOptions) -> anyhow::Resu
         return Err(refuse(from, format_args!("none of its {odometry} messages with odometry can be used")));
     }
     let duration_ns = stamps_ns.last().zip(stamps_ns.first()).map_or(0, |(last, first)| last - first);
+    if duration_ns > MAX_DURATION_NS {
+        return Err(refuse(from, "its first and last scan are more than a year apart"));
+    }
     let period_ns = period_ns(&stamps_ns).ok_or_else(|| refuse(from, "it has less than two scans"))?;
     let is_swept = beams.is_in_order() && sweep_s > 0.0;
     let sweep_share = if is_swept { (sweep_s * 1e9 / period_ns as f64).clamp(0.01, 1.0) } else { 0.01 };
@@ -232,15 +253,21 @@ fn survey(from: &Path, source: &Source, options: &ImportOptions) -> anyhow::Resu
     Ok(Survey { motions, beams, period_ns, sweep_share, imported })
 }
 
-/// The median time between two scans [ns].
+/// The mean time between two scans, without gaps: of those near their median [ns].
 fn period_ns(stamps_ns: &[u64]) -> Option<u64> {
     let mut apart_ns: Vec<u64> = stamps_ns.windows(2).map(|two| two[1] - two[0]).collect();
     apart_ns.sort_unstable();
-    apart_ns.get(apart_ns.len() / 2).copied()
+    let median_ns = *apart_ns.get(apart_ns.len() / 2)?;
+    let usual_ns = apart_ns.iter().copied().filter(|ns| ns.abs_diff(median_ns) <= median_ns / 2);
+    let (sum_ns, count) = usual_ns.fold((0_u128, 0), |(sum, count), ns| (sum + u128::from(ns), count + 1));
+    Some((sum_ns / count) as u64)
 }
 
-/// What a base reports, without its time; `None` for numbers that are not finite.
+/// What a base reports, without its time; `None` for numbers that no robot has.
 fn motion(message: &BaseOdometry) -> Option<Motion> {
+    if !message.pose.iter().chain(&message.velocity).all(|number| number.abs() <= MAX_NUMBER) {
+        return None;
+    }
     let state = BaseState { pose: message.pose, velocity: message.velocity, stalled: false };
     Motion::of(&Convention::usual(Turn::YawRate, 1.0), &state, 0)
 }
@@ -278,8 +305,7 @@ impl<'m> Joined<'m> {
         }
     }
 
-    /// The motion at a front beam, in the time of the recording; `None` if no odometry is near, or the beam is not newer than the
-    /// one before.
+    /// The motion at a front beam that is newer than the one before, in the time of the recording; `None` if no odometry is near.
     fn motion(&mut self, front_ns: u64) -> Option<Motion> {
         let away_ns = MAX_AWAY_PERIODS * self.period_ns;
         while !self.known.covers(front_ns, 0)
@@ -287,8 +313,9 @@ impl<'m> Joined<'m> {
         {
             self.known.add(*motion);
         }
-        let is_near = self.known.covers(front_ns, away_ns) && front_ns.saturating_add(away_ns) >= self.first_ns;
-        if !is_near || front_ns <= self.newest_ns {
+        let is_near =
+            self.known.covers(front_ns, away_ns) && front_ns.saturating_add(away_ns) >= self.first_ns;
+        if !is_near {
             return None;
         }
         self.newest_ns = front_ns;
@@ -316,11 +343,13 @@ impl fmt::Display for Imported {
         let Self { file, kind, duration_s, scans, taken, beams, computed, .. } = self;
         let cut_off = if self.cut_off { ", cut off" } else { "" };
         writeln!(formatter, "{file}: {kind}{cut_off}, {duration_s:.1} s")?;
-        let topic = |index: usize| self.topics.get(index).map(|topic| format!(" of {topic}")).unwrap_or_default();
+        let topic =
+            |index: usize| self.topics.get(index).map(|topic| format!(" of {topic}")).unwrap_or_default();
         let left_out = Some(self.left_out()).filter(|reasons| !reasons.is_empty());
         let left_out = left_out.map(|reasons| format!("; left out: {reasons}")).unwrap_or_default();
         writeln!(formatter, "{taken} of {scans} scans{}{left_out}", topic(0))?;
-        let not_finite = if self.not_finite > 0 { format!("; not finite: {}", self.not_finite) } else { String::new() };
+        let not_finite =
+            if self.not_finite > 0 { format!("; not finite: {}", self.not_finite) } else { String::new() };
         let jumps = if self.jumps > 0 { format!("; jumps: {}", self.jumps) } else { String::new() };
         writeln!(formatter, "{} messages with odometry{}{not_finite}{jumps}", self.odometry, topic(1))?;
         for (name, StampCounts { zero, wrong, left_out }) in

@@ -109,6 +109,7 @@ impl Beams {
         }
         // What a scanner may be described with.
         let limits_m = [fan.min_range_m.clamp(0.02, 1.0), fan.max_range_m.clamp(1.0, 100.0)];
+        let limits_m = limits_m.map(|limit_m| (limit_m * 1e3).round() / 1e3);
         let mut beams = Self { geometry, limits_m, merged, mounting, known: None, rays: Vec::new() };
         beams.fit(rays);
         Ok(beams)
@@ -145,7 +146,8 @@ impl Beams {
         let of_beam = |beam: usize| {
             let place = rays.place(self.geometry.yaw_rad(beam));
             let first = (place - (group - 1.0) / 2.0).round().max(0.0) as usize;
-            let count = if is_closed { group as usize } else { rays.count.saturating_sub(first).min(group as usize) };
+            let count =
+                if is_closed { group as usize } else { rays.count.saturating_sub(first).min(group as usize) };
             (first % rays.count, count)
         };
         self.rays = (0..self.geometry.count).map(of_beam).collect();
@@ -201,7 +203,10 @@ mod tests {
     fn clockwise_rays_and_those_from_ahead_all_around_see_a_body_where_it_is() {
         // Ray 30 of a clockwise sweep from 90 degrees looks 60 degrees to the left.
         let clockwise = filled(&scan(90.0, -1.0, 181), AHEAD);
-        assert_eq!((at(&clockwise, 60.0), at(&clockwise, -60.0), clockwise.0.is_in_order()), (1300, 2500, false));
+        assert_eq!(
+            (at(&clockwise, 60.0), at(&clockwise, -60.0), clockwise.0.is_in_order()),
+            (1300, 2500, false)
+        );
         // Ray 350 of 360 from straight ahead looks 10 degrees to the right.
         let around = filled(&scan(0.0, 1.0, 360), AHEAD);
         assert_eq!((around.0.geometry.count, around.0.is_in_order()), (360, false));

@@ -45,7 +45,8 @@ struct Row {
 
 impl RoverLog {
     /// What is known of the rover.
-    pub(crate) const VEHICLE: &'static [&'static str] = &["vehicle.model=differential", "vehicle.scanner_x_m=0.145"];
+    pub(crate) const VEHICLE: &'static [&'static str] =
+        &["vehicle.model=differential", "vehicle.scanner_x_m=0.145"];
 
     /// Reads a log with factors on the published way and turn.
     ///
@@ -98,7 +99,10 @@ impl RoverLog {
                 angles_rad: angles.map(|angle| angle as f32),
                 times_s: [ray_s as f32, TURN_S as f32],
                 limits_m: [0.02, 5.6],
-                ranges_m: fields[FIRST_RANGE..COLUMNS].iter().map(|range_mm| (range_mm * 1e-3) as f32).collect(),
+                ranges_m: fields[FIRST_RANGE..COLUMNS]
+                    .iter()
+                    .map(|range_mm| (range_mm * 1e-3) as f32)
+                    .collect(),
                 ..LaserScan::default()
             };
             each(row.time_ns, Message::Scan(scan))
@@ -108,7 +112,8 @@ impl RoverLog {
     /// Velocities at a line: of the ways around it, because the times jitter.
     fn velocity(&self, index: usize) -> [f64; 3] {
         let around = &self.rows[index.saturating_sub(1)..(index + 2).min(self.rows.len())];
-        let sum = |of: usize| around.iter().map(|row| row.moved[of]).sum::<f64>() / (around.len() as f64 * TURN_S);
+        let sum =
+            |of: usize| around.iter().map(|row| row.moved[of]).sum::<f64>() / (around.len() as f64 * TURN_S);
         [sum(0), 0.0, sum(1)]
     }
 }
@@ -116,7 +121,8 @@ impl RoverLog {
 /// Hands over the numbers of each line that is not empty.
 fn lines(path: &Path, each: &mut dyn FnMut(usize, &[f64]) -> anyhow::Result<()>) -> anyhow::Result<()> {
     const EXPECTED: &str = "it is neither a bag of ROS 2 in MCAP nor a log of a rover";
-    let text = user_file::read(path, DATA_BYTES).map_err(|reason| refuse(path, format_args!("{EXPECTED}: {reason}")))?;
+    let text = user_file::read(path, DATA_BYTES)
+        .map_err(|reason| refuse(path, format_args!("{EXPECTED}: {reason}")))?;
     let mut fields = Vec::new();
     let full = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
     for (index, (number, line)) in full.enumerate() {
@@ -126,10 +132,16 @@ fn lines(path: &Path, each: &mut dyn FnMut(usize, &[f64]) -> anyhow::Result<()>)
         let (line, count) = (number + 1, fields.len());
         if count < COLUMNS {
             let reason = format!("line {line}: {count} numbers instead of {COLUMNS} or more");
-            return Err(refuse(path, format_args!("{}{reason}", if index == 0 { format!("{EXPECTED}: ") } else { String::new() })));
+            return Err(refuse(
+                path,
+                format_args!("{}{reason}", if index == 0 { format!("{EXPECTED}: ") } else { String::new() }),
+            ));
         }
         if !(0.0..=MAX_TIME_US).contains(&fields[0]) || !fields.iter().all(|number| number.is_finite()) {
-            return Err(refuse(path, format_args!("line {line}: a time of 0 to {MAX_TIME_US} us and finite numbers are expected")));
+            return Err(refuse(
+                path,
+                format_args!("line {line}: a time of 0 to {MAX_TIME_US} us and finite numbers are expected"),
+            ));
         }
         each(index, &fields)?;
     }
@@ -181,7 +193,10 @@ mod tests {
             std::fs::write(&path, text).unwrap();
             RoverLog::open(&path, [1.0; 2]).err().unwrap().to_string()
         };
-        assert!(error("hello\n").contains("neither a bag of ROS 2 in MCAP nor a log of a rover: line 1: 0 numbers"));
+        assert!(
+            error("hello\n")
+                .contains("neither a bag of ROS 2 in MCAP nor a log of a rover: line 1: 0 numbers")
+        );
         let good = line(1, 0, 0);
         assert!(error(&format!("{good}1 2 3\n")).ends_with("line 2: 3 numbers instead of 706 or more"));
         assert!(error(&good.replacen('1', "nan", 1)).contains("line 1: a time of 0 to"));

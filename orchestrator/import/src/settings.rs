@@ -1,7 +1,7 @@
 //! The files that an imported recording begins with, as those of a run: scenario, system, settings of the stages, processes.
 
-use plan::{Choice, Plan};
 use pipeline::first_incarnation;
+use plan::{Choice, Plan};
 use recording::mcap::Writer;
 use runtime::{Identity, LAYOUTS_FILE, settings_file};
 use serde::Serialize;
@@ -14,8 +14,12 @@ use crate::rays::Beams;
 
 /// What runs over imported scans: role and implementation.
 const STAGES: [(Role, &str); 2] = [(Role::Estimator, "ekf"), (Role::Obstacles, "ellipses")];
+/// What the wheels were told is not known, so the model of the robot says little about its way between two scans; with the noise of
+/// a drive of this program, the estimator would take turns for faults of the odometry.
+const PROCESS_NOISE: &str = "estimator.process_noise=[0.05, 0.001, 0.001]";
 /// Where nothing is known of the surroundings: all bodies are described, and no wall is.
-const SCENARIO: &str = "name = \"imported\"\n[track]\nx_m = [-1000.0, 1000.0]\ny_m = [-1000.0, 1000.0]\n[goal]\nx_m = 990.0\n";
+const SCENARIO: &str =
+    "name = \"imported\"\n[track]\nx_m = [-1000.0, 1000.0]\ny_m = [-1000.0, 1000.0]\n[goal]\nx_m = 990.0\n";
 
 /// The plan of a drive with these beams; `vehicle` are keys of its robot where the options name no system.
 ///
@@ -33,6 +37,7 @@ pub(crate) fn plan(
     let of_robot = vehicle.iter().filter(|_| options.system.is_none()).map(|key| (*key).to_owned());
     let mut overrides: Vec<String> = of_robot.collect();
     overrides.extend([
+        PROCESS_NOISE.to_owned(),
         format!("rate_hz={:?}", 1e9 / period_ns as f64),
         format!("vehicle.scanner.beams={}", geometry.count),
         format!("vehicle.scanner.first_rad={:?}", geometry.first_rad),

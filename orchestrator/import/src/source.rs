@@ -43,9 +43,7 @@ impl Source {
             return Bag::open(from, &bag_files(from)?, options).map(Self::Bag);
         }
         match first_bytes(from)? {
-            first if first.starts_with(&MAGIC) => {
-                Bag::open(from, &[from.to_owned()], options).map(Self::Bag)
-            }
+            first if first.starts_with(&MAGIC) => Bag::open(from, &[from.to_owned()], options).map(Self::Bag),
             first if first.starts_with(SQLITE) => Err(in_sqlite(from)),
             first if first.starts_with(ROS1) => Err(refuse(
                 from,
@@ -152,7 +150,9 @@ fn bag_files(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
         return Err(in_sqlite(folder));
     }
     match with(".mcap.zstd").first() {
-        Some(packed) => Err(refuse(packed, format_args!("it is packed; `unzstd {}` unpacks it", packed.display()))),
+        Some(packed) => {
+            Err(refuse(packed, format_args!("it is packed; `unzstd {}` unpacks it", packed.display())))
+        }
         None => Err(refuse(folder, "no bag of ROS 2 is in this folder: no file ends with .mcap")),
     }
 }

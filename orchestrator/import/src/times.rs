@@ -71,7 +71,10 @@ mod tests {
         assert_eq!(times.next(140, 1041), Some(140));
         assert_eq!(times.counts, StampCounts { zero: 1, wrong: 3, left_out: 1 });
         let mut unstamped = Times::default();
-        assert_eq!([unstamped.next(0, 7), unstamped.next(0, 9), unstamped.next(0, 8)], [Some(7), Some(9), None]);
+        assert_eq!(
+            [unstamped.next(0, 7), unstamped.next(0, 9), unstamped.next(0, 8)],
+            [Some(7), Some(9), None]
+        );
     }
 
     #[test]

@@ -142,8 +142,7 @@ pub fn rosbag2(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
     make(folder)?;
     let path = folder.join("metadata.yaml");
     let mut description = NewFile::create(&path, Existing::forced(force), &[from])?;
-    let (copied, mut new_files) =
-        prepare(from, &folder.join("recording.mcap"), force, 0..=u64::MAX, true)?;
+    let (copied, mut new_files) = prepare(from, &folder.join("recording.mcap"), force, 0..=u64::MAX, true)?;
     let (mut topics, mut files) = (BTreeMap::<String, (String, u64)>::new(), String::new());
     let (mut names, mut span_ns) = (String::new(), [u64::MAX, 0]);
     for (path, Summary { times_ns, messages, topics: found }) in copied.files.iter().zip(copied.summaries) {

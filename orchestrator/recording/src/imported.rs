@@ -6,16 +6,16 @@ use crate::mcap::Writer;
 use crate::read::{RECORDING, VERSION};
 use crate::tape::{LIBRARY, writer};
 
-/// Begins a recording in simulated time with this scan period [ns].
+/// Begins a recording in simulated time with this scan period [ns], made of `source`.
 ///
 /// # Errors
 /// Those of `out`.
-pub fn begin<W: Write>(out: W, period_ns: u64) -> io::Result<Writer<W>> {
+pub fn begin<W: Write>(out: W, period_ns: u64, source: &str) -> io::Result<Writer<W>> {
     let mut writer = writer(out)?;
     let entries = [
         ("version", VERSION.to_owned()),
         ("program", LIBRARY.to_owned()),
-        ("run_id", "imported".to_owned()),
+        ("imported", source.to_owned()),
         ("lockstep", "true".to_owned()),
         ("period_ns", period_ns.to_string()),
     ];

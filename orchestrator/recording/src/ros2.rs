@@ -2,15 +2,18 @@
 //!
 //! The order of the fields stands here, once for both ways; `ros2/*.msg` are the schemas of a bag that is written.
 
-use shared_types::{MIN_RANGE_MM, Odometry, Sample, Scan, Topic};
+use runtime::settings_file;
+use shared_types::{MIN_RANGE_MM, Odometry, Role, Sample, Scan, Topic};
+use toml::Table;
 
 use crate::cdr::{Cdr, Decoder};
-use crate::mcap::Schema;
+use crate::mcap::{Contents, Schema};
+use crate::read::attachment;
 use crate::schema::{ENCAPSULATION, ROS2MSG, SEPARATOR};
 use crate::tape::PREFIX;
 
-/// Largest range that a message names [m]: a sample does not know that of its scanner.
-const RANGE_MAX_M: f32 = 100.0;
+/// Smallest and largest range of a scanner that is not described [m].
+const LIMITS_M: [f32; 2] = [MIN_RANGE_MM as f32 * 1e-3, 100.0];
 
 /// A message of ROS 2.
 pub trait Ros2Message: Sized {
@@ -60,8 +63,8 @@ pub struct BaseOdometry {
 }
 
 impl LaserScan {
-    /// A scan as a message.
-    pub fn of(scan: &Scan) -> Self {
+    /// A scan of a scanner with these limits as a message [m].
+    pub fn of(scan: &Scan, limits_m: [f32; 2]) -> Self {
         let beams = scan.ranges().len();
         let time_s = scan.sweep_ns as f64 * 1e-9 / beams.max(1) as f64;
         let before_front_ns = (scan.geometry().front() * time_s * 1e9).round() as i64;
@@ -69,10 +72,14 @@ impl LaserScan {
         Self {
             stamp_ns: scan.header.acquired_ns.saturating_add_signed(before_front_ns.saturating_neg()),
             frame: "laser".to_owned(),
-            angles_rad: [scan.beam_yaw_rad(0), scan.beam_yaw_rad(beams.saturating_sub(1)), scan.increment_rad]
-                .map(|angle| angle as f32),
+            angles_rad: [
+                scan.beam_yaw_rad(0),
+                scan.beam_yaw_rad(beams.saturating_sub(1)),
+                scan.increment_rad,
+            ]
+            .map(|angle| angle as f32),
             times_s: [time_s as f32, scan.period_ns as f32 * 1e-9],
-            limits_m: [MIN_RANGE_MM as f32 * 1e-3, RANGE_MAX_M],
+            limits_m,
             ranges_m: (0..beams).map(range).collect(),
         }
     }
@@ -167,13 +174,26 @@ pub(crate) fn topics() -> [(&'static str, Schema); 2] {
 
 /// What a message of a recording is for ROS 2: the place of its topic in [`topics`], and its content. `None` for all but scans
 /// and odometry with the layout of this program.
-pub(crate) fn message(channel: &str, data: &[u8]) -> Option<(usize, Vec<u8>)> {
+pub(crate) fn message(channel: &str, data: &[u8], limits_m: [f32; 2]) -> Option<(usize, Vec<u8>)> {
     let bytes = data.strip_prefix(&ENCAPSULATION)?;
     match channel.strip_prefix(PREFIX)?.parse().ok()? {
-        Topic::Scan => sample::<Scan>(bytes).map(|scan| (0, LaserScan::of(&scan).encode())),
-        Topic::Odometry => sample::<Odometry>(bytes).map(|odometry| (1, BaseOdometry::of(&odometry).encode())),
+        Topic::Scan => sample::<Scan>(bytes).map(|scan| (0, LaserScan::of(&scan, limits_m).encode())),
+        Topic::Odometry => {
+            sample::<Odometry>(bytes).map(|odometry| (1, BaseOdometry::of(&odometry).encode()))
+        }
         _ => None,
     }
+}
+
+/// The smallest and the largest range of the scanner that the settings of a recording describe [m].
+pub(crate) fn limits_m(contents: &Contents) -> [f32; 2] {
+    let described = || {
+        let table: Table = attachment(contents, &settings_file(Role::Obstacles))?.parse().ok()?;
+        let scanner = table.get("obstacles")?.get("vehicle")?.get("scanner")?;
+        let of = |key: &str| Some(scanner.get(key)?.as_float()? as f32);
+        Some([of("min_range_m")?, of("range_m")?])
+    };
+    described().unwrap_or(LIMITS_M)
 }
 
 fn sample<S: Sample>(bytes: &[u8]) -> Option<S> {
@@ -188,12 +208,8 @@ mod tests {
 
     fn scan() -> Scan {
         let header = Header { acquired_ns: 1_700_000_000_123_456_789, ..Header::default() };
-        let mut scan = Scan {
-            header,
-            sweep_ns: 66_666_666,
-            period_ns: 100_000_000,
-            ..Scan::of(ScanGeometry::URG_04LX)
-        };
+        let mut scan =
+            Scan { header, sweep_ns: 66_666_666, period_ns: 100_000_000, ..Scan::of(ScanGeometry::URG_04LX) };
         for (beam, range) in scan.ranges_mut().iter_mut().enumerate() {
             *range = 10 + 8 * beam as u32;
         }
@@ -202,7 +218,7 @@ mod tests {
 
     #[test]
     fn a_scan_comes_back_to_the_millimetre_and_an_error_code_is_no_return() {
-        let message = LaserScan::of(&scan());
+        let message = LaserScan::of(&scan(), LIMITS_M);
         let read = LaserScan::decode(&message.encode()).unwrap();
         assert_eq!(read, message);
         // 340 of 682 beams lie before the front one: 33.2 ms.
@@ -218,13 +234,16 @@ mod tests {
         let odometry = Odometry { x_m: 1.5, yaw_rad: -2.5, dyaw_rad: 0.02, dt_s: 0.1, ..Odometry::default() };
         let message = BaseOdometry { stamp_ns: 7_000_000_001, ..BaseOdometry::of(&odometry) };
         let read = BaseOdometry::decode(&message.encode()).unwrap();
-        assert_eq!((read.stamp_ns, read.frames, read.velocity), (7_000_000_001, message.frames, [0.0, 0.0, 0.2]));
+        assert_eq!(
+            (read.stamp_ns, read.frames, read.velocity),
+            (7_000_000_001, message.frames, [0.0, 0.0, 0.2])
+        );
         assert!((read.pose[2] + 2.5).abs() < 1e-12 && read.pose[0] == 1.5);
     }
 
     #[test]
     fn a_cut_message_and_one_that_is_longer_than_its_bytes_are_none() {
-        let data = LaserScan::of(&scan()).encode();
+        let data = LaserScan::of(&scan(), LIMITS_M).encode();
         for length in 0..data.len() - 4 {
             assert_eq!(LaserScan::decode(&data[..length]), None);
         }

@@ -127,6 +127,7 @@ const RULES: &[(&str, How)] = &[
     ("scanloop run s-curve --lockstep --record", Alone("", DONE)),
     ("scanloop run", Read(REAL_TIME)),
     ("scanloop recording export out/s-curve", Read(FILES)),
+    ("scanloop recording import", Read(FILES)),
     ("scanloop record drive.mcap", As("scanloop record own.mcap --duration 0.5")),
     ("scanloop replay drive.mcap --with", Read(OWN)),
     ("scanloop replay drive.mcap --speed 1", Read(REAL_TIME)),

@@ -32,8 +32,8 @@ pub(super) struct NewRecording {
     known: BTreeMap<Channel, u16>,
     /// The same of channels by joined file and number.
     channels: BTreeMap<(usize, u16), u16>,
-    /// Numbers of the channels of [`ros2::topics`], if they are added.
-    ros2: Option<[u16; 2]>,
+    /// Numbers of the channels of [`ros2::topics`], if they are added, and the limits of the scanner [m].
+    ros2: Option<([u16; 2], [f32; 2])>,
 }
 
 impl NewRecording {
@@ -54,9 +54,10 @@ impl NewRecording {
             copy.define(&files[file], (file, *channel))?;
         }
         // A bag that was exported before has them.
-        let is_taken = |name: &str| files.iter().any(|contents| contents.channels.values().any(|of| of.topic == name));
+        let is_taken =
+            |name: &str| files.iter().any(|contents| contents.channels.values().any(|of| of.topic == name));
         if adds_ros2 && !ros2::topics().iter().any(|(name, _)| is_taken(name)) {
-            copy.ros2 = Some(ros2::topics().map(|(topic, schema)| {
+            let numbers = ros2::topics().map(|(topic, schema)| {
                 let number = copy.writer.add_schema(&schema);
                 copy.schemas.insert(Arc::new(schema), number);
                 let (topic, encoding) = (topic.to_owned(), CDR.to_owned());
@@ -64,7 +65,8 @@ impl NewRecording {
                 let number = copy.writer.add_channel(&channel);
                 copy.known.insert(channel, number);
                 number
-            }));
+            });
+            copy.ros2 = Some((numbers, ros2::limits_m(&files[file])));
         }
         Ok(copy)
     }
@@ -100,8 +102,9 @@ impl NewRecording {
             None => self.define(contents, (file, channel))?,
         };
         self.put(number, sequence, times_ns, data)?;
-        let Some(numbers) = self.ros2 else { return Ok(1) };
-        let Some((index, data)) = ros2::message(&contents.channels[&channel].topic, data) else { return Ok(1) };
+        let Some((numbers, limits_m)) = self.ros2 else { return Ok(1) };
+        let topic = &contents.channels[&channel].topic;
+        let Some((index, data)) = ros2::message(topic, data, limits_m) else { return Ok(1) };
         self.put(numbers[index], sequence, times_ns, &data)?;
         Ok(2)
     }

@@ -43,8 +43,8 @@ pub struct ImportArguments {
     /// The scanner is mounted upside down.
     #[arg(long)]
     upside_down: bool,
-    /// Factors on way and turn of the log of a rover. These match the scans of the published log best.
-    #[arg(long, value_name = "WAY,TURN", value_delimiter = ',', num_args = 1, default_value = "1.9,1.9")]
+    /// Factors on way and turn of the log of a rover. With these, the scans of the published log match.
+    #[arg(long, value_name = "WAY,TURN", value_delimiter = ',', num_args = 1, default_value = "1.9,1.7")]
     wheel_factors: Vec<f64>,
     /// Replace a file of that name.
     #[arg(long)]
@@ -84,7 +84,8 @@ pub(super) fn import(arguments: &ImportArguments) -> anyhow::Result<Exit> {
     };
     let imported = import::import(file, out, &options)?;
     if imported.cut_off {
-        let text = format!("warning: {}: it was cut off; imported up to its last whole chunk", file.display());
+        let text =
+            format!("warning: {}: it was cut off; imported up to its last whole chunk", file.display());
         runtime::print(runtime::Priority::Warning, &text);
     }
     answer!(*json, "{imported}")?;
