@@ -10,8 +10,8 @@ use pipeline::{SimulatedWriter, Tuning, first_incarnation};
 use recording::{Tape, TapeTarget};
 use serde::Serialize;
 use shared_types::{
-    AnySample, Authority, Directive, Header, Journal, JournalEntry, JournalKind, Obstacles, Odometry, Phase,
-    Pose, Role, SLOTS, Sample, Scan, ScannerState, Stage, Stopwatch,
+    AnySample, Authority, Checkpoint, Directive, Header, Journal, JournalEntry, JournalKind, Obstacles,
+    Odometry, Phase, Pose, Role, SLOTS, Sample, Scan, ScannerState, Stage, Stopwatch,
 };
 use vehicle::Invalid;
 
@@ -107,6 +107,7 @@ impl<T: TapeTarget> Drive<T> {
 struct Runner<S> {
     stage: S,
     outputs: SimulatedWriter,
+    states: SimulatedWriter,
     journals: u64,
     open: Journal,
 }
@@ -114,11 +115,12 @@ struct Runner<S> {
 impl<S: Stage<Invalid = Invalid>> Runner<S> {
     fn new(settings: S::Settings, period_ns: u64) -> Result<Self, Invalid> {
         let open = Journal { role: S::ROLE.wire(), ..Journal::default() };
-        let outputs = SimulatedWriter::new(S::ROLE, first_incarnation(S::ROLE));
-        Ok(Self { stage: S::begin(settings, period_ns)?, outputs, journals: 0, open })
+        let writer = || SimulatedWriter::new(S::ROLE, first_incarnation(S::ROLE));
+        let (outputs, states) = (writer(), writer());
+        Ok(Self { stage: S::begin(settings, period_ns)?, outputs, states, journals: 0, open })
     }
 
-    /// Hands over a sample. A journal has places for many more than are taken between two outputs.
+    /// Hands over a sample. A journal has places for many more entries than there are between two outputs.
     fn take<I: Sample>(&mut self, sample: &I, now_ns: u64) {
         let Header { incarnation, sequence, .. } = *sample.header();
         let (kind, topic) = (JournalKind::Taken.wire() as u16, I::TOPIC as u16);
@@ -128,11 +130,15 @@ impl<S: Stage<Invalid = Invalid>> Runner<S> {
 
     /// Notes that what was taken is used.
     fn used(&mut self, now_ns: u64) {
-        let kind = JournalKind::Used.wire() as u16;
-        self.open.push(JournalEntry { kind, value: now_ns, ..JournalEntry::default() });
+        self.note(JournalKind::Used, now_ns);
     }
 
-    /// The output for a scan; it is recorded behind its journal.
+    fn note(&mut self, kind: JournalKind, value: u64) {
+        let kind = kind.wire() as u16;
+        self.open.push(JournalEntry { kind, value, ..JournalEntry::default() });
+    }
+
+    /// The output for a scan; it is recorded behind its journal, and then the state.
     fn answer(
         &mut self,
         scan: &Header,
@@ -140,23 +146,31 @@ impl<S: Stage<Invalid = Invalid>> Runner<S> {
         tape: &mut Tape<impl TapeTarget>,
     ) -> io::Result<Option<S::Output>> {
         self.used(now_ns);
-        let Some(mut output) = self.stage.output(scan.scan_id, &Stopwatch::standing()) else {
-            return Ok(None);
-        };
-        self.outputs.complete(S::Output::TYPE, bytemuck::bytes_of_mut(&mut output), now_ns);
+        let mut output = self.stage.output(scan.scan_id, &Stopwatch::standing());
+        if let Some(output) = &mut output {
+            self.outputs.complete(S::Output::TYPE, bytemuck::bytes_of_mut(output), now_ns);
+        }
         self.journals += 1;
-        let Header { incarnation, sequence, .. } = *output.header();
         self.open.header = Header {
             layout: Journal::LAYOUT,
-            incarnation,
+            incarnation: first_incarnation(S::ROLE),
             scan_id: scan.scan_id,
             sequence: self.journals,
             ..Header::default()
         };
-        self.open.output = sequence;
+        // Without an output, more entries follow.
+        self.open.output = output.as_ref().map_or(0, |output| output.header().sequence);
         tape.sample(Journal::TOPIC, bytes_of(&self.open))?;
-        tape.sample(S::Output::TOPIC, bytes_of(&output))?;
         self.open = Journal { role: self.open.role, ..Journal::default() };
+        let Some(output) = output else { return Ok(None) };
+        tape.sample(S::Output::TOPIC, bytes_of(&output))?;
+        if let Some(state) = self.stage.state() {
+            let header = output.header().answer();
+            let mut checkpoint = Checkpoint { header, issued_ns: now_ns, ..Checkpoint::of(S::ROLE, &state) };
+            self.states.complete(Checkpoint::TYPE, bytemuck::bytes_of_mut(&mut checkpoint), now_ns);
+            tape.sample(Checkpoint::TOPIC, bytes_of(&checkpoint))?;
+            self.note(JournalKind::Saved, checkpoint.header.sequence);
+        }
         Ok(Some(output))
     }
 }
