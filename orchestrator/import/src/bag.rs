@@ -11,7 +11,7 @@ use recording::ros2::{BaseOdometry, LaserScan, Ros2Message};
 use runtime::one_line;
 
 use crate::ImportOptions;
-use crate::source::{Each, Message, refuse};
+use crate::message::{Each, Message, refuse};
 
 /// First bytes of what is packed with Zstandard.
 const ZSTD: &[u8] = &[0x28, 0xb5, 0x2f, 0xfd];

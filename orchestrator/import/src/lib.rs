@@ -4,31 +4,31 @@
 
 mod bag;
 mod drive;
+mod imported;
+mod joined;
+mod message;
 mod rays;
 mod rover;
 mod settings;
 mod source;
 mod times;
 
-use std::fmt;
 use std::io::{BufWriter, IntoInnerError};
 use std::path::{Path, PathBuf};
 
 use console::new_file::{Existing, NewFile};
-use driver::join::Motions;
 use driver::motion::{BaseState, Convention, Motion, Turn};
-use driver::odometry::TrackedOdometry;
-use plan::Plan;
 use recording::imported::{begin, end};
 use recording::ros2::BaseOdometry;
-use serde::Serialize;
-use shared_types::Scan;
 
 pub use crate::drive::Computed;
 use crate::drive::Drive;
+pub use crate::imported::Imported;
+use crate::joined::Joined;
+use crate::message::{Message, refuse};
 use crate::rays::Beams;
 pub use crate::rays::Mounting;
-use crate::source::{Message, Source, refuse};
+use crate::source::Source;
 pub use crate::times::StampCounts;
 use crate::times::Times;
 
@@ -40,10 +40,6 @@ const MAX_SCANS: usize = 1 << 22;
 const MAX_NUMBER: f64 = 1e7;
 /// No drive is longer: a year [ns].
 const MAX_DURATION_NS: u64 = 365 * 24 * 3600 * 1_000_000_000;
-/// A scan further from the odometry is left out, in scan periods, as a driver does.
-const MAX_AWAY_PERIODS: u64 = 2;
-/// The first scan of a recording is at this time [ns].
-const START_NS: u64 = 1_000_000_000;
 
 /// What is imported, and how.
 #[derive(Debug, Clone)]
@@ -66,53 +62,6 @@ pub struct ImportOptions {
     pub force: bool,
 }
 
-/// What was imported.
-#[derive(Debug, Clone, Serialize)]
-pub struct Imported {
-    /// The source.
-    pub file: String,
-    /// What it is.
-    pub kind: &'static str,
-    /// Its topics with scans and odometry; empty for a log.
-    pub topics: Vec<String>,
-    /// Whether its end is missing.
-    pub cut_off: bool,
-    /// From the first to the last scan [s].
-    pub duration_s: f64,
-    /// Scans in it.
-    pub scans: u64,
-    /// Scans in the recording.
-    pub taken: u64,
-    /// Scans that were left out, because no odometry is near in time.
-    pub without_odometry: u64,
-    /// Scans that were left out, because their rays are impossible.
-    pub impossible: u64,
-    /// Stamps of the scans.
-    pub scan_stamps: StampCounts,
-    /// Messages of the odometry.
-    pub odometry: u64,
-    /// Of them, those with numbers that are not finite, or beyond ten thousand kilometres.
-    pub not_finite: u64,
-    /// Places where the odometry jumps: the robot is taken to be where it was.
-    pub jumps: u64,
-    /// Stamps of the odometry.
-    pub odometry_stamps: StampCounts,
-    /// Beams of a scan.
-    pub beams: usize,
-    /// Rays that were merged to each.
-    pub merged: usize,
-    /// Angles of the first and the last beam, and from one to the next [deg].
-    pub angles_deg: [f64; 3],
-    /// Largest range [m].
-    pub range_m: f64,
-    /// Scans per second.
-    pub rate_hz: f64,
-    /// Share of the beams that are returns.
-    pub valid_share: f64,
-    /// What the stages made of them.
-    pub computed: Computed,
-}
-
 /// What the first reading found.
 struct Survey {
     motions: Vec<Motion>,
@@ -130,6 +79,9 @@ pub fn import(from: &Path, out: &Path, options: &ImportOptions) -> anyhow::Resul
     let source = Source::open(from, options)?;
     let Survey { motions, mut beams, period_ns, sweep_share, mut imported } = survey(from, &source, options)?;
     let plan = settings::plan(options, source.vehicle(), &beams, period_ns, sweep_share)?;
+    if plan.system.vehicle.scanner.geometry() != beams.geometry {
+        return Err(refuse(from, "its scans describe the beams of the scanner: vehicle.scanner can't be set"));
+    }
     let period_ns = plan.system.period_ns();
     let file = NewFile::create(out, Existing::forced(options.force), &source.files(from))?;
     let mut writer = begin(BufWriter::new(file), period_ns, &imported.file)?;
@@ -270,110 +222,4 @@ fn motion(message: &BaseOdometry) -> Option<Motion> {
     }
     let state = BaseState { pose: message.pose, velocity: message.velocity, stalled: false };
     Motion::of(&Convention::usual(Turn::YawRate, 1.0), &state, 0)
-}
-
-/// Joins scans with the odometry.
-struct Joined<'m> {
-    ahead: std::slice::Iter<'m, Motion>,
-    known: Motions,
-    first_ns: u64,
-    /// What is taken from stamps [ns].
-    origin_ns: Option<u64>,
-    newest_ns: u64,
-    period_ns: u64,
-    after_front_ns: u64,
-    tracked: TrackedOdometry,
-    /// A scan without ranges.
-    scan: Scan,
-}
-
-impl<'m> Joined<'m> {
-    fn new(motions: &'m [Motion], plan: &Plan, period_ns: u64) -> Self {
-        let scanner = plan.system.vehicle.scanner;
-        let start = plan.scenario.start;
-        let scan = Scan { sweep_ns: scanner.sweep_ns(period_ns), period_ns, ..Scan::of(scanner.geometry()) };
-        Self {
-            ahead: motions.iter(),
-            known: Motions::default(),
-            first_ns: motions.first().map_or(0, |motion| motion.time_ns),
-            origin_ns: None,
-            newest_ns: 0,
-            period_ns,
-            after_front_ns: scanner.after_front_ns(period_ns),
-            tracked: TrackedOdometry::new([start.x_m, start.y_m, start.yaw_rad]),
-            scan,
-        }
-    }
-
-    /// The motion at a front beam that is newer than the one before, in the time of the recording; `None` if no odometry is near.
-    fn motion(&mut self, front_ns: u64) -> Option<Motion> {
-        let away_ns = MAX_AWAY_PERIODS * self.period_ns;
-        while !self.known.covers(front_ns, 0)
-            && let Some(motion) = self.ahead.next()
-        {
-            self.known.add(*motion);
-        }
-        let is_near =
-            self.known.covers(front_ns, away_ns) && front_ns.saturating_add(away_ns) >= self.first_ns;
-        if !is_near {
-            return None;
-        }
-        self.newest_ns = front_ns;
-        let origin_ns = *self.origin_ns.get_or_insert(front_ns);
-        let motion = self.known.at(front_ns)?;
-        Some(Motion { time_ns: front_ns - origin_ns + START_NS, ..motion })
-    }
-}
-
-impl Imported {
-    /// Why scans were left out.
-    fn left_out(&self) -> String {
-        let reasons = [
-            (self.without_odometry, "without odometry near in time"),
-            (self.impossible, "with impossible rays"),
-            (self.scan_stamps.left_out, "not later than the one before"),
-        ];
-        let some = reasons.into_iter().filter(|(count, _)| *count > 0);
-        some.map(|(count, why)| format!("{count} {why}")).collect::<Vec<_>>().join(", ")
-    }
-}
-
-impl fmt::Display for Imported {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { file, kind, duration_s, scans, taken, beams, computed, .. } = self;
-        let cut_off = if self.cut_off { ", cut off" } else { "" };
-        writeln!(formatter, "{file}: {kind}{cut_off}, {duration_s:.1} s")?;
-        let topic =
-            |index: usize| self.topics.get(index).map(|topic| format!(" of {topic}")).unwrap_or_default();
-        let left_out = Some(self.left_out()).filter(|reasons| !reasons.is_empty());
-        let left_out = left_out.map(|reasons| format!("; left out: {reasons}")).unwrap_or_default();
-        writeln!(formatter, "{taken} of {scans} scans{}{left_out}", topic(0))?;
-        let not_finite =
-            if self.not_finite > 0 { format!("; not finite: {}", self.not_finite) } else { String::new() };
-        let jumps = if self.jumps > 0 { format!("; jumps: {}", self.jumps) } else { String::new() };
-        writeln!(formatter, "{} messages with odometry{}{not_finite}{jumps}", self.odometry, topic(1))?;
-        for (name, StampCounts { zero, wrong, left_out }) in
-            [("scans", self.scan_stamps), ("odometry", self.odometry_stamps)]
-        {
-            if zero + wrong > 0 {
-                let text = format!("{zero} without a stamp, {wrong} with a wrong one: the log time holds");
-                writeln!(formatter, "{name}: {text}; {left_out} left out")?;
-            }
-        }
-        let [first, last, step] = self.angles_deg;
-        let merged = if self.merged > 1 { format!(", {} rays each", self.merged) } else { String::new() };
-        let (range_m, rate_hz) = (self.range_m, self.rate_hz);
-        writeln!(
-            formatter,
-            "scanner: {beams} beams{merged}, {first:.1} to {last:.1} degrees by {step:.3}, up to {range_m} m, {rate_hz:.2} Hz, \
-             {:.1} % are returns",
-            1e2 * self.valid_share
-        )?;
-        let Computed { poses, obstacles, bodies, healthy, degraded, stopping } = computed;
-        write!(
-            formatter,
-            "computed: {poses} poses, {obstacles} descriptions of obstacles with {bodies} bodies; scanner healthy in {healthy}, \
-             degraded in {degraded}, to be stopped for in {stopping}"
-        )
-    }
 }

@@ -11,7 +11,7 @@ use console::user_file::{self, DATA_BYTES};
 use recording::ros2::{BaseOdometry, LaserScan};
 use shared_types::{BEAMS, ScanGeometry};
 
-use crate::source::{Each, Message, refuse};
+use crate::message::{Each, Message, refuse};
 
 /// Columns that count.
 const COLUMNS: usize = FIRST_RANGE + BEAMS;

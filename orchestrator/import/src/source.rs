@@ -4,28 +4,17 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use console::exit::Failure;
 use recording::mcap::MAGIC;
-use recording::ros2::{BaseOdometry, LaserScan};
 
 use crate::ImportOptions;
 use crate::bag::Bag;
+use crate::message::{Each, refuse};
 use crate::rover::RoverLog;
 
 /// First bytes of a file of SQLite, in which older bags are.
 const SQLITE: &[u8] = b"SQLite format 3\0";
 /// First bytes of a bag of ROS 1.
 const ROS1: &[u8] = b"#ROSBAG V";
-
-/// A message that is imported.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) enum Message {
-    Scan(LaserScan),
-    Odometry(BaseOdometry),
-}
-
-/// Takes messages with their log times [ns].
-pub(crate) type Each<'e> = dyn FnMut(u64, Message) -> anyhow::Result<()> + 'e;
 
 /// A drive of another program.
 pub(crate) enum Source {
@@ -115,11 +104,6 @@ impl Source {
             Self::Rover(_) => RoverLog::VEHICLE,
         }
     }
-}
-
-/// The error about a file; exit code 2.
-pub(crate) fn refuse(path: &Path, reason: impl std::fmt::Display) -> anyhow::Error {
-    Failure::bad_input(format!("{}: {reason}", path.display()))
 }
 
 fn in_sqlite(path: &Path) -> anyhow::Error {

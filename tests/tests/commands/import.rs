@@ -291,6 +291,7 @@ fn what_is_no_drive_is_refused_by_name_and_what_was_cut_off_is_read() {
         (&["--system", "nothing.toml"], "nothing.toml"),
         (&["--scenario", "nothing"], "nothing"),
         (&["--set", "vehicle.length_m=-1"], "vehicle.length_m"),
+        (&["--set", "vehicle.scanner.beams=359"], "its scans describe the beams of the scanner"),
     ] {
         refused(&system, "bag.mcap", more, says);
     }
