@@ -15,6 +15,9 @@ use shared_types::{
 };
 use vehicle::Invalid;
 
+/// Whose samples count is said once in this time, so that a part that is cut out also has it [ns].
+const DIRECTIVE_NS: u64 = 1_000_000_000;
+
 /// What the stages made of the scans.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct Computed {
@@ -38,7 +41,8 @@ pub(crate) struct Drive<T: TapeTarget> {
     robot: [SimulatedWriter; 2],
     estimator: Runner<EstimatorStage>,
     detector: Runner<DetectorStage>,
-    has_begun: bool,
+    /// Directives until now, and when the next one is due [ns].
+    directives: (u64, u64),
     pub(crate) computed: Computed,
 }
 
@@ -54,7 +58,7 @@ impl<T: TapeTarget> Drive<T> {
             robot: [writer(), writer()],
             estimator: Runner::new(tuning.estimator.clone(), period_ns)?,
             detector: Runner::new(tuning.obstacles.clone(), period_ns)?,
-            has_begun: false,
+            directives: (0, 0),
             computed: Computed::default(),
         })
     }
@@ -65,8 +69,10 @@ impl<T: TapeTarget> Drive<T> {
     /// Those of the output.
     pub(crate) fn add(&mut self, scan: &mut Scan, odometry: &mut Odometry, now_ns: u64) -> io::Result<()> {
         let [scans, odometries] = &mut self.robot;
-        if !std::mem::replace(&mut self.has_begun, true) {
-            self.tape.sample(Directive::TOPIC, bytes_of(&directive(now_ns)))?;
+        let (number, due_ns) = &mut self.directives;
+        if now_ns >= *due_ns {
+            (*number, *due_ns) = (*number + 1, now_ns + DIRECTIVE_NS);
+            self.tape.sample(Directive::TOPIC, bytes_of(&directive(*number, now_ns)))?;
         }
         odometries.complete(Odometry::TYPE, bytemuck::bytes_of_mut(odometry), now_ns);
         scans.complete(Scan::TYPE, bytemuck::bytes_of_mut(scan), now_ns);
@@ -176,7 +182,7 @@ impl<S: Stage<Invalid = Invalid>> Runner<S> {
 }
 
 /// Says whose samples count.
-fn directive(now_ns: u64) -> Directive {
+fn directive(sequence: u64, now_ns: u64) -> Directive {
     let of_slot = |slot: usize| {
         let role = Role::ALL.get(slot);
         role.map_or_else(Authority::default, |role| Authority {
@@ -185,6 +191,6 @@ fn directive(now_ns: u64) -> Directive {
         })
     };
     let authority: [Authority; SLOTS] = std::array::from_fn(of_slot);
-    let header = Header { layout: Directive::LAYOUT, sequence: 1, ..Header::default() };
+    let header = Header { layout: Directive::LAYOUT, sequence, ..Header::default() };
     Directive { header, phase: Phase::Driving.wire(), issued_ns: now_ns, authority, ..Directive::default() }
 }

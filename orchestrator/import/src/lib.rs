@@ -80,7 +80,10 @@ pub fn import(from: &Path, out: &Path, options: &ImportOptions) -> anyhow::Resul
     let Survey { motions, mut beams, period_ns, sweep_share, mut imported } = survey(from, &source, options)?;
     let plan = settings::plan(options, source.vehicle(), &beams, period_ns, sweep_share)?;
     if plan.system.vehicle.scanner.geometry() != beams.geometry {
-        return Err(refuse(from, "its scans describe the beams of the scanner: vehicle.scanner can't be set"));
+        return Err(refuse(
+            from,
+            "its scans describe the beams of the scanner: vehicle.scanner can't be set",
+        ));
     }
     let period_ns = plan.system.period_ns();
     let file = NewFile::create(out, Existing::forced(options.force), &source.files(from))?;

@@ -386,6 +386,11 @@ fn the_log_of_a_real_rover_runs_through_both_stages_without_a_scan_unaccounted()
     assert!((0.40..0.50).contains(&valid_share) && states[2] == 0, "{imported}");
     assert!(computed("bodies") > 756, "{imported}");
     is_whole(&system, 756);
+    // A part of it is a drive too.
+    let cut = ["recording", "cut", "new.mcap", "--from", "10", "--to", "20", "--out", "cut.mcap"];
+    assert_eq!(system.run(&cut).status.code(), Some(0));
+    let page = system.run(&["report", "cut.mcap", "-o", "cut.html"]);
+    assert_eq!(page.status.code(), Some(0), "{}", printed(&page));
     // A line that is cut off is named.
     let text = std::fs::read_to_string(&log).unwrap();
     std::fs::write(system.folder().join("cut.dat"), &text[..text.len() / 2]).unwrap();
