@@ -58,7 +58,7 @@ impl RayFan {
     /// Where an angle lies among the rays: steps behind the first one, less than once around.
     fn place(&self, yaw_rad: f64) -> f64 {
         let turn = TAU / self.step_rad.abs();
-        ((yaw_rad - self.first_rad) / self.step_rad + 0.5 + ROUNDING).rem_euclid(turn) - 0.5 - ROUNDING
+        rounded((yaw_rad - self.first_rad) / self.step_rad + 0.5, turn) - 0.5
     }
 }
 
@@ -93,7 +93,7 @@ impl Beams {
         let first_rad = if span_rad + 1.5 * pitch_rad > TAU {
             // All around: it begins at the back. A ray that repeats the first one is left out.
             count = count.min(((TAU + ROUNDING) / pitch_rad) as usize);
-            -PI + (lowest_rad + PI).rem_euclid(pitch_rad)
+            -PI + (rounded((lowest_rad + PI) / pitch_rad, 1.0) * pitch_rad).max(0.0)
         } else {
             // Between back and back; what lies beyond is not described.
             let first_rad = wrapped(lowest_rad + span_rad / 2.0) - span_rad / 2.0;
@@ -153,6 +153,11 @@ impl Beams {
         self.rays = (0..self.geometry.count).map(of_beam).collect();
         self.known = Some(rays);
     }
+}
+
+/// The rest of a division, which is a little below zero where it is nearly the divisor.
+fn rounded(steps: f64, turn: f64) -> f64 {
+    (steps + ROUNDING).rem_euclid(turn) - ROUNDING
 }
 
 /// The time between two rays; zero where it is not known [s].
@@ -247,7 +252,8 @@ mod tests {
         timed.times_s[0] = 0.0005;
         let mut ranges_mm = vec![0; 181];
         let mut beams = Beams::new(&timed, AHEAD).unwrap();
-        assert_eq!(beams.fill(&timed, &mut ranges_mm), Ok(45_000_000));
+        // Times and angles of messages have seven digits.
+        assert!((44_999_900..45_000_100).contains(&beams.fill(&timed, &mut ranges_mm).unwrap()));
         timed.times_s[0] = f32::NAN;
         assert_eq!(beams.fill(&timed, &mut ranges_mm), Ok(0));
     }

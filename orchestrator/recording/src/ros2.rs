@@ -231,12 +231,12 @@ mod tests {
 
     #[test]
     fn an_odometry_comes_back() {
-        let odometry = Odometry { x_m: 1.5, yaw_rad: -2.5, dyaw_rad: 0.02, dt_s: 0.1, ..Odometry::default() };
+        let odometry = Odometry { x_m: 1.5, yaw_rad: -2.5, dyaw_rad: 0.25, dt_s: 0.5, ..Odometry::default() };
         let message = BaseOdometry { stamp_ns: 7_000_000_001, ..BaseOdometry::of(&odometry) };
         let read = BaseOdometry::decode(&message.encode()).unwrap();
         assert_eq!(
             (read.stamp_ns, read.frames, read.velocity),
-            (7_000_000_001, message.frames, [0.0, 0.0, 0.2])
+            (7_000_000_001, message.frames, [0.0, 0.0, 0.5])
         );
         assert!((read.pose[2] + 2.5).abs() < 1e-12 && read.pose[0] == 1.5);
     }
