@@ -9,6 +9,7 @@ pub mod mcap;
 mod own;
 pub mod read;
 pub mod recorder;
+pub mod running;
 mod schema;
 mod tape;
 

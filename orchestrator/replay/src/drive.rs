@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use console::exit::Failure;
 use recording::Recording;
 use recording::mcap::Contents;
-use recording::read::{attachment, metadata, settings_of};
+use recording::read::{RECORDING, attachment, metadata, settings_of};
 use runtime::{monotonic_ns, settings_file, wait_for};
 
 use shared_types::{
@@ -63,6 +63,8 @@ pub struct ReplayDrive {
     pace_ns: Option<[u64; 2]>,
     /// The file.
     pub(crate) path: PathBuf,
+    /// Random id of its run.
+    run_id: String,
 }
 
 impl ReplayDrive {
@@ -71,8 +73,11 @@ impl ReplayDrive {
     /// # Errors
     /// A file that can't be read, samples of another layout, or more of them than memory is given to; exit code 2.
     pub fn read(path: &Path) -> anyhow::Result<Vec<Self>> {
+        Self::read_opened(path, Recording::open(path)?)
+    }
+
+    fn read_opened(path: &Path, mut recording: Recording) -> anyhow::Result<Vec<Self>> {
         let refuse = |reason: String| Failure::bad_input(format!("{}: {reason}", path.display()));
-        let mut recording = Recording::open(path)?;
         let mut drives: Vec<Self> =
             recording.files().iter().map(|_| Self { path: path.to_owned(), ..Self::default() }).collect();
         recording.samples(|_, sample| {
@@ -90,7 +95,19 @@ impl ReplayDrive {
     /// # Errors
     /// As [`Self::read`], and several drives that were joined.
     pub fn read_one(path: &Path) -> anyhow::Result<Self> {
-        let mut drives = Self::read(path)?.into_iter();
+        Self::only_one(path, Self::read(path)?)
+    }
+
+    /// Reads the recording of one drive as far as it is written, without a warning that its end is missing.
+    ///
+    /// # Errors
+    /// As [`Self::read_one`].
+    pub fn read_growing(path: &Path) -> anyhow::Result<Self> {
+        Self::only_one(path, Self::read_opened(path, Recording::open(path)?.growing())?)
+    }
+
+    fn only_one(path: &Path, drives: Vec<Self>) -> anyhow::Result<Self> {
+        let mut drives = drives.into_iter();
         match (drives.next(), drives.next()) {
             (Some(drive), None) => Ok(drive),
             _ => {
@@ -131,6 +148,7 @@ impl ReplayDrive {
         let run: runtime::RunSettings = drive.settings.table(Role::Robot, "run")?;
         drive.period_ns = run.period_ns;
         drive.simulated = run.clock == runtime::ClockKind::Simulated;
+        metadata(contents, RECORDING, "run_id").unwrap_or_default().clone_into(&mut drive.run_id);
         let last_scan = metadata(contents, "end", "last_scan").and_then(|scan| scan.parse().ok());
         drive.last_scan = last_scan.filter(|scan| drive.simulated && *scan > 0);
         for attached in contents.attachments.iter().filter(|attached| attached.name.starts_with("processes-"))
@@ -222,6 +240,27 @@ impl ReplayDrive {
         // In lock-step two processes of a swap have the same stamps.
         let counts = |sample: &&&S| self.counts(writer, sample.header());
         found.iter().find(counts).or(found.first()).copied()
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Random id of the run that was recorded.
+    pub fn run_id(&self) -> &str {
+        &self.run_id
+    }
+
+    /// Its first and its last scan.
+    pub fn span(&self) -> Option<(u64, u64)> {
+        let scans: Vec<u64> = self.scans.scans().collect();
+        Some((*scans.first()?, *scans.last()?))
+    }
+
+    /// Whether it has a scan.
+    pub fn has_scan(&self, scan_id: u64) -> bool {
+        self.counted(&self.scans, scan_id).is_some()
     }
 
     /// Whether a sample of a role counts for its scan.

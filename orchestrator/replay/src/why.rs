@@ -87,11 +87,35 @@ impl<'d> Seen<'d> {
 /// # Errors
 /// A scan that the recording does not have; exit code 2.
 pub fn why(drive: &ReplayDrive, scan_id: u64) -> anyhow::Result<Why> {
-    let Some(seen) = Seen::of(drive, scan_id) else {
-        let scans: Vec<u64> = drive.scans.scans().collect();
-        let (first, last) = (scans.first().unwrap_or(&0), scans.last().unwrap_or(&0));
+    let shape = |seen: &Seen<'_>| match shaped_by(drive, seen) {
+        Ok(text) => text,
+        Err(reason) => Some(format!("not known: {reason}")),
+    };
+    let Some(mut why) = sentences(drive, scan_id, shape) else {
+        let (first, last) = drive.span().unwrap_or_default();
         return Err(drive.refuse(&format!("scan {scan_id} is not in it: it has the scans {first} to {last}")));
     };
+    match Decision::of(drive, why.decided_at) {
+        Ok(decision) => why.alternatives = changes(&decision),
+        Err(reason) => why.add("otherwise", Some(format!("not known: {reason:#}"))),
+    }
+    let texts: Vec<String> = why.alternatives.iter().map(Alternative::text).collect();
+    texts.into_iter().for_each(|text| why.add("otherwise", Some(text)));
+    Ok(why)
+}
+
+/// What the samples of a scan tell without the controller: not what shaped the plan, and not what would have changed the
+/// decision. `None` for a scan that the recording does not have.
+pub fn told_by_samples(drive: &ReplayDrive, scan_id: u64) -> Option<Why> {
+    sentences(drive, scan_id, |_| None)
+}
+
+fn sentences(
+    drive: &ReplayDrive,
+    scan_id: u64,
+    shape: impl FnOnce(&Seen<'_>) -> Option<String>,
+) -> Option<Why> {
+    let seen = Seen::of(drive, scan_id)?;
     let decided_at = decided_at(drive, scan_id);
     let mut why = Why {
         scan: scan_id,
@@ -110,22 +134,25 @@ pub fn why(drive: &ReplayDrive, scan_id: u64) -> anyhow::Result<Why> {
         why.add("margin", margin(command));
         why.add("sides", sides(command).filter(|_| why.drives));
     }
-    match shaped_by(drive, &seen) {
-        Ok(text) => why.add("shaped by", text),
-        Err(reason) => why.add("shaped by", Some(format!("not known: {reason}"))),
-    }
+    why.add("shaped by", shape(&seen));
     why.add("estimate", seen.pose.and_then(estimate));
     why.add("scanner", seen.obstacles.and_then(scanner));
     for role in Role::ALL {
         why.add("processes", process(drive, *role, scan_id));
     }
-    match Decision::of(drive, decided_at) {
-        Ok(decision) => why.alternatives = changes(&decision),
-        Err(reason) => why.add("otherwise", Some(format!("not known: {reason:#}"))),
+    Some(why)
+}
+
+/// One screen.
+impl std::fmt::Display for Why {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        writeln!(formatter, "scan {}", self.scan)?;
+        let mut before = "";
+        self.sentences.iter().try_for_each(|Sentence { about, text }| {
+            let shown = if std::mem::replace(&mut before, about) == *about { "" } else { about };
+            writeln!(formatter, "{shown:<10} {text}")
+        })
     }
-    let texts: Vec<String> = why.alternatives.iter().map(Alternative::text).collect();
-    texts.into_iter().for_each(|text| why.add("otherwise", Some(text)));
-    Ok(why)
 }
 
 impl Why {

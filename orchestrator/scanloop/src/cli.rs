@@ -253,12 +253,13 @@ pub enum CliCommand {
     /// Exit code 0 if all compared outputs are identical, or with `--set` and `--with` within the bounds; else 1, and 2
     /// when nothing could be compared.
     Replay(ReplayArguments),
-    /// Tell why the robot did what it did in one scan of a recorded drive.
+    /// Tell why the robot did what it did in one scan of a recorded drive, or of the running system.
     ///
     /// What the wheels did, the samples that it rests on with their times, the rung of the ladder, the margin by its parts,
     /// the limits that shaped the plan with their multipliers, the sides, the reason of a stop with its numbers, processes
     /// that were new or late, and what would have changed the decision. Each is computed from the recording, the limits and
-    /// the other decisions by the controller itself. Exit code 2 for a scan that the recording does not have.
+    /// the other decisions by the controller itself. A running system is asked by what is recorded of it, or by the last seconds
+    /// that it keeps in memory, written to `asked.mcap` in the folder of its results. Exit code 2 for a scan that is not there.
     Why(WhyArguments),
     /// Show, repair, cut or export a recording.
     #[command(subcommand)]

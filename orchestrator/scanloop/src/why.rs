@@ -1,4 +1,6 @@
-//! `scanloop why`: why the robot did what it did in one scan of a recorded drive.
+//! `scanloop why`: why the robot did what it did in one scan of a recorded or running drive.
+
+mod running;
 
 use std::path::PathBuf;
 
@@ -6,26 +8,24 @@ use clap::Args;
 use console::answer;
 use console::exit::{Exit, Failure};
 use replay::ReplayDrive;
-use replay::why::{Row, Why, late, slow, stops, why as answer_for};
+use replay::why::{Row, late, slow, stops, why as answer_for};
 
 use crate::print_json;
 
 /// Arguments of `why`.
 #[derive(Debug, Args)]
 pub struct WhyArguments {
-    /// The recording.
-    pub file: PathBuf,
-    /// The scan.
-    #[arg(required_unless_present_any = ["stops", "slow", "late"])]
-    pub scan: Option<u64>,
+    /// The recording, and the scan. A number alone is a scan of the running system, and nothing is all that it has driven.
+    #[arg(value_name = "[FILE] SCAN", num_args = 0..=2, required_unless_present_any = ["stops", "slow", "late"])]
+    pub of: Vec<String>,
     /// List the stops instead: the first scan of each, how many scans it lasted, and the reason.
-    #[arg(long, group = "overview", conflicts_with = "scan")]
+    #[arg(long, group = "overview")]
     pub stops: bool,
     /// List the ten slowest scans instead: the time from the end of the sweep to the actuation [ms], and the slowest stage.
-    #[arg(long, group = "overview", conflicts_with = "scan")]
+    #[arg(long, group = "overview")]
     pub slow: bool,
     /// List the scans that were answered after the next one was published, or never.
-    #[arg(long, group = "overview", conflicts_with = "scan")]
+    #[arg(long, group = "overview")]
     pub late: bool,
     /// Print JSON to standard output.
     #[arg(long)]
@@ -35,15 +35,39 @@ pub struct WhyArguments {
 /// Answers for one scan, or lists those worth a question.
 ///
 /// # Errors
-/// A file or a scan that is not there; exit code 2.
-pub(crate) fn why(arguments: &WhyArguments) -> anyhow::Result<Exit> {
-    let WhyArguments { file, scan, json, .. } = arguments;
-    let drive = ReplayDrive::read_one(file)?;
-    let Some(scan) = *scan else { return overview(arguments, &drive) };
+/// A file or a scan that is not there, and a system that is not recorded; exit code 2.
+pub(crate) fn why(system_id: &str, arguments: &WhyArguments) -> anyhow::Result<Exit> {
+    let WhyArguments { of, stops, slow, late, json } = arguments;
+    let (file, scan) = asked(of, *stops || *slow || *late)?;
+    let drive = match &file {
+        Some(file) => ReplayDrive::read_one(file)?,
+        None => running::drive(system_id, scan)?,
+    };
+    let Some(scan) = scan else { return overview(arguments, &drive) };
     let why = answer_for(&drive, scan)?;
     print_json(*json, &why)?;
-    answer!(*json, "{}", text(&why))?;
+    answer!(*json, "{why}")?;
     Ok(Exit::Done)
+}
+
+/// The recording, else the running system is meant, and the scan. What has only digits is a scan; a file of such a name is
+/// `./57`.
+fn asked(of: &[String], is_overview: bool) -> anyhow::Result<(Option<PathBuf>, Option<u64>)> {
+    let refuse = |reason: &str| Err(Failure::bad_input(reason));
+    let scan = |text: &str| {
+        let refused = || format!("SCAN {text:?} is not allowed: a whole number from 1 to {}", u64::MAX);
+        text.parse().ok().filter(|scan| *scan > 0).ok_or_else(|| Failure::bad_input(refused()))
+    };
+    let is_number = |text: &str| text.chars().all(|letter| letter.is_ascii_digit());
+    Ok(match (of, is_overview) {
+        ([], true) => (None, None),
+        ([file], true) if !is_number(file) => (Some(file.into()), None),
+        (_, true) => return refuse("--stops, --slow and --late take a recording, or the running system, and no scan"),
+        ([one], false) if is_number(one) => (None, Some(scan(one)?)),
+        ([file, one], false) => (Some(file.into()), Some(scan(one)?)),
+        ([file], false) => return refuse(&format!("{file}: the scan is missing, or one of --stops, --slow and --late")),
+        _ => return refuse("the scan is missing, or one of --stops, --slow and --late"),
+    })
 }
 
 fn overview(arguments: &WhyArguments, drive: &ReplayDrive) -> anyhow::Result<Exit> {
@@ -51,7 +75,7 @@ fn overview(arguments: &WhyArguments, drive: &ReplayDrive) -> anyhow::Result<Exi
         WhyArguments { stops: true, .. } => stops(drive),
         WhyArguments { slow: true, .. } if drive.is_in_lockstep() => {
             let reason = "in simulated time nothing is slow; it was recorded in lock-step";
-            return Err(Failure::bad_input(format!("{}: {reason}", arguments.file.display())));
+            return Err(Failure::bad_input(format!("{}: {reason}", drive.path().display())));
         }
         WhyArguments { slow: true, .. } => slow(drive),
         _ => late(drive),
@@ -64,15 +88,4 @@ fn overview(arguments: &WhyArguments, drive: &ReplayDrive) -> anyhow::Result<Exi
         answer!(arguments.json, "none")?;
     }
     Ok(Exit::Done)
-}
-
-/// One screen.
-fn text(why: &Why) -> String {
-    let mut text = format!("scan {}\n", why.scan);
-    for (index, sentence) in why.sentences.iter().enumerate() {
-        let is_next = index > 0 && why.sentences[index - 1].about == sentence.about;
-        let about = if is_next { "" } else { sentence.about };
-        text += &format!("{about:<10} {}\n", sentence.text);
-    }
-    text
 }
