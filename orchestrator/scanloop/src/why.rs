@@ -58,14 +58,21 @@ fn asked(of: &[String], is_overview: bool) -> anyhow::Result<(Option<PathBuf>, O
         let refused = || format!("SCAN {text:?} is not allowed: a whole number from 1 to {}", u64::MAX);
         text.parse().ok().filter(|scan| *scan > 0).ok_or_else(|| Failure::bad_input(refused()))
     };
-    let is_number = |text: &str| text.chars().all(|letter| letter.is_ascii_digit());
+    let is_number = |text: &str| {
+        let digits = text.strip_prefix(['-', '+']).unwrap_or(text);
+        !digits.is_empty() && digits.chars().all(|letter| letter.is_ascii_digit())
+    };
     Ok(match (of, is_overview) {
         ([], true) => (None, None),
         ([file], true) if !is_number(file) => (Some(file.into()), None),
-        (_, true) => return refuse("--stops, --slow and --late take a recording, or the running system, and no scan"),
+        (_, true) => {
+            return refuse("--stops, --slow and --late take a recording, or the running system, and no scan");
+        }
         ([one], false) if is_number(one) => (None, Some(scan(one)?)),
         ([file, one], false) => (Some(file.into()), Some(scan(one)?)),
-        ([file], false) => return refuse(&format!("{file}: the scan is missing, or one of --stops, --slow and --late")),
+        ([file], false) => {
+            return refuse(&format!("{file}: the scan is missing, or one of --stops, --slow and --late"));
+        }
         _ => return refuse("the scan is missing, or one of --stops, --slow and --late"),
     })
 }

@@ -5,7 +5,7 @@
 //! obstacles, are larger: they are enclosed of each scan too where they fit into [`MAX_BYTES`], else of as many scans as
 //! fit, at equal distances, and of those at which something happened. Ranges are rounded to 1 cm, plans to 1 mm, latencies to 1 us.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -17,6 +17,8 @@ use console::new_file::{Existing, NewFile};
 use console::note;
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
+use replay::ReplayDrive;
+use replay::why::{Why, told_by_samples, why};
 use serde_json::{Value, json};
 
 use crate::history::Row;
@@ -31,6 +33,8 @@ const MAX_ROWS: usize = 72_000;
 const TRIED: usize = 64;
 /// Frames that are enclosed because something happened, at most.
 const MAX_HAPPENED: usize = 300;
+/// Of so many of them the whole answer of `why` is enclosed: the controller computes it again.
+const MAX_ASKED: usize = 60;
 
 /// Name, values per unit, and value of a column of rows.
 type Column = (&'static str, f64, fn(&Row) -> f64);
@@ -103,12 +107,18 @@ fn enclosed(file: &Path) -> anyhow::Result<Enclosed> {
         Ok(pages::enclosed(&packed(&content)?))
     };
     let smallest = whole(&[])?.len();
+    let happened = happened(&rows, drive_events(&rest));
+    let reasons = Reasons::new(file, happened.iter().map(|index| rows[*index].scan_id));
     let mut frames_at = |indices: &mut dyn Iterator<Item = usize>| -> anyhow::Result<Vec<(usize, Value)>> {
-        indices.map(|index| Ok((index, slim(drive.frame(rows[index].time_s)?)))).collect()
+        let frame = |index: usize| {
+            let mut frame = slim(drive.frame(rows[index].time_s)?);
+            frame["why"] = reasons.of(rows[index].scan_id);
+            Ok((index, frame))
+        };
+        indices.map(frame).collect()
     };
     let tried = frames_at(&mut (0..rows.len()).step_by(rows.len().div_ceil(TRIED)))?;
     let bytes_each = (whole(&tried)?.len() - smallest) as f64 / tried.len() as f64;
-    let happened = happened(&rows, drive_events(&rest));
     let mut room = MAX_BYTES.saturating_sub(smallest) as f64 * 0.95;
     while room > bytes_each {
         let regular = (room / bytes_each - happened.len() as f64).max(1.0);
@@ -125,6 +135,37 @@ fn enclosed(file: &Path) -> anyhow::Result<Enclosed> {
     let reason = format!("its page would be larger than {MAX_BYTES} bytes");
     let cut = "`scanloop recording cut` makes a shorter recording";
     Err(Failure::bad_input(format!("{}: {reason}; {cut}", file.display())))
+}
+
+/// The answers of `why`.
+struct Reasons {
+    /// `None` for recordings that can't be asked: several that were joined, or of a system without settings.
+    drive: Option<ReplayDrive>,
+    whole: BTreeMap<u64, Why>,
+}
+
+impl Reasons {
+    /// Asks for scans at which something happened.
+    fn new(file: &Path, scans: impl Iterator<Item = u64>) -> Self {
+        let drive = ReplayDrive::read_growing(file).ok();
+        let answer = |drive: &ReplayDrive, scan| Some((scan, why(drive, scan).ok()?));
+        let asked = |drive| scans.take(MAX_ASKED).filter_map(|scan| answer(drive, scan)).collect();
+        let whole = drive.as_ref().map(asked).unwrap_or_default();
+        Self { drive, whole }
+    }
+
+    /// The answer for a scan: whole, or what its samples tell.
+    fn of(&self, scan: u64) -> Value {
+        let json = |why: &Why, is_short| {
+            let sentences: Vec<_> = why.sentences.iter().map(|told| (told.about, &told.text)).collect();
+            json!({ "sentences": sentences, "is_short": is_short })
+        };
+        if let Some(why) = self.whole.get(&scan) {
+            return json(why, false);
+        }
+        let told = self.drive.as_ref().and_then(|drive| told_by_samples(drive, scan));
+        told.map_or(Value::Null, |why| json(&why, true))
+    }
 }
 
 /// The times of what happened [s].

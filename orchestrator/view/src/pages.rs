@@ -25,6 +25,7 @@ const FILES: &[(&str, &str, &str)] = &[
     ("/timeline.js", SCRIPT, include_str!("page/timeline.js")),
     ("/panels.js", SCRIPT, include_str!("page/panels.js")),
     ("/control.js", SCRIPT, include_str!("page/control.js")),
+    ("/why.js", SCRIPT, include_str!("page/why.js")),
 ];
 
 /// Scripts that only a page of a server needs.

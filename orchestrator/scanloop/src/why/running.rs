@@ -1,11 +1,11 @@
 //! The drive of a running system, as far as it is recorded or kept in memory.
 
 use std::collections::HashMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 
 use console::exit::Failure;
-use recording::running::{kept, recordings};
+use recording::running::{ASKED, kept, recordings};
 use replay::ReplayDrive;
 use runtime::{Domain, wait_for};
 use session::control::{Reply, Request, SystemStatus, ask};
@@ -15,7 +15,7 @@ use supervision::runs::existing;
 /// A recording is written about once a second, and what is kept when it is asked for: a scan is waited for so long.
 const WAIT: Duration = Duration::from_secs(4);
 /// Time between two looks at the files [ns].
-const LOOK_NS: u64 = 50_000_000;
+const LOOK_NS: u64 = 10_000_000;
 /// A scan that is so far ahead of the newest one is not waited for.
 const MAX_AHEAD: u64 = 10;
 
@@ -39,8 +39,12 @@ pub(super) fn drive(system_id: &str, scan: Option<u64>) -> anyhow::Result<Replay
         // A recording that began before the scan will have it.
         let began_later = recordings.is_empty() || search.first().is_some_and(|first| scan < Some(first));
         if began_later && !search.is_found() {
-            search.read(&kept(&domain));
+            // An overview is of all that is kept until now.
+            if search.scan.is_some() {
+                search.read(&kept(&domain));
+            }
             if !search.is_found() && !search.ask(&domain, until) {
+                search.read(&kept(&domain));
                 break;
             }
         }
@@ -52,12 +56,18 @@ pub(super) fn drive(system_id: &str, scan: Option<u64>) -> anyhow::Result<Replay
     search.answer(&domain, status.as_ref(), recordings.is_empty())
 }
 
+/// Length and time of a file.
+fn state_of(file: &Path) -> Option<(u64, SystemTime)> {
+    let state = file.metadata().ok()?;
+    Some((state.len(), state.modified().ok()?))
+}
+
 /// What was read in search of a scan.
 struct Search {
     run_id: String,
     scan: Option<u64>,
     /// Length and time of what was read.
-    read: HashMap<PathBuf, (u64, Option<SystemTime>)>,
+    read: HashMap<PathBuf, (u64, SystemTime)>,
     /// The drive that has the scan, else the one that reaches farthest.
     best: Option<ReplayDrive>,
 }
@@ -66,8 +76,9 @@ impl Search {
     /// Reads files of the run that are new or have changed.
     fn read(&mut self, files: &[PathBuf]) {
         for file in files {
-            let Ok(state) = file.metadata().map(|state| (state.len(), state.modified().ok())) else { continue };
-            if self.read.insert(file.clone(), state) == Some(state) || self.scan.is_some() && self.is_found() {
+            let Some(state) = state_of(file) else { continue };
+            if self.read.insert(file.clone(), state) == Some(state) || self.scan.is_some() && self.is_found()
+            {
                 continue;
             }
             // A recording holds nothing in its first second.
@@ -95,14 +106,16 @@ impl Search {
 
     /// Has what is kept in memory written to a file, and reads it; false when nothing is kept.
     fn ask(&mut self, domain: &Domain, until: Instant) -> bool {
-        let before = self.read.clone();
+        let asked =
+            || kept(domain).iter().filter(|file| file.ends_with(ASKED)).find_map(|file| state_of(file));
+        let before = asked();
         if !matches!(ask(domain, &Request::Keep), Ok(Reply::Done)) {
             return false;
         }
-        while self.read == before && Instant::now() < until {
+        while asked() == before && Instant::now() < until {
             wait_for(&[], LOOK_NS);
-            self.read(&kept(domain));
         }
+        self.read(&kept(domain));
         true
     }
 
@@ -114,7 +127,8 @@ impl Search {
     ) -> anyhow::Result<ReplayDrive> {
         let name = domain.system_id();
         let blocking = status.and_then(|status| status.blocking);
-        let stopped = blocking.map_or_else(String::new, |blocking| format!("; stopped: blocked by {blocking}"));
+        let stopped =
+            blocking.map_or_else(String::new, |blocking| format!("; stopped: blocked by {blocking}"));
         let more = "`scanloop record FILE` records from now on, `run --record` from the start";
         let reason = match (self.best, self.scan) {
             (Some(drive), None) => return Ok(drive),

@@ -41,9 +41,20 @@ export async function ask(path) {
     const around = rows.filter((row) => row.time_s > at_s - 90 && row.time_s <= at_s + 30);
     return { ok: true, json: async () => ({ rows: around }) };
   }
+  if (path.startsWith("/why")) return reasonsOf(rows, frames, Number(new URLSearchParams(path.split("?")[1]).get("scan")));
   const index = Math.max(0, rows.findLastIndex((row) => row.time_s <= at_s));
   const [kept, frame] = frames.findLast(([kept]) => kept <= index) ?? frames[0];
   return { ok: true, json: async () => moved(unfolded(frame), rows[kept], rows[index]) };
+}
+
+// Those of the frame that is shown for a scan.
+function reasonsOf(rows, frames, scan) {
+  const index = rows.findLastIndex((row) => row.scan_id === scan);
+  const [kept, { why }] = frames.findLast(([kept]) => kept <= index) ?? frames[0];
+  if (!why) return { ok: false, text: async () => "This page has no answer: ask the recording, scanloop why FILE SCAN." };
+  const sentences = why.sentences.map(([about, text]) => ({ about, text }));
+  if (why.is_short) sentences.push({ about: "more", text: `scanloop why FILE ${rows[kept].scan_id}` });
+  return { ok: true, json: async () => ({ scan: rows[kept].scan_id, sentences }) };
 }
 
 function moved(frame, before, row) {
