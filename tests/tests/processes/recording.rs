@@ -1,5 +1,6 @@
 //! Drives that are recorded, recordings that are cut off, and replays.
 
+mod asked;
 mod changed;
 mod damaged;
 mod foreign;
