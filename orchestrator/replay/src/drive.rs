@@ -3,6 +3,7 @@
 mod clocks;
 mod keys;
 mod lane;
+mod near;
 #[cfg(test)]
 pub(crate) mod tests;
 
@@ -12,7 +13,7 @@ use std::path::{Path, PathBuf};
 use console::exit::Failure;
 use recording::Recording;
 use recording::mcap::Contents;
-use recording::read::{RECORDING, attachment, metadata, settings_of};
+use recording::read::{attachment, metadata, settings_of};
 use runtime::{monotonic_ns, settings_file, wait_for};
 
 use shared_types::{
@@ -25,6 +26,7 @@ use toml::Table;
 pub(crate) use self::clocks::{Clocks, moved};
 pub(crate) use self::keys::DriveSettings;
 pub(crate) use self::lane::Lane;
+pub use self::near::NearDrive;
 use crate::NotReplayed;
 
 /// A recorded drive.
@@ -63,8 +65,6 @@ pub struct ReplayDrive {
     pace_ns: Option<[u64; 2]>,
     /// The file.
     pub(crate) path: PathBuf,
-    /// Random id of its run.
-    run_id: String,
 }
 
 impl ReplayDrive {
@@ -110,11 +110,13 @@ impl ReplayDrive {
         let mut drives = drives.into_iter();
         match (drives.next(), drives.next()) {
             (Some(drive), None) => Ok(drive),
-            _ => {
-                let reason = "several drives were joined in it; `scanloop recording cut` takes one out";
-                Err(Failure::bad_input(format!("{}: {reason}", path.display())))
-            }
+            _ => Err(Self::joined(path)),
         }
+    }
+
+    fn joined(path: &Path) -> anyhow::Error {
+        let reason = "several drives were joined in it; `scanloop recording cut` takes one out";
+        Failure::bad_input(format!("{}: {reason}", path.display()))
     }
 
     /// Takes in what stands beside the samples.
@@ -148,7 +150,6 @@ impl ReplayDrive {
         let run: runtime::RunSettings = drive.settings.table(Role::Robot, "run")?;
         drive.period_ns = run.period_ns;
         drive.simulated = run.clock == runtime::ClockKind::Simulated;
-        metadata(contents, RECORDING, "run_id").unwrap_or_default().clone_into(&mut drive.run_id);
         let last_scan = metadata(contents, "end", "last_scan").and_then(|scan| scan.parse().ok());
         drive.last_scan = last_scan.filter(|scan| drive.simulated && *scan > 0);
         for attached in contents.attachments.iter().filter(|attached| attached.name.starts_with("processes-"))
@@ -245,22 +246,6 @@ impl ReplayDrive {
     /// The file.
     pub fn path(&self) -> &Path {
         &self.path
-    }
-
-    /// Random id of the run that was recorded.
-    pub fn run_id(&self) -> &str {
-        &self.run_id
-    }
-
-    /// Its first and its last scan.
-    pub fn span(&self) -> Option<(u64, u64)> {
-        let scans: Vec<u64> = self.scans.scans().collect();
-        Some((*scans.first()?, *scans.last()?))
-    }
-
-    /// Whether it has a scan.
-    pub fn has_scan(&self, scan_id: u64) -> bool {
-        self.counted(&self.scans, scan_id).is_some()
     }
 
     /// Whether a sample of a role counts for its scan.

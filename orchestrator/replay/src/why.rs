@@ -92,8 +92,7 @@ pub fn why(drive: &ReplayDrive, scan_id: u64) -> anyhow::Result<Why> {
         Err(reason) => Some(format!("not known: {reason}")),
     };
     let Some(mut why) = sentences(drive, scan_id, shape) else {
-        let (first, last) = drive.span().unwrap_or_default();
-        return Err(drive.refuse(&format!("scan {scan_id} is not in it: it has the scans {first} to {last}")));
+        return Err(drive.refuse(&format!("scan {scan_id} has no sample that counts")));
     };
     match Decision::of(drive, why.decided_at) {
         Ok(decision) => why.alternatives = changes(&decision),
@@ -175,7 +174,7 @@ impl Alternative {
 }
 
 /// The first scan of a stop of the controller for one reason.
-fn decided_at(drive: &ReplayDrive, scan_id: u64) -> u64 {
+pub(crate) fn decided_at(drive: &ReplayDrive, scan_id: u64) -> u64 {
     let stopped = |scan| {
         let command: &Command = drive.counted(&drive.commands, scan)?;
         (command.kind == CommandKind::Stop.wire()).then_some(command.reason)

@@ -7,8 +7,8 @@ use std::path::PathBuf;
 use clap::Args;
 use console::answer;
 use console::exit::{Exit, Failure};
-use replay::ReplayDrive;
 use replay::why::{Row, late, slow, stops, why as answer_for};
+use replay::{NearDrive, ReplayDrive};
 
 use crate::print_json;
 
@@ -39,12 +39,18 @@ pub struct WhyArguments {
 pub(crate) fn why(system_id: &str, arguments: &WhyArguments) -> anyhow::Result<Exit> {
     let WhyArguments { of, stops, slow, late, json } = arguments;
     let (file, scan) = asked(of, *stops || *slow || *late)?;
-    let drive = match &file {
-        Some(file) => ReplayDrive::read_one(file)?,
-        None => running::drive(system_id, scan)?,
+    let Some(scan) = scan else {
+        let drive = match &file {
+            Some(file) => ReplayDrive::read_one(file)?,
+            None => ReplayDrive::read_growing(running::drive(system_id, None)?.path())?,
+        };
+        return overview(arguments, &drive);
     };
-    let Some(scan) = scan else { return overview(arguments, &drive) };
-    let why = answer_for(&drive, scan)?;
+    let mut drive = match &file {
+        Some(file) => NearDrive::open(file, false)?,
+        None => running::drive(system_id, Some(scan))?,
+    };
+    let why = answer_for(drive.near(scan)?, scan)?;
     print_json(*json, &why)?;
     answer!(*json, "{why}")?;
     Ok(Exit::Done)

@@ -17,10 +17,11 @@ use console::new_file::{Existing, NewFile};
 use console::note;
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
-use replay::ReplayDrive;
+use replay::NearDrive;
 use replay::why::{Why, told_by_samples, why};
 use serde_json::{Value, json};
 
+use crate::events::Event;
 use crate::history::Row;
 use crate::pages;
 use crate::recorded::RecordedDrive;
@@ -33,8 +34,11 @@ const MAX_ROWS: usize = 72_000;
 const TRIED: usize = 64;
 /// Frames that are enclosed because something happened, at most.
 const MAX_HAPPENED: usize = 300;
-/// Of so many of them the whole answer of `why` is enclosed: the controller computes it again.
-const MAX_ASKED: usize = 60;
+/// So many whole answers of `why` are enclosed, for which the controller computes again: of all scans, in a longer drive of
+/// those at which something happened.
+const MAX_ASKED: usize = 200;
+/// So many rows before an event the scan is looked for that it answers.
+const MAX_BEFORE: usize = 20;
 
 /// Name, values per unit, and value of a column of rows.
 type Column = (&'static str, f64, fn(&Row) -> f64);
@@ -107,8 +111,10 @@ fn enclosed(file: &Path) -> anyhow::Result<Enclosed> {
         Ok(pages::enclosed(&packed(&content)?))
     };
     let smallest = whole(&[])?.len();
-    let happened = happened(&rows, drive_events(&rest));
-    let reasons = Reasons::new(file, happened.iter().map(|index| rows[*index].scan_id));
+    let happened = happened(&rows, drive.events());
+    let asked: Vec<usize> =
+        if rows.len() <= MAX_ASKED { (0..rows.len()).collect() } else { happened.iter().copied().collect() };
+    let mut reasons = Reasons::new(file, asked.into_iter().map(|index| rows[index].scan_id));
     let mut frames_at = |indices: &mut dyn Iterator<Item = usize>| -> anyhow::Result<Vec<(usize, Value)>> {
         let frame = |index: usize| {
             let mut frame = slim(drive.frame(rows[index].time_s)?);
@@ -140,22 +146,21 @@ fn enclosed(file: &Path) -> anyhow::Result<Enclosed> {
 /// The answers of `why`.
 struct Reasons {
     /// `None` for recordings that can't be asked: several that were joined, or of a system without settings.
-    drive: Option<ReplayDrive>,
+    drive: Option<NearDrive>,
     whole: BTreeMap<u64, Why>,
 }
 
 impl Reasons {
-    /// Asks for scans at which something happened.
+    /// Asks for scans.
     fn new(file: &Path, scans: impl Iterator<Item = u64>) -> Self {
-        let drive = ReplayDrive::read_growing(file).ok();
-        let answer = |drive: &ReplayDrive, scan| Some((scan, why(drive, scan).ok()?));
-        let asked = |drive| scans.take(MAX_ASKED).filter_map(|scan| answer(drive, scan)).collect();
-        let whole = drive.as_ref().map(asked).unwrap_or_default();
+        let mut drive = NearDrive::open(file, true).ok();
+        let answer = |scan| Some((scan, why(drive.as_mut()?.near(scan).ok()?, scan).ok()?));
+        let whole = scans.take(MAX_ASKED).filter_map(answer).collect();
         Self { drive, whole }
     }
 
     /// The answer for a scan: whole, or what its samples tell.
-    fn of(&self, scan: u64) -> Value {
+    fn of(&mut self, scan: u64) -> Value {
         let json = |why: &Why, is_short| {
             let sentences: Vec<_> = why.sentences.iter().map(|told| (told.about, &told.text)).collect();
             json!({ "sentences": sentences, "is_short": is_short })
@@ -163,21 +168,29 @@ impl Reasons {
         if let Some(why) = self.whole.get(&scan) {
             return json(why, false);
         }
-        let told = self.drive.as_ref().and_then(|drive| told_by_samples(drive, scan));
+        let near = self.drive.as_mut().and_then(|drive| drive.near(scan).ok());
+        let told = near.and_then(|drive| told_by_samples(drive, scan));
         told.map_or(Value::Null, |why| json(&why, true))
     }
 }
 
-/// The times of what happened [s].
-fn drive_events(rest: &Value) -> impl Iterator<Item = f64> + '_ {
-    rest["events"].as_array().into_iter().flatten().filter_map(|event| event["time_s"].as_f64())
-}
-
-/// The rows at which something happened: an event, or wheels that were blocked or set free.
-fn happened(rows: &[Row], events_s: impl Iterator<Item = f64>) -> BTreeSet<usize> {
-    let at = |time_s: f64| rows.partition_point(|row| row.time_s < time_s).min(rows.len().saturating_sub(1));
+/// The rows at which something happened: an event, its scan, or wheels that were blocked or set free.
+fn happened(rows: &[Row], events: &[Event]) -> BTreeSet<usize> {
+    let at = |event: &Event| {
+        rows.partition_point(|row| row.time_s < event.time_s).min(rows.len().saturating_sub(1))
+    };
+    let scan = |event: &Event| {
+        let first = at(event).saturating_sub(MAX_BEFORE);
+        let found = rows[first..=at(event)].iter().position(|row| Some(row.scan_id) == event.scan_id);
+        found.map(|place| first + place)
+    };
     let changes = rows.windows(2).zip(1..).filter(|(pair, _)| pair[0].blocked != pair[1].blocked);
-    let all: BTreeSet<usize> = events_s.map(at).chain(changes.map(|(_, index)| index)).collect();
+    let all: BTreeSet<usize> = events
+        .iter()
+        .flat_map(|event| [Some(at(event)), scan(event)])
+        .flatten()
+        .chain(changes.map(|(_, index)| index))
+        .collect();
     let step = all.len().div_ceil(MAX_HAPPENED).max(1);
     all.into_iter().step_by(step).collect()
 }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use console::exit::Failure;
 use recording::running::{ASKED, kept, recordings};
-use replay::ReplayDrive;
+use replay::NearDrive;
 use runtime::{Domain, wait_for};
 use session::control::{Reply, Request, SystemStatus, ask};
 use session::orphaned::current_status;
@@ -23,7 +23,7 @@ const MAX_AHEAD: u64 = 10;
 ///
 /// # Errors
 /// A system that does not run or is not recorded, and a scan that is not driven yet or no longer kept; exit code 2.
-pub(super) fn drive(system_id: &str, scan: Option<u64>) -> anyhow::Result<ReplayDrive> {
+pub(super) fn drive(system_id: &str, scan: Option<u64>) -> anyhow::Result<NearDrive> {
     let domain = existing(system_id)?;
     let status = current_status(&domain).ok();
     let newest = status.as_ref().map_or(0, |status| status.scan);
@@ -69,7 +69,7 @@ struct Search {
     /// Length and time of what was read.
     read: HashMap<PathBuf, (u64, SystemTime)>,
     /// The drive that has the scan, else the one that reaches farthest.
-    best: Option<ReplayDrive>,
+    best: Option<NearDrive>,
 }
 
 impl Search {
@@ -82,7 +82,7 @@ impl Search {
                 continue;
             }
             // A recording holds nothing in its first second.
-            let Ok(drive) = ReplayDrive::read_growing(file) else { continue };
+            let Ok(drive) = NearDrive::open(file, true) else { continue };
             let is_better = self.best.as_ref().is_none_or(|best| self.rank(&drive) >= self.rank(best));
             if drive.run_id() == self.run_id && is_better {
                 self.best = Some(drive);
@@ -90,7 +90,7 @@ impl Search {
         }
     }
 
-    fn rank(&self, drive: &ReplayDrive) -> (bool, bool, u64) {
+    fn rank(&self, drive: &NearDrive) -> (bool, bool, u64) {
         let has = |after| self.scan.is_none_or(|scan| drive.has_scan(scan.saturating_add(after)));
         (has(0), has(0) && has(1), drive.span().map_or(0, |(_, last)| last))
     }
@@ -124,7 +124,7 @@ impl Search {
         domain: &Domain,
         status: Option<&SystemStatus>,
         is_unrecorded: bool,
-    ) -> anyhow::Result<ReplayDrive> {
+    ) -> anyhow::Result<NearDrive> {
         let name = domain.system_id();
         let blocking = status.and_then(|status| status.blocking);
         let stopped =

@@ -25,6 +25,8 @@ const page = { system: null, frame: null, rows: [], events: [], lost: null, show
 // The last step from frame to frame that bodies glide along.
 let glided = { before: null, frame: null, came_ms: 0, length_ms: 100 };
 let colour = {};
+// The shown time that was asked about, and its scan where that is known.
+let asked = { shown_s: null, scan: null };
 let isDirty = true;
 let last_ms = 0;
 const costs = [];
@@ -35,7 +37,7 @@ const show = panels(by);
 const showLoop = loop(by("loop"), by("loop-note"));
 const showLatency = latency(by("latency"), by("latency-note"));
 const controls = control(by("control"), by("control-form"), by("control-result"), by("stop"));
-const showTimeline = timeline(by("timeline"), choose, askAt);
+const showTimeline = timeline(by("timeline"), choose, askAt, askEvent);
 const reasons = why(by);
 const play = player(by, choose);
 const fetchPast = past(page, (frame) => {
@@ -67,21 +69,23 @@ function choose(time_s) {
 }
 
 /** Stays at a time, or at the shown one, and asks why the robot did what it did then. */
-function askAt(time_s) {
+function askAt(time_s, scan = null) {
   const shown_s = time_s ?? page.shown_s ?? page.frame?.row.time_s;
   if (shown_s == null) return;
   play.set(false);
   if (!reasons.isOpen) reasons.set(true);
   choose(shown_s);
+  asked = { shown_s: page.shown_s, scan };
 }
 
-/** Asks about an event: the first frame after it shows what it did. */
-function askEvent(item) {
-  if (!item) return;
-  const time_s = Number(item.dataset.time);
-  const rows = page.rows.at(0)?.time_s <= time_s ? page.rows : page.overview ?? page.rows;
-  askAt(rows.find((row) => row.time_s >= time_s)?.time_s ?? time_s);
+/** Asks about an event: about the scan that it knows, else about the frame after it, which shows what it did. */
+function askEvent(event) {
+  if (!event) return;
+  const rows = page.rows.at(0)?.time_s <= event.time_s ? page.rows : page.overview ?? page.rows;
+  askAt(rows.find((row) => row.time_s >= event.time_s)?.time_s ?? event.time_s, event.scan_id);
 }
+
+const eventOf = (item) => page.events.find((event) => event.number === Number(item?.dataset.number));
 
 // Scans count up within a run: one with a later, lower one is of an earlier run, which is over.
 function followReasons() {
@@ -89,7 +93,7 @@ function followReasons() {
   const { time_s, scan_id } = page.past.row;
   const isOver = !page.overview && page.rows.some((row) => row.time_s > time_s && row.scan_id < scan_id);
   if (isOver) reasons.refuse("This scan is of a run that is over: ask its recording, scanloop why FILE SCAN.");
-  else reasons.follow(scan_id);
+  else reasons.follow((asked.shown_s === page.shown_s ? asked.scan : null) ?? scan_id);
 }
 
 function take(rows, events) {
@@ -267,8 +271,8 @@ by("charts").addEventListener("click", (event) => {
   const time_s = timeAt(by("charts"), event.offsetX);
   if (time_s != null) askAt(time_s);
 });
-by("events").addEventListener("click", (event) => askEvent(event.target.closest("li")));
-by("events").addEventListener("keydown", (event) => { if (event.key === "Enter") askEvent(event.target.closest("li")); });
+by("events").addEventListener("click", (event) => askEvent(eventOf(event.target.closest("li"))));
+by("events").addEventListener("keydown", (event) => { if (event.key === "Enter") askEvent(eventOf(event.target.closest("li"))); });
 
 function fit() {
   const place = extent(shown.course, trailOf(shown.frame, page.overview ?? page.rows, Infinity), body);

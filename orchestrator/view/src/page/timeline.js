@@ -12,8 +12,8 @@ const PAUSE_MS = 400;
 const MAX_CLICK_PX = 6;
 const STEPS_S = [1, 2, 5, 10, 30, 60, 120, 300, 600, 1800, 3600, 7200, 21600];
 
-/** The axis; calls `choose` with a time [s], and `ask` with that of an event or of blocked wheels that was clicked. */
-export function timeline(canvas, choose, ask) {
+/** The axis; calls `choose` with a time [s], `ask` with one of blocked wheels and `askEvent` with an event that was clicked. */
+export function timeline(canvas, choose, ask, askEvent) {
   let range = null;
   let shown = null;
   let pressed = null;
@@ -35,9 +35,9 @@ export function timeline(canvas, choose, ask) {
     const time_s = timeAt(event);
     const near_s = MAX_CLICK_PX * (range.to_s - range.from_s) / canvas.clientWidth;
     const distance = (one) => Math.abs(one.time_s - time_s);
-    const event_s = shown.events.filter((one) => one.kind !== "info" && distance(one) < near_s).sort((one, other) => distance(one) - distance(other))[0]?.time_s;
-    // What an event did is seen in the row after it.
-    if (event_s != null) return ask(shown.rows.find((row) => row.time_s >= event_s)?.time_s ?? event_s);
+    const near = shown.events.filter((one) => one.kind !== "info" && distance(one) < near_s);
+    const nearest = near.sort((one, other) => distance(one) - distance(other))[0];
+    if (nearest) return askEvent(nearest);
     if (shown.rows.findLast((row) => row.time_s <= time_s)?.blocked === 1) ask(time_s);
   });
   canvas.addEventListener("pointermove", (event) => {
