@@ -2,7 +2,7 @@
 
 mod running;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use console::answer;
@@ -15,9 +15,12 @@ use crate::print_json;
 /// Arguments of `why`.
 #[derive(Debug, Args)]
 pub struct WhyArguments {
-    /// The recording, and the scan. A number alone is a scan of the running system, and nothing is all that it has driven.
-    #[arg(value_name = "[FILE] SCAN", num_args = 0..=2, required_unless_present_any = ["stops", "slow", "late"])]
-    pub of: Vec<String>,
+    /// The recording; without it the running system. A file whose name is a number is `./57`.
+    #[arg(value_name = "FILE", required_unless_present_any = ["stops", "slow", "late"], allow_negative_numbers = true)]
+    pub file: Option<PathBuf>,
+    /// The scan.
+    #[arg(value_name = "SCAN", allow_negative_numbers = true)]
+    pub scan: Option<String>,
     /// List the stops instead: the first scan of each, how many scans it lasted, and the reason.
     #[arg(long, group = "overview")]
     pub stops: bool,
@@ -37,16 +40,16 @@ pub struct WhyArguments {
 /// # Errors
 /// A file or a scan that is not there, and a system that is not recorded; exit code 2.
 pub(crate) fn why(system_id: &str, arguments: &WhyArguments) -> anyhow::Result<Exit> {
-    let WhyArguments { of, stops, slow, late, json } = arguments;
-    let (file, scan) = asked(of, *stops || *slow || *late)?;
+    let WhyArguments { file, scan, stops, slow, late, json } = arguments;
+    let (file, scan) = asked(file.as_deref(), scan.as_deref(), *stops || *slow || *late)?;
     let Some(scan) = scan else {
-        let drive = match &file {
+        let drive = match file {
             Some(file) => ReplayDrive::read_one(file)?,
             None => ReplayDrive::read_growing(running::drive(system_id, None)?.path())?,
         };
         return overview(arguments, &drive);
     };
-    let mut drive = match &file {
+    let mut drive = match file {
         Some(file) => NearDrive::open(file, false)?,
         None => running::drive(system_id, Some(scan))?,
     };
@@ -56,30 +59,34 @@ pub(crate) fn why(system_id: &str, arguments: &WhyArguments) -> anyhow::Result<E
     Ok(Exit::Done)
 }
 
-/// The recording, else the running system is meant, and the scan. What has only digits is a scan; a file of such a name is
-/// `./57`.
-fn asked(of: &[String], is_overview: bool) -> anyhow::Result<(Option<PathBuf>, Option<u64>)> {
-    let refuse = |reason: &str| Err(Failure::bad_input(reason));
-    let scan = |text: &str| {
+/// The recording, else the running system is meant, and the scan. A number alone is a scan.
+fn asked<'a>(
+    file: Option<&'a Path>,
+    scan: Option<&str>,
+    is_overview: bool,
+) -> anyhow::Result<(Option<&'a Path>, Option<u64>)> {
+    let number = |text: &str| {
         let refused = || format!("SCAN {text:?} is not allowed: a whole number from 1 to {}", u64::MAX);
         text.parse().ok().filter(|scan| *scan > 0).ok_or_else(|| Failure::bad_input(refused()))
     };
-    let is_number = |text: &str| {
+    let is_number = |text: &&str| {
         let digits = text.strip_prefix(['-', '+']).unwrap_or(text);
         !digits.is_empty() && digits.chars().all(|letter| letter.is_ascii_digit())
     };
-    Ok(match (of, is_overview) {
-        ([], true) => (None, None),
-        ([file], true) if !is_number(file) => (Some(file.into()), None),
-        (_, true) => {
-            return refuse("--stops, --slow and --late take a recording, or the running system, and no scan");
+    let alone = file.and_then(Path::to_str).filter(is_number);
+    Ok(match (is_overview, alone, scan) {
+        (true, None, None) => (file, None),
+        (true, ..) => {
+            let reason = "--stops, --slow and --late take a recording, or the running system, and no scan";
+            return Err(Failure::bad_input(reason));
         }
-        ([one], false) if is_number(one) => (None, Some(scan(one)?)),
-        ([file, one], false) => (Some(file.into()), Some(scan(one)?)),
-        ([file], false) => {
-            return refuse(&format!("{file}: the scan is missing, or one of --stops, --slow and --late"));
+        (false, Some(scan), None) => (None, Some(number(scan)?)),
+        (false, _, Some(scan)) => (file, Some(number(scan)?)),
+        (false, None, None) => {
+            let file = file.unwrap_or(Path::new("FILE")).display();
+            let reason = format!("{file}: the scan is missing, or one of --stops, --slow and --late");
+            return Err(Failure::bad_input(reason));
         }
-        _ => return refuse("the scan is missing, or one of --stops, --slow and --late"),
     })
 }
 

@@ -133,6 +133,7 @@ const RULES: &[(&str, How)] = &[
     ("scanloop replay drive.mcap --set", Alone("", &[0, 1])),
     ("scanloop replay drive.mcap", Alone("", DONE)),
     ("scanloop why drive.mcap", Alone("", DONE)),
+    ("scanloop why 57", Read(REAL_TIME)),
     ("scanloop fork drive.mcap", Alone("", &[0, 1])),
     // Which watch and change a running system.
     ("scanloop status", Beside("")),

@@ -32,7 +32,9 @@ fn a_stop_is_explained_at_the_scan_that_decided_it() {
         for alternative in at["alternatives"].as_array().expect("alternatives") {
             assert_eq!(alternative["drives"], true, "{at}");
         }
-        for (scan, reason) in [("999", "it has the scans 1 to"), ("x", "invalid value")] {
+        for (scan, reason) in
+            [("999", "it has the scans 1 to"), ("x", "is not allowed: a whole number from 1")]
+        {
             let output = system.run(&["why", text(&file), scan]);
             assert_eq!(output.status.code(), Some(2));
             assert!(printed(&output).contains(reason), "{}", printed(&output));
