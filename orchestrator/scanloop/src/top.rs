@@ -36,8 +36,6 @@ use terminal::Screen;
 const PICTURE: Duration = Duration::from_millis(100);
 /// Bytes of keys that are taken at once.
 const KEY_BYTES: usize = 1024;
-/// Added to the priority of a question: it is asked beside a drive.
-const WHY_NICE: i32 = 10;
 
 /// Arguments of `top`.
 #[derive(Debug, Args)]
@@ -174,7 +172,7 @@ impl Told {
 /// Starts a command of this program; what it prints becomes notes.
 fn request(model: &mut Model, notes: &Sender<Told>, arguments: &[&str]) {
     model.note(format!("{} ...", arguments.join(" ")));
-    start(model, notes, arguments, 0, |lines| lines.into_iter().map(Told::Note).collect());
+    start(model, notes, arguments, |lines| lines.into_iter().map(Told::Note).collect());
 }
 
 /// Asks about the next scan that is worth it, or closes the answer.
@@ -184,16 +182,15 @@ fn ask_why(model: &mut Model, notes: &Sender<Told>) {
     model.reasons = scan.map(|scan| Reasons { scan, lines: Vec::new() });
     if let Some(scan) = scan {
         let told = move |lines| vec![Told::Reasons(Reasons { scan, lines })];
-        start(model, notes, &["why", &scan.to_string()], WHY_NICE, told);
+        start(model, notes, &["why", &scan.to_string()], told);
     }
 }
 
-/// Starts a command of this program with a priority that is lower by `nice`.
+/// Starts a command of this program; `told` is made of the lines that it prints.
 fn start(
     model: &mut Model,
     notes: &Sender<Told>,
     arguments: &[&str],
-    nice: i32,
     told: impl FnOnce(Vec<String>) -> Vec<Told> + Send + 'static,
 ) {
     let mut command = Command::new(this_program());
@@ -201,8 +198,6 @@ fn start(
     command.stdin(Stdio::null());
     let notes = notes.clone();
     let started = std::thread::Builder::new().name("request".to_owned()).spawn(move || {
-        // The process inherits it from this thread.
-        let _ = rustix::process::nice(nice);
         let text = match command.output() {
             Ok(output) => {
                 [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).into_owned())

@@ -12,6 +12,9 @@ use replay::{NearDrive, ReplayDrive};
 
 use crate::print_json;
 
+/// Added to the priority: a drive may run beside the question, and comes first.
+const NICE: i32 = 10;
+
 /// Arguments of `why`.
 #[derive(Debug, Args)]
 pub struct WhyArguments {
@@ -41,6 +44,7 @@ pub struct WhyArguments {
 /// A file or a scan that is not there, and a system that is not recorded; exit code 2.
 pub(crate) fn why(system_id: &str, arguments: &WhyArguments) -> anyhow::Result<Exit> {
     let WhyArguments { file, scan, stops, slow, late, json } = arguments;
+    let _ = rustix::process::nice(NICE);
     let (file, scan) = asked(file.as_deref(), scan.as_deref(), *stops || *slow || *late)?;
     let Some(scan) = scan else {
         let drive = match file {

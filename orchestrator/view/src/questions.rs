@@ -1,5 +1,5 @@
 //! Questions of the page: why the robot did what it did in a scan. The answer is that of `scanloop why`, a process of its own
-//! after all processes of the loop in priority, and one at a time: a page costs a drive no more than one such command.
+//! with a low priority, and one at a time: a page costs a drive no more than one such command.
 
 use std::ffi::OsString;
 use std::io::Read;
@@ -13,8 +13,6 @@ use supervision::child::this_program;
 
 use crate::http::{Response, Status};
 
-/// Added to the priority, as of a recorder.
-const NICE: i32 = 10;
 /// An answer takes no longer.
 const LIMIT: Duration = Duration::from_secs(20);
 /// Time between two looks whether it is there [ns].
@@ -54,8 +52,6 @@ impl Questions {
     }
 
     fn ask(&self, scan: u64) -> std::io::Result<Response> {
-        // The thread of this connection answers one request: the process that it starts inherits what it lowers.
-        let _ = rustix::process::nice(NICE);
         let mut command = Command::new(this_program());
         command.args(&self.command).arg(scan.to_string());
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());

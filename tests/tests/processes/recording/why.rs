@@ -44,6 +44,27 @@ fn a_stop_is_explained_at_the_scan_that_decided_it() {
 }
 
 #[test]
+fn a_stop_that_was_decided_long_before_is_known_from_its_first_scan() {
+    repeat_when_late(|| {
+        // Of a recording only some seconds around a scan are read, unless its stop began before them.
+        let closed = ["corridor", "--set", "obstacle.0.width_m=3.5", "--set", "stop_final_s=45"];
+        let (system, file) = recorded(&closed);
+        let ask =
+            |arguments: &[&str]| json(&system.run(&[&["why", text(&file), "--json"], arguments].concat()));
+        let stops = ask(&["--stops"]);
+        let first = stops[0]["scan"].as_u64().expect("a stop");
+        assert_eq!(stops[0]["lasted_scans"].as_u64().map(|scans| scans > 440), Some(true), "{stops}");
+        let [at, later] = [first, first + 430].map(|scan| ask(&[&scan.to_string()]));
+        assert_eq!(
+            (&later["decided_at"], &later["alternatives"]),
+            (&first.into(), &at["alternatives"]),
+            "{later}"
+        );
+        system.assert_nothing_left();
+    });
+}
+
+#[test]
 fn a_fork_with_the_value_that_would_have_changed_a_decision_decides_otherwise() {
     repeat_when_late(|| {
         let (system, file) = recorded(&SHORT_CORRIDOR);
