@@ -12,7 +12,7 @@ use replay::{NearDrive, ReplayDrive};
 
 use crate::print_json;
 
-/// Added to the priority: a drive may run beside the question, and comes first.
+/// Added to the priority: the drive comes before the question.
 const NICE: i32 = 10;
 
 /// Arguments of `why`.
