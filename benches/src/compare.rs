@@ -1,17 +1,17 @@
 //! `scanloop-lab compare`: whether B is slower than A, with a confidence interval and the smallest visible
-//! difference; of recordings, where drives part and how they differ, see `drives`.
+//! difference; of recordings, where drives part and how they differ, see `report::compare`.
 //!
 //! Two files were made one after the other, so their difference includes what changed on the machine in between.
 //! Two commands are run in turns, which is the way to compare two builds. For the confidence of both see
 //! `figures::difference`.
 
-mod drives;
 mod files;
 mod turns;
 mod verdict;
 
 use std::path::PathBuf;
 
+use ::report::compare as drives;
 use clap::Args;
 use console::answer;
 use console::exit::{Exit, Failure};

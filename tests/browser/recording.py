@@ -88,6 +88,18 @@ def main():
             hides = browser.value("document.getElementById('events').scrollTop > 0")
             assert hides or key == "Home", "a short list is no test"
 
+        # The last event, the landing, tells why; the answer follows the shown time, and a key closes it.
+        press(browser, "End", "End", 35)
+        browser.wait(f"{TIME} > {END} - 1")
+        browser.value("Array.from(document.querySelectorAll('#events li')).find((item) => item.textContent.includes('landed')).click()")
+        browser.wait("/^wheels\\n+blocked: landed/m.test(document.getElementById('why-answer').innerText)")
+        about = browser.value("document.getElementById('why-title').textContent")
+        press(browser, "Home", "Home", 36)
+        browser.wait(f"document.getElementById('why-title').textContent === 'Why, scan ' + {SCAN}")
+        assert about != browser.value("document.getElementById('why-title').textContent"), about
+        press(browser, "w", "KeyW", 87)
+        browser.wait("document.getElementById('why').hidden")
+
         # Sixteen times as fast, to the end, and from the start again.
         browser.value("(() => { document.getElementById('speed').value = '16'; document.getElementById('play').click(); })()")
         browser.wait(f"!({IS_PLAYING}) && {TIME} > {END} - 1")

@@ -44,7 +44,10 @@ pub fn write(
 }
 
 /// The settings file of a role as a table.
-pub(crate) fn of(
+///
+/// # Errors
+/// Settings that are not allowed.
+pub fn of(
     role: Role,
     run: &RunSettings,
     realtime: &Realtime,

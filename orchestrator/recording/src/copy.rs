@@ -36,7 +36,7 @@ pub fn repair(from: &Path, to: &Path, force: bool) -> anyhow::Result<Copied> {
         let (schemas, channels) = definitions();
         reader.assume(&schemas, &channels);
     }
-    let (copied, files) = write(reader, from, to, force, 0..=u64::MAX)?;
+    let (copied, files) = write(reader, from, to, force, 0..=u64::MAX, false)?;
     finish_all(files)?;
     Ok(copied)
 }
@@ -46,12 +46,13 @@ pub fn repair(from: &Path, to: &Path, force: bool) -> anyhow::Result<Copied> {
 /// # Errors
 /// A file that can't be read, one without a message in that time, and a new file that can't be written; exit code 2.
 pub fn copy(from: &Path, to: &Path, force: bool, times: RangeInclusive<u64>) -> anyhow::Result<Copied> {
-    let (copied, files) = prepare(from, to, force, times)?;
+    let (copied, files) = prepare(from, to, force, times, false)?;
     finish_all(files)?;
     Ok(copied)
 }
 
-/// The same, but the new files have no names yet: other files may belong to them.
+/// The same, but the new files have no names yet: other files may belong to them. With `adds_ros2`, scans and odometry are also
+/// in them as messages of ROS 2.
 ///
 /// # Errors
 /// As [`copy`].
@@ -60,10 +61,11 @@ pub(crate) fn prepare(
     to: &Path,
     force: bool,
     times: RangeInclusive<u64>,
+    adds_ros2: bool,
 ) -> anyhow::Result<(Copied, Vec<NewFile>)> {
     // What is damaged is found before anything is written.
     read(open(from)?, from)?;
-    write(open(from)?, from, to, force, times)
+    write(open(from)?, from, to, force, times, adds_ros2)
 }
 
 /// Passes when all of a file can be read; its memory is free afterwards.
@@ -87,6 +89,7 @@ fn write(
     to: &Path,
     force: bool,
     times: RangeInclusive<u64>,
+    adds_ros2: bool,
 ) -> anyhow::Result<(Copied, Vec<NewFile>)> {
     let (mut copied, mut files) = (Copied::default(), Vec::new());
     let mut copy: Option<NewRecording> = None;
@@ -116,11 +119,10 @@ fn write(
             let path = numbered(to, copied.files.len() + 1);
             let output = NewFile::create(&path, Existing::forced(force), &[from])?;
             copied.files.push(path);
-            copy = Some(NewRecording::begin(output, reader.files(), file)?);
+            copy = Some(NewRecording::begin(output, reader.files(), file, adds_ros2)?);
         }
         if let Some(copy) = &mut copy {
-            copy.message(reader.contents(), file, channel, sequence, times_ns, &data)?;
-            copied.messages += 1;
+            copied.messages += copy.message(reader.contents(), file, channel, sequence, times_ns, &data)?;
         }
     }
     copied.gaps = reader.gaps().iter().map(|gap| axis.missing(*gap)).collect();

@@ -133,7 +133,8 @@ impl Tables<'_> {
     }
 }
 
-/// Exports the recording as a bag of ROS 2: a folder with the file and its `metadata.yaml`.
+/// Exports the recording as a bag of ROS 2: a folder with the file and its `metadata.yaml`. Scans and odometry are also in it
+/// as `/scan` and `/odom`, in the types of ROS 2.
 ///
 /// # Errors
 /// As [`csv`].
@@ -141,7 +142,7 @@ pub fn rosbag2(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
     make(folder)?;
     let path = folder.join("metadata.yaml");
     let mut description = NewFile::create(&path, Existing::forced(force), &[from])?;
-    let (copied, mut new_files) = prepare(from, &folder.join("recording.mcap"), force, 0..=u64::MAX)?;
+    let (copied, mut new_files) = prepare(from, &folder.join("recording.mcap"), force, 0..=u64::MAX, true)?;
     let (mut topics, mut files) = (BTreeMap::<String, (String, u64)>::new(), String::new());
     let (mut names, mut span_ns) = (String::new(), [u64::MAX, 0]);
     for (path, Summary { times_ns, messages, topics: found }) in copied.files.iter().zip(copied.summaries) {

@@ -4,11 +4,9 @@
 //! rounded to 1/128 m, less than the scanner's noise, and the path to 1/1024 m, because such numbers end with zeros and
 //! compress well.
 
-mod cdr;
-
 use shared_types::{Command, CommandKind, Obstacles, Pose, Scan};
 
-use self::cdr::Cdr;
+use crate::cdr::{self, Cdr};
 use crate::mcap::Schema;
 use crate::schema::{ROS2MSG, SEPARATOR};
 

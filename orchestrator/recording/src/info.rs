@@ -27,6 +27,8 @@ pub struct Info {
     pub lockstep: bool,
     /// The random id of the run.
     pub run_id: String,
+    /// The file of another program that it was made of; empty for a drive of this one.
+    pub imported: String,
     /// The program that recorded it.
     pub program: String,
     /// The machine.
@@ -90,6 +92,7 @@ impl Info {
             files: files.len() as u64,
             lockstep: of("recording", "lockstep") == "true",
             run_id: of("recording", "run_id"),
+            imported: of("recording", "imported"),
             program: of("recording", "program"),
             machine: of("recording", "machine"),
             lost: files.iter().try_fold(0_u64, |sum, contents| Some(sum.saturating_add(lost(contents)?))),
@@ -125,6 +128,9 @@ impl std::fmt::Display for Info {
         let [run_id, program, machine] =
             [&self.run_id, &self.program, &self.machine].map(|word| one_line(word));
         match self.run_id.is_empty() {
+            _ if !self.imported.is_empty() => {
+                writeln!(formatter, "imported from {} by {program}", one_line(&self.imported))?
+            }
             false => writeln!(formatter, "run {run_id} of {program} on {machine}")?,
             true => writeln!(formatter, "no recording of a drive")?,
         }

@@ -19,7 +19,7 @@ use crate::tape::PREFIX;
 /// Name of the attached table of layouts.
 pub(crate) const LAYOUTS: &str = runtime::LAYOUTS_FILE;
 /// Name of the metadata about program, machine and run.
-pub(crate) const RECORDING: &str = "recording";
+pub const RECORDING: &str = "recording";
 /// What recordings of this program hold, and how; it changes when older programs could not read them.
 pub(crate) const VERSION: &str = "1";
 /// Name of the attached run: scenario, system and options.
@@ -54,6 +54,8 @@ pub struct Recording {
     /// Lines of logs that were read, and their memory [bytes].
     lines: Vec<LogLine>,
     line_bytes: usize,
+    /// It is still written.
+    is_growing: bool,
 }
 
 /// A sample as it was recorded.
@@ -94,7 +96,14 @@ impl Recording {
             drawn: BTreeSet::new(),
             lines: Vec::new(),
             line_bytes: 0,
+            is_growing: false,
         })
+    }
+
+    /// The same of a file that is still written: that it has no end yet is no news.
+    #[must_use]
+    pub fn growing(self) -> Self {
+        Self { is_growing: true, ..self }
     }
 
     /// Its path.
@@ -137,7 +146,7 @@ impl Recording {
             each(self.reader.contents(), RecordedSample { topic, log_ns, file, chunk_at, bytes })?;
         }
         self.require_a_second()?;
-        if !self.files().iter().all(|contents| contents.is_complete) {
+        if !self.is_growing && !self.files().iter().all(|contents| contents.is_complete) {
             let path = self.path.display();
             let text =
                 format!("warning: {path}: the recording was cut off; read up to its last whole second");
@@ -338,8 +347,8 @@ fn other_topics(path: &Path, contents: &Contents) -> anyhow::Result<BTreeSet<Str
     Ok(found.into_iter().map(|found| found.topic).collect())
 }
 
-/// The error about a file that can't be read.
-pub(crate) fn refusal(path: &Path, error: &ReadError) -> anyhow::Error {
+/// The error about a file that can't be read; exit code 2.
+pub fn refusal(path: &Path, error: &ReadError) -> anyhow::Error {
     let advice = match error {
         ReadError::Damaged { .. } => {
             format!("; `scanloop recording repair {}` keeps what is readable", path.display())

@@ -32,6 +32,7 @@ use self::opening::Opening;
 use self::orchestrator::{Orchestrator, Order};
 use self::queue::{Queue, Sink};
 use self::ring::Ring;
+use crate::running;
 
 /// Time between two checks whether the system still runs, and between two looks at the logs [ns].
 const CHECK_NS: u64 = 200_000_000;
@@ -99,6 +100,11 @@ pub fn record(domain: &Domain, options: &RecorderOptions, shutdown: &Shutdown) -
     own.iter().for_each(OwnObserver::connect);
     // It is read while it grows, so it has its name from the start; without a bus there is none.
     let file = file.map(NewFile::publish).transpose()?;
+    if file.is_some()
+        && let Err(error) = running::note(domain, &options.file)
+    {
+        print(Priority::Warning, &format!("`why` does not find this recording: {error}"));
+    }
     let mut logs = Logs::new(&opening.out.join("logs"), options.of_run);
     let (lockstep, period_ns) = (opening.lockstep, opening.period_ns);
     let known_settings = opening.settings_at_start();
@@ -182,6 +188,7 @@ pub fn record(domain: &Domain, options: &RecorderOptions, shutdown: &Shutdown) -
                     }
                     Order::End(scan_id) => (last_scan, ends) = (scan_id, true),
                     Order::Incident => queue.incident(newest),
+                    Order::Keep => queue.keep(),
                     Order::Note(text) => queue.log("orchestrator", &text),
                 }
             }

@@ -3,6 +3,7 @@
 mod clocks;
 mod keys;
 mod lane;
+mod near;
 #[cfg(test)]
 pub(crate) mod tests;
 
@@ -10,9 +11,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use console::exit::Failure;
-use recording::Recording;
 use recording::mcap::Contents;
 use recording::read::{attachment, metadata, settings_of};
+use recording::{LogLine, Recording};
 use runtime::{monotonic_ns, settings_file, wait_for};
 
 use shared_types::{
@@ -25,6 +26,7 @@ use toml::Table;
 pub(crate) use self::clocks::{Clocks, moved};
 pub(crate) use self::keys::DriveSettings;
 pub(crate) use self::lane::Lane;
+pub use self::near::NearDrive;
 use crate::NotReplayed;
 
 /// A recorded drive.
@@ -46,6 +48,10 @@ pub struct ReplayDrive {
     journals: BTreeMap<u32, BTreeMap<u64, Journal>>,
     /// Samples that an injected fault has changed: topic, incarnation, sequence number.
     injected: BTreeSet<(u16, u32, u64)>,
+    /// Whether an injected fault alters the robot, from scans on.
+    altered: BTreeMap<u64, bool>,
+    /// What orchestrator and processes have logged.
+    pub(crate) lines: Vec<LogLine>,
     /// Changes of authority per role in their order, and when each was announced [ns].
     authority: [Vec<(u64, Authority)>; ROLES],
     pub(crate) simulated: bool,
@@ -71,14 +77,20 @@ impl ReplayDrive {
     /// # Errors
     /// A file that can't be read, samples of another layout, or more of them than memory is given to; exit code 2.
     pub fn read(path: &Path) -> anyhow::Result<Vec<Self>> {
+        Self::read_opened(path, Recording::open(path)?)
+    }
+
+    fn read_opened(path: &Path, mut recording: Recording) -> anyhow::Result<Vec<Self>> {
         let refuse = |reason: String| Failure::bad_input(format!("{}: {reason}", path.display()));
-        let mut recording = Recording::open(path)?;
         let mut drives: Vec<Self> =
             recording.files().iter().map(|_| Self { path: path.to_owned(), ..Self::default() }).collect();
         recording.samples(|_, sample| {
             drives[sample.file].add(sample.topic, sample.log_ns, sample.bytes);
             Ok(())
         })?;
+        if let [drive] = &mut drives[..] {
+            drive.lines = recording.take_lines();
+        }
         for (drive, contents) in drives.iter_mut().zip(recording.files()) {
             drive.note_contents(contents, &refuse)?;
         }
@@ -90,14 +102,28 @@ impl ReplayDrive {
     /// # Errors
     /// As [`Self::read`], and several drives that were joined.
     pub fn read_one(path: &Path) -> anyhow::Result<Self> {
-        let mut drives = Self::read(path)?.into_iter();
+        Self::only_one(path, Self::read(path)?)
+    }
+
+    /// Reads the recording of one drive as far as it is written, without a warning that its end is missing.
+    ///
+    /// # Errors
+    /// As [`Self::read_one`].
+    pub fn read_growing(path: &Path) -> anyhow::Result<Self> {
+        Self::only_one(path, Self::read_opened(path, Recording::open(path)?.growing())?)
+    }
+
+    fn only_one(path: &Path, drives: Vec<Self>) -> anyhow::Result<Self> {
+        let mut drives = drives.into_iter();
         match (drives.next(), drives.next()) {
             (Some(drive), None) => Ok(drive),
-            _ => {
-                let reason = "several drives were joined in it; `scanloop recording cut` takes one out";
-                Err(Failure::bad_input(format!("{}: {reason}", path.display())))
-            }
+            _ => Err(Self::joined(path)),
         }
+    }
+
+    fn joined(path: &Path) -> anyhow::Error {
+        let reason = "several drives were joined in it; `scanloop recording cut` takes one out";
+        Failure::bad_input(format!("{}: {reason}", path.display()))
     }
 
     /// Takes in what stands beside the samples.
@@ -224,6 +250,11 @@ impl ReplayDrive {
         found.iter().find(counts).or(found.first()).copied()
     }
 
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Whether a sample of a role counts for its scan.
     pub(crate) fn counts(&self, role: Role, header: &Header) -> bool {
         let (changes, time_ns) = (&self.authority[role.index()], header.stage(role).published_ns);
@@ -251,6 +282,19 @@ impl ReplayDrive {
     /// Whether an injected fault has changed a sample.
     pub(crate) fn is_injected(&self, topic: Topic, header: &Header) -> bool {
         self.injected.contains(&(topic as u16, header.incarnation, header.sequence))
+    }
+
+    /// The scan since which an injected fault alters the robot, if one does in this scan.
+    pub(crate) fn altered_since(&self, scan_id: u64) -> Option<u64> {
+        let (since, _) = self.altered.range(..=scan_id).next_back().filter(|(_, is_altered)| **is_altered)?;
+        Some(*since)
+    }
+
+    /// Whether authority over a role ever passed from one process to another while both computed.
+    pub(crate) fn was_handed_over(&self, role: Role, from: u32, to: u32) -> bool {
+        self.authority[role.index()]
+            .iter()
+            .any(|(_, change)| (change.previous, change.incarnation) == (from, to))
     }
 
     /// The journals of all processes.
@@ -318,6 +362,9 @@ impl ReplayDrive {
                 let is_change = |entry: &&JournalEntry| entry.kind == JournalKind::Injected.wire() as u16;
                 let changed = journal.used().iter().filter(is_change);
                 self.injected.extend(changed.map(|entry| (entry.topic, entry.incarnation, entry.value)));
+                let is_altered = |entry: &&JournalEntry| entry.kind == JournalKind::Altered.wire() as u16;
+                let altered = journal.used().iter().filter(is_altered);
+                self.altered.extend(altered.map(|entry| (journal.header.scan_id, entry.value == 1)));
                 self.journals.entry(incarnation).or_default().insert(sequence, *journal);
             }
             Topic::Clock => self.clocks.add(bytemuck::from_bytes::<ClockOffset>(bytes)),

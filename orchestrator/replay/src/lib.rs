@@ -22,7 +22,7 @@ use serde::Serialize;
 use shared_types::{ROLES, Role};
 
 use crate::compare::FieldDifference;
-pub use crate::drive::ReplayDrive;
+pub use crate::drive::{NearDrive, ReplayDrive};
 use crate::stage::Findings;
 
 /// This many differences are kept; all are counted.

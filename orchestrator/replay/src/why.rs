@@ -5,22 +5,24 @@
 
 mod decision;
 mod overview;
+mod processes;
+mod stopped;
 
+use emulator::Referee;
 use nmpc::{ControllerStage, ShapedBy};
 use serde::Serialize;
 use shared_types::{
-    Actuation, Alarm, BlockReason, Command, CommandKind, Level, Obstacles, Pose, ROLES, Role, Sample, Scan,
-    ScannerState, SolveStatus, StopReason, Suspect,
+    Actuation, Alarm, BlockReason, Command, CommandKind, Level, Obstacles, Pose, Role, Scan, ScannerState,
+    SolveStatus, StopReason, Suspect,
 };
 
 use self::decision::{Decision, changes};
+use self::overview::timing;
 pub use self::overview::{Row, late, slow, stops};
+use self::processes::{logged, process};
 use crate::ReplayDrive;
-use crate::drive::Lane;
 use crate::stage::lead;
 
-/// A process counts as new for so many scans.
-const NEW_SCANS: u64 = 10;
 /// Components of the state as a reader knows them.
 const COMPONENTS: [&str; 5] = ["sideslip", "yaw", "yaw rate", "x", "y"];
 
@@ -87,11 +89,34 @@ impl<'d> Seen<'d> {
 /// # Errors
 /// A scan that the recording does not have; exit code 2.
 pub fn why(drive: &ReplayDrive, scan_id: u64) -> anyhow::Result<Why> {
-    let Some(seen) = Seen::of(drive, scan_id) else {
-        let scans: Vec<u64> = drive.scans.scans().collect();
-        let (first, last) = (scans.first().unwrap_or(&0), scans.last().unwrap_or(&0));
-        return Err(drive.refuse(&format!("scan {scan_id} is not in it: it has the scans {first} to {last}")));
+    let shape = |seen: &Seen<'_>| match shaped_by(drive, seen) {
+        Ok(text) => text,
+        Err(reason) => Some(format!("not known: {reason}")),
     };
+    let Some(mut why) = sentences(drive, scan_id, shape) else {
+        return Err(drive.refuse(&format!("scan {scan_id} has no sample that counts")));
+    };
+    match Decision::of(drive, why.decided_at) {
+        Ok(decision) => why.alternatives = changes(&decision),
+        Err(reason) => why.add("otherwise", Some(format!("not known: {reason:#}"))),
+    }
+    let texts: Vec<String> = why.alternatives.iter().map(Alternative::text).collect();
+    texts.into_iter().for_each(|text| why.add("otherwise", Some(text)));
+    Ok(why)
+}
+
+/// What the samples of a scan tell without the controller: not what shaped the plan, and not what would have changed the
+/// decision. `None` for a scan that the recording does not have.
+pub fn told_by_samples(drive: &ReplayDrive, scan_id: u64) -> Option<Why> {
+    sentences(drive, scan_id, |_| None)
+}
+
+fn sentences(
+    drive: &ReplayDrive,
+    scan_id: u64,
+    shape: impl FnOnce(&Seen<'_>) -> Option<String>,
+) -> Option<Why> {
+    let seen = Seen::of(drive, scan_id)?;
     let decided_at = decided_at(drive, scan_id);
     let mut why = Why {
         scan: scan_id,
@@ -102,30 +127,41 @@ pub fn why(drive: &ReplayDrive, scan_id: u64) -> anyhow::Result<Why> {
         alternatives: Vec::new(),
     };
     why.add("wheels", wheels(drive, &seen));
+    why.add("outcome", outcome(drive, scan_id));
     why.add("rests on", rests_on(drive, &seen));
+    why.add("time", timing(drive, &seen));
     if let Some(command) = seen.command {
         why.add("decision", decision(command));
         why.add("stop", stop(command, seen.obstacles, decided_at, scan_id));
+    }
+    why.add("limit", stopped::limit(drive, &seen, decided_at));
+    if let Some(command) = seen.command {
         why.add("speed", speed(command));
         why.add("margin", margin(command));
-        why.add("sides", sides(command).filter(|_| why.drives));
+        why.add("sides", sides(drive, command).filter(|_| why.drives));
     }
-    match shaped_by(drive, &seen) {
-        Ok(text) => why.add("shaped by", text),
-        Err(reason) => why.add("shaped by", Some(format!("not known: {reason}"))),
-    }
+    why.add("shaped by", shape(&seen));
     why.add("estimate", seen.pose.and_then(estimate));
     why.add("scanner", seen.obstacles.and_then(scanner));
     for role in Role::ALL {
         why.add("processes", process(drive, *role, scan_id));
     }
-    match Decision::of(drive, decided_at) {
-        Ok(decision) => why.alternatives = changes(&decision),
-        Err(reason) => why.add("otherwise", Some(format!("not known: {reason:#}"))),
+    for line in logged(drive, &seen) {
+        why.add("log", Some(line));
     }
-    let texts: Vec<String> = why.alternatives.iter().map(Alternative::text).collect();
-    texts.into_iter().for_each(|text| why.add("otherwise", Some(text)));
-    Ok(why)
+    Some(why)
+}
+
+/// One screen.
+impl std::fmt::Display for Why {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        writeln!(formatter, "scan {}", self.scan)?;
+        let mut before = "";
+        self.sentences.iter().try_for_each(|Sentence { about, text }| {
+            let shown = if std::mem::replace(&mut before, about) == *about { "" } else { about };
+            writeln!(formatter, "{shown:<10} {text}")
+        })
+    }
 }
 
 impl Why {
@@ -148,7 +184,7 @@ impl Alternative {
 }
 
 /// The first scan of a stop of the controller for one reason.
-fn decided_at(drive: &ReplayDrive, scan_id: u64) -> u64 {
+pub(crate) fn decided_at(drive: &ReplayDrive, scan_id: u64) -> u64 {
     let stopped = |scan| {
         let command: &Command = drive.counted(&drive.commands, scan)?;
         (command.kind == CommandKind::Stop.wire()).then_some(command.reason)
@@ -185,7 +221,7 @@ fn wheels(drive: &ReplayDrive, seen: &Seen<'_>) -> Option<String> {
     let limit_ms = 1.5e-6 * drive.period_ns as f64;
     Some(match reasons(Some(actuation)) {
         ["no_command", _] => format!("blocked: no valid command for {limit_ms:.0} ms, 1.5 scan periods"),
-        [reason, "none" | "landed"] => format!("blocked: {reason}"),
+        [reason, stop] if stop == "none" || stop == reason => format!("blocked: {reason}"),
         [reason, stop] => format!("blocked: {reason}, because of {stop}"),
     })
 }
@@ -217,6 +253,22 @@ fn rests_on(drive: &ReplayDrive, seen: &Seen<'_>) -> Option<String> {
             ms(newest.stage(Role::Robot).published_ns)
         ),
         false => format!("scan {}, published after its front beam by {}", newest.scan_id, steps.join(", ")),
+    })
+}
+
+/// How the drive ended, if it had until this scan.
+fn outcome(drive: &ReplayDrive, scan_id: u64) -> Option<String> {
+    let scenario = drive.scenario().ok()?;
+    let mut truths = drive.truths(scan_id).peekable();
+    // Of a long drive only the last seconds are read: which of several goals it was about is not known then.
+    let is_whole = truths.peek().is_some_and(|(first, _)| first.header.scan_id == 1);
+    if scenario.goal.all().len() > 1 && !is_whole {
+        return None;
+    }
+    let mut referee = Referee::new(&scenario);
+    truths.find_map(|(truth, actuation)| {
+        let outcome = referee.observe(truth, actuation)?;
+        Some(format!("{outcome} in scan {}: {}", truth.header.scan_id, referee.reason()))
     })
 }
 
@@ -264,23 +316,24 @@ fn margin(command: &Command) -> Option<String> {
     })
 }
 
-/// How both sides of an obstacle scored, where a plan was solved for each.
-fn sides(command: &Command) -> Option<String> {
-    let shared_types::Sides { left_objective, right_objective, id, .. } = command.sides;
+/// On which side the nearest obstacle is passed, and how both sides of an obstacle scored when they were compared last.
+fn sides(drive: &ReplayDrive, command: &Command) -> Option<String> {
     let side = match command.side {
         1 => "left",
         -1 => "right",
         _ => return None,
     };
     let cost = |value: f64| if value < 0.0 { "no plan".to_owned() } else { format!("{value:.3}") };
-    Some(match id {
-        0 => format!("the nearest obstacle is passed on its {side}; no plan was solved for the other side"),
-        id => format!(
-            "the nearest obstacle is passed on its {side}; obstacle {id} costs {} on its left and {} on its right",
-            cost(left_objective),
-            cost(right_objective)
-        ),
-    })
+    let scans = drive.commands.scans_down_from(command.header.scan_id);
+    let compared = scans
+        .filter_map(|scan| Some((scan, drive.counted(&drive.commands, scan)?.sides)))
+        .find(|(_, sides)| sides.id > 0);
+    let compared = compared.map(|(scan, shared_types::Sides { left_objective, right_objective, id, .. })| {
+        let (left, right) = (cost(left_objective), cost(right_objective));
+        format!("obstacle {id} costs {left} on its left and {right} on its right, compared in scan {scan}")
+    });
+    let compared = compared.unwrap_or_else(|| "no plan was solved for the other side".to_owned());
+    Some(format!("the nearest obstacle is passed on its {side}; {compared}"))
 }
 
 /// The limits that shaped the plan, which the controller computes again.
@@ -316,43 +369,4 @@ fn estimate(pose: &Pose) -> Option<String> {
 
 fn scanner(obstacles: &Obstacles) -> Option<String> {
     (obstacles.scanner.state() != ScannerState::Healthy).then(|| obstacles.scanner.to_string())
-}
-
-/// What is unusual about the process of a role: new, late, or altered by an injected fault.
-fn process(drive: &ReplayDrive, role: Role, scan: u64) -> Option<String> {
-    match role {
-        Role::Robot => unusual(drive, &drive.scans, scan),
-        Role::Estimator => unusual(drive, &drive.poses, scan),
-        Role::Obstacles => unusual(drive, &drive.obstacles, scan),
-        Role::Controller => unusual(drive, &drive.commands, scan),
-        Role::Actuator => unusual(drive, &drive.actuations, scan),
-    }
-}
-
-fn unusual<S: Sample>(drive: &ReplayDrive, lane: &Lane<S>, scan: u64) -> Option<String> {
-    let role = S::TOPIC.writer()?;
-    let Some(output) = drive.counted(lane, scan) else {
-        return Some(format!("{role}: it gave no output that counts"));
-    };
-    let header = output.header();
-    let mut found = Vec::new();
-    let lately = lane.scans_down_from(scan.saturating_sub(1)).take(NEW_SCANS as usize);
-    let earlier =
-        lately.filter_map(|before| Some((before, drive.counted(lane, before)?.header().incarnation)));
-    let other = earlier.into_iter().find(|(_, process)| *process != header.incarnation);
-    if let Some((before, process)) = other {
-        found.push(format!("process {} is new: until scan {before} it was {process}", header.incarnation));
-    }
-    let stamps = header.chain[..ROLES].iter().map(|stage| stage.published_ns).filter(|at| *at > 0);
-    let since_ns = header.stage(role).published_ns.saturating_sub(header.acquired_ns);
-    if role != Role::Robot && since_ns > drive.period_ns + drive.period_ns / 2 && stamps.count() > 1 {
-        found.push(format!("late: {:.1} ms after the front beam", since_ns as f64 * 1e-6));
-    }
-    if drive.is_injected(S::TOPIC, header) {
-        found.push("an injected fault has changed its output".to_owned());
-    }
-    if let Some(program) = drive.foreign(header.incarnation) {
-        found.push(format!("it is `{program}`"));
-    }
-    (!found.is_empty()).then(|| format!("{role}: {}", found.join("; ")))
 }

@@ -1,5 +1,6 @@
-//! The results of a run: report, latencies, summary and picture, and the recorder that collects what they need.
+//! The results of a run: report, latencies, summary and picture, the recorder that collects what they need, and drives compared.
 
+pub mod compare;
 pub mod latency;
 pub mod picture;
 pub mod recorder;

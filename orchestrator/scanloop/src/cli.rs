@@ -253,21 +253,23 @@ pub enum CliCommand {
     /// Exit code 0 if all compared outputs are identical, or with `--set` and `--with` within the bounds; else 1, and 2
     /// when nothing could be compared.
     Replay(ReplayArguments),
-    /// Tell why the robot did what it did in one scan of a recorded drive.
+    /// Tell why the robot did what it did in one scan of a recorded drive, or of the running system.
     ///
     /// What the wheels did, the samples that it rests on with their times, the rung of the ladder, the margin by its parts,
     /// the limits that shaped the plan with their multipliers, the sides, the reason of a stop with its numbers, processes
     /// that were new or late, and what would have changed the decision. Each is computed from the recording, the limits and
-    /// the other decisions by the controller itself. Exit code 2 for a scan that the recording does not have.
+    /// the other decisions by the controller itself. A running system is asked by what is recorded of it, or by the last seconds
+    /// that it keeps in memory, written to `asked.mcap` in the folder of its results. Exit code 2 for a scan that is not there.
     Why(WhyArguments),
-    /// Show, repair, cut or export a recording.
+    /// Show, repair, cut, export or import a recording.
     #[command(subcommand)]
     Recording(RecordingCommand),
     /// Write a recorded drive as one page that opens in a browser without a server or network, to be sent or kept.
     ///
     /// It is the page of `view` with the recording in it, of at most 3 MB: speed, steering, clearance, margin and latency of
     /// each scan, all events, and map, plan and processes of each scan, in a long drive of as many as fit. Ranges of scans are
-    /// rounded to 1 cm, places to 1 mm. `#t=12.5` after the name of the page opens it at that time. Exit code 2 for a file that
+    /// rounded to 1 cm, places to 1 mm. `#t=12.5` after the name of the page opens it at that time. With `--compare` the
+    /// page has two drives, or two sets of them, along their way, as `scanloop compare` has in text. Exit code 2 for a file that
     /// is no recording or has no scan of a drive, and for a page that exists.
     Report(ReportArguments),
     /// Draw a map from a recording, in which `estimator.map` finds the robot.

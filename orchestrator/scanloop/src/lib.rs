@@ -195,7 +195,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         CliCommand::Recording(command) => record::recording(command),
         CliCommand::Map(arguments) => map::map(arguments),
         CliCommand::Replay(arguments) => replay::replay(arguments),
-        CliCommand::Why(arguments) => why::why(arguments),
+        CliCommand::Why(arguments) => why::why(&cli.system_id, arguments),
         CliCommand::Report(arguments) => view::report(arguments),
         CliCommand::Reference(arguments) => print(&reference::text(arguments, Cli::command())?),
         CliCommand::New(arguments) => new::new(arguments),

@@ -1,5 +1,7 @@
 //! `scanloop record` and `scanloop recording`.
 
+mod import;
+
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -13,6 +15,7 @@ use recording::{copy, export};
 use runtime::{Shutdown, one_line};
 use session::arguments::check_duration;
 
+use self::import::ImportArguments;
 use crate::print_json;
 
 /// Arguments of `record`.
@@ -93,6 +96,14 @@ pub enum RecordingCommand {
         #[arg(long)]
         force: bool,
     },
+    /// Import scans and odometry of another program as a recording.
+    ///
+    /// Estimator and obstacle detector run over them in simulated time, and what they compute is recorded too, so `replay`, `view`
+    /// and `report` read the file. The scanner is described by the first scan; ranges that are NaN, infinite, zero or beyond the
+    /// limits of a message are no returns. The stamps of the messages count, and the log time where a stamp is zero or goes back.
+    /// What was taken and left out, and why, is printed. Exit code 2 for a file that is none of both or was damaged, and for
+    /// bags in SQLite (db3) or of ROS 1, with the program that converts them.
+    Import(Box<ImportArguments>),
 }
 
 /// Records a running system.
@@ -128,12 +139,13 @@ pub(crate) fn record(system_id: &str, arguments: &RecordArguments) -> anyhow::Re
     Ok(Exit::NotReached)
 }
 
-/// Shows, repairs, cuts or exports a recording.
+/// Shows, repairs, cuts, exports or imports a recording.
 ///
 /// # Errors
 /// A file that can't be read or written; exit code 2.
 pub(crate) fn recording(command: &RecordingCommand) -> anyhow::Result<Exit> {
     match command {
+        RecordingCommand::Import(arguments) => return import::import(arguments),
         RecordingCommand::Info { file, json } => {
             let info = Info::read(file)?;
             print_json(*json, &info)?;

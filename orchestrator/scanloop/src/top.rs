@@ -8,6 +8,7 @@ mod draw;
 mod feed;
 mod keys;
 mod model;
+mod reasons;
 mod terminal;
 
 use std::io;
@@ -28,6 +29,7 @@ use draw::built_in;
 use feed::Feed;
 use keys::{Key, Keyboard};
 use model::Model;
+use reasons::Reasons;
 use terminal::Screen;
 
 /// Time between two pictures.
@@ -91,7 +93,7 @@ fn show(system_id: &str, of_run: bool) -> anyhow::Result<Exit> {
         if shutdown.requested() || !answer_keys(&mut keyboard, &mut model, &sender)? {
             return Ok(Exit::Done);
         }
-        notes.try_iter().for_each(|text| model.note(text));
+        notes.try_iter().for_each(|told| told.to(&mut model));
         if !feed.poll(&mut model) {
             return Ok(Exit::Done);
         }
@@ -103,7 +105,7 @@ fn show(system_id: &str, of_run: bool) -> anyhow::Result<Exit> {
 }
 
 /// Does what the pressed keys ask for, new ones and those that were held; false when the view ends.
-fn answer_keys(keyboard: &mut Keyboard, model: &mut Model, notes: &Sender<String>) -> anyhow::Result<bool> {
+fn answer_keys(keyboard: &mut Keyboard, model: &mut Model, notes: &Sender<Told>) -> anyhow::Result<bool> {
     // Before the poll: what comes after it has not come within the pause.
     let now = Instant::now();
     let (mut bytes, mut count) = ([0; KEY_BYTES], 0);
@@ -129,6 +131,7 @@ fn answer_keys(keyboard: &mut Keyboard, model: &mut Model, notes: &Sender<String
             }
             Key::Text => model.note("a text asks for nothing: press one key at a time".to_owned()),
             Key::Help => model.help = !model.help,
+            Key::Why => ask_why(model, notes),
             Key::Up => model.select(false),
             Key::Down => model.select(true),
             Key::Role(index) => model.selected = index.min(Role::ALL.len() - 1),
@@ -142,9 +145,54 @@ fn answer_keys(keyboard: &mut Keyboard, model: &mut Model, notes: &Sender<String
     Ok(true)
 }
 
+/// What a command of this view has printed.
+enum Told {
+    /// A line among the events.
+    Note(String),
+    /// The answer for a scan.
+    Reasons(Reasons),
+}
+
+impl Told {
+    fn to(self, model: &mut Model) {
+        match self {
+            Self::Note(text) => model.note(text),
+            // Another one may be asked about by now.
+            Self::Reasons(told) => {
+                model
+                    .reasons
+                    .iter_mut()
+                    .filter(|shown| shown.scan == told.scan)
+                    .for_each(|shown| *shown = told.clone());
+            }
+        }
+    }
+}
+
 /// Starts a command of this program; what it prints becomes notes.
-fn request(model: &mut Model, notes: &Sender<String>, arguments: &[&str]) {
+fn request(model: &mut Model, notes: &Sender<Told>, arguments: &[&str]) {
     model.note(format!("{} ...", arguments.join(" ")));
+    start(model, notes, arguments, |lines| lines.into_iter().map(Told::Note).collect());
+}
+
+/// Asks about the next scan that is worth it, or closes the answer.
+fn ask_why(model: &mut Model, notes: &Sender<Told>) {
+    let newest = model.status.as_ref().map_or(0, |status| status.scan);
+    let scan = Reasons::next(model.reasons.as_ref(), model.stop_scan, newest).filter(|scan| *scan > 0);
+    model.reasons = scan.map(|scan| Reasons { scan, lines: Vec::new() });
+    if let Some(scan) = scan {
+        let told = move |lines| vec![Told::Reasons(Reasons { scan, lines })];
+        start(model, notes, &["why", &scan.to_string()], told);
+    }
+}
+
+/// Starts a command of this program; `told` is made of the lines that it prints.
+fn start(
+    model: &mut Model,
+    notes: &Sender<Told>,
+    arguments: &[&str],
+    told: impl FnOnce(Vec<String>) -> Vec<Told> + Send + 'static,
+) {
     let mut command = Command::new(this_program());
     command.args(["--system-id", &model.system_id]).args(arguments);
     command.stdin(Stdio::null());
@@ -156,8 +204,8 @@ fn request(model: &mut Model, notes: &Sender<String>, arguments: &[&str]) {
             }
             Err(error) => [String::new(), format!("error: {error}")],
         };
-        let lines = text.iter().flat_map(|text| text.lines());
-        lines.filter(|line| !line.trim().is_empty()).for_each(|line| _ = notes.send(line.to_owned()));
+        let lines = text.iter().flat_map(|text| text.lines()).filter(|line| !line.trim().is_empty());
+        told(lines.map(str::to_owned).collect()).into_iter().for_each(|told| _ = notes.send(told));
     });
     if let Err(error) = started {
         model.note(format!("error: {}", console::limits::text_of(&error.into())));

@@ -154,6 +154,14 @@ impl RunRecorder {
         }
     }
 
+    /// Somebody asks for what a ring holds: it is written; whether this is one.
+    pub(crate) fn keep(&mut self) -> bool {
+        if self.keeps_ring && !self.is_lost {
+            self.say("keep");
+        }
+        self.keeps_ring && !self.is_lost
+    }
+
     /// The files of incidents that were written.
     pub(crate) fn incidents(&self) -> &[PathBuf] {
         &self.incidents

@@ -5,7 +5,7 @@
 //! obstacles, are larger: they are enclosed of each scan too where they fit into [`MAX_BYTES`], else of as many scans as
 //! fit, at equal distances, and of those at which something happened. Ranges are rounded to 1 cm, plans to 1 mm, latencies to 1 us.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -17,8 +17,12 @@ use console::new_file::{Existing, NewFile};
 use console::note;
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
+use replay::NearDrive;
+use replay::why::{Why, told_by_samples, why};
+use report::compare::{compare, sentences};
 use serde_json::{Value, json};
 
+use crate::events::Event;
 use crate::history::Row;
 use crate::pages;
 use crate::recorded::RecordedDrive;
@@ -31,6 +35,11 @@ const MAX_ROWS: usize = 72_000;
 const TRIED: usize = 64;
 /// Frames that are enclosed because something happened, at most.
 const MAX_HAPPENED: usize = 300;
+/// So many whole answers of `why` are enclosed, for which the controller computes again: of all scans, in a longer drive of
+/// those at which something happened.
+const MAX_ASKED: usize = 200;
+/// So many rows before an event the scan is looked for that it answers.
+const MAX_BEFORE: usize = 20;
 
 /// Name, values per unit, and value of a column of rows.
 type Column = (&'static str, f64, fn(&Row) -> f64);
@@ -57,11 +66,15 @@ const COLUMNS: &[Column] = &[
 #[derive(Debug, Clone, Args)]
 pub struct ReportArguments {
     /// The recording.
-    #[arg(value_name = "FILE")]
-    pub file: PathBuf,
-    /// The page.
-    #[arg(short, long, value_name = "FILE", default_value = "drive.html")]
-    pub out: PathBuf,
+    #[arg(value_name = "FILE", required_unless_present = "compare")]
+    pub file: Option<PathBuf>,
+    /// Compare two recordings, or two folders of them, along their way instead: charts of both, where they part, and the figures
+    /// of `compare` in one page.
+    #[arg(long, num_args = 2, value_names = ["A", "B"], conflicts_with = "file")]
+    pub compare: Vec<PathBuf>,
+    /// The page; without it `drive.html`, or `compare.html`.
+    #[arg(short, long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
     /// Replace a file of that name.
     #[arg(long)]
     pub force: bool,
@@ -72,15 +85,34 @@ pub struct ReportArguments {
 /// # Errors
 /// A recording that can't be read, or has no scan of a drive; a page that exists or can't be written; exit code 2.
 pub fn report(arguments: &ReportArguments) -> anyhow::Result<Exit> {
-    let ReportArguments { file, out, force } = arguments;
+    let ReportArguments { file, compare, out, force } = arguments;
+    let inputs: Vec<&Path> = file.iter().chain(compare).map(PathBuf::as_path).collect();
+    let default = if compare.is_empty() { "drive.html" } else { "compare.html" };
+    let out = out.as_deref().unwrap_or(Path::new(default));
     // Before the work: whether it may be written.
-    let mut page = NewFile::create(out, Existing::forced(*force), &[file])?;
-    let Enclosed { text, rows, frames } = enclosed(file)?;
+    let files: Vec<&Path> = inputs.iter().copied().filter(|input| !input.is_dir()).collect();
+    let mut page = NewFile::create(out, Existing::forced(*force), &files)?;
+    let (text, what) = match inputs[..] {
+        [a, b] => (compared([a, b])?, "drives compared".to_owned()),
+        _ => {
+            let Enclosed { text, rows, frames } = enclosed(inputs[0])?;
+            (text, format!("{rows} scans, {frames} of them with map and plan"))
+        }
+    };
     page.write_all(text.as_bytes())?;
     page.finish()?;
-    let megabytes = text.len() as f64 * 1e-6;
-    note!("{}: {megabytes:.2} MB, {rows} scans, {frames} of them with map and plan", out.display());
+    note!("{}: {:.2} MB, {what}", out.display(), text.len() as f64 * 1e-6);
     Ok(Exit::Done)
+}
+
+/// The page of two drives, or two sets of them, along their way.
+fn compared(paths: [&Path; 2]) -> anyhow::Result<String> {
+    let compared = compare(paths)?;
+    let names = paths.map(|path| path.display().to_string());
+    let content = json!({
+        "names": names, "sentences": sentences(&compared), "compared": compared, "ways": compared.ways(),
+    });
+    Ok(pages::compared(&packed(&content)?))
 }
 
 /// A page, and what is in it.
@@ -103,12 +135,20 @@ fn enclosed(file: &Path) -> anyhow::Result<Enclosed> {
         Ok(pages::enclosed(&packed(&content)?))
     };
     let smallest = whole(&[])?.len();
+    let happened = happened(&rows, drive.events());
+    let asked: Vec<usize> =
+        if rows.len() <= MAX_ASKED { (0..rows.len()).collect() } else { happened.iter().copied().collect() };
+    let mut reasons = Reasons::new(file, asked.into_iter().map(|index| rows[index].scan_id));
     let mut frames_at = |indices: &mut dyn Iterator<Item = usize>| -> anyhow::Result<Vec<(usize, Value)>> {
-        indices.map(|index| Ok((index, slim(drive.frame(rows[index].time_s)?)))).collect()
+        let frame = |index: usize| {
+            let mut frame = slim(drive.frame(rows[index].time_s)?);
+            frame["why"] = reasons.of(rows[index].scan_id);
+            Ok((index, frame))
+        };
+        indices.map(frame).collect()
     };
     let tried = frames_at(&mut (0..rows.len()).step_by(rows.len().div_ceil(TRIED)))?;
     let bytes_each = (whole(&tried)?.len() - smallest) as f64 / tried.len() as f64;
-    let happened = happened(&rows, drive_events(&rest));
     let mut room = MAX_BYTES.saturating_sub(smallest) as f64 * 0.95;
     while room > bytes_each {
         let regular = (room / bytes_each - happened.len() as f64).max(1.0);
@@ -127,16 +167,54 @@ fn enclosed(file: &Path) -> anyhow::Result<Enclosed> {
     Err(Failure::bad_input(format!("{}: {reason}; {cut}", file.display())))
 }
 
-/// The times of what happened [s].
-fn drive_events(rest: &Value) -> impl Iterator<Item = f64> + '_ {
-    rest["events"].as_array().into_iter().flatten().filter_map(|event| event["time_s"].as_f64())
+/// The answers of `why`.
+struct Reasons {
+    /// `None` for recordings that can't be asked: several that were joined, or of a system without settings.
+    drive: Option<NearDrive>,
+    whole: BTreeMap<u64, Why>,
 }
 
-/// The rows at which something happened: an event, or wheels that were blocked or set free.
-fn happened(rows: &[Row], events_s: impl Iterator<Item = f64>) -> BTreeSet<usize> {
-    let at = |time_s: f64| rows.partition_point(|row| row.time_s < time_s).min(rows.len().saturating_sub(1));
+impl Reasons {
+    /// Asks for scans.
+    fn new(file: &Path, scans: impl Iterator<Item = u64>) -> Self {
+        let mut drive = NearDrive::open(file, true).ok();
+        let answer = |scan| Some((scan, why(drive.as_mut()?.near(scan).ok()?, scan).ok()?));
+        let whole = scans.take(MAX_ASKED).filter_map(answer).collect();
+        Self { drive, whole }
+    }
+
+    /// The answer for a scan: whole, or what its samples tell.
+    fn of(&mut self, scan: u64) -> Value {
+        let json = |why: &Why, is_short| {
+            let sentences: Vec<_> = why.sentences.iter().map(|told| (told.about, &told.text)).collect();
+            json!({ "sentences": sentences, "is_short": is_short })
+        };
+        if let Some(why) = self.whole.get(&scan) {
+            return json(why, false);
+        }
+        let near = self.drive.as_mut().and_then(|drive| drive.near(scan).ok());
+        let told = near.and_then(|drive| told_by_samples(drive, scan));
+        told.map_or(Value::Null, |why| json(&why, true))
+    }
+}
+
+/// The rows at which something happened: an event, its scan, or wheels that were blocked or set free.
+fn happened(rows: &[Row], events: &[Event]) -> BTreeSet<usize> {
+    let at = |event: &Event| {
+        rows.partition_point(|row| row.time_s < event.time_s).min(rows.len().saturating_sub(1))
+    };
+    let scan = |event: &Event| {
+        let first = at(event).saturating_sub(MAX_BEFORE);
+        let found = rows[first..=at(event)].iter().position(|row| Some(row.scan_id) == event.scan_id);
+        found.map(|place| first + place)
+    };
     let changes = rows.windows(2).zip(1..).filter(|(pair, _)| pair[0].blocked != pair[1].blocked);
-    let all: BTreeSet<usize> = events_s.map(at).chain(changes.map(|(_, index)| index)).collect();
+    let all: BTreeSet<usize> = events
+        .iter()
+        .flat_map(|event| [Some(at(event)), scan(event)])
+        .flatten()
+        .chain(changes.map(|(_, index)| index))
+        .collect();
     let step = all.len().div_ceil(MAX_HAPPENED).max(1);
     all.into_iter().step_by(step).collect()
 }

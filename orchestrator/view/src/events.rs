@@ -31,6 +31,9 @@ pub(crate) struct Event {
     pub(crate) time_s: f64,
     pub(crate) kind: Kind,
     pub(crate) text: String,
+    /// The scan that was answered by it; for `why`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) scan_id: Option<u64>,
 }
 
 /// Finds events; remembers what it has seen last.
@@ -102,7 +105,7 @@ impl Events {
     fn note(&mut self, kind: Kind, text: String) {
         self.number += 1;
         let (number, time_s) = (self.number, self.now_s);
-        self.found.push(Event { number, time_s, kind, text });
+        self.found.push(Event { number, time_s, kind, text, scan_id: None });
     }
 
     /// Phases of the run, and processes that take over.
@@ -130,6 +133,14 @@ impl Events {
 
     /// Wheels that are blocked or released.
     pub(crate) fn actuation(&mut self, actuation: &Actuation, command: &Command) {
+        let known = self.found.len();
+        self.wheels(actuation, command);
+        // What comes from silence answers no scan.
+        let scan_id = (actuation.answers == 1).then_some(actuation.header.scan_id);
+        self.found[known..].iter_mut().for_each(|event| event.scan_id = scan_id);
+    }
+
+    fn wheels(&mut self, actuation: &Actuation, command: &Command) {
         let wheels = (actuation.kind, actuation.reason);
         let before = self.wheels.replace(wheels);
         if before == Some(wheels) {
@@ -240,12 +251,17 @@ mod tests {
     fn blocked_wheels_are_an_event_once() {
         let mut events = Events::default();
         let command = Command::default();
-        let blocked = actuation(ActuationKind::Block, BlockReason::NoCommand);
+        let mut blocked = actuation(ActuationKind::Block, BlockReason::NoCommand);
+        (blocked.header.scan_id, blocked.answers) = (57, 1);
         (0..3).for_each(|_| events.actuation(&blocked, &command));
         events.actuation(&actuation(ActuationKind::Drive, BlockReason::None), &command);
         events.actuation(&actuation(ActuationKind::Block, BlockReason::Landed), &command);
         let expected =
             ["wheels blocked: no command", "wheels released", "landed: wheels blocked at the goal"];
+        assert_eq!(
+            events.found.iter().map(|event| event.scan_id).collect::<Vec<_>>(),
+            [Some(57), None, None]
+        );
         assert_eq!(texts(&mut events), expected);
     }
 

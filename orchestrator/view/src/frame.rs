@@ -29,6 +29,8 @@ pub(crate) struct Samples {
     pub(crate) goals: Option<Value>,
     /// In lock-step the stamps are simulated, so they say nothing about time.
     pub(crate) simulated: bool,
+    /// Nothing drives the robot, as in an imported recording: the description of the obstacles is what comes last.
+    pub(crate) is_undriven: bool,
 }
 
 impl Samples {
@@ -51,7 +53,10 @@ impl Samples {
 
     /// Whether the newest scan is answered, so that all samples belong together.
     pub(crate) fn is_whole(&self) -> bool {
-        let answered = self.actuation.as_ref().map(|actuation| actuation.header.scan_id);
+        let answered = match self.is_undriven {
+            true => self.obstacles.as_ref().map(|obstacles| obstacles.header.scan_id),
+            false => self.actuation.as_ref().map(|actuation| actuation.header.scan_id),
+        };
         self.scan
             .as_ref()
             .is_some_and(|scan| answered.is_some_and(|answered| answered >= scan.header.scan_id))

@@ -165,7 +165,7 @@ mod tests {
     fn all_events_are_sent_and_only_so_many_are_remembered() {
         let hub = Hub::default();
         for number in 1..=1000 {
-            let event = Event { number, time_s: 0.0, kind: Kind::Info, text: String::new() };
+            let event = Event { number, time_s: 0.0, kind: Kind::Info, text: String::new(), scan_id: None };
             hub.publish(Update { events: vec![event], ..Update::default() }, 0.0);
         }
         let messages = hub.next(&mut Cursor::default(), NOW).unwrap();

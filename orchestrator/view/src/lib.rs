@@ -28,6 +28,7 @@ mod hub;
 mod live;
 mod pages;
 mod peer;
+mod questions;
 mod recorded;
 mod scene;
 mod server;

@@ -25,6 +25,7 @@ const FILES: &[(&str, &str, &str)] = &[
     ("/timeline.js", SCRIPT, include_str!("page/timeline.js")),
     ("/panels.js", SCRIPT, include_str!("page/panels.js")),
     ("/control.js", SCRIPT, include_str!("page/control.js")),
+    ("/why.js", SCRIPT, include_str!("page/why.js")),
 ];
 
 /// Scripts that only a page of a server needs.
@@ -32,6 +33,9 @@ const ONLINE: [&str; 2] = ["/stream.js", "/worker.js"];
 /// Where the page names its style and its first script.
 const STYLE: &str = r#"<link rel="stylesheet" href="/page.css">"#;
 const MAIN: &str = r#"<script type="module" src="/main.js"></script>"#;
+/// Two drives compared: a page that is only ever a file.
+const COMPARE: &str = include_str!("page/compare.html");
+const COMPARE_SCRIPT: &str = include_str!("page/compare.js");
 /// What stands for `link.js` in a page that is a file.
 const ENCLOSED: &str = include_str!("page/enclosed.js");
 
@@ -47,24 +51,37 @@ pub(crate) fn file(path: &str) -> Option<Response> {
 /// The page as one file, with a drive in it as `enclosed.js` reads it. A script imports others by their names, which an import
 /// map leads to their texts.
 pub(crate) fn enclosed(drive: &str) -> String {
-    let as_url = |kind: &str, text: &str| format!("data:{kind};base64,{}", STANDARD.encode(text));
-    let text_of = |path: &str| FILES.iter().find(|(known, ..)| *known == path).map_or("", |(.., text)| text);
     let scripts = FILES.iter().filter(|(path, kind, _)| *kind == SCRIPT && !ONLINE.contains(path));
+    let text = |path: &str, text| if path == "/link.js" { ENCLOSED } else { text };
+    whole(text_of("/"), scripts.map(|(path, _, content)| (&path[1..], text(path, content))), drive)
+}
+
+/// The page of two drives compared as one file, with them in it.
+pub(crate) fn compared(drives: &str) -> String {
+    let scripts = [("main.js", COMPARE_SCRIPT), ("link.js", ENCLOSED), ("charts.js", text_of("/charts.js"))];
+    whole(COMPARE, scripts.into_iter(), drives)
+}
+
+fn text_of(path: &str) -> &'static str {
+    FILES.iter().find(|(known, ..)| *known == path).map_or("", |(.., text)| text)
+}
+
+fn whole<'a>(page: &str, scripts: impl Iterator<Item = (&'a str, &'a str)>, content: &str) -> String {
+    let as_url = |kind: &str, text: &str| format!("data:{kind};base64,{}", STANDARD.encode(text));
     let imports: serde_json::Map<String, serde_json::Value> = scripts
-        .map(|(path, _, text)| {
-            let text = if *path == "/link.js" { ENCLOSED } else { text };
-            (path[1..].to_owned(), as_url("text/javascript", &text.replace("from \"./", "from \"")).into())
+        .map(|(name, text)| {
+            (name.to_owned(), as_url("text/javascript", &text.replace("from \"./", "from \"")).into())
         })
         .collect();
     let map = serde_json::json!({ "imports": imports });
     let script = format!(
         "<script type=\"importmap\">{map}</script>\n<script type=\"module\">import \"main.js\";</script>"
     );
-    let page = text_of("/")
+    let page = page
         .replace("/icon.svg", &as_url("image/svg+xml", text_of("/icon.svg")))
         .replace(STYLE, &format!("<style>\n{}</style>", text_of("/page.css")))
         .replace(MAIN, &script);
-    page.replace("</body>", &format!("<script type=\"text/plain\" id=\"drive\">{drive}</script>\n</body>"))
+    page.replace("</body>", &format!("<script type=\"text/plain\" id=\"drive\">{content}</script>\n</body>"))
 }
 
 #[cfg(test)]
@@ -84,6 +101,17 @@ mod tests {
             }
         }
         assert!(file("/../Cargo.toml").is_none());
+    }
+
+    #[test]
+    fn the_page_of_compared_drives_asks_for_nothing_at_all() {
+        let page = compared("abc");
+        assert!(page.contains("id=\"drive\">abc</script>") && page.len() < 60_000, "{}", page.len());
+        for after in ["src=\"", "href=\""] {
+            assert!(page.split(after).skip(1).all(|rest| rest.starts_with("data:")), "{page}");
+        }
+        let names = COMPARE_SCRIPT.split("from \"./").skip(1).filter_map(|rest| rest.split('"').next());
+        assert_eq!(names.collect::<Vec<_>>(), ["charts.js", "link.js"]);
     }
 
     #[test]

@@ -73,7 +73,9 @@ impl RecordedDrive {
                 if let Some(difference) = Recording::layout_differences(contents)?.first() {
                     return Err(refuse(format!("another layout: {difference}")));
                 }
-                reading = Some(Reading::new(metadata(contents, "recording", "lockstep") == Some("true")));
+                let mut begun = Reading::new(metadata(contents, "recording", "lockstep") == Some("true"));
+                begun.scene.samples.is_undriven = metadata(contents, "recording", "imported").is_some();
+                reading = Some(begun);
             }
             let Some(reading) = &mut reading else { return Ok(()) };
             reading.add(&sample);

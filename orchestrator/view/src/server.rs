@@ -20,6 +20,7 @@ use crate::http::{Failed, Method, Request, Response, Status, read_request};
 use crate::hub::Hub;
 use crate::live::Live;
 use crate::peer::{Peer, Places, peer_of};
+use crate::questions::Questions;
 use crate::recorded::RecordedDrive;
 use crate::source::{Source, Still};
 use crate::{pages, stream};
@@ -57,7 +58,8 @@ pub fn serve(system_id: &str, arguments: &ViewArguments, verbs: &[Verb]) -> anyh
         Some(recorded) => Box::new(Still(Some(recorded.system().to_string()))),
         None => Box::new(Live::new(system_id, verbs.clone())?),
     };
-    let site = Arc::new(Site::new(Actions::new(system_id, verbs), recorded)?);
+    let questions = Questions::new(system_id, arguments.file.as_deref());
+    let site = Arc::new(Site::new(Actions::new(system_id, verbs), questions, recorded)?);
     announce(&site.token, &listener, system_id, arguments)?;
     let parent = arguments.for_run.then(Parent::new);
     // The first page finds a state already.
@@ -117,6 +119,7 @@ struct Site {
     hub: Hub,
     token: Token,
     actions: Actions,
+    questions: Questions,
     /// The recording that is shown instead of a running system.
     recorded: Option<Mutex<RecordedDrive>>,
     streams: Arc<Places>,
@@ -127,12 +130,13 @@ struct Site {
 }
 
 impl Site {
-    fn new(actions: Actions, recorded: Option<RecordedDrive>) -> anyhow::Result<Self> {
+    fn new(actions: Actions, questions: Questions, recorded: Option<RecordedDrive>) -> anyhow::Result<Self> {
         let token = Token::random()?;
         Ok(Self {
             hub: Hub::default(),
             token,
             actions,
+            questions,
             recorded: recorded.map(Mutex::new),
             streams: Places::new(MAX_STREAMS.0, MAX_STREAMS.1),
             sent: AtomicUsize::new(0),
@@ -175,7 +179,7 @@ impl Site {
     /// The answer to a request; `None` for a stream.
     fn route(&self, request: &Request, body: &[u8], peer: SocketAddr, local: SocketAddr) -> Option<Response> {
         let (need, method) = match request.path.as_str() {
-            "/stream" | "/history" | "/frame" | "/system" => (Need::Data, Method::Get),
+            "/stream" | "/history" | "/frame" | "/system" | "/why" => (Need::Data, Method::Get),
             "/control" => (Need::Control, Method::Post),
             _ => (Need::Page, Method::Get),
         };
@@ -190,6 +194,7 @@ impl Site {
             "/control" => Some(self.actions.answer(body)),
             "/system" => Some(Response::json(Status::Ok, self.hub.system().as_bytes())),
             "/history" | "/frame" => self.past(request),
+            "/why" => Some(self.questions.answer(request.number("scan"))),
             path => pages::file(path),
         };
         Some(found.unwrap_or_else(|| Response::text(Status::NotFound, "there is no such page")))

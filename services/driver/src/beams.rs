@@ -59,6 +59,15 @@ pub struct Fan {
     pub max_range_m: f64,
 }
 
+impl Fan {
+    /// A range if it is one, up to `reach_m`; `None` for no return: NaN, infinite, zero, too near, or the longest [m].
+    pub fn range(&self, range_m: f64, reach_m: f64) -> Option<f64> {
+        let furthest_m = self.max_range_m.min(reach_m + RESOLUTION_M) - RESOLUTION_M;
+        let nearest_m = (f64::from(MIN_RANGE_MM) * 1e-3).max(self.min_range_m);
+        (nearest_m..=furthest_m).contains(&range_m).then_some(range_m)
+    }
+}
+
 /// Where a beam of the scan lies among those of a scanner.
 #[derive(Debug, Clone, Copy)]
 struct Place {
@@ -134,10 +143,7 @@ impl Beams {
 
     /// Fills the ranges of a scan; `range_m` gives the range of a beam of the scanner [m].
     pub fn fill(&self, range_m: impl Fn(usize) -> f64, ranges_mm: &mut [u32]) {
-        let furthest_m = self.fan.max_range_m.min(MAX_RANGE_M + RESOLUTION_M) - RESOLUTION_M;
-        let nearest_m = (f64::from(MIN_RANGE_MM) * 1e-3).max(self.fan.min_range_m);
-        let range =
-            |beam: usize| Some(range_m(beam)).filter(|range| (nearest_m..=furthest_m).contains(range));
+        let range = |beam: usize| self.fan.range(range_m(beam), MAX_RANGE_M);
         for (place, range_mm) in self.places.iter().zip(ranges_mm) {
             *range_mm = match place {
                 None => NOT_MEASURED,

@@ -1,6 +1,6 @@
 //! What drivers of foreign robots share, whatever they speak: `player`, and the program `scanloop-ros2`.
 //!
-//! [`beams`], [`motion`] and [`join`] turn what a robot reports into scan and odometry, [`sensing`] joins both,
+//! [`beams`], [`motion`], [`odometry`] and [`join`] turn what a robot reports into scan and odometry, [`sensing`] joins both,
 //! [`scanner`] reads a Hokuyo scanner at this computer, [`devices`] makes a state for `scanloop status`. [`guard`] stops the wheels when the driver is silent, [`service`] is
 //! the process of a driver. [`ros2`] has the settings of the program that is built apart.
 
@@ -12,6 +12,7 @@ pub mod feed;
 pub mod guard;
 pub mod join;
 pub mod motion;
+pub mod odometry;
 pub mod order;
 pub mod ros2;
 pub mod scanner;

@@ -13,7 +13,8 @@ use vehicle::Description;
 use crate::devices::Devices;
 use crate::event::{ForeignRobot, RobotEvent, RobotSettings};
 use crate::guard::Orders;
-use crate::motion::{Anchor, Motion, wrapped};
+use crate::motion::Motion;
+use crate::odometry::TrackedOdometry;
 use crate::order::GuardOrder;
 use crate::sensing::{MeasuredSweep, Sensing};
 
@@ -83,7 +84,6 @@ struct Driver<R> {
     robot: R,
     settings: RobotSettings,
     vehicle: Description,
-    start: [f64; 3],
     period_ns: u64,
     actuations: Input<Actuation>,
     scans: Rc<Output<Scan>>,
@@ -91,13 +91,9 @@ struct Driver<R> {
     orders: Option<Orders>,
     sensing: Sensing,
     devices: Devices,
-    anchor: Option<Anchor>,
-    /// The motion of the last scan, as the server reported it.
-    reported: Motion,
+    tracked: TrackedOdometry,
     /// Largest velocity that was sent since the last scan [m/s].
     ordered_mps: [f64; 2],
-    /// The odometry that was published last.
-    last: Option<Odometry>,
     /// Time of the first front beam [ns].
     first_ns: u64,
     scan: Scan,
@@ -123,7 +119,6 @@ impl<R: ForeignRobot> Driver<R> {
         let sweep_ns = (settings.sweep_s * 1e9) as u64;
         Ok(Self {
             vehicle,
-            start: [x_m, y_m, yaw_rad],
             period_ns,
             actuations,
             scans,
@@ -133,10 +128,8 @@ impl<R: ForeignRobot> Driver<R> {
             orders: Some(orders),
             sensing: Sensing::new(&settings, period_ns),
             devices: Devices::new(settings.has_scanner, monotonic_ns()),
-            anchor: None,
-            reported: Motion::default(),
+            tracked: TrackedOdometry::new([x_m, y_m, yaw_rad]),
             ordered_mps: [0.0; 2],
-            last: None,
             first_ns: 0,
             scan: Scan {
                 sweep_ns: sweep_ns.clamp(1, period_ns),
@@ -323,30 +316,16 @@ impl<R: ForeignRobot> Driver<R> {
         self.scan.missing = measured.is_missing.into();
         self.scans.publish(&mut self.scan)?;
         self.odometries.publish(&mut odometry)?;
-        self.last = Some(odometry);
         self.compare_rate(odometry.header.scan_id, &measured);
         Ok(())
     }
 
     /// The odometry of the next scan, on the track.
     fn odometry(&mut self, motion: &Motion) -> Odometry {
-        let last = self.last;
-        let place = last.map_or(self.start, |last| [last.x_m, last.y_m, last.yaw_rad]);
-        if last.is_some() && !self.reported.reaches(motion, self.ordered_mps) {
-            let (from, to) = (self.reported.pose, motion.pose);
+        let ordered_mps = std::mem::replace(&mut self.ordered_mps, [0.0; 2]);
+        let (odometry, jump) = self.tracked.next(motion, ordered_mps);
+        if let Some([from, to]) = jump {
             tracing::warn!(?from, ?to, "the odometry has jumped: the robot is taken to be where it was");
-            self.anchor = None;
-        }
-        (self.reported, self.ordered_mps) = (*motion, [0.0; 2]);
-        let anchor = *self.anchor.get_or_insert_with(|| Anchor::new(motion.pose, place));
-        let [x_m, y_m, yaw_rad] = anchor.on_track(motion.pose);
-        let mut odometry = Odometry { x_m, y_m, yaw_rad, speed_mps: motion.speed_mps, ..Odometry::default() };
-        odometry.header.acquired_ns = motion.time_ns;
-        odometry.header.scan_id = last.map_or(1, |last| last.header.scan_id + 1);
-        if let Some(last) = last {
-            (odometry.dx_m, odometry.dy_m) = (x_m - last.x_m, y_m - last.y_m);
-            odometry.dyaw_rad = wrapped(yaw_rad - last.yaw_rad);
-            odometry.dt_s = motion.time_ns.saturating_sub(last.header.acquired_ns) as f64 * 1e-9;
         }
         odometry
     }

@@ -171,6 +171,21 @@ impl SelfCheckState {
         Alarm::try_from(self.alarm).unwrap_or(Alarm::Stop)
     }
 
+    /// What the suspicion rests on: its name with the unit, the number and its limit; `None` without one.
+    pub fn number(&self) -> Option<(&'static str, f64, f64)> {
+        let (what, residual, limit) = match self.suspect() {
+            Suspect::None | Suspect::Vehicle => return None,
+            Suspect::VelocityFactor => ("error of the speed, as a share", SPEED, SPEED_TOLERANCE),
+            Suspect::OdometryLateral => ("innovation to the left, in deviations", LEFT, INNOVATION_TOLERANCE),
+            Suspect::OdometryLongitudinal => ("innovation ahead, in deviations", AHEAD, INNOVATION_TOLERANCE),
+            Suspect::Steering => ("innovation of the yaw, in deviations", YAW, YAW_TOLERANCE),
+            Suspect::Heading | Suspect::Position => {
+                return Some(("measurements refused in a row", self.refused as f64, (JUMP - 1) as f64));
+            }
+        };
+        Some((what, self.median(residual)?.abs(), limit))
+    }
+
     fn decide(&mut self, suspect: Suspect, evidence: &Evidence, is_told: impl Fn(Suspect) -> bool) {
         if self.alarm() == Alarm::Stop {
             return;

@@ -396,9 +396,12 @@ fn rests(pose: &Pose) -> bool {
     pose.speed_mps.abs() < REST_MPS && pose.predicted_speed_mps.abs() < REST_MPS
 }
 
+pub use stopped::StopNumber;
+
 mod back;
 mod goals;
 mod paths;
 mod plans;
+mod stopped;
 #[cfg(test)]
 mod tests;

@@ -201,7 +201,8 @@ mod tests {
         let config = ControllerConfig::default();
         let mut counts = [0, 0];
         for (y, yaw, below) in (0..216).map(|index| (index % 6, index / 6 % 6, index / 36)) {
-            let [y, yaw, below] = [0.7 + 0.1 * f64::from(y), 0.06 * f64::from(yaw), 0.5 + 0.05 * f64::from(below)];
+            let [y, yaw, below] =
+                [0.7 + 0.1 * f64::from(y), 0.06 * f64::from(yaw), 0.5 + 0.05 * f64::from(below)];
             let body = Rectangle { centre: Vector2::new(4.9, y - below), yaw: 0.0, length: 0.3, width: 0.4 };
             let centre = [4.9, y - below];
             let crossing = [PredictedObstacle { id: 1, centre, velocity: [0.2, 0.5], a: 1.2, b: 0.7, body }];

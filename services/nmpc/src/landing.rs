@@ -26,18 +26,26 @@ pub(crate) fn approach(
     period_s: f64,
     vehicle: &Description,
 ) -> Approach {
-    let (sin, cos) = (state.yaw + state.sideslip).sin_cos();
-    let (ahead_x, ahead_y) = (goal.x_m - state.x, goal.y_m - state.y);
-    let slide = |speed: f64| speed * speed / (2.0 * vehicle.blocked_deceleration_mps2);
-    let along = ahead_x * cos + ahead_y * sin - slide(speed);
-    let across = ahead_y * cos - ahead_x * sin;
+    let [along, across] = from_rest(goal, state, speed, vehicle);
+    let ahead_x = goal.x_m - state.x;
     let (way, next_speed) = slowing(vehicle, speed, period_s);
     // How much further the robot comes to rest when it is stopped after the next scan.
-    let later = way + slide(next_speed) - slide(speed);
+    let later = way + slide(vehicle, next_speed) - slide(vehicle, speed);
     if along > later / 2.0 || ahead_x > goal.tolerance_m + speed * period_s {
         return Approach::Ahead;
     }
     if along.hypot(across) <= goal.tolerance_m { Approach::Land } else { Approach::Passed }
+}
+
+/// How far the goal is ahead and to the left of where the robot comes to rest when it is stopped now [m].
+pub(crate) fn from_rest(goal: &Goal, state: &State, speed: f64, vehicle: &Description) -> [f64; 2] {
+    let (sin, cos) = (state.yaw + state.sideslip).sin_cos();
+    let (ahead_x, ahead_y) = (goal.x_m - state.x, goal.y_m - state.y);
+    [ahead_x * cos + ahead_y * sin - slide(vehicle, speed), ahead_y * cos - ahead_x * sin]
+}
+
+fn slide(vehicle: &Description, speed: f64) -> f64 {
+    speed * speed / (2.0 * vehicle.blocked_deceleration_mps2)
 }
 
 /// Way over a period [m], and the speed at its end [m/s], of a robot that slows down to its smallest velocity as fast as

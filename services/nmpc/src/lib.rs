@@ -50,7 +50,7 @@ mod weights;
 
 pub use braking::speed_limit;
 pub use config::{ControllerConfig, ControllerProfile, MarginSettings, PersonMargin, SideRule, StopSettings};
-pub use controller::{Controller, ShapedBy, Shaping};
+pub use controller::{Controller, ShapedBy, Shaping, StopNumber};
 pub use ocp::Budget;
 pub use reference_path::LatticeSettings;
 pub use side::Side;

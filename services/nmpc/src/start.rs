@@ -20,7 +20,7 @@ const LEAD_SLACK_M: f64 = 0.3;
 /// A speed beyond this many times the largest velocity is no speed of this robot.
 const MAX_SPEED_RATIO: f64 = 2.0;
 /// How deep the body may overlap the box of an obstacle [m]: more is a contradiction, as the robot is not inside.
-const OVERLAP_M: f64 = 0.03;
+pub(crate) const OVERLAP_M: f64 = 0.03;
 /// Share of the drive's largest deceleration with which the robot slows down for the velocities of a course.
 const BRAKING_SHARE: f64 = 0.35;
 
@@ -57,13 +57,12 @@ impl Start {
     ) -> Result<Self, StopReason> {
         let margin = MarginModel::of(config, pose);
         let stopping = Stopping::new(config, period_s, margin.age_s());
-        let fastest_mps = if pose.alarm == Alarm::None.wire() { f64::INFINITY } else { config.careful_mps };
-        let limit_mps = stopping.limit(&config.vehicle).min(fastest_mps);
+        let [safe_mps, seen_mps] = speeds(config, pose, scanner, &stopping, is_reverse);
         let slowest_mps = config.vehicle.bounds.velocity_min_mps;
-        if limit_mps < slowest_mps {
+        if safe_mps < slowest_mps {
             return Err(StopReason::NoSafeSpeed);
         }
-        let limit_mps = limit_mps.min(seen_mps(config, &stopping, scanner, is_reverse));
+        let limit_mps = safe_mps.min(seen_mps);
         if limit_mps < slowest_mps {
             return Err(StopReason::Scanner);
         }
@@ -86,6 +85,19 @@ impl Start {
     pub(crate) fn stop_m(&self) -> f64 {
         self.stopping.distance(self.speed) + self.margin.base() + STOP_MARGIN_M
     }
+}
+
+/// The largest speed at which the robot can stop in time, and the largest for what the scanner shows [m/s].
+pub(crate) fn speeds(
+    config: &ControllerConfig,
+    pose: &Pose,
+    scanner: &ScannerHealth,
+    stopping: &Stopping,
+    is_reverse: bool,
+) -> [f64; 2] {
+    let fastest_mps = if pose.alarm == Alarm::None.wire() { f64::INFINITY } else { config.careful_mps };
+    let safe_mps = stopping.limit(&config.vehicle).min(fastest_mps);
+    [safe_mps, seen_mps(config, stopping, scanner, is_reverse)]
 }
 
 /// Largest speed at which the robot stops within what the scanner shows [m/s]; zero when it shows nothing.
@@ -120,17 +132,7 @@ pub(crate) fn read(
     last: &ControllerState,
     predicted: &mut Vec<PredictedObstacle>,
 ) -> Result<State, StopReason> {
-    let driven = State {
-        sideslip: pose.predicted_sideslip_rad,
-        yaw: pose.predicted_yaw_rad,
-        yaw_rate: pose.predicted_yaw_rate_radps,
-        x: pose.predicted_x_m,
-        y: pose.predicted_y_m,
-    };
-    let near = last.along().map(|along| config.course.on_course(&driven, along));
-    // A robot that was put elsewhere is looked for on the whole course.
-    let anywhere = || config.course.on_course(&driven, config.course.find(&driven));
-    let initial = near.filter(|near| is_inside(config, near)).unwrap_or_else(anywhere);
+    let initial = place(config, pose, last);
     let lead_s = (pose.predicted_ns as f64 - pose.header.acquired_ns as f64) * 1e-9;
     let sound = is_inside(config, &initial)
         && initial.sideslip.abs() < 1.0
@@ -144,15 +146,44 @@ pub(crate) fn read(
     if !sound || !predicted_obstacle::read(obstacles, place, lead_s, |id| moved(known, id), predicted) {
         return Err(StopReason::BadInput);
     }
+    match deepest(config, predicted, initial) {
+        Some((_, overlap_m)) if overlap_m > OVERLAP_M => Err(StopReason::Covered),
+        _ => Ok(initial),
+    }
+}
+
+/// Where the robot is predicted on the course, near where it was after the scan before.
+pub(crate) fn place(config: &ControllerConfig, pose: &Pose, last: &ControllerState) -> State {
+    let driven = State {
+        sideslip: pose.predicted_sideslip_rad,
+        yaw: pose.predicted_yaw_rad,
+        yaw_rate: pose.predicted_yaw_rate_radps,
+        x: pose.predicted_x_m,
+        y: pose.predicted_y_m,
+    };
+    let near = last.along().map(|along| config.course.on_course(&driven, along));
+    // A robot that was put elsewhere is looked for on the whole course.
+    let anywhere = || config.course.on_course(&driven, config.course.find(&driven));
+    near.filter(|near| is_inside(config, near)).unwrap_or_else(anywhere)
+}
+
+/// The obstacle that the body overlaps most, and how deep [m]; `None` where it overlaps none.
+pub(crate) fn deepest(
+    config: &ControllerConfig,
+    predicted: &[PredictedObstacle],
+    initial: State,
+) -> Option<(u32, f64)> {
     let scene = Scene::new(config, predicted, initial);
     let body = scene.body_at(&initial);
     let reach = body.length + body.width;
-    let overlaps = |obstacle: &PredictedObstacle| {
+    let overlaps = predicted.iter().filter_map(|obstacle| {
         let other = scene.in_plane(obstacle.body);
         let distance = (other.centre - body.centre).norm();
-        distance < reach + other.length + other.width && body.distance_to_rectangle(&other) < -OVERLAP_M
-    };
-    if predicted.iter().any(overlaps) { Err(StopReason::Covered) } else { Ok(initial) }
+        let is_near = distance < reach + other.length + other.width;
+        let overlap_m = if is_near { -body.distance_to_rectangle(&other) } else { 0.0 };
+        (overlap_m > 0.0).then_some((obstacle.id, overlap_m))
+    });
+    overlaps.max_by(|one, other| one.1.total_cmp(&other.1))
 }
 
 /// Whether the robot can get from its place to the predicted one in `lead_s`, at a speed that it can have.

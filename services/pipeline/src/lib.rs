@@ -18,6 +18,7 @@ mod simulation;
 mod wire;
 
 pub use drive::{DriveResult, drive};
+pub use node::SimulatedWriter;
 pub use settings::{PipelineSettings, Tuning};
 pub use simulation::{LoopWatch, SimulatedLoop, first_incarnation};
 pub use wire::{ActiveChange, Wire};

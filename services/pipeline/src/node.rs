@@ -14,7 +14,7 @@ const MAX_AGE_PERIODS: u64 = 3;
 
 /// The end of a topic at its writer: numbers samples and completes their headers as the runtime does.
 #[derive(Debug, Clone)]
-pub(crate) struct SimulatedWriter {
+pub struct SimulatedWriter {
     pub(crate) role: Role,
     pub(crate) incarnation: u32,
     pub(crate) sequence: u64,
@@ -23,12 +23,13 @@ pub(crate) struct SimulatedWriter {
 }
 
 impl SimulatedWriter {
-    pub(crate) fn new(role: Role, incarnation: u32) -> Self {
+    /// The first process of a role, or another one.
+    pub fn new(role: Role, incarnation: u32) -> Self {
         Self { role, incarnation, sequence: 0, later_ns: 0 }
     }
 
     /// Completes the header: layout, incarnation, number and stamps of the stage.
-    pub(crate) fn complete(&mut self, of: &SampleType, sample: &mut [u8], now_ns: u64) {
+    pub fn complete(&mut self, of: &SampleType, sample: &mut [u8], now_ns: u64) {
         self.sequence += 1;
         let (header, now) = ((of.header_mut)(sample), now_ns + self.later_ns);
         (header.layout, header.incarnation, header.sequence) = (of.layout, self.incarnation, self.sequence);

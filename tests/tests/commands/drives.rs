@@ -48,7 +48,18 @@ fn a_drive_becomes_a_page_and_what_is_none_is_refused() {
         let (_, text, code) = said(&system, &arguments);
         assert!(code == Some(2) && text.contains(reason), "{arguments:?}: {text}");
     }
+    for (arguments, reason) in [
+        (["report", "--compare", "1.mcap", "text", "-o", "new.html"], "text: no MCAP file"),
+        (["report", "--compare", "1.mcap", "1.mcap", "-o", "1.mcap"], "the same file as the input"),
+    ] {
+        let (_, text, code) = said(&system, &arguments);
+        assert!(code == Some(2) && text.contains(reason), "{arguments:?}: {text}");
+    }
+    assert_eq!(said(&system, &["report", "1.mcap", "--compare", "1.mcap", "1.mcap"]).2, Some(2));
     assert!(!system.folder().join("new.html").exists());
+    assert_eq!(said(&system, &["report", "--compare", "1.mcap", "1.mcap"]).2, Some(0));
+    let page = fs::read_to_string(system.folder().join("compare.html")).unwrap();
+    assert!(page.len() < 100_000 && page.contains("id=\"drive\">") && !page.contains("src="));
     assert_eq!(said(&system, &["report", "1.mcap", "-o", "drive.html", "--force"]).2, Some(0));
 }
 

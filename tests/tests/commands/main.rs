@@ -12,6 +12,7 @@ mod campaign;
 mod description;
 mod drives;
 mod foreign_files;
+mod import;
 mod moving_bodies;
 mod outputs;
 mod possible;

@@ -1,5 +1,7 @@
 //! Drives that are recorded, recordings that are cut off, and replays.
 
+mod asked;
+mod asking;
 mod changed;
 mod damaged;
 mod foreign;

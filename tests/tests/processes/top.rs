@@ -110,6 +110,25 @@ fn the_terminal_is_restored_after_any_end() {
 }
 
 #[test]
+fn a_key_tells_why_of_the_newest_scan_and_again_closes_the_answer() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        system.start(&["endless", "--record=drive.mcap"]);
+        let terminal = Terminal::new(80, 24);
+        let view = terminal.spawn(system.command(&["top"]));
+        wait_for_text(&system, &terminal, "speed");
+        terminal.press("y");
+        wait_for_text(&system, &terminal, "wheels     driven with");
+        wait_for_text(&system, &terminal, "rung `converged`");
+        terminal.press("y");
+        wait_for_text(&system, &terminal, "p99");
+        terminal.press("q");
+        assert_eq!(end(&system, &terminal, view).code(), Some(0));
+        stop(system);
+    });
+}
+
+#[test]
 fn keys_restart_a_role_and_stop_the_system() {
     repeat_when_late(|| {
         let (mut system, terminal, view) = view();

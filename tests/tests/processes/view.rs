@@ -98,11 +98,16 @@ fn of_link(link: &str) -> (String, String) {
 
 /// Status and content of an answer.
 fn ask(address: &str, request: &str, headers: &str, body: &str) -> (u16, String) {
-    let mut stream = TcpStream::connect(address).unwrap();
-    stream.set_read_timeout(Some(DEADLINE)).unwrap();
     let length = body.len();
     let head = format!("{request} HTTP/1.1\r\nHost: {address}\r\nContent-Length: {length}\r\n{headers}\r\n");
-    stream.write_all(format!("{head}{body}").as_bytes()).unwrap();
+    raw(address, &format!("{head}{body}"))
+}
+
+/// The same of a request that is written whole.
+pub(crate) fn raw(address: &str, request: &str) -> (u16, String) {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(DEADLINE)).unwrap();
+    stream.write_all(request.as_bytes()).unwrap();
     let mut text = String::new();
     stream.read_to_string(&mut text).unwrap();
     let (head, content) = text.split_once("\r\n\r\n").unwrap();

@@ -10,7 +10,8 @@ use console::new_file::NewFile;
 
 use super::copied::missing;
 use super::{Axis, Copied, Missing, REPAIRED, Summary, is_loss, is_one_run};
-use crate::mcap::{Channel, Contents, MAX_TEXT, MESSAGE_BYTES, McapReader, Schema, Writer};
+use crate::mcap::{CDR, Channel, Contents, MAX_TEXT, MESSAGE_BYTES, McapReader, Schema, Writer};
+use crate::ros2;
 use crate::tape::PREFIX;
 
 /// Chunks end with this many bytes.
@@ -31,19 +32,41 @@ pub(super) struct NewRecording {
     known: BTreeMap<Channel, u16>,
     /// The same of channels by joined file and number.
     channels: BTreeMap<(usize, u16), u16>,
+    /// Numbers of the channels of [`ros2::topics`], if they are added, and the limits of the scanner [m].
+    ros2: Option<([u16; 2], [f32; 2])>,
 }
 
 impl NewRecording {
-    /// Begins a new file with the attachments of a joined one.
-    pub(super) fn begin(output: NewFile, files: &[Contents], file: usize) -> anyhow::Result<Self> {
+    /// Begins a new file with the attachments of a joined one; see [`super::prepare`] for `adds_ros2`.
+    pub(super) fn begin(
+        output: NewFile,
+        files: &[Contents],
+        file: usize,
+        adds_ros2: bool,
+    ) -> anyhow::Result<Self> {
         let Contents { profile, library, .. } = &files[file];
         let writer = Writer::empty(BufWriter::new(output), profile, library)?;
         let (schemas, known, channels) = Default::default();
-        let mut copy = Self { writer, file, taken: file, schemas, known, channels };
+        let mut copy = Self { writer, file, taken: file, schemas, known, channels, ros2: None };
         copy.attach(&files[file], None)?;
         // Also those without messages.
         for channel in files[file].channels.keys() {
             copy.define(&files[file], (file, *channel))?;
+        }
+        // A bag that was exported before has them.
+        let is_taken =
+            |name: &str| files.iter().any(|contents| contents.channels.values().any(|of| of.topic == name));
+        if adds_ros2 && !ros2::topics().iter().any(|(name, _)| is_taken(name)) {
+            let numbers = ros2::topics().map(|(topic, schema)| {
+                let number = copy.writer.add_schema(&schema);
+                copy.schemas.insert(Arc::new(schema), number);
+                let (topic, encoding) = (topic.to_owned(), CDR.to_owned());
+                let channel = Channel { topic, schema: number, encoding, metadata: Vec::new() };
+                let number = copy.writer.add_channel(&channel);
+                copy.known.insert(channel, number);
+                number
+            });
+            copy.ros2 = Some((numbers, ros2::limits_m(&files[file])));
         }
         Ok(copy)
     }
@@ -64,6 +87,7 @@ impl NewRecording {
         Ok(())
     }
 
+    /// Adds a message, and what is made of it for ROS 2; returns how many were added.
     pub(super) fn message(
         &mut self,
         contents: &Contents,
@@ -72,11 +96,20 @@ impl NewRecording {
         sequence: u32,
         times_ns: [u64; 2],
         data: &[u8],
-    ) -> anyhow::Result<()> {
+    ) -> anyhow::Result<u64> {
         let number = match self.channels.get(&(file, channel)) {
             Some(number) => *number,
             None => self.define(contents, (file, channel))?,
         };
+        self.put(number, sequence, times_ns, data)?;
+        let Some((numbers, limits_m)) = self.ros2 else { return Ok(1) };
+        let topic = &contents.channels[&channel].topic;
+        let Some((index, data)) = ros2::message(topic, data, limits_m) else { return Ok(1) };
+        self.put(numbers[index], sequence, times_ns, &data)?;
+        Ok(2)
+    }
+
+    fn put(&mut self, number: u16, sequence: u32, times_ns: [u64; 2], data: &[u8]) -> std::io::Result<()> {
         self.writer.make_room(MESSAGE_BYTES + data.len())?;
         self.writer.message_of(number, sequence, times_ns, data);
         if self.writer.open_bytes() >= CHUNK_BYTES {

@@ -20,6 +20,8 @@ pub(super) enum Order {
     End(u64),
     /// Something happened: write what is in memory.
     Incident,
+    /// Somebody asks: write what is in memory into a file for that.
+    Keep,
     /// Something to be recorded with the log lines.
     Note(String),
 }
@@ -79,6 +81,7 @@ impl Orchestrator {
                 ("connect", _) => return Some(Order::Connect),
                 ("end", scan) => return Some(Order::End(scan.parse().unwrap_or(0))),
                 ("incident", _) => return Some(Order::Incident),
+                ("keep", _) => return Some(Order::Keep),
                 ("note", text) => return Some(Order::Note(text.to_owned())),
                 _ => {}
             }

@@ -44,6 +44,8 @@ struct Batch {
     files: Vec<(String, Vec<u8>)>,
     /// The scan at which something happened: the ring is to be written.
     incident: Option<u64>,
+    /// Somebody asks for what the ring holds.
+    is_asked: bool,
     /// Samples lost until now.
     lost: u64,
     /// The last scan of the run, in the last batch.
@@ -52,7 +54,8 @@ struct Batch {
 
 impl Batch {
     fn is_empty(&self) -> bool {
-        self.samples.is_empty() && self.lines.is_empty() && self.files.is_empty() && self.incident.is_none()
+        let is_order = self.incident.is_some() || self.is_asked;
+        self.samples.is_empty() && self.lines.is_empty() && self.files.is_empty() && !is_order
     }
 
     /// What it holds [bytes].
@@ -69,7 +72,8 @@ impl Batch {
             let text = "WARN lines of logs are missing here: the disk was too slow";
             self.lines.push(("recorder".to_owned(), text.to_owned()));
         }
-        Self { files: self.files, lines: self.lines, incident: self.incident, ..Self::default() }
+        let Self { files, lines, incident, is_asked, .. } = self;
+        Self { files, lines, incident, is_asked, ..Self::default() }
     }
 
     fn samples(&self) -> impl Iterator<Item = (usize, &[u8])> {
@@ -156,6 +160,11 @@ impl Queue {
     /// Something happened at a scan: a ring is written.
     pub(super) fn incident(&mut self, scan_id: u64) {
         self.batch.incident.get_or_insert(scan_id);
+    }
+
+    /// Somebody asks for what a ring holds.
+    pub(super) fn keep(&mut self) {
+        self.batch.is_asked = true;
     }
 
     /// Hands what was added to the writing thread; `missed` samples did not even reach this queue until now.
@@ -310,7 +319,11 @@ fn keep(mut tape: Tape<Ring>, batches: &Batches, reports: &Sender<Saved>) -> Wri
     batches.each(|batch| {
         tape.target().set_lost(batch.lost);
         written.samples += batch.samples.len() as u64;
+        let is_asked = batch.is_asked;
         written.error = put(&mut tape, batch).err();
+        if is_asked && let Err(error) = tape.target().save_asked() {
+            let _ = reports.send(Err(error.to_string()));
+        }
         let now_ns = tape.now_ns();
         if let Some(over) = following.take_if(|following| now_ns >= following.until_ns) {
             save(&mut tape, over.scan_id);

@@ -9,6 +9,7 @@ use console::out_folder::OutFolder;
 
 use super::opening::Opening;
 use crate::mcap::{Chunk, OpenChunk};
+use crate::running::ASKED;
 use crate::tape::TapeTarget;
 
 /// The ring holds no more than this [bytes].
@@ -52,10 +53,21 @@ impl Ring {
     /// # Errors
     /// Those of the file system. The file that was there remains.
     pub(super) fn save(&mut self, scan_id: u64) -> io::Result<Option<PathBuf>> {
+        self.save_as(&["", "-a", "-b", "-c"].map(|more| format!("incident-{scan_id}{more}.mcap")))
+    }
+
+    /// Writes all that it holds for somebody who asks for it, into [`ASKED`], and replaces what was written for that before.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub(super) fn save_asked(&mut self) -> io::Result<()> {
+        self.save_as(&[ASKED.to_owned()]).map(|_| ())
+    }
+
+    fn save_as(&mut self, names: &[String]) -> io::Result<Option<PathBuf>> {
         self.end_chunk()?;
         let Some((lost_before, _)) = self.chunks.front() else { return Ok(None) };
         let out = OutFolder::claim(&self.folder, &[], false).map_err(io::Error::other)?;
-        let names = ["", "-a", "-b", "-c"].map(|more| format!("incident-{scan_id}{more}.mcap"));
         let claimed = names.iter().find(|name| out.claim_growing(name).is_ok());
         let name = claimed.ok_or_else(|| io::Error::other(format!("{} and others exist", names[0])))?;
         let path = self.folder.join(name);

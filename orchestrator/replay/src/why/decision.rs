@@ -16,8 +16,9 @@ const OF_THE_PLACE: [StopReason; 5] = [
     StopReason::NoSafeSpeed,
     StopReason::Covered,
 ];
-/// Halvings of a range.
-const STEPS: u32 = 7;
+/// A range is tried at so many places, then the first part of it with another decision is halved so often: 128 steps.
+const PLACES: u32 = 8;
+const HALVINGS: u32 = 4;
 /// Largest clearance that is tried [m], and longest time on the way [s].
 const MAX_CLEARANCE_M: f64 = 0.5;
 const MAX_TIME_S: f64 = 2.0;
@@ -113,13 +114,12 @@ pub(super) fn changes(decision: &Decision) -> Vec<Alternative> {
         .collect()
 }
 
-/// The value nearest to `from` that flips, between it and `to`, which must flip; the range is halved a few times.
+/// The value nearest to `from` that flips, towards `to`: of a few places the first that does, and the part before it halved.
 fn nearest(from: f64, to: f64, flips: impl Fn(f64) -> bool) -> Option<f64> {
-    if from == to || !flips(to) {
-        return None;
-    }
-    let (mut keeps, mut found) = (from, to);
-    for _ in 0..STEPS {
+    let place = |index: u32| from + (to - from) * f64::from(index) / f64::from(PLACES);
+    let first = (1..=PLACES).filter(|_| from != to).find(|index| flips(place(*index)))?;
+    let (mut keeps, mut found) = (place(first - 1), place(first));
+    for _ in 0..HALVINGS {
         let between = f64::midpoint(keeps, found);
         if flips(between) { found = between } else { keeps = between }
     }
@@ -137,6 +137,8 @@ mod tests {
             let found = nearest(from, to, flips).unwrap();
             assert!(flips(found) && (found - limit).abs() <= (from - to).abs() / 128.0, "{found}");
         }
+        // The far end need not flip.
+        assert_eq!(nearest(0.0, 1.0, |value| (0.3..0.6).contains(&value)), Some(0.3046875));
         assert_eq!(nearest(0.0, 1.0, |_| false), None);
         assert_eq!(nearest(0.0, 0.0, |_| true), None);
     }

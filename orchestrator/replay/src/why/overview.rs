@@ -80,6 +80,21 @@ pub fn slow(drive: &ReplayDrive) -> Vec<Row> {
     rows
 }
 
+/// How long the answer of a scan took, and how long half of them took at most.
+pub(super) fn timing(drive: &ReplayDrive, seen: &Seen<'_>) -> Option<String> {
+    let Row { took_ms, text, .. } = took(&seen.actuation?.header).filter(|_| !drive.simulated)?;
+    // Of the scans until then, so that the answer stays the same while the drive continues.
+    let until = drive.scans.scans().take_while(|scan| *scan <= seen.scan.header.scan_id);
+    let all = until.filter_map(|scan| took(&drive.counted(&drive.actuations, scan)?.header)?.took_ms);
+    let mut all: Vec<f64> = all.collect();
+    all.sort_by(f64::total_cmp);
+    Some(format!(
+        "{:.2} ms from the end of the sweep, usually {:.2} ms; {text}",
+        took_ms?,
+        all.get(all.len() / 2)?
+    ))
+}
+
 fn took(header: &Header) -> Option<Row> {
     let published = |role: Role| header.stage(role).published_ns;
     let ms = |from: u64, to: u64| to.saturating_sub(from) as f64 * 1e-6;

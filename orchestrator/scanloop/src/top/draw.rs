@@ -11,6 +11,7 @@ use vehicle::frame::to_track;
 
 use super::canvas::Canvas;
 use super::model::{Course, Model};
+use super::reasons::Reasons;
 
 /// The smallest terminal in which all fits [columns, rows].
 const SMALLEST: [u16; 2] = [72, 20];
@@ -43,12 +44,16 @@ pub(super) fn draw(area: Rect, buffer: &mut Buffer, model: &Model) {
     title(row(area, 0), buffer, model);
     motion(row(area, 1), buffer, model);
     let processes = Rect { y: area.y + 2, height: PROCESS_ROWS + 1, ..area };
-    process_table(processes, buffer, model);
+    if model.help || model.reasons.is_none() {
+        process_table(processes, buffer, model);
+    }
     let top = processes.bottom();
     let bottom = area.bottom() - EVENT_ROWS - 1;
     let middle = Rect { y: top, height: bottom - top, ..area };
     if model.help {
         help(middle, buffer, model);
+    } else if let Some(shown) = &model.reasons {
+        reasons(Rect { y: area.y + 2, height: bottom - area.y - 2, ..area }, buffer, shown);
     } else {
         let map_columns = middle.width - LATENCY_COLUMNS - 1;
         map(Rect { width: map_columns, ..middle }, buffer, model);
@@ -252,9 +257,18 @@ fn events(area: Rect, buffer: &mut Buffer, model: &Model) {
 
 fn keys(area: Rect, buffer: &mut Buffer, model: &Model) {
     let end = if model.of_run { "q leave  ^C end run" } else { "q quit" };
-    let text = format!(" ? help  s STOP  p pause  \u{2191}\u{2193} role  r, w {}  {end}", model.role());
+    let text =
+        format!(" ? help  y why  s STOP  p pause  \u{2191}\u{2193} role  r, w {}  {end}", model.role());
     buffer.set_style(area, Style::new().add_modifier(Modifier::REVERSED));
     print(buffer, area, 0, &text, Style::new().add_modifier(Modifier::REVERSED));
+}
+
+/// Takes the place of processes, map and latency.
+fn reasons(area: Rect, buffer: &mut Buffer, shown: &Reasons) {
+    let lines = shown.picture([area.width, area.height].map(usize::from));
+    for (index, line) in lines.iter().enumerate() {
+        print(buffer, area, index as u16, line, if index == 0 { TITLE } else { Style::new() });
+    }
 }
 
 fn help(area: Rect, buffer: &mut Buffer, model: &Model) {
@@ -265,13 +279,13 @@ fn help(area: Rect, buffer: &mut Buffer, model: &Model) {
         " \u{2191} \u{2193}     selects a role; so do k, j and the digits 1 to 5".to_owned(),
         " r       restarts the process of the role: a new one takes over first".to_owned(),
         format!(" w       swaps it for a process of the built-in implementation ({built_in})"),
+        " y       tells why: of the last stop, then of the newest scan".to_owned(),
         " ?       closes this help".to_owned(),
         if model.of_run {
             " q       leaves the view; Ctrl-C ends the run".to_owned()
         } else {
             " q       quits, as does Ctrl-C; the system drives on".to_owned()
         },
-        String::new(),
         " map: body blue, plan and goal cyan, ellipses magenta, remembered ones grey".to_owned(),
     ];
     for (index, line) in lines.iter().enumerate() {

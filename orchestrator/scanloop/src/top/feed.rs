@@ -41,6 +41,9 @@ impl Feed {
             News::Command(command) => model.command = Some(Box::new(*command)),
             News::Truth(truth) => model.truth = Some(*truth),
             News::Actuation(actuation) => {
+                if model.actuation.is_some() && !model.is_blocked() && !actuation.drives() {
+                    model.stop_scan = Some(actuation.header.scan_id);
+                }
                 model.actuation = Some(*actuation);
                 has_answers |= answer(actuation, latencies, model);
             }

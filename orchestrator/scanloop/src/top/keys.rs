@@ -11,6 +11,8 @@ pub(super) enum Key {
     Interrupt,
     /// Show or hide the help.
     Help,
+    /// Tell why: of the last stop, then of the newest scan, then close.
+    Why,
     /// Block the wheels and end the system.
     Stop,
     /// Restart the process of the role.
@@ -34,7 +36,7 @@ pub(super) enum Key {
 impl Key {
     /// Whether it changes more than what is shown.
     fn acts(self) -> bool {
-        !matches!(self, Self::Help | Self::Up | Self::Down | Self::Role(_) | Self::Text)
+        !matches!(self, Self::Help | Self::Why | Self::Up | Self::Down | Self::Role(_) | Self::Text)
     }
 }
 
@@ -224,6 +226,7 @@ fn key(byte: u8) -> Option<Key> {
     Some(match byte {
         b'q' => Key::Quit,
         b'?' | b'h' => Key::Help,
+        b'y' => Key::Why,
         b's' => Key::Stop,
         b'r' => Key::Restart,
         b'w' => Key::Swap,

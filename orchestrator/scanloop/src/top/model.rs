@@ -8,6 +8,8 @@ use vehicle::course::CourseOutline;
 use vehicle::frame::to_track;
 use vehicle::{Description, Goal, State, Track};
 
+use super::reasons::Reasons;
+
 /// How many reaction times are kept: a minute at 10 Hz.
 const MAX_REACTIONS: usize = 600;
 /// How many events of this view are kept.
@@ -41,6 +43,10 @@ pub(super) struct Model {
     pub(super) selected: usize,
     /// The keys are explained.
     pub(super) help: bool,
+    /// The scan of the last stop that this view has seen.
+    pub(super) stop_scan: Option<u64>,
+    /// The answer to the last question, while it is shown.
+    pub(super) reasons: Option<Reasons>,
     /// The view belongs to a run, which Ctrl-C ends.
     pub(super) of_run: bool,
 }

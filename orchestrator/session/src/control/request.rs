@@ -71,6 +71,8 @@ pub enum Request {
         /// Its number, from [`Reply::Accepted`].
         number: u64,
     },
+    /// Write the last seconds that are kept in memory to a file.
+    Keep,
     /// Let a process run in the shadow of another.
     Shadow(ShadowRequest),
     /// Ask for the report of a shadow.

@@ -17,6 +17,7 @@ use super::person::PersonParts;
 use super::swaps::Changed;
 use crate::companion_swaps::CompanionSwaps;
 use crate::control::{Reply, Request, SwapRequest};
+use crate::run_recorder::RunRecorder;
 
 impl Session {
     /// Answers all requests that have come.
@@ -30,7 +31,7 @@ impl Session {
         let (mut notes, drives) = (Vec::new(), self.drives());
         let status = Reply::Status(Box::new(self.status()));
         let Self { control, swaps, shadows, companions, fleet, supervisor, run, .. } = self;
-        let Self { recording, samples, directives, person, .. } = self;
+        let Self { recording, samples, directives, person, recorder, .. } = self;
         let live = |role| Live::of(role, fleet, supervisor, &run.hosts);
         control.serve(|request| match request {
             Request::Status => status.clone(),
@@ -130,6 +131,10 @@ impl Session {
                     Err(reason) => Reply::Refused(reason),
                 }
             }
+            Request::Keep => match recorder.as_mut().is_some_and(RunRecorder::keep) {
+                true => Reply::Done,
+                false => Reply::Refused("nothing of this drive is kept in memory".to_owned()),
+            },
             Request::SwapResult { number } => swaps.result(number),
             Request::Restart { role } if swaps.concern(role) => {
                 Reply::Refused(format!("{role} is not restarted: it is being swapped"))

@@ -91,3 +91,20 @@ fn a_page_of_an_hour_has_three_megabytes_at_most() {
     // The estimator is restarted at scan 60: that is shown, whatever the distance of the frames.
     assert!(kept.windows(2).all(|pair| pair[0] < pair[1]) && kept.contains(&59), "{:?}", &kept[..20]);
 }
+
+#[test]
+fn a_page_of_two_drives_has_both_along_their_way() {
+    let other = |actuation: &mut shared_types::Actuation| actuation.desired_steering_rad = 0.02;
+    let [a, b] = [drive("compared-a"), drive_with("compared-b", 60, other, |_| {})];
+    let content = content(&compared([&a.0, &b.0]).unwrap());
+    let stations = |side: usize| content["ways"][side][0]["stations"].as_array().unwrap();
+    // 0.1 m a scan, so 12 m and 6 m.
+    let last = |side: usize| stations(side).last().unwrap();
+    assert!(last(0)[0].as_f64() > Some(11.8) && last(1)[0].as_f64() < Some(6.1), "{content}");
+    // Place, position across the course, speed, steering, clearance: there is no truth.
+    assert_eq!((&last(0)[1], &last(1)[3], &last(1)[4]), (&json!(0.0), &json!(0.02), &Value::Null));
+    assert_ne!(last(0)[3], last(1)[3]);
+    assert_eq!(content["compared"]["drives"], json!([1, 1]));
+    assert!(content["sentences"][0].as_str().unwrap().starts_with("they do not part"), "{content}");
+    assert_eq!(content["names"][1], b.0.display().to_string());
+}

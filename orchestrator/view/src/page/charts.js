@@ -1,6 +1,9 @@
 // Speed, steering and clearance over the last minute, with their bounds.
 
 const SPAN_S = 60;
+// Labels stand left of the charts [px].
+const LEFT = 140;
+let drawn_s = null;
 
 // To ask for the size of an element costs a layout of the page, so it is asked for when it changes only.
 const sizes = new WeakMap();
@@ -42,9 +45,16 @@ export function niceAbove(value) {
   return [1, 2, 5, 10].map((factor) => factor * power).find((nice) => nice >= value * 0.9999);
 }
 
+/** The time at a place of the charts, `null` beside them [s]. */
+export function timeAt(canvas, x) {
+  const share = (x - LEFT) / (canvas.clientWidth - LEFT);
+  return drawn_s == null || share < 0 ? null : drawn_s - SPAN_S * (1 - share);
+}
+
 /** Draws the three charts: `rows` are those of the frames, `until_s` is the right end. */
 export function charts(canvas, rows, course, until_s, colour) {
   const { context, width, height } = prepare(canvas);
+  drawn_s = until_s;
   context.clearRect(0, 0, width, height);
   const seen = rows.filter((row) => row.time_s > until_s - SPAN_S && row.time_s <= until_s);
   const speed = course?.bounds?.velocity_max_mps ?? 1;
@@ -61,7 +71,7 @@ export function charts(canvas, rows, course, until_s, colour) {
 
 function draw(context, rows, strip, { top, each, width, until_s }, colour) {
   const { low, high, digits } = strip;
-  const left = 140;
+  const left = LEFT;
   const y = (value) => top + each * (1 - (Math.min(high, Math.max(low, value)) - low) / (high - low));
   const x = (time_s) => left + (width - left) * (1 - (until_s - time_s) / SPAN_S);
   context.fillStyle = colour.back;

@@ -10,19 +10,19 @@ export const startTime = Number.isFinite(parseFloat(fragment.get("t"))) ? parseF
 /** There is nobody to ask for anything but the past. */
 export const urgent = async () => ({ ok: false });
 
-const drive = unpack();
+const drive = unpack().then(({ columns, ...rest }) => ({ rows: rowsOf(columns ?? []), ...rest }));
 
-async function unpack() {
+/** What is enclosed in the page. */
+export async function unpack() {
   const text = document.getElementById("drive").textContent;
   const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-  const { columns, ...rest } = await new Response(stream).json();
-  return { rows: rowsOf(columns), ...rest };
+  return new Response(stream).json();
 }
 
 // A column has the steps from value to value, in units of its resolution, and null where nothing is known.
 function rowsOf(columns) {
-  const rows = Array.from(columns[0].steps, () => ({}));
+  const rows = Array.from(columns[0]?.steps ?? [], () => ({}));
   for (const { name, per_unit, steps } of columns) {
     let value = 0;
     steps.forEach((step, index) => {
@@ -41,9 +41,20 @@ export async function ask(path) {
     const around = rows.filter((row) => row.time_s > at_s - 90 && row.time_s <= at_s + 30);
     return { ok: true, json: async () => ({ rows: around }) };
   }
+  if (path.startsWith("/why")) return reasonsOf(rows, frames, Number(new URLSearchParams(path.split("?")[1]).get("scan")));
   const index = Math.max(0, rows.findLastIndex((row) => row.time_s <= at_s));
   const [kept, frame] = frames.findLast(([kept]) => kept <= index) ?? frames[0];
   return { ok: true, json: async () => moved(unfolded(frame), rows[kept], rows[index]) };
+}
+
+// Those of the frame that is shown for a scan.
+function reasonsOf(rows, frames, scan) {
+  const index = rows.findLastIndex((row) => row.scan_id === scan);
+  const [kept, { why }] = frames.findLast(([kept]) => kept <= index) ?? frames[0];
+  if (!why) return { ok: false, text: async () => "This page has no answer: ask the recording, scanloop why FILE SCAN." };
+  const sentences = why.sentences.map(([about, text]) => ({ about, text }));
+  if (why.is_short) sentences.push({ about: "more", text: `scanloop why FILE ${rows[kept].scan_id}` });
+  return { ok: true, json: async () => ({ scan: rows[kept].scan_id, sentences }) };
 }
 
 function moved(frame, before, row) {

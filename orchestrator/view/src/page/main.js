@@ -1,7 +1,7 @@
 // The page: keeps what the server sends, decides which time is shown, and draws when something has changed.
 
 import { camera } from "./camera.js";
-import { charts, onResize, prepare } from "./charts.js";
+import { charts, onResize, prepare, timeAt } from "./charts.js";
 import { control } from "./control.js";
 import { latency } from "./latency.js";
 import { loop } from "./loop.js";
@@ -11,6 +11,7 @@ import { bounds, past } from "./past.js";
 import { player } from "./player.js";
 import { connect, startTime } from "./link.js";
 import { SPAN_S, timeline } from "./timeline.js";
+import { why } from "./why.js";
 
 const by = (id) => document.getElementById(id);
 const COLOURS = ["back", "ink", "muted", "line", "faint", "ground", "outside", "robot", "plan", "estimate", "truth", "body", "cover", "scan", "goal", "good", "stop", "warning", "idle", "on"];
@@ -24,6 +25,8 @@ const page = { system: null, frame: null, rows: [], events: [], lost: null, show
 // The last step from frame to frame that bodies glide along.
 let glided = { before: null, frame: null, came_ms: 0, length_ms: 100 };
 let colour = {};
+// The shown time that was asked about, and its scan where that is known.
+let asked = { shown_s: null, scan: null };
 let isDirty = true;
 let last_ms = 0;
 const costs = [];
@@ -34,7 +37,8 @@ const show = panels(by);
 const showLoop = loop(by("loop"), by("loop-note"));
 const showLatency = latency(by("latency"), by("latency-note"));
 const controls = control(by("control"), by("control-form"), by("control-result"), by("stop"));
-const showTimeline = timeline(by("timeline"), choose);
+const showTimeline = timeline(by("timeline"), choose, askAt, askEvent);
+const reasons = why(by);
 const play = player(by, choose);
 const fetchPast = past(page, (frame) => {
   glided = { before: play.isPlaying ? page.past : null, frame, came_ms: performance.now(), length_ms: 100 / play.speed };
@@ -59,8 +63,37 @@ function choose(time_s) {
   page.shown_s = time_s == null ? null : Math.max(bounds(page).from_s, Math.min(bounds(page).to_s, time_s));
   by("live").setAttribute("aria-pressed", String(time_s == null));
   if (time_s == null) page.past = null;
+  if (time_s == null && reasons.isOpen) reasons.set(false);
   changed();
   fetchPast();
+}
+
+/** Stays at a time, or at the shown one, and asks why the robot did what it did then. */
+function askAt(time_s, scan = null) {
+  const shown_s = time_s ?? page.shown_s ?? page.frame?.row.time_s;
+  if (shown_s == null) return;
+  play.set(false);
+  if (!reasons.isOpen) reasons.set(true);
+  choose(shown_s);
+  asked = { shown_s: page.shown_s, scan };
+}
+
+/** Asks about an event: about the scan that it knows, else about the frame after it, which shows what it did. */
+function askEvent(event) {
+  if (!event) return;
+  const rows = page.rows.at(0)?.time_s <= event.time_s ? page.rows : page.overview ?? page.rows;
+  askAt(rows.find((row) => row.time_s >= event.time_s)?.time_s ?? event.time_s, event.scan_id);
+}
+
+const eventOf = (item) => page.events.find((event) => event.number === Number(item?.dataset.number));
+
+// Scans count up within a run: one with a later, lower one is of an earlier run, which is over.
+function followReasons() {
+  if (!reasons.isOpen || page.shown_s == null || play.isPlaying || !page.past) return;
+  const { time_s, scan_id } = page.past.row;
+  const isOver = !page.overview && page.rows.some((row) => row.time_s > time_s && row.scan_id < scan_id);
+  if (isOver) reasons.refuse("This scan is of a run that is over: ask its recording, scanloop why FILE SCAN.");
+  else reasons.follow((asked.shown_s === page.shown_s ? asked.scan : null) ?? scan_id);
 }
 
 function take(rows, events) {
@@ -178,6 +211,7 @@ function paint(now_ms) {
   const centre_y = course?.way ? body?.y_m : track ? (track[0] + track[1]) / 2 : 0;
   const isMoving = eye.step(seconds, body, centre_y);
   last_ms = now_ms;
+  followReasons();
   if (!isDirty && !moves && !isMoving) return;
   const { context, width, height } = prepare(by("map"));
   if (isDirty) trail = trailOf(frame, page.rows, 60);
@@ -231,6 +265,14 @@ by("zoom-in").addEventListener("click", () => eye.zoom(1.3));
 by("zoom-out").addEventListener("click", () => eye.zoom(1 / 1.3));
 by("live").addEventListener("click", () => choose(null));
 by("legend-button").addEventListener("click", toggleLegend);
+by("why-button").addEventListener("click", toggleReasons);
+by("loop").addEventListener("click", () => askAt(null));
+by("charts").addEventListener("click", (event) => {
+  const time_s = timeAt(by("charts"), event.offsetX);
+  if (time_s != null) askAt(time_s);
+});
+by("events").addEventListener("click", (event) => askEvent(eventOf(event.target.closest("li"))));
+by("events").addEventListener("keydown", (event) => { if (event.key === "Enter") askEvent(eventOf(event.target.closest("li"))); });
 
 function fit() {
   const place = extent(shown.course, trailOf(shown.frame, page.overview ?? page.rows, Infinity), body);
@@ -240,6 +282,11 @@ function fit() {
 function toggleLegend() {
   by("legend").hidden = !by("legend").hidden;
   by("legend-button").setAttribute("aria-expanded", String(!by("legend").hidden));
+}
+
+function toggleReasons() {
+  if (reasons.isOpen) reasons.set(false);
+  else askAt(null);
 }
 
 // An earlier or later time; from now on only an earlier one.
@@ -256,7 +303,7 @@ addEventListener("keydown", (event) => {
   const step_s = event.shiftKey ? 0.1 : 1;
   const action = {
     f: () => { eye.follows = !eye.follows; }, 0: fit, "+": () => eye.zoom(1.3), "-": () => eye.zoom(1 / 1.3),
-    l: toggleLegend, Escape: () => choose(null),
+    l: toggleLegend, w: toggleReasons, Escape: () => (reasons.isOpen ? reasons.set(false) : choose(null)),
     ArrowLeft: () => jump(-step_s), ArrowRight: () => jump(step_s), PageUp: () => jump(-10), PageDown: () => jump(10),
     Home: () => choose(bounds(page).from_s), End: () => jump(Infinity), " ": play.toggle, "<": () => play.change(-1), ">": () => play.change(1),
   }[event.key];

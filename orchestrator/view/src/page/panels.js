@@ -118,7 +118,8 @@ export function panels(by) {
       shown = newest;
       by("events").replaceChildren(...events.slice(Math.max(0, end - 6), end).map((event) => {
         const item = document.createElement("li");
-        item.dataset.kind = event.kind;
+        Object.assign(item.dataset, { kind: event.kind, number: event.number });
+        Object.assign(item, { tabIndex: 0, title: "Why?" });
         const time = document.createElement("time");
         time.textContent = epoch_ms == null ? clock(event.time_s, 1) : new Date(epoch_ms + 1000 * event.time_s).toTimeString().slice(0, 8);
         const text = document.createElement("b");

@@ -8,11 +8,15 @@ const TOP = 4;
 const BAND = 26;
 // What moves two pixels a second need not be drawn ten times a second.
 const PAUSE_MS = 400;
+// A pointer that moves less is a click, and an event is as wide.
+const MAX_CLICK_PX = 6;
 const STEPS_S = [1, 2, 5, 10, 30, 60, 120, 300, 600, 1800, 3600, 7200, 21600];
 
-/** The axis; calls `choose` with a time [s]. */
-export function timeline(canvas, choose) {
+/** The axis; calls `choose` with a time [s], `ask` with one of blocked wheels and `askEvent` with an event that was clicked. */
+export function timeline(canvas, choose, ask, askEvent) {
   let range = null;
+  let shown = null;
+  let pressed = null;
   let drawn = { key: "", at_ms: -Infinity };
   const band = document.createElement("canvas");
 
@@ -23,7 +27,18 @@ export function timeline(canvas, choose) {
   canvas.addEventListener("pointerdown", (event) => {
     if (!range) return;
     canvas.setPointerCapture(event.pointerId);
+    pressed = event.offsetX;
     choose(timeAt(event));
+  });
+  canvas.addEventListener("pointerup", (event) => {
+    if (pressed == null || Math.abs(event.offsetX - pressed) > MAX_CLICK_PX) return;
+    const time_s = timeAt(event);
+    const near_s = MAX_CLICK_PX * (range.to_s - range.from_s) / canvas.clientWidth;
+    const distance = (one) => Math.abs(one.time_s - time_s);
+    const near = shown.events.filter((one) => one.kind !== "info" && distance(one) < near_s);
+    const nearest = near.sort((one, other) => distance(one) - distance(other))[0];
+    if (nearest) return askEvent(nearest);
+    if (shown.rows.findLast((row) => row.time_s <= time_s)?.blocked === 1) ask(time_s);
   });
   canvas.addEventListener("pointermove", (event) => {
     if (range && event.buttons) choose(timeAt(event));
@@ -82,6 +97,7 @@ export function timeline(canvas, choose) {
 
   return (view, colour) => {
     const { rows, events, from_s, to_s, shown_s, isRecording } = view;
+    shown = view;
     const { context, width, height } = prepare(canvas);
     const look = `${width} ${height} ${colour.back} ${isRecording}`;
     const key = `${look} ${rows.length} ${rows.at(-1)?.number} ${events.length} ${to_s}`;

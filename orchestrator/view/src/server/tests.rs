@@ -23,7 +23,9 @@ impl Source for Numbers {
 }
 
 fn start() -> (Arc<Site>, SocketAddr) {
-    let site = Arc::new(Site::new(Actions::new("view-test", Vec::new()), None).unwrap());
+    let site = Arc::new(
+        Site::new(Actions::new("view-test", Vec::new()), Questions::new("view-test", None), None).unwrap(),
+    );
     let listener = listen(IpAddr::from([127, 0, 0, 1]), 0).unwrap();
     let address = listener.local_addr().unwrap();
     start_accepting(listener, Arc::clone(&site)).unwrap();

@@ -18,7 +18,7 @@ const LAYERS: &[&[&str]] = &[
     &["courses", "nmpc", "actuation", "supervision", "handover", "audit"],
     &["pipeline", "calibration", "c-library", "recording"],
     &["plan", "report", "replay", "fault-matrix"],
-    &["agent"],
+    &["agent", "import"],
     &["session", "conformance"],
     &["view"],
     &["scanloop", "hops"],

@@ -1,6 +1,6 @@
 //! Two recorded drives, or two sets of drives, aligned by way instead of time.
 //!
-//! A drive is what its robot did at stations every [`STEP_M`] along the course, each when it first came so far. So a drive
+//! A drive is what its robot did at stations every 10 cm along the course, each when it first came so far. So a drive
 //! that waited is compared where it drove, and the wait counts as time. Figures of one drive a side have no interval.
 //! With several they have one of 99 %: of the differences of drives with the same seed if both sides have the same
 //! seeds, else of the difference of the means, with the degrees of freedom of the smaller side.
@@ -22,12 +22,14 @@ pub(super) const STEP_M: f64 = 0.1;
 /// Drives part where they differ by more than this across the course [m] or in speed [m/s].
 const PART_M: f64 = 0.005;
 const PART_MPS: f64 = 0.02;
+/// A way has at most so many stations, evenly chosen.
+const MAX_STATIONS: usize = 2000;
 /// First bytes of a recording.
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
-/// What is printed as JSON.
+/// How two drives, or two sets of drives, differ.
 #[derive(Debug, Serialize)]
-pub(super) struct Drives {
+pub struct ComparedDrives {
     /// Number of drives of A and B.
     drives: [usize; 2],
     /// Whether drives of the same seed were compared.
@@ -35,6 +37,19 @@ pub(super) struct Drives {
     /// Where drives part; those of equal drives are missing.
     parts: Vec<Part>,
     figures: Vec<Figure>,
+    /// Of A and B, no part of the answer as JSON.
+    #[serde(skip)]
+    ways: [Vec<ComparedWay>; 2],
+}
+
+/// A drive at its stations, for charts.
+#[derive(Debug, Serialize)]
+pub struct ComparedWay {
+    /// The seed of its scenario.
+    pub seed: Option<u64>,
+    /// At each station: its place [m], position across the course [m], speed [m/s], desired steering angle [rad], and clearance
+    /// [m], `null` where nothing is near or known.
+    pub stations: Vec<[Option<f64>; 5]>,
 }
 
 /// Where two drives part.
@@ -65,7 +80,7 @@ struct Figure {
 }
 
 /// Whether a file or folder is compared as drives.
-pub(super) fn is_drives(path: &Path) -> bool {
+pub fn is_drives(path: &Path) -> bool {
     let begins_so = || {
         let mut start = [0; MAGIC.len()];
         File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok() && start == MAGIC
@@ -78,7 +93,7 @@ pub(super) fn is_drives(path: &Path) -> bool {
 ///
 /// # Errors
 /// A folder without recordings, a file that is none or has no drive; exit code 2.
-pub(super) fn compare(paths: [&Path; 2]) -> anyhow::Result<Drives> {
+pub fn compare(paths: [&Path; 2]) -> anyhow::Result<ComparedDrives> {
     let [mut a, mut b] = [side(paths[0])?, side(paths[1])?];
     let seeds = |side: &[Drive]| side.iter().map(|drive| drive.seed).collect::<Vec<_>>();
     [&mut a, &mut b].into_iter().for_each(|side| side.sort_by_key(|drive| drive.seed));
@@ -91,7 +106,24 @@ pub(super) fn compare(paths: [&Path; 2]) -> anyhow::Result<Drives> {
         let [a, b] = [&a, &b].map(|side| side.iter().map(value).collect::<Option<Vec<f64>>>());
         figure(name, &a?, &b?, by_seed)
     });
-    Ok(Drives { drives: [a.len(), b.len()], by_seed, parts, figures: figures.collect() })
+    Ok(ComparedDrives {
+        drives: [a.len(), b.len()],
+        by_seed,
+        parts,
+        figures: figures.collect(),
+        ways: [&a, &b].map(|side| side.iter().map(way).collect()),
+    })
+}
+
+fn way(drive: &Drive) -> ComparedWay {
+    let rounded = |value: f64| (value * 1e4).round() / 1e4;
+    let row = |station: &Station| {
+        let Station { along_m, across_m, speed_mps, steering_rad, clearance_m, .. } = *station;
+        [Some(along_m), Some(across_m), Some(speed_mps), steering_rad, clearance_m]
+            .map(|value| value.map(rounded).filter(|value| value.is_finite()))
+    };
+    let step = drive.stations.len().div_ceil(MAX_STATIONS).max(1);
+    ComparedWay { seed: drive.seed, stations: drive.stations.values().step_by(step).map(row).collect() }
 }
 
 /// The drives of a file, or of the recordings in a folder and the folders in it.
@@ -165,9 +197,16 @@ fn figure(name: &'static str, a: &[f64], b: &[f64], by_seed: bool) -> Option<Fig
     Some(Figure { name, a: mean(a), b: mean(b), difference, interval })
 }
 
-/// The comparison as text.
-pub(super) fn text(drives: &Drives) -> String {
-    let Drives { drives: [a, b], by_seed, parts, figures } = drives;
+impl ComparedDrives {
+    /// The ways of A and B.
+    pub fn ways(&self) -> &[Vec<ComparedWay>; 2] {
+        &self.ways
+    }
+}
+
+/// Where the drives part, in a sentence each.
+pub fn sentences(drives: &ComparedDrives) -> Vec<String> {
+    let ComparedDrives { drives: [a, b], by_seed, parts, figures, .. } = drives;
     let is_equal = parts.is_empty() && figures.iter().all(|figure| figure.difference == 0.0);
     let mut lines = Vec::new();
     match (a, b) {
@@ -190,6 +229,12 @@ pub(super) fn text(drives: &Drives) -> String {
             aside(*max_across_m)
         ));
     }
+    lines
+}
+
+/// The comparison as text.
+pub fn text(drives: &ComparedDrives) -> String {
+    let (mut lines, figures) = (sentences(drives), &drives.figures);
     let right = |name| (name, Align::Right);
     let heads = [("figure", Align::Left), right("A"), right("B"), right("B - A"), right("99 %")];
     let mut table = Table::new(&heads);
@@ -218,7 +263,7 @@ mod tests {
         let station = |place: i64| {
             let along_m = place as f64 * STEP_M;
             let (across_m, scan_id) = (across_m(along_m), place as u64 + 1);
-            (place, Station { scan_id, along_m, across_m, speed_mps: 0.5 })
+            (place, Station { scan_id, along_m, across_m, speed_mps: 0.5, ..Station::default() })
         };
         Drive { seed: Some(seed), stations: (0..=100).map(station).collect(), ..Drive::default() }
     }

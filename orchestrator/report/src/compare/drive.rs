@@ -8,19 +8,19 @@ use console::exit::Failure;
 use figures::bootstrap::quantile_of;
 use recording::Recording;
 use recording::read::{RUN, attachment, metadata};
-use report::latency::reaction_ns;
-use report::ride::{RideFigures, RideRecording, measure};
 use shared_types::{Actuation, ActuationKind, BlockReason, Directive, Pose, Role, Sample, Topic, Truth};
 use toml::Table;
 use vehicle::{Course, Goal, State};
 
 use super::STEP_M;
+use crate::latency::reaction_ns;
+use crate::ride::{RideFigures, RideRecording, measure};
 
 /// Clearances from here on mean that nothing is near [m].
 const NOTHING_NEAR_M: f64 = 1e6;
 
 /// The robot when it first came as far as a place of the course.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Station {
     pub(super) scan_id: u64,
     /// Place of the station along the course [m].
@@ -28,6 +28,10 @@ pub(super) struct Station {
     /// Position across it, to the left [m].
     pub(super) across_m: f64,
     pub(super) speed_mps: f64,
+    /// Desired steering angle of the scan [rad].
+    pub(super) steering_rad: Option<f64>,
+    /// Clearance of the body at the scan, where something is near [m].
+    pub(super) clearance_m: Option<f64>,
 }
 
 /// A drive.
@@ -73,6 +77,7 @@ struct Reading {
     /// By the truth, and by the estimate.
     seen: [BTreeMap<u64, Seen>; 2],
     clearances_m: BTreeMap<u64, f64>,
+    steering_rad: BTreeMap<u64, f64>,
     /// With the times at which they were recorded [ns].
     actuations: Vec<(u64, Actuation)>,
     reactions_ms: Vec<f64>,
@@ -160,6 +165,7 @@ impl Reading {
         let reaction = reaction_ns(&actuation.header).filter(|_| actuation.answers == 1);
         self.reactions_ms.extend(reaction.map(|ns| ns as f64 * 1e-6));
         let drives = actuation.kind == ActuationKind::Drive.wire();
+        self.steering_rad.insert(actuation.header.scan_id, actuation.desired_steering_rad);
         let is_end = matches!(
             BlockReason::try_from(actuation.reason),
             Ok(BlockReason::Landed | BlockReason::StopRequested)
@@ -200,9 +206,14 @@ impl Reading {
         let trace = course.map_or_else(|| trace.clone(), |course| trace.clone().along(course));
         let has_reactions = !self.is_simulated && !self.reactions_ms.is_empty();
         let mut quantile = |share| quantile_of(&mut self.reactions_ms, share);
+        let mut stations = stations(&seen, course);
+        for station in stations.values_mut() {
+            station.steering_rad = self.steering_rad.get(&station.scan_id).copied();
+            station.clearance_m = self.clearances_m.get(&station.scan_id).copied();
+        }
         Drive {
             seed,
-            stations: stations(&seen, course),
+            stations,
             ride: goal.and_then(|goal| measure(&trace, goal)),
             clearance_m: self.clearances_m.into_values().reduce(f64::min),
             time_s: self.last_ns.saturating_sub(self.first_ns.unwrap_or(self.last_ns)) as f64 * 1e-9,
@@ -234,6 +245,8 @@ fn stations(seen: &BTreeMap<u64, Seen>, course: Option<&Course>) -> BTreeMap<i64
                     along_m,
                     across_m: between(last.y, state.y),
                     speed_mps: between(last_mps, *speed_mps),
+                    steering_rad: None,
+                    clearance_m: None,
                 });
             }
         }

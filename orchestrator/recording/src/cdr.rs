@@ -1,60 +1,64 @@
-//! Encodes messages as CDR, little endian, and decodes those of logs.
+//! Encodes and decodes messages as CDR, little endian.
 
 use crate::schema::ENCAPSULATION;
 
 /// A message that is being encoded. Each number stands at a multiple of its size, counted behind the encapsulation.
-pub(super) struct Cdr(Vec<u8>);
+pub(crate) struct Cdr(Vec<u8>);
 
 impl Cdr {
-    pub(super) fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self(ENCAPSULATION.to_vec())
     }
 
-    pub(super) fn finish(self) -> Vec<u8> {
+    pub(crate) fn finish(self) -> Vec<u8> {
         self.0
     }
 
-    pub(super) fn u8(&mut self, value: u8) -> &mut Self {
+    pub(crate) fn u8(&mut self, value: u8) -> &mut Self {
         self.0.push(value);
         self
     }
 
-    pub(super) fn u32(&mut self, value: u32) -> &mut Self {
+    pub(crate) fn u32(&mut self, value: u32) -> &mut Self {
         self.align(4);
         self.0.extend(value.to_le_bytes());
         self
     }
 
-    pub(super) fn f64(&mut self, value: f64) -> &mut Self {
+    pub(crate) fn f32(&mut self, value: f32) -> &mut Self {
+        self.u32(value.to_bits())
+    }
+
+    pub(crate) fn f64(&mut self, value: f64) -> &mut Self {
         self.align(8);
         self.0.extend(value.to_le_bytes());
         self
     }
 
-    pub(super) fn numbers(&mut self, values: &[f64]) -> &mut Self {
+    pub(crate) fn numbers(&mut self, values: &[f64]) -> &mut Self {
         values.iter().for_each(|value| _ = self.f64(*value));
         self
     }
 
     /// The length of a sequence, in front of its elements.
-    pub(super) fn length(&mut self, length: usize) -> &mut Self {
+    pub(crate) fn length(&mut self, length: usize) -> &mut Self {
         self.u32(length as u32)
     }
 
     /// A text, with the zero behind it that CDR asks for.
-    pub(super) fn text(&mut self, text: &str) -> &mut Self {
+    pub(crate) fn text(&mut self, text: &str) -> &mut Self {
         self.length(text.len() + 1);
         self.0.extend(text.as_bytes());
         self.u8(0)
     }
 
     /// Seconds and nanoseconds.
-    pub(super) fn time(&mut self, time_ns: u64) -> &mut Self {
+    pub(crate) fn time(&mut self, time_ns: u64) -> &mut Self {
         self.u32((time_ns / 1_000_000_000) as u32).u32((time_ns % 1_000_000_000) as u32)
     }
 
     /// A position, and a rotation about the vertical axis as a quaternion.
-    pub(super) fn pose(&mut self, [x_m, y_m]: [f64; 2], z_m: f64, yaw_rad: f64) -> &mut Self {
+    pub(crate) fn pose(&mut self, [x_m, y_m]: [f64; 2], z_m: f64, yaw_rad: f64) -> &mut Self {
         let (sin, cos) = (yaw_rad / 2.0).sin_cos();
         self.numbers(&[x_m, y_m, z_m]).numbers(&[0.0, 0.0, sin, cos])
     }
@@ -66,33 +70,58 @@ impl Cdr {
 }
 
 /// A message that is being decoded.
-pub(super) struct Decoder<'a> {
+pub(crate) struct Decoder<'a> {
     content: &'a [u8],
     at: usize,
 }
 
 impl<'a> Decoder<'a> {
     /// Of what follows the encapsulation.
-    pub(super) fn new(content: &'a [u8]) -> Self {
+    pub(crate) fn new(content: &'a [u8]) -> Self {
         Self { content, at: 0 }
     }
 
-    pub(super) fn u8(&mut self) -> Option<u8> {
+    pub(crate) fn u8(&mut self) -> Option<u8> {
         self.take(1).map(|bytes| bytes[0])
     }
 
-    pub(super) fn u32(&mut self) -> Option<u32> {
+    pub(crate) fn u32(&mut self) -> Option<u32> {
         self.at = self.at.next_multiple_of(4);
         self.take(4)?.try_into().ok().map(u32::from_le_bytes)
     }
 
-    pub(super) fn text(&mut self) -> Option<&'a str> {
+    pub(crate) fn text(&mut self) -> Option<&'a str> {
         let length = self.u32()? as usize;
         std::str::from_utf8(self.take(length)?.strip_suffix(b"\0")?).ok()
     }
 
+    pub(crate) fn f32(&mut self) -> Option<f32> {
+        self.u32().map(f32::from_bits)
+    }
+
+    pub(crate) fn f64(&mut self) -> Option<f64> {
+        self.at = self.at.next_multiple_of(8);
+        self.take(8)?.try_into().ok().map(f64::from_le_bytes)
+    }
+
+    /// So many numbers.
+    pub(crate) fn numbers<const N: usize>(&mut self) -> Option<[f64; N]> {
+        let mut numbers = [0.0; N];
+        for number in &mut numbers {
+            *number = self.f64()?;
+        }
+        Some(numbers)
+    }
+
+    /// A sequence of numbers; none that is longer than the message takes memory.
+    pub(crate) fn f32s(&mut self) -> Option<Vec<f32>> {
+        let length = self.u32()? as usize;
+        let numbers = self.take(length.checked_mul(4)?)?.chunks_exact(4);
+        Some(numbers.map(|bytes| f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]])).collect())
+    }
+
     /// Seconds and nanoseconds.
-    pub(super) fn time(&mut self) -> Option<[u32; 2]> {
+    pub(crate) fn time(&mut self) -> Option<[u32; 2]> {
         Some([self.u32()?, self.u32()?])
     }
 
