@@ -11,6 +11,7 @@ import math
 import struct
 import tomllib
 
+from body_distance import Body
 from ride_optimum import ca
 
 # The weights of J, as in docs/ride.md.
@@ -35,7 +36,7 @@ class Piece:
 
     def on_course(self, state):
         """A state in the plane on the course, as if this piece never ended."""
-        sideslip, yaw, yaw_rate, x, y = state
+        sideslip, yaw, yaw_rate, x, y = state[:5]
         ahead, left = turned([x - self.point[0], y - self.point[1]], -self.yaw)
         if self.curvature == 0.0:
             return [sideslip, yaw - self.yaw, yaw_rate, self.begin + ahead, left]
@@ -131,26 +132,39 @@ class Drive:
         _, on_course = self.course.find([0, 0, 0, goal["x_m"], goal["y_m"]], self.course.length)
         self.end_m = on_course[3] - BEFORE_GOAL_M
         self.near = self.course.find([0, start["yaw_rad"], 0, start["x_m"], start["y_m"]], 0.0)[1][3]
+        self.bodies = [Body(obstacle) for obstacle in self.scenario.get("obstacle", [])]
         self.measure(*samples(folder / "csv"))
+        scans = described(folder / "csv")
+        self.sights = {body: self.first_sight(body, scans) for body in self.bodies}
+
+    def first_sight(self, body, scans):
+        """When the command for the first scan acts in which an ellipse covers the centre of a body."""
+        for scan, seen_s, ellipses in scans:
+            x, y = body.centre(seen_s)
+            if scan in self.acts_s and any(math.hypot((x - e[0]) / e[2], (y - e[1]) / e[3]) < 1 for e in ellipses):
+                return self.acts_s[scan]
+        return math.inf
 
     def measure(self, truths, answers):
-        moments, issued, last = [], [], 0
+        moments, issued, last, self.acts_s = [], [], 0, {}
         for row in truths:
             state = [row[key] for key in ("sideslip_rad", "yaw_rad", "yaw_rate_radps", "x_m", "y_m")]
-            moments.append((row["time_s"], state, row["speed_mps"], row["clearance_m"]))
+            moments.append((row["time_s"], state, row["speed_mps"], row["clearance_m"], row["steering_rad"]))
             scan = int(row["actuation_scan"])
             if scan in answers and scan != last:
                 last = scan
                 sweep_s = (row["header.chain.0.published_ns"] - row["header.acquired_ns"]) * 1e-9
                 steering = issued[-1][1][1] if issued else 0.0
                 issued.append((row["time_s"] + sweep_s - row["actuation_age_s"], answers[scan] or [0.0, steering]))
+                self.acts_s[scan] = issued[-1][0]
         start_s = next(time_s for time_s, control in issued if control[0] > 0)
-        time_s, state, speed, clearance = [moment for moment in moments if moment[0] <= start_s][-1]
+        time_s, state, speed, clearance, steering = [moment for moment in moments if moment[0] <= start_s][-1]
+        self.speed, self.steering = speed, steering
         way = turned([speed * (start_s - time_s), 0.0], state[0] + state[1])
         yaw = state[1] + state[2] * (start_s - time_s)
         start = (start_s, [state[0], yaw, state[2], state[3] + way[0], state[4] + way[1]], speed, clearance)
         self.times, self.states, self.on_course, self.clearance = [], [], [], math.inf
-        for time_s, state, _, clearance in [start, *(moment for moment in moments if moment[0] > start_s)]:
+        for time_s, state, _, clearance in [start, *(moment[:4] for moment in moments if moment[0] > start_s)]:
             piece, found = self.course.find(state, self.near)
             # Without wraps: the direction of the course and the direction relative to it.
             state[1] = piece.yaw + piece.curvature * (found[3] - piece.begin) + found[1]
@@ -192,17 +206,28 @@ def attachment(path, wanted):
     raise ValueError(f"{path} has no {wanted}")
 
 
+def rows(folder, topic):
+    with open(folder / f"{topic}.csv", newline="") as file:
+        return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
+
+
+def described(folder):
+    """For each scan its number, when it was taken, and the ellipses (x, y, a, b) that were described."""
+    def ellipses(row):
+        keys = ("x_m", "y_m", "a_m", "b_m")
+        return [[row[f"items.{index}.{key}"] for key in keys] for index in range(int(row["count"]))]
+    scans = [(int(row["header.scan_id"]), row["header.acquired_ns"] * 1e-9, ellipses(row)) for row in rows(folder, "obstacles")]
+    return sorted(scans, key=lambda scan: scan[0])
+
+
 def samples(folder):
     """Samples of the truth, and by scan what was desired: velocity and steering, or None for blocked wheels."""
-    def rows(topic):
-        with open(folder / f"{topic}.csv", newline="") as file:
-            return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
     answers = {}
-    for row in rows("actuation"):
+    for row in rows(folder, "actuation"):
         if row["answers"] == 1:
             desired = [row["desired_velocity_mps"], row["desired_steering_rad"]]
             answers[int(row["header.scan_id"])] = desired if row["kind"] == 1 else None
-    return sorted(rows("truth"), key=lambda row: row["header.scan_id"]), answers
+    return sorted(rows(folder, "truth"), key=lambda row: row["header.scan_id"]), answers
 
 
 def objective(times, states, controls, lengths):

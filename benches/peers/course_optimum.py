@@ -8,8 +8,8 @@
 J is described in `course_drive.py`. The model is that of `casadi_reference.py`, in the plane. A node is on the course by the
 closed form of one line or arc, which is exact. Which one it is comes from the solution before; the problem is solved again
 until that stays. At each node, every point of the robot's outline is at least as far from each obstacle as in the drive at
-its smallest clearance. Obstacles are circles at rest. Of a drive along a line only J is computed, and compared with
-`report.json`. Exit code 1 if a regret is below 0.99, a J is another one than in the report, or IPOPT finds no solution; 2
+its smallest clearance. Of a drive along a line only J is computed, and compared with `report.json`; `ride_split.py` has its
+optimum. Exit code 1 if a regret is below 0.99, a J is another one than in the report, or IPOPT finds no solution; 2
 if a folder has no such drive.
 """
 
@@ -18,7 +18,7 @@ import sys
 from pathlib import Path
 
 from ride_optimum import ca, interval, minimise
-from casadi_reference import Program
+from casadi_reference import Program, slopes
 from course_drive import INTERVAL_S, Drive, mixed, objective
 
 # Nodes of the guess that are farther from an obstacle than this are not kept away from it [m].
@@ -35,39 +35,62 @@ def resampled(rows, count):
     return [[mixed(*pair, share) for pair in zip(before, after)] for before, after, share in pairs]
 
 
-def bodies(scenario):
-    """Centre and radius of each obstacle."""
-    for obstacle in scenario.get("obstacle", []):
-        moves = obstacle["velocity_x_mps"] or obstacle["velocity_y_mps"] or obstacle["appears_s"]
-        if obstacle["shape"] != "circle" or moves:
-            raise ValueError(f"an obstacle at ({obstacle['x_m']}, {obstacle['y_m']}) is no circle at rest")
-    return [(obstacle["x_m"], obstacle["y_m"], obstacle["radius_m"]) for obstacle in scenario.get("obstacle", [])]
+class Setting:
+    """What an optimum has: the lags of the drive or none, its smallest clearance, and bodies from their first sight on or
+    from the start."""
+
+    def __init__(self, lags, clearance, late=False):
+        self.lags, self.clearance, self.late = lags, clearance, late
 
 
-def beside(robot, state, body):
-    """Square of the distance from the outline of the robot to the centre of a body."""
-    cosine, sine = ca.cos(state[1]), ca.sin(state[1])
-    x, y = body[0] - state[3], body[1] - state[4]
-    ahead = ca.fmax(ca.fabs(cosine * x + sine * y) - robot["length_m"] / 2, 0)
-    left = ca.fmax(ca.fabs(cosine * y - sine * x) - robot["width_m"] / 2, 0)
-    return ahead**2 + left**2
+def lagging(robot):
+    """The model with speed and steering angle that follow the commands as those of the robot do."""
+    def slopes_of(state, command):
+        _, yaw, _, _, _, speed, steering = state
+        sideslip_rate, _, yaw_acceleration, _, _ = slopes(state[:5], [ca.fmax(speed, 0.05), steering])
+        way = state[0] + yaw
+        limits = (-robot["deceleration_max_mps2"], robot["acceleration_max_mps2"])
+        turn = robot["steering_rate_max_radps"]
+        return [
+            sideslip_rate, state[2], yaw_acceleration, speed * ca.cos(way), speed * ca.sin(way),
+            clipped((command[0] - speed) / robot["velocity_lag_s"], *limits),
+            clipped((command[1] - steering) / robot["steering_lag_s"], -turn, turn),
+        ]
+    return slopes_of
 
 
-def solve(drive, states, controls, is_even):
+def clipped(value, low, high):
+    return ca.fmin(ca.fmax(value, low), high)
+
+
+def solve(drive, setting, states, controls, is_even, known, fixed=0):
     """The solution from a guess: objective, message, states, controls, lengths. Either all intervals have one length, which
-    is free, or those of docs/ride.md and the last one is free."""
-    program, bounds, count = Program(), drive.bounds, len(controls)
+    is free, or those of docs/ride.md and the last one is free. The first `fixed` controls are those of the guess."""
+    program, bounds, count, robot = Program(), drive.bounds, len(controls), drive.scenario["robot"]
     free = program.variable("length", INTERVAL_S, INTERVAL_S / 2, INTERVAL_S * (2 if is_even else 1.5))
     lengths = [free] * count if is_even else [INTERVAL_S] * (count - 1) + [free]
     upper = [bounds["sideslip_max_rad"], math.inf, bounds["yaw_rate_max_radps"], math.inf, math.inf]
+    upper += [math.inf] * (len(states[0]) - 5)
     width = drive.scenario.get("course", {}).get("width_m", 3.0)
     low = [bounds["velocity_min_mps"], -bounds["steering_max_rad"]]
     high = [bounds["velocity_max_mps"], bounds["steering_max_rad"]]
-    nodes, found, chosen, times, near = [[ca.DM(value) for value in states[0]]], [drive.on_course[0]], [], [0.0], 0.0
-    for index, (control, length) in enumerate(zip(controls, lengths)):
+    steps = [(control, length, index < fixed) for index, (control, length) in enumerate(zip(controls, lengths))]
+    if setting.lags:
+        # Until the first command acts, nothing changes.
+        steps = [(None, robot["command_delay_s"], True), *steps]
+    model = lagging(robot) if setting.lags else slopes
+    nodes, found, chosen, times, near, guess_s = [[ca.DM(value) for value in states[0]]], [drive.on_course[0]], [], [0.0], 0.0, 0.0
+    for index, (control, length, is_fixed) in enumerate(steps):
         guess = states[index + 1]
-        chosen.append([program.variable("u", *values) for values in zip(control, low, high)])
-        node = interval(program, nodes[-1], chosen[-1], length, guess, [-value for value in upper], upper)
+        if control is None:
+            command = [0.0, states[0][6]]
+        elif is_fixed:
+            command = [ca.DM(value) for value in control]
+        else:
+            command = [program.variable("u", *values) for values in zip(control, low, high)]
+        chosen += [command] if control is not None else []
+        guess_s += length if isinstance(length, float) else INTERVAL_S
+        node = interval(program, nodes[-1], command, length, guess, [-value for value in upper], upper, model)
         piece, place = drive.course.find(guess, near)
         near = place[3]
         nodes.append(node)
@@ -77,16 +100,18 @@ def solve(drive, states, controls, is_even):
         half_width = (width[drive.course.pieces.index(piece) // 2] if isinstance(width, list) else width) / 2
         program.constrain(found[-1][4], -half_width, half_width)
         program.constrain(found[-1][1], -bounds["yaw_max_rad"], bounds["yaw_max_rad"])
-        for body in bodies(drive.scenario):
-            if math.dist(guess[3:], body[:2]) < REACH_M:
-                program.constrain(beside(drive.scenario["robot"], node, body), (drive.clearance + body[2]) ** 2, math.inf)
+        for body in known:
+            moment_s = drive.times[0] + guess_s
+            if not is_fixed and math.dist(guess[3:5], body.centre(moment_s)) < REACH_M + body.reach:
+                keep = (program, robot, node, drive.times[0] + times[-1], guess, moment_s, setting.clearance)
+                body.keep(*keep)
     program.constrain(found[-1][3], drive.end_m, drive.end_m)
-    _, message, values = minimise(program, objective(times, found, chosen, lengths))
+    least, message, values = minimise(program, objective(times, found, chosen, lengths))
     parts = [ca.vertcat(*(ca.horzcat(*row) for row in rows)) for rows in (nodes[1:], chosen, [[free]])]
     solved = ca.Function("parts", [ca.vertcat(*program.variables)], parts)(values)
     ends, chosen, free = [part.full().tolist() for part in solved]
     lengths = [free[0][0]] * count if is_even else [INTERVAL_S] * (count - 1) + free[0]
-    return message, [states[0], *ends], chosen, lengths
+    return least, message, [states[0], *ends], chosen, lengths
 
 
 def placed(drive, states):
@@ -100,17 +125,47 @@ def placed(drive, states):
     return pieces, found
 
 
-def optimum(drive):
-    """The drive with the least J: its J, message of IPOPT, states, controls and lengths of the intervals."""
+def optimum(drive, setting, states=None, controls=None):
+    """The drive with the least J from a guess, without one from the drive: its J, message of IPOPT, states, controls and
+    lengths of the intervals."""
     count = round((drive.times[-1] - drive.times[0]) / INTERVAL_S)
-    states = resampled(drive.states, count + 1)
-    controls = resampled([control for _, control in drive.commands], count)
-    message, states, controls, lengths = solve(drive, states, controls, True)
+    states, controls = states or drive.states, controls or [control for _, control in drive.commands]
+    states, controls = resampled(states, count + 1), resampled(controls, count)
+    if setting.lags:
+        states = [[*states[0][:5], drive.speed, drive.steering]] + [
+            [*state[:5], *control] for state, control in zip([states[0], *states[1:]], [controls[0], *controls])]
+    else:
+        states = [state[:5] for state in states]
+    known = [body for body in drive.bodies if not setting.late or drive.sights[body] <= drive.times[0]]
+    _, message, states, controls, lengths = solve(drive, setting, states, controls, True, known)
     count = round(sum(lengths) / INTERVAL_S)
+    fixed = 0
+    while True:
+        solution = fitted(drive, setting, states, controls, count, known, fixed)
+        later = [drive.sights[body] for body in drive.bodies if body not in known]
+        if not later or solution[1] != "Solve_Succeeded":
+            return solution
+        # The next first sight: what was driven until then stays.
+        seen_s = min(later)
+        known = [body for body in drive.bodies if drive.sights[body] <= seen_s]
+        fixed = math.ceil((seen_s - drive.times[0]) / INTERVAL_S - 1e-9)
+        _, _, states, controls, _ = solution
+        count = len(controls)
+        # Where a body is in the way, the drive knew a way round.
+        ahead = resampled(drive.states, len(states))
+        states = states[:fixed + 1] + [[*way[:5], *state[5:]] for way, state in zip(ahead, states)][fixed + 1:]
+
+
+def fitted(drive, setting, states, controls, count, known, fixed):
+    """The solution with intervals of docs/ride.md, with as many as it takes."""
     for _ in range(ROUNDS):
-        states, controls = resampled(states, count + 1), resampled(controls, count)
+        delayed = 1 if setting.lags else 0
+        if len(controls) != count:
+            kept = states[:delayed + fixed + 1]
+            states = kept + resampled(states[delayed + fixed:], count - fixed + 1)[1:]
+            controls = controls[:fixed] + resampled(controls[fixed:], count - fixed)
         before, _ = placed(drive, states)
-        message, states, controls, lengths = solve(drive, states, controls, False)
+        _, message, states, controls, lengths = solve(drive, setting, states, controls, False, known, fixed)
         pieces, found = placed(drive, states)
         longer = (lengths[-1] > 1.499 * INTERVAL_S) - (lengths[-1] < 0.501 * INTERVAL_S)
         count += longer
@@ -118,7 +173,9 @@ def optimum(drive):
             break
     else:
         message = "no duration found"
-    times = [sum(lengths[:index]) for index in range(len(states))]
+    times = [0.0]
+    for length in [drive.scenario["robot"]["command_delay_s"]] * delayed + lengths:
+        times.append(times[-1] + length)
     return float(objective(times, found, controls, lengths)), message, states, controls, lengths
 
 
@@ -130,7 +187,6 @@ def main(folders):
     for folder in map(Path, folders):
         try:
             drive = Drive(folder)
-            bodies(drive.scenario) if not drive.is_line else None
         except (OSError, KeyError, ValueError) as error:
             print(f"{folder}: {error}", file=sys.stderr)
             return 2
@@ -140,7 +196,7 @@ def main(folders):
             failed += difference > LARGEST_DIFFERENCE
             print(f"{name:<22} {drive.objective:9.4f}  differs from the report by {difference:.1e}")
             continue
-        least, message, _, _, lengths = optimum(drive)
+        least, message, _, _, lengths = optimum(drive, Setting(False, drive.clearance))
         regret = drive.objective / least
         failed += message != "Solve_Succeeded" or regret < LEAST_REGRET
         print(f"{name:<22} {drive.objective:9.4f} {least:9.4f} {regret:7.4f} {spent:6.2f} {sum(lengths):6.2f}  "

@@ -67,14 +67,14 @@ def solve(plan):
     return minimise(program, objective)[:2]
 
 
-def interval(program, start, control, length, guess, lower, upper):
+def interval(program, start, control, length, guess, lower, upper, slopes=slopes):
     """The state at the end of an interval: Radau collocation with three stages, the last of which is the end."""
     inner = [[program.variable("stage", value) for value in guess] for _ in range(2)]
     end = [program.variable("node", *limits) for limits in zip(guess, lower, upper)]
     stages = [*inner, end]
     rates = [slopes(stage, control) for stage in stages]
     for row, stage in zip(MATRIX, stages):
-        for component in range(5):
+        for component in range(len(start)):
             change = sum(factor * rate[component] for factor, rate in zip(row, rates))
             program.constrain(start[component] + length * change - stage[component], 0, 0)
     return end

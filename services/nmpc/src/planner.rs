@@ -57,6 +57,8 @@ const RESERVE_M: f64 = 0.02;
 const FOLLOWING: [f64; 2] = [1.0, 5.0];
 /// Weights of x while a body moves: in the integral and at the end.
 const HASTE: [f64; 2] = [20.0, 100.0];
+/// Cruise below which the weights of x grow no further [m/s]; they hold for 1 m/s.
+const SLOW_MPS: f64 = 0.4;
 /// Share of an enlargement that the next scan begins with.
 const GROWN_SHARE: f64 = 0.95;
 /// Largest distance between the positions of the solver and those of the rollout in a converged plan [m].
@@ -272,6 +274,12 @@ impl Planner {
         let is_wide = task.reference_path.limits.is_empty();
         let line = (task.reference_path.clear && is_wide).then_some(config.goal.y_m);
         problem.weights = config.weights.over(config.interval_s());
+        // A slow robot is beside an obstacle for longer, and would rather wait there than pay for its offset.
+        if task.scene.behind.is_none() {
+            let slower = config.cruise_mps.clamp(SLOW_MPS, 1.0).powi(-4);
+            problem.weights.node[3] *= slower;
+            problem.weights.terminal[3] *= slower;
+        }
         // The pace of a path past narrow places need not be kept. Waiting for a body that moves seldom pays.
         let moving = predicted.iter().any(PredictedObstacle::moves).then_some(HASTE);
         if let Some([along, last]) = if line.is_none() { Some(FOLLOWING) } else { moving } {
