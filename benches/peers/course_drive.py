@@ -244,3 +244,10 @@ def objective(times, states, controls, lengths):
         if index > 0:
             total += weighted(CHANGE, control, controls[index - 1]) * INTERVAL_S / lengths[index - 1]
     return total
+
+
+def second_differences(controls):
+    """Sum of the changes of the changes of the steering angle [rad]."""
+    angles = [control[1] for control in controls]
+    changes = [after - before for before, after in zip(angles, angles[1:])]
+    return sum(abs(after - before) for before, after in zip(changes, changes[1:]))

@@ -23,6 +23,8 @@ from course_drive import INTERVAL_S, Drive, mixed, objective
 
 # Nodes of the guess that are farther from an obstacle than this are not kept away from it [m].
 REACH_M = 2.0
+# The last interval, in intervals: the ranges of two numbers of intervals overlap.
+LAST = [0.4, 1.6]
 # Largest number of solves.
 ROUNDS = 6
 LEAST_REGRET, LARGEST_DIFFERENCE = 0.99, 1e-6
@@ -67,30 +69,22 @@ def solve(drive, setting, states, controls, is_even, known, fixed=0):
     """The solution from a guess: objective, message, states, controls, lengths. Either all intervals have one length, which
     is free, or those of docs/ride.md and the last one is free. The first `fixed` controls are those of the guess."""
     program, bounds, count, robot = Program(), drive.bounds, len(controls), drive.scenario["robot"]
-    free = program.variable("length", INTERVAL_S, INTERVAL_S / 2, INTERVAL_S * (2 if is_even else 1.5))
+    free = program.variable("length", INTERVAL_S, LAST[0] * INTERVAL_S, INTERVAL_S * (2 if is_even else LAST[1]))
     lengths = [free] * count if is_even else [INTERVAL_S] * (count - 1) + [free]
     upper = [bounds["sideslip_max_rad"], math.inf, bounds["yaw_rate_max_radps"], math.inf, math.inf]
     upper += [math.inf] * (len(states[0]) - 5)
     width = drive.scenario.get("course", {}).get("width_m", 3.0)
     low = [bounds["velocity_min_mps"], -bounds["steering_max_rad"]]
     high = [bounds["velocity_max_mps"], bounds["steering_max_rad"]]
-    steps = [(control, length, index < fixed) for index, (control, length) in enumerate(zip(controls, lengths))]
-    if setting.lags:
-        # Until the first command acts, nothing changes.
-        steps = [(None, robot["command_delay_s"], True), *steps]
     model = lagging(robot) if setting.lags else slopes
-    nodes, found, chosen, times, near, guess_s = [[ca.DM(value) for value in states[0]]], [drive.on_course[0]], [], [0.0], 0.0, 0.0
-    for index, (control, length, is_fixed) in enumerate(steps):
-        guess = states[index + 1]
-        if control is None:
-            command = [0.0, states[0][6]]
-        elif is_fixed:
-            command = [ca.DM(value) for value in control]
+    nodes, found, chosen, times, near = [[ca.DM(value) for value in states[0]]], [drive.on_course[0]], [], [0.0], 0.0
+    for index, (control, length) in enumerate(zip(controls, lengths)):
+        guess, moment_s = states[index + 1], drive.times[0] + INTERVAL_S * (index + 1)
+        if index < fixed:
+            chosen.append([ca.DM(value) for value in control])
         else:
-            command = [program.variable("u", *values) for values in zip(control, low, high)]
-        chosen += [command] if control is not None else []
-        guess_s += length if isinstance(length, float) else INTERVAL_S
-        node = interval(program, nodes[-1], command, length, guess, [-value for value in upper], upper, model)
+            chosen.append([program.variable("u", *values) for values in zip(control, low, high)])
+        node = interval(program, nodes[-1], chosen[-1], length, guess, [-value for value in upper], upper, model)
         piece, place = drive.course.find(guess, near)
         near = place[3]
         nodes.append(node)
@@ -101,8 +95,7 @@ def solve(drive, setting, states, controls, is_even, known, fixed=0):
         program.constrain(found[-1][4], -half_width, half_width)
         program.constrain(found[-1][1], -bounds["yaw_max_rad"], bounds["yaw_max_rad"])
         for body in known:
-            moment_s = drive.times[0] + guess_s
-            if not is_fixed and math.dist(guess[3:5], body.centre(moment_s)) < REACH_M + body.reach:
+            if index >= fixed and math.dist(guess[3:5], body.centre(moment_s)) < REACH_M + body.reach:
                 keep = (program, robot, node, drive.times[0] + times[-1], guess, moment_s, setting.clearance)
                 body.keep(*keep)
     program.constrain(found[-1][3], drive.end_m, drive.end_m)
@@ -128,17 +121,20 @@ def placed(drive, states):
 def optimum(drive, setting, states=None, controls=None):
     """The drive with the least J from a guess, without one from the drive: its J, message of IPOPT, states, controls and
     lengths of the intervals."""
-    count = round((drive.times[-1] - drive.times[0]) / INTERVAL_S)
-    states, controls = states or drive.states, controls or [control for _, control in drive.commands]
+    is_drive = states is None
+    if is_drive:
+        states, controls = drive.states, [control for _, control in drive.commands]
+    count = round((drive.times[-1] - drive.times[0]) / INTERVAL_S) if is_drive else len(controls)
     states, controls = resampled(states, count + 1), resampled(controls, count)
     if setting.lags:
         states = [[*states[0][:5], drive.speed, drive.steering]] + [
-            [*state[:5], *control] for state, control in zip([states[0], *states[1:]], [controls[0], *controls])]
+            [*state[:5], *control] for state, control in zip(states[1:], controls)]
     else:
         states = [state[:5] for state in states]
     known = [body for body in drive.bodies if not setting.late or drive.sights[body] <= drive.times[0]]
-    _, message, states, controls, lengths = solve(drive, setting, states, controls, True, known)
-    count = round(sum(lengths) / INTERVAL_S)
+    if is_drive:
+        _, _, states, controls, lengths = solve(drive, setting, states, controls, True, known)
+        count = round(sum(lengths) / INTERVAL_S)
     fixed = 0
     while True:
         solution = fitted(drive, setting, states, controls, count, known, fixed)
@@ -159,23 +155,19 @@ def optimum(drive, setting, states=None, controls=None):
 def fitted(drive, setting, states, controls, count, known, fixed):
     """The solution with intervals of docs/ride.md, with as many as it takes."""
     for _ in range(ROUNDS):
-        delayed = 1 if setting.lags else 0
         if len(controls) != count:
-            kept = states[:delayed + fixed + 1]
-            states = kept + resampled(states[delayed + fixed:], count - fixed + 1)[1:]
+            states = states[:fixed] + resampled(states[fixed:], count - fixed + 1)
             controls = controls[:fixed] + resampled(controls[fixed:], count - fixed)
         before, _ = placed(drive, states)
         _, message, states, controls, lengths = solve(drive, setting, states, controls, False, known, fixed)
         pieces, found = placed(drive, states)
-        longer = (lengths[-1] > 1.499 * INTERVAL_S) - (lengths[-1] < 0.501 * INTERVAL_S)
+        longer = (lengths[-1] > (LAST[1] - 1e-3) * INTERVAL_S) - (lengths[-1] < (LAST[0] + 1e-3) * INTERVAL_S)
         count += longer
-        if longer == 0 and pieces == before:
+        if longer == 0 and (pieces == before or drive.is_line):
             break
     else:
         message = "no duration found"
-    times = [0.0]
-    for length in [drive.scenario["robot"]["command_delay_s"]] * delayed + lengths:
-        times.append(times[-1] + length)
+    times = [sum(lengths[:index]) for index in range(len(states))]
     return float(objective(times, found, controls, lengths)), message, states, controls, lengths
 
 
