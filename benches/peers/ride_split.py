@@ -33,7 +33,8 @@ def driven(program, scenario, preset, changes, folder):
     (home := folder / "runtime").mkdir(0o700, parents=True)
     environment = {**os.environ, "SCANLOOP_RUNTIME_DIR": str(home)}
     sets = [part for change in [f"robot.preset={preset}", *changes] for part in ("--set", change)]
-    subprocess.run([program, "run", scenario, "--lockstep", "--record", "--out", folder / "out", "--quiet", *sets], check=True,
+    subprocess.run([program, "run", scenario, "--lockstep", "--record", "--out", folder / "out", "--quiet", "--system-id",
+                    f"split-{os.getpid()}", *sets], check=True,
                    stdout=subprocess.DEVNULL, env=environment)
     subprocess.run([program, "recording", "export", folder / "out/recording.mcap", "--csv", folder / "out/csv"], check=True,
                    stdout=subprocess.DEVNULL)

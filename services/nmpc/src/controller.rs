@@ -34,7 +34,7 @@ use crate::start::{self, Start};
 use crate::state::{Arrival, ControllerState};
 
 /// A body that blocks the way and came less than this ago may go again [s].
-const COMES_AND_GOES_S: f64 = 6.5;
+const COMES_AND_GOES_S: f64 = 3.0;
 
 /// What a limit of a plan belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
