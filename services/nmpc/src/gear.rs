@@ -14,6 +14,8 @@ use crate::way_back::WayBack;
 
 /// How far from the end of a leg the robot may change its direction of travel [m].
 const TOLERANCE_M: f64 = 0.15;
+/// How far behind a goal that was passed the robot turns [m].
+const BEHIND_M: f64 = 3.0;
 /// A goal so little behind the end of a leg is at its end [m].
 const SAME_M: f64 = 1e-3;
 
@@ -97,6 +99,13 @@ impl Legs {
         true
     }
 
+    /// Whether the robot can come back to a goal of this course from behind it.
+    pub(crate) fn can_come_back(&self, goal: &Goal) -> bool {
+        let course = &self.legs[0].course;
+        let last_m = if course.is_line() { self.track.x_m[1] } else { course.length_m() };
+        self.legs.len() == 1 && self.can_return() && goal.yaw_rad.is_none() && goal.x_m + BEHIND_M < last_m
+    }
+
     /// How fast the robot drives backwards [m/s].
     pub(crate) fn reverse_mps(&self) -> f64 {
         self.backwards.cruise_mps
@@ -124,6 +133,7 @@ impl Legs {
     pub(crate) fn goal(&self, goal: Goal, back: &WayBack) -> Goal {
         let [x_m, y_m] = match self.entered {
             Entered { returns: true, .. } => [self.seen_from_end(back.to_m[0]), -back.to_m[1]],
+            _ if back.overshoots() => [goal.x_m + BEHIND_M, goal.y_m],
             Entered { leg, .. } if self.ends_before(&goal) => [self.legs[leg].end_m, 0.0],
             _ => return goal,
         };

@@ -4,12 +4,14 @@
 //! it has stood for a while, places on the way back are tried one after the other, one in each scan, until the path search
 //! finds a clear path from one of them. The robot drives there backwards, and then on.
 //!
+//! A goal that was passed beside it is come back to from behind: the robot drives on, straightens, and drives back.
+//!
 //! Nothing is tried while a body moves: it may go. Assumed: what the robot has seen on its way still stands there.
 //!
 //! What the robot remembers is planned for until it has come further than the dead end. Else it would drive in again.
 
 use shared_types::plain_state;
-use vehicle::State;
+use vehicle::{Goal, State};
 
 /// How long a robot stands before it looks for a way back [s].
 const WAIT_S: f64 = 1.5;
@@ -19,11 +21,13 @@ const STEP_M: f64 = 0.25;
 const MAX_TRIES: u32 = 3;
 /// ... by this [m].
 const FURTHER_M: f64 = 1.0;
+/// The way to behind a goal that was passed.
+const BEHIND_GOAL: u32 = 2;
 
 plain_state! {
     /// The way out of a dead end.
     pub struct WayBack {
-        /// Whether the robot drives it
+        /// 0 while the robot does not drive it, 1 while it does, 2 on the way to where it turns behind a goal that was passed
         pub drives: u32,
         /// Scans in a row in which the robot stood without a plan
         pub stood: u32,
@@ -60,6 +64,20 @@ impl WayBack {
     pub(crate) fn begin(&mut self, along_m: f64, to: &State) {
         let tries = self.tries + 1;
         *self = Self { drives: 1, stood: 0, tries, remembers: 1, from_m: along_m, to_m: [to.x, to.y] };
+    }
+
+    /// Drives on to behind a goal that was passed, to come back to it from there; false after some tries.
+    pub(crate) fn overshoot(&mut self, goal: &Goal) -> bool {
+        if self.tries >= MAX_TRIES {
+            return false;
+        }
+        (self.drives, self.to_m) = (BEHIND_GOAL, [goal.x_m, goal.y_m]);
+        true
+    }
+
+    /// Whether the robot drives on to behind its goal.
+    pub(crate) fn overshoots(&self) -> bool {
+        self.drives == BEHIND_GOAL
     }
 
     /// Whether the robot still has to pass the dead end; `along_m` is its place where that is known.

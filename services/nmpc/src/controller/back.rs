@@ -20,10 +20,16 @@ const SPARE_BACK_M: f64 = 0.75;
 const TURNED_MAX_RAD: f64 = 0.9;
 
 impl Controller {
-    /// Drives the next leg, or forwards again behind the way out of a dead end.
+    /// Drives the next leg, back to a goal that was passed, or forwards again behind the way out of a dead end.
     pub(super) fn turn(&mut self, pose: &Pose) {
         let state = &mut self.state;
-        if state.back.drives == 1 {
+        if state.back.overshoots() {
+            let here = State { x: pose.x_m, y: pose.y_m, yaw: pose.yaw_rad, ..State::default() };
+            let here = self.config.course.on_course(&here, state.along().unwrap_or(here.x));
+            let [x, y] = state.back.to_m;
+            state.back.begin(here.x, &State { x, y, ..State::default() });
+            state.plan[0].x_m = self.legs.seen_from_end(here.x);
+        } else if state.back.drives == 1 {
             state.back.end();
             state.sights.take_back([pose.x_m, pose.y_m]);
             state.plan[0].x_m = self.legs.seen_from_end(state.plan[0].x_m);

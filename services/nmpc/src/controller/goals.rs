@@ -4,6 +4,7 @@ use shared_types::{GivenGoal, StopReason};
 use vehicle::{Goal, State};
 
 use super::Controller;
+use crate::config::SideRule;
 use crate::landing::{Approach, approach};
 use crate::state::Arrival;
 
@@ -63,12 +64,14 @@ impl Controller {
     }
 
     /// Lands, or stops behind the goal; a goal that was passed stays passed until the robot is well before it.
-    pub(super) fn arrive(&self, initial: &State, speed: f64, period_s: f64) -> Result<(), StopReason> {
-        let goal = &self.config.goal;
-        let is_leg_end = self.legs.ends_before(&self.goals[self.goal_index()]);
-        match approach(goal, initial, speed, period_s, &self.config.vehicle) {
+    pub(super) fn arrive(&mut self, initial: &State, speed: f64, period_s: f64) -> Result<(), StopReason> {
+        let goal = self.config.goal;
+        let is_leg_end =
+            self.state.back.overshoots() || self.legs.ends_before(&self.goals[self.goal_index()]);
+        match approach(&goal, initial, speed, period_s, &self.config.vehicle) {
             Approach::Land | Approach::Passed if is_leg_end => Err(StopReason::Reversal),
             Approach::Land => Err(StopReason::Landed),
+            Approach::Passed if self.comes_back() => Ok(()),
             Approach::Passed => Err(StopReason::GoalPassed),
             Approach::Ahead
                 if self.state.arrival() == Arrival::Passed
@@ -78,6 +81,19 @@ impl Controller {
             }
             Approach::Ahead => Ok(()),
         }
+    }
+
+    /// Whether the robot drives on to behind the goal that it passed, to come back to it.
+    fn comes_back(&mut self) -> bool {
+        let goal = self.goals[self.goal_index()];
+        let comes_back = self.config.side == SideRule::Search
+            && self.state.arrival() == Arrival::OnTheWay
+            && self.legs.can_come_back(&goal)
+            && self.state.back.overshoot(&goal);
+        if comes_back {
+            self.config.goal = self.legs.goal(goal, &self.state.back);
+        }
+        comes_back
     }
 }
 

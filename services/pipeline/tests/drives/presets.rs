@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 
 use emulator::scenario::Preset;
 use emulator::{Outcome, Scenario};
-use pipeline::PipelineSettings;
+use pipeline::{PipelineSettings, drive};
 
 use crate::{End, end, seeds, shipped};
 
@@ -64,4 +64,24 @@ fn a_worn_robot_touches_nothing() {
 #[ignore = "2200 drives"]
 fn two_hundred_worn_robots_touch_nothing() {
     assert_untouched(1..=200);
+}
+
+#[test]
+fn a_slow_robot_passes_an_obstacle_without_creeping() {
+    let mut settings = PipelineSettings::of(shipped("corridor"));
+    settings.tuning.controller.cruise_mps = 0.5;
+    let (mut driven, mut last, mut step_rad) = (Vec::new(), None::<f64>, 0.0_f64);
+    let end = drive(&settings, |step| {
+        if let Some(command) = step.command.filter(|command| command.velocity_mps > 0.0) {
+            step_rad = step_rad.max(last.map_or(0.0, |last| (command.steering_rad - last).abs()));
+            last = Some(command.steering_rad);
+            driven.push(command.velocity_mps);
+        }
+    })
+    .unwrap();
+    assert_eq!(end.outcome, Outcome::Reached, "{}", end.reason);
+    // Half of the way lies behind the obstacle, and the landing takes the last second.
+    let slowest = driven[5..driven.len() - 40].iter().copied().fold(1.0, f64::min);
+    let fastest = driven.iter().copied().fold(0.0, f64::max);
+    assert!(slowest > 0.4 && fastest < 0.6 && step_rad < 0.02, "{slowest} to {fastest} m/s, {step_rad} rad");
 }

@@ -1,4 +1,4 @@
-//! Backwards, where a body has moved behind the robot.
+//! Backwards: where a body has moved behind the robot, and out from before what appeared.
 
 use emulator::Outcome;
 use emulator::scenario::Preset;
@@ -34,6 +34,22 @@ fn a_place_that_a_body_was_seen_to_move_towards_is_not_backed_into() {
             let end = parks(Some(speed), preset);
             assert_eq!(end.outcome, Outcome::Stopped, "{preset:?} {speed} {end:?}");
             assert!(end.reason.contains("unseen") && end.is_untouched(), "{preset:?} {speed} {end:?}");
+        }
+    }
+}
+
+#[test]
+fn what_appears_too_near_to_turn_away_is_passed_after_driving_back() {
+    for preset in [Preset::Ideal, Preset::Summit] {
+        for ahead in ["1.2", "1.6", "2.0"] {
+            let mut scenario = parse(&format!(
+                "name = \"post\"\n[goal]\nx_m = 12.0\n[[obstacle]]\nshape = \"circle\"\nx_m = 6.0\ny_m = 0.0\n\
+                 radius_m = 0.1\nappears_ahead_m = {ahead}\n"
+            ));
+            scenario.robot.preset = preset;
+            let end = end(&PipelineSettings::of(scenario));
+            assert_eq!(end.outcome, Outcome::Reached, "{preset:?} {ahead}: {end:?}");
+            assert!(end.clearance_m > 0.2, "{preset:?} {ahead}: {end:?}");
         }
     }
 }
