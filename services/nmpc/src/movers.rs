@@ -65,6 +65,11 @@ plain_state! {
 }
 
 impl Movers {
+    /// Whether one of them may be in motion.
+    pub(crate) fn move_about(&self) -> bool {
+        self.bodies[..self.len()].iter().any(|body| body.speed_mps > 0.0)
+    }
+
     /// Follows the description of a scan that was taken at `now_ns`; bodies that were seen before `since_ns` are forgotten.
     pub(crate) fn follow(&mut self, obstacles: &Obstacles, now_ns: u64, since_ns: u64) {
         let described = |known: &Mover| obstacles.list().iter().find(|one| u64::from(one.id) == known.id);

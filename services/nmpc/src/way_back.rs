@@ -124,6 +124,19 @@ mod tests {
     }
 
     #[test]
+    fn a_goal_that_was_passed_is_come_back_to_three_times_at_most() {
+        let mut back = WayBack::default();
+        let goal = Goal { x_m: 9.0, y_m: 0.2, ..Goal::default() };
+        for _ in 0..MAX_TRIES {
+            assert!(back.overshoot(&goal) && back.overshoots() && back.to_m == [9.0, 0.2]);
+            back.begin(12.0, &State { x: 9.0, y: 0.2, ..State::default() });
+            assert!(!back.overshoots() && back.drives == 1);
+            back.end();
+        }
+        assert!(!back.overshoot(&goal));
+    }
+
+    #[test]
     fn a_robot_that_gets_no_further_gives_up() {
         let mut back = WayBack::default();
         let mut begin = |along_m: f64| {

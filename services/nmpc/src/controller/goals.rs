@@ -83,11 +83,14 @@ impl Controller {
         }
     }
 
-    /// Whether the robot drives on to behind the goal that it passed, to come back to it.
+    /// Whether the robot drives on to behind the goal that it passed under way, to come back to it. Where a body has moved, it could not
+    /// drive back over what it does not see.
     fn comes_back(&mut self) -> bool {
         let goal = self.goals[self.goal_index()];
         let comes_back = self.config.side == SideRule::Search
             && self.state.arrival() == Arrival::OnTheWay
+            && self.state.velocity_mps > 0.0
+            && !self.state.movers.move_about()
             && self.legs.can_come_back(&goal)
             && self.state.back.overshoot(&goal);
         if comes_back {

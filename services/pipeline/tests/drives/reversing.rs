@@ -1,4 +1,4 @@
-//! Backwards: where a body has moved behind the robot, and out from before what appeared.
+//! Backwards: where a body has moved behind the robot, out from before what appeared, and to a goal that was passed.
 
 use emulator::Outcome;
 use emulator::scenario::Preset;
@@ -51,5 +51,18 @@ fn what_appears_too_near_to_turn_away_is_passed_after_driving_back() {
             assert_eq!(end.outcome, Outcome::Reached, "{preset:?} {ahead}: {end:?}");
             assert!(end.clearance_m > 0.2, "{preset:?} {ahead}: {end:?}");
         }
+    }
+}
+
+#[test]
+fn a_goal_close_behind_a_wide_box_is_come_back_to_from_behind() {
+    for (goal_m, width_m) in [("9.0", "1.0"), ("9.5", "1.6"), ("10.0", "1.0"), ("10.0", "1.6")] {
+        let scenario = parse(&format!(
+            "name = \"wide\"\n[goal]\nx_m = {goal_m}\n[[obstacle]]\nshape = \"box\"\nx_m = 8.0\ny_m = 0.1\nlength_m = 0.1\n\
+             width_m = {width_m}\n"
+        ));
+        let end = end(&PipelineSettings::of(scenario));
+        assert_eq!(end.outcome, Outcome::Reached, "{goal_m} {width_m}: {end:?}");
+        assert!(end.goal_m < 0.05 && end.clearance_m > 0.15, "{goal_m} {width_m}: {end:?}");
     }
 }
