@@ -5,10 +5,11 @@ import math
 
 import shapely
 import shapely.affinity
+from surroundings import around
 
 RADIUS_M, MARGIN_M, STEP_M = 3.2, 0.1, 0.25
 GRID_M, GRID_RAD = 0.05, math.radians(2)
-WALL_M, TOLERANCE_M = 2.4, 0.1
+EDGE_M, TOLERANCE_M = 2.4, 0.1
 
 
 def shape_of(body):
@@ -23,10 +24,12 @@ def shape_of(body):
 
 
 def is_passable(world, length_m, width_m):
-    """Whether a way leads to the goal on which the body keeps a decimetre to all bodies at rest and both walls."""
+    """Whether a way leads to the goal on which the body keeps a decimetre to all bodies at rest and all walls."""
     goal_x, goal_y = world["goal"]
     still = [shape_of(body) for body in world["bodies"] if "velocity" not in body]
-    walls = [shapely.box(-9, side * WALL_M - 0.1, goal_x + 9, side * WALL_M + 0.1) for side in (1, -1)]
+    # In the open the way ends where the track does.
+    edges = [{"at": [goal_x / 2, side * EDGE_M], "size": [goal_x + 18, 0.2]} for side in (1, -1)]
+    walls = [shape_of(body) for body in around(world) + edges]
     taken = shapely.union_all([shape.buffer(MARGIN_M) for shape in still + walls])
     shapely.prepare(taken)
     robot = shapely.box(-length_m / 2, -width_m / 2, length_m / 2, width_m / 2)

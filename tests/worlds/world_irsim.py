@@ -7,6 +7,7 @@ import tempfile
 
 import numpy
 import yaml
+from surroundings import around
 
 with contextlib.redirect_stdout(io.StringIO()):
     import matplotlib
@@ -14,12 +15,12 @@ with contextlib.redirect_stdout(io.StringIO()):
     matplotlib.use("Agg")
     import irsim
 
-LENGTH_M, WIDTH_M, WALL_M = 0.56, 0.40, 2.4
+LENGTH_M, WIDTH_M = 0.56, 0.40
 FAN_RAD, BEAMS = 4.1852, 682
 
 
 class World:
-    """The robot among bodies between two walls."""
+    """The robot among bodies, and what stands around them."""
 
     def __init__(self, world, step_s):
         wheelbase = world.get("wheelbase_m")
@@ -38,9 +39,7 @@ class World:
             ],
         }
         length = world["goal"][0] + 8.0
-        walls = [{"at": [length / 2 - 3.0, side * WALL_M], "size": [length, 0.1]} for side in (1, -1)]
-        walls.append({"at": [length - 3.0, 0.0], "size": [0.1, 2 * WALL_M]})
-        obstacles = [self._obstacle(body) for body in world["bodies"] + walls]
+        obstacles = [self._obstacle(body) for body in world["bodies"] + around(world)]
         space = {"height": 20, "width": length + 10, "offset": [-6, -10], "step_time": step_s, "sample_time": step_s}
         space["collision_mode"] = "unobstructed"
         with tempfile.NamedTemporaryFile("w", suffix=".yaml", delete=False) as file:

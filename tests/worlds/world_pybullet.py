@@ -4,8 +4,9 @@ import math
 
 import pybullet as bullet
 import pybullet_data
+from surroundings import around
 
-WALL_M, LASER_M, WHEELBASE_M, WHEEL_M = 2.4, 0.12, 0.325, 0.05
+LASER_M, WHEELBASE_M, WHEEL_M = 0.12, 0.325, 0.05
 DRIVEN, STEERED = (2, 3, 5, 7), (4, 6)
 # The car turns less than its wheels, measured at 1 m/s: for the curvature k it is told k * first / (1 - second * |k|).
 UNDERSTEER = 1.03, 1.0
@@ -14,7 +15,7 @@ OUTSIDE_M = 0.3  # of the car
 
 
 class World:
-    """The racecar among bodies between two walls."""
+    """The racecar among bodies, and what stands around them."""
 
     def __init__(self, world, step_s):
         bullet.connect(bullet.DIRECT)
@@ -26,10 +27,7 @@ class World:
         self._car = bullet.loadURDF("racecar/racecar.urdf", [-WHEELBASE_M / 2, 0, 0.05])
         for joint in range(bullet.getNumJoints(self._car)):
             bullet.setJointMotorControl2(self._car, joint, bullet.VELOCITY_CONTROL, targetVelocity=0, force=0)
-        length = world["goal"][0] + 8.0
-        walls = [{"at": [length / 2 - 3.0, side * WALL_M], "size": [length, 0.1]} for side in (1, -1)]
-        walls.append({"at": [length - 3.0, 0.0], "size": [0.1, 2 * WALL_M]})
-        self._bodies = [(self._body(body), body) for body in world["bodies"] + walls]
+        self._bodies = [(self._body(body), body) for body in world["bodies"] + around(world)]
         for _ in range(200):
             bullet.stepSimulation()
         self._time_s, self._step_s = 0.0, step_s

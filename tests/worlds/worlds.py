@@ -12,6 +12,7 @@ import sys
 import tempfile
 
 from planner import is_passable, shape_of
+from surroundings import around
 
 HERE = pathlib.Path(__file__).resolve().parent
 SIZES = {"irsim": (0.56, 0.40), "acker": (0.56, 0.40), "pybullet": (0.50, 0.30)}
@@ -45,15 +46,20 @@ odometry_longitudinal = 0.0
 [vehicle]
 length_m = {length}
 width_m = {width}
+# An open place looks like a blind scanner: there the robot is careful.
+surroundings = "{surroundings}"
 """
 
 
-def drive(scanloop, project, simulator, world, errors, seed):
+def drive(scanloop, project, keep, settings, simulator, world, errors, seed):
     """One drive: what Scanloop says of it, and what truly happened."""
     with tempfile.TemporaryDirectory(prefix="world-") as folder:
         folder = pathlib.Path(folder)
-        settings = dict(world, wheelbase_m=0.4) if simulator == "acker" else world
-        (folder / "world.json").write_text(json.dumps(settings), encoding="utf-8")
+        if keep:
+            folder = pathlib.Path(keep).resolve() / f"{simulator}-{world['name']}-{errors}-{seed}"
+            folder.mkdir(parents=True, exist_ok=True)
+        file = dict(world, wheelbase_m=0.4) if simulator == "acker" else world
+        (folder / "world.json").write_text(json.dumps(file), encoding="utf-8")
         length, width = SIZES[simulator]
         values = {
             "WORLD_FILE": folder / "world.json",
@@ -64,7 +70,8 @@ def drive(scanloop, project, simulator, world, errors, seed):
         }
         variables = [f"{key}={value}" for key, value in values.items()]
         command = ["env", *variables, sys.executable, str(project / "robot.py")]
-        system = SYSTEM.format(command=json.dumps(command), length=length, width=width)
+        kind = "open" if world["around"] == "open" else "hall"
+        system = SYSTEM.format(command=json.dumps(command), length=length, width=width, surroundings=kind)
         (folder / "system.toml").write_text(system, encoding="utf-8")
         x_m, y_m = world["goal"]
         scenario = f'name = "world"\n[track]\ny_m = [-2.0, 2.0]\n[goal]\nx_m = {x_m}\ny_m = {y_m}\n'
@@ -72,6 +79,8 @@ def drive(scanloop, project, simulator, world, errors, seed):
         name = f"w{os.getpid() % 100000}{abs(hash((simulator, world['name'], errors, seed))) % 10000}"
         arguments = ["--system-id", name, "run", folder / "world.toml", "--system", folder / "system.toml"]
         run = [scanloop, *arguments, "--out", folder / "out", "--quiet", "--force"]
+        run += [f"--set={setting}" for setting in settings]
+        run += ["--record"] if keep else []
         done = subprocess.run(run, capture_output=True, text=True, timeout=180, check=False)
         report, truth = folder / "out" / "report.json", folder / "truth.jsonl"
         if not report.exists() or not truth.exists():
@@ -104,6 +113,8 @@ def main():
     parser.add_argument("--jobs", type=int, default=2, help="drives at a time")
     parser.add_argument("--json", help="file for all drives")
     parser.add_argument("--pictures", help="folder for a picture of each world")
+    parser.add_argument("--keep", help="folder for what each drive leaves")
+    parser.add_argument("--set", action="append", default=[], help="KEY=VALUE for `scanloop run`; may be repeated")
     options = parser.parse_args()
     scanloop = shutil.which(options.scanloop) or sys.exit(f"error: no executable {options.scanloop}")
     worlds = json.loads((HERE / "worlds.json").read_text(encoding="utf-8"))
@@ -111,7 +122,7 @@ def main():
         project = pathlib.Path(folder) / "robot"
         new = [scanloop, "new", project.name, "--lang", "python", "--role", "robot"]
         subprocess.run(new, cwd=folder, check=True, capture_output=True)
-        for name in ("device.py", "world_irsim.py", "world_pybullet.py"):
+        for name in ("device.py", "surroundings.py", "world_irsim.py", "world_pybullet.py"):
             shutil.copy(HERE / name, project / name)
         cases = [
             (simulator, world, errors, seed)
@@ -127,9 +138,9 @@ def main():
             (simulator, world["name"]): is_passable(world, *SIZES[simulator]) for simulator, world, *_ in cases
         }
         with concurrent.futures.ThreadPoolExecutor(options.jobs) as pool:
-            ends = list(pool.map(lambda case: drive(scanloop, project, *case), cases))
+            ends = list(pool.map(lambda case: drive(scanloop, project, options.keep, options.set, *case), cases))
     rows = [
-        dict(end, simulator=case[0], world=case[1]["name"], errors=case[2], seed=case[3])
+        dict(end, simulator=case[0], world=case[1]["name"], around=case[1]["around"], errors=case[2], seed=case[3])
         | {"passable": passable[case[0], case[1]["name"]]}
         for case, end in zip(cases, ends)
     ]
@@ -152,7 +163,7 @@ def draw(world, rows, folder):
     if not rows:
         return
     goal_x, goal_y = world["goal"]
-    shapes = [shape_of(body) for body in world["bodies"] if "velocity" not in body]
+    shapes = [shape_of(body) for body in world["bodies"] + around(world) if "velocity" not in body]
     parts = [f'<polygon points="{points(shape.exterior.coords)}" fill="#444"/>' for shape in shapes]
     for body in world["bodies"]:
         if "velocity" in body:
@@ -184,19 +195,26 @@ def points(places):
     return " ".join(f"{x:.2f},{-y:.2f}" for x, y in places)
 
 
+def kind_of(row):
+    """The simulator of a drive, whether something stands around its world, and its errors."""
+    return row["simulator"], "open" if row["around"] == "open" else "walls", row["errors"]
+
+
 def print_table(rows, must_reach):
     """Prints a row for each simulator and kind of errors; returns the exit code."""
-    print("| simulator | errors | drives | passable | at the goal | elsewhere | stopped | contacts | struck at rest |")
-    print("|---|---|---:|---:|---:|---:|---:|---:|---:|")
-    for kind in dict.fromkeys((row["simulator"], row["errors"]) for row in rows):
-        of = [row for row in rows if (row["simulator"], row["errors"]) == kind]
+    print("| simulator | surroundings | errors | drives | passable | at the goal | elsewhere | stopped | contacts | struck at rest |")
+    print("|---|---|---|---:|---:|---:|---:|---:|---:|---:|")
+    kinds = {kind_of(row): [] for row in rows}
+    for row in rows:
+        kinds[kind_of(row)].append(row)
+    for kind, of in kinds.items():
         reached = [row for row in of if row["outcome"] == "reached"]
         there = [row for row in reached if row["distance_m"] <= TOLERANCE_M and not row["touched"]]
         stopped = sum(row["outcome"] == "stopped" for row in of)
         struck, touched = (sum(bool(row.get(key)) for row in of) for key in ("struck", "touched"))
         passable = sum(row["passable"] for row in of)
         counts = [len(of), passable, len(there), len(reached) - len(there), stopped, touched, struck]
-        print(f"| {kind[0]} | {kind[1]} | " + " | ".join(map(str, counts)) + " |")
+        print(f"| {' | '.join(kind)} | " + " | ".join(map(str, counts)) + " |")
     bad = [row for row in rows if row.get("touched") or row["outcome"] not in ("reached", "stopped", "missed")]
     bad += [row for row in rows if row.get("unaccounted")]
     bad += [row for row in rows if must_reach and row["passable"] and row["outcome"] != "reached"]
