@@ -135,7 +135,8 @@ pub(crate) fn solver(arguments: &SolverArguments) -> anyhow::Result<Exit> {
     }
     drop(steps);
     if arguments.peer && results.peers.is_empty() && results.skipped.is_empty() {
-        results.skip(format!("peers are compared with N of {PEER_INTERVALS:?}, which --intervals leaves out"));
+        results
+            .skip(format!("peers are compared with N of {PEER_INTERVALS:?}, which --intervals leaves out"));
     }
     results.growth = growth(&results.solvers);
     answer!(arguments.json, "{}", table::text(&results))?;

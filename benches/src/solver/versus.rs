@@ -120,8 +120,9 @@ impl Versus {
         let [solve_us, step_us, feedback_us] =
             [&self.solve, &self.step, &self.feedback].map(Distribution::figures);
         let ratio = |peer: f64, ours: f64| if ours > 0.0 { peer / ours } else { 0.0 };
-        let ratios = [(&solve_us, &ours.solve_us), (&step_us, &ours.step_us), (&feedback_us, &ours.feedback_us)]
-            .map(|(peer, ours)| [ratio(peer.p50, ours.p50), ratio(peer.p99, ours.p99)]);
+        let ratios =
+            [(&solve_us, &ours.solve_us), (&step_us, &ours.step_us), (&feedback_us, &ours.feedback_us)]
+                .map(|(peer, ours)| [ratio(peer.p50, ours.p50), ratio(peer.p99, ours.p99)]);
         let iterations = self.iterations.figures();
         PeerRow { n: ours.n, solve_us, step_us, feedback_us, iterations, ratios, ..self.row.clone() }
     }
@@ -186,7 +187,13 @@ mod tests {
     #[test]
     fn a_peer_that_only_makes_a_step_is_compared_in_steps_and_feedback() {
         let mut versus = Versus::new("acados-rti");
-        let step = PeerResult { us: None, step_us: Some(80.0), feedback_us: Some(30.0), optimum: None, ..peer(0.9, 0.0) };
+        let step = PeerResult {
+            us: None,
+            step_us: Some(80.0),
+            feedback_us: Some(30.0),
+            optimum: None,
+            ..peer(0.9, 0.0)
+        };
         versus.add(2, &step, Some(&ours(0.5)));
         let of = |p50| Figures { count: 1, p50, p99: p50, ..Figures::default() };
         let ours = ContenderRow { step_us: of(16.0), feedback_us: of(1.0), ..ContenderRow::default() };
