@@ -19,7 +19,7 @@ fn program(seed: u64) -> Option<(Qp, Chain, Shooting, Vec<Block>)> {
     let mut uniform = |low: f64, high: f64| rng.random_range(low..high);
     let interval = 2.72 / count as f64;
     let (velocity, steering, bend) = (uniform(0.15, 1.0), uniform(-0.06, 0.06), uniform(-0.1, 0.1));
-    let (mut initial, mut weights) = (coarse.initial, coarse.weights.clone());
+    let (mut initial, mut weights) = (coarse.initial, coarse.weights);
     (initial.yaw, initial.y) = (uniform(-0.4, 0.4), uniform(-1.4, 1.4));
     weights.slack_linear = 10f64.powf(uniform(1.0, 3.0));
     weights.slack_quadratic = 10f64.powf(uniform(1.0, 3.0));
