@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""CasADi with IPOPT and with its own sqpmethod as peers of `scanloop bench solver --peer`.
+"""CasADi with IPOPT and with its own sqpmethod, and acados (`acados_peer.py`), as peers of `scanloop bench solver --peer`.
 
 The benchmark starts this process and sends one line of JSON for the setting and then one per case; each gets one line back.
 Equations and tableau come from `casadi_reference.py`; the transcription is leaner than the one there, in favour of the
@@ -16,6 +16,8 @@ one's answer, because an interior point stopped at 1e-6 is farther from the opti
 
 import contextlib
 import hashlib
+import importlib.util
+import io
 import json
 import math
 import os
@@ -33,6 +35,8 @@ import casadi as ca  # noqa: E402
 from casadi_reference import MATRIX, slopes  # noqa: E402
 
 CACHE = HERE / ".venv" / "cache"
+# CasADi is compared with the published number of intervals only.
+CASADI_INTERVALS = 6
 IPOPT = {"print_level": 0, "sb": "yes", "max_iter": 300}
 # The fastest of seven sets of options: a start that is trusted, and a small barrier from the beginning. On the shipped cases
 # `mu_init` alone or the adaptive barrier gained at most a tenth of the median; sets with smaller pushes from the bounds were
@@ -139,11 +143,11 @@ def compiled(transcription, name, solver):
 class Peer:
     """One solver with the transcription it solves."""
 
-    def __init__(self, name, transcription, plugin, options):
+    def __init__(self, name, transcription, plugin, options, compile=True):
         self.name, self.transcription = name, transcription
         options = {"print_time": False, "record_time": True, **options}
         solver = ca.nlpsol("solver", plugin, transcription.nlp, options)
-        library = compiled(transcription, name, solver)
+        library = compiled(transcription, name, solver) if compile else None
         self.compiled = library is not None
         self.solver = ca.nlpsol("solver", plugin, library, options) if library else solver
 
@@ -173,9 +177,19 @@ class Peer:
         }, result
 
 
-def peers_of(setting):
-    transcription = Transcription(setting)
-    tolerance = setting["tolerance"]
+def acados_of(transcription, setting):
+    """The solvers of acados, and its version: none where it is not installed, or nothing can compile its code."""
+    if importlib.util.find_spec("acados") is None or not (shutil.which("make") and shutil.which("cc")):
+        return [], None
+    # Its interface prints while it is imported.
+    with contextlib.redirect_stdout(io.StringIO()):
+        import acados_peer
+    names = ("acados-sqp", "acados-rti")
+    return [acados_peer.Acados(name, transcription, setting, CACHE) for name in names], acados_peer.VERSION
+
+
+def casadi_of(transcription, tolerance):
+    """The solvers of CasADi."""
     ipopt = Peer("casadi-ipopt", transcription, "ipopt", {"ipopt": {**IPOPT, "tol": tolerance}})
     tuned = Peer("casadi-ipopt-tuned", transcription, "ipopt", {"ipopt": {**IPOPT, **WARM, "tol": tolerance}})
     # The objective is quadratic, so its own Hessian is the Gauss-Newton Hessian.
@@ -191,16 +205,11 @@ def peers_of(setting):
         "print_iteration": False, "print_header": False, "print_status": False,
         "qpsol_options": {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False},
     })
-    exact = Peer("casadi-ipopt-exact", transcription, "ipopt", {
-        "ipopt": {**IPOPT, "tol": 1e-10, "bound_relax_factor": 0.0, "mu_init": 1e-7, "acceptable_iter": 0},
-    })
-    return transcription, [ipopt, tuned, sqp], exact
+    return [ipopt, tuned, sqp]
 
 
-def refined(peer, exact, case, result):
+def refined(exact, case, result):
     """The optimum that a peer's answer is near to, to 1e-10."""
-    if result is None:
-        return None
     solved, stats = exact.solve(case, result["x"])
     if not stats["success"]:
         return None
@@ -220,9 +229,17 @@ def main():
         answers.flush()
 
     setting = json.loads(sys.stdin.readline())
-    transcription, peers, exact = peers_of(setting)
+    transcription = Transcription(setting)
+    is_published = setting["intervals"] == CASADI_INTERVALS
+    peers = casadi_of(transcription, setting["tolerance"]) if is_published else []
+    others, acados = acados_of(transcription, setting)
+    peers += others
+    exact = Peer("casadi-ipopt-exact", transcription, "ipopt", {
+        "ipopt": {**IPOPT, "tol": 1e-10, "bound_relax_factor": 0.0, "mu_init": 1e-7, "acceptable_iter": 0},
+    }, is_published)
     say({
         "version": ca.__version__,
+        "acados": acados,
         "compiled": all(peer.compiled for peer in peers),
         "peers": [peer.name for peer in peers],
     })
@@ -232,8 +249,8 @@ def main():
         reply = []
         for peer in peers:
             answer, result = peer.answer(case, start, setting["repeats"])
-            if answer["converged"]:
-                answer["optimum"] = refined(peer, exact, case, result)
+            if answer["converged"] and result is not None:
+                answer["optimum"] = refined(exact, case, result)
             reply.append({"name": peer.name, **answer})
         say(reply)
 

@@ -34,8 +34,8 @@ use self::versus::{PeerRow, Versus};
 use commands::bench::warn_of_profile;
 use commands::print_json;
 
-/// The number of intervals that peers are compared with.
-const PEER_INTERVALS: usize = 6;
+/// The numbers of intervals that acados is compared with; CasADi only with the first.
+const PEER_INTERVALS: [usize; 4] = [6, 12, 24, 48];
 /// The growth of the cost is fitted from this many intervals on: below, constant costs dominate.
 const FIT_FROM: usize = 24;
 
@@ -50,10 +50,12 @@ pub(crate) struct SolverArguments {
     /// start from the previous solution; rows without `lap` start straight ahead.
     #[arg(long, value_name = "CSV")]
     pub(crate) cases: Option<PathBuf>,
-    /// Solve the same cases also with CasADi, in turns, and print ratios (`benches/peers/setup.sh` installs it).
+    /// Solve the same cases also with CasADi (N = 6) and acados (N = 6, 12, 24 and 48), in turns, and print ratios.
+    ///
+    /// `benches/peers/setup.sh` installs CasADi, `benches/peers/setup.sh acados` both.
     #[arg(long)]
     pub(crate) peer: bool,
-    /// Numbers of intervals N; peers are compared with N = 6.
+    /// Numbers of intervals N.
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_values_t = [6, 12, 24, 48, 96],
           value_parser = clap::value_parser!(u8).range(1..=200))]
     pub(crate) intervals: Vec<u8>,
@@ -74,6 +76,15 @@ struct SolverResults {
     about_peers: Option<About>,
     peers: Vec<PeerRow>,
     skipped: Vec<Skipped>,
+}
+
+impl SolverResults {
+    /// Notes once why there are no peers.
+    fn skip(&mut self, reason: String) {
+        if self.skipped.is_empty() {
+            self.skipped.push(Skipped { name: "peers", reason });
+        }
+    }
 }
 
 /// How the cost grows with the number of intervals.
@@ -114,19 +125,18 @@ pub(crate) fn solver(arguments: &SolverArguments) -> anyhow::Result<Exit> {
     let mut steps = Steps::new((cases.len() * lists.len()) as u64, "cases");
     for intervals in lists {
         let mut peers = None;
-        if arguments.peer && intervals == PEER_INTERVALS {
+        if arguments.peer && PEER_INTERVALS.contains(&intervals) {
             match peers::find() {
                 Ok(folder) => peers = Some(Peers::start(&folder, &problem(&cases[0], intervals))?),
-                Err(reason) => results.skipped.push(Skipped { name: "casadi", reason }),
+                Err(reason) => results.skip(reason),
             }
         }
         measure(&cases, Contender::all(intervals), peers.as_mut(), &mut steps, &mut results)?;
     }
     drop(steps);
     if arguments.peer && results.peers.is_empty() && results.skipped.is_empty() {
-        let reason =
-            format!("peers are compared with {PEER_INTERVALS} intervals, which --intervals leaves out");
-        results.skipped.push(Skipped { name: "casadi", reason });
+        results
+            .skip(format!("peers are compared with N of {PEER_INTERVALS:?}, which --intervals leaves out"));
     }
     results.growth = growth(&results.solvers);
     answer!(arguments.json, "{}", table::text(&results))?;
@@ -155,7 +165,7 @@ fn measure(
     steps: &mut Steps,
     results: &mut SolverResults,
 ) -> anyhow::Result<()> {
-    let intervals = contenders.first().map_or(PEER_INTERVALS, Contender::intervals);
+    let intervals = contenders.first().map_or(PEER_INTERVALS[0], Contender::intervals);
     let names = peers.as_ref().map(|peers| peers.about.peers.clone()).unwrap_or_default();
     let mut others: Vec<Versus> = names.iter().map(|name| Versus::new(name)).collect();
     for (index, (case, problem, guess)) in starts(cases, intervals).into_iter().enumerate() {
@@ -180,8 +190,8 @@ fn measure(
         }
     }
     if let Some(default) = contenders.iter().find(|contender| contender.is_default()) {
-        let ours = default.row().solve_us;
-        results.peers.extend(others.iter().map(|other| other.row(intervals, &ours)));
+        let ours = default.row();
+        results.peers.extend(others.iter().map(|other| other.row(&ours)));
     }
     results.about_peers = peers.map(|peers| peers.about.clone()).or(results.about_peers.take());
     results.solvers.extend(contenders.iter().map(Contender::row));

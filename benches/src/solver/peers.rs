@@ -1,4 +1,4 @@
-//! CasADi's solvers in a Python process, one case at a time over its standard input and output.
+//! CasADi's solvers and acados in a Python process, one case at a time over its standard input and output.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
@@ -34,6 +34,8 @@ pub(super) struct Peers {
 pub(super) struct About {
     /// Version of CasADi.
     pub version: String,
+    /// Version of acados, where it is installed.
+    pub acados: Option<String>,
     /// Whether derivatives are compiled C.
     pub compiled: bool,
     /// Names of the solvers.
@@ -47,8 +49,15 @@ pub(super) struct PeerResult {
     pub name: String,
     /// Whether it found a solution.
     pub converged: bool,
-    /// Time of the solve.
+    /// Time of a converged solve [us]; none of one that only makes a step.
+    #[serde(default)]
     pub us: Option<f64>,
+    /// Time of a single step, and the part of it after the initial state has arrived [us].
+    #[serde(default)]
+    pub step_us: Option<f64>,
+    /// See `step_us`.
+    #[serde(default)]
+    pub feedback_us: Option<f64>,
     /// Its iterations.
     pub iterations: u64,
     /// (velocity, steering) of the intervals, one after the other.

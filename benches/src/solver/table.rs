@@ -72,27 +72,36 @@ pub(super) fn text(results: &SolverResults) -> String {
     }
     if let Some(about) = &results.about_peers {
         let evaluation = if about.compiled { "compiled C" } else { "not compiled: no C compiler" };
-        let _ = writeln!(text, "\npeers      CasADi {}, {evaluation}", about.version);
+        let acados = about.acados.as_deref().map_or(String::new(), |version| format!(", acados {version}"));
+        let _ = writeln!(text, "\npeers      CasADi {}{acados}, {evaluation}", about.version);
     }
     for row in &results.peers {
-        let PeerRow { name, n, ratio_p50, ratio_p99, same, others, .. } = row;
+        let PeerRow { name, n, same, others, .. } = row;
+        let converged = format!("{}/{}", row.converged, row.converged + row.failed);
+        let _ = write!(text, "{name:<26} {n:>3} {converged:>9}  ");
+        let parts = [("", &row.solve_us), (" step", &row.step_us), (" feedback", &row.feedback_us)];
+        for ((what, figures), [p50, p99]) in parts.into_iter().zip(row.ratios) {
+            if figures.count > 0 {
+                let _ = write!(
+                    text,
+                    "{what} {}: {p50:.1} times ours at the median, {p99:.1} at 99 %;",
+                    times(figures)
+                );
+            }
+        }
+        if row.solve_us.count == 0 {
+            text += "\n";
+            continue;
+        }
         let _ = writeln!(
             text,
-            "{name:<26} {n:>3} {:>9}   {:<24} {} / {} / {} iterations; {ratio_p50:.0} times ours at the median, \
-             {ratio_p99:.0} at 99 %{}",
-            format!("{}/{}", row.converged, row.converged + row.failed),
-            times(&row.solve_us),
-            row.iterations.p50,
-            row.iterations.p99,
-            row.iterations.max,
-            row.ratio_acados_p50.map_or(String::new(), |ratio| format!(
-                "; acados by the stored ratio: {ratio:.1} times ours"
-            )),
+            " {} / {} / {} iterations",
+            row.iterations.p50, row.iterations.p99, row.iterations.max
         );
         let _ = writeln!(
             text,
             "{:<26} same optimum in {same}, controls within {:.1e} (as stopped {:.1e}); another one (over \
-             {SAME_OPTIMUM:.0e}) in {}",
+             {SAME_OPTIMUM:.0e} per 6 intervals) in {}",
             "",
             row.largest_difference,
             row.largest_difference_as_stopped,

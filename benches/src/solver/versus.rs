@@ -7,18 +7,20 @@ use figures::{Distribution, Figures};
 use ocp::Solution;
 use serde::Serialize;
 
+use super::contender::ContenderRow;
 use super::peers::PeerResult;
 
-/// Largest difference of a control (velocity [m/s], steering [rad]) of the same optimum: both solvers stop at a
-/// gradient of about 1e-6, and the smallest curvature is the control weight, of order one.
+/// Largest difference of a control (velocity [m/s], steering [rad]) of the same optimum with six intervals: both solvers
+/// stop at a gradient of about 1e-6, and the smallest curvature is the control weight, of order one. It is shared by more
+/// intervals where there are more.
 pub(super) const SAME_OPTIMUM: f64 = 1e-5;
-/// Ratio of the median times of IPOPT and acados on these cases in the published comparison.
-const ACADOS_RATIO: f64 = 11.4;
 
 /// The comparison with a peer so far.
 #[derive(Debug, Clone)]
 pub(super) struct Versus {
     solve: Distribution,
+    step: Distribution,
+    feedback: Distribution,
     iterations: Distribution,
     /// Without figures and ratios.
     row: PeerRow,
@@ -48,16 +50,17 @@ pub(super) struct PeerRow {
     pub converged: u64,
     /// Number of cases in which it did not.
     pub failed: u64,
-    /// Time of a converged solve [us].
+    /// Time of a converged solve, and of a single step and its feedback where it makes only those [us].
     pub solve_us: Figures,
+    /// See `solve_us`.
+    pub step_us: Figures,
+    /// See `solve_us`.
+    pub feedback_us: Figures,
     /// Iterations of a converged solve.
     pub iterations: Figures,
-    /// Ratio of its median to that of Scanloop.
-    pub ratio_p50: f64,
-    /// The same of the 99 % quantiles.
-    pub ratio_p99: f64,
-    /// The same of acados, from its published ratio to IPOPT; for IPOPT only.
-    pub ratio_acados_p50: Option<f64>,
+    /// Ratios of its times to those of Scanloop: of a solve, a step and a feedback; medians, then 99 % quantiles; 0 where
+    /// it has none.
+    pub ratios: [[f64; 2]; 3],
     /// Cases in which both found the same optimum.
     pub same: u64,
     /// Largest difference of a control in those, to the peer's optimum solved to 1e-10.
@@ -72,6 +75,8 @@ impl Versus {
     pub(super) fn new(name: &str) -> Self {
         Self {
             solve: Distribution::of_times(),
+            step: Distribution::of_times(),
+            feedback: Distribution::of_times(),
             iterations: Distribution::of_counts(),
             row: PeerRow { name: name.to_owned(), ..PeerRow::default() },
         }
@@ -84,16 +89,22 @@ impl Versus {
     /// Adds the case of a line.
     pub(super) fn add(&mut self, line: usize, peer: &PeerResult, ours: Option<&Solution>) {
         let row = &mut self.row;
-        let (true, Some(us)) = (peer.converged, peer.us) else {
+        if !peer.converged {
             row.failed += 1;
             return;
-        };
+        }
         row.converged += 1;
-        self.solve.record((1000.0 * us) as u64);
+        for (times, us) in [
+            (&mut self.solve, peer.us),
+            (&mut self.step, peer.step_us),
+            (&mut self.feedback, peer.feedback_us),
+        ] {
+            us.into_iter().for_each(|us| times.record((1000.0 * us) as u64));
+        }
         self.iterations.record(peer.iterations);
         let (Some(ours), Some(optimum)) = (ours, &peer.optimum) else { return };
         let difference = difference(ours, &optimum.controls);
-        if difference < SAME_OPTIMUM {
+        if difference < SAME_OPTIMUM * (ours.trajectory.controls.len() as f64 / 6.0).max(1.0) {
             row.same += 1;
             row.largest_difference = row.largest_difference.max(difference);
             let stopped = self::difference(ours, &peer.controls);
@@ -105,19 +116,15 @@ impl Versus {
     }
 
     /// The comparison with the times of the default solver.
-    pub(super) fn row(&self, intervals: usize, ours: &Figures) -> PeerRow {
-        let solve_us = self.solve.figures();
+    pub(super) fn row(&self, ours: &ContenderRow) -> PeerRow {
+        let [solve_us, step_us, feedback_us] =
+            [&self.solve, &self.step, &self.feedback].map(Distribution::figures);
         let ratio = |peer: f64, ours: f64| if ours > 0.0 { peer / ours } else { 0.0 };
-        let ratio_p50 = ratio(solve_us.p50, ours.p50);
-        PeerRow {
-            n: intervals,
-            solve_us,
-            iterations: self.iterations.figures(),
-            ratio_p50,
-            ratio_p99: ratio(solve_us.p99, ours.p99),
-            ratio_acados_p50: (self.row.name == "casadi-ipopt").then_some(ratio_p50 / ACADOS_RATIO),
-            ..self.row.clone()
-        }
+        let ratios =
+            [(&solve_us, &ours.solve_us), (&step_us, &ours.step_us), (&feedback_us, &ours.feedback_us)]
+                .map(|(peer, ours)| [ratio(peer.p50, ours.p50), ratio(peer.p99, ours.p99)]);
+        let iterations = self.iterations.figures();
+        PeerRow { n: ours.n, solve_us, step_us, feedback_us, iterations, ratios, ..self.row.clone() }
     }
 }
 
@@ -153,6 +160,8 @@ mod tests {
             name: "casadi-ipopt".into(),
             converged: true,
             us: Some(us),
+            step_us: None,
+            feedback_us: None,
             iterations: 9,
             controls,
             optimum,
@@ -166,11 +175,30 @@ mod tests {
         versus.add(3, &peer(0.5, 3000.0), Some(&ours(0.9)));
         versus.add(4, &peer(0.9, 2000.0), None);
         versus.add(5, &PeerResult { converged: false, ..peer(0.9, 1.0) }, Some(&ours(0.9)));
-        let row = versus.row(6, &Figures { count: 3, p50: 10.0, p99: 30.0, ..Figures::default() });
+        let solve_us = Figures { count: 3, p50: 10.0, p99: 30.0, ..Figures::default() };
+        let row = versus.row(&ContenderRow { solve_us, ..ContenderRow::default() });
         assert_eq!((row.same, row.others.len(), row.converged, row.failed), (1, 1, 3, 1));
         assert_eq!((row.others[0].line, row.others[0].peer_objective), (3, 1.5));
         // Percentiles are exact to three digits.
-        assert!((row.ratio_p50 - 200.0).abs() < 1.0 && (row.ratio_p99 - 100.0).abs() < 1.0);
-        assert!((row.ratio_acados_p50.unwrap() - 200.0 / 11.4).abs() < 0.1);
+        assert!((row.ratios[0][0] - 200.0).abs() < 1.0 && (row.ratios[0][1] - 100.0).abs() < 1.0);
+        assert_eq!(row.ratios[1], [0.0; 2]);
+    }
+
+    #[test]
+    fn a_peer_that_only_makes_a_step_is_compared_in_steps_and_feedback() {
+        let mut versus = Versus::new("acados-rti");
+        let step = PeerResult {
+            us: None,
+            step_us: Some(80.0),
+            feedback_us: Some(30.0),
+            optimum: None,
+            ..peer(0.9, 0.0)
+        };
+        versus.add(2, &step, Some(&ours(0.5)));
+        let of = |p50| Figures { count: 1, p50, p99: p50, ..Figures::default() };
+        let ours = ContenderRow { step_us: of(16.0), feedback_us: of(1.0), ..ContenderRow::default() };
+        let row = versus.row(&ours);
+        assert_eq!((row.converged, row.same, row.others.len(), row.solve_us.count), (1, 0, 0, 0));
+        assert!((row.ratios[1][0] - 5.0).abs() < 0.01 && (row.ratios[2][1] - 30.0).abs() < 0.1);
     }
 }

@@ -7,9 +7,11 @@
 //! before)^2 subject to x(k+1) = A x(k) + C u(k) + gap(k), x(0) = 0, bounds of u, and the soft rows of each node.
 //!
 //! [`riccati`] solves it with some controls held, some rows as penalties and some as equations; [`active_set`] finds
-//! which, [`interior`] is another method for where that fails, and [`newton`] makes the step with the exact Hessian. Rows and controls are numbered as in the condensed program, so that both write the same kind of solution.
+//! which, [`dual`] and [`interior`] are other methods for where that fails, and [`newton`] makes the step with the exact
+//! Hessian. Rows and controls are numbered as in the condensed program, so that both write the same kind of solution.
 
 mod active_set;
+mod dual;
 mod interior;
 mod newton;
 mod riccati;
@@ -21,7 +23,8 @@ use crate::objective::{
     control_bounds, control_gradient, ellipse_excess, node_weights, reference, state_bounds,
 };
 use crate::problem::Problem;
-use crate::qp::QpSolution;
+use crate::qp::active_set::{ActiveSet, Constraint};
+use crate::qp::{BoundState, QpSolution};
 use crate::rows::{bound_row, ellipse_row};
 use crate::shooting::{Iterate, Shooting};
 
@@ -96,6 +99,10 @@ pub(crate) struct Chain {
     schur_factor: Vec<f64>,
     multipliers: Vec<f64>,
     sides: Vec<interior::Side>,
+    dual: ActiveSet,
+    /// Constraints that have a response in the dual method, with their signs, and a list with nothing held.
+    joined: Vec<(Constraint, f64)>,
+    unheld: Vec<BoundState>,
     /// The solution of the search, until it is known to be one.
     exact: QpSolution,
     /// Whether the recursion is factorised for the last set that was solved.
@@ -239,7 +246,7 @@ mod tests {
     use crate::hessian;
     use crate::problem::Trajectory;
     use crate::qp::Qp;
-    use crate::qp::active_set::ActiveSet;
+    use crate::qp::active_set::dense::DenseActiveSet;
     use crate::shooting::Sweep;
     use crate::testing;
     use vehicle::Control;
@@ -276,7 +283,7 @@ mod tests {
         let mut sizes = Vec::new();
         for (qp, mut chain, shooting, blocks) in programs() {
             let (mut expected, mut found) = (QpSolution::default(), QpSolution::default());
-            assert!(ActiveSet::default().solve(&qp, &mut expected));
+            assert!(DenseActiveSet::default().solve(&qp, &mut expected));
             assert!(
                 chain.solve(&shooting, &blocks, &mut found)
                     || chain.solve_from_inside(&shooting, &blocks, &mut found)
@@ -296,7 +303,7 @@ mod tests {
     fn the_interior_point_agrees_with_the_search() {
         for (qp, mut chain, shooting, blocks) in programs() {
             let (mut expected, mut found) = (QpSolution::default(), QpSolution::default());
-            assert!(ActiveSet::default().solve(&qp, &mut expected));
+            assert!(DenseActiveSet::default().solve(&qp, &mut expected));
             assert!(chain.solve_interior(&shooting, &blocks, &mut found));
             for (a, b) in found.step.iter().zip(&expected.step) {
                 // It may end at complementarity 1e-7, and where that is degenerate the distance is the root of it.

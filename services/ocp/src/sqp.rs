@@ -34,7 +34,7 @@ use crate::hessian::{self, Block, Hessian, Point};
 use crate::kkt::{self, Multipliers};
 use crate::objective::{control_bounds, linearised_penalties, penalties, smooth, smooth_slope};
 use crate::problem::{ActiveLimit, Budget, Problem, Solution, Status, Trajectory};
-use crate::qp::active_set::ActiveSet;
+use crate::qp::active_set::dense::DenseActiveSet;
 use crate::qp::{BoundState, Qp, QpSolution, RowState};
 use crate::rows::{ellipse_row, limit_of_row};
 use crate::settings::SolverSettings;
@@ -65,7 +65,7 @@ pub struct Solver {
     trial_shooting: Shooting,
     qp: Qp,
     chain: Chain,
-    active_set: ActiveSet,
+    active_set: DenseActiveSet,
     answer: QpSolution,
     /// Newton's step and its multipliers.
     newton: QpSolution,

@@ -72,16 +72,14 @@ impl Side {
         self.changes = [slack - moved, multiplier, slack, bend * slack - multiplier];
     }
 
-    /// The largest step that keeps everything positive.
-    fn reach(&self) -> f64 {
+    /// The largest step up to `most` that keeps everything positive.
+    fn reach(&self, most: f64) -> f64 {
         let values = [self.distance, self.multiplier, self.slack, self.relief];
         let used = if matches!(self.owner, Owner::Row(_)) { 4 } else { 2 };
-        values[..used]
-            .iter()
-            .zip(&self.changes)
-            .filter(|(_, change)| **change < 0.0)
-            .map(|(value, change)| -value / change)
-            .fold(f64::INFINITY, f64::min)
+        // Few sides are the nearest so far, so that there are few divisions.
+        values[..used].iter().zip(&self.changes).fold(most, |most, (value, change)| {
+            if value + most * change < 0.0 { -value / change } else { most }
+        })
     }
 
     /// Sum of the products after a step, and their number.
@@ -105,8 +103,8 @@ impl Chain {
         blocks: &[Block],
         solution: &mut QpSolution,
     ) -> bool {
-        /// Bounds of the state this far away, in m and rad, are left out at first: hardly a step reaches them.
-        const FAR: f64 = 2.0;
+        /// Bounds of the state this far away, in shares of their range, are left out at first: hardly a step reaches them.
+        const FAR: f64 = 0.25;
         self.approach(shooting, blocks, FAR, solution)
             && (self.keeps_all(solution) || self.approach(shooting, blocks, f64::INFINITY, solution))
     }
@@ -121,7 +119,7 @@ impl Chain {
         })
     }
 
-    /// Solves without the bounds of the state that are farther away than `far`.
+    /// Solves without the bounds of the state that are farther away than `far` of their range.
     fn approach(
         &mut self,
         shooting: &Shooting,
@@ -238,7 +236,8 @@ impl Chain {
             let value = row.value(&self.point.states);
             for (sign, limit) in [(1.0, row.upper), (-1.0, row.lower)] {
                 let excess = sign * (value - limit);
-                if limit.is_infinite() || (index < bounds && excess < -far) {
+                let room = far * (row.upper - row.lower);
+                if limit.is_infinite() || (index < bounds && excess < -room) {
                     continue;
                 }
                 let slack = excess.max(0.0) + PRODUCT / self.slack_linear.max(1.0);
@@ -321,7 +320,9 @@ impl Chain {
     }
 
     fn reach(&self) -> f64 {
-        self.sides.iter().map(Side::reach).fold(f64::INFINITY, f64::min)
+        /// Steps are no longer than 1; a share of this one is still whole.
+        const LONGEST: f64 = 2.0;
+        self.sides.iter().fold(LONGEST, |most, side| side.reach(most))
     }
 
     /// Mean of the products after a step.

@@ -181,7 +181,8 @@ impl Riccati {
         self.advance(intervals, gaps, path);
     }
 
-    /// The solution for a single linear term at `node`, without gaps and with all held controls at zero.
+    /// The solution for a single linear term at `node`, of its state or of the control behind it, without gaps and with all
+    /// held controls at zero.
     pub(crate) fn respond(
         &self,
         intervals: &[Linearisation],
@@ -194,6 +195,9 @@ impl Riccati {
         path.open[node..].fill([0.0; 2]);
         path.linear[node..].fill([0.0; 2]);
         let mut next = *slope;
+        if slope[5] != 0.0 || slope[6] != 0.0 {
+            next = self.retreat(node, &intervals[node], &[0.0; 7], slope, [0.0; 2], path);
+        }
         for index in (0..node).rev() {
             next = self.retreat(index, &intervals[index], &next, &[0.0; 7], [0.0; 2], path);
         }
@@ -310,6 +314,14 @@ impl Path {
         for (value, change) in self.linear.iter_mut().flatten().zip(other.linear.iter().flatten()) {
             *value += factor * change;
         }
+    }
+
+    /// Takes over the values of another, without allocating where they fit.
+    pub(super) fn copy_from(&mut self, other: &Self) {
+        self.states.clone_from(&other.states);
+        self.controls.clone_from(&other.controls);
+        self.open.clone_from(&other.open);
+        self.linear.clone_from(&other.linear);
     }
 
     pub(super) fn resize(&mut self, count: usize) {

@@ -12,29 +12,60 @@
 //! Dependent working sets, which overlapping ellipses make, have a direction along which the multipliers move without
 //! moving v; it is followed to the first end of a range. Soft rows always have one.
 //!
-//! Needs a positive definite H and L2 > 0. The caller checks the answer by its optimality conditions.
+//! Needs a positive definite H and L2 > 0. The caller checks the answer by its optimality conditions. What it needs to
+//! know of a program is a [`Program`]: the condensed one ([`dense`]), or the stages of a chain.
 
-use super::{BoundState, Qp, QpSolution, RowState};
-use crate::dense::{backward, cholesky, dot, fill, forward, refill};
+pub(crate) mod dense;
+
+use super::{BoundState, QpSolution, RowState};
+use crate::dense::{fill, refill};
+
+/// A program of which the normals m of the working constraints can be had, each with the sign of its constraint.
+pub(crate) trait Program {
+    /// Numbers of variables and of rows.
+    fn size(&self) -> (usize, usize);
+    /// Lower and upper bound of a variable, or limit of a row.
+    fn range(&self, what: Constraint) -> [f64; 2];
+    /// L1 and L2.
+    fn penalty(&self) -> (f64, f64);
+    /// Forgets all normals.
+    fn clear(&mut self);
+    /// Adds the normal of a constraint behind the others.
+    fn join(&mut self, what: Constraint, sign: f64);
+    /// Removes the normal at `position`.
+    fn leave(&mut self, position: usize);
+    /// m' m of two of them.
+    fn product(&self, left: usize, right: usize) -> f64;
+    /// m' f of one.
+    fn offset(&self, position: usize) -> f64;
+    /// v = -H^-1 (c + sum of multipliers times constraints).
+    fn primal(&mut self, multipliers: impl Iterator<Item = f64>, step: &mut Vec<f64>);
+    /// The values of all rows at the last v, which is `step`.
+    fn values(&self, step: &[f64], values: &mut Vec<f64>);
+}
 
 /// The method with its buffers.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct ActiveSet {
-    factor: Vec<f64>,
-    /// f = L^-1 c.
-    offset: Vec<f64>,
     working: Vec<Working>,
-    /// m of the working constraints, row by row.
-    normals: Vec<f64>,
-    /// Lower triangular factor of M M' + D, rows of `stride`.
+    /// m' f of the working constraints.
+    offsets: Vec<f64>,
+    /// M M', the lower triangle row by row.
+    products: Vec<f64>,
+    /// Lower triangular factor of M M' + D, rows of `stride`; and the same by columns, so that sums over many rows are
+    /// made at once, each in its order.
     gram: Vec<f64>,
+    columns: Vec<f64>,
+    sums: Vec<f64>,
     stride: usize,
     /// Rows of `gram` that are up to date.
     fresh: usize,
     direction: Vec<f64>,
+    values: Vec<f64>,
     in_bounds: Vec<bool>,
     in_rows: Vec<bool>,
     iterations: u32,
+    dbg: usize,
 }
 
 /// One constraint of the working set, written as `sign * a' v <= sign * limit`.
@@ -47,9 +78,20 @@ struct Working {
     beyond: bool,
 }
 
+impl Working {
+    /// The limit that it is held at or beyond.
+    fn limit(&self, program: &impl Program) -> f64 {
+        let [lower, upper] = program.range(self.what);
+        if self.sign > 0.0 { upper } else { lower }
+    }
+}
+
+/// A constraint of a program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Constraint {
+pub(crate) enum Constraint {
+    /// The bounds of a variable.
     Bound(usize),
+    /// The limits of a row.
     Row(usize),
 }
 
@@ -61,55 +103,65 @@ enum Factored {
 }
 
 impl ActiveSet {
-    /// Steps of the last solve.
-    #[cfg(test)]
-    pub(crate) fn iterations(&self) -> u32 {
-        self.iterations
-    }
-
-    /// Solves `qp` from the multipliers and states in `solution`, where those fit its size, and overwrites them.
+    /// Solves a program from the multipliers and states in `solution`, where those fit its size, and overwrites them.
     ///
-    /// False where H is not positive definite, L2 is 0, or the steps do not end.
-    pub(crate) fn solve(&mut self, qp: &Qp, solution: &mut QpSolution) -> bool {
-        let count = qp.variables();
-        if qp.slack_quadratic <= 0.0 || !cholesky(&qp.hessian, count, &mut self.factor) {
+    /// False where L2 is 0, or the steps do not end.
+    pub(crate) fn solve_program(&mut self, program: &mut impl Program, solution: &mut QpSolution) -> bool {
+        if program.penalty().1 <= 0.0 {
             return false;
         }
-        fill(&mut self.offset, qp.gradient.iter().copied());
-        forward(&self.factor, count, &mut self.offset);
-        self.start(qp, solution);
+        self.start(program, solution);
+        let (count, rows) = program.size();
+        self.dbg = self.working.len();
         // One step per changed constraint is usual; ten times all constraints indicates rounding errors.
-        let limit = 10 * (count + qp.row_count()) as u32;
+        let limit = 10 * (count + rows) as u32;
         self.iterations = 0;
         while self.iterations < limit {
             self.iterations += 1;
-            if !self.maximise(qp) {
+            if !self.maximise(program) {
                 continue;
             }
-            self.primal(qp, solution);
-            let Some(joining) = self.max_violated(qp, &solution.step) else {
-                self.report(qp, solution);
+            self.primal(program, solution);
+            let Some(joining) = self.max_violated(program, &solution.step) else {
+                if std::env::var("DBG").is_ok() {
+                    let b = self.working.iter().filter(|w| matches!(w.what, Constraint::Bound(_))).count();
+                    eprintln!(
+                        "n {} it {} start {} end {} bounds {}",
+                        program.size().0,
+                        self.iterations,
+                        self.dbg,
+                        self.working.len(),
+                        b
+                    );
+                }
+                self.report(program, solution);
                 return solution.step.iter().chain(&solution.row_multipliers).all(|value| value.is_finite());
             };
-            self.join(qp, joining);
+            self.join(program, joining);
         }
         false
     }
 
     /// Starts the working set with the constraints that are active in `solution`.
-    fn start(&mut self, qp: &Qp, solution: &QpSolution) {
-        let count = qp.variables();
+    fn start(&mut self, program: &mut impl Program, solution: &QpSolution) {
+        let (count, rows) = program.size();
+        let (linear, _) = program.penalty();
         self.working.clear();
-        self.normals.clear();
+        self.offsets.clear();
+        self.products.clear();
+        program.clear();
         self.fresh = 0;
         self.stride = 2 * count + 8;
         // Working sets beyond this size are rare, and may allocate.
         self.working.reserve(self.stride);
-        self.normals.reserve(self.stride * count);
+        self.offsets.reserve(self.stride);
+        self.products.reserve(self.stride * (self.stride + 1) / 2);
         self.gram.resize(self.stride * self.stride, 0.0);
+        self.columns.resize(self.stride * self.stride, 0.0);
+        self.sums.reserve(self.stride);
         self.direction.reserve(self.stride);
         refill(&mut self.in_bounds, count, false);
-        refill(&mut self.in_rows, qp.row_count(), false);
+        refill(&mut self.in_rows, rows, false);
         if solution.bound_states.len() == count && solution.bound_multipliers.len() == count {
             for (index, state) in solution.bound_states.iter().enumerate() {
                 let sign = match state {
@@ -119,10 +171,10 @@ impl ActiveSet {
                 };
                 let multiplier = (sign * solution.bound_multipliers[index]).max(0.0);
                 let what = Constraint::Bound(index);
-                self.join(qp, Working { what, sign, multiplier, beyond: false });
+                self.join(program, Working { what, sign, multiplier, beyond: false });
             }
         }
-        if solution.row_states.len() == qp.row_count() && solution.row_multipliers.len() == qp.row_count() {
+        if solution.row_states.len() == rows && solution.row_multipliers.len() == rows {
             for (row, state) in solution.row_states.iter().enumerate() {
                 let (sign, beyond) = match state {
                     RowState::Inside => continue,
@@ -132,63 +184,62 @@ impl ActiveSet {
                     RowState::BeyondUpper => (1.0, true),
                 };
                 let value = (sign * solution.row_multipliers[row]).max(0.0);
-                let multiplier = if beyond { value.max(qp.slack_linear) } else { value.min(qp.slack_linear) };
-                self.join(qp, Working { what: Constraint::Row(row), sign, multiplier, beyond });
+                let multiplier = if beyond { value.max(linear) } else { value.min(linear) };
+                self.join(program, Working { what: Constraint::Row(row), sign, multiplier, beyond });
             }
         }
     }
 
     /// Adds a constraint to the working set.
-    fn join(&mut self, qp: &Qp, joining: Working) {
-        let count = qp.variables();
-        let start = self.normals.len();
+    fn join(&mut self, program: &mut impl Program, joining: Working) {
         match joining.what {
-            Constraint::Bound(index) => {
-                self.in_bounds[index] = true;
-                self.normals.resize(start + count, 0.0);
-                self.normals[start + index] = joining.sign;
-                // Entries before `index` stay zero.
-                for row in index..count {
-                    let line = &self.factor[row * count + index..row * count + row];
-                    let known = &self.normals[start + index..start + row];
-                    let value = self.normals[start + row] - dot(line, known);
-                    self.normals[start + row] = value / self.factor[row * count + row];
-                }
-            }
-            Constraint::Row(row) => {
-                self.in_rows[row] = true;
-                self.normals.extend(qp.row(row).iter().map(|entry| joining.sign * entry));
-                forward(&self.factor, count, &mut self.normals[start..]);
-            }
+            Constraint::Bound(index) => self.in_bounds[index] = true,
+            Constraint::Row(row) => self.in_rows[row] = true,
         }
+        program.join(joining.what, joining.sign);
         self.working.push(joining);
+        let last = self.working.len() - 1;
+        self.offsets.push(program.offset(last));
+        self.products.extend((0..=last).map(|other| program.product(last, other)));
     }
 
     /// Removes the constraint at `position`.
-    fn leave(&mut self, count: usize, position: usize) {
+    fn leave(&mut self, program: &mut impl Program, position: usize) {
         match self.working.remove(position).what {
             Constraint::Bound(index) => self.in_bounds[index] = false,
             Constraint::Row(row) => self.in_rows[row] = false,
         }
-        self.normals.copy_within((position + 1) * count.., position * count);
-        self.normals.truncate(self.working.len() * count);
+        program.leave(position);
+        self.offsets.remove(position);
+        let (mut read, mut write) = (0, 0);
+        for row in 0..=self.working.len() {
+            for column in 0..=row {
+                if row != position && column != position {
+                    self.products[write] = self.products[read];
+                    write += 1;
+                }
+                read += 1;
+            }
+        }
+        self.products.truncate(write);
         self.fresh = self.fresh.min(position);
     }
 
     /// Moves the multipliers to the maximum of the dual on the working set; false where one met the end of its range
     /// on the way and has changed its state.
-    fn maximise(&mut self, qp: &Qp) -> bool {
+    fn maximise(&mut self, program: &mut impl Program) -> bool {
         let size = self.working.len();
-        let (length, dependent) = match self.factorise(qp) {
+        let (linear, _) = program.penalty();
+        let (length, dependent) = match self.factorise(program) {
             Factored::Regular => {
-                self.solve_target(qp);
+                self.solve_target(program);
                 for (direction, working) in self.direction.iter_mut().zip(&self.working) {
                     *direction -= working.multiplier;
                 }
                 (1.0, false)
             }
             Factored::Dependent(position) => {
-                self.null_direction(qp, position);
+                self.null_direction(program, position);
                 (f64::INFINITY, true)
             }
         };
@@ -198,8 +249,8 @@ impl ActiveSet {
             let change = self.direction[position];
             let (low, high) = match working.what {
                 Constraint::Bound(_) => (0.0, f64::INFINITY),
-                Constraint::Row(_) if working.beyond => (qp.slack_linear, f64::INFINITY),
-                Constraint::Row(_) => (0.0, qp.slack_linear),
+                Constraint::Row(_) if working.beyond => (linear, f64::INFINITY),
+                Constraint::Row(_) => (0.0, linear),
             };
             let room = if change < 0.0 { low - working.multiplier } else { high - working.multiplier };
             // A change of rounding size is none.
@@ -213,7 +264,7 @@ impl ActiveSet {
         }
         if length.is_infinite() {
             // Only rounding can make a dependent set of hard bounds; dropping the newest is safe.
-            self.leave(qp.variables(), size - 1);
+            self.leave(program, size - 1);
             return false;
         }
         for (working, change) in self.working.iter_mut().zip(&self.direction) {
@@ -224,50 +275,55 @@ impl ActiveSet {
         match (working.what, working.beyond, falling) {
             (Constraint::Row(_), true, true) => {
                 working.beyond = false;
-                working.multiplier = qp.slack_linear;
+                working.multiplier = linear;
                 self.fresh = self.fresh.min(position);
             }
             (Constraint::Row(_), false, false) => {
                 working.beyond = true;
-                working.multiplier = qp.slack_linear;
+                working.multiplier = linear;
                 self.fresh = self.fresh.min(position);
             }
-            _ => self.leave(qp.variables(), position),
+            _ => self.leave(program, position),
         }
         false
     }
 
     /// Brings the factor of M M' + D up to date.
-    fn factorise(&mut self, qp: &Qp) -> Factored {
+    fn factorise(&mut self, program: &impl Program) -> Factored {
         /// A pivot below this share of the diagonal entry means dependence.
         const MIN_PIVOT: f64 = 1e-11;
-        let count = qp.variables();
         let size = self.working.len();
         if size > self.stride {
             self.stride = 2 * size;
             self.fresh = 0;
         }
-        if self.gram.len() < self.stride * size {
-            self.gram.resize(self.stride * size, 0.0);
+        for factor in [&mut self.gram, &mut self.columns] {
+            if factor.len() < self.stride * size {
+                factor.resize(self.stride * size, 0.0);
+            }
         }
         for row in self.fresh..size {
-            let normal = &self.normals[row * count..(row + 1) * count];
-            for column in 0..=row {
-                let other = &self.normals[column * count..(column + 1) * count];
-                let entry = dot(normal, other);
-                let (before, here) = self.gram.split_at_mut(row * self.stride);
-                if column < row {
-                    let line = &before[column * self.stride..][..=column];
-                    here[column] = (entry - dot(&here[..column], &line[..column])) / line[column];
-                } else {
-                    let entry = entry + softness(qp, &self.working[row]);
-                    let pivot = entry - dot(&here[..column], &here[..column]);
-                    if pivot <= MIN_PIVOT * entry {
-                        self.fresh = row;
-                        return Factored::Dependent(row);
-                    }
-                    here[column] = pivot.sqrt();
+            let products = &self.products[row * (row + 1) / 2..][..=row];
+            let here = &mut self.gram[row * self.stride..][..=row];
+            refill(&mut self.sums, row + 1, 0.0);
+            for column in 0..row {
+                let factor = &self.columns[column * self.stride..][column..row];
+                let value = (products[column] - self.sums[column]) / factor[0];
+                here[column] = value;
+                for (sum, entry) in self.sums[column + 1..row].iter_mut().zip(&factor[1..]) {
+                    *sum += value * entry;
                 }
+                self.sums[row] += value * value;
+            }
+            let entry = products[row] + softness(program, &self.working[row]);
+            let pivot = entry - self.sums[row];
+            if pivot <= MIN_PIVOT * entry {
+                self.fresh = row;
+                return Factored::Dependent(row);
+            }
+            here[row] = pivot.sqrt();
+            for (column, value) in here.iter().enumerate() {
+                self.columns[column * self.stride + row] = *value;
             }
         }
         self.fresh = size;
@@ -275,44 +331,41 @@ impl ActiveSet {
     }
 
     /// b + M f of a working constraint.
-    fn gap(&self, qp: &Qp, position: usize) -> f64 {
-        let count = qp.variables();
+    fn gap(&self, program: &impl Program, position: usize) -> f64 {
         let working = &self.working[position];
-        let limit = match working.what {
-            Constraint::Bound(index) if working.sign > 0.0 => qp.upper[index],
-            Constraint::Bound(index) => qp.lower[index],
-            Constraint::Row(row) if working.sign > 0.0 => qp.row_upper[row],
-            Constraint::Row(row) => qp.row_lower[row],
-        };
-        let shift = if working.beyond { qp.slack_linear / (2.0 * qp.slack_quadratic) } else { 0.0 };
-        working.sign * limit - shift
-            + dot(&self.normals[position * count..(position + 1) * count], &self.offset)
+        let (linear, quadratic) = program.penalty();
+        let shift = if working.beyond { linear / (2.0 * quadratic) } else { 0.0 };
+        working.sign * working.limit(program) - shift + self.offsets[position]
     }
 
     /// The maximiser on the working set, into `direction`.
-    fn solve_target(&mut self, qp: &Qp) {
+    fn solve_target(&mut self, program: &impl Program) {
         let size = self.working.len();
         self.direction.clear();
         for position in 0..size {
-            let gap = self.gap(qp, position);
+            let gap = self.gap(program, position);
             self.direction.push(-gap);
         }
+        refill(&mut self.sums, size, 0.0);
         for row in 0..size {
-            let line = &self.gram[row * self.stride..][..=row];
-            self.direction[row] =
-                (self.direction[row] - dot(&line[..row], &self.direction[..row])) / line[row];
+            let factor = &self.columns[row * self.stride..][row..size];
+            let value = (self.direction[row] - self.sums[row]) / factor[0];
+            self.direction[row] = value;
+            for (sum, entry) in self.sums[row + 1..].iter_mut().zip(&factor[1..]) {
+                *sum += entry * value;
+            }
         }
         self.back_substitute(size);
     }
 
     /// A direction that leaves v where it is, along which the dual does not fall.
-    fn null_direction(&mut self, qp: &Qp, position: usize) {
+    fn null_direction(&mut self, program: &impl Program, position: usize) {
         let line = &self.gram[position * self.stride..][..position];
         fill(&mut self.direction, line.iter().map(|entry| -entry));
         self.back_substitute(position);
         self.direction.push(1.0);
         let slope: f64 =
-            -(0..=position).map(|place| self.direction[place] * self.gap(qp, place)).sum::<f64>();
+            -(0..=position).map(|place| self.direction[place] * self.gap(program, place)).sum::<f64>();
         if slope < 0.0 {
             for direction in &mut self.direction {
                 *direction = -*direction;
@@ -333,31 +386,25 @@ impl ActiveSet {
     }
 
     /// v of the present multipliers.
-    fn primal(&mut self, qp: &Qp, solution: &mut QpSolution) {
-        let count = qp.variables();
-        fill(&mut solution.step, self.offset.iter().map(|value| -value));
-        for (position, working) in self.working.iter().enumerate() {
-            let normal = &self.normals[position * count..(position + 1) * count];
-            for (value, entry) in solution.step.iter_mut().zip(normal) {
-                *value -= working.multiplier * entry;
-            }
-        }
-        backward(&self.factor, count, &mut solution.step);
+    fn primal(&mut self, program: &mut impl Program, solution: &mut QpSolution) {
+        program.primal(self.working.iter().map(|working| working.multiplier), &mut solution.step);
         // Removes rounding errors of variables that are held at a bound.
         for working in &self.working {
             if let Constraint::Bound(index) = working.what {
-                solution.step[index] = if working.sign > 0.0 { qp.upper[index] } else { qp.lower[index] };
+                solution.step[index] = working.limit(program);
             }
         }
     }
 
     /// The constraint outside the working set that `step` violates most.
-    fn max_violated(&self, qp: &Qp, step: &[f64]) -> Option<Working> {
+    fn max_violated(&mut self, program: &impl Program, step: &[f64]) -> Option<Working> {
         /// Ten thousand times finer than what the optimisation is asked for.
         const TOLERANCE: f64 = 1e-10;
         let mut worst = TOLERANCE;
         let mut found = None;
-        let mut consider = |what: Constraint, below: f64, above: f64| {
+        let mut consider = |what: Constraint, value: f64| {
+            let [lower, upper] = program.range(what);
+            let (below, above) = (lower - value, value - upper);
             if above > worst || below > worst {
                 let sign = if above > below { 1.0 } else { -1.0 };
                 worst = above.max(below);
@@ -366,20 +413,21 @@ impl ActiveSet {
         };
         for (index, &value) in step.iter().enumerate() {
             if !self.in_bounds[index] {
-                consider(Constraint::Bound(index), qp.lower[index] - value, value - qp.upper[index]);
+                consider(Constraint::Bound(index), value);
             }
         }
-        for row in 0..qp.row_count() {
-            if !self.in_rows[row] {
-                let value = dot(qp.row(row), step);
-                consider(Constraint::Row(row), qp.row_lower[row] - value, value - qp.row_upper[row]);
+        program.values(step, &mut self.values);
+        for (row, (is_working, value)) in self.in_rows.iter().zip(&self.values).enumerate() {
+            if !is_working {
+                consider(Constraint::Row(row), *value);
             }
         }
         found
     }
 
-    fn report(&self, qp: &Qp, solution: &mut QpSolution) {
-        solution.release(qp.variables(), qp.row_count());
+    fn report(&self, program: &impl Program, solution: &mut QpSolution) {
+        let (count, rows) = program.size();
+        solution.release(count, rows);
         for working in &self.working {
             let upper = working.sign > 0.0;
             match working.what {
@@ -397,8 +445,8 @@ impl ActiveSet {
 }
 
 /// d of a working constraint.
-fn softness(qp: &Qp, working: &Working) -> f64 {
-    if working.beyond { 1.0 / (2.0 * qp.slack_quadratic) } else { 0.0 }
+fn softness(program: &impl Program, working: &Working) -> f64 {
+    if working.beyond { 1.0 / (2.0 * program.penalty().1) } else { 0.0 }
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 //!
 //! The program is solved stage by stage, by the search for its active set, which ends after a few rounds where little has
 //! changed. Where it fails, a short horizon is condensed for the dual active set; the interior point of the chain comes next,
-//! and Clarabel last.
+//! then the dual active set by stages, and Clarabel last.
 
 use super::Solver;
 use crate::condense::{condense, condense_blocks};
@@ -51,7 +51,9 @@ impl Solver {
                 return true;
             }
             let blocks = if self.settings.hessian == Hessian::Exact { &self.exact } else { &self.blocks };
-            if self.chain.solve_from_inside(&self.shooting, blocks, &mut self.answer) {
+            if self.chain.solve_from_inside(&self.shooting, blocks, &mut self.answer)
+                || self.chain.solve_dual(&self.shooting, blocks, &mut self.answer)
+            {
                 return true;
             }
         }

@@ -1,5 +1,5 @@
-use super::*;
-use crate::qp::clarabel;
+use super::dense::DenseActiveSet;
+use crate::qp::{Qp, QpSolution, clarabel};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -46,7 +46,7 @@ fn random(seed: u64) -> Qp {
 
 #[test]
 fn it_agrees_with_the_interior_point_method_on_degenerate_programs() {
-    let mut solver = ActiveSet::default();
+    let mut solver = DenseActiveSet::default();
     let mut longest = 0;
     for seed in 0..10_000 {
         let qp = random(seed);
@@ -67,7 +67,7 @@ fn it_agrees_with_the_interior_point_method_on_degenerate_programs() {
 
 #[test]
 fn a_solved_program_needs_one_step_from_its_own_solution() {
-    let mut solver = ActiveSet::default();
+    let mut solver = DenseActiveSet::default();
     for seed in 0..300 {
         let qp = random(seed);
         let mut solution = QpSolution::default();
@@ -85,7 +85,7 @@ fn a_solved_program_needs_one_step_from_its_own_solution() {
 
 #[test]
 fn a_wrong_start_leads_to_the_same_solution() {
-    let mut solver = ActiveSet::default();
+    let mut solver = DenseActiveSet::default();
     for seed in 0..300 {
         let (qp, mut moved) = (random(seed), random(seed));
         for (index, gradient) in moved.gradient.iter_mut().enumerate() {
