@@ -58,6 +58,10 @@ pub(super) struct PeerRow {
     pub feedback_us: Figures,
     /// Iterations of a converged solve.
     pub iterations: Figures,
+    /// Ratio of its median time of a solve to that of Scanloop; 0 where it makes only steps.
+    pub ratio_p50: f64,
+    /// The same of the 99 % quantiles.
+    pub ratio_p99: f64,
     /// Ratios of its times to those of Scanloop: of a solve, a step and a feedback; medians, then 99 % quantiles; 0 where
     /// it has none.
     pub ratios: [[f64; 2]; 3],
@@ -124,7 +128,18 @@ impl Versus {
             [(&solve_us, &ours.solve_us), (&step_us, &ours.step_us), (&feedback_us, &ours.feedback_us)]
                 .map(|(peer, ours)| [ratio(peer.p50, ours.p50), ratio(peer.p99, ours.p99)]);
         let iterations = self.iterations.figures();
-        PeerRow { n: ours.n, solve_us, step_us, feedback_us, iterations, ratios, ..self.row.clone() }
+        let [[ratio_p50, ratio_p99], ..] = ratios;
+        PeerRow {
+            n: ours.n,
+            solve_us,
+            step_us,
+            feedback_us,
+            iterations,
+            ratio_p50,
+            ratio_p99,
+            ratios,
+            ..self.row.clone()
+        }
     }
 }
 
