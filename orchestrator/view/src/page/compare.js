@@ -33,7 +33,13 @@ function show({ names, sentences, compared }) {
     row.classList.toggle("differs", interval != null && interval[0] * interval[1] > 0);
   }
   element("stages").hidden = !drives.ways.some(([first]) => first?.scans);
-  stages.forEach((panel, side) => panel.system(drives.ways[side][0]));
+  // Of several drives the first is shown.
+  stages.forEach((panel, side) => {
+    const { seed } = drives.ways[side][0];
+    const which = drives.ways[side].length > 1 ? ` (seed ${seed ?? "?"})` : "";
+    document.querySelectorAll("#stages h2 b")[side].textContent = `${"AB"[side]}${which}, scan to actuation`;
+    panel.system(drives.ways[side][0]);
+  });
 }
 
 /** Least and largest value of a column over all drives, a little apart. */
