@@ -67,19 +67,13 @@ pub(super) const FIGURES: &[DriveFigure] = &[
     ("ride: largest step [rad]", |drive| Some(drive.ride?.steering_step_max_rad)),
     ("ride: lateral acceleration [m/s^2]", |drive| Some(drive.ride?.lateral_acceleration_max_mps2)),
     ("ride: lateral jerk [m/s^3]", |drive| Some(drive.ride?.lateral_jerk_max_mps3)),
-    ("scan to actuation, p50 [ms]", |drive| Some(drive.latency.as_ref()?.scan_to_actuation.p50 / 1e3)),
-    ("scan to actuation, p99 [ms]", |drive| Some(drive.latency.as_ref()?.scan_to_actuation.p99 / 1e3)),
-    ("estimator computes, p50 [ms]", |drive| {
-        Some(drive.latency.as_ref()?.stages.compute.estimator.p50 / 1e3)
-    }),
-    ("obstacles computes, p50 [ms]", |drive| {
-        Some(drive.latency.as_ref()?.stages.compute.obstacles.p50 / 1e3)
-    }),
-    ("controller computes, p50 [ms]", |drive| {
-        Some(drive.latency.as_ref()?.stages.compute.controller.p50 / 1e3)
-    }),
-    ("actuator computes, p50 [ms]", |drive| Some(drive.latency.as_ref()?.stages.compute.actuator.p50 / 1e3)),
-    ("transport, p50 [ms]", |drive| Some(drive.latency.as_ref()?.stages.transport.p50 / 1e3)),
+    ("scan to actuation, p50 [ms]", |drive| drive.ms(|all| all.scan_to_actuation.p50)),
+    ("scan to actuation, p99 [ms]", |drive| drive.ms(|all| all.scan_to_actuation.p99)),
+    ("estimator computes, p50 [ms]", |drive| drive.ms(|all| all.stages.compute.estimator.p50)),
+    ("obstacles computes, p50 [ms]", |drive| drive.ms(|all| all.stages.compute.obstacles.p50)),
+    ("controller computes, p50 [ms]", |drive| drive.ms(|all| all.stages.compute.controller.p50)),
+    ("actuator computes, p50 [ms]", |drive| drive.ms(|all| all.stages.compute.actuator.p50)),
+    ("transport, p50 [ms]", |drive| drive.ms(|all| all.stages.transport.p50)),
 ];
 
 /// The robot at a scan: state and speed.
@@ -107,6 +101,11 @@ struct Reading {
 }
 
 impl Drive {
+    /// A latency [ms].
+    fn ms(&self, microseconds: fn(&LatencyReport) -> f64) -> Option<f64> {
+        Some(microseconds(self.latency.as_ref()?) * 1e-3)
+    }
+
     /// Reads the drive of a recording.
     ///
     /// # Errors
