@@ -38,7 +38,7 @@ pub struct Sentence {
 /// A value with which the decision would have been another one.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Alternative {
-    /// What is changed: `controller.clearance_m`, `earlier_s`, `later_s` or `speed_mps`.
+    /// What is changed: `controller.clearance_m`, `earlier_s` or `later_s`.
     pub by: &'static str,
     /// The value nearest to the recorded one that was found.
     pub value: f64,
@@ -177,7 +177,6 @@ impl Alternative {
         match self.by {
             "earlier_s" => format!("{:.0} ms earlier on its way {does}", 1e3 * value),
             "later_s" => format!("{:.0} ms later on its way {does}", 1e3 * value),
-            "speed_mps" => format!("at {value:.2} m/s {does}"),
             key => format!("with {key}={value:.3} {does}"),
         }
     }

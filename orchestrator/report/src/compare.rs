@@ -14,8 +14,11 @@ use std::path::{Path, PathBuf};
 use console::exit::Failure;
 use figures::{Align, Table, student};
 use serde::Serialize;
+use shared_types::Header;
 
 use self::drive::{Drive, Station};
+use crate::LatencyReport;
+use crate::latency::reaction_ns;
 
 /// Distance between stations [m].
 pub(super) const STEP_M: f64 = 0.1;
@@ -47,9 +50,15 @@ pub struct ComparedDrives {
 pub struct ComparedWay {
     /// The seed of its scenario.
     pub seed: Option<u64>,
-    /// At each station: its place [m], position across the course [m], speed [m/s], desired steering angle [rad], and clearance
-    /// [m], `null` where nothing is near or known.
-    pub stations: Vec<[Option<f64>; 5]>,
+    /// At each station: its place [m], position across the course [m], speed [m/s], desired steering angle [rad], clearance [m],
+    /// and time from scan to actuation [ms], `null` where nothing is near or known.
+    pub stations: Vec<[Option<f64>; 6]>,
+    /// The answer to the scan of each station, where its stamps are those of a clock.
+    #[serde(skip)]
+    pub answers: Vec<Option<Header>>,
+    /// Of the whole drive; `None` where time was simulated.
+    #[serde(skip)]
+    pub latency: Option<LatencyReport>,
 }
 
 /// Where two drives part.
@@ -72,6 +81,8 @@ struct Part {
 #[derive(Debug, Serialize)]
 struct Figure {
     name: &'static str,
+    /// Number of drives of A and B that have it: nothing may be near, and a drive that ends early has no ride.
+    drives: [usize; 2],
     a: f64,
     b: f64,
     /// B minus A.
@@ -103,8 +114,15 @@ pub fn compare(paths: [&Path; 2]) -> anyhow::Result<ComparedDrives> {
     let pairs = a.iter().zip(&b).filter(|_| by_seed || is_pair);
     let parts = pairs.filter_map(|(a, b)| part(a, b)).collect();
     let figures = drive::FIGURES.iter().filter_map(|(name, value)| {
-        let [a, b] = [&a, &b].map(|side| side.iter().map(value).collect::<Option<Vec<f64>>>());
-        figure(name, &a?, &b?, by_seed)
+        let [mut a, mut b] = [&a, &b].map(|side| side.iter().map(value).collect::<Vec<Option<f64>>>());
+        if by_seed {
+            // Of a pair, either both have the figure or none.
+            a.iter_mut()
+                .zip(&mut b)
+                .for_each(|(a, b)| [*a, *b] = a.zip(*b).map_or([None; 2], |(a, b)| [Some(a), Some(b)]));
+        }
+        let [a, b] = [a, b].map(|side| side.into_iter().flatten().collect::<Vec<f64>>());
+        figure(name, &a, &b, by_seed)
     });
     Ok(ComparedDrives {
         drives: [a.len(), b.len()],
@@ -118,12 +136,19 @@ pub fn compare(paths: [&Path; 2]) -> anyhow::Result<ComparedDrives> {
 fn way(drive: &Drive) -> ComparedWay {
     let rounded = |value: f64| (value * 1e4).round() / 1e4;
     let row = |station: &Station| {
-        let Station { along_m, across_m, speed_mps, steering_rad, clearance_m, .. } = *station;
-        [Some(along_m), Some(across_m), Some(speed_mps), steering_rad, clearance_m]
+        let Station { along_m, across_m, speed_mps, steering_rad, clearance_m, answer, .. } = *station;
+        let reaction_ms = answer.and_then(|header| reaction_ns(&header)).map(|ns| ns as f64 * 1e-6);
+        [Some(along_m), Some(across_m), Some(speed_mps), steering_rad, clearance_m, reaction_ms]
             .map(|value| value.map(rounded).filter(|value| value.is_finite()))
     };
     let step = drive.stations.len().div_ceil(MAX_STATIONS).max(1);
-    ComparedWay { seed: drive.seed, stations: drive.stations.values().step_by(step).map(row).collect() }
+    let shown = || drive.stations.values().step_by(step);
+    ComparedWay {
+        seed: drive.seed,
+        stations: shown().map(row).collect(),
+        answers: shown().map(|station| station.answer).collect(),
+        latency: drive.latency.clone(),
+    }
 }
 
 /// The drives of a file, or of the recordings in a folder and the folders in it.
@@ -194,7 +219,7 @@ fn figure(name: &'static str, a: &[f64], b: &[f64], by_seed: bool) -> Option<Fig
         student(fewest - 1) * squared.sqrt()
     });
     let interval = half.map(|half| [difference - half, difference + half]);
-    Some(Figure { name, a: mean(a), b: mean(b), difference, interval })
+    Some(Figure { name, drives: [a.len(), b.len()], a: mean(a), b: mean(b), difference, interval })
 }
 
 impl ComparedDrives {
@@ -238,10 +263,12 @@ pub fn text(drives: &ComparedDrives) -> String {
     let right = |name| (name, Align::Right);
     let heads = [("figure", Align::Left), right("A"), right("B"), right("B - A"), right("99 %")];
     let mut table = Table::new(&heads);
-    for Figure { name, a, b, difference, interval } in figures {
+    for Figure { name, drives: of, a, b, difference, interval } in figures {
         let number = |value: &f64| format!("{value:.3}");
         let interval = interval.map_or(String::new(), |[low, high]| format!("{low:.3} to {high:.3}"));
-        table.row([(*name).to_owned(), number(a), number(b), format!("{difference:+.3}"), interval]);
+        let [some_a, some_b] = *of;
+        let of = if *of == drives.drives { String::new() } else { format!(", of {some_a} and {some_b}") };
+        table.row([format!("{name}{of}"), number(a), number(b), format!("{difference:+.3}"), interval]);
     }
     lines.push(table.to_string().trim_end().to_owned());
     lines.join("\n")
@@ -290,5 +317,8 @@ mod tests {
         assert!((low - 0.2 + half).abs() < 1e-9 && (high - 0.2 - half).abs() < 1e-9);
         assert!(apart.interval.unwrap()[1] > high);
         assert!(figure("", &a[..1], &b[..1], false).unwrap().interval.is_none());
+        // A figure that a drive lacks is that of the others.
+        let some = figure("", &a, &b[..2], false).unwrap();
+        assert!(some.drives == [3, 2] && some.interval.is_some(), "{some:?}");
     }
 }

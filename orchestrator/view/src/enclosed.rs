@@ -19,10 +19,11 @@ use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use replay::NearDrive;
 use replay::why::{Why, told_by_samples, why};
-use report::compare::{compare, sentences};
+use report::compare::{ComparedWay, compare, sentences};
 use serde_json::{Value, json};
 
 use crate::events::Event;
+use crate::frame::latency;
 use crate::history::Row;
 use crate::pages;
 use crate::recorded::RecordedDrive;
@@ -109,9 +110,17 @@ pub fn report(arguments: &ReportArguments) -> anyhow::Result<Exit> {
 fn compared(paths: [&Path; 2]) -> anyhow::Result<String> {
     let compared = compare(paths)?;
     let names = paths.map(|path| path.display().to_string());
-    let content = json!({
+    let mut content = json!({
         "names": names, "sentences": sentences(&compared), "compared": compared, "ways": compared.ways(),
     });
+    // Stage by stage, of the drive of each side whose values are shown at a place.
+    for (side, ways) in compared.ways().iter().enumerate() {
+        let Some(ComparedWay { answers, latency: Some(whole), .. }) = ways.first() else { continue };
+        let scans: Vec<Option<Value>> = answers.iter().map(|answer| latency(answer.as_ref()?)).collect();
+        let shown = &mut content["ways"][side][0];
+        (shown["scans"], shown["latency_us"]) = (json!(scans), json!(whole));
+        round(&mut shown["scans"], 1.0);
+    }
     Ok(pages::compared(&packed(&content)?))
 }
 

@@ -80,7 +80,7 @@ impl Samples {
             "goals": self.goals,
             "command": self.command.as_deref().map(command),
             "actuation": self.actuation.as_ref().map(actuation),
-            "latency_us": self.actuation.as_ref().filter(|_| !self.simulated).and_then(latency),
+            "latency_us": self.actuation.as_ref().filter(|_| !self.simulated).and_then(|actuation| latency(&actuation.header)),
         })
     }
 
@@ -234,9 +234,9 @@ fn actuation(actuation: &Actuation) -> Value {
     })
 }
 
-/// Where the time of the newest scan went; `None` when its chain has a hole.
-fn latency(actuation: &Actuation) -> Option<Value> {
-    let Attribution { reaction_ns, stages, .. } = attribute(&actuation.header).ok()?;
+/// Where the time of a scan went, by the header of its answer; `None` when its chain has a hole.
+pub(crate) fn latency(answer: &Header) -> Option<Value> {
+    let Attribution { reaction_ns, stages, .. } = attribute(answer).ok()?;
     let stage = |(role, times): (Role, &report::latency::StageTimes)| {
         json!({
             "role": role.name(),
@@ -247,7 +247,7 @@ fn latency(actuation: &Actuation) -> Option<Value> {
     };
     Some(json!({
         "scan_to_actuation": micros(reaction_ns),
-        "data_age": data_age_ns(&actuation.header).map(micros),
+        "data_age": data_age_ns(answer).map(micros),
         "stages": STAGES.into_iter().zip(&stages).map(stage).collect::<Vec<_>>(),
     }))
 }

@@ -58,8 +58,9 @@ pub(crate) fn enclosed(drive: &str) -> String {
 
 /// The page of two drives compared as one file, with them in it.
 pub(crate) fn compared(drives: &str) -> String {
-    let scripts = [("main.js", COMPARE_SCRIPT), ("link.js", ENCLOSED), ("charts.js", text_of("/charts.js"))];
-    whole(COMPARE, scripts.into_iter(), drives)
+    let own = [("main.js", COMPARE_SCRIPT), ("link.js", ENCLOSED)];
+    let shared = ["charts.js", "latency.js"].map(|name| (name, text_of(&format!("/{name}"))));
+    whole(COMPARE, own.into_iter().chain(shared), drives)
 }
 
 fn text_of(path: &str) -> &'static str {
@@ -111,7 +112,7 @@ mod tests {
             assert!(page.split(after).skip(1).all(|rest| rest.starts_with("data:")), "{page}");
         }
         let names = COMPARE_SCRIPT.split("from \"./").skip(1).filter_map(|rest| rest.split('"').next());
-        assert_eq!(names.collect::<Vec<_>>(), ["charts.js", "link.js"]);
+        assert_eq!(names.collect::<Vec<_>>(), ["charts.js", "latency.js", "link.js"]);
     }
 
     #[test]

@@ -39,8 +39,6 @@ struct Changed {
     clearance_m: f64,
     /// On its way by so much, negative for back [s].
     moved_s: f64,
-    /// Share of its speed.
-    speed_share: f64,
 }
 
 impl Decision {
@@ -60,12 +58,12 @@ impl Decision {
     }
 
     fn unchanged(&self) -> Changed {
-        Changed { clearance_m: self.config.clearance_m, moved_s: 0.0, speed_share: 1.0 }
+        Changed { clearance_m: self.config.clearance_m, moved_s: 0.0 }
     }
 
     /// Whether the robot drives with a change; `None` where the controller refuses it.
     fn drives(&self, changed: Changed) -> Option<bool> {
-        let Changed { clearance_m, moved_s, speed_share } = changed;
+        let Changed { clearance_m, moved_s } = changed;
         let config = ControllerConfig { clearance_m, ..self.config.clone() };
         let mut stage = self.stage.with_settings(config, self.period_ns, 0).ok()?;
         let mut pose = self.pose;
@@ -76,9 +74,6 @@ impl Decision {
         ] {
             (*x, *y) = (*x + way_m * yaw.cos(), *y + way_m * yaw.sin());
         }
-        for speed in [&mut pose.speed_mps, &mut pose.predicted_speed_mps] {
-            *speed *= speed_share;
-        }
         Stage::take(&mut stage, AnySample::of(&pose), 0);
         Stage::take(&mut stage, AnySample::of(&self.obstacles), 0);
         let command = stage.output(pose.header.scan_id, &Stopwatch::standing())?;
@@ -86,7 +81,7 @@ impl Decision {
     }
 }
 
-/// What would have changed the decision, by bisection: other clearance, earlier or later on its way, slower.
+/// What would have changed the decision, by bisection: other clearance, earlier or later on its way.
 pub(super) fn changes(decision: &Decision) -> Vec<Alternative> {
     let drove = decision.command.kind == CommandKind::Drive.wire();
     let is_of_the_place = OF_THE_PLACE.iter().any(|reason| decision.command.reason == reason.wire());
@@ -104,11 +99,8 @@ pub(super) fn changes(decision: &Decision) -> Vec<Alternative> {
     let sign = if drove { 1.0 } else { -1.0 };
     let moved = |time_s: f64| Changed { moved_s: sign * time_s, ..same };
     let time = if speed_mps > 0.05 { nearest(0.0, MAX_TIME_S, |value| flips(moved(value))) } else { None };
-    let slower = |speed: f64| Changed { speed_share: speed / speed_mps, ..same };
-    let speed =
-        if !drove && speed_mps > 0.05 { nearest(speed_mps, 0.0, |value| flips(slower(value))) } else { None };
     let by_time = if drove { "later_s" } else { "earlier_s" };
-    [("controller.clearance_m", clearance), (by_time, time), ("speed_mps", speed)]
+    [("controller.clearance_m", clearance), (by_time, time)]
         .into_iter()
         .filter_map(|(by, value)| Some(Alternative { by, value: value?, drives: !drove }))
         .collect()

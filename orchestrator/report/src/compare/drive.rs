@@ -5,15 +5,17 @@ use std::path::Path;
 
 use bytemuck::from_bytes;
 use console::exit::Failure;
-use figures::bootstrap::quantile_of;
 use recording::Recording;
 use recording::read::{RUN, attachment, metadata};
-use shared_types::{Actuation, ActuationKind, BlockReason, Directive, Pose, Role, Sample, Topic, Truth};
+use shared_types::{
+    Actuation, ActuationKind, BlockReason, Directive, Header, Pose, Role, Sample, Topic, Truth,
+};
 use toml::Table;
 use vehicle::{Course, Goal, State};
 
 use super::STEP_M;
-use crate::latency::reaction_ns;
+use crate::LatencyReport;
+use crate::latency::Latencies;
 use crate::ride::{RideFigures, RideRecording, measure};
 
 /// Clearances from here on mean that nothing is near [m].
@@ -32,6 +34,8 @@ pub(super) struct Station {
     pub(super) steering_rad: Option<f64>,
     /// Clearance of the body at the scan, where something is near [m].
     pub(super) clearance_m: Option<f64>,
+    /// Of the answer to the scan, where its stamps are those of a clock.
+    pub(super) answer: Option<Header>,
 }
 
 /// A drive.
@@ -45,7 +49,8 @@ pub(super) struct Drive {
     pub(super) time_s: f64,
     pub(super) stops: u32,
     pub(super) stopped_s: f64,
-    pub(super) reactions_ms: Option<[f64; 2]>,
+    /// `None` where time was simulated.
+    pub(super) latency: Option<LatencyReport>,
 }
 
 /// Name and value of a figure; `None` where a drive has none.
@@ -62,8 +67,13 @@ pub(super) const FIGURES: &[DriveFigure] = &[
     ("ride: largest step [rad]", |drive| Some(drive.ride?.steering_step_max_rad)),
     ("ride: lateral acceleration [m/s^2]", |drive| Some(drive.ride?.lateral_acceleration_max_mps2)),
     ("ride: lateral jerk [m/s^3]", |drive| Some(drive.ride?.lateral_jerk_max_mps3)),
-    ("scan to actuation, p50 [ms]", |drive| Some(drive.reactions_ms?[0])),
-    ("scan to actuation, p99 [ms]", |drive| Some(drive.reactions_ms?[1])),
+    ("scan to actuation, p50 [ms]", |drive| drive.ms(|all| all.scan_to_actuation.p50)),
+    ("scan to actuation, p99 [ms]", |drive| drive.ms(|all| all.scan_to_actuation.p99)),
+    ("estimator computes, p50 [ms]", |drive| drive.ms(|all| all.stages.compute.estimator.p50)),
+    ("obstacles computes, p50 [ms]", |drive| drive.ms(|all| all.stages.compute.obstacles.p50)),
+    ("controller computes, p50 [ms]", |drive| drive.ms(|all| all.stages.compute.controller.p50)),
+    ("actuator computes, p50 [ms]", |drive| drive.ms(|all| all.stages.compute.actuator.p50)),
+    ("transport, p50 [ms]", |drive| drive.ms(|all| all.stages.transport.p50)),
 ];
 
 /// The robot at a scan: state and speed.
@@ -77,10 +87,10 @@ struct Reading {
     /// By the truth, and by the estimate.
     seen: [BTreeMap<u64, Seen>; 2],
     clearances_m: BTreeMap<u64, f64>,
-    steering_rad: BTreeMap<u64, f64>,
+    /// Desired steering angle [rad] and header of the answer to each scan.
+    answers: BTreeMap<u64, (f64, Header)>,
     /// With the times at which they were recorded [ns].
     actuations: Vec<(u64, Actuation)>,
-    reactions_ms: Vec<f64>,
     is_simulated: bool,
     first_ns: Option<u64>,
     last_ns: u64,
@@ -91,6 +101,11 @@ struct Reading {
 }
 
 impl Drive {
+    /// A latency [ms].
+    fn ms(&self, microseconds: fn(&LatencyReport) -> f64) -> Option<f64> {
+        Some(microseconds(self.latency.as_ref()?) * 1e-3)
+    }
+
     /// Reads the drive of a recording.
     ///
     /// # Errors
@@ -162,10 +177,7 @@ impl Reading {
     /// Stops are blocks after the first drive command and before landing or end.
     fn actuation(&mut self, actuation: &Actuation, log_ns: u64) {
         self.ride.actuation(actuation);
-        let reaction = reaction_ns(&actuation.header).filter(|_| actuation.answers == 1);
-        self.reactions_ms.extend(reaction.map(|ns| ns as f64 * 1e-6));
         let drives = actuation.kind == ActuationKind::Drive.wire();
-        self.steering_rad.insert(actuation.header.scan_id, actuation.desired_steering_rad);
         let is_end = matches!(
             BlockReason::try_from(actuation.reason),
             Ok(BlockReason::Landed | BlockReason::StopRequested)
@@ -191,9 +203,15 @@ impl Reading {
         goal: Option<&Goal>,
         seed: Option<u64>,
     ) -> Drive {
+        let mut latencies = Latencies::new(self.is_simulated);
         for (log_ns, actuation) in std::mem::take(&mut self.actuations) {
             if actuation.header.scan_id <= last_scan {
                 self.actuation(&actuation, log_ns);
+                if actuation.answers == 1 {
+                    latencies.record(&actuation.header);
+                }
+                self.answers
+                    .insert(actuation.header.scan_id, (actuation.desired_steering_rad, actuation.header));
             }
         }
         self.clearances_m.retain(|scan_id, _| *scan_id <= last_scan);
@@ -204,11 +222,11 @@ impl Reading {
         let seen = if truth.is_empty() { estimate } else { truth };
         let trace = self.ride.drive();
         let trace = course.map_or_else(|| trace.clone(), |course| trace.clone().along(course));
-        let has_reactions = !self.is_simulated && !self.reactions_ms.is_empty();
-        let mut quantile = |share| quantile_of(&mut self.reactions_ms, share);
         let mut stations = stations(&seen, course);
         for station in stations.values_mut() {
-            station.steering_rad = self.steering_rad.get(&station.scan_id).copied();
+            let answer = self.answers.get(&station.scan_id);
+            station.steering_rad = answer.map(|(steering_rad, _)| *steering_rad);
+            station.answer = answer.map(|(_, header)| *header).filter(|_| !self.is_simulated);
             station.clearance_m = self.clearances_m.get(&station.scan_id).copied();
         }
         Drive {
@@ -219,7 +237,7 @@ impl Reading {
             time_s: self.last_ns.saturating_sub(self.first_ns.unwrap_or(self.last_ns)) as f64 * 1e-9,
             stops: self.stops,
             stopped_s: self.stopped_s,
-            reactions_ms: has_reactions.then(|| [quantile(0.5), quantile(0.99)]),
+            latency: Some(latencies.report()).filter(|report| report.scan_to_actuation.count > 0),
         }
     }
 }
@@ -245,8 +263,7 @@ fn stations(seen: &BTreeMap<u64, Seen>, course: Option<&Course>) -> BTreeMap<i64
                     along_m,
                     across_m: between(last.y, state.y),
                     speed_mps: between(last_mps, *speed_mps),
-                    steering_rad: None,
-                    clearance_m: None,
+                    ..Station::default()
                 });
             }
         }

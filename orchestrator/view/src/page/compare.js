@@ -1,33 +1,45 @@
 // Two drives, or two sets of them, along their way: charts, where they part, and the table of `compare`.
 import { onResize, prepare } from "./charts.js";
+import { latency } from "./latency.js";
 import { unpack } from "./link.js";
 
 const LEFT = 92, GAP = 26, TALL = 120;
-const STRIPS = [["across the course", "m", 1], ["speed", "m/s", 2], ["steering", "rad", 3], ["clearance", "m", 4]];
+const STRIPS = [["across the course", "m", 1], ["speed", "m/s", 2], ["steering", "rad", 3], ["clearance", "m", 4], ["scan to actuation", "ms", 5]];
 
 const element = (id) => document.getElementById(id);
 const canvas = element("ways");
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+const axis = { us: 0 };
+const stages = ["a", "b"].map((side) => latency(element(`stages-${side}`), element(`note-${side}`), axis));
 let drives = null;
 let at_m = null;
 
 const number = (value, digits = 3) => (value == null ? "" : value.toFixed(digits));
 
-/** Of a drive, the last station up to a place; nothing before its first. */
-const stationAt = ({ stations }, along_m) => stations.findLast(([place]) => place <= along_m + 1e-6);
+/** Of a drive, the number of the last station up to a place; -1 before its first. */
+const stationAt = ({ stations }, along_m) => stations.findLastIndex(([place]) => place <= along_m + 1e-6);
 
 function show({ names, sentences, compared }) {
   ["a", "b"].forEach((id, side) => { element(id).textContent = `${id.toUpperCase()}: ${names[side]}`; });
   element("parts").replaceChildren(...sentences.map((text) => Object.assign(document.createElement("li"), { textContent: text })));
   const body = element("figures").tBodies[0];
-  for (const { name, a, b, difference, interval } of compared.figures) {
+  for (const { name, drives: of, a, b, difference, interval } of compared.figures) {
     const row = body.insertRow();
+    const some = of.join() === compared.drives.join() ? "" : `, of ${of.join(" and ")}`;
     const sign = difference > 0 ? "+" : "";
-    const cells = [name, number(a), number(b), sign + number(difference), interval ? interval.map((end) => number(end)).join(" to ") : ""];
+    const cells = [name + some, number(a), number(b), sign + number(difference), interval ? interval.map((end) => number(end)).join(" to ") : ""];
     for (const text of cells) row.insertCell().textContent = text;
     // An interval without zero is a difference.
     row.classList.toggle("differs", interval != null && interval[0] * interval[1] > 0);
   }
+  element("stages").hidden = !drives.ways.some(([first]) => first?.scans);
+  // Of several drives the first is shown.
+  stages.forEach((panel, side) => {
+    const { seed } = drives.ways[side][0];
+    const which = drives.ways[side].length > 1 ? ` (seed ${seed ?? "?"})` : "";
+    document.querySelectorAll("#stages h2 b")[side].textContent = `${"AB"[side]}${which}, scan to actuation`;
+    panel.system(drives.ways[side][0]);
+  });
 }
 
 /** Least and largest value of a column over all drives, a little apart. */
@@ -101,7 +113,9 @@ function chart(context, { name, unit, index, range: [low, high] }, { top, width,
 function point(along_m) {
   const [from, to] = drives.extent;
   at_m = Math.min(to, Math.max(from, along_m));
-  const rows = drives.ways.map(([first]) => first && stationAt(first, at_m));
+  const places = drives.ways.map(([first]) => (first ? stationAt(first, at_m) : -1));
+  const rows = drives.ways.map(([first], side) => first?.stations[places[side]]);
+  stages.forEach((panel, side) => panel.frame({ latency_us: drives.ways[side][0]?.scans?.[places[side]] }));
   const parts = STRIPS.map(([name, unit, index]) => `${name} ${rows.map((row) => number(row?.[index]) || "–").join(" / ")} ${unit}`);
   element("place").textContent = `${at_m.toFixed(1)} m, A / B: ${parts.join(", ")}`;
   draw();

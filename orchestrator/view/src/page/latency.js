@@ -5,8 +5,8 @@ import { niceAbove, prepare } from "./charts.js";
 const NS = "http://www.w3.org/2000/svg";
 const ROLES = ["estimator", "obstacles", "controller", "actuator"];
 
-/** The panel; returns functions that show a frame, the percentiles of a system, and the rows so far. */
-export function latency(place, note) {
+/** The panel; returns functions that show a frame, the percentiles of a system, and the rows so far. Panels may share an axis. */
+export function latency(place, note, axis = { us: 0 }) {
   const table = document.createElement("table");
   const head = table.insertRow();
   for (const name of ["stage", "", "last", "p50", "p99"]) {
@@ -33,7 +33,6 @@ export function latency(place, note) {
   });
   const canvas = document.createElement("canvas");
   place.append(table, canvas);
-  let axis_us = 1000;
   let isFitted = false;
   const recent = [];
 
@@ -48,9 +47,10 @@ export function latency(place, note) {
       if (total) recent.push(total);
       if (recent.length === 20) {
         const usual = niceAbove(1.3 * recent.toSorted((one, other) => one - other)[15]);
-        if (usual > axis_us || usual < axis_us / 2) axis_us = usual;
+        if (usual > axis.us || usual < axis.us / 2) axis.us = usual;
         recent.length = 0;
       }
+      const axis_us = axis.us || 1000;
       let start = 0;
       for (const { role, parts, figures } of rows) {
         const stage = times?.stages.find((stage) => stage.role === role);
@@ -71,7 +71,7 @@ export function latency(place, note) {
     system(system) {
       const report = system?.latency_us;
       // The bars of the first scan have the usual length too.
-      if (!isFitted && report?.scan_to_actuation?.p50 > 0) axis_us = niceAbove(1.3 * report.scan_to_actuation.p50);
+      if (!isFitted && report?.scan_to_actuation?.p50 > 0) axis.us = Math.max(axis.us, niceAbove(1.3 * report.scan_to_actuation.p50));
       isFitted ||= report?.scan_to_actuation?.p50 > 0;
       for (const { role, figures } of rows) {
         const found = role === "all" ? report?.scan_to_actuation : report?.stages?.[role] ?? report?.stages?.compute?.[role];
