@@ -321,8 +321,8 @@ impl Chain {
 
     fn reach(&self) -> f64 {
         /// Steps are no longer than 1; a share of this one is still whole.
-        const LONGEST: f64 = 2.0;
-        self.sides.iter().fold(LONGEST, |most, side| side.reach(most))
+        const MAX_STEPS: f64 = 2.0;
+        self.sides.iter().fold(MAX_STEPS, |most, side| side.reach(most))
     }
 
     /// Mean of the products after a step.
