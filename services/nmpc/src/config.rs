@@ -148,9 +148,9 @@ settings! {
         pub weights: WeightSettings = WeightSettings::default();
         /// The lattice search for the reference path, which chooses the passing sides.
         pub guide: LatticeSettings = LatticeSettings::default();
-        /// How far the robot drives back over the way that it came: out of a dead end, where a path begins there, and out
-        /// of the way of a body that comes; 0 for never. It does so with the search, and with a vehicle that drives
-        /// backwards [m].
+        /// How far the robot drives back over the way that it came: out of a dead end, where a path begins there, out of
+        /// the way of a body that comes, and, from 3 m on, to a goal that it passed; 0 for never. It does so with the
+        /// search, and with a vehicle that drives backwards [m].
         pub back_out_m: f64 = 6.0, 0.0..=10.0;
         /// How long ground that the robot looked at counts as free when it drives backwards, which it can't see [s].
         pub seen_for_s: f64 = 60.0, 1.0..=3600.0;

@@ -99,11 +99,15 @@ impl Legs {
         true
     }
 
-    /// Whether the robot can come back to a goal of this course from behind it.
-    pub(crate) fn can_come_back(&self, goal: &Goal) -> bool {
+    /// Whether the robot can come back to a goal of this course from behind it, over a way of at most `back_m`.
+    pub(crate) fn can_come_back(&self, goal: &Goal, back_m: f64) -> bool {
         let course = &self.legs[0].course;
         let last_m = if course.is_line() { self.track.x_m[1] } else { course.length_m() };
-        self.legs.len() == 1 && self.can_return() && goal.yaw_rad.is_none() && goal.x_m + BEHIND_M < last_m
+        self.legs.len() == 1
+            && self.can_return()
+            && goal.yaw_rad.is_none()
+            && BEHIND_M <= back_m
+            && goal.x_m + BEHIND_M < last_m
     }
 
     /// How fast the robot drives backwards [m/s].

@@ -91,7 +91,7 @@ impl Controller {
             && self.state.arrival() == Arrival::OnTheWay
             && self.state.velocity_mps > 0.0
             && !self.state.movers.move_about()
-            && self.legs.can_come_back(&goal)
+            && self.legs.can_come_back(&goal, self.config.back_out_m)
             && self.state.back.overshoot(&goal);
         if comes_back {
             self.config.goal = self.legs.goal(goal, &self.state.back);
