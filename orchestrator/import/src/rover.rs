@@ -31,6 +31,8 @@ const MAX_TIME_US: f64 = 3.2e13;
 pub(crate) struct RoverLog {
     path: PathBuf,
     rows: Vec<Row>,
+    /// Whether the end of its last line is missing.
+    pub(crate) cut_off: bool,
 }
 
 /// What a line says beside its ranges.
@@ -54,7 +56,7 @@ impl RoverLog {
     /// A file that is no such log, with the line; exit code 2.
     pub(crate) fn open(path: &Path, [way_factor, turn_factor]: [f64; 2]) -> anyhow::Result<Self> {
         let (mut rows, mut before): (Vec<Row>, Option<[f64; 2]>) = (Vec::new(), None);
-        lines(path, &mut |_, fields| {
+        let cut_off = lines(path, &mut |_, fields| {
             let ticks = [fields[2], fields[3]];
             let [left_m, right_m] =
                 before.map_or([0.0; 2], |before| [0, 1].map(|side| (ticks[side] - before[side]) * TICK_M));
@@ -72,7 +74,7 @@ impl RoverLog {
         })?;
         match rows.is_empty() {
             true => Err(refuse(path, "the file has no line")),
-            false => Ok(Self { path: path.to_owned(), rows }),
+            false => Ok(Self { path: path.to_owned(), rows, cut_off }),
         }
     }
 
@@ -107,6 +109,7 @@ impl RoverLog {
             };
             each(row.time_ns, Message::Scan(scan))
         })
+        .map(drop)
     }
 
     /// Velocities at a line: of the ways around it, because the times jitter.
@@ -118,8 +121,8 @@ impl RoverLog {
     }
 }
 
-/// Hands over the numbers of each line that is not empty.
-fn lines(path: &Path, each: &mut dyn FnMut(usize, &[f64]) -> anyhow::Result<()>) -> anyhow::Result<()> {
+/// Hands over the numbers of each line that is not empty; whether the end of the last one, which is left out, is missing.
+fn lines(path: &Path, each: &mut dyn FnMut(usize, &[f64]) -> anyhow::Result<()>) -> anyhow::Result<bool> {
     const EXPECTED: &str = "it is neither a bag of ROS 2 in MCAP nor a log of a rover";
     let text = user_file::read(path, DATA_BYTES)
         .map_err(|reason| refuse(path, format_args!("{EXPECTED}: {reason}")))?;
@@ -131,6 +134,9 @@ fn lines(path: &Path, each: &mut dyn FnMut(usize, &[f64]) -> anyhow::Result<()>)
         fields.extend(words.map_while(|word| word.parse::<f64>().ok()));
         let (line, count) = (number + 1, fields.len());
         if count < COLUMNS {
+            if index > 0 && line == text.lines().count() && !text.ends_with('\n') {
+                return Ok(true);
+            }
             let reason = format!("line {line}: {count} numbers instead of {COLUMNS} or more");
             return Err(refuse(
                 path,
@@ -145,7 +151,7 @@ fn lines(path: &Path, each: &mut dyn FnMut(usize, &[f64]) -> anyhow::Result<()>)
         }
         each(index, &fields)?;
     }
-    Ok(())
+    Ok(false)
 }
 
 #[cfg(test)]
@@ -199,6 +205,9 @@ mod tests {
         );
         let good = line(1, 0, 0);
         assert!(error(&format!("{good}1 2 3\n")).ends_with("line 2: 3 numbers instead of 706 or more"));
+        std::fs::write(&path, format!("{good}1 2 3")).unwrap();
+        let cut = RoverLog::open(&path, [1.0; 2]).unwrap();
+        assert!(cut.cut_off && cut.rows.len() == 1);
         assert!(error(&good.replacen('1', "nan", 1)).contains("line 1: a time of 0 to"));
         assert!(error("\n\n").ends_with("the file has no line"));
     }

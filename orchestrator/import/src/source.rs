@@ -82,7 +82,7 @@ impl Source {
     pub(crate) fn is_cut_off(&self) -> anyhow::Result<bool> {
         match self {
             Self::Bag(bag) => bag.is_cut_off(),
-            Self::Rover(_) => Ok(false),
+            Self::Rover(log) => Ok(log.cut_off),
         }
     }
 

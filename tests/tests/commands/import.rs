@@ -391,9 +391,14 @@ fn the_log_of_a_real_rover_runs_through_both_stages_without_a_scan_unaccounted()
     assert_eq!(system.run(&cut).status.code(), Some(0));
     let page = system.run(&["report", "cut.mcap", "-o", "cut.html"]);
     assert_eq!(page.status.code(), Some(0), "{}", printed(&page));
-    // A line that is cut off is named.
+    // Up to a line that is cut off it is read; a short line in the middle is named.
     let text = std::fs::read_to_string(&log).unwrap();
-    std::fs::write(system.folder().join("cut.dat"), &text[..text.len() / 2]).unwrap();
-    refused(&system, "cut.dat", &[], "numbers instead of 706 or more");
+    let half = &text[..text.len() / 2];
+    std::fs::write(system.folder().join("cut.dat"), half).unwrap();
+    let output = system.run(&["recording", "import", "cut.dat", "--out", "half.mcap"]);
+    assert_eq!(output.status.code(), Some(0), "{}", printed(&output));
+    assert!(printed(&output).contains("it was cut off"), "{}", printed(&output));
+    std::fs::write(system.folder().join("short.dat"), format!("{half}\n{text}")).unwrap();
+    refused(&system, "short.dat", &[], "numbers instead of 706 or more");
     system.assert_nothing_left();
 }
