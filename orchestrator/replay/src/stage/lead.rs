@@ -41,9 +41,10 @@ where
         return Err(refuse(NO_JOURNAL));
     }
     let first = changed.map_or(to, |(_, at)| at.min(to));
-    // What has no inputs changes at once after its output before, so it begins before that one.
+    // What has no inputs changes at once after its output before, and a checkpoint lacks what its own scan was decided by: it
+    // begins a scan earlier.
     let is_source = T::ANSWERS.is_empty();
-    let mut process = Replayed::<T>::begin(incarnation, drive, Some(first - u64::from(is_source)))?;
+    let mut process = Replayed::<T>::begin(incarnation, drive, Some(first.saturating_sub(1)))?;
     let mut is_changed = false;
     let mut change = |process: &mut Replayed<'_, T>, scan: u64| -> anyhow::Result<()> {
         let Some((settings, _)) = changed.filter(|(_, at)| scan >= *at && !is_changed) else { return Ok(()) };
