@@ -84,8 +84,10 @@ pub(super) fn import(arguments: &ImportArguments) -> anyhow::Result<Exit> {
     };
     let imported = import::import(file, out, &options)?;
     if imported.cut_off {
-        let text =
-            format!("warning: {}: it was cut off; imported up to its last whole chunk or line", file.display());
+        let text = format!(
+            "warning: {}: it was cut off; imported up to its last whole chunk or line",
+            file.display()
+        );
         runtime::print(runtime::Priority::Warning, &text);
     }
     answer!(*json, "{imported}")?;
