@@ -188,12 +188,22 @@ pub(crate) fn deepest(
 
 /// Whether the robot can get from its place to the predicted one in `lead_s`, at a speed that it can have.
 fn is_near(config: &ControllerConfig, pose: &Pose, lead_s: f64) -> bool {
-    let speed = pose.speed_mps.abs().max(pose.predicted_speed_mps.abs());
+    let speed = speed(pose);
     let way = (pose.predicted_x_m - pose.x_m).hypot(pose.predicted_y_m - pose.y_m);
     // NaN is in no range.
-    (0.0..=MAX_SPEED_RATIO * config.vehicle.bounds.velocity_max_mps).contains(&speed)
+    (0.0..=fastest(config)).contains(&speed)
         && pose.predicted_speed_mps.is_finite()
         && (0.0..=speed * lead_s + LEAD_SLACK_M).contains(&way)
+}
+
+/// The speed that a pose states, now or where the command acts [m/s].
+pub(crate) fn speed(pose: &Pose) -> f64 {
+    pose.speed_mps.abs().max(pose.predicted_speed_mps.abs())
+}
+
+/// The fastest that a robot may be said to be [m/s].
+pub(crate) fn fastest(config: &ControllerConfig) -> f64 {
+    MAX_SPEED_RATIO * config.vehicle.bounds.velocity_max_mps
 }
 
 /// Whether a state is finite and not far outside of the bounds.

@@ -64,6 +64,10 @@ impl Controller {
                 let what = "depth of the body in its box";
                 Some(StopNumber { what, value, unit: "m", allowed: "at most", limit: OVERLAP_M, id })
             }
+            StopReason::BadInput => {
+                let (speed, most) = (start::speed(pose), start::fastest(config));
+                (speed > most).then(|| number("speed of the pose", speed, "m/s", "at most", most)).flatten()
+            }
             StopReason::StateLost => number("speed", pose.speed_mps.abs(), "m/s", "at rest below", REST_MPS),
             StopReason::NoSafeSpeed => {
                 number("fastest speed to stop in time", speeds()[0], "m/s", "at least", slowest_mps)

@@ -127,6 +127,9 @@ fn each_reason_of_a_stop_is_named_with_its_number_and_limit() {
         "stop: unseen",
         "stop: unverified",
         "stop: paused",
+        "stop: landed",
+        "stop: requested",
+        "stop: bad input",
     ]);
 }
 
