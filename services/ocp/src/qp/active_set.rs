@@ -65,7 +65,6 @@ pub(crate) struct ActiveSet {
     in_bounds: Vec<bool>,
     in_rows: Vec<bool>,
     iterations: u32,
-    dbg: usize,
 }
 
 /// One constraint of the working set, written as `sign * a' v <= sign * limit`.
@@ -112,7 +111,6 @@ impl ActiveSet {
         }
         self.start(program, solution);
         let (count, rows) = program.size();
-        self.dbg = self.working.len();
         // One step per changed constraint is usual; ten times all constraints indicates rounding errors.
         let limit = 10 * (count + rows) as u32;
         self.iterations = 0;
@@ -123,17 +121,6 @@ impl ActiveSet {
             }
             self.primal(program, solution);
             let Some(joining) = self.max_violated(program, &solution.step) else {
-                if std::env::var("DBG").is_ok() {
-                    let b = self.working.iter().filter(|w| matches!(w.what, Constraint::Bound(_))).count();
-                    eprintln!(
-                        "n {} it {} start {} end {} bounds {}",
-                        program.size().0,
-                        self.iterations,
-                        self.dbg,
-                        self.working.len(),
-                        b
-                    );
-                }
                 self.report(program, solution);
                 return solution.step.iter().chain(&solution.row_multipliers).all(|value| value.is_finite());
             };
