@@ -3,7 +3,7 @@
 #
 #   setup.sh          casadi: the virtual environment that `scanloop bench solver --peer` runs CasADi (with IPOPT) in, about
 #                     100 MB from PyPI. Needs Python 3 with venv; a C compiler makes the peers faster when there is one.
-#   setup.sh acados   acados beside it, 13 MB from PyPI; needs make and a C compiler
+#   setup.sh acados   acados with CasADi, 13 MB from PyPI; needs make and a C compiler
 #   setup.sh zenoh    the program behind `zenoh` and `zenoh-shm` of `scanloop bench transport`, from crates.io
 #   setup.sh zeromq   the program behind `zeromq`, from crates.io; compiles libzmq, needs a C++ compiler
 #   setup.sh dora     the program behind `dora`, from crates.io, and dora's own program from PyPI (with venv)

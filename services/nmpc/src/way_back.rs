@@ -4,7 +4,7 @@
 //! it has stood for a while, places on the way back are tried one after the other, one in each scan, until the path search
 //! finds a clear path from one of them. The robot drives there backwards, and then on.
 //!
-//! A goal that was passed beside it is come back to from behind: the robot drives on, straightens, and drives back.
+//! A goal that was passed is come back to from behind: the robot drives on, straightens, and drives back.
 //!
 //! Nothing is tried while a body moves: it may go. Assumed: what the robot has seen on its way still stands there.
 //!

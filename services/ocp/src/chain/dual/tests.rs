@@ -120,7 +120,7 @@ fn every_method_agrees_with_clarabel() {
 }
 
 #[test]
-#[ignore = "takes minutes"]
+#[ignore = "takes minutes: cargo test --release -p ocp -- --ignored"]
 fn every_method_agrees_with_clarabel_on_a_hundred_thousand_programs() {
     let counts = compare(0..100_000);
     println!("{counts:?}");
