@@ -6,6 +6,7 @@
 //! In lock-step the result does not depend on when the topics were polled.
 
 use std::collections::VecDeque;
+use std::ops::RangeInclusive;
 
 use runtime::{Bus, Observer, RuntimeError, monotonic_ns};
 use shared_types::{
@@ -263,10 +264,8 @@ pub struct Samples {
     scans: Queue<Scan, Swept>,
     /// Whether the robot publishes its true state.
     has_truth: bool,
-    /// The first scan of a robot without any truth so far.
-    first_swept: Option<u64>,
-    /// The scan from which on the truth is missing.
-    truth_missing: Option<u64>,
+    /// The oldest scan that was found, and the newest one that the polls before the last one found.
+    swept: Option<RangeInclusive<u64>>,
     odometries: Observer<Odometry>,
     truths: Queue<Truth>,
     poses: Queue<Pose>,
@@ -294,8 +293,7 @@ impl Samples {
         Ok(Self {
             scans: Queue::new(bus)?,
             has_truth: true,
-            first_swept: None,
-            truth_missing: None,
+            swept: None,
             odometries: Observer::new(bus)?,
             truths: Queue::new(bus)?,
             poses,
@@ -316,11 +314,11 @@ impl Samples {
         self.has_truth = false;
     }
 
-    /// Connects to all writers.
+    /// Connects to all writers: first to that of the truth, so that no scan is observed without it.
     pub fn connect(&self) {
+        self.truths.observer.connect();
         self.scans.observer.connect();
         self.odometries.connect();
-        self.truths.observer.connect();
         self.poses.observer.connect();
         self.obstacles.observer.connect();
         self.commands.observer.connect();
@@ -340,7 +338,10 @@ impl Samples {
         if directive.phase < Phase::Driving.wire() {
             known.known = KnownScan::start(monotonic_ns());
         }
-        let swept = self.scans.newest();
+        if let Some(oldest) = self.scans.waiting.front() {
+            let first = self.swept.as_ref().map_or(oldest.header.scan_id, |swept| *swept.start());
+            self.swept = Some(first..=self.scans.newest());
+        }
         self.truths.poll(directive, sample_audit, known)?;
         poll(&self.odometries, directive, sample_audit, known, |_| ())?;
         // In reverse order of the data flow: when an answer has arrived, so have the samples that led to it.
@@ -362,7 +363,6 @@ impl Samples {
         }
         if self.has_truth {
             self.newest_scan = self.newest_scan.max(self.truths.newest());
-            self.miss_truth(swept);
         } else {
             // A truth that no one promised is not used.
             self.truths.waiting.clear();
@@ -371,21 +371,13 @@ impl Samples {
         Ok(())
     }
 
-    /// Notes that the truth is missing when so many scans up to `swept`, which the poll before found, have come without
-    /// one that no delay explains it: a truth is published before its scan.
-    fn miss_truth(&mut self, swept: u64) {
-        if swept > 0 {
-            let first = *self.first_swept.get_or_insert(swept);
-            let newest = self.newest_scan.max(first - 1);
-            if swept >= newest + self.timeout_scans {
-                self.truth_missing.get_or_insert(newest + 1);
-            }
-        }
-    }
-
-    /// The scan from which on a robot that publishes its true state has published none.
-    pub fn truth_missing(&self) -> Option<u64> {
-        self.truth_missing
+    /// The scan from which on a robot that publishes its true state has published none, when so many scans have come
+    /// without one that no delay explains it, or, with `is_stalled`, a single one: a truth is published before its scan.
+    pub fn truth_missing(&self, is_stalled: bool) -> Option<u64> {
+        let swept = self.swept.as_ref().filter(|_| self.has_truth)?;
+        let newest = self.newest_scan.max(swept.start().saturating_sub(1));
+        let enough = if is_stalled { 1 } else { self.timeout_scans };
+        (*swept.end() >= newest.saturating_add(enough)).then_some(newest + 1)
     }
 
     /// The newest actuations without repetitions, oldest first.

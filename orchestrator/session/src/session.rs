@@ -254,7 +254,7 @@ impl Session {
             self.record(false)?;
             self.end_by_clock();
             self.notice_moved()?;
-            self.require_truth();
+            self.require_truth(false);
             self.advance_audit();
             self.advance_end()?;
             self.advance_candidates()?;

@@ -12,8 +12,9 @@ const EMULATOR: &str = "emulator";
 
 impl Session {
     /// A robot that has opened the topic `truth` promises to publish on it: without a truth no scan is judged.
-    pub(super) fn require_truth(&mut self) {
-        if let Some(scan) = self.samples.truth_missing() {
+    /// Where the loop stands still, one scan without it is enough.
+    pub(super) fn require_truth(&mut self, is_stalled: bool) {
+        if let Some(scan) = self.samples.truth_missing(is_stalled) {
             let robot = self.fleet.label(Role::Robot);
             let reason = format!(
                 "robot ({robot}) has opened the topic truth, and published none since scan {scan}; one that does not know \

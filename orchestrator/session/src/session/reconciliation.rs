@@ -81,10 +81,13 @@ impl Session {
             self.reconcile(false);
             self.reconcile_companions(self.drives());
         }
-        if due == Due::FindStall && self.audit.samples.is_something_missing() {
-            let fault =
-                self.audit.samples.report().faults.last().map_or_else(String::new, ToString::to_string);
-            self.decide(Outcome::Failed, &format!("the loop stands still: {fault}"));
+        if due == Due::FindStall {
+            if self.audit.samples.is_something_missing() {
+                let fault =
+                    self.audit.samples.report().faults.last().map_or_else(String::new, ToString::to_string);
+                self.decide(Outcome::Failed, &format!("the loop stands still: {fault}"));
+            }
+            self.require_truth(true);
         }
         if due == Due::TimedOut {
             let scan = self.samples.newest_scan();
