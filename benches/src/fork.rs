@@ -4,7 +4,7 @@
 
 mod sweep;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use console::answer;
@@ -12,9 +12,9 @@ use console::exit::{Exit, Failure};
 use emulator::{Outcome, Referee};
 use fault_matrix::PipedStage;
 use pipeline::Step;
-use replay::ReplayDrive;
 use replay::compare::FieldDifference;
 use replay::fork::{Fork, ForkChange, Repetition};
+use replay::{ReplayDrive, ReplayOptions, ReplayReport, replay};
 use serde::Serialize;
 use shared_types::{AnyStage, Role};
 
@@ -109,13 +109,29 @@ pub(crate) fn fork(arguments: &ForkArguments) -> anyhow::Result<Exit> {
         let change = ForkChange::new(&drive, *at, &set, obstacle)?;
         drive_on(&drive, &change, with, *duration, variant.clone())
     };
-    let forks = on_all_cores(variants.len(), one, || ())?.into_iter().collect::<anyhow::Result<Vec<_>>>()?;
+    let mut forks =
+        on_all_cores(variants.len(), one, || ())?.into_iter().collect::<anyhow::Result<Vec<_>>>()?;
     let is_changed = !(set.is_empty() && obstacle.is_empty() && with.is_empty() && arguments.sweep.is_none());
+    if let Some(followed) = forks.first_mut().filter(|followed| !is_changed && followed.scan.is_none()) {
+        followed.follow(file, *at)?;
+    }
     let report = ForkReport { at: *at, lockstep: drive.is_in_lockstep(), recorded: recorded(&drive)?, forks };
     print_json(*json, &report)?;
     answer!(*json, "{}", text(&report, &file.display().to_string(), is_changed))?;
     let repeats = |forked: &Forked| forked.repetition.identical == forked.repetition.compared;
     Ok(if is_changed || report.forks.iter().all(repeats) { Exit::Done } else { Exit::NotReached })
+}
+
+impl Forked {
+    /// Compares a drive in real time with what its journals give from a scan on.
+    fn follow(&mut self, file: &Path, at: u64) -> anyhow::Result<()> {
+        let ReplayReport { compared, identical, differences, .. } =
+            replay(file, &ReplayOptions { from: Some(at), ..ReplayOptions::default() })?;
+        let first_difference = differences.into_iter().next();
+        self.parts.clone_from(&first_difference);
+        self.repetition = Repetition { compared, identical, first_difference };
+        Ok(())
+    }
 }
 
 /// Drives on from where a change makes an output another one.
@@ -249,11 +265,11 @@ fn text(report: &ForkReport, file: &str, is_changed: bool) -> String {
     let [forked] = &forks[..] else { return text };
     let Forked { scan, parts, driven, repetition, lacks_own_topic, .. } = forked;
     match (scan, parts) {
-        (None, _) => text += "no output of the recording becomes another one\n",
-        (Some(_), Some(parts)) => text += &format!("parts at {parts}\n"),
+        (_, Some(parts)) => text += &format!("parts at {parts}\n"),
+        (None, None) => text += "no output of the recording becomes another one\n",
         (Some(_), None) => {}
     }
-    if !is_changed && scan.is_some() {
+    if !is_changed {
         let Repetition { compared, identical, .. } = repetition;
         text += &format!("{identical} of {compared} outputs repeat the recording to the bit\n");
     }

@@ -59,6 +59,8 @@ fn a_drive_in_real_time_is_followed_up_to_the_first_other_output() {
             |arguments: &[&str]| json(&system.run(&[&["fork", text(&file), "--json"], arguments].concat()));
         let same = fork(&["--at", "9"]);
         assert_eq!((&same["forks"][0]["scan"], &same["lockstep"]), (&Value::Null, &false.into()), "{same}");
+        let compared = same["forks"][0]["compared"].as_u64();
+        assert!(compared > Some(5 * 18) && same["forks"][0]["identical"].as_u64() == compared, "{same}");
         let obstacle = "shape=circle,x_m=3,y_m=0.1,radius_m=0.1,appears_s=1.45";
         let other = fork(&["--at", "9", "--obstacle", obstacle]);
         let forked = &other["forks"][0];
