@@ -29,8 +29,8 @@ MOVING = "crossing"
 PRESETS = ["ideal", "summit"]
 
 
-def driven(program, scenario, preset, changes, folder):
-    """The drive of a scenario, in lock-step."""
+def recorded(program, scenario, preset, changes, folder):
+    """The folder of a drive of a scenario, in lock-step, with its samples as tables."""
     (home := folder / "runtime").mkdir(0o700, parents=True)
     environment = {**os.environ, "SCANLOOP_RUNTIME_DIR": str(home)}
     sets = [part for change in [f"robot.preset={preset}", *changes] for part in ("--set", change)]
@@ -39,7 +39,12 @@ def driven(program, scenario, preset, changes, folder):
                    stdout=subprocess.DEVNULL, env=environment)
     subprocess.run([program, "recording", "export", folder / "out/recording.mcap", "--csv", folder / "out/csv"], check=True,
                    stdout=subprocess.DEVNULL)
-    return Drive(folder / "out")
+    return folder / "out"
+
+
+def driven(program, scenario, preset, changes, folder):
+    """The drive of a scenario, in lock-step."""
+    return Drive(recorded(program, scenario, preset, changes, folder))
 
 
 def row(task):

@@ -1,7 +1,7 @@
 //! The clearance that a verified plan keeps between the body and obstacles: a sum of what is uncertain.
 //!
-//! base + k sigma of the pose along the plan + speed times age of the data + model + perception. Each part stands in
-//! the command, so a report can tell which of them closes a gap.
+//! base + k sigma of the pose along the plan + a share of speed times age of the data, for which the pose is predicted, +
+//! model + perception. Each part stands in the command, so a report can tell which of them closes a gap.
 
 use shared_types::{Margin, Pose};
 
@@ -44,13 +44,13 @@ impl MarginModel {
     /// What is kept in any case, and nothing for what is uncertain.
     pub(crate) fn bare(self) -> Self {
         let settings =
-            MarginSettings { pose_sigmas: 0.0, pose_growth_m: 0.0, model_m: 0.0, perception_m: 0.0 };
+            MarginSettings { pose_sigmas: 0.0, pose_growth_m: 0.0, model_m: 0.0, perception_m: 0.0, ..self.settings };
         Self { settings, age_s: 0.0, ..self }
     }
 
-    /// What a person keeps who may pass closer: nothing for what is uncertain but the age of the data.
+    /// What a person keeps who may pass closer: nothing for what is uncertain but the whole way until the command acts.
     pub(crate) fn close(self) -> Self {
-        Self { settings: self.bare().settings, ..self }
+        Self { settings: MarginSettings { latency_share: 1.0, ..self.bare().settings }, ..self }
     }
 
     /// No margin at all: for a robot that would be struck if it stopped.
@@ -70,12 +70,12 @@ impl MarginModel {
 
     /// The parts of the margin `t` seconds after the start of the plan at `speed`.
     pub(crate) fn at(&self, t: f64, speed: f64) -> Margin {
-        let MarginSettings { pose_sigmas, pose_growth_m, model_m, perception_m } = self.settings;
+        let MarginSettings { pose_sigmas, pose_growth_m, latency_share, model_m, perception_m } = self.settings;
         Margin {
             base_m: self.base_m,
             pose_m: pose_sigmas
                 * (self.variance_m2 + pose_growth_m * pose_growth_m * t.min(MAX_GROWTH_S)).sqrt(),
-            latency_m: speed * self.age_s,
+            latency_m: latency_share * speed * self.age_s,
             model_m,
             perception_m,
         }
@@ -105,8 +105,9 @@ mod tests {
         let model = MarginModel::of(&ControllerConfig::default(), &pose);
         let margin = model.at(0.0, 0.5);
         assert!((margin.pose_m - 2.0 * 0.03).abs() < 1e-12);
-        assert!((margin.latency_m - 0.075).abs() < 1e-12);
-        assert!((margin.sum() - (0.05 + 0.06 + 0.075 + 0.015 + 0.015)).abs() < 1e-12);
+        // 15 % of the way in 150 ms.
+        assert!((margin.latency_m - 0.15 * 0.075).abs() < 1e-12);
+        assert!((margin.sum() - (0.05 + 0.06 + 0.01125 + 0.015 + 0.015)).abs() < 1e-12);
         // Variances add up: 0.03^2 + 2 s * 0.006^2.
         let later = model.at(2.0, 0.5).pose_m;
         assert!((later - 2.0 * (9e-4 + 2.0 * 3.6e-5_f64).sqrt()).abs() < 1e-12);
@@ -120,12 +121,12 @@ mod tests {
         let model = MarginModel::of(&ControllerConfig::default(), &pose);
         assert!((model.at(0.0, 0.5).pose_m - 2.0 * 0.03).abs() < 1e-12);
         assert!((model.age_s() - 0.15).abs() < 1e-12);
-        assert!((model.growth(0.0, 0.5) - (0.06 + 0.075 + 0.015 + 0.015)).abs() < 1e-12);
+        assert!((model.growth(0.0, 0.5) - (0.06 + 0.01125 + 0.015 + 0.015)).abs() < 1e-12);
         // After the longest time that counts it does not grow any more.
         assert!(model.sum(2.0, 0.5) < model.sum(2.7, 0.5));
         assert_eq!(model.sum(2.7, 0.5), model.sum(9.0, 0.5));
         let used_up = model.used_up();
-        assert!((used_up.sum(0.0, 0.5) - (0.05 + 0.06 + 0.075)).abs() < 1e-12);
+        assert!((used_up.sum(0.0, 0.5) - (0.05 + 0.06 + 0.01125)).abs() < 1e-12);
         assert!(used_up.at(2.0, 0.5).pose_m > used_up.at(0.0, 0.5).pose_m, "errors of the pose stay");
         let bare = model.bare();
         assert_eq!((bare.sum(0.0, 0.5), bare.sum(2.0, 1.0), bare.age_s()), (0.05, 0.05, 0.0));

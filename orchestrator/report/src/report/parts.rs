@@ -66,7 +66,7 @@ pub struct MarginReport {
     pub base: f64,
     /// Uncertainty of the pose [m].
     pub pose: f64,
-    /// Speed times the age of the data [m].
+    /// A share of speed times the age of the data [m].
     pub latency: f64,
     /// Difference between the robot and its description [m].
     pub model: f64,
