@@ -12,8 +12,9 @@ use crate::predicted_obstacle;
 const MAX_BODIES: usize = 32;
 /// Ellipses whose centres are no further apart are of one body [m].
 const SAME_M: f64 = 0.6;
-/// So near ahead of the robot what stands there is described; what is not has gone [m].
-const DESCRIBED_M: f64 = 2.0;
+/// So near ahead of the robot what stands there is described; what is not has gone [m]. It stops up to 3.5 m before what it is
+/// too near to turn away from: the description tells there when that goes.
+const DESCRIBED_M: f64 = 4.0;
 /// The same to the side, by the distance ahead.
 const DESCRIBED_SIDE: f64 = 0.8;
 /// What is farther away is forgotten [m].
@@ -156,7 +157,9 @@ mod tests {
         assert_eq!(memory.count, 0);
         memory.follow(&described(&[(2, 6.0)]), &at(1.0));
         let mut gone = memory;
-        gone.follow(&described(&[]), &at(4.5));
+        gone.follow(&described(&[]), &at(1.9));
+        assert_eq!(gone.count, 1, "too far to tell");
+        gone.follow(&described(&[]), &at(2.1));
         assert_eq!(gone.count, 0, "in view and not there");
         memory.follow(&described(&[]), &at(7.0));
         assert_eq!(memory.count, 1);

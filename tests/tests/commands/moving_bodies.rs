@@ -56,7 +56,7 @@ fn a_side_from_which_the_goal_is_reached_is_taken() {
 }
 
 /// Circles that cross 5 cm behind a box, which was then described with them to the end of the run; carts beside posts; and
-/// bodies past which a robot crept to the bound of the track before they went.
+/// bodies past which a robot crept to the bound of the track, or from which it drove back, before they went.
 #[test]
 fn a_robot_drives_on_when_what_was_beside_a_body_at_rest_has_gone() {
     let system = TestSystem::new(EXECUTABLE);
@@ -86,6 +86,8 @@ fn a_robot_drives_on_when_what_was_beside_a_body_at_rest_has_gone() {
         ("behind, faster", behind(1.0, 0.7), "5"),
         ("wide, in open surroundings", goes([4.3065, 0.2979, 0.6, 1.6], 11.5), "10"),
         ("wide, to the other side", goes([4.3065, -0.2979, 0.6, 1.6], 12.5), "20"),
+        ("across, gone while the robot is back", goes([5.016, 0.139, 0.477, 1.928], 9.6), "10"),
+        ("across, to the other side", goes([5.016, -0.139, 0.477, 1.928], 11.5), "20"),
     ] {
         std::fs::write(&file, "timeout_s = 150.0\nstop_final_s = 40.0\n".to_owned() + &text).unwrap();
         let report = system.lockstep(&["left.toml", "--set", &format!("rate_hz={rate}")]);

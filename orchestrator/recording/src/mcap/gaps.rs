@@ -42,6 +42,8 @@ pub(super) struct Gaps {
     first: usize,
     /// The gap whose end is not known yet.
     open: Option<Gap>,
+    /// Whether the last place of that gap may reach to the end of the file.
+    is_endless: bool,
     /// The oldest and the newest message of the file that is read [ns].
     times_ns: Option<[u64; 2]>,
 }
@@ -55,6 +57,7 @@ impl Gaps {
     /// Notes a damaged place behind the newest message; `until_ns` is up to when messages were there, if that is known.
     pub(super) fn note(&mut self, file: usize, at: u64, what: Damage, is_data: bool, until_ns: Option<u64>) {
         let from_ns = self.times_ns.map(|[_, newest_ns]| newest_ns);
+        self.is_endless = is_data && until_ns.is_none();
         match &mut self.open {
             Some(gap) => {
                 gap.to_ns = gap.to_ns.max(until_ns);
@@ -83,7 +86,7 @@ impl Gaps {
         if let Some(gap) = self.open.take() {
             // A time that lies far ahead is damaged itself.
             let latest_ns = gap.from_ns.map(|from_ns| from_ns.saturating_add(MAX_CHUNK_NS));
-            let claimed_ns = gap.to_ns.filter(|to_ns| Some(*to_ns) <= latest_ns);
+            let claimed_ns = gap.to_ns.filter(|to_ns| !self.is_endless && Some(*to_ns) <= latest_ns);
             let end_ns = counted.map(|counted| counted.times_ns[1]);
             let to_ns = claimed_ns.max(end_ns).filter(|to_ns| Some(*to_ns) >= gap.from_ns);
             self.found.push(Gap { to_ns, ..gap });

@@ -123,9 +123,7 @@ impl<R: Read + Seek> Walk<'_, R> {
     /// The file that was begun has no end.
     fn end_cut_off(&mut self) {
         self.is_open = false;
-        let here = (self.index.parts.len(), self.index.files.len() - 1);
-        let is_noted = self.index.places.last().is_some_and(|place| (place.part, place.file) == here);
-        if self.is_salvage && self.data_end.is_none() && !is_noted {
+        if self.is_salvage && self.data_end.is_none() {
             let (at, part, file) = (self.input.length(), self.index.parts.len(), self.index.files.len() - 1);
             let what = Damage::CutOff;
             self.index.places.push(Place { file, at, what, is_data: true, part, until_ns: None });

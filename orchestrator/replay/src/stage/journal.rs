@@ -13,7 +13,7 @@ use obstacles::DetectorStage;
 use runtime::settings_file;
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Actuation, AnySample, Checkpoint, Described, Journal, JournalEntry, JournalKind, Sample, Stage,
+    Actuation, AnySample, Checkpoint, Described, Journal, JournalEntry, JournalKind, Role, Sample, Stage,
     StageEvent, Stopwatch, TOPICS, Topic, shift_state,
 };
 
@@ -300,11 +300,18 @@ impl<T: Recomputed> Replayed<'_, T> {
     }
 
     /// Hands over what the process has taken, at the time at which it was used.
+    ///
+    /// A robot uses one actuation at a time. Those that it has taken before were in the state that it begins with, or came
+    /// while its wheels were blocked: it has passed over them.
     fn give(&mut self, now_ns: u64) {
-        for waiting in self.waiting.drain(..) {
-            let JournalEntry { topic, incarnation, value, .. } = waiting.entry;
-            if topic == Topic::Actuation as u16 {
-                self.actuation = Some((incarnation, value));
+        let is_actuation = |waiting: &Waiting| waiting.entry.topic == Topic::Actuation as u16;
+        let used = self.waiting.iter().rposition(is_actuation);
+        for (index, waiting) in self.waiting.drain(..).enumerate() {
+            if is_actuation(&waiting) {
+                if T::ROLE == Role::Robot && Some(index) != used {
+                    continue;
+                }
+                self.actuation = Some((waiting.entry.incarnation, waiting.entry.value));
             }
             if self.unknown.is_none() {
                 self.unknown = self.taking.give(&waiting, now_ns, &mut self.stage).err().map(Missing::reason);
