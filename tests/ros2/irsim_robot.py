@@ -1,20 +1,20 @@
 #!/usr/bin/env python3
-"""A robot of ir-sim behind a ROS 2 node: its motion, scans and contacts are those of ir-sim, which nobody here wrote.
+"""A robot of ir-sim behind a ROS 2 node, in a world of tests/worlds: its motion, scans and contacts are those of ir-sim.
 
 usage: irsim_robot.py WORLD REPORT
 
 /odom, /scan and /cmd_vel, as the node of a differential robot has them. What ir-sim has seen is written to REPORT at the
-end, as JSON: the pose, whether the robot touched anything, and the distance to the nearest thing.
+end, as JSON: the pose, and whether the robot touched anything.
 """
 
-import contextlib
-import io
 import json
 import math
+import random
 import signal
 import sys
 import threading
 import time
+from pathlib import Path
 
 import rclpy
 from geometry_msgs.msg import Twist
@@ -24,27 +24,33 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
 
-# It says on standard output which windows it can't open.
-with contextlib.redirect_stdout(io.StringIO()):
-    import irsim
+WORLDS = Path(__file__).resolve().parents[1] / "worlds"
+sys.path.insert(0, str(WORLDS))
+
+from world_irsim import BEAMS, FAN_RAD, World  # noqa: E402
 
 STEP_S, SCAN_STEPS = 0.05, 2
 TIMEOUT_S = 0.5
+SPEED_MPS, ACCELERATION_MPS2 = 0.8, 3.0
+RANGE_M, NOISE_M = 6.0, 0.01
+ANGLES_RAD = [FAN_RAD * (beam / (BEAMS - 1) - 0.5) for beam in range(BEAMS)]
 
 
 class Robot(Node):
-    """The first robot of a world."""
+    """The robot of a world."""
 
-    def __init__(self, world):
+    def __init__(self, name):
         super().__init__("irsim")
-        self.world = irsim.make(world, headless=True, log_level="WARNING", seed=1)
+        worlds = json.loads((WORLDS / "worlds.json").read_text(encoding="utf-8"))
+        self.world = World(next(world for world in worlds if world["name"] == name), STEP_S)
+        self.random = random.Random(1)
         self.scans = self.create_publisher(LaserScan, "scan", qos_profile_sensor_data)
         self.states = self.create_publisher(Odometry, "odom", 10)
         self.create_subscription(Twist, "cmd_vel", self.obey, 10)
         self.create_timer(STEP_S, self.advance)
         self.wanted, self.commanded = [0.0, 0.0], -math.inf
         self.began, self.steps = time.monotonic(), 0
-        self.touched, self.clearance_m = False, math.inf
+        self.at, self.turn, self.touched = (0.0, 0.0, 0.0, 0.0), 0.0, False
 
     def obey(self, message):
         """A command."""
@@ -52,16 +58,18 @@ class Robot(Node):
 
     def advance(self):
         """Steps the world up to the present, and publishes what is due."""
-        robot = self.world.robot
         while self.steps * STEP_S < time.monotonic() - self.began:
             is_fresh = time.monotonic() - self.commanded < TIMEOUT_S
-            self.world.step(self.wanted if is_fresh else [0.0, 0.0])
+            wanted, turn = self.wanted if is_fresh else (0.0, 0.0)
+            most, before = ACCELERATION_MPS2 * STEP_S, self.at[3]
+            speed = before + max(-most, min(most, max(-SPEED_MPS, min(SPEED_MPS, wanted)) - before))
+            # As it is told, it turns only while it drives.
+            self.turn = turn * speed / wanted if wanted else 0.0
+            self.at, touched = self.world.step(speed, turn / wanted if wanted else 0.0, not is_fresh)
             self.steps += 1
-            self.touched |= bool(robot.collision)
-            self.states.publish(self.state(robot))
+            self.touched |= touched
+            self.states.publish(self.state())
             if self.steps % SCAN_STEPS == 0:
-                others = self.world.obstacle_list
-                self.clearance_m = min([self.clearance_m, *(robot.geometry.distance(other.geometry) for other in others)])
                 self.scans.publish(self.scan())
 
     def header(self, message, frame):
@@ -70,29 +78,30 @@ class Robot(Node):
         message.header.frame_id = frame
         return message
 
-    def state(self, robot):
+    def state(self):
         """The odometry."""
         message = self.header(Odometry(), "odom")
         message.child_frame_id = "base_link"
-        x, y, yaw = (float(value) for value in robot.state[:3, 0])
+        x, y, yaw, speed = self.at
         message.pose.pose.position.x, message.pose.pose.position.y = x, y
         message.pose.pose.orientation.z, message.pose.pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
-        message.twist.twist.linear.x, message.twist.twist.angular.z = (float(value) for value in robot.velocity[:2, 0])
+        message.twist.twist.linear.x, message.twist.twist.angular.z = speed, self.turn
         return message
 
     def scan(self):
         """The sweep of the scanner."""
-        sweep = self.world.get_lidar_scan()
         message = self.header(LaserScan(), "laser")
-        for name in ("angle_min", "angle_max", "angle_increment", "range_min", "range_max"):
-            setattr(message, name, float(sweep[name]))
-        message.ranges = [float(value) for value in sweep["ranges"]]
+        message.angle_min, message.angle_max = ANGLES_RAD[0], ANGLES_RAD[-1]
+        message.angle_increment = ANGLES_RAD[1] - ANGLES_RAD[0]
+        message.range_min, message.range_max = 0.06, RANGE_M
+        ranges = self.world.ranges(ANGLES_RAD)
+        message.ranges = [far if far >= RANGE_M else far + self.random.gauss(0.0, NOISE_M) for far in ranges]
         return message
 
     def report(self):
         """What ir-sim has seen."""
-        x, y, yaw = (float(value) for value in self.world.robot.state[:3, 0])
-        return {"x_m": x, "y_m": y, "yaw_rad": yaw, "touched": self.touched, "clearance_m": self.clearance_m, "steps": self.steps}
+        x, y, yaw, _ = self.at
+        return {"x_m": x, "y_m": y, "yaw_rad": yaw, "touched": self.touched, "steps": self.steps}
 
 
 def main():
