@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from scanloop_types import BEAMS, FIRST_BEAM_YAW_RAD, PITCH_RAD
 
-STEP_NS = 10_000_000  # of the simulation
+STEP_MS = 10  # of the simulation, unless the world says otherwise
 VELOCITY_FACTOR = 1.4  # the robot drives this much slower than it is told
 CURVATURE = 5.405  # of the path per steering angle [1/(m rad)]
 ACCELERATION, DECELERATION = 2.0, 5.0  # of the drive and of blocked wheels [m/s^2]
@@ -51,18 +51,20 @@ ERRORS = {
 class Device:
     """The robot; `period_ns` is the time between two sweeps."""
 
-    base_delay_ns = 0
+    one_clock, base_delay_ns = True, 0
 
     def __init__(self, now_ns, period_ns):
         with open(os.environ["WORLD_FILE"], encoding="utf-8") as file:
             world = json.load(file)
+        self._curvature, self._factor = world.get("curvature", CURVATURE), world.get("factor", VELOCITY_FACTOR)
+        self._step_ns = world.get("step_ms", STEP_MS) * 1_000_000
         self._errors = ERRORS[os.environ.get("WORLD_ERRORS", "none")]
         self._random = random.Random(int(os.environ.get("WORLD_SEED", "1")))
         if os.environ["WORLD_SIMULATOR"] == "pybullet":
             from world_pybullet import World
         else:
             from world_irsim import World
-        self._world = World(world, STEP_NS * 1e-9)
+        self._world = World(world, self._step_ns * 1e-9)
         self._log = open(os.environ["WORLD_LOG"], "w", encoding="utf-8")  # noqa: SIM115
         self._period_ns, self._now_ns, self._run_ns = period_ns, now_ns, 0
         self._sweep_ns = period_ns * 2 // 3
@@ -72,6 +74,7 @@ class Device:
         self._drive, self._steering, self._speed = None, 0.0, 0.0
         self._truth, self._seen = Pose(), Pose()
         self._ranges, self._taken, self._began_ns = [0] * BEAMS, 0, 0
+        self._asked_ns, self._pause_ns = None, 0  # when the driver asked last, and its longest pause since the last line
         self._states, self._sweeps = [], []  # on their way
 
     def read_odometry(self, now_ns):
@@ -100,26 +103,29 @@ class Device:
         return self._random.randrange(*self._errors.late_ns) if self._errors.late_ns[1] else 0
 
     def _advance_to(self, now_ns):
+        self._pause_ns, self._asked_ns = max(self._pause_ns, now_ns - (self._asked_ns or now_ns)), now_ns
         if now_ns - self._now_ns > STOOD_NS:  # the process stood still: so did the world
-            self._now_ns = now_ns - STEP_NS
-        while self._now_ns + STEP_NS <= now_ns:
-            self._now_ns += STEP_NS
-            self._run_ns += STEP_NS
+            self._now_ns = now_ns - self._step_ns
+        while self._now_ns + self._step_ns <= now_ns:
+            self._now_ns += self._step_ns
+            self._run_ns += self._step_ns
             self._step()
 
     def _step(self):
-        dt_s = STEP_NS * 1e-9
+        dt_s = self._step_ns * 1e-9
         velocity, steering = self._drive or (0.0, self._steering)
         most = dt_s * (ACCELERATION if self._drive else DECELERATION)
-        self._speed += max(-most, min(most, velocity / VELOCITY_FACTOR - self._speed))
+        self._speed += max(-most, min(most, velocity / self._factor - self._speed))
         self._steering += (steering - self._steering) * dt_s / (STEERING_LAG_S + dt_s)
-        at, touched = self._world.step(self._speed, CURVATURE * self._steering, not self._drive)
+        at, touched = self._world.step(self._speed, self._curvature * self._steering, not self._drive)
         self._measure_odometry(Pose(*at))
         self._measure_ranges()
         if self._run_ns % 100_000_000 == 0 or touched:
-            is_driving = abs(self._truth.speed_mps) > REST_MPS
-            line = {"t": self._run_ns * 1e-9, "at": self._truth[:3], "driving": is_driving, "touched": bool(touched)}
+            speed_mps = self._truth.speed_mps
+            line = {"t": self._run_ns * 1e-9, "at": self._truth[:3], "speed_mps": round(speed_mps, 3)}
+            line |= {"driving": abs(speed_mps) > REST_MPS, "touched": bool(touched), "pause_ms": self._pause_ns // 1_000_000}
             print(json.dumps(line), file=self._log, flush=True)
+            self._pause_ns = 0
 
     def _measure_odometry(self, truth):
         before, self._truth = self._truth, truth
@@ -130,7 +136,7 @@ class Device:
         slip = self._random.gauss(0.0, self._errors.slip_m * math.sqrt(way)) if way else 0.0
         ahead = ahead * (1.0 + self._errors.scale) + slip
         turn = math.remainder(truth.yaw_rad - before.yaw_rad, math.tau)
-        turn += self._errors.drift_radps * STEP_NS * 1e-9 * (way > 1e-5)
+        turn += self._errors.drift_radps * self._step_ns * 1e-9 * (way > 1e-5)
         seen = self._seen
         cos, sin = math.cos(seen.yaw_rad), math.sin(seen.yaw_rad)
         x, y = seen.x_m + cos * ahead - sin * left, seen.y_m + sin * ahead + cos * left
@@ -140,9 +146,9 @@ class Device:
 
     def _measure_ranges(self):
         into_ns = self._run_ns % self._period_ns
-        if into_ns < STEP_NS:
+        if into_ns < self._step_ns:
             self._taken, self._began_ns = 0, self._run_ns
-        until = min(BEAMS, BEAMS * (into_ns + STEP_NS) // self._sweep_ns)
+        until = min(BEAMS, BEAMS * (into_ns + self._step_ns) // self._sweep_ns)
         if until <= self._taken:
             return
         angles = [FIRST_BEAM_YAW_RAD + beam * PITCH_RAD for beam in range(self._taken, until)]
@@ -152,4 +158,4 @@ class Device:
         self._taken = until
         if until == BEAMS:
             arrives_ns = self._now_ns + self._late()
-            self._sweeps.append((arrives_ns, self._began_ns + self._sweep_ns // 2, list(self._ranges)))
+            self._sweeps.append((arrives_ns, self._began_ns + (self._sweep_ns - self._step_ns) // 2, list(self._ranges)))

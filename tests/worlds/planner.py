@@ -23,8 +23,25 @@ def shape_of(body):
     return shapely.affinity.rotate(box, body.get("yaw", 0.0), use_radians=True)
 
 
+def line_of(course):
+    """The line through waypoints (x, y, yaw), with bends about as tight as arcs."""
+    places = []
+    for (x, y, yaw), (to_x, to_y, to_yaw) in zip(course, course[1:]):
+        far = math.hypot(to_x - x, to_y - y)
+        for share in (step / 20 for step in range(21)):
+            began, begin = 2 * share**3 - 3 * share**2 + 1, share**3 - 2 * share**2 + share
+            ended, end = 3 * share**2 - 2 * share**3, share**3 - share**2
+            across = [(x, math.cos(yaw), to_x, math.cos(to_yaw)), (y, math.sin(yaw), to_y, math.sin(to_yaw))]
+            places.append([began * p + far * (begin * d + end * to_d) + ended * to_p for p, d, to_p, to_d in across])
+    return shapely.LineString(places)
+
+
 def is_passable(world, length_m, width_m):
-    """Whether a way leads to the goal on which the body keeps a decimetre to all bodies at rest and all walls."""
+    """Whether a way leads to the goal, or the course does, on which the body keeps a decimetre to all bodies at rest and
+    all walls."""
+    if "course" in world:
+        bodies = shapely.union_all([shape_of(body) for body in world["bodies"] + around(world)])
+        return not line_of(world["course"]).buffer(width_m / 2 + MARGIN_M).intersects(bodies)
     goal_x, goal_y = world["goal"]
     still = [shape_of(body) for body in world["bodies"] if "velocity" not in body]
     # In the open the way ends where the track does.

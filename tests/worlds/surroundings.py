@@ -1,4 +1,8 @@
-"""What stands around a world: two walls with something uneven at them, so that the way along is seen too, or nothing."""
+"""What stands around a world: two walls with something uneven at them, so that the way along is seen too, or nothing, or
+the polygons of a file, as a floor plan."""
+
+import json
+import pathlib
 
 WALL_M, THICK_M = 2.4, 0.1  # middle of each wall, and its thickness
 BEHIND_M, BEYOND_M = 3.0, 5.0  # of the start and of the goal
@@ -11,10 +15,13 @@ ROOMS_M, DOOR_M = [-1.5, 1.7, 5.6, 9.3, 12.8, 16.4], 1.7
 
 
 def around(world):
-    """The bodies that stand around the world of this name of a kind: `open`, `pillars`, `niches` or `rooms`."""
+    """The bodies that stand around a world, of a kind: `open`, `pillars`, `niches`, `rooms`, or a file beside this one."""
     kind, goal_m = world["around"], world["goal"][0]
     if kind == "open":
         return []
+    if kind.endswith(".json"):
+        parts = json.loads((pathlib.Path(__file__).parent / kind).read_text(encoding="utf-8"))
+        return [{"polygon": outline} for part in parts.values() for outline in part]
     from_m, to_m = -BEHIND_M, goal_m + BEYOND_M
     length_m, middle_m = to_m - from_m, (from_m + to_m) / 2
     bodies = [{"at": [middle_m, side * WALL_M], "size": [length_m, THICK_M]} for side in (1, -1)]

@@ -6,11 +6,12 @@ import pybullet as bullet
 import pybullet_data
 from surroundings import around
 
-LASER_M, WHEELBASE_M, WHEEL_M = 0.12, 0.325, 0.05
-DRIVEN, STEERED = (2, 3, 5, 7), (4, 6)
-# The car turns less than its wheels, measured at 1 m/s: for the curvature k it is told k * first / (1 - second * |k|).
-UNDERSTEER = 1.03, 1.0
-SUBSTEPS = 4
+LASER_M, WHEELBASE_M, WHEEL_M = 0.12, 0.325, 0.051
+TRACK_M = 0.245
+REAR, FRONT, STEERED = [(2, 1), (3, -1)], [(5, 1), (7, -1)], (4, 6)  # joints, and on which side a wheel is
+# The car turns less than its wheels, measured from 1 to 3 m/s: by this factor, and by this much less per m/s.
+UNDERSTEER = 1.02, 0.025
+SUBSTEP_S = 0.0025
 OUTSIDE_M = 0.3  # of the car
 
 
@@ -20,7 +21,7 @@ class World:
     def __init__(self, world, step_s):
         bullet.connect(bullet.DIRECT)
         bullet.setGravity(0, 0, -9.81)
-        bullet.setTimeStep(step_s / SUBSTEPS)
+        bullet.setTimeStep(SUBSTEP_S)
         bullet.setAdditionalSearchPath(pybullet_data.getDataPath())
         self._ground = bullet.loadURDF("plane.urdf")
         # Its links' frames begin at the rear axle; the robot's centre is half a wheelbase ahead.
@@ -56,16 +57,19 @@ class World:
             if "velocity" in body:
                 at = [start + self._time_s * v for start, v in zip(body["at"], body["velocity"])]
                 bullet.resetBasePositionAndOrientation(identity, [*at, 0.25], [0, 0, 0, 1])
-        first, second = UNDERSTEER
-        turn = math.atan(WHEELBASE_M * curvature_per_m * first / (1 - second * min(abs(curvature_per_m), 0.5)))
+        factor, less = UNDERSTEER
+        curvature = curvature_per_m / (factor - less * abs(speed_mps))
         for joint in STEERED:
-            bullet.setJointMotorControl2(self._car, joint, bullet.POSITION_CONTROL, targetPosition=turn, force=10)
-        wheel = 0.0 if blocked else speed_mps / WHEEL_M
-        for joint in DRIVEN:
+            target = math.atan(WHEELBASE_M * curvature)
+            bullet.setJointMotorControl2(self._car, joint, bullet.POSITION_CONTROL, targetPosition=target, force=10)
+        # The rear wheels drive, by a differential; all are braked.
+        for joint, side in REAR + FRONT:
+            force = 10 if blocked or (joint, side) in REAR else 0
+            wheel = 0.0 if blocked else speed_mps * (1 - side * curvature * TRACK_M / 2) / WHEEL_M
             bullet.setJointMotorControl2(
-                self._car, joint, bullet.VELOCITY_CONTROL, targetVelocity=wheel, force=10
+                self._car, joint, bullet.VELOCITY_CONTROL, targetVelocity=wheel, force=force
             )
-        for _ in range(SUBSTEPS):
+        for _ in range(round(self._step_s / SUBSTEP_S)):
             bullet.stepSimulation()
         (x, y, _), turned = bullet.getBasePositionAndOrientation(self._car)
         yaw = bullet.getEulerFromQuaternion(turned)[2]
