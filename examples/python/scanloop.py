@@ -69,6 +69,10 @@ MAX_LATE = 16  # a sample may come after so many newer ones
 CHECKPOINT_AGE_NS = 500_000_000  # a state that was older when its process ended is not used
 HANDOVER_AGE_NS = 10_000_000_000  # nor is one that has waited for longer
 QUEUE_DEPTH, STANDBY_DEPTH = 12, 3  # samples that wait to be taken; samples kept of the other process of a swap
+# Of a device's clock: no message is delayed by more, so an older stamp is one of a device that was restarted.
+_MAX_DELAY_NS = 1_000_000_000
+_WINDOW_NS, _JUMP_NS = 5_000_000_000, 20_000_000  # it stood still when all messages of a window are this late
+_BACK_NS, _BACK_FOR_NS = 100_000_000, 500_000_000  # when it went back, and all are as late for this time, it was set back
 
 # The topic that wakes a role: the one whose sample comes last.
 TRIGGERS = {
@@ -218,6 +222,74 @@ class StopWord:
         if self._page is not None and wheels != Wheels.UNKNOWN:
             place = self.ROWS_AT + self._role * self.ROW
             struct.pack_into("=QQQ", self._page, place, os.getpid(), wheels, time.monotonic_ns())
+
+
+class DeviceClock:
+    """Maps the stamps of a device to CLOCK_MONOTONIC, by the smallest delay of its data. A restart of the device starts
+    the mapping anew. `delay_ns` is the shortest time from a stamp to the arrival of its data."""
+
+    def __init__(self, delay_ns: int = 0) -> None:
+        self._delay_ns, self._stamp_ns, self._arrived_ns = delay_ns, 0, 0
+        self._offset_ns: int | None = None
+        self._window_ns, self._least_ns = 0, 0  # the smallest arrival minus stamp since the start of a window
+        # Since a stamp went back: when that was, the smallest and the largest arrival minus stamp.
+        self._back: tuple[int, int, int] | None = None
+        self.restarts, self.overtaken = 0, 0
+
+    def map(self, stamp_ns: int, arrived_ns: int, beside: "DeviceClock | None" = None) -> int | None:
+        """The time of a stamp on CLOCK_MONOTONIC; None for a message that was overtaken by others: its data are old.
+
+        `beside` maps other data of the same clock: the smaller delay of both counts, or two kinds of data that were
+        stamped at once would get two times until both have come without a delay."""
+        since_ns, found_ns = arrived_ns - self._arrived_ns, arrived_ns - stamp_ns
+        is_overtaken = stamp_ns < self._stamp_ns
+        if is_overtaken:
+            delay_ns = since_ns + self._stamp_ns - stamp_ns
+            # A restarted device has lost most of its count. Nothing newer comes from one whose clock was set back.
+            has_lost_count = stamp_ns < self._stamp_ns // 2
+            if delay_ns <= _MAX_DELAY_NS or not (has_lost_count or since_ns > _MAX_DELAY_NS):
+                self.overtaken += 1
+            else:
+                is_overtaken, self.restarts, self._offset_ns = False, self.restarts + 1, None
+        if self._offset_ns is not None and self._is_set_back(found_ns, arrived_ns, is_overtaken):
+            is_overtaken, self._offset_ns = False, None
+        if is_overtaken:
+            return None
+        if self._offset_ns is None:
+            self._offset_ns, self._window_ns, self._least_ns = found_ns, arrived_ns, found_ns
+        drifted_ns = since_ns // 5000  # 200 ppm: more than two crystals drift apart
+        self._offset_ns = min(found_ns, self._offset_ns + drifted_ns)
+        self._least_ns = min(found_ns, self._least_ns)
+        if arrived_ns - self._window_ns > _WINDOW_NS:
+            if self._least_ns > self._offset_ns + _JUMP_NS:
+                self._offset_ns = self._least_ns
+            self._window_ns, self._least_ns = arrived_ns, found_ns
+        self._stamp_ns, self._arrived_ns = stamp_ns, arrived_ns
+        offset_ns = self._offset_ns - self._delay_ns
+        if beside is not None and beside._offset_ns is not None:
+            other_ns = beside._offset_ns - beside._delay_ns
+            # Further apart they are only while one of both knows of a restart.
+            is_fresh = arrived_ns - beside._arrived_ns < _MAX_DELAY_NS
+            if is_fresh and abs(other_ns - offset_ns) < _MAX_DELAY_NS:
+                offset_ns = min(offset_ns, other_ns)
+        return stamp_ns + offset_ns
+
+    def _is_set_back(self, found_ns, arrived_ns, is_overtaken):
+        """Whether all messages are late by the same time, since one whose stamp went back: the clock was set back."""
+        if found_ns - self._offset_ns < _BACK_NS:
+            self._back = None
+            return False
+        since_ns, least_ns, most_ns = self._back or (arrived_ns, found_ns, found_ns)
+        least_ns, most_ns = min(least_ns, found_ns), max(most_ns, found_ns)
+        if most_ns - least_ns > _JUMP_NS:
+            since_ns, least_ns, most_ns = arrived_ns, found_ns, found_ns
+            self._back = None
+        if self._back or is_overtaken:
+            self._back = (since_ns, least_ns, most_ns)
+        is_set_back = self._back is not None and arrived_ns - since_ns >= _BACK_FOR_NS
+        if is_set_back:
+            self._back = None
+        return is_set_back
 
 
 class Input(typing.Generic[S]):

@@ -1,7 +1,7 @@
 /* The robot. Replace the three functions read_odometry, read_scan and write_wheels by those of yours.
  *
  * None of them may wait. As shipped they belong to a simulation with the faults of real devices: base and scanner have
- * clocks of their own, both restart every 2 s, data arrive up to 3 ms late, and one sweep in 23 breaks off half-way. */
+ * one clock of their own, which restarts every 2 s, data arrive up to 3 ms late, and one sweep in 23 breaks off half-way. */
 #ifndef DEVICE_H
 #define DEVICE_H
 
@@ -25,7 +25,7 @@ struct pose {
 
 /* What the scanner has measured. */
 struct sweep {
-    uint64_t stamp_ns; /* when the front beam was taken, on the clock of the scanner */
+    uint64_t stamp_ns; /* when the front beam was taken */
     int beams;         /* how many beams have come; less than SCANLOOP_BEAMS when the sweep broke off */
     uint32_t ranges_mm[SCANLOOP_BEAMS];
 };
@@ -41,7 +41,7 @@ struct device {
 
 static void advance_to(struct device *device, uint64_t now_ns);
 
-/* The newest state of the base that was not read before, with its stamp on the clock of the base; 0 for none. */
+/* The newest state of the base that was not read before, with its stamp; 0 for none. */
 static int read_odometry(struct device *device, uint64_t now_ns, uint64_t *stamp_ns, struct pose *pose) {
     advance_to(device, now_ns);
     if (device->base_arrives_ns == 0 || device->base_arrives_ns > now_ns) {
@@ -70,6 +70,12 @@ static void write_wheels(struct device *device, uint64_t now_ns, int drives, dou
     device->drives = drives;
     device->velocity_mps = velocity_mps;
     device->steering_rad = steering_rad;
+}
+
+/* Whether base and scanner stamp with the same clock; 0 where the scanner has one of its own. */
+static int has_one_clock(const struct device *device) {
+    (void)device;
+    return 1;
 }
 
 /* Shortest time from the stamp of a state of the base to its arrival. */

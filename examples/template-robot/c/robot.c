@@ -5,6 +5,7 @@
  * whole scans only, and wheels that stop by themselves. */
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 
 #include "scanloop.h"
 
@@ -25,6 +26,7 @@
 
 /* The clock of one device. A restart of the device starts the mapping anew. */
 struct device_clock {
+    uint64_t delay_ns; /* shortest time from a stamp to the arrival of its data */
     int is_known;
     int64_t offset_ns; /* smallest arrival minus stamp: that with the smallest delay */
     uint64_t stamp_ns, arrived_ns;
@@ -34,7 +36,7 @@ struct device_clock {
 };
 
 struct state {
-    uint64_t time_ns;
+    int64_t at_ns; /* its stamp where base and scanner have one clock, else its time */
     struct pose pose;
 };
 
@@ -44,9 +46,10 @@ struct driver {
     struct device_clock scanner_clock, base_clock;
     struct state states[MAX_STATES]; /* a ring, `count` were added */
     unsigned count;
+    int64_t behind_ns;  /* from the stamp of the newest one to its time */
     struct pose origin; /* of the base since its last restart */
     int waits;          /* a sweep that waits for the odometry after it */
-    uint64_t front_ns;
+    uint64_t front_ns, at_ns; /* its front beam on CLOCK_MONOTONIC, and as the time of a state */
     struct sweep sweep;
     uint64_t base_ns, scanner_ns; /* when they sent data last; 0 before the first */
     unsigned broken;              /* sweeps that broke off since the last whole one */
@@ -72,9 +75,14 @@ static int is_overtaken(const struct device_clock *clock, uint64_t stamp_ns, uin
     return delay_ns <= MAX_DELAY_NS || (stamp_ns >= clock->stamp_ns / 2 && since_ns <= MAX_DELAY_NS);
 }
 
-/* When data with this stamp would have arrived with the smallest delay, on CLOCK_MONOTONIC; 0 for a message that was
- * overtaken by others, whose data are old. */
-static uint64_t map_stamp(struct device_clock *clock, uint64_t stamp_ns, uint64_t arrived_ns) {
+/* Smallest arrival minus stamp, without the delay that the data have at least. */
+static int64_t offset_of(const struct device_clock *clock) {
+    return clock->offset_ns - (int64_t)clock->delay_ns;
+}
+
+/* The time of a stamp on CLOCK_MONOTONIC; 0 for a message that was overtaken by others, whose data are old. `beside`, if
+ * not null, maps other data of the same clock: the smaller delay of both counts. */
+static uint64_t map_stamp(struct device_clock *clock, uint64_t stamp_ns, uint64_t arrived_ns, const struct device_clock *beside) {
     int64_t found_ns = (int64_t)(arrived_ns - stamp_ns);
     if (clock->is_known && stamp_ns < clock->stamp_ns) {
         if (is_overtaken(clock, stamp_ns, arrived_ns)) {
@@ -101,7 +109,13 @@ static uint64_t map_stamp(struct device_clock *clock, uint64_t stamp_ns, uint64_
     }
     clock->stamp_ns = stamp_ns;
     clock->arrived_ns = arrived_ns;
-    return stamp_ns + (uint64_t)clock->offset_ns;
+    int64_t offset_ns = offset_of(clock);
+    /* Further apart they are only while one of both knows of a restart. */
+    if (beside != NULL && beside->is_known && arrived_ns - beside->arrived_ns < MAX_DELAY_NS &&
+        llabs(offset_of(beside) - offset_ns) < (int64_t)MAX_DELAY_NS) {
+        offset_ns = smaller(offset_ns, offset_of(beside));
+    }
+    return stamp_ns + (uint64_t)offset_ns;
 }
 
 /* A pose that is given from `origin`, in the frame of `origin`. */
@@ -111,37 +125,43 @@ static struct pose from(const struct pose *origin, const struct pose *pose) {
                          wrap(origin->yaw_rad + pose->yaw_rad), pose->speed_mps};
 }
 
-/* Adds a state. After a restart the base counts from zero again; the robot has not moved by that. */
-static void add_state(struct driver *driver, uint64_t time_ns, const struct pose *reported, int restarted) {
+/* Adds a state, by its stamp where base and scanner have one clock, else by its time. After a restart the base counts from zero again; the robot has not moved by that. */
+static void add_state(struct driver *driver, uint64_t at_ns, uint64_t time_ns, const struct pose *reported, int restarted) {
+    int64_t behind_ns = (int64_t)(time_ns - at_ns);
     const struct state *last = driver->count > 0 ? &driver->states[(driver->count - 1) % MAX_STATES] : NULL;
     if (restarted && last != NULL) {
         struct pose turn = {0.0, 0.0, last->pose.yaw_rad - reported->yaw_rad, 0.0};
         struct pose moved = from(&turn, reported);
         driver->origin =
             (struct pose){last->pose.x_m - moved.x_m, last->pose.y_m - moved.y_m, turn.yaw_rad, 0.0};
+        /* A clock that began again has another stamp for the states before. */
+        for (unsigned index = 0; index < MAX_STATES; index++) {
+            driver->states[index].at_ns += driver->behind_ns - behind_ns;
+        }
     }
-    if (last == NULL || time_ns > last->time_ns) {
-        driver->states[driver->count++ % MAX_STATES] = (struct state){time_ns, from(&driver->origin, reported)};
+    driver->behind_ns = behind_ns;
+    if (last == NULL || (int64_t)at_ns > last->at_ns) {
+        driver->states[driver->count++ % MAX_STATES] = (struct state){(int64_t)at_ns, from(&driver->origin, reported)};
     }
 }
 
 /* The pose at a time between two states; 0 when there are none, or when they are too far apart. */
-static int pose_at(const struct driver *driver, uint64_t time_ns, struct pose *pose) {
+static int pose_at(const struct driver *driver, int64_t at_ns, struct pose *pose) {
     for (unsigned index = driver->count; index > 1 && index + MAX_STATES > driver->count + 1; index--) {
         const struct state *late = &driver->states[(index - 1) % MAX_STATES];
         const struct state *early = &driver->states[(index - 2) % MAX_STATES];
-        if (time_ns > late->time_ns) {
+        if (at_ns > late->at_ns) {
             return 0;
         }
-        if (time_ns > early->time_ns) {
-            uint64_t apart_ns = late->time_ns - early->time_ns;
-            double share = (double)(time_ns - early->time_ns) / (double)apart_ns;
+        if (at_ns > early->at_ns) {
+            int64_t apart_ns = late->at_ns - early->at_ns;
+            double share = (double)(at_ns - early->at_ns) / (double)apart_ns;
             const struct pose *one = &early->pose, *other = &late->pose;
             pose->x_m = one->x_m + share * (other->x_m - one->x_m);
             pose->y_m = one->y_m + share * (other->y_m - one->y_m);
             pose->yaw_rad = wrap(one->yaw_rad + share * wrap(other->yaw_rad - one->yaw_rad));
             pose->speed_mps = one->speed_mps + share * (other->speed_mps - one->speed_mps);
-            return apart_ns <= driver->period_ns * 3 / 2;
+            return apart_ns <= (int64_t)driver->period_ns * 3 / 2;
         }
     }
     return 0;
@@ -224,22 +244,25 @@ static int is_next(const struct driver *driver, uint64_t front_ns) {
 /* Reads what base and scanner have measured, and maps their stamps to CLOCK_MONOTONIC. */
 static void read_device(struct driver *driver) {
     uint64_t now_ns = scanloop_now_ns(driver->process), stamp_ns;
+    int one_clock = has_one_clock(&driver->device);
     struct pose pose;
     if (read_odometry(&driver->device, now_ns, &stamp_ns, &pose)) {
         unsigned restarts = driver->base_clock.restarts;
-        uint64_t time_ns = map_stamp(&driver->base_clock, stamp_ns, now_ns);
+        uint64_t time_ns = map_stamp(&driver->base_clock, stamp_ns, now_ns, NULL);
         if (time_ns != 0) {
-            add_state(driver, time_ns - base_delay_ns(&driver->device), &pose, driver->base_clock.restarts > restarts);
+            add_state(driver, one_clock ? stamp_ns : time_ns, time_ns, &pose, driver->base_clock.restarts > restarts);
             driver->speed_mps = pose.speed_mps;
         }
         driver->base_ns = now_ns;
     }
     struct sweep sweep;
     if (read_scan(&driver->device, now_ns, &sweep)) {
-        uint64_t time_ns = map_stamp(&driver->scanner_clock, sweep.stamp_ns, now_ns);
-        if (time_ns != 0) {
+        const struct device_clock *beside = one_clock ? &driver->base_clock : NULL;
+        uint64_t front_ns = map_stamp(&driver->scanner_clock, sweep.stamp_ns, now_ns, beside);
+        if (front_ns != 0) {
             driver->sweep = sweep;
-            driver->front_ns = time_ns - scan_delay_ns(&driver->device);
+            driver->front_ns = front_ns;
+            driver->at_ns = one_clock ? sweep.stamp_ns : front_ns;
             driver->waits = is_next(driver, driver->front_ns);
         }
         driver->scanner_ns = now_ns;
@@ -271,7 +294,7 @@ static int publish(struct driver *driver, const scanloop_directive *directive) {
         driver->waits = 0;
         return SCANLOOP_YES;
     }
-    if (!pose_at(driver, driver->front_ns, &pose)) {
+    if (!pose_at(driver, (int64_t)driver->at_ns, &pose)) {
         return SCANLOOP_YES;
     }
     driver->waits = 0;
@@ -329,6 +352,8 @@ int main(void) {
     if (result == SCANLOOP_YES) {
         driver.period_ns = scanloop_period_ns(driver.process);
         open_device(&driver.device, scanloop_now_ns(driver.process), driver.period_ns);
+        driver.base_clock.delay_ns = base_delay_ns(&driver.device);
+        driver.scanner_clock.delay_ns = scan_delay_ns(&driver.device);
         scanloop_report_wheels(driver.process, SCANLOOP_RESTING);
         result = scanloop_start(driver.process);
         while (result == SCANLOOP_YES && (result = wait_for_poll(&driver)) == SCANLOOP_YES) {

@@ -1,7 +1,7 @@
 """The robot. Replace the three functions read_odometry, read_scan and write_wheels by those of yours.
 
 None of them may wait. As shipped they belong to a simulation with the faults of real devices: base and scanner have
-clocks of their own, both restart every 2 s, data arrive up to 3 ms late, and one sweep in 23 breaks off half-way.
+one clock of their own, which restarts every 2 s, data arrive up to 3 ms late, and one sweep in 23 breaks off half-way.
 """
 
 import math
@@ -31,6 +31,7 @@ class Pose(NamedTuple):
 class Device:
     """A robot in a hall; `period_ns` is the time between two sweeps."""
 
+    one_clock = True  # base and scanner stamp with the same clock; False where the scanner has one of its own
     base_delay_ns = 0  # shortest time from the stamp of a state of the base to its arrival
 
     def __init__(self, now_ns, period_ns):
@@ -42,7 +43,7 @@ class Device:
         self._random = random.Random(1)
 
     def read_odometry(self, now_ns):
-        """The newest state of the base not read before: stamp on the clock of the base [ns] and Pose, or None."""
+        """The newest state of the base not read before: its stamp [ns] and Pose, or None."""
         self._advance_to(now_ns)
         if self._base is None or self._base[0] > now_ns:
             return None
@@ -50,7 +51,7 @@ class Device:
         return state
 
     def read_scan(self, now_ns):
-        """The newest sweep not read before: stamp of its front beam on the clock of the scanner [ns] and ranges [mm].
+        """The newest sweep not read before: stamp of its front beam [ns] and ranges [mm].
 
         None when there is none. A sweep that broke off has less than BEAMS ranges."""
         self._advance_to(now_ns)

@@ -15,7 +15,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "python"))
 
 from device import Device, Pose  # noqa: E402
-from scanloop import Process, Role, Wheels  # noqa: E402
+from scanloop import DeviceClock, Process, Role, Wheels  # noqa: E402
 from scanloop_types import (  # noqa: E402
     BEAMS,
     FIRST_BEAM_YAW_RAD,
@@ -34,66 +34,6 @@ VELOCITY_MAX_MPS, STEERING_MAX_RAD, SLACK = 2.0, 0.12, 1e-9  # what the actuator
 REST_MPS = 1e-3  # below this speed the wheels rest
 MAX_MISSING = 3  # periods without data, or broken sweeps in a row, that are a fault
 MAX_STATES = 256  # states of the base, more than it sends in two scan periods
-MAX_DELAY_NS = 1_000_000_000  # no message is delayed by more: an older stamp is one of a device that was restarted
-WINDOW_NS, JUMP_NS = 5_000_000_000, 20_000_000  # when all messages of a window are this late, the device's clock stood still
-BACK_NS, BACK_FOR_NS = 100_000_000, 500_000_000  # one that went back is set back when all are as late for this time
-
-
-class DeviceClock:
-    """The clock of one device. A restart of the device starts the mapping anew."""
-
-    def __init__(self):
-        self._offset_ns, self._stamp_ns, self._arrived_ns = None, 0, 0
-        self._window_ns, self._least_ns = 0, 0  # the smallest arrival minus stamp since the start of a window
-        self._back = None  # since a stamp went back: when that was, the smallest and the largest arrival minus stamp
-        self.restarts, self.overtaken = 0, 0
-
-    def map(self, stamp_ns, arrived_ns):
-        """When data with this stamp would have arrived with the smallest delay, on CLOCK_MONOTONIC.
-
-        None for a message that was overtaken by others: its data are old."""
-        since_ns, found_ns = arrived_ns - self._arrived_ns, arrived_ns - stamp_ns
-        is_overtaken = stamp_ns < self._stamp_ns
-        if is_overtaken:
-            delay_ns = since_ns + self._stamp_ns - stamp_ns
-            # A restarted device has lost most of its count. Nothing newer comes from one whose clock was set back.
-            has_lost_count = stamp_ns < self._stamp_ns // 2
-            if delay_ns <= MAX_DELAY_NS or not (has_lost_count or since_ns > MAX_DELAY_NS):
-                self.overtaken += 1
-            else:
-                is_overtaken, self.restarts, self._offset_ns = False, self.restarts + 1, None
-        if self._offset_ns is not None and self._is_set_back(found_ns, arrived_ns, is_overtaken):
-            is_overtaken, self._offset_ns = False, None
-        if is_overtaken:
-            return None
-        if self._offset_ns is None:
-            self._offset_ns, self._window_ns, self._least_ns = found_ns, arrived_ns, found_ns
-        drifted_ns = since_ns // 5000  # 200 ppm: more than two crystals drift apart
-        self._offset_ns = min(found_ns, self._offset_ns + drifted_ns)
-        self._least_ns = min(found_ns, self._least_ns)
-        if arrived_ns - self._window_ns > WINDOW_NS:
-            if self._least_ns > self._offset_ns + JUMP_NS:
-                self._offset_ns = self._least_ns
-            self._window_ns, self._least_ns = arrived_ns, found_ns
-        self._stamp_ns, self._arrived_ns = stamp_ns, arrived_ns
-        return stamp_ns + self._offset_ns
-
-    def _is_set_back(self, found_ns, arrived_ns, is_overtaken):
-        """Whether all messages are late by the same time, since one whose stamp went back: the clock was set back."""
-        if found_ns - self._offset_ns < BACK_NS:
-            self._back = None
-            return False
-        since_ns, least_ns, most_ns = self._back or (arrived_ns, found_ns, found_ns)
-        least_ns, most_ns = min(least_ns, found_ns), max(most_ns, found_ns)
-        if most_ns - least_ns > JUMP_NS:
-            since_ns, least_ns, most_ns = arrived_ns, found_ns, found_ns
-            self._back = None
-        if self._back or is_overtaken:
-            self._back = (since_ns, least_ns, most_ns)
-        is_set_back = self._back is not None and arrived_ns - since_ns >= BACK_FOR_NS
-        if is_set_back:
-            self._back = None
-        return is_set_back
 
 
 def wrap(angle):
@@ -113,16 +53,22 @@ class History:
 
     def __init__(self):
         self._states, self._origin = collections.deque(maxlen=MAX_STATES), Pose()
+        self._behind_ns = 0  # from the stamp of the newest one to its time
 
-    def add(self, time_ns, reported, restarted):
-        """Adds a state. After a restart the base counts from zero again; the robot has not moved by that."""
+    def add(self, at_ns, time_ns, reported, restarted):
+        """Adds a state, by its stamp where base and scanner have one clock, else by its time. After a restart the base counts from zero again; the robot has not moved by that."""
         last = self._states[-1] if self._states else None
         if restarted and last:
             turn = Pose(yaw_rad=last[1].yaw_rad - reported.yaw_rad)
             at = moved(turn, reported)
             self._origin = turn._replace(x_m=last[1].x_m - at.x_m, y_m=last[1].y_m - at.y_m)
-        if last is None or time_ns > last[0]:
-            self._states.append((time_ns, moved(self._origin, reported)))
+            # A clock that began again has another stamp for the states before.
+            shift_ns = self._behind_ns - (time_ns - at_ns)
+            self._states = collections.deque(((ns + shift_ns, pose) for ns, pose in self._states), MAX_STATES)
+            last = self._states[-1]
+        self._behind_ns = time_ns - at_ns
+        if last is None or at_ns > last[0]:
+            self._states.append((at_ns, moved(self._origin, reported)))
 
     def at(self, time_ns, gap_ns):
         """The pose at a time between two states; None when there are none, or when they are too far apart."""
@@ -143,8 +89,10 @@ class Driver:
         self._actuations = process.input(Actuation)
         self._scans, self._odometries = process.output(Scan), process.output(Odometry)
         self._device = Device(process.now_ns(), process.period_ns)
-        self._scanner_clock, self._base_clock, self._history = DeviceClock(), DeviceClock(), History()
-        self._waiting = None  # a sweep with the time of its front beam; it waits for the odometry after it
+        self._base_clock = DeviceClock(self._device.base_delay_ns)
+        self._scanner_clock = DeviceClock(self._device.scan_delay_ns)
+        self._history = History()
+        self._waiting = None  # a sweep with stamp and time of its front beam; it waits for the odometry after it
         self._arrived_ns = [None, None]  # when base and scanner sent data last
         self._broken = 0  # sweeps that broke off since the last whole one
         self._last = Odometry()
@@ -218,18 +166,19 @@ class Driver:
             restarts = self._base_clock.restarts
             time_ns = self._base_clock.map(stamp_ns, now_ns)
             if time_ns is not None:
-                restarted = self._base_clock.restarts > restarts
-                self._history.add(time_ns - self._device.base_delay_ns, pose, restarted)
+                at_ns = stamp_ns if self._device.one_clock else time_ns
+                self._history.add(at_ns, time_ns, pose, self._base_clock.restarts > restarts)
                 self._speed_mps = pose.speed_mps
             self._arrived_ns[0] = now_ns
         if sweep := self._device.read_scan(now_ns):
             stamp_ns, ranges = sweep
             self._arrived_ns[1] = now_ns
             self._broken = 0 if len(ranges) == BEAMS else self._broken + 1
-            time_ns = self._scanner_clock.map(stamp_ns, now_ns)
-            if time_ns is not None:
-                front_ns = time_ns - self._device.scan_delay_ns
-                self._waiting = (front_ns, ranges) if self._is_next(front_ns) else None
+            one_clock = self._device.one_clock
+            front_ns = self._scanner_clock.map(stamp_ns, now_ns, self._base_clock if one_clock else None)
+            if front_ns is not None:
+                at_ns = stamp_ns if one_clock else front_ns
+                self._waiting = (at_ns, front_ns, ranges) if self._is_next(front_ns) else None
 
     def _is_next(self, front_ns):
         """Whether a front beam is after the one before; logs a gap."""
@@ -242,11 +191,11 @@ class Driver:
         """Publishes the sweep that waits, when the odometry at its front beam is known."""
         if self._waiting is None:
             return
-        process, (front_ns, ranges) = self._process, self._waiting
+        process, (at_ns, front_ns, ranges) = self._process, self._waiting
         if process.now_ns() - front_ns > 2 * process.period_ns or process.directive.phase == Phase.STOPPING:
             self._waiting = None
             return
-        pose = self._history.at(front_ns, process.period_ns * 3 // 2)
+        pose = self._history.at(at_ns, process.period_ns * 3 // 2)
         if pose is None:
             return
         self._waiting = None
