@@ -22,6 +22,7 @@ SCANNER_M = 0.145  # ahead of the axle
 FIRST_RAD, PITCH_RAD, REACH_MM = -math.radians(119.53), math.radians(0.3516), 5600
 WINDOW = 10  # scans, a second
 SHIFTS = 60  # beams, 0.37 rad: no rover turns further between two scans
+DIGITS = "-0123456789"
 SIDE = 3  # beams beside the one to the middle of a body
 NEAR_M = 0.1  # from a return to a body that it belongs to
 LIMITS = {"healthy": (0.4, 1.0), "way_m": (0.0, 0.12), "turn_rad": (0.0, 0.07), "bodies": (0.95, 1.0)}
@@ -89,7 +90,8 @@ def of_scanner(pose):
 def read(path):
     """Rows of a table as dictionaries of numbers, in the order of their scans."""
     with open(path, encoding="utf-8") as file:
-        rows = [{key: float(value) for key, value in row.items() if value and value[0] in "-0123456789"} for row in csv.DictReader(file)]
+        table = csv.DictReader(file)
+        rows = [{key: float(value) for key, value in row.items() if value and value[0] in DIGITS} for row in table]
     return sorted(rows, key=lambda row: row["header.scan_id"])
 
 
@@ -167,12 +169,13 @@ def main():
     }
     print(f"scans {said['scans']}, taken {said['taken']}, answered {computed['poses']} and {computed['obstacles']}")
     print(f"wheels by the scans: {factors[0]:.2f} of the published way, {factors[1]:.2f} of the turn, {known.mean():.0%} matched")
-    print(f"scanner healthy in {found['healthy']:.0%}, degraded in {computed['degraded'] / said['scans']:.0%}, stop in {computed['stopping']}")
+    degraded, stopping = computed["degraded"] / said["scans"], computed["stopping"]
+    print(f"scanner healthy in {found['healthy']:.0%}, degraded in {degraded:.0%}, stop in {stopping}")
     print(f"pose after a second: {1e3 * median[0]:.0f} mm and {1e3 * median[1]:.0f} mrad from the matching in the median")
     print(f"bodies: {sum(shown)} of {len(shown)} are where the matching sees returns a second later")
     is_whole = said["taken"] == said["scans"] == computed["poses"] == computed["obstacles"] == len(table)
     bad = [name for name, (low, high) in LIMITS.items() if not low <= found[name] <= high]
-    sys.exit(0 if is_whole and not bad and computed["stopping"] == 0 else f"beyond its limits: {bad or 'scans'}")
+    sys.exit(0 if is_whole and not bad and stopping == 0 else f"beyond its limits: {bad or 'scans'}")
 
 
 if __name__ == "__main__":

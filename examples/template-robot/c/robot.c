@@ -125,7 +125,8 @@ static struct pose from(const struct pose *origin, const struct pose *pose) {
                          wrap(origin->yaw_rad + pose->yaw_rad), pose->speed_mps};
 }
 
-/* Adds a state, by its stamp where base and scanner have one clock, else by its time. After a restart the base counts from zero again; the robot has not moved by that. */
+/* Adds a state, by its stamp where base and scanner have one clock, else by its time. After a restart the base counts from
+ * zero again; the robot has not moved by that. */
 static void add_state(struct driver *driver, uint64_t at_ns, uint64_t time_ns, const struct pose *reported, int restarted) {
     int64_t behind_ns = (int64_t)(time_ns - at_ns);
     const struct state *last = driver->count > 0 ? &driver->states[(driver->count - 1) % MAX_STATES] : NULL;

@@ -56,7 +56,9 @@ class History:
         self._behind_ns = 0  # from the stamp of the newest one to its time
 
     def add(self, at_ns, time_ns, reported, restarted):
-        """Adds a state, by its stamp where base and scanner have one clock, else by its time. After a restart the base counts from zero again; the robot has not moved by that."""
+        """Adds a state, by its stamp where base and scanner have one clock, else by its time.
+
+        After a restart the base counts from zero again; the robot has not moved by that."""
         last = self._states[-1] if self._states else None
         if restarted and last:
             turn = Pose(yaw_rad=last[1].yaw_rad - reported.yaw_rad)
