@@ -43,8 +43,13 @@ impl MarginModel {
 
     /// What is kept in any case, and nothing for what is uncertain.
     pub(crate) fn bare(self) -> Self {
-        let settings =
-            MarginSettings { pose_sigmas: 0.0, pose_growth_m: 0.0, model_m: 0.0, perception_m: 0.0, ..self.settings };
+        let settings = MarginSettings {
+            pose_sigmas: 0.0,
+            pose_growth_m: 0.0,
+            model_m: 0.0,
+            perception_m: 0.0,
+            ..self.settings
+        };
         Self { settings, age_s: 0.0, ..self }
     }
 
@@ -70,7 +75,8 @@ impl MarginModel {
 
     /// The parts of the margin `t` seconds after the start of the plan at `speed`.
     pub(crate) fn at(&self, t: f64, speed: f64) -> Margin {
-        let MarginSettings { pose_sigmas, pose_growth_m, latency_share, model_m, perception_m } = self.settings;
+        let MarginSettings { pose_sigmas, pose_growth_m, latency_share, model_m, perception_m } =
+            self.settings;
         Margin {
             base_m: self.base_m,
             pose_m: pose_sigmas
