@@ -37,6 +37,7 @@ use crate::gyro::{GyroSample, Interval, MAX_BIAS_RADPS};
 use crate::increments::{self, Increments};
 use crate::laser::known::given;
 use crate::laser::pieces::SweepMotion;
+use crate::laser::surface::SurfaceMap;
 use crate::laser::{LaserMode, Matcher};
 use crate::learned::{Learned, SeenTurn};
 use crate::motion::{MotionModel, MotionState, Moved, curvature_per_angle};
@@ -78,6 +79,9 @@ const AGE_SHARE: u64 = 8;
 
 /// The interval of Q in the settings [s].
 const NOISE_INTERVAL_S: f64 = 0.1;
+
+/// Numbers that are the same but for rounding [m, rad].
+const ROUNDED: f64 = 1e-12;
 
 /// Weight of the newest sample in the mean of the NIS.
 const MISFIT_WEIGHT: f64 = 0.05;
@@ -197,7 +201,7 @@ impl Estimator {
             self.state.increments = Increments::begin(reported, self.settings.measurement_noise);
             if self.settings.is_increments {
                 self.state.learned = Learned::begin(reported.yaw, self.settings.measurement_noise[0]);
-                self.start();
+                self.start(&Matrix3::zeros());
             }
             Update::default()
         };
@@ -418,8 +422,9 @@ impl Estimator {
         let (dx_m, dy_m, to_mps) = (to_x - x, to_y - y, self.state.motion.speed_mps);
         let lost = (from_mps * from_mps - to_mps * to_mps).max(0.0);
         let slid_m = UNIFORM * lost / (2.0 * self.settings.motion.blocked_deceleration_mps2);
+        let is_same = dx_m.abs().max(dy_m.abs()).max(wrap_angle(to_yaw - yaw).abs()) < ROUNDED;
         let step = OdometryStep {
-            seconds,
+            seconds: if is_same { 0.0 } else { seconds },
             distance_m: if is_cut {
                 dx_m.hypot(dy_m)
             } else {
@@ -506,11 +511,10 @@ impl Estimator {
         }
     }
 
-    /// Dead reckoning begins where the odometer says, as well as that is known.
-    fn start(&mut self) {
+    /// Dead reckoning begins where the odometer says, which has errors of this covariance.
+    fn start(&mut self, covariance: &Matrix3<f64>) {
         let Increments { pose, .. } = self.state.increments;
-        let covariance = self.state.increments.covariance(pose[0]);
-        self.state.reckoning = DeadReckoning::begin(pose, &covariance, &self.settings.dead_reckoning);
+        self.state.reckoning = DeadReckoning::begin(pose, covariance, &self.settings.dead_reckoning);
     }
 
     /// The pose by the filter.
@@ -531,19 +535,27 @@ impl Estimator {
         dt: f64,
     ) -> f64 {
         let increments = &mut self.state.increments;
+        let (was_known, before) = (increments.is_known(), increments.reported);
         let spread = self.settings.process_noise.map(|variance| variance * dt / NOISE_INTERVAL_S);
-        let moved = match expected {
+        let mut moved = match expected {
             Some(expected) => increments.follow(reported, &expected, spread),
             None => increments.restart(measured),
         };
-        self.state.increments.turn_radps = if dt > 0.0 { moved.turn_rad / dt } else { 0.0 };
-        if self.state.increments.is_known() {
-            self.state.reckoning.advance(moved.turn_rad, moved.ahead_m, moved.left_m, dt);
-            if self.settings.laser != LaserMode::Off {
-                self.state.reckoning.shake(&self.state.increments.covariance(self.state.reckoning.pose[0]));
-            }
-        } else {
-            self.start();
+        if !was_known && (reported.is_some() || expected.is_none()) {
+            // Most odometers have no noise: their reports are right from the first one on.
+            moved = increments.since(before);
+        }
+        increments.turn_radps = if dt > 0.0 { moved.turn_rad / dt } else { 0.0 };
+        // What reports the same numbers again integrates no bias: of many robots the yaw does not drift at rest.
+        let gyro_s = if self.state.increments.reported == before { 0.0 } else { dt };
+        self.state.reckoning.advance(moved.turn_rad, moved.ahead_m, moved.left_m, gyro_s);
+        if self.state.increments.is_known() && self.settings.laser != LaserMode::Off {
+            self.state.reckoning.shake(&self.state.increments.covariance(self.state.reckoning.pose[0]));
+        }
+        if self.state.increments.is_known() && !was_known && self.state.increments.is_noisy() {
+            // The first report was a poor one, and so is all that was seen from there.
+            self.start(&self.state.increments.covariance(self.state.increments.pose[0]));
+            self.state.laser.map = SurfaceMap::default();
         }
         expected.map_or(0.0, |expected| expected.left_m - moved.left_m)
     }
@@ -562,7 +574,7 @@ impl Estimator {
     ///
     /// A scan of another time is counted: the one before when the next pose was computed already.
     pub fn see(&mut self, scan: &Scan) {
-        if self.settings.laser == LaserMode::Off || !self.state.increments.is_known() {
+        if self.settings.laser == LaserMode::Off {
             return;
         }
         if scan.header.acquired_ns != self.state.acquired_ns {
@@ -704,7 +716,13 @@ impl Estimator {
 
     fn pose(&self, odometry: &Odometry, update: &Update, now_ns: u64) -> Pose {
         let is_increments = self.settings.is_increments;
-        let [yaw, x, y] = if is_increments { self.state.reckoning.pose } else { self.state.estimate };
+        let is_known = self.state.increments.is_known();
+        let [yaw, x, y] = match (is_increments, is_known) {
+            (true, true) => self.state.reckoning.pose,
+            // As long as the odometer may be one with noise, it is filtered.
+            (true, false) => self.state.increments.pose,
+            (false, _) => self.state.estimate,
+        };
         let motion: MotionState = self.state.motion;
         let acquired_ns = self.state.acquired_ns;
         let age_ns = now_ns.saturating_sub(acquired_ns).saturating_add(self.settings.lead_ns);
@@ -714,8 +732,7 @@ impl Estimator {
             ahead.advance(&self.model(), Planar { yaw, x, y }, acquired_ns, predicted_ns, None).pose;
         let local_covariance = self.local_covariance();
         let mut covariance = if is_increments {
-            // Before, dead reckoning begins anew with each report, and with its noise.
-            let noise = self.state.increments.covariance(yaw) * f64::from(self.state.increments.is_known());
+            let noise = self.state.increments.covariance(yaw);
             noise.data.0.as_flattened().try_into().unwrap_or_default()
         } else if self.settings.noise_turns {
             local_covariance
