@@ -115,7 +115,7 @@ impl DeadReckoning {
         [step.x, step.y]
     }
 
-    /// The robot is somewhere else, known to these standard deviations.
+    /// The robot is somewhere else, known to these standard deviations: what it was lifted by is no bias.
     pub fn put(&mut self, pose: Vector3<f64>, deviation_m: f64, deviation_rad: f64) {
         let deviations = Vector3::new(deviation_rad, deviation_m, deviation_m);
         let covariance = Matrix3::from_diagonal(&deviations.component_mul(&deviations));
@@ -127,6 +127,7 @@ impl DeadReckoning {
         matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(&covariance);
         self.keep(&matrix);
         self.pose = pose.into();
+        self.bias_variance = POOR_RADPS.powi(2);
     }
 
     /// The pose has noise of this covariance, which is new in each report.
@@ -427,6 +428,17 @@ mod tests {
         assert!(doubted.pose[0].abs() < 2e-3 && (doubted.unreported[0] + 8.7e-3).abs() < 1e-3, "{doubted:?}");
         let (good, doubts) = seen(6e-4, 5e-4);
         assert!(doubts == 0 && good.deviations()[0] < 6e-4, "{good:?}");
+    }
+
+    #[test]
+    fn after_a_robot_was_lifted_no_gyro_is_doubted() {
+        let (mut state, _) = seen(6e-4, 0.0);
+        state.put(Vector3::new(0.3, 1.0, 0.0), 0.1, 0.05);
+        state.unreported[0] = 8.7e-3;
+        assert!(!state.doubt_gyro());
+        let (mut not_lifted, _) = seen(6e-4, 0.0);
+        not_lifted.unreported[0] = 8.7e-3;
+        assert!(not_lifted.doubt_gyro());
     }
 
     #[test]
