@@ -21,6 +21,12 @@ const MIN_STACK_BYTES: u64 = 1 << 20;
 /// A port of the bus opens up to so many files at once.
 pub const SPARE_FILES: usize = 8;
 
+/// An orchestrator has 150 files open while it drives, and more during a swap; a recorder has 70.
+const MIN_FILES: u64 = 256;
+
+/// The limit of open files that is requested where it is allowed.
+const WANTED_FILES: u64 = 1024;
+
 /// A system has files as large as this [bytes].
 const MIN_FILE_BYTES: u64 = 256 << 20;
 
@@ -44,9 +50,8 @@ const NEEDS: [Need; 5] = [
     Need {
         resource: Resource::Nofile,
         name: "Max open files",
-        // An orchestrator has 150 files open while it drives, and more during a swap.
-        minimum: 256,
-        wanted: Some(1024),
+        minimum: MIN_FILES,
+        wanted: Some(WANTED_FILES),
         unit: 1,
         what: "at most {} files may be open",
         option: "-n",
@@ -191,11 +196,8 @@ pub fn keep_from_large_files() {
 /// # Errors
 /// The limit; exit code 4.
 pub fn require_files(count: usize) -> anyhow::Result<()> {
+    raise(Resource::Nofile, WANTED_FILES);
     let Some(errno) = lacking_descriptors(count) else { return Ok(()) };
-    raise(Resource::Nofile, u64::MAX);
-    if lacking_descriptors(count).is_none() {
-        return Ok(());
-    }
     Err(Failure::process(limit_behind(errno).unwrap_or_else(|| errno.to_string())))
 }
 
@@ -204,10 +206,15 @@ pub fn limit_of(error: &anyhow::Error) -> Option<String> {
     let mut causes = error.chain().filter_map(|cause| cause.downcast_ref::<io::Error>());
     let limit = causes.find_map(|cause| limit_behind(Errno::from_io_error(cause)?));
     let limit = limit.or_else(|| limit_behind(lacking_descriptors(SPARE_FILES)?));
-    // Errors of the bus do not tell their causes.
+    // Errors of the bus do not tell their causes, and what was open is closed again.
     let is_of_bus = error.chain().any(|cause| matches!(cause.downcast_ref(), Some(RuntimeError::Bus { .. })));
-    let is_too_small = || getrlimit(Resource::Fsize).current.is_some_and(|bytes| bytes < MIN_FILE_BYTES);
-    limit.or_else(|| limit_behind(Errno::FBIG).filter(|_| is_of_bus && is_too_small()))
+    let too_small =
+        [(Resource::Nofile, MIN_FILES, Errno::MFILE), (Resource::Fsize, MIN_FILE_BYTES, Errno::FBIG)]
+            .into_iter()
+            .find(|(resource, least, _)| {
+                is_of_bus && getrlimit(*resource).current.is_some_and(|most| most < *least)
+            });
+    limit.or_else(|| limit_behind(too_small?.2))
 }
 
 /// The text of an error, with the limit that it is about when the kernel has refused something for a limit.
