@@ -70,10 +70,12 @@ pub fn block(run: &LivingRun) -> Blocked {
     let actuators: Vec<Identified> = run.of_role(Role::Actuator).collect();
     let robots: Vec<Identified> = run.of_role(Role::Robot).collect();
     actuators.iter().chain(&robots).for_each(|process| process.signal(Signal::CONT));
+    // A robot on another host does not end with what stands for it here.
+    let is_elsewhere = run.others().any(|process| process.role == Some(Role::Robot) && is_proxy(process));
     let (mut termed, mut killed) = (false, false);
     loop {
         let after_ns = monotonic_ns() - began_ns;
-        if is_blocked(run, &robots) {
+        if is_blocked(run, &robots, is_elsewhere) {
             return Blocked { confirmed: true, after_ns };
         }
         if after_ns >= limit_ns(run) {
@@ -93,20 +95,26 @@ pub fn block(run: &LivingRun) -> Blocked {
 }
 
 /// Whether the wheels are known to be blocked since the stop: by the robot, or by the actuator for a robot that does not
-/// report. Without a process of the role robot there are none.
-fn is_blocked(run: &LivingRun, robots: &[Identified]) -> bool {
+/// report. Without a process of the role robot there are none, except on another host.
+fn is_blocked(run: &LivingRun, robots: &[Identified], is_elsewhere: bool) -> bool {
     // Without a free descriptor a process can't be opened, and lives nevertheless.
     let own = run.others().filter(|process| process.identity.uid == run.uid);
     let rows = own.filter(|process| process.role == Some(Role::Robot));
     let lives =
         |process: &RunProcess| start_ticks(process.identity.pid) == Some(process.identity.start_ticks);
-    if have_ended(robots) && !rows.clone().any(lives) {
+    if !is_elsewhere && have_ended(robots) && !rows.clone().any(lives) {
         return true;
     }
     let Some(word) = &run.word else { return false };
     let reports = rows.clone().any(|robot| robot.identity.pid == word.obeyed_by(Role::Robot));
     let (wheels, seen_ns) = word.wheels(if reports { Role::Robot } else { Role::Actuator });
     wheels >= Wheels::Blocked && seen_ns >= word.stopped_ns()
+}
+
+/// Whether a process stands for one on another host: it is `scanloop remote HOST IMPLEMENTATION`.
+fn is_proxy(process: &RunProcess) -> bool {
+    let line = std::fs::read(format!("/proc/{}/cmdline", process.identity.pid)).unwrap_or_default();
+    line.split(|byte| *byte == 0).nth(1) == Some(b"remote")
 }
 
 /// Waits until no process of the run lives, for `timeout_ns` at most; returns whether none does.
@@ -305,7 +313,7 @@ fn signal_orchestrator(run: &LivingRun, pid: u32, signal: Signal) {
 mod tests {
     use std::process::{Child, Command};
 
-    use runtime::{INCARNATION_VARIABLE, RUN_ID_VARIABLE};
+    use runtime::{INCARNATION_VARIABLE, ROLE_VARIABLE, RUN_ID_VARIABLE};
 
     use super::*;
 
@@ -341,6 +349,24 @@ mod tests {
             assert!(left.is_empty(), "{left:?}");
             assert!(LivingRun::with_strays(uid).iter().all(|run| run.run_id != run_id));
         }
+    }
+
+    #[test]
+    fn the_end_of_what_stands_for_a_robot_on_another_host_is_no_stop_of_its_wheels() {
+        let folder = std::env::temp_dir().join(format!("scanloop-halt-{}", std::process::id()));
+        std::fs::create_dir(&folder).unwrap();
+        for (name, is_stop) in [("remote", false), ("service", true)] {
+            assert!(Command::new("mkfifo").arg(folder.join(name)).status().unwrap().success());
+            let run_id = format!("halt{name}");
+            // It waits for what nobody writes, until it is asked to end.
+            let mut command = Command::new("cat");
+            command.arg(name).current_dir(&folder).env(RUN_ID_VARIABLE, &run_id);
+            let mut robot =
+                command.env(INCARNATION_VARIABLE, "7").env(ROLE_VARIABLE, "robot").spawn().unwrap();
+            assert_eq!(block(&run_of(&run_id, 1)).confirmed, is_stop, "{name}");
+            robot.wait().unwrap();
+        }
+        std::fs::remove_dir_all(folder).unwrap();
     }
 
     #[test]
