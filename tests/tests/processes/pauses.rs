@@ -87,6 +87,25 @@ fn a_run_whose_processes_were_all_suspended_drives_on() {
     });
 }
 
+/// Its silence blocks the wheels: the run is over then, if that takes longer than it may stand.
+#[test]
+fn a_run_that_ends_because_its_orchestrator_was_suspended_says_so() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        let limits = ["--set", "orphan_stop_s=0.5", "--set", "stop_final_s=1.0"];
+        system.start(&[&["endless"], &limits[..]].concat());
+        let watch = TruthWatch::new(&system);
+        watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
+        system.signal(system.orchestrator(), Signal::STOP);
+        let_pass(PAUSE);
+        system.signal(system.orchestrator(), Signal::CONT);
+        assert_eq!(system.wait().code(), Some(1), "{}", system.stderr());
+        let reason = system.report().reason;
+        assert!(reason.contains("the orchestrator stood still for 3."), "{reason}");
+        system.assert_nothing_left();
+    });
+}
+
 #[test]
 fn a_request_to_a_suspended_orchestrator_says_so() {
     repeat_when_late(|| {

@@ -55,8 +55,12 @@ impl Session {
         }
     }
 
-    /// The obstacle or the scanner that the wheels are blocked for now, as a continuation of the reason for the end.
+    /// The pause of this process, the obstacle or the scanner that the wheels are blocked for, as a continuation of the
+    /// reason for the end.
     pub(super) fn named_cause(&self, reason: &str) -> String {
+        if let Some(pause_s) = self.limits.stood_still_s(monotonic_ns()) {
+            return format!("; the orchestrator stood still for {pause_s:.1} s");
+        }
         if let Some(scanner) = self.recording.recorder.stopped_for_scanner() {
             let start = if reason.ends_with(StopReason::Scanner.name()) { "" } else { "; scanner" };
             return format!("{start} {scanner}");

@@ -11,6 +11,8 @@ use report::Outcome;
 const GRACE_NS: u64 = 1_000_000_000;
 /// A turn of the loop that takes longer is one in which this process stood still [ns].
 const MAX_TURN_NS: u64 = 200_000_000;
+/// A pause that is told as the cause of a stop [s].
+const STOOD_STILL_S: f64 = 1.0;
 
 /// Time since a run drives, and since its wheels have been blocked.
 #[derive(Debug, Clone)]
@@ -26,6 +28,8 @@ pub(super) struct RunLimits {
     /// That time when a scan was judged last, and when the wheels turned last; `None` before the first scan.
     judged_ns: Option<u64>,
     turned_ns: u64,
+    /// The longest time for which this process stood still since then [ns].
+    stood_still_ns: u64,
 }
 
 impl RunLimits {
@@ -39,6 +43,7 @@ impl RunLimits {
             driven_ns: 0,
             judged_ns: None,
             turned_ns: 0,
+            stood_still_ns: 0,
         }
     }
 
@@ -46,9 +51,15 @@ impl RunLimits {
     pub(super) fn judged(&mut self, is_blocked: bool) {
         // The way of blocked wheels begins with the first scan.
         if self.judged_ns.is_none() || !is_blocked {
-            self.turned_ns = self.driven_ns;
+            (self.turned_ns, self.stood_still_ns) = (self.driven_ns, 0);
         }
         self.judged_ns = Some(self.driven_ns);
+    }
+
+    /// For how long this process stood still since the wheels turned, if that is why they are blocked [s].
+    pub(super) fn stood_still_s(&self, now_ns: u64) -> Option<f64> {
+        let pause_ns = self.counted_ns.map_or(0, |counted_ns| now_ns.saturating_sub(counted_ns));
+        Some(self.stood_still_ns.max(pause_ns) as f64 * 1e-9).filter(|pause_s| *pause_s >= STOOD_STILL_S)
     }
 
     /// In this turn of the loop the controller does not drive: no limit counts.
@@ -62,6 +73,7 @@ impl RunLimits {
     pub(super) fn count(&mut self, now_ns: u64) -> Option<(Outcome, String)> {
         let passed_ns = self.counted_ns.map_or(0, |counted_ns| now_ns.saturating_sub(counted_ns));
         self.counted_ns = Some(now_ns);
+        self.stood_still_ns = self.stood_still_ns.max(passed_ns);
         self.driven_ns += passed_ns.min(MAX_TURN_NS);
         let is_over = |since_ns: u64, limit_s: f64| {
             (self.driven_ns - since_ns).saturating_sub(self.grace_ns) as f64 * 1e-9 >= limit_s
@@ -145,5 +157,10 @@ mod tests {
         assert_eq!(limits.count(0), None);
         assert_eq!(limits.count(45_000_000_000), None);
         assert_eq!(limits.count(90_000_000_000), None);
+        limits.judged(true);
+        assert_eq!(limits.stood_still_s(90_000_000_000), Some(45.0));
+        limits.judged(false);
+        assert_eq!(limits.stood_still_s(90_000_000_000), None, "the wheels turn again");
+        assert_eq!(limits.stood_still_s(92_000_000_000), Some(2.0));
     }
 }
