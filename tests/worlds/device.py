@@ -19,7 +19,7 @@ CURVATURE = 5.405  # of the path per steering angle [1/(m rad)]
 ACCELERATION, DECELERATION = 2.0, 5.0  # of the drive and of blocked wheels [m/s^2]
 STEERING_LAG_S = 0.1
 RANGE_M = 5.6
-MAX_STEPS = 10  # at once, for a driver that is late goes on with what is due in between
+MAX_STEPS = 10  # at once, for a driver that is late continues with what is due in between
 STOOD_NS = 1_000_000_000  # after a longer pause of the process the world has stood still, too
 REST_MPS = 0.02
 

@@ -11,7 +11,7 @@ import tempfile
 
 SIZES = {"irsim": (0.56, 0.40), "acker": (0.56, 0.40), "pybullet": (0.50, 0.30)}
 TOLERANCE_M = 0.1
-NUMBERS = itertools.count()  # of systems that run beside each other
+NUMBERS = itertools.count()  # of systems at the same time
 LATE_MS = 100  # a pause of the driver, which is asked to step every 5 ms: that long, the machine was late
 SYSTEM = """
 [[process]]
