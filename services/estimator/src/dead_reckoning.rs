@@ -23,6 +23,8 @@ use vehicle::frame::{to_track, wrap_angle};
 /// good one.
 const POOR_RADPS: f64 = 0.01;
 const CONTRADICT: f64 = 3.0;
+/// After so long a gyro that was not contradicted is no longer taken for a poor one in what is seen [s].
+const PROBATION_S: f64 = 3.0;
 
 /// What makes dead reckoning drift.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -224,9 +226,10 @@ impl DeadReckoning {
         (is_good && information >= 0.0).then(|| 1.0 / (information + POOR_RADPS.powi(-2)))
     }
 
-    /// Variance of the bias, also if the gyro is a poor one [rad^2/s^2].
+    /// Variance of the bias, at first also if the gyro is a poor one [rad^2/s^2].
     pub fn rate_variance(&self) -> f64 {
-        self.of_poor_gyro().unwrap_or(self.covariance[21])
+        let poor = self.of_poor_gyro().filter(|_| self.turned_s < PROBATION_S);
+        poor.unwrap_or(self.covariance[21])
     }
 
     /// Covariance of (yaw, x, y) against the surfaces around.
