@@ -9,22 +9,11 @@
 //! Two errors are kept apart, because repeated sightings of the same surfaces make only the first smaller: that of the
 //! pose against the surfaces around (`covariance`), and that of these surfaces on the track (`map_covariance`).
 //!
-//! The bias of a good gyro is expected. Where sightings contradict that, so many standard deviations of what they can have
-//! taught, it is a poor one: pose, bias and covariance become what they would be if it had been expected from the start, which
-//! for a linear filter follows from what the sightings alone say (the prior is divided out and another one multiplied in).
-//!
 //! Assumptions: slip is independent from metre to metre; what is learned changes at random and slowly.
 
 use nalgebra::{Matrix3, Matrix6, Matrix6x3, Vector3, Vector6};
 use shared_types::plain_state;
 use vehicle::frame::{to_track, wrap_angle};
-
-/// Standard deviation of the bias of a poor gyro [rad/s], and by how many standard deviations sightings have to contradict a
-/// good one.
-const POOR_RADPS: f64 = 0.01;
-const CONTRADICT: f64 = 3.0;
-/// After so long a gyro that was not contradicted is no longer taken for a poor one in what is seen [s].
-const PROBATION_S: f64 = 3.0;
 
 /// What makes dead reckoning drift.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -50,10 +39,6 @@ plain_state! {
         pub unreported: [f64; 3],
         /// Covariance of these six against the surfaces around, column by column
         pub covariance: [f64; 36],
-        /// Variance that the bias would have without sightings [rad^2/s^2]
-        pub bias_variance: f64,
-        /// Time over which the bias has turned the robot [s]
-        pub turned_s: f64,
         /// Covariance of the place of these surfaces, as one of (yaw, x, y), column by column
         pub map_covariance: [f64; 9],
     }
@@ -102,7 +87,7 @@ impl DeadReckoning {
         let variances = Vector6::new(0.0, 0.0, 0.0, bias, share, turn);
         let mut matrix = Matrix6::from_diagonal(&variances);
         matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(covariance);
-        let mut state = Self { pose, bias_variance: bias, ..Self::default() };
+        let mut state = Self { pose, ..Self::default() };
         state.keep(&matrix);
         state
     }
@@ -117,7 +102,7 @@ impl DeadReckoning {
         [step.x, step.y]
     }
 
-    /// The robot is somewhere else, known to these standard deviations: what it was lifted by is no bias.
+    /// The robot is somewhere else, known to these standard deviations.
     pub fn put(&mut self, pose: Vector3<f64>, deviation_m: f64, deviation_rad: f64) {
         let deviations = Vector3::new(deviation_rad, deviation_m, deviation_m);
         let covariance = Matrix3::from_diagonal(&deviations.component_mul(&deviations));
@@ -129,7 +114,6 @@ impl DeadReckoning {
         matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(&covariance);
         self.keep(&matrix);
         self.pose = pose.into();
-        self.bias_variance = POOR_RADPS.powi(2);
     }
 
     /// The pose has noise of this covariance, which is new in each report.
@@ -159,10 +143,7 @@ impl DeadReckoning {
         covariance += slide * slide.transpose();
         let beside = Vector6::new(0.0, -sin, cos, 0.0, 0.0, 0.0) * beside_m;
         covariance += beside * beside.transpose();
-        let walk = sources.bias_radps * sources.bias_radps * seconds;
-        covariance[(3, 3)] += walk;
-        self.bias_variance += walk;
-        self.turned_s += seconds;
+        covariance[(3, 3)] += sources.bias_radps * sources.bias_radps * seconds;
         covariance[(4, 4)] += sources.scale * sources.scale * distance_m;
         self.keep(&covariance);
         let of_pose: Matrix3<f64> = transition.fixed_view::<3, 3>(0, 0).into();
@@ -189,47 +170,12 @@ impl DeadReckoning {
         if !correction.iter().chain(left.iter()).chain(map.iter()).all(|value| value.is_finite()) {
             return false;
         }
-        self.add(&correction);
+        let [yaw, x, y] = self.pose;
+        self.pose = [wrap_angle(yaw + correction[0]), x + correction[1], y + correction[2]];
+        self.unreported = std::array::from_fn(|error| self.unreported[error] + correction[3 + error]);
         self.keep(&left);
         self.map_covariance.copy_from_slice(map.as_slice());
         true
-    }
-
-    /// Expects the bias of a poor gyro from the start on where sightings contradict that of a good one; whether they do.
-    pub fn doubt_gyro(&mut self) -> bool {
-        let (rate, covariance) = (self.unreported[0], self.matrix());
-        let learned = self.bias_variance - covariance[(3, 3)];
-        let Some(poor) = self.of_poor_gyro().filter(|_| rate * rate > CONTRADICT * CONTRADICT * learned)
-        else {
-            return false;
-        };
-        let by_rate = covariance.column(3) / covariance[(3, 3)];
-        // What the sightings alone say, of which the prior has kept this share.
-        let shown = rate * self.bias_variance / learned * (1.0 - poor / POOR_RADPS.powi(2));
-        let correction = by_rate * (shown - rate);
-        let wider = covariance + by_rate * by_rate.transpose() * (poor - covariance[(3, 3)]);
-        if !correction.iter().chain(wider.iter()).all(|value| value.is_finite()) {
-            return false;
-        }
-        self.add(&correction);
-        self.keep(&wider);
-        self.bias_variance = POOR_RADPS.powi(2);
-        true
-    }
-
-    /// Variance of the bias after these sightings if the gyro is a poor one; `None` where nothing was learned of it, or where
-    /// that is expected anyway.
-    fn of_poor_gyro(&self) -> Option<f64> {
-        let (variance, before) = (self.covariance[21], self.bias_variance);
-        let information = 1.0 / variance - 1.0 / before;
-        let is_good = variance > 0.0 && before < POOR_RADPS.powi(2);
-        (is_good && information >= 0.0).then(|| 1.0 / (information + POOR_RADPS.powi(-2)))
-    }
-
-    /// Variance of the bias, at first also if the gyro is a poor one [rad^2/s^2].
-    pub fn rate_variance(&self) -> f64 {
-        let poor = self.of_poor_gyro().filter(|_| self.turned_s < PROBATION_S);
-        poor.unwrap_or(self.covariance[21])
     }
 
     /// Covariance of (yaw, x, y) against the surfaces around.
@@ -245,12 +191,6 @@ impl DeadReckoning {
     /// Standard deviations of what is not reported.
     pub fn deviations(&self) -> [f64; 3] {
         [21, 28, 35].map(|place| self.covariance[place].max(0.0).sqrt())
-    }
-
-    fn add(&mut self, correction: &Vector6<f64>) {
-        let [yaw, x, y] = self.pose;
-        self.pose = [wrap_angle(yaw + correction[0]), x + correction[1], y + correction[2]];
-        self.unreported = std::array::from_fn(|error| self.unreported[error] + correction[3 + error]);
     }
 
     fn keep(&mut self, covariance: &Matrix6<f64>) {
@@ -382,66 +322,6 @@ mod tests {
         let pull = information * Vector3::new(0.0, 0.1, 0.0);
         assert!(state.correct(&Sighting { information, pull, noise: information, ..Sighting::default() }));
         assert!((state.unreported[1] - 0.01).abs() < 1e-4, "{:?}", state.unreported);
-    }
-
-    /// A drive straight on at 1 m/s of a robot whose gyro has this bias, seen from each place to 5 mrad and 5 mm; how often the
-    /// gyro was doubted.
-    fn seen(unknown: f64, bias_radps: f64) -> (DeadReckoning, u32) {
-        let sources = DriftSources { unknown: [unknown, 0.0, 0.0], ..DriftSources::default() };
-        let mut state = DeadReckoning::begin([0.0; 3], &Matrix3::zeros(), &sources);
-        let mut doubts = 0;
-        let information = Matrix3::from_diagonal(&Vector3::new(4e4, 4e4, 4e4));
-        for step in 1..=20 {
-            let before = state.pose;
-            let [dx_m, dy_m] = state.advance(bias_radps * 0.1, 0.1, 0.0, 0.1);
-            let yaw_rad = (before[0] + state.pose[0]) / 2.0;
-            let step_of = OdometryStep {
-                seconds: 0.1,
-                distance_m: 0.1,
-                dx_m,
-                dy_m,
-                yaw_rad,
-                ..OdometryStep::default()
-            };
-            state.grow(&sources, &step_of);
-            let [yaw, x, y] = state.pose;
-            let pull = information * Vector3::new(-yaw, 0.1 * f64::from(step) - x, -y);
-            assert!(state.correct(&Sighting {
-                information,
-                pull,
-                noise: information,
-                ..Sighting::default()
-            }));
-            doubts += u32::from(state.doubt_gyro());
-        }
-        (state, doubts)
-    }
-
-    #[test]
-    fn a_gyro_that_is_contradicted_is_a_poor_one_as_if_that_had_been_expected_from_the_start() {
-        let (doubted, doubts) = seen(6e-4, 8.7e-3);
-        let (expected, none) = seen(POOR_RADPS, 8.7e-3);
-        assert_eq!((doubts, none), (1, 0));
-        for (one, other) in doubted.pose.into_iter().zip(expected.pose) {
-            // What is not linear: the way turns with the yaw.
-            assert!((one - other).abs() < 2e-5, "{doubted:?} {expected:?}");
-        }
-        assert!((doubted.unreported[0] - expected.unreported[0]).abs() < 2e-5);
-        assert!((doubted.deviations()[0] / expected.deviations()[0] - 1.0).abs() < 0.01);
-        assert!(doubted.pose[0].abs() < 2e-3 && (doubted.unreported[0] + 8.7e-3).abs() < 1e-3, "{doubted:?}");
-        let (good, doubts) = seen(6e-4, 5e-4);
-        assert!(doubts == 0 && good.deviations()[0] < 6e-4, "{good:?}");
-    }
-
-    #[test]
-    fn after_a_robot_was_lifted_no_gyro_is_doubted() {
-        let (mut state, _) = seen(6e-4, 0.0);
-        state.put(Vector3::new(0.3, 1.0, 0.0), 0.1, 0.05);
-        state.unreported[0] = 8.7e-3;
-        assert!(!state.doubt_gyro());
-        let (mut not_lifted, _) = seen(6e-4, 0.0);
-        not_lifted.unreported[0] = 8.7e-3;
-        assert!(not_lifted.doubt_gyro());
     }
 
     #[test]

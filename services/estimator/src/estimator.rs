@@ -37,7 +37,6 @@ use crate::gyro::{GyroSample, Interval, MAX_BIAS_RADPS};
 use crate::increments::{self, Increments};
 use crate::laser::known::given;
 use crate::laser::pieces::SweepMotion;
-use crate::laser::surface::SurfaceMap;
 use crate::laser::{LaserMode, Matcher};
 use crate::learned::{Learned, SeenTurn};
 use crate::motion::{MotionModel, MotionState, Moved, curvature_per_angle};
@@ -74,18 +73,11 @@ const UNIFORM: f64 = 0.289;
 /// is the one for the scan before.
 const LATE_SHARE: u64 = 2;
 
-/// ... and by at least this [ns]. At fast rates stamps that jitter by 2 ms are a third of an interval off: without the samples
-/// that are early by their stamps, whose intervals are short, the sum of the ways of the others would be too small.
-const MIN_LATE_NS: u64 = 5_000_000;
-
 /// Share by which the usual age of a sample follows the last one: scans that come late for seconds are usual.
 const AGE_SHARE: u64 = 8;
 
 /// The interval of Q in the settings [s].
 const NOISE_INTERVAL_S: f64 = 0.1;
-
-/// Numbers that are the same but for rounding [m, rad].
-const ROUNDED: f64 = 1e-12;
 
 /// Weight of the newest sample in the mean of the NIS.
 const MISFIT_WEIGHT: f64 = 0.05;
@@ -205,7 +197,7 @@ impl Estimator {
             self.state.increments = Increments::begin(reported, self.settings.measurement_noise);
             if self.settings.is_increments {
                 self.state.learned = Learned::begin(reported.yaw, self.settings.measurement_noise[0]);
-                self.start(&Matrix3::zeros());
+                self.start();
             }
             Update::default()
         };
@@ -320,8 +312,7 @@ impl Estimator {
     /// Whether it is known what the wheels were told since the last sample: no sample is missing or late, and there was an
     /// actuation, which the robot received.
     fn is_known(&self, header: &Header, age_ns: u64, interval_ns: u64) -> bool {
-        let late_ns = (interval_ns / LATE_SHARE).max(MIN_LATE_NS);
-        let is_late = age_ns > self.state.usual_age_ns.saturating_add(late_ns);
+        let is_late = age_ns > self.state.usual_age_ns.saturating_add(interval_ns / LATE_SHARE);
         let motion = &self.state.motion;
         let was_told = self.state.actuated_ns >= self.state.acquired_ns || motion.controls().is_empty();
         let was_told = was_told && motion.remembers(self.state.acquired_ns);
@@ -427,9 +418,8 @@ impl Estimator {
         let (dx_m, dy_m, to_mps) = (to_x - x, to_y - y, self.state.motion.speed_mps);
         let lost = (from_mps * from_mps - to_mps * to_mps).max(0.0);
         let slid_m = UNIFORM * lost / (2.0 * self.settings.motion.blocked_deceleration_mps2);
-        let is_same = dx_m.abs().max(dy_m.abs()).max(wrap_angle(to_yaw - yaw).abs()) < ROUNDED;
         let step = OdometryStep {
-            seconds: if is_same { 0.0 } else { seconds },
+            seconds,
             distance_m: if is_cut {
                 dx_m.hypot(dy_m)
             } else {
@@ -516,10 +506,11 @@ impl Estimator {
         }
     }
 
-    /// Dead reckoning begins where the odometer says, which has errors of this covariance.
-    fn start(&mut self, covariance: &Matrix3<f64>) {
+    /// Dead reckoning begins where the odometer says, as well as that is known.
+    fn start(&mut self) {
         let Increments { pose, .. } = self.state.increments;
-        self.state.reckoning = DeadReckoning::begin(pose, covariance, &self.settings.dead_reckoning);
+        let covariance = self.state.increments.covariance(pose[0]);
+        self.state.reckoning = DeadReckoning::begin(pose, &covariance, &self.settings.dead_reckoning);
     }
 
     /// The pose by the filter.
@@ -540,27 +531,19 @@ impl Estimator {
         dt: f64,
     ) -> f64 {
         let increments = &mut self.state.increments;
-        let (was_known, before) = (increments.is_known(), increments.reported);
         let spread = self.settings.process_noise.map(|variance| variance * dt / NOISE_INTERVAL_S);
-        let mut moved = match expected {
+        let moved = match expected {
             Some(expected) => increments.follow(reported, &expected, spread),
             None => increments.restart(measured),
         };
-        if !was_known && (reported.is_some() || expected.is_none()) {
-            // Most odometers have no noise: their reports are right from the first one on.
-            moved = increments.since(before);
-        }
-        increments.turn_radps = if dt > 0.0 { moved.turn_rad / dt } else { 0.0 };
-        // What reports the same numbers again integrates no bias: of many robots the yaw does not drift at rest.
-        let gyro_s = if self.state.increments.reported == before { 0.0 } else { dt };
-        self.state.reckoning.advance(moved.turn_rad, moved.ahead_m, moved.left_m, gyro_s);
-        if self.state.increments.is_known() && self.settings.laser != LaserMode::Off {
-            self.state.reckoning.shake(&self.state.increments.covariance(self.state.reckoning.pose[0]));
-        }
-        if self.state.increments.is_known() && !was_known && self.state.increments.is_noisy() {
-            // The first report was a poor one, and so is all that was seen from there.
-            self.start(&self.state.increments.covariance(self.state.increments.pose[0]));
-            self.state.laser.map = SurfaceMap::default();
+        self.state.increments.turn_radps = if dt > 0.0 { moved.turn_rad / dt } else { 0.0 };
+        if self.state.increments.is_known() {
+            self.state.reckoning.advance(moved.turn_rad, moved.ahead_m, moved.left_m, dt);
+            if self.settings.laser != LaserMode::Off {
+                self.state.reckoning.shake(&self.state.increments.covariance(self.state.reckoning.pose[0]));
+            }
+        } else {
+            self.start();
         }
         expected.map_or(0.0, |expected| expected.left_m - moved.left_m)
     }
@@ -579,7 +562,7 @@ impl Estimator {
     ///
     /// A scan of another time is counted: the one before when the next pose was computed already.
     pub fn see(&mut self, scan: &Scan) {
-        if self.settings.laser == LaserMode::Off {
+        if self.settings.laser == LaserMode::Off || !self.state.increments.is_known() {
             return;
         }
         if scan.header.acquired_ns != self.state.acquired_ns {
@@ -614,20 +597,16 @@ impl Estimator {
         }
         if self.settings.self_check {
             let acquired_ns = odometry.header.acquired_ns;
+            let speed_mps = self.speed(odometry);
             if !is_known {
                 // Nothing shows what the speed should be.
-                self.state.motion.expected_mps = self.speed(odometry);
+                self.state.motion.expected_mps = speed_mps;
             }
-            let plausible_mps = self.state.motion.plausible_speeds(&self.settings.motion, acquired_ns);
-            // The longest interval of a piece is some times the shortest.
-            let most_mps = 10.0 * plausible_mps[1];
-            let speed_mps = odometry.speed_mps.clamp(-most_mps, most_mps);
             let in_force = self.state.motion.in_force(acquired_ns);
             self.state.self_check.observe(&Evidence {
                 acquired_ns,
                 dt_s,
-                speed_mps: if speed_mps.is_finite() { speed_mps } else { self.speed(odometry) },
-                plausible_mps,
+                speed_mps,
                 desired_mps: in_force
                     .filter(|control| control.drives == 1 && is_known)
                     .map(|control| control.velocity_mps),
@@ -725,13 +704,7 @@ impl Estimator {
 
     fn pose(&self, odometry: &Odometry, update: &Update, now_ns: u64) -> Pose {
         let is_increments = self.settings.is_increments;
-        let is_known = self.state.increments.is_known();
-        let [yaw, x, y] = match (is_increments, is_known) {
-            (true, true) => self.state.reckoning.pose,
-            // As long as the odometer may be one with noise, it is filtered.
-            (true, false) => self.state.increments.pose,
-            (false, _) => self.state.estimate,
-        };
+        let [yaw, x, y] = if is_increments { self.state.reckoning.pose } else { self.state.estimate };
         let motion: MotionState = self.state.motion;
         let acquired_ns = self.state.acquired_ns;
         let age_ns = now_ns.saturating_sub(acquired_ns).saturating_add(self.settings.lead_ns);
@@ -741,7 +714,8 @@ impl Estimator {
             ahead.advance(&self.model(), Planar { yaw, x, y }, acquired_ns, predicted_ns, None).pose;
         let local_covariance = self.local_covariance();
         let mut covariance = if is_increments {
-            let noise = self.state.increments.covariance(yaw);
+            // Before, dead reckoning begins anew with each report, and with its noise.
+            let noise = self.state.increments.covariance(yaw) * f64::from(self.state.increments.is_known());
             noise.data.0.as_flattened().try_into().unwrap_or_default()
         } else if self.settings.noise_turns {
             local_covariance

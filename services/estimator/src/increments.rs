@@ -20,9 +20,6 @@ const BELIEVED: f64 = 4.0;
 /// Reports after which the noise is known.
 const KNOWN: f64 = 10.0;
 
-/// Share of the variance that is believed at first, from which on an odometer has noise.
-const NOISY: f64 = 0.25;
-
 plain_state! {
     /// The pose that the odometer reports, without its white noise.
     pub struct Increments {
@@ -97,7 +94,7 @@ impl Increments {
         let predicted = expected.from(before);
         let Some(report) = reported else {
             self.keep(predicted);
-            (self.reported, self.excess) = (self.pose, [0.0; 3]);
+            self.excess = [0.0; 3];
             self.variance = std::array::from_fn(|axis| self.variance[axis] + spread[axis]);
             return *expected;
         };
@@ -138,17 +135,6 @@ impl Increments {
         (self.reported, self.excess) = ([report.yaw, report.x, report.y], [0.0; 3]);
         self.variance = self.product.map(|product| (-product).max(0.0));
         Increment::between(before, report)
-    }
-
-    /// The motion that was reported since `before`.
-    pub fn since(&self, before: [f64; 3]) -> Increment {
-        Increment::between(planar(before), planar(self.reported))
-    }
-
-    /// Whether the reports have noise like that which is believed at first, in yaw or to the left: stamps that are off look like
-    /// noise ahead.
-    pub fn is_noisy(&self) -> bool {
-        [0, 2].iter().any(|&axis| -self.product[axis] > NOISY * self.believed[axis])
     }
 
     /// Whether so many reports came that their noise is known.

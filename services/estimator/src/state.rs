@@ -74,7 +74,7 @@ impl EstimatorState {
         finite("covariance", &self.covariance)?;
         finite("misfit", &[self.misfit])?;
         self.gyro.check()?;
-        let reckoning: &[f64; 53] = bytemuck::cast_ref(&self.reckoning);
+        let reckoning: &[f64; 51] = bytemuck::cast_ref(&self.reckoning);
         finite("reckoning", reckoning)?;
         let increments: &[f64; 20] = bytemuck::cast_ref(&self.increments);
         finite("increments", increments)?;

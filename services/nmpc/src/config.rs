@@ -34,8 +34,8 @@ settings! {
         pub pose_sigmas: f64 = 2.0, 0.0..=10.0;
         /// Growth of the pose's standard deviation along the plan, after one second [m].
         pub pose_growth_m: f64 = 0.006, 0.0..=1.0;
-        /// Error of the way until the command acts, as a share of it. 1 keeps the whole way.
-        pub latency_share: f64 = 0.15, 0.0..=1.0;
+        /// Share of the way until the command acts that is kept. The pose is predicted for it; the error of that is 0.15 of it.
+        pub latency_share: f64 = 1.0, 0.0..=1.0;
         /// Difference between the path of the robot and that of the model [m].
         pub model_m: f64 = 0.015, 0.0..=1.0;
         /// Uncertainty of the outline of a described obstacle [m].

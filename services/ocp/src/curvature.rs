@@ -43,8 +43,6 @@ fn curvature_stages<const S: usize>(
     linearisation: &Linearisation,
     costate: &[f64; 5],
 ) -> Curvature {
-    /// Places of (sideslip, yaw rate, velocity, steering) in the result.
-    const PLACES: [usize; 4] = [0, 1, 3, 4];
     let Interval { model, collocation, length } = *interval;
     let mut slopes = [LateralSlope::default(); S];
     model.slopes(*control, &stages[..S], &mut slopes);
@@ -113,26 +111,27 @@ fn curvature_stages<const S: usize>(
             weights[1] += factor * eta[row][1][0];
         }
         let inner = model.curvature(*control, stages[stage], weights);
-        // Derivatives of (sideslip, yaw rate) at the stage by (sideslip, yaw rate, velocity, steering).
-        let by = [0, 1].map(|component: usize| {
+        // Derivatives of (sideslip, yaw rate, velocity, steering) at the stage by the five variables.
+        let mut by = [[0.0; 5]; 4];
+        for component in 0..2 {
             let columns = &linearisation.stages[stage][component];
-            [columns[1], columns[2], columns[3], columns[4]]
-        });
-        let mut product = [[0.0; 4]; 4];
-        for row in 0..4 {
-            for column in 0..4 {
-                product[row][column] = inner[row][0] * by[0][column] + inner[row][1] * by[1][column];
-            }
-            product[row][2] += inner[row][2];
-            product[row][3] += inner[row][3];
+            by[component] = [columns[1], columns[2], 0.0, columns[3], columns[4]];
         }
+        by[2][3] = 1.0;
+        by[3][4] = 1.0;
+        let mut product = [[0.0; 5]; 4];
         for row in 0..4 {
-            for column in 0..4 {
-                let mut sum = by[0][row] * product[0][column] + by[1][row] * product[1][column];
-                if row >= 2 {
-                    sum += product[row][column];
+            for column in 0..5 {
+                for middle in 0..4 {
+                    product[row][column] += inner[row][middle] * by[middle][column];
                 }
-                result[PLACES[row]][PLACES[column]] += sum;
+            }
+        }
+        for row in 0..5 {
+            for column in 0..5 {
+                for middle in 0..4 {
+                    result[row][column] += by[middle][row] * product[middle][column];
+                }
             }
         }
     }
@@ -146,7 +145,6 @@ const _: () = assert!(MAX_STAGES == 4);
 mod tests {
     use super::*;
     use crate::collocation::{Collocation, Scheme};
-    use crate::interval::linearise;
     use crate::propagate::propagate;
     use proptest::prelude::*;
     use vehicle::{Control, Parameters, State};
@@ -175,7 +173,7 @@ mod tests {
             let mut stages = [[sideslip, yaw_rate]; MAX_STAGES];
             let mut linearisation = Linearisation::default();
             for _ in 0..8 {
-                linearise(&interval, &start, &[velocity, steering], &stages, &mut linearisation);
+                linearisation = crate::interval::linearise(&interval, &start, &[velocity, steering], &stages);
                 for (stage, change) in stages.iter_mut().zip(&linearisation.stages) {
                     stage[0] += change[0][0];
                     stage[1] += change[1][0];

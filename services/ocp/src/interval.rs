@@ -49,53 +49,43 @@ pub struct Interval<'a> {
     pub length: f64,
 }
 
-/// Fills end state, residual and sensitivities from the present start, control and stage values.
+/// End state, residual and sensitivities from the present start, control and stage values.
 pub(crate) fn linearise(
     interval: &Interval,
     start: &[f64; 5],
     control: &[f64; 2],
     stages: &StageValues,
-    result: &mut Linearisation,
-) {
+) -> Linearisation {
     match interval.collocation.stages {
-        1 => linearise_stages::<1>(interval, start, control, stages, result),
-        2 => linearise_stages::<2>(interval, start, control, stages, result),
-        3 => linearise_stages::<3>(interval, start, control, stages, result),
-        _ => linearise_stages::<4>(interval, start, control, stages, result),
+        1 => linearise_stages::<1>(interval, start, control, stages),
+        2 => linearise_stages::<2>(interval, start, control, stages),
+        3 => linearise_stages::<3>(interval, start, control, stages),
+        _ => linearise_stages::<4>(interval, start, control, stages),
     }
 }
 
-/// When Newton's method ends.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct End {
-    /// Most steps.
-    pub steps: usize,
-    /// Largest change of a stage by the last of them.
-    pub tolerance: f64,
-}
-
-/// Newton's method on the stage values until none changes by more than the tolerance: fills the last linearisation, whose
-/// sensitivities belong to values that differ by the last step only, and returns its largest change.
+/// Newton's method on the stage values until none changes by more than `tolerance`: the last linearisation, whose
+/// sensitivities belong to values that differ by the last step only, and its largest change.
 ///
-/// From afar, as from a guess, steps without sensitivities come first. `None` where that takes more than the steps, or the
+/// From afar, as from a guess, steps without sensitivities come first. `None` where that takes more than `steps`, or the
 /// result is not finite.
 pub(crate) fn settle(
     interval: &Interval,
     start: &[f64; 5],
     control: &[f64; 2],
     stages: &mut StageValues,
-    end: End,
+    steps: usize,
+    tolerance: f64,
     mut is_far: bool,
-    linearisation: &mut Linearisation,
-) -> Option<f64> {
+) -> Option<(Linearisation, f64)> {
     /// The equations are nearly linear: after a change of this size the next one is a rounding error.
     const NEAR: f64 = 1e-4;
-    for _ in 0..end.steps {
+    for _ in 0..steps {
         if is_far {
             is_far = correct(interval, start, control, stages) > NEAR;
             continue;
         }
-        linearise(interval, start, control, stages, linearisation);
+        let linearisation = linearise(interval, start, control, stages);
         let mut largest = 0.0f64;
         for (stage, change) in stages.iter_mut().zip(&linearisation.stages) {
             for component in 0..2 {
@@ -103,10 +93,10 @@ pub(crate) fn settle(
                 largest = largest.max(change[component][0].abs());
             }
         }
-        if largest <= end.tolerance {
+        if largest <= tolerance {
             let finite =
                 linearisation.end.iter().chain(&linearisation.correction).all(|value| value.is_finite());
-            return finite.then_some(largest);
+            return finite.then_some((linearisation, largest));
         }
         is_far = largest > NEAR;
     }
@@ -159,7 +149,7 @@ impl Linearisation {
     /// Turns the end into the frame of the next node.
     pub(crate) fn turn(&mut self, bend: &NodeFrame) {
         let direction = bend.direction();
-        self.end = bend.apply(direction, &self.end);
+        self.end = bend.apply(&self.end);
         [self.correction[3], self.correction[4]] =
             turned(direction, [self.correction[3], self.correction[4]]);
         self.by_yaw = turned(direction, self.by_yaw);
@@ -235,8 +225,7 @@ fn linearise_stages<const S: usize>(
     start: &[f64; 5],
     control: &[f64; 2],
     stages: &StageValues,
-    result: &mut Linearisation,
-) {
+) -> Linearisation {
     let Interval { model, collocation, length } = *interval;
     let mut slopes = [LateralSlope::default(); S];
     model.slopes(*control, &stages[..S], &mut slopes);
@@ -265,6 +254,7 @@ fn linearise_stages<const S: usize>(
     }
     eliminate(&mut matrix, &mut right);
 
+    let mut result = Linearisation::default();
     result.stages[..S].copy_from_slice(&right);
 
     // Sideslip and yaw rate at the end are linear in the stages.
@@ -327,7 +317,8 @@ fn linearise_stages<const S: usize>(
     result.set(1, &yaw);
     result.set(3, &position[0]);
     result.set(4, &position[1]);
-    (result.by_yaw, result.direction) = (by_yaw, None);
+    result.by_yaw = by_yaw;
+    result
 }
 
 impl Linearisation {

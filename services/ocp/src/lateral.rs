@@ -45,16 +45,15 @@ impl LateralModel for Parameters {
             return model::lateral_derivatives(self, sideslip, yaw_rate, &control, weights).1;
         }
         let Self { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2, .. } = *self;
-        let (sin, cos) = sin_cos(steering);
+        let (sin, cos) = steering.sin_cos();
         let (sum, difference) = (rear_m + front_m, rear_m - front_m);
         let square = rear_m * rear_m + front_m * front_m;
         let inverse = 1.0 / velocity;
         let inverse2 = inverse * inverse;
 
         // (7.27) is force * cos(u2) * slip(x1, x3, u1) * secant(x1) - x3 with slip = -2 x1 / u1 + (lh - lv) x3 / u1^2.
-        let (sin_sideslip, cos_sideslip) = sin_cos(sideslip);
-        let secant = 1.0 / cos_sideslip;
-        let tangent = sin_sideslip * secant;
+        let secant = 1.0 / sideslip.cos();
+        let tangent = sideslip.tan();
         let secant1 = secant * tangent;
         let secant2 = secant * (1.0 + 2.0 * tangent * tangent);
         let turn = difference * yaw_rate * inverse2;
@@ -151,8 +150,7 @@ impl Lateral {
     /// Derivatives of (sideslip, yaw rate), (7.27) and (7.29), with their Jacobians.
     fn slope(&self, [sideslip, yaw_rate]: [f64; 2]) -> LateralSlope {
         let (sin, cos) = sin_cos(sideslip);
-        let secant = 1.0 / cos;
-        let damping = self.damping * secant;
+        let damping = self.damping / cos;
         let turn = self.difference_per_velocity * yaw_rate;
         let slip = turn - 2.0 * sideslip;
         let spin = yaw_rate * self.square_per_velocity;
@@ -160,7 +158,7 @@ impl Lateral {
         LateralSlope {
             value: [damping * slip - yaw_rate, self.torque * moment],
             by_state: [
-                [damping * (slip * sin * secant - 2.0), damping * self.difference_per_velocity - 1.0],
+                [damping * (slip * sin / cos - 2.0), damping * self.difference_per_velocity - 1.0],
                 [self.torque * self.difference, -self.torque * self.square_per_velocity],
             ],
             by_control: [

@@ -25,9 +25,9 @@ impl NodeFrame {
         [cos, sin]
     }
 
-    /// A state (sideslip, yaw, yaw rate, x, y) of the frame before in the new one, with its [`Self::direction`].
-    pub(crate) fn apply(&self, direction: [f64; 2], state: &[f64; 5]) -> [f64; 5] {
-        let [x, y] = turned(direction, [state[3] - self.from[0], state[4] - self.from[1]]);
+    /// A state (sideslip, yaw, yaw rate, x, y) of the frame before in the new one.
+    pub(crate) fn apply(&self, state: &[f64; 5]) -> [f64; 5] {
+        let [x, y] = turned(self.direction(), [state[3] - self.from[0], state[4] - self.from[1]]);
         [state[0], state[1] - self.angle, state[2], self.to[0] + x, self.to[1] + y]
     }
 

@@ -3,7 +3,7 @@
 use vehicle::{Control, State};
 
 use crate::collocation::{Collocation, MAX_STAGES};
-use crate::interval::{End, Interval, Linearisation, StageValues, settle};
+use crate::interval::{Interval, Linearisation, StageValues, settle};
 use crate::model::LateralModel;
 use crate::problem::Trajectory;
 
@@ -62,13 +62,14 @@ pub fn converge(
     start: &State,
     control: &Control,
 ) -> Option<(Linearisation, StageValues)> {
-    /// Many times the usual count; the rounding level of values of order one, with room for h times the stiff Jacobian.
-    const END: End = End { steps: 30, tolerance: 1e-13 };
+    /// Many times the usual count.
+    const NEWTON_STEPS: usize = 30;
+    /// Rounding level of values of order one, with room for h times the stiff Jacobian.
+    const TOLERANCE: f64 = 1e-13;
     let start: [f64; 5] = start.to_vector().into();
     let control = [control.velocity, control.steering];
     let mut stages = [[start[0], start[2]]; MAX_STAGES];
-    let mut linearisation = Linearisation::default();
-    settle(interval, &start, &control, &mut stages, END, true, &mut linearisation)?;
+    let (linearisation, _) = settle(interval, &start, &control, &mut stages, NEWTON_STEPS, TOLERANCE, true)?;
     Some((linearisation, stages))
 }
 
@@ -151,9 +152,8 @@ mod tests {
         let parameters = Parameters::default();
         let collocation = Collocation::new(Scheme::Radau3);
         let interval = Interval { model: &parameters, collocation: &collocation, length: 0.45 };
-        let (start, stages) = ([0.01, 0.2, 0.1, 0.0, 0.0], [[0.01, 0.1]; MAX_STAGES]);
-        let mut linearisation = Linearisation::default();
-        linearise(&interval, &start, &[0.8, 0.03], &stages, &mut linearisation);
+        let linearisation =
+            linearise(&interval, &[0.01, 0.2, 0.1, 0.0, 0.0], &[0.8, 0.03], &[[0.01, 0.1]; MAX_STAGES]);
         let matrix = linearisation.by_state();
         let change = [0.3, -0.2, 0.5, 0.7, -0.1];
         let ahead = linearisation.transport(&change);

@@ -2,7 +2,7 @@
 
 use crate::collocation::{Collocation, MAX_STAGES};
 use crate::dense::fill;
-use crate::interval::{End, Interval, Linearisation, StageValues, settle};
+use crate::interval::{Interval, Linearisation, StageValues, settle};
 use crate::problem::{Problem, Trajectory};
 
 /// The variables of the nonlinear program: states at nodes 0 to N, controls and stage values of the intervals.
@@ -97,12 +97,9 @@ pub(crate) struct Shooting {
 pub(crate) enum Sweep {
     /// Each node gets the end of the interval before it, so that the iterate satisfies the model.
     Close,
-    /// The nodes stay as they are and the gaps are reported, except for small ones, which are closed.
+    /// The nodes stay as they are and the gaps are reported.
     Keep,
 }
-
-/// Gaps up to this are always closed: the guess is a roll-out up to rounding or Newton's tolerance.
-const SMALL_GAP: f64 = 1e-6;
 
 impl Shooting {
     /// Solves the collocation equations of all intervals from the stage values of `iterate` and linearises there;
@@ -118,11 +115,12 @@ impl Shooting {
         sweep: Sweep,
         is_far: bool,
     ) -> bool {
-        /// Three steps are usual from afar, one near the solution. The equations are nearly linear, and less than the
-        /// square of the last step is left: rounding errors. With 1e-4 the noise of the merit, which penalties magnify,
-        /// stops the search.
-        const END: End = End { steps: 20, tolerance: 1e-7 };
-        self.intervals.resize(problem.intervals.len(), Linearisation::default());
+        /// Three are usual from afar, one near the solution.
+        const NEWTON_STEPS: usize = 20;
+        /// The equations are nearly linear, and less than the square of the last step is left: rounding errors. With
+        /// 1e-4 the noise of the merit, which penalties magnify, stops the search.
+        const LAST_STEP: f64 = 1e-7;
+        self.intervals.clear();
         self.gaps.clear();
         self.defect = 0.0;
         self.last_step = 0.0;
@@ -130,25 +128,26 @@ impl Shooting {
             let interval = Interval { model: problem.model.as_ref(), collocation, length };
             let (start, control) = (&iterate.states[index], &iterate.controls[index]);
             let stages = &mut iterate.stages[index];
-            let linearisation = &mut self.intervals[index];
-            let settled = settle(&interval, start, control, stages, END, is_far, linearisation);
-            let Some(last) = settled else { return false };
+            let settled = settle(&interval, start, control, stages, NEWTON_STEPS, LAST_STEP, is_far);
+            let Some((mut linearisation, last)) = settled else { return false };
             if let Some(bend) = problem.frames.get(index) {
                 linearisation.turn(bend);
             }
+            let mut gap = [0.0; 5];
             self.last_step = self.last_step.max(last);
             self.defect = self.defect.max(last * last);
             let next = &mut iterate.states[index + 1];
-            let mut end = linearisation.end;
-            end.iter_mut().zip(&linearisation.correction).for_each(|(end, correction)| *end += correction);
-            let mut gap: [f64; 5] = std::array::from_fn(|component| end[component] - next[component]);
-            let size = gap.iter().fold(0.0, |largest: f64, gap| largest.max(gap.abs()));
-            if sweep == Sweep::Close || size <= SMALL_GAP {
-                (*next, gap) = (end, [0.0; 5]);
-            } else {
-                self.defect = self.defect.max(size);
+            let ends = linearisation.end.iter().zip(&linearisation.correction);
+            for ((gap, next), (end, correction)) in gap.iter_mut().zip(next).zip(ends) {
+                let end = end + correction;
+                match sweep {
+                    Sweep::Close => *next = end,
+                    Sweep::Keep => *gap = end - *next,
+                }
+                self.defect = self.defect.max(gap.abs());
             }
             self.gaps.push(gap);
+            self.intervals.push(linearisation);
         }
         true
     }

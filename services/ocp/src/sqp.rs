@@ -50,8 +50,8 @@ const ATTEMPTS: u32 = 3;
 const FIRST_DAMPING: f64 = 0.1;
 /// Damping at which a step is shorter than the tolerance, so that the solve ends.
 const MAX_DAMPING: f64 = 1e10;
-/// Largest change of a control up to which the stage values that a step predicts need one Newton step only.
-const FAR_STEP: f64 = 1e-4;
+/// Gaps up to this are always closed by a sweep: the guess is a roll-out up to rounding or Newton's tolerance.
+const SMALL_GAP: f64 = 1e-6;
 
 /// A solver with its buffers.
 #[derive(Debug, Clone, Default)]
@@ -217,7 +217,10 @@ impl Solver {
         }
         self.chain.reserve(problem.intervals.len(), row_count);
         self.reserve_condensed(problem);
-        true
+        let gap = self.shooting.gaps.iter().flatten().fold(0.0, |largest: f64, gap| largest.max(gap.abs()));
+        gap == 0.0
+            || gap > SMALL_GAP
+            || self.shooting.sweep(problem, &self.collocation, &mut self.iterate, Sweep::Close, false)
     }
 
     fn is_closed(&self) -> bool {
@@ -342,11 +345,8 @@ impl Solver {
             let inside = problem.bounds.clamp(Control { velocity: control[0], steering: control[1] });
             *control = [inside.velocity, inside.steering];
         }
-        let changes = self.step.controls.iter().flatten();
-        let is_far =
-            fraction * changes.fold(0.0, |largest: f64, change| largest.max(change.abs())) > FAR_STEP;
         let swept =
-            self.trial_shooting.sweep(problem, &self.collocation, &mut self.trial, Sweep::Close, is_far);
+            self.trial_shooting.sweep(problem, &self.collocation, &mut self.trial, Sweep::Close, false);
         swept.then(|| merit(problem, &self.trial)).filter(|merit| merit.is_finite())
     }
 

@@ -17,13 +17,6 @@ pub const SURFACES: usize = 42;
 const CONFIRMED: (u64, u64) = (5, 450_000_000);
 /// Its line is kept after so many sightings, and that of a long one after so many returns.
 const SETTLED: (u64, f64) = (6, 1500.0);
-/// A surface that stands still is found within this of where it was [m], and within so many standard deviations.
-const STILL_M: f64 = 0.02;
-const UNSEEN: f64 = 2.0;
-/// A sighting counts half for the line of a surface when the robot may have turned by this unseen since the first one [rad].
-const TURNED_RAD: f64 = 1e-3;
-/// A poor gyro turns the robot little in this time [s].
-const FIRST_S: f64 = 0.15;
 
 plain_state! {
     /// A straight surface or a small round body on the track.
@@ -56,8 +49,6 @@ plain_state! {
         pub seen_ns: u64,
         /// Where the robot was when it was seen first [m]
         pub seen_from_m: [f64; 2],
-        /// For how long the bias of the gyro had turned the robot then [s]
-        pub turned_s: f64,
         /// Covariance of its place, as one of (yaw, x, y) of the robot then: its lower triangle, column by column
         pub covariance: [f64; 6],
     }
@@ -110,19 +101,6 @@ impl SurfaceLine {
     pub fn along(&self) -> Vector2<f64> {
         Vector2::new(-self.normal.y, self.normal.x)
     }
-}
-
-/// What is known when pieces are seen.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Sight {
-    /// Where the robot is [m].
-    pub(super) place: Vector2<f64>,
-    /// For how long the bias of the gyro has turned it [s].
-    pub(super) turned_s: f64,
-    /// Variance of that bias [rad^2/s^2].
-    pub(super) rate_variance: f64,
-    /// Standard deviation of a range [m].
-    pub(super) noise_m: f64,
 }
 
 /// A piece as it lies on the track.
@@ -296,16 +274,10 @@ impl SurfaceMap {
         there.map(move |(index, surface)| surface.line(index, place))
     }
 
-    /// A piece of a surface was seen again; one that does not count yet is forgotten when it is further from where it was than
-    /// what stands still, or than the turn explains that the robot may have made unseen since.
-    pub(super) fn see(&mut self, index: usize, count: f64, placed: &Placed, now_ns: u64, sight: &Sight) {
+    /// A piece of a surface was seen again; one that does not count yet is forgotten when it is further than `tolerance_m` from
+    /// where it was.
+    pub(super) fn see(&mut self, index: usize, count: f64, placed: &Placed, now_ns: u64, tolerance_m: f64) {
         let surface = &mut self.surfaces[index];
-        let turned = sight.rate_variance * (sight.turned_s - surface.turned_s).powi(2);
-        let apart = (placed.mean - sight.place).norm_squared();
-        let sigma_m = (sight.noise_m * sight.noise_m / count + turned * apart).sqrt();
-        let tolerance_m = STILL_M.max(UNSEEN * sigma_m);
-        // A line keeps the direction that it had when it was seen first.
-        let weight = 1.0 / (1.0 + turned / (TURNED_RAD * TURNED_RAD));
         let seen = placed.with_radius(surface.radius_m);
         let moved_m = surface.normal().dot(&(seen.mean - Vector2::from(surface.first_m))).abs();
         let center = Vector2::from(surface.middle_m);
@@ -318,7 +290,7 @@ impl SurfaceMap {
             return;
         }
         if !surface.is_settled() {
-            surface.fit(count * weight, &Placed { scatter: placed.scatter * weight, ..*placed });
+            surface.fit(count, placed);
         }
         if !surface.is_settled() || surface.is_long() {
             surface.extend(placed);
@@ -342,15 +314,6 @@ impl SurfaceMap {
         false
     }
 
-    /// Forgets the surfaces that were seen first when a poor gyro had turned the robot.
-    pub(super) fn keep_first(&mut self) {
-        for surface in &mut self.surfaces {
-            if surface.turned_s > FIRST_S {
-                *surface = Surface::default();
-            }
-        }
-    }
-
     /// Remembers a piece as a new surface; `covariance` is that of its place.
     pub(super) fn add(
         &mut self,
@@ -359,7 +322,6 @@ impl SurfaceMap {
         pose: &Vector3<f64>,
         covariance: &Matrix3<f64>,
         now_ns: u64,
-        sight: &Sight,
     ) {
         let oldest = (0..SURFACES).min_by_key(|index| {
             let surface = &self.surfaces[*index];
@@ -382,7 +344,6 @@ impl SurfaceMap {
             since_ns: now_ns,
             seen_ns: now_ns,
             seen_from_m: [pose[1], pose[2]],
-            turned_s: sight.turned_s,
             covariance: [(0, 0), (1, 0), (2, 0), (1, 1), (2, 1), (2, 2)].map(|place| covariance[place]),
             ..Surface::default()
         };
@@ -407,10 +368,9 @@ impl SurfaceMap {
                 seen_from_m,
                 covariance,
                 radius_m,
-                turned_s,
                 ..
             } = surface;
-            finite("map", &[*count, *radius_m, *turned_s])?;
+            finite("map", &[*count, *radius_m])?;
             let numbers = [&mean_m[..], scatter_m2, extent_m, first_m, middle_m, seen_from_m, covariance];
             numbers.into_iter().try_for_each(|numbers| finite("map", numbers))?;
         }

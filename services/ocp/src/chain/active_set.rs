@@ -193,12 +193,9 @@ impl Chain {
         self.report_rows(solution);
         let largest = self.slack_linear + TOLERANCE;
         for (index, row) in self.rows.iter().enumerate() {
-            let state = &mut solution.row_states[index];
-            if *state == RowState::Inside && self.violations[index] <= TOLERANCE {
-                continue;
-            }
             let value = row.value(&self.path.states);
             let multiplier = solution.row_multipliers[index];
+            let state = &mut solution.row_states[index];
             let found = match *state {
                 RowState::Inside if self.violations[index] > TOLERANCE => {
                     right = false;

@@ -6,6 +6,7 @@
 
 #![expect(clippy::needless_range_loop, reason = "small matrices read best by their indices")]
 
+use crate::dense::refill;
 use crate::hessian::Block;
 use crate::interval::Linearisation;
 use crate::qp::BoundState;
@@ -56,18 +57,16 @@ impl Riccati {
         /// Curvature below this, for an objective of order one, may be a rounding error.
         const MIN_CURVATURE: f64 = 1e-9;
         let count = intervals.len();
-        self.stages.resize(count, Stage::default());
-        self.costs.resize(count + 1, [[0.0; 7]; 7]);
-        self.costs[count] = [[0.0; 7]; 7];
+        self.stages.clear();
+        refill(&mut self.costs, count + 1, [[0.0; 7]; 7]);
+        let mut cost = [[0.0; 7]; 7];
         for row in 0..5 {
-            self.costs[count][row][..5].copy_from_slice(&blocks[count][row][..5]);
+            cost[row][..5].copy_from_slice(&blocks[count][row][..5]);
         }
+        self.costs[count] = cost;
         for index in (0..count).rev() {
             let interval = &intervals[index];
             let block = &blocks[index];
-            let (next, cost) = self.costs.split_at_mut(index + 1);
-            let (next, cost) = (&mut next[index], &cost[0]);
-            let stage = &mut self.stages[index];
             let change = if index > 0 || tied { *change } else { [0.0; 2] };
 
             // P A, by columns of A, and P C + the part of w, which is this control.
@@ -88,6 +87,7 @@ impl Riccati {
                 mixed[row] = [sums[2] + line[5], sums[3] + line[6]];
             }
 
+            let mut stage = Stage::default();
             for row in 0..2 {
                 let column = [mixed[0][row], mixed[1][row], mixed[2][row], mixed[3][row], mixed[4][row]];
                 let back = interval.transport_back(&column);
@@ -95,7 +95,6 @@ impl Riccati {
                     stage.cross[row][place] = back[place] + block[5 + row][place];
                 }
                 stage.cross[row][5 + row] = -change[row];
-                stage.cross[row][6 - row] = 0.0;
                 for column in 0..2 {
                     let mut sum = block[5 + row][5 + column] + cost[5 + row][5 + column];
                     for middle in 0..5 {
@@ -117,6 +116,7 @@ impl Riccati {
             }
 
             // A' P A + B, less the decrease by the control.
+            let mut next = [[0.0; 7]; 7];
             for column in 0..5 {
                 let mut sums = [0.0; 2];
                 for middle in 0..5 {
@@ -135,8 +135,8 @@ impl Riccati {
                     next[row][column] += block[row][column];
                 }
             }
-            next[5] = [0.0, 0.0, 0.0, 0.0, 0.0, change[0], 0.0];
-            next[6] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, change[1]];
+            next[5][5] = change[0];
+            next[6][6] = change[1];
             for row in 0..7 {
                 for column in 0..=row {
                     let value = next[row][column]
@@ -146,7 +146,11 @@ impl Riccati {
                     next[column][row] = value;
                 }
             }
+            self.costs[index] = next;
+            self.stages.push(stage);
+            cost = next;
         }
+        self.stages.reverse();
         true
     }
 
@@ -164,9 +168,7 @@ impl Riccati {
         let mut next = [0.0; 7];
         next[..5].copy_from_slice(&slopes[count][..5]);
         for index in (0..count).rev() {
-            if let Some(gaps) = gaps
-                && gaps[index] != [0.0; 5]
-            {
+            if let Some(gaps) = gaps {
                 for (value, row) in next.iter_mut().zip(&self.costs[index + 1]) {
                     for (entry, gap) in row.iter().zip(&gaps[index]) {
                         *value += entry * gap;
