@@ -30,7 +30,8 @@ fn each_function_of_c_has_its_place_in_the_table() {
     assert_eq!(named("C"), functions);
 }
 
-/// Functions of the module as the page calls them: `answer()`, `process.wait()`; `Process()` makes a process.
+/// Functions of the module as the page calls them: `answer()`, `process.wait()`; `Process()` makes a process, `DeviceClock()` a
+/// clock.
 fn functions_of_python(module: &str) -> BTreeSet<String> {
     let (mut class, mut found) = (None, BTreeSet::new());
     for line in module.lines() {
@@ -46,7 +47,9 @@ fn functions_of_python(module: &str) -> BTreeSet<String> {
         }
     }
     found.retain(|name| !name.starts_with('_') && !name.contains("._"));
-    found.insert("Process".to_owned());
+    let made =
+        ["Process", "DeviceClock"].into_iter().filter(|class| module.contains(&format!("\nclass {class}")));
+    found.extend(made.map(str::to_owned));
     found
 }
 
