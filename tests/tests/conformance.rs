@@ -96,7 +96,7 @@ const FAULTS: [(&str, &str, &str, &[&str]); 63] = [
 ];
 
 /// Faults of robots whose cases can be played in one go, because no case hides another.
-const ROBOT_FAULTS: [(&str, &[&str]); 18] = [
+const ROBOT_FAULTS: [(&str, &[&str]); 19] = [
     ("halves", &["scans"]),
     ("stamps", &["header"]),
     ("nan", &["valid-values"]),
@@ -109,6 +109,7 @@ const ROBOT_FAULTS: [(&str, &[&str]); 18] = [
     ("drifts", &["foreign-clock"]),
     ("arrival", &["foreign-clock"]),
     ("jittery", &["jitter"]),
+    ("two-clocks", &["turns"]),
     ("fills", &["gaps"]),
     ("resets", &["device-restart"]),
     ("half", &["half-a-scan"]),

@@ -11,11 +11,11 @@ use shared_types::{Role, did_you_mean};
 use super::case::{After, Case, Entry, Own, Play, Started};
 use super::controller::not_driven_on;
 use super::obstacles::scanner;
-use super::robot::{device, motion};
+use super::robot::{device, motion, turns};
 use super::{actuator, answers, controller, estimator, intake, lifecycle, obstacles, person, robot};
 
 /// How each case is played, by group and name.
-const FUNCTIONS: [(&str, &str, Play); 90] = [
+const FUNCTIONS: [(&str, &str, Play); 91] = [
     ("every role", "states", Own(lifecycle::states)),
     ("every role", "heartbeats", Started(lifecycle::heartbeats)),
     ("every role", "joins-late", Started(lifecycle::joins_late)),
@@ -55,6 +55,7 @@ const FUNCTIONS: [(&str, &str, Play); 90] = [
     ("robot", "repeatable", Own(robot::repeatable)),
     ("robot", "foreign-clock", Started(device::foreign_clock)),
     ("robot", "jitter", Started(device::jitter)),
+    ("robot", "turns", Started(turns::turns)),
     ("robot", "gaps", Started(device::gaps)),
     ("robot", "device-restart", Started(device::device_restart)),
     ("robot", "half-a-scan", Started(device::half_a_scan)),

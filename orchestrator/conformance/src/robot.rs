@@ -4,6 +4,7 @@
 
 pub(crate) mod device;
 pub(crate) mod motion;
+pub(crate) mod turns;
 
 use shared_types::{Odometry, Phase, Topic};
 

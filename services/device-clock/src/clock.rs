@@ -7,6 +7,8 @@ use crate::settings::ClockSettings;
 
 /// Times after this are taken as this: 73 years, so that no sum of times overflows [ns].
 const MAX_TIME_NS: u64 = 1 << 61;
+/// Mappings of one clock differ by less: it is the longest delay of a message [ns].
+const MAX_APART_NS: u64 = 1_000_000_000;
 /// All samples of this time, and at least [`SUSPECTED`], are late before a jump of the device's clock is assumed [ns].
 const SUSPECTED_NS: u64 = 5_000_000_000;
 /// See [`SUSPECTED_NS`].
@@ -170,6 +172,18 @@ impl DeviceClock {
         let late_ns = if self.late.is_some() { excess_ns.unsigned_abs() } else { 0 };
         let (time_ns, error_ns) = self.mapped(stamp_ns, arrived_ns);
         Mapped { time_ns: time_ns.min(arrived_ns), error_ns: error_ns.saturating_add(late_ns), event }
+    }
+
+    /// As [`Self::arrival`], where `other` maps other data of the same clock, whose smallest delay may be seen earlier: the
+    /// smaller of both counts. With a mapping each, what was stamped at once would get two times until both have settled.
+    pub fn arrival_beside(&mut self, other: &Self, ticks: u64, arrived_ns: u64) -> Mapped {
+        let own = self.arrival(ticks, arrived_ns);
+        let earlier = other.map(ticks, arrived_ns).filter(|other| other.time_ns < own.time_ns);
+        // Further apart they are only while one of both knows of a restart.
+        match earlier.filter(|other| own.time_ns - other.time_ns < MAX_APART_NS) {
+            Some(other) => Mapped { event: own.event, ..other },
+            None => own,
+        }
     }
 
     /// Maps a stamp without its arrival, as that of other data of the same device; `now_ns` is the present.

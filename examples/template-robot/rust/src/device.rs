@@ -1,7 +1,7 @@
 //! The robot. **Replace the three functions `read_odometry`, `read_scan` and `write_wheels` by those of yours.**
 //!
 //! None of them may wait. As shipped they belong to a simulation with the faults of real devices: base and scanner have
-//! clocks of their own, both restart every 2 s, data arrive up to 3 ms late, and one sweep in 23 breaks off half-way.
+//! one clock of their own, which restarts every 2 s, data arrive up to 3 ms late, and one sweep in 23 breaks off half-way.
 
 use std::f64::consts::TAU;
 
@@ -12,7 +12,7 @@ use crate::odometry::Pose;
 /// What the scanner has measured.
 #[derive(Debug, Clone)]
 pub(crate) struct Sweep {
-    /// When the front beam was taken, on the clock of the scanner [ns].
+    /// When the front beam was taken [ns].
     pub(crate) stamp_ns: u64,
     /// How many beams have come; less than [`BEAMS`] when the sweep broke off.
     pub(crate) beams: usize,
@@ -21,7 +21,7 @@ pub(crate) struct Sweep {
 }
 
 impl Device {
-    /// The newest state of the base that was not read before, with its stamp on the clock of the base [ns].
+    /// The newest state of the base that was not read before, with its stamp [ns].
     pub(crate) fn read_odometry(&mut self, now_ns: u64) -> Option<(u64, Pose)> {
         self.advance_to(now_ns);
         self.base
@@ -39,6 +39,11 @@ impl Device {
     pub(crate) fn write_wheels(&mut self, now_ns: u64, drive: Option<(f64, f64)>) {
         self.advance_to(now_ns);
         self.drive = drive;
+    }
+
+    /// Whether base and scanner stamp with the same clock; `false` where the scanner has one of its own.
+    pub(crate) fn has_one_clock(&self) -> bool {
+        true
     }
 
     /// Shortest time from the stamp of a state of the base to its arrival [ns].

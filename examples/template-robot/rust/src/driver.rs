@@ -32,7 +32,7 @@ pub(crate) struct Driver {
     scanner_clock: DeviceClock,
     base_clock: DeviceClock,
     history: History,
-    /// A sweep with the time of its front beam [ns]; it waits for the odometry after it.
+    /// A sweep that waits for the odometry after it, and the time of its front beam [ns].
     waiting: Option<(u64, Sweep)>,
     /// When base and scanner sent data last; `None` before the first [ns].
     arrived_ns: [Option<u64>; 2],
@@ -155,13 +155,17 @@ impl Driver {
             let mapped = self.base_clock.arrival(stamp_ns, now_ns);
             if self.is_in_order(mapped.event) {
                 // A base that was restarted counts from zero again, its clock and its odometry.
-                self.history.add(mapped.time_ns, pose, mapped.event == ClockEvent::Backwards);
+                let at_ns = self.time_of_state(stamp_ns, mapped.time_ns);
+                self.history.add([at_ns, mapped.time_ns], pose, mapped.event == ClockEvent::Backwards);
                 self.speed_mps = pose.speed_mps;
             }
             self.arrived_ns[0] = Some(now_ns);
         }
         if let Some(sweep) = self.device.read_scan(now_ns) {
-            let mapped = self.scanner_clock.arrival(sweep.stamp_ns, now_ns);
+            let mapped = match self.device.has_one_clock() {
+                true => self.scanner_clock.arrival_beside(&self.base_clock, sweep.stamp_ns, now_ns),
+                false => self.scanner_clock.arrival(sweep.stamp_ns, now_ns),
+            };
             self.arrived_ns[1] = Some(now_ns);
             self.broken = if sweep.beams == BEAMS { 0 } else { self.broken + 1 };
             if self.is_in_order(mapped.event) {
@@ -169,6 +173,12 @@ impl Driver {
                 self.waiting = is_next.then_some((mapped.time_ns, sweep));
             }
         }
+    }
+
+    /// The time by which states are kept and found. Stamps of one clock fit each other from the first one on, whatever the
+    /// mapping of the clock is still short of.
+    fn time_of_state(&self, stamp_ns: u64, mapped_ns: u64) -> u64 {
+        if self.device.has_one_clock() { stamp_ns } else { mapped_ns }
     }
 
     /// Whether a message is newer than those before. One that was overtaken is old: it is counted and dropped.
@@ -193,13 +203,14 @@ impl Driver {
     /// Publishes the sweep that waits, when the odometry at its front beam is known.
     fn publish(&mut self, process: &mut Process) -> Result<(), RuntimeError> {
         let period_ns = process.period_ns();
-        let Some((front_ns, _)) = self.waiting else { return Ok(()) };
+        let Some((front_ns, sweep)) = &self.waiting else { return Ok(()) };
+        let (front_ns, at_ns) = (*front_ns, self.time_of_state(sweep.stamp_ns, *front_ns));
         let is_old = process.clock().now_ns().saturating_sub(front_ns) > 2 * period_ns;
         if is_old || process.directive().phase == Phase::Stopping.wire() {
             self.waiting = None;
             return Ok(());
         }
-        let Some(pose) = self.history.at(front_ns, period_ns + period_ns / 2) else { return Ok(()) };
+        let Some(pose) = self.history.at(at_ns, period_ns + period_ns / 2) else { return Ok(()) };
         let Some((_, sweep)) = self.waiting.take() else { return Ok(()) };
         process.begin();
         let scan_id = self.last.header.scan_id + 1;

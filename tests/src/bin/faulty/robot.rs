@@ -138,13 +138,15 @@ fn obey(fault: &str, actuation: &mut Actuation) {
 }
 
 /// What a driver makes of a device that fails: `foreign`, `drifts`, `arrival`, `jittery`, `fills`, `resets`, `half`,
-/// `old-half`, `backwards`, `apart`.
+/// `old-half`, `backwards`, `apart`, `two-clocks`.
 #[derive(Default)]
 struct Device {
     origin_ns: u64,
     period_ns: u64,
     /// The ranges published last.
     ranges_mm: Option<[u32; MAX_BEAMS]>,
+    /// The pose of the scan before.
+    pose: [f64; 3],
     /// Where the base restarted.
     restarted: Option<Odometry>,
 }
@@ -157,7 +159,10 @@ impl Device {
         scan.header.acquired_ns = if fault == "apart" { stamp_ns - 1 } else { stamp_ns };
         odometry.header.acquired_ns = stamp_ns;
         let old = self.ranges_mm.unwrap_or(scan.ranges_mm);
+        let pose = [odometry.x_m, odometry.y_m, odometry.yaw_rad];
         match fault {
+            // The clock by which its base is mapped is a period behind the one of its scanner.
+            "two-clocks" => [odometry.x_m, odometry.y_m, odometry.yaw_rad] = self.pose,
             "fills" if scan_id.is_multiple_of(5) => scan.ranges_mm = old,
             "half" if scan_id.is_multiple_of(5) => scan.ranges_mm[BEAMS / 2..].fill(0),
             "old-half" if scan_id.is_multiple_of(5) => {
@@ -169,7 +174,7 @@ impl Device {
             }
             _ => {}
         }
-        self.ranges_mm = Some(scan.ranges_mm);
+        (self.ranges_mm, self.pose) = (Some(scan.ranges_mm), pose);
     }
 
     fn stamp_ns(&self, fault: &str, now_ns: u64, scan_id: u64, acquired_ns: u64) -> u64 {
