@@ -358,7 +358,7 @@ mod tests {
         for (name, is_stop) in [("remote", false), ("service", true)] {
             assert!(Command::new("mkfifo").arg(folder.join(name)).status().unwrap().success());
             let run_id = format!("halt{name}");
-            // It waits for what nobody writes, until it is asked to end.
+            // It waits for what no process writes, until it is asked to end.
             let mut command = Command::new("cat");
             command.arg(name).current_dir(&folder).env(RUN_ID_VARIABLE, &run_id);
             let mut robot =
