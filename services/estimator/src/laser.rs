@@ -39,6 +39,8 @@ const MIN_COUNT: f64 = 5.0;
 /// Standard deviations of where a new surface is seen, beside those by its returns, of a short one and of a long one
 /// [rad, m, m]: with these 95 % of the poses of a kilometre are in their ellipse.
 const BESIDE: ([f64; 3], [f64; 3]) = ([3e-3, 1.5e-2, 1.5e-2], [5e-4, 2e-3, 2e-3]);
+/// A robot that is slower rests [m/s, rad/s].
+const REST: (f64, f64) = (0.02, 0.02);
 /// How well a robot that was searched for is known when it was found, and when it was not [m, rad].
 const FOUND_M: f64 = 0.1;
 const FOUND_RAD: f64 = 0.05;
@@ -83,6 +85,10 @@ plain_state! {
         pub unmatched: u64,
         /// Scans that came too fast after the one before
         pub skipped: u64,
+        /// Fingerprint of the ranges of the last scan
+        pub ranges: u64,
+        /// 1 while the ranges are those from before the robot moved
+        pub is_stuck: u64,
         /// Scans that came after the next pose was computed
         pub late: u64,
         /// What the ranges have too much
@@ -101,7 +107,7 @@ pub const EVENTS: [&str; 6] = [
     "all ranges are too long or too short: the difference is taken off",
     "the robot was elsewhere and has found itself",
     "the robot is elsewhere and does not find itself",
-    "the robot had to be searched for again: its scans contradict its motion",
+    "the robot was not lifted: its scans contradict its motion",
     "the walls that the track states are not there: they are not used",
     "the pillars that the track states are not there: they are not used",
 ];
@@ -158,6 +164,15 @@ impl Matcher {
             return;
         }
         state.looked_ns = acquired_ns;
+        let ranges = fingerprint(scan.ranges());
+        let is_repeated = std::mem::replace(&mut state.ranges, ranges) == ranges;
+        let moves = motion.speed_mps.abs() > REST.0 || motion.yaw_rate_radps.abs() > REST.1;
+        state.is_stuck = u64::from(is_repeated && (moves || state.is_stuck == 1));
+        // They would say that the robot has not moved.
+        if state.is_stuck == 1 {
+            state.unmatched += 1;
+            return;
+        }
         self.pieces.find(scan, &self.vehicle, motion, state.offset.offset_m);
         self.gather(state, &reckoning.pose);
         match state.search.follow(
@@ -233,6 +248,12 @@ impl Matcher {
             }
         }
     }
+}
+
+/// FNV-1a of the ranges, taken whole.
+fn fingerprint(ranges: &[u32]) -> u64 {
+    let hash = |hash: u64, range: &u32| (hash ^ u64::from(*range)).wrapping_mul(0x100_0000_01b3);
+    ranges.iter().fold(0xcbf2_9ce4_8422_2325, hash)
 }
 
 #[cfg(test)]

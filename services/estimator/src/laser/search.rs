@@ -4,7 +4,7 @@
 //! it should, the pose is wrong. Then poses around it are tried, some with each scan, and the one from which most
 //! returns lie on known lines is taken.
 
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix3, Rotation2, Vector2, Vector3};
 use shared_types::{Scan, plain_state};
 use vehicle::Description;
 use vehicle::frame::{to_robot, wrap_angle};
@@ -18,6 +18,9 @@ use super::surface::SurfaceLine;
 const DOUBTS: u64 = 3;
 /// A robot that has to be searched for again so soon was not lifted: its scans contradict its motion [ns].
 const AGAIN_NS: u64 = 20_000_000_000;
+/// Nor was one that seems to have turned, with its scanner within this of where it was: the scanner has turned on its mount, or
+/// the yaw of the odometry is wrong [m].
+const SAME_PLACE_M: f64 = 0.15;
 /// Poses that are tried: steps to each side of [`STEP_M`] and [`STEP_RAD`]; one turn with each scan.
 const STEPS: i32 = 8;
 const TURNS: u64 = 11;
@@ -55,7 +58,7 @@ plain_state! {
         pub lost: u64,
         /// When it was searched for last [ns]
         pub since_ns: u64,
-        /// How often it was searched for again soon after
+        /// How often it was not lifted: it was searched for again soon after, or has turned where it stands
         pub again: u64,
     }
 }
@@ -103,9 +106,10 @@ impl Search {
         let Self { best, score, found, lost, since_ns, again, .. } = *self;
         let now_ns = scan.header.acquired_ns;
         let is_again = since_ns > 0 && now_ns.saturating_sub(since_ns) < AGAIN_NS;
-        let again = again + u64::from(is_again);
+        let was_found = score >= ENOUGH;
+        let again = again + u64::from(is_again || was_found && has_turned(&best, pose[0], vehicle));
         *self = Self { found, lost, since_ns: now_ns, again, ..Self::default() };
-        if score < ENOUGH {
+        if !was_found {
             self.lost += 1;
             return Whereabouts::Lost;
         }
@@ -138,6 +142,13 @@ impl Search {
             }
         }
     }
+}
+
+/// Whether the scanner has turned and stands where it stood, by the pose that was found against the one that was doubted.
+pub(super) fn has_turned([turn, dx, dy]: &[f64; 3], yaw: f64, vehicle: &Description) -> bool {
+    let mount = |yaw: f64| Rotation2::new(yaw) * Vector2::new(vehicle.scanner_x_m, vehicle.scanner_y_m);
+    let moved = Vector2::new(*dx, *dy) + mount(yaw + turn) - mount(yaw);
+    *turn != 0.0 && moved.norm() < SAME_PLACE_M
 }
 
 /// Whether the scan looks through surfaces that should be seen, more often than it sees them; notes the same of those that

@@ -10,6 +10,7 @@ use vehicle::{Description, Surroundings, Track};
 use super::align::align;
 use super::known::{Stated, given, surfaces, within};
 use super::pieces::{Piece, Pieces, SweepMotion};
+use super::search::has_turned;
 use super::surface::{SurfaceLine, SurfaceMap};
 use super::{LaserMode, LaserState, Matcher};
 use crate::dead_reckoning::{DeadReckoning, DriftSources};
@@ -320,6 +321,18 @@ fn a_robot_that_is_searched_for_twice_in_twenty_seconds_was_not_lifted() {
     let (once, twice) = (lifted(100), lifted(40));
     assert_eq!((once.found + once.lost, once.again), (1, 0), "{once:?}");
     assert_eq!(twice.again, 1, "{twice:?}");
+}
+
+#[test]
+fn a_robot_that_seems_to_have_turned_where_its_scanner_stands_was_not_lifted() {
+    let turned = |found: [f64; 3], scanner_x_m: f64| {
+        has_turned(&found, 0.1, &Description { scanner_x_m, ..Description::default() })
+    };
+    assert!(turned([0.3, 0.0, 0.0], 0.0) && turned([-0.06, 0.1, 0.1], 0.0));
+    assert!(!turned([0.3, 0.2, 0.0], 0.0), "put down elsewhere");
+    assert!(!turned([0.0, 0.1, 0.0], 0.0), "not turned");
+    // About a scanner 0.6 m ahead, a turn moves the robot by 0.18 m.
+    assert!(!turned([0.3, 0.0, 0.0], 0.6) && turned([0.3, 0.1, -0.2], 0.6));
 }
 
 #[test]
