@@ -73,6 +73,10 @@ const UNIFORM: f64 = 0.289;
 /// is the one for the scan before.
 const LATE_SHARE: u64 = 2;
 
+/// ... and by at least this [ns]. At fast rates stamps that jitter by 2 ms are a third of an interval off: without the samples
+/// that are early by their stamps, whose intervals are short, the sum of the ways of the others would be too small.
+const MIN_LATE_NS: u64 = 5_000_000;
+
 /// Share by which the usual age of a sample follows the last one: scans that come late for seconds are usual.
 const AGE_SHARE: u64 = 8;
 
@@ -312,7 +316,8 @@ impl Estimator {
     /// Whether it is known what the wheels were told since the last sample: no sample is missing or late, and there was an
     /// actuation, which the robot received.
     fn is_known(&self, header: &Header, age_ns: u64, interval_ns: u64) -> bool {
-        let is_late = age_ns > self.state.usual_age_ns.saturating_add(interval_ns / LATE_SHARE);
+        let late_ns = (interval_ns / LATE_SHARE).max(MIN_LATE_NS);
+        let is_late = age_ns > self.state.usual_age_ns.saturating_add(late_ns);
         let motion = &self.state.motion;
         let was_told = self.state.actuated_ns >= self.state.acquired_ns || motion.controls().is_empty();
         let was_told = was_told && motion.remembers(self.state.acquired_ns);
@@ -597,16 +602,20 @@ impl Estimator {
         }
         if self.settings.self_check {
             let acquired_ns = odometry.header.acquired_ns;
-            let speed_mps = self.speed(odometry);
             if !is_known {
                 // Nothing shows what the speed should be.
-                self.state.motion.expected_mps = speed_mps;
+                self.state.motion.expected_mps = self.speed(odometry);
             }
+            let plausible_mps = self.state.motion.plausible_speeds(&self.settings.motion, acquired_ns);
+            // The longest interval of a piece is some times the shortest.
+            let most_mps = 10.0 * plausible_mps[1];
+            let speed_mps = odometry.speed_mps.clamp(-most_mps, most_mps);
             let in_force = self.state.motion.in_force(acquired_ns);
             self.state.self_check.observe(&Evidence {
                 acquired_ns,
                 dt_s,
-                speed_mps,
+                speed_mps: if speed_mps.is_finite() { speed_mps } else { self.speed(odometry) },
+                plausible_mps,
                 desired_mps: in_force
                     .filter(|control| control.drives == 1 && is_known)
                     .map(|control| control.velocity_mps),

@@ -282,10 +282,14 @@ impl MotionState {
         since_ns: u64,
         measured_mps: f64,
     ) -> Option<f64> {
-        let floor_mps = self.floor_mps(model, since_ns);
-        let fastest_mps = model.bounds.sent_velocity_max_mps;
-        (measured_mps.is_finite() && measured_mps > floor_mps - 0.1 && measured_mps <= fastest_mps)
-            .then(|| measured_mps.max(floor_mps))
+        let [lowest_mps, largest_mps] = self.plausible_speeds(model, since_ns);
+        (measured_mps > lowest_mps && measured_mps <= largest_mps)
+            .then(|| measured_mps.max(self.floor_mps(model, since_ns)))
+    }
+
+    /// Lowest and largest speed that may be measured since a time [m/s].
+    pub(crate) fn plausible_speeds(&self, model: &MotionModel, since_ns: u64) -> [f64; 2] {
+        [self.floor_mps(model, since_ns) - 0.1, model.bounds.sent_velocity_max_mps]
     }
 }
 

@@ -42,6 +42,10 @@ const INNOVATION_TOLERANCE: f64 = 1.5;
 /// gives 1.6, which is tolerated; 3 is a steering angle that is 11 mrad off, a fifth of the largest one.
 const YAW_TOLERANCE: f64 = 3.0;
 
+/// In an interval that is longer than the second, a steering angle that is off turns the robot by more than in the first, in
+/// proportion [s].
+const YAW_INTERVALS_S: [f64; 2] = [0.1, 0.15];
+
 /// Refused measurements in a row that count as a jump. Two may be a coincidence of noise (1e-6), three are not.
 pub const JUMP: u64 = 3;
 
@@ -89,8 +93,10 @@ pub struct Evidence {
     pub acquired_ns: u64,
     /// Time since the scan before [s].
     pub dt_s: f64,
-    /// Speed measured at the wheels [m/s].
+    /// Speed measured at the wheels; with stamps that jitter, one of a short interval may be more than there is [m/s].
     pub speed_mps: f64,
+    /// Lowest and largest mean speed of a piece that shows something [m/s].
+    pub plausible_mps: [f64; 2],
     /// Speed desired by the control in force; `None` while wheels are blocked, and where it is not known [m/s].
     pub desired_mps: Option<f64>,
     /// Speed that the controls and the lag of the drive explain [m/s].
@@ -127,11 +133,16 @@ impl SelfCheckState {
             let [time_s, sum_m, excess_m] = self.piece;
             self.piece = [time_s + evidence.dt_s, sum_m + way_m, excess_m + residual * way_m];
             if ends(self.piece[0], evidence.dt_s) {
-                let [_, sum_m, excess_m] = std::mem::take(&mut self.piece);
+                let [time_s, sum_m, excess_m] = std::mem::take(&mut self.piece);
                 // A scan at the time of the one before shows no way.
                 let residual = if sum_m > 0.0 { excess_m / sum_m } else { residual };
-                self.way_m[self.slot(SPEED)] = sum_m;
-                self.push(SPEED, residual);
+                let ahead = 1.0_f64.copysign(evidence.desired_mps.unwrap_or_default());
+                let mean_mps = ahead * (sum_m + excess_m) / time_s;
+                let [lowest_mps, largest_mps] = evidence.plausible_mps;
+                if (lowest_mps..=largest_mps).contains(&mean_mps) {
+                    self.way_m[self.slot(SPEED)] = sum_m;
+                    self.push(SPEED, residual);
+                }
             }
         }
         // At standstill odometry measures no motion, so it is no evidence.
@@ -142,7 +153,9 @@ impl SelfCheckState {
                 self.innovation_s = 0.0;
                 self.push(AHEAD, ahead);
                 self.push(LEFT, left);
-                self.push(YAW, yaw);
+                let [usual_s, longest_s] = YAW_INTERVALS_S;
+                let is_long = evidence.dt_s > longest_s;
+                self.push(YAW, if is_long { yaw * usual_s / evidence.dt_s } else { yaw });
             }
         }
         self.refused = if evidence.refused { self.refused + 1 } else { 0 };
@@ -275,6 +288,7 @@ mod tests {
         acquired_ns: 0,
         dt_s: 0.1,
         speed_mps: 0.9,
+        plausible_mps: [-0.1, 2.0],
         desired_mps: Some(0.9),
         expected_mps: 0.9,
         innovation: Some([0.1, -0.1, 0.2]),

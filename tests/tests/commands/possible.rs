@@ -97,6 +97,10 @@ fn the_robot_lands_at_every_rate_that_is_not_refused() {
         &["rate_hz=2.206", "robot.preset=summit", "seed=3"],
         &["rate_hz=3", "robot.preset=summit"],
         &["rate_hz=50"],
+        // A play of the steering that turns the robot for a long period, and stamps that jitter by a third of a short one.
+        &["rate_hz=5", "robot.preset=worn", "seed=2"],
+        &["rate_hz=150", "robot.preset=summit"],
+        &["rate_hz=200", "robot.preset=worn"],
         &[&long[..], &["rate_hz=1"]].concat(),
         &[&long[..], &["rate_hz=1", "robot.preset=summit"]].concat(),
     ] {
