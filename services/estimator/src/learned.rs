@@ -12,6 +12,8 @@ use nalgebra::{Matrix3, Vector3};
 use shared_types::{Fault, finite, plain_state};
 use vehicle::frame::wrap_angle;
 
+use crate::state::variances;
+
 /// Largest offset that is believed [rad].
 pub const OFFSET_MAX_RAD: f64 = 0.012;
 /// Largest share of a turn that is believed.
@@ -170,6 +172,8 @@ impl Learned {
         finite("learned", &covariance)?;
         let Self { yaw_rad, misfit_rad2, apart_rad, velocity, velocity_variance, .. } = *self;
         finite("learned", &[yaw_rad, misfit_rad2, apart_rad, velocity, velocity_variance])?;
+        variances("learned", &covariance)?;
+        variances("learned", &[velocity_variance])?;
         for (value, most) in [(offset_rad, OFFSET_MAX_RAD), (share, SHARE_MAX)] {
             // NaN is within no bounds.
             if !(-most..=most).contains(&value) {

@@ -64,14 +64,29 @@ plain_state! {
     }
 }
 
+/// No variance is larger, whatever its unit: a position that is unknown by a thousand kilometres.
+const MAX_VARIANCE: f64 = 1e12;
+
+/// Passes when the diagonal of a covariance, column by column, is one that an estimator can write.
+///
+/// # Errors
+/// [`Fault::OutOfRange`] of the first variance that is not.
+pub(crate) fn variances<const N: usize>(field: &'static str, covariance: &[f64; N]) -> Result<(), Fault> {
+    let states = N.isqrt();
+    let wrong =
+        (0..states).map(|i| covariance[i * (states + 1)]).find(|value| !(0.0..=MAX_VARIANCE).contains(value));
+    wrong.map_or(Ok(()), |value| Err(Fault::OutOfRange { field, value }))
+}
+
 impl EstimatorState {
     /// Passes when an estimator can continue from this state.
     ///
     /// # Errors
-    /// [`Fault`] when a number is not finite, the covariance is not positive definite, or a count is too large.
+    /// [`Fault`] when a number is not finite, a covariance is not one, or a count is too large.
     pub fn check(&self) -> Result<(), Fault> {
         finite("estimate", &self.estimate)?;
         finite("covariance", &self.covariance)?;
+        variances("covariance", &self.covariance)?;
         finite("misfit", &[self.misfit])?;
         self.gyro.check()?;
         let reckoning: &[f64; 51] = bytemuck::cast_ref(&self.reckoning);

@@ -345,6 +345,21 @@ proptest! {
 }
 
 #[test]
+fn a_state_with_variances_that_none_can_have_is_refused() {
+    let (estimator, _) = straight(&EstimatorConfig::default(), 5);
+    let sound = *estimator.state();
+    assert_eq!(sound.check(), Ok(()));
+    for variance in [1e200, -1.0] {
+        let mut covariance = sound.covariance;
+        covariance[4] = variance;
+        let mut learned = sound.learned;
+        learned.velocity_variance = variance;
+        assert!(EstimatorState { covariance, ..sound }.check().is_err(), "{variance}");
+        assert!(EstimatorState { learned, ..sound }.check().is_err(), "{variance}");
+    }
+}
+
+#[test]
 fn lost_samples_are_no_evidence_against_the_calibration() {
     // Outages: the robot blocks its wheels and stands; the actuations that say so are lost as well.
     for lost in [2, 4, 6, 8] {
