@@ -111,6 +111,23 @@ fn what_a_setting_is_meant_to_change_is_no_disagreement() {
     });
 }
 
+/// Two plans that cruise at 1.0 and 0.8 m/s differ there by up to 0.6 m/s.
+#[test]
+fn a_speed_that_is_set_beside_an_obstacle_is_no_disagreement() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        system.start(&["long"]);
+        system.wait_until("it comes to an obstacle", |system| {
+            system.status().is_some_and(|status| status.scan > 20)
+        });
+        let certificate = set(&system, &["controller.cruise_mps=0.8"]);
+        assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{certificate:?}");
+        assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+        system.wait();
+        system.assert_nothing_left();
+    });
+}
+
 #[test]
 fn a_goal_changes_while_the_robot_drives_and_no_process_is_swapped() {
     repeat_when_late(|| {

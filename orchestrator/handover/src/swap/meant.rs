@@ -59,7 +59,7 @@ const SIGMAS: f64 = 6.0;
 /// What follows from a key.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Effect {
-    /// Another speed: by as much as the key changes, and a path that fits it.
+    /// Another speed, by as much as the key changes at least, and a path that fits it.
     Speed,
     /// Another path, at another speed.
     Path,
@@ -134,7 +134,9 @@ impl Meant {
     fn of_effect(effect: Effect, by: f64) -> Self {
         let none = Self::default();
         match effect {
-            Effect::Speed => Self { velocity_mps: by, steering_rad: PLAN_STEERING_RAD, ..none },
+            Effect::Speed => {
+                Self { velocity_mps: by.max(PLAN_VELOCITY_MPS), steering_rad: PLAN_STEERING_RAD, ..none }
+            }
             Effect::Path => Self { velocity_mps: PLAN_VELOCITY_MPS, steering_rad: PLAN_STEERING_RAD, ..none },
             Effect::Sent => Self { velocity_mps: PLAN_VELOCITY_MPS, steering_rad: SENT_STEERING_RAD, ..none },
             Effect::Estimate => Self { position_m: ESTIMATE_M, yaw_rad: ESTIMATE_RAD, ..none },
@@ -177,8 +179,9 @@ mod tests {
     }
 
     #[test]
-    fn a_speed_widens_the_bound_of_the_velocity_by_its_change() {
-        assert_eq!(of("controller.cruise_mps", 0.2).velocity_mps, 0.2);
+    fn a_speed_widens_the_bound_of_the_velocity_as_a_path_does_and_by_its_change() {
+        assert_eq!(of("controller.cruise_mps", 0.2).velocity_mps, 0.9);
+        assert_eq!(of("controller.cruise_mps", 1.2).velocity_mps, 1.2);
         assert_eq!(of("controller.cruise_mps", 0.2).position_m, 0.0);
     }
 
@@ -204,7 +207,7 @@ mod tests {
             ..none
         };
         for (key, expected) in [
-            ("controller.cruise_mps", Meant { velocity_mps: 0.5, steering_rad: 0.12, ..none }),
+            ("controller.cruise_mps", path),
             ("controller.weights.goal", path),
             ("actuator.calibration", Meant { steering_rad: 0.06, ..path }),
             ("estimator.gate", Meant { position_m: 0.2, yaw_rad: 0.08, ..none }),
