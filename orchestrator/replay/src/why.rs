@@ -19,6 +19,7 @@ use shared_types::{
 use self::decision::{Decision, changes};
 use self::overview::timing;
 pub use self::overview::{Row, late, slow, stops};
+pub(crate) use self::processes::NEW_SCANS;
 use self::processes::{logged, process};
 use crate::ReplayDrive;
 use crate::stage::lead;

@@ -8,10 +8,10 @@ use bytemuck::bytes_of;
 use console::exit::Failure;
 use recording::read::{RECORDING, metadata};
 use recording::{LogLine, Recording};
-use shared_types::{ClockOffset, Directive, Scan, Topic};
+use shared_types::{Actuation, ClockOffset, Directive, Scan, Topic};
 
 use super::ReplayDrive;
-use crate::why::decided_at;
+use crate::why::{NEW_SCANS, decided_at};
 
 /// So much is read before and after a scan [ns]; four times as much before it until that is enough.
 const SPAN_NS: u64 = 20_000_000_000;
@@ -28,6 +28,8 @@ pub struct NearDrive {
     chunks: Vec<(u64, Range<u64>)>,
     /// When each scan was recorded [ns].
     scans: BTreeMap<u64, u64>,
+    /// The newest scan that was answered.
+    answered: u64,
     /// What is small, and counts from its time on.
     directives: Vec<(u64, Directive)>,
     clocks: Vec<(u64, ClockOffset)>,
@@ -46,7 +48,7 @@ impl NearDrive {
             recording = recording.growing();
         }
         let (mut chunks, mut scans) = (Vec::<(u64, Range<u64>)>::new(), BTreeMap::new());
-        let (mut directives, mut clocks) = (Vec::new(), Vec::new());
+        let (mut directives, mut clocks, mut answered) = (Vec::new(), Vec::new(), 0);
         recording.samples(|_, sample| {
             let log_ns = sample.log_ns;
             match chunks.last_mut().filter(|(at, _)| *at == sample.chunk_at) {
@@ -57,6 +59,10 @@ impl NearDrive {
                 Topic::Scan => {
                     let scan: &Scan = bytemuck::from_bytes(sample.bytes);
                     scans.entry(scan.header.scan_id).or_insert(log_ns);
+                }
+                Topic::Actuation => {
+                    let actuation: &Actuation = bytemuck::from_bytes(sample.bytes);
+                    answered = answered.max(actuation.header.scan_id);
                 }
                 Topic::Directive => directives.push((log_ns, *bytemuck::from_bytes(sample.bytes))),
                 Topic::Clock => clocks.push((log_ns, *bytemuck::from_bytes(sample.bytes))),
@@ -69,7 +75,7 @@ impl NearDrive {
         }
         let path = path.to_owned();
         let lines = recording.take_lines();
-        Ok(Self { path, recording, chunks, scans, directives, clocks, lines, window: None })
+        Ok(Self { path, recording, chunks, scans, answered, directives, clocks, lines, window: None })
     }
 
     /// Its file.
@@ -85,6 +91,12 @@ impl NearDrive {
     /// Its first and its last scan.
     pub fn span(&self) -> Option<(u64, u64)> {
         Some((*self.scans.first_key_value()?.0, *self.scans.last_key_value()?.0))
+    }
+
+    /// Whether it has all of a scan: the next one was answered, or was not for long.
+    pub fn has_all_of(&self, scan_id: u64) -> bool {
+        let (next, later) = (scan_id.saturating_add(1), scan_id.saturating_add(NEW_SCANS));
+        self.has_scan(scan_id) && (self.answered >= next || self.has_scan(later))
     }
 
     /// Whether it has a scan.

@@ -7,7 +7,7 @@ use crate::ReplayDrive;
 use crate::drive::Lane;
 
 /// A process counts as new for so many scans.
-const NEW_SCANS: u64 = 10;
+pub(crate) const NEW_SCANS: u64 = 10;
 /// So many lines of logs are quoted at most.
 const MAX_LINES: usize = 4;
 /// A change of processes is logged within this time [ns].

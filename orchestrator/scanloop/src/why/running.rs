@@ -19,7 +19,7 @@ const LOOK_NS: u64 = 10_000_000;
 /// A scan that is so far ahead of the newest one is not waited for.
 const MAX_AHEAD: u64 = 10;
 
-/// The drive of a running system, with a scan and the one after it in it, or as far as it is written.
+/// The drive of a running system, with all of a scan in it, or as far as it is written.
 ///
 /// # Errors
 /// A system that does not run or is not recorded, and a scan that is not driven yet or no longer kept; exit code 2.
@@ -91,11 +91,14 @@ impl Search {
     }
 
     fn rank(&self, drive: &NearDrive) -> (bool, bool, u64) {
-        let has = |after| self.scan.is_none_or(|scan| drive.has_scan(scan.saturating_add(after)));
-        (has(0), has(0) && has(1), drive.span().map_or(0, |(_, last)| last))
+        let (begun, whole) = match self.scan {
+            Some(scan) => (drive.has_scan(scan), drive.has_all_of(scan)),
+            None => (true, true),
+        };
+        (begun, whole, drive.span().map_or(0, |(_, last)| last))
     }
 
-    /// The answer to a scan may need the one after it.
+    /// The answer to a scan needs all of it.
     fn is_found(&self) -> bool {
         self.best.as_ref().is_some_and(|best| self.rank(best).1)
     }

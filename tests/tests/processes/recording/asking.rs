@@ -3,7 +3,7 @@
 use std::process::Output;
 
 use scanloop_tests::machine::repeat_when_late;
-use scanloop_tests::{SHORT_CORRIDOR, TestSystem, printed};
+use scanloop_tests::{TestSystem, printed};
 
 use super::{EXECUTABLE, json, text};
 use crate::view::View;
@@ -37,7 +37,7 @@ fn timeless(answer: &str) -> Vec<&str> {
 fn a_stop_that_just_happened_is_explained_as_by_the_finished_recording() {
     repeat_when_late(|| {
         let mut system = TestSystem::new(EXECUTABLE);
-        system.start(&["sudden", "--record=drive.mcap"]);
+        system.start(&["sudden", "--set", "stop_final_s=60", "--record=drive.mcap"]);
         let stop = || {
             let stops = json(&system.run(&["why", "--stops", "--json"]));
             let blocked = |row: &&serde_json::Value| {
@@ -62,7 +62,8 @@ fn a_stop_that_just_happened_is_explained_as_by_the_finished_recording() {
         // A scan of the future is waited for when it is near.
         let soon = answer(&system.run(&["why", &(newest + 5).to_string()]));
         assert!(soon.starts_with(&format!("scan {}\n", newest + 5)), "{soon}");
-        assert!(system.wait().code().is_some());
+        system.run(&["stop"]);
+        system.wait();
         assert_eq!(timeless(&answer(&system.run(&["why", "drive.mcap", &scan]))), timeless(&asked));
         let over = refusal(&system.run(&["why", &scan]));
         assert!(over.contains("is not running"), "{over}");
@@ -74,13 +75,14 @@ fn a_stop_that_just_happened_is_explained_as_by_the_finished_recording() {
 fn a_drive_that_is_not_recorded_is_asked_by_what_is_kept_in_memory() {
     repeat_when_late(|| {
         let mut system = TestSystem::new(EXECUTABLE);
-        system.start(&[&SHORT_CORRIDOR[..], &["--set", "recording.ring_s=60"]].concat());
+        system.start(&["endless", "--set", "recording.ring_s=60"]);
         let asked = answer(&system.run(&["why", "5"]));
         let file = system.folder().join("out/asked.mcap");
         assert_eq!(asked, answer(&system.run(&["why", text(&file), "5"])));
         let slow = json(&system.run(&["why", "--slow", "--json"]));
         assert!(slow.as_array().is_some_and(|rows| !rows.is_empty()), "{slow}");
-        assert!(system.wait().code().is_some());
+        system.run(&["stop"]);
+        system.wait();
         assert!(system.report().incidents.iter().all(|incident| *incident != file));
         system.assert_nothing_left();
     });
