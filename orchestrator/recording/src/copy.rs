@@ -31,7 +31,7 @@ const JOINT_NS: u64 = 1_000_000;
 /// A file of which nothing can be read, and a new file that can't be written; exit code 2.
 pub fn repair(from: &Path, to: &Path, force: bool) -> anyhow::Result<Copied> {
     let input = File::open(from).map_err(|error| refuse(from, &error))?;
-    let mut reader = McapReader::salvage(BufReader::new(input)).map_err(|error| refusal(from, &error))?;
+    let mut reader = McapReader::salvage(BufReader::new(input)).map_err(|error| refuse(from, &error))?;
     if reader.contents().library.is_empty() || reader.contents().library == LIBRARY {
         let (schemas, channels) = definitions();
         reader.assume(&schemas, &channels);

@@ -12,9 +12,9 @@ use std::path::{Path, PathBuf};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use clap::Args;
+use console::answer;
 use console::exit::{Exit, Failure};
 use console::new_file::{Existing, NewFile};
-use console::note;
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use replay::NearDrive;
@@ -102,7 +102,7 @@ pub fn report(arguments: &ReportArguments) -> anyhow::Result<Exit> {
     };
     page.write_all(text.as_bytes())?;
     page.finish()?;
-    note!("{}: {:.2} MB, {what}", out.display(), text.len() as f64 * 1e-6);
+    answer!(false, "{}: {:.2} MB, {what}", out.display(), text.len() as f64 * 1e-6)?;
     Ok(Exit::Done)
 }
 

@@ -30,7 +30,7 @@ const MIN_MARKS: usize = 5;
 const MIN_DISTANCE_M: f64 = 3.0;
 
 /// Slower than this the robot stands [m/s].
-const STANDSTILL_MPS: f64 = 0.01;
+pub(crate) const STANDSTILL_MPS: f64 = 0.01;
 
 /// Longest time between two rows [s]; the yaw in between is taken as its mean.
 const MAX_GAP_S: f64 = 0.5;

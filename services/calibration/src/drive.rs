@@ -12,6 +12,7 @@ use shared_types::{Actuation, ActuationKind, Odometry, Scan, Truth};
 use vehicle::bounds::STEERING_MAX_RAD;
 use vehicle::frame::to_robot;
 
+use crate::drift::STANDSTILL_MPS;
 use crate::record::{ApproachSide, CircleRun, SineRow, StraightRun};
 use crate::velocity::TAPE_ERROR_M;
 
@@ -53,6 +54,9 @@ const SINE_RAD: f64 = STEERING_MAX_RAD;
 const SINE_PERIOD_S: f64 = 5.0;
 const SINE_S: f64 = 60.0;
 const SINE_MARK_S: f64 = 1.0;
+
+/// A robot that has not moved after so many samples does not.
+const MAX_RESTED: u64 = 20;
 
 /// Longest duration of a run [s]; a robot that hardly moves reaches it.
 const TIMEOUT_S: f64 = 600.0;
@@ -116,13 +120,20 @@ pub fn sine_runs(robot: &Scenario, seed: u64) -> Vec<SineRow> {
         let shift = Vector2::new(hand.normal(), hand.normal()) * MARK_M;
         let mut drive = Drive::new(robot, seed.wrapping_mul(16).wrapping_add(u64::from(run)));
         let samples = (SINE_S * 1e9) as u64 / PERIOD_NS;
+        // The run begins when the robot moves.
+        let mut rested = 0;
         for sample in 0..=samples {
             let time_s = sample as f64 * PERIOD_NS as f64 * 1e-9;
             let phase = std::f64::consts::TAU * time_s / SINE_PERIOD_S;
             let sent = round(SINE_RAD * phase.sin(), 1e-6);
-            let place = drive.place();
+            let mut place = drive.place();
             drive.send(SINE_MPS, sent);
-            let odometry = drive.odometry(sample);
+            let mut odometry = drive.odometry(sample + rested);
+            while sample == 0 && odometry.speed_mps < STANDSTILL_MPS && rested < MAX_RESTED {
+                rested += 1;
+                place = drive.place();
+                odometry = drive.odometry(rested);
+            }
             let marked = sample % ((SINE_MARK_S * 1e9) as u64 / PERIOD_NS) == 0;
             let mut chalk = |value: f64, shift: f64| round(value + shift + MARK_M * hand.normal(), 1e-3);
             let measured = marked.then(|| {

@@ -30,6 +30,11 @@ fn the_imperfect_robot_reaches_its_goal_with_its_own_calibration() {
     }
     let report = system.lockstep(&["imperfect-robot", "--calibration", "cal/calibration.toml"]);
     assert_eq!(report.outcome, emulator::Outcome::Reached, "{}", report.reason);
+    // The robot of the default scenario stands when the run begins.
+    let output = system.run(&["calibrate", "drift", "--drive", "--out", "default", "--json"]);
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let longitudinal = json["drift"]["longitudinal"]["value"].as_f64().unwrap();
+    assert!((longitudinal - 0.01).abs() < 0.001, "{json}");
 }
 
 #[test]

@@ -29,7 +29,7 @@ fn said(system: &TestSystem, arguments: &[&str]) -> (String, String, Option<i32>
 #[test]
 fn a_drive_becomes_a_page_and_what_is_none_is_refused() {
     let (system, scans) = driven(&["1"]);
-    let (_, text, code) = said(&system, &["report", "1.mcap", "-o", "drive.html"]);
+    let (text, _, code) = said(&system, &["report", "1.mcap", "-o", "drive.html"]);
     assert_eq!(code, Some(0), "{text}");
     let page = fs::read_to_string(system.folder().join("drive.html")).unwrap();
     // Lock-step grants eight scans beyond the one that ended the run.
