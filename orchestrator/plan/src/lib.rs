@@ -142,6 +142,7 @@ impl Plan {
         warnings.extend(possible::blind(&scenario, &tuning.obstacles));
         if system.emulates_robot() {
             warnings.extend(possible::drift(&scenario, &tuning.estimator));
+            warnings.extend(possible::irregular(&scenario, system.rate_hz));
         }
         warnings.extend(hosts::warnings(&system));
         let own_topics = topics::table(&system, Vec::new());

@@ -106,6 +106,20 @@ pub(crate) fn drift(scenario: &Scenario, estimator: &EstimatorConfig) -> Option<
     })
 }
 
+/// An emulated robot whose commands come so irregularly that its dead man blocks the wheels between them.
+pub(crate) fn irregular(scenario: &Scenario, rate_hz: f64) -> Option<String> {
+    let jitter_s = scenario.robot_values().command_jitter_s;
+    // The dead man waits for two periods: with a mean delay of half of one, one gap in 24 is longer.
+    let most_hz = 0.5 / jitter_s;
+    (rate_hz > most_hz).then(|| {
+        format!(
+            "rate_hz = {rate_hz} with robot.command_jitter_s = {jitter_s}: the dead man of the robot blocks the wheels between \
+             commands that are late, from {} on; it drives slower or not at all",
+            floor(most_hz)
+        )
+    })
+}
+
 /// A steering map that is not known as far as the wheels may turn.
 pub(crate) fn unmapped(actuator: &ActuatorConfig) -> Option<String> {
     let steering_rad = actuator.vehicle.bounds.steering_max_rad;
@@ -179,6 +193,16 @@ mod tests {
                         of 0.12 m, and goal.tolerance_m is 0.1";
         assert!(warned(12.0, "").is_some_and(|text| text.starts_with(expected)), "{:?}", warned(12.0, ""));
         assert_eq!((warned(9.0, ""), warned(12.0, "publish_truth = false")), (None, None));
+    }
+
+    #[test]
+    fn commands_that_come_less_regularly_than_the_dead_man_waits_are_a_warning() {
+        let warned = |preset: &str, rate_hz: f64| {
+            let text = format!("[robot]\npreset = \"{preset}\"");
+            irregular(&Scenario::parse(&text, "fast").unwrap(), rate_hz)
+        };
+        assert!(warned("summit", 500.0).is_some_and(|text| text.contains("from 250 on")));
+        assert_eq!((warned("summit", 200.0), warned("ideal", 2000.0)), (None, None));
     }
 
     #[test]
