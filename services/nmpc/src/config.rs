@@ -34,9 +34,9 @@ settings! {
         pub pose_sigmas: f64 = 2.0, 0.0..=10.0;
         /// Growth of the pose's standard deviation along the plan, after one second [m].
         pub pose_growth_m: f64 = 0.006, 0.0..=1.0;
-        /// Fraction that is kept of the distance until the command acts. The pose is predicted for it; the error of that is 0.15
-        /// of it.
-        pub latency_share: f64 = 1.0, 0.0..=1.0;
+        /// Fraction that is kept of the distance until the command acts. The pose is predicted for it; the error of that is 0.17
+        /// of it at most. 1 keeps all of it.
+        pub latency_share: f64 = 0.25, 0.0..=1.0;
         /// Difference between the path of the robot and that of the model [m].
         pub model_m: f64 = 0.015, 0.0..=1.0;
         /// Uncertainty of the outline of a described obstacle [m].

@@ -272,7 +272,9 @@ impl Controller {
         if !by_person {
             self.arrive(&initial, pose.predicted_speed_mps, period_s)?;
         }
-        let mut start = Start::new(&self.config, pose, scanner, initial, period_s, self.legs.is_reverse())?;
+        let moves = self.predicted.iter().any(PredictedObstacle::moves);
+        let driven = [self.legs.is_reverse(), moves];
+        let mut start = Start::new(&self.config, pose, scanner, initial, period_s, driven)?;
         (command.speed_limit_mps, command.margin) =
             (start.limit_mps, start.margin.at(0.0, pose.predicted_speed_mps.abs()));
         if by_person {

@@ -55,7 +55,13 @@ impl MarginModel {
 
     /// What a person keeps who may pass closer: nothing for what is uncertain but the whole way until the command acts.
     pub(crate) fn close(self) -> Self {
-        Self { settings: MarginSettings { latency_share: 1.0, ..self.bare().settings }, ..self }
+        Self { settings: self.bare().settings, ..self }.whole()
+    }
+
+    /// The whole distance until the command acts: where bodies move, and where a prediction rests on a doubtful scanner or
+    /// calibration.
+    pub(crate) fn whole(self) -> Self {
+        Self { settings: MarginSettings { latency_share: 1.0, ..self.settings }, ..self }
     }
 
     /// No margin at all: for a robot that would be struck if it stopped.
@@ -111,12 +117,10 @@ mod tests {
         let model = MarginModel::of(&ControllerConfig::default(), &pose);
         let margin = model.at(0.0, 0.5);
         assert!((margin.pose_m - 2.0 * 0.03).abs() < 1e-12);
-        assert!((margin.latency_m - 0.075).abs() < 1e-12);
-        assert!((margin.sum() - (0.05 + 0.06 + 0.075 + 0.015 + 0.015)).abs() < 1e-12);
-        let mut share = ControllerConfig::default();
-        share.margin.latency_share = 0.15;
-        assert!((MarginModel::of(&share, &pose).at(0.0, 0.5).latency_m - 0.01125).abs() < 1e-12);
-        assert!((MarginModel::of(&share, &pose).close().at(0.0, 0.5).latency_m - 0.075).abs() < 1e-12);
+        // A quarter of the distance in 150 ms.
+        assert!((margin.latency_m - 0.25 * 0.075).abs() < 1e-12);
+        assert!((margin.sum() - (0.05 + 0.06 + 0.01875 + 0.015 + 0.015)).abs() < 1e-12);
+        assert!((model.close().at(0.0, 0.5).latency_m - 0.075).abs() < 1e-12);
         // Variances add up: 0.03^2 + 2 s * 0.006^2.
         let later = model.at(2.0, 0.5).pose_m;
         assert!((later - 2.0 * (9e-4 + 2.0 * 3.6e-5_f64).sqrt()).abs() < 1e-12);
@@ -130,12 +134,12 @@ mod tests {
         let model = MarginModel::of(&ControllerConfig::default(), &pose);
         assert!((model.at(0.0, 0.5).pose_m - 2.0 * 0.03).abs() < 1e-12);
         assert!((model.age_s() - 0.15).abs() < 1e-12);
-        assert!((model.growth(0.0, 0.5) - (0.06 + 0.075 + 0.015 + 0.015)).abs() < 1e-12);
+        assert!((model.growth(0.0, 0.5) - (0.06 + 0.01875 + 0.015 + 0.015)).abs() < 1e-12);
         // After the longest time that counts it does not grow any more.
         assert!(model.sum(2.0, 0.5) < model.sum(2.7, 0.5));
         assert_eq!(model.sum(2.7, 0.5), model.sum(9.0, 0.5));
         let used_up = model.used_up();
-        assert!((used_up.sum(0.0, 0.5) - (0.05 + 0.06 + 0.075)).abs() < 1e-12);
+        assert!((used_up.sum(0.0, 0.5) - (0.05 + 0.06 + 0.01875)).abs() < 1e-12);
         assert!(used_up.at(2.0, 0.5).pose_m > used_up.at(0.0, 0.5).pose_m, "errors of the pose stay");
         let bare = model.bare();
         assert_eq!((bare.sum(0.0, 0.5), bare.sum(2.0, 1.0), bare.age_s()), (0.05, 0.05, 0.0));

@@ -43,7 +43,7 @@ pub(crate) struct Start {
 
 impl Start {
     /// The start from `initial`, with the period between the last two scans. What the scanner shows ahead does not limit a
-    /// robot that drives backwards.
+    /// robot that drives backwards; where a body moves, more is kept.
     ///
     /// # Errors
     /// [`StopReason::Scanner`] or [`StopReason::NoSafeSpeed`] when the robot can't stop in time at any speed.
@@ -53,9 +53,11 @@ impl Start {
         scanner: &ScannerHealth,
         initial: State,
         period_s: f64,
-        is_reverse: bool,
+        [is_reverse, something_moves]: [bool; 2],
     ) -> Result<Self, StopReason> {
         let margin = MarginModel::of(config, pose);
+        let is_doubtful = scanner.state != ScannerState::Healthy.wire() || pose.alarm != Alarm::None.wire();
+        let margin = if something_moves || is_doubtful { margin.whole() } else { margin };
         let stopping = Stopping::new(config, period_s, margin.age_s());
         let [safe_mps, seen_mps] = speeds(config, pose, scanner, &stopping, is_reverse);
         let slowest_mps = config.vehicle.bounds.velocity_min_mps;

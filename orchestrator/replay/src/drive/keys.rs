@@ -72,7 +72,11 @@ impl DriveSettings {
 
 fn table_in<T: DeserializeOwned>(table: Option<&Table>, role: Role, name: &str) -> anyhow::Result<T> {
     let value = table.and_then(|table| table.get(name)).cloned();
-    let value = value.with_context(|| format!("{}: table {name} is missing", settings_file(role)))?;
+    let mut value = value.with_context(|| format!("{}: table {name} is missing", settings_file(role)))?;
+    // Drives from before this key kept the whole way.
+    if let Some(margin) = value.get_mut("margin").and_then(Value::as_table_mut) {
+        margin.entry("latency_share").or_insert(Value::Float(1.0));
+    }
     T::deserialize(value)
         .map_err(|error| Failure::bad_input(format!("{}: {name}: {error}", settings_file(role))))
 }
