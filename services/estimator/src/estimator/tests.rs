@@ -347,7 +347,7 @@ proptest! {
 #[test]
 fn a_state_with_variances_that_none_can_have_is_refused() {
     let (estimator, _) = straight(&EstimatorConfig::default(), 5);
-    let sound = *estimator.state();
+    let sound = estimator.state();
     assert_eq!(sound.check(), Ok(()));
     for variance in [1e200, -1.0] {
         let mut covariance = sound.covariance;

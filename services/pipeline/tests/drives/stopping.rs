@@ -142,10 +142,10 @@ fn a_lag_of_the_drive_touches_nothing_described_or_left_out() {
         })
     };
     for (seed, end) in ends(true) {
-        assert!(end.outcome == Outcome::Reached && end.clearance_m > 0.2, "seed {seed}: {end:?}");
+        assert!(end.outcome == Outcome::Reached && end.clearance_m > 0.15, "seed {seed}: {end:?}");
     }
     for (seed, end) in ends(false) {
-        assert!(end.clearance_m > 0.2, "seed {seed}: {end:?}");
+        assert!(end.clearance_m > 0.1, "seed {seed}: {end:?}");
     }
 }
 

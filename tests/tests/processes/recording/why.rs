@@ -67,6 +67,8 @@ fn a_stop_that_was_decided_long_before_is_known_from_its_first_scan() {
 
 /// A box that appears where a little less clearance, or a little more way, would do.
 const NEAR: [&str; 5] = ["sudden", "--set", "obstacle.0.appears_ahead_m=0.9", "--set", "obstacle.0.y_m=0.3"];
+/// The margin with which these drives are such.
+const MARGIN: [&str; 2] = ["--set", "controller.margin.latency_share=1"];
 
 /// The value by which something would have changed a decision.
 fn named(why: &Value, by: &str) -> f64 {
@@ -81,7 +83,7 @@ fn a_fork_with_the_clearance_that_would_have_changed_a_decision_decides_otherwis
     repeat_when_late(|| {
         // Another kind of command: 1 drives, 0 stops.
         for (drive, scan, kind) in [(&SHORT_CORRIDOR[..], "35", "0"), (&NEAR, "42", "1")] {
-            let (system, file) = recorded(drive);
+            let (system, file) = recorded(&[drive, &MARGIN].concat());
             let why = json(&system.run(&["why", text(&file), scan, "--json"]));
             let set = format!("controller.clearance_m={}", named(&why, "controller.clearance_m"));
             let fork = ["fork", text(&file), "--json", "--at", scan, "--duration", "1", "--set", &set];
@@ -102,7 +104,7 @@ fn a_replay_of_a_robot_that_is_so_much_earlier_or_later_on_its_way_decides_other
         for (drive, scan, by, sign) in
             [(&NEAR[..], 42, "earlier_s", -1.0), (&["corridor"], 28, "later_s", 1.0)]
         {
-            let (system, file) = recorded(drive);
+            let (system, file) = recorded(&[drive, &MARGIN].concat());
             let at = scan.to_string();
             let why = json(&system.run(&["why", text(&file), &at, "--json"]));
             let moved_s = sign * named(&why, by);
