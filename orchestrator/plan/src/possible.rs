@@ -114,7 +114,7 @@ pub(crate) fn irregular(scenario: &Scenario, rate_hz: f64) -> Option<String> {
     (rate_hz > most_hz).then(|| {
         format!(
             "rate_hz = {rate_hz} with robot.command_jitter_s = {jitter_s}: the dead man of the robot blocks the wheels between \
-             commands that are late, from {} on; it drives slower or not at all",
+             commands that are late, from {} Hz on; it drives slower or not at all",
             floor(most_hz)
         )
     })
@@ -201,7 +201,7 @@ mod tests {
             let text = format!("[robot]\npreset = \"{preset}\"");
             irregular(&Scenario::parse(&text, "fast").unwrap(), rate_hz)
         };
-        assert!(warned("summit", 500.0).is_some_and(|text| text.contains("from 250 on")));
+        assert!(warned("summit", 500.0).is_some_and(|text| text.contains("from 250 Hz on")));
         assert_eq!((warned("summit", 200.0), warned("ideal", 2000.0)), (None, None));
     }
 
