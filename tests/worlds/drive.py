@@ -13,6 +13,8 @@ SIZES = {"irsim": (0.56, 0.40), "acker": (0.56, 0.40), "pybullet": (0.50, 0.30)}
 TOLERANCE_M = 0.1
 NUMBERS = itertools.count()  # of systems at the same time
 LATE_MS = 100  # a pause of the driver, which is asked to step every 5 ms: that long, the machine was late
+# What the data sheet of the odometer with errors says: standard deviations of the turn rate and of the fraction of the way.
+DATA_SHEET = ["gyro_bias_radps = 0.01", "odometry_scale = 0.02"]
 SYSTEM = """
 [[process]]
 role = "robot"
@@ -80,6 +82,7 @@ def drive(scanloop, project, folder, settings, case):
     variables = [f"{key}={value}" for key, value in values.items()]
     command = ["env", *variables, sys.executable, str(project / "robot.py")]
     parts = {key: "\n".join(world.get(key, [])) for key in ("estimator", "vehicle")}
+    parts["estimator"] += "\n".join(DATA_SHEET if errors == "real" else [])
     parts |= {"length": length, "width": width, "command": json.dumps(command)}
     parts["surroundings"] = "open" if world["around"] == "open" else "hall"
     (folder / "system.toml").write_text(SYSTEM.format(**parts), encoding="utf-8")

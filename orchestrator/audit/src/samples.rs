@@ -35,8 +35,8 @@ const MAX_REFUSED: usize = 1024;
 pub const MAX_DEVIATING: u32 = 2;
 /// Velocity beyond that of the command that deviates [m/s].
 const FASTER_MPS: f64 = 0.2;
-/// Difference to the steering angle of the command that deviates, a third of the largest angle [rad].
-const OTHERWISE_RAD: f64 = 0.02;
+/// Difference to the steering angle of the command that deviates, a quarter of the largest angle [rad].
+const OTHERWISE_RAD: f64 = 0.015;
 
 /// What is stored of a sample until its scan is complete.
 trait Stored<S> {

@@ -178,6 +178,12 @@ impl DeadReckoning {
         true
     }
 
+    /// All of it, with the surfaces around, may be beside where it is said to be by this covariance.
+    pub fn misplace(&mut self, place: &Matrix3<f64>) {
+        let map = self.map() + place;
+        self.map_covariance.copy_from_slice(map.as_slice());
+    }
+
     /// Covariance of (yaw, x, y) against the surfaces around.
     pub fn against_surfaces(&self) -> Matrix3<f64> {
         self.matrix().fixed_view::<3, 3>(0, 0).into()

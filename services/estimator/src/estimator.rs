@@ -37,6 +37,7 @@ use crate::gyro::{GyroSample, Interval, MAX_BIAS_RADPS};
 use crate::increments::{self, Increments};
 use crate::laser::known::given;
 use crate::laser::pieces::SweepMotion;
+use crate::laser::surface::SurfaceMap;
 use crate::laser::{LaserMode, Matcher};
 use crate::learned::{Learned, SeenTurn};
 use crate::motion::{MotionModel, MotionState, Moved, curvature_per_angle};
@@ -201,7 +202,7 @@ impl Estimator {
             self.state.increments = Increments::begin(reported, self.settings.measurement_noise);
             if self.settings.is_increments {
                 self.state.learned = Learned::begin(reported.yaw, self.settings.measurement_noise[0]);
-                self.start();
+                self.start(&Matrix3::zeros());
             }
             Update::default()
         };
@@ -424,7 +425,7 @@ impl Estimator {
         let lost = (from_mps * from_mps - to_mps * to_mps).max(0.0);
         let slid_m = UNIFORM * lost / (2.0 * self.settings.motion.blocked_deceleration_mps2);
         let step = OdometryStep {
-            seconds,
+            seconds: self.state.increments.turning_s(seconds),
             distance_m: if is_cut {
                 dx_m.hypot(dy_m)
             } else {
@@ -511,11 +512,22 @@ impl Estimator {
         }
     }
 
-    /// Dead reckoning begins where the odometer says, as well as that is known.
-    fn start(&mut self) {
+    /// Dead reckoning begins where the odometer says, which has errors of this covariance.
+    fn start(&mut self, covariance: &Matrix3<f64>) {
         let Increments { pose, .. } = self.state.increments;
-        let covariance = self.state.increments.covariance(pose[0]);
-        self.state.reckoning = DeadReckoning::begin(pose, &covariance, &self.settings.dead_reckoning);
+        self.state.reckoning = DeadReckoning::begin(pose, covariance, &self.settings.dead_reckoning);
+    }
+
+    /// The noise of the odometer is known now. If it has some, the first report was a poor one, and so is all that was seen from
+    /// there: dead reckoning begins anew. What is less than that is where all of it may be.
+    fn begin_known(&mut self, last: &Increments) {
+        let Increments { pose: [yaw, ..], .. } = self.state.increments;
+        if self.state.increments.is_clean() {
+            self.state.reckoning.misplace(&self.state.increments.first(yaw));
+        } else {
+            self.start(&last.covariance(yaw));
+            self.state.laser.map = SurfaceMap::default();
+        }
     }
 
     /// The pose by the filter.
@@ -536,19 +548,24 @@ impl Estimator {
         dt: f64,
     ) -> f64 {
         let increments = &mut self.state.increments;
+        let last = *increments;
         let spread = self.settings.process_noise.map(|variance| variance * dt / NOISE_INTERVAL_S);
-        let moved = match expected {
+        let mut moved = match expected {
             Some(expected) => increments.follow(reported, &expected, spread),
             None => increments.restart(measured),
         };
-        self.state.increments.turn_radps = if dt > 0.0 { moved.turn_rad / dt } else { 0.0 };
-        if self.state.increments.is_known() {
-            self.state.reckoning.advance(moved.turn_rad, moved.ahead_m, moved.left_m, dt);
-            if self.settings.laser != LaserMode::Off {
-                self.state.reckoning.shake(&self.state.increments.covariance(self.state.reckoning.pose[0]));
-            }
-        } else {
-            self.start();
+        if !last.is_known() && (reported.is_some() || expected.is_none()) {
+            // Most odometers have no noise: their reports are right from the first one on.
+            moved = increments.since(last.reported);
+        }
+        increments.turn_radps = if dt > 0.0 { moved.turn_rad / dt } else { 0.0 };
+        let turning_s = self.state.increments.turning_s(dt);
+        self.state.reckoning.advance(moved.turn_rad, moved.ahead_m, moved.left_m, turning_s);
+        if self.state.increments.is_known() && self.settings.laser != LaserMode::Off {
+            self.state.reckoning.shake(&self.state.increments.covariance(self.state.reckoning.pose[0]));
+        }
+        if self.state.increments.is_known() && !last.is_known() {
+            self.begin_known(&last);
         }
         expected.map_or(0.0, |expected| expected.left_m - moved.left_m)
     }
@@ -567,7 +584,7 @@ impl Estimator {
     ///
     /// A scan of another time is counted: the one before when the next pose was computed already.
     pub fn see(&mut self, scan: &Scan) {
-        if self.settings.laser == LaserMode::Off || !self.state.increments.is_known() {
+        if self.settings.laser == LaserMode::Off {
             return;
         }
         if scan.header.acquired_ns != self.state.acquired_ns {
@@ -713,7 +730,12 @@ impl Estimator {
 
     fn pose(&self, odometry: &Odometry, update: &Update, now_ns: u64) -> Pose {
         let is_increments = self.settings.is_increments;
-        let [yaw, x, y] = if is_increments { self.state.reckoning.pose } else { self.state.estimate };
+        let [yaw, x, y] = match (is_increments, self.state.increments.is_known()) {
+            (true, true) => self.state.reckoning.pose,
+            // As long as the odometer may be one with noise, it is filtered.
+            (true, false) => self.state.increments.pose,
+            (false, _) => self.state.estimate,
+        };
         let motion: MotionState = self.state.motion;
         let acquired_ns = self.state.acquired_ns;
         let age_ns = now_ns.saturating_sub(acquired_ns).saturating_add(self.settings.lead_ns);
@@ -723,8 +745,7 @@ impl Estimator {
             ahead.advance(&self.model(), Planar { yaw, x, y }, acquired_ns, predicted_ns, None).pose;
         let local_covariance = self.local_covariance();
         let mut covariance = if is_increments {
-            // Before, dead reckoning begins anew with each report, and with its noise.
-            let noise = self.state.increments.covariance(yaw) * f64::from(self.state.increments.is_known());
+            let noise = self.state.increments.covariance(yaw);
             noise.data.0.as_flattened().try_into().unwrap_or_default()
         } else if self.settings.noise_turns {
             local_covariance

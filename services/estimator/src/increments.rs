@@ -20,6 +20,9 @@ const BELIEVED: f64 = 4.0;
 /// Reports after which the noise is known.
 const KNOWN: f64 = 10.0;
 
+/// An odometer has noise whose variance is more than this share of what is believed at first.
+const NOISY: f64 = 0.25;
+
 plain_state! {
     /// The pose that the odometer reports, without its white noise.
     pub struct Increments {
@@ -33,12 +36,16 @@ plain_state! {
         pub excess: [f64; 3],
         /// Mean product of one such excess and the next, negative in white noise
         pub product: [f64; 3],
+        /// Mean square of this excess
+        pub square: [f64; 3],
         /// Variance of the noise that is believed at first [rad^2, m^2, m^2]
         pub believed: [f64; 3],
         /// Weight of this mean
         pub weight: f64,
         /// Turn rate over the last motion [rad/s]
         pub turn_radps: f64,
+        /// 1 when the last report repeats the one before to the bit: such an odometer integrates no bias at rest
+        pub repeats: u64,
     }
 }
 
@@ -94,7 +101,7 @@ impl Increments {
         let predicted = expected.from(before);
         let Some(report) = reported else {
             self.keep(predicted);
-            self.excess = [0.0; 3];
+            (self.reported, self.excess, self.repeats) = (self.pose, [0.0; 3], 0);
             self.variance = std::array::from_fn(|axis| self.variance[axis] + spread[axis]);
             return *expected;
         };
@@ -105,6 +112,7 @@ impl Increments {
         self.weight = (self.weight + 1.0).min(WINDOW);
         for axis in 0..3 {
             self.product[axis] += (excess[axis] * last[axis] - self.product[axis]) / self.weight;
+            self.square[axis] += (excess[axis] * excess[axis] - self.square[axis]) / self.weight;
         }
         if self.is_known() && !is_known {
             // What was believed is not needed any more.
@@ -124,7 +132,8 @@ impl Increments {
         }
         let [turn_rad, ahead_m, left_m] = step;
         self.keep(Increment { turn_rad, ahead_m, left_m }.from(predicted));
-        self.reported = [report.yaw, report.x, report.y];
+        let last = std::mem::replace(&mut self.reported, [report.yaw, report.x, report.y]);
+        self.repeats = u64::from(self.reported == last);
         Increment::between(before, planar(self.pose))
     }
 
@@ -132,9 +141,28 @@ impl Increments {
     pub fn restart(&mut self, report: Planar) -> Increment {
         let before = planar(self.pose);
         self.keep(report);
-        (self.reported, self.excess) = ([report.yaw, report.x, report.y], [0.0; 3]);
+        (self.reported, self.excess, self.repeats) = ([report.yaw, report.x, report.y], [0.0; 3], 0);
         self.variance = self.product.map(|product| (-product).max(0.0));
         Increment::between(before, report)
+    }
+
+    /// The motion that was reported since `before`.
+    pub fn since(&self, before: [f64; 3]) -> Increment {
+        Increment::between(planar(before), planar(self.reported))
+    }
+
+    /// Whether the reports have no noise like that which is believed at first, in yaw and to the left: stamps that are off look
+    /// like noise ahead. The square of each excess would be twice its variance, and the product is as rough as there are few.
+    pub fn is_clean(&self) -> bool {
+        [0, 2].iter().all(|&axis| {
+            let believed = self.believed[axis];
+            -self.product[axis] < NOISY * believed && self.square[axis] < believed
+        })
+    }
+
+    /// For how much of a time the bias of a gyro was integrated [s].
+    pub fn turning_s(&self, seconds: f64) -> f64 {
+        if self.repeats == 1 { 0.0 } else { seconds }
     }
 
     /// Whether so many reports came that their noise is known.
@@ -144,16 +172,25 @@ impl Increments {
 
     /// Covariance of (yaw, x, y) by what is left of the noise, of a robot that looks along `yaw`.
     pub fn covariance(&self, yaw: f64) -> Matrix3<f64> {
-        let [turn, ahead, left] = self.variance;
-        let (sin, cos) = yaw.sin_cos();
-        let xy = sin * cos * (ahead - left);
-        let (xx, yy) = (cos * cos * ahead + sin * sin * left, sin * sin * ahead + cos * cos * left);
-        Matrix3::new(turn, 0.0, 0.0, 0.0, xx, xy, 0.0, xy, yy)
+        turned(self.variance, yaw)
+    }
+
+    /// The same of a single report, as the first one is.
+    pub fn first(&self, yaw: f64) -> Matrix3<f64> {
+        turned(self.product.map(|product| (-product).max(0.0)), yaw)
     }
 
     fn keep(&mut self, pose: Planar) {
         self.pose = [pose.yaw, pose.x, pose.y];
     }
+}
+
+/// Covariance of (yaw, x, y) of variances in yaw, ahead and to the left of a robot that looks along `yaw`.
+fn turned([turn, ahead, left]: [f64; 3], yaw: f64) -> Matrix3<f64> {
+    let (sin, cos) = yaw.sin_cos();
+    let xy = sin * cos * (ahead - left);
+    let (xx, yy) = (cos * cos * ahead + sin * sin * left, sin * sin * ahead + cos * cos * left);
+    Matrix3::new(turn, 0.0, 0.0, 0.0, xx, xy, 0.0, xy, yy)
 }
 
 fn planar([yaw, x, y]: [f64; 3]) -> Planar {

@@ -28,7 +28,7 @@ use known::Stated;
 use offset::RangeOffset;
 use pieces::{Pieces, SweepMotion};
 use search::{Search, Whereabouts};
-use surface::{Placed, SURFACES, SurfaceLine, SurfaceMap};
+use surface::{Placed, SURFACES, Sight, SurfaceLine, SurfaceMap};
 
 /// Lines that are compared with one scan at most.
 const MAX_LINES: usize = 256;
@@ -46,8 +46,6 @@ const FOUND_M: f64 = 0.1;
 const FOUND_RAD: f64 = 0.05;
 const LOST_M: f64 = 1.0;
 const LOST_RAD: f64 = 0.3;
-/// A surface that stands still is found within this of where it was [m].
-const STILL_M: f64 = 0.02;
 
 /// What of the scans corrects the pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -234,10 +232,15 @@ impl Matcher {
     fn remember(&mut self, now_ns: u64, state: &mut LaserState, reckoning: &DeadReckoning) {
         let (prior, covariance) = (Prior::of(reckoning), reckoning.of_pose());
         let pose = prior.pose;
+        let sight = Sight {
+            place: Vector2::new(pose[1], pose[2]),
+            rate_radps: reckoning.deviations()[0],
+            noise_m: self.pieces.noise_m,
+        };
         for piece in self.pieces.all() {
             let placed = Placed::new(piece, &pose);
             match part_of(piece, &self.lines, &prior, self.pieces.noise_m).and_then(|line| line.index) {
-                Some(index) => state.map.see(index, piece.count, &placed, now_ns, STILL_M),
+                Some(index) => state.map.see(index, piece.count, &placed, now_ns, &sight),
                 None if piece.count >= MIN_COUNT => {
                     let own = placed.uncertainty(piece.count, self.pieces.noise_m, &pose);
                     let beside = if placed.is_long() { BESIDE.1 } else { BESIDE.0 };

@@ -89,6 +89,8 @@ pub struct SurfaceLine {
     pub counts: bool,
 }
 
+/// A surface that stands still is found within this of where it was [m].
+const STILL_M: f64 = 0.02;
 /// Straight sides of a small body are so near its middle [m].
 const BESIDE_M: f64 = 0.1;
 /// A middle between edges that stands still is found within so many of its standard deviations.
@@ -101,6 +103,20 @@ impl SurfaceLine {
     pub fn along(&self) -> Vector2<f64> {
         Vector2::new(-self.normal.y, self.normal.x)
     }
+}
+
+/// A sighting counts half for the line of a surface when the robot may have turned by this unseen since the first one [rad].
+const TURNED_RAD: f64 = 1e-3;
+
+/// What is known when pieces are seen.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sight {
+    /// Where the robot is [m].
+    pub(super) place: Vector2<f64>,
+    /// How fast it may turn unseen [rad/s].
+    pub(super) rate_radps: f64,
+    /// Standard deviation of a range [m].
+    pub(super) noise_m: f64,
 }
 
 /// A piece as it lies on the track.
@@ -276,21 +292,25 @@ impl SurfaceMap {
 
     /// A piece of a surface was seen again; one that does not count yet is forgotten when it is further than `tolerance_m` from
     /// where it was.
-    pub(super) fn see(&mut self, index: usize, count: f64, placed: &Placed, now_ns: u64, tolerance_m: f64) {
+    pub(super) fn see(&mut self, index: usize, count: f64, placed: &Placed, now_ns: u64, sight: &Sight) {
         let surface = &mut self.surfaces[index];
+        let turned_rad = sight.rate_radps * now_ns.saturating_sub(surface.since_ns) as f64 * 1e-9;
+        let turned_m = turned_rad * (placed.mean - sight.place).norm();
+        let weight = 1.0 / (1.0 + (turned_rad / TURNED_RAD).powi(2));
         let seen = placed.with_radius(surface.radius_m);
         let moved_m = surface.normal().dot(&(seen.mean - Vector2::from(surface.first_m))).abs();
         let center = Vector2::from(surface.middle_m);
         let along_m = seen
             .middle
             .filter(|_| surface.middles > 0)
-            .map_or(0.0, |(middle, sigma_m)| ((middle - center).norm() - SIGMAS * sigma_m).max(0.0));
-        if !surface.counts() && moved_m.max(along_m) > tolerance_m {
+            .map_or(0.0, |(middle, sigma_m)| ((middle - center).norm() - SIGMAS * sigma_m.hypot(turned_m)).max(0.0));
+        let tolerance_m = STILL_M.max(SIGMAS * (sight.noise_m / count.sqrt()).hypot(turned_m));
+        if !surface.counts() && (moved_m > tolerance_m || along_m > STILL_M) {
             *surface = Surface::default();
             return;
         }
         if !surface.is_settled() {
-            surface.fit(count, placed);
+            surface.fit(count * weight, &Placed { scatter: placed.scatter * weight, ..*placed });
         }
         if !surface.is_settled() || surface.is_long() {
             surface.extend(placed);
