@@ -3,9 +3,9 @@
 
 mod diag;
 
-use std::collections::HashMap;
-use std::net::{IpAddr, SocketAddr};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::net::{IpAddr, Shutdown, SocketAddr, TcpStream};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Who is at the other end of a connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -29,47 +29,88 @@ pub(crate) struct Places {
     each: usize,
     /// Maximum for all peers but the user of this process, who always has the places of [`Places::each`].
     others: usize,
-    held: Mutex<HashMap<Peer, usize>>,
+    held: Mutex<Vec<Place>>,
+    next: AtomicU64,
+}
+
+/// A place that a peer holds.
+#[derive(Debug)]
+struct Place {
+    number: u64,
+    peer: Peer,
+    /// The connection, as long as nothing was asked over it.
+    silent: Option<TcpStream>,
 }
 
 /// A place that is held; free again when it is dropped.
 #[derive(Debug)]
-pub(crate) struct Held(Arc<Places>, Peer);
+pub(crate) struct Held(Arc<Places>, u64);
 
 impl Places {
     /// No place is held.
     pub(crate) fn new(each: usize, others: usize) -> Arc<Self> {
-        Arc::new(Self { each, others, held: Mutex::default() })
+        Arc::new(Self { each, others, held: Mutex::default(), next: AtomicU64::new(0) })
     }
 
     /// A place for this peer; `None` when it holds all that it may, or when the others together do.
     pub(crate) fn take(self: &Arc<Self>, peer: Peer) -> Option<Held> {
-        let mut held = self.held.lock().unwrap_or_else(PoisonError::into_inner);
-        let others: usize = held.iter().filter(|(holder, _)| !is_own(**holder)).map(|(_, count)| count).sum();
-        let own = held.get(&peer).copied().unwrap_or(0);
-        if own >= self.each || !is_own(peer) && others >= self.others {
-            return None;
+        let mut held = self.held();
+        self.full(&held, peer).is_none().then(|| self.add(&mut held, peer, None))
+    }
+
+    /// A place for a new connection. Where none is free, the oldest connection over which nothing was asked yet is closed for
+    /// it, one of the same peer or of the others together: however many a program opens, a click on Stop is heard.
+    pub(crate) fn take_for(self: &Arc<Self>, peer: Peer, connection: &TcpStream) -> Option<Held> {
+        let mut held = self.held();
+        if let Some(is_among) = self.full(&held, peer) {
+            let oldest =
+                held.iter().position(|place| place.silent.is_some() && is_among(place.peer, peer))?;
+            if let Some(silent) = held.remove(oldest).silent {
+                let _ = silent.shutdown(Shutdown::Both);
+            }
         }
-        held.insert(peer, own + 1);
-        Some(Held(Arc::clone(self), peer))
+        Some(self.add(&mut held, peer, connection.try_clone().ok()))
+    }
+
+    /// Whether a peer has no place left, and whose places are the ones in its way.
+    fn full(&self, held: &[Place], peer: Peer) -> Option<fn(Peer, Peer) -> bool> {
+        let others = held.iter().filter(|place| !is_own(place.peer)).count();
+        let own = held.iter().filter(|place| place.peer == peer).count();
+        if own >= self.each {
+            return Some(|holder, peer| holder == peer);
+        }
+        (!is_own(peer) && others >= self.others).then_some(|holder, _| !is_own(holder))
+    }
+
+    fn add(self: &Arc<Self>, held: &mut Vec<Place>, peer: Peer, silent: Option<TcpStream>) -> Held {
+        let number = self.next.fetch_add(1, Ordering::Relaxed);
+        held.push(Place { number, peer, silent });
+        Held(Arc::clone(self), number)
+    }
+
+    fn held(&self) -> MutexGuard<'_, Vec<Place>> {
+        self.held.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// How many are held.
     #[cfg(test)]
     pub(crate) fn count(&self) -> usize {
-        self.held.lock().unwrap_or_else(PoisonError::into_inner).values().sum()
+        self.held().len()
+    }
+}
+
+impl Held {
+    /// Something was asked over its connection, which is not closed for another one any more.
+    pub(crate) fn asked(&self) {
+        if let Some(place) = self.0.held().iter_mut().find(|place| place.number == self.1) {
+            place.silent = None;
+        }
     }
 }
 
 impl Drop for Held {
     fn drop(&mut self) {
-        let mut held = self.0.held.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(count) = held.get_mut(&self.1) {
-            *count -= 1;
-            if *count == 0 {
-                held.remove(&self.1);
-            }
-        }
+        self.0.held().retain(|place| place.number != self.1);
     }
 }
 
@@ -119,7 +160,7 @@ fn addresses(address: SocketAddr) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::net::{TcpListener, TcpStream};
+    use std::net::TcpListener;
 
     #[test]
     fn a_connection_of_this_process_is_of_this_user() {

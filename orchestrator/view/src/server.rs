@@ -19,7 +19,7 @@ use crate::child::{Parent, inherited};
 use crate::http::{Failed, Method, Request, Response, Status, read_request};
 use crate::hub::Hub;
 use crate::live::Live;
-use crate::peer::{Peer, Places, peer_of};
+use crate::peer::{Held, Peer, Places, peer_of};
 use crate::questions::Questions;
 use crate::recorded::RecordedDrive;
 use crate::source::{Source, Still};
@@ -159,9 +159,11 @@ impl Site {
     }
 
     /// Answers the request of one connection.
-    fn serve(&self, stream: &mut TcpStream, peer: SocketAddr, local: SocketAddr, holder: Peer) {
+    fn serve(&self, stream: &mut TcpStream, peer: SocketAddr, local: SocketAddr, holder: Peer, place: &Held) {
         let _ = stream.set_write_timeout(Some(WRITE_TIMEOUT));
-        let response = match read_request(stream) {
+        let read = read_request(stream);
+        place.asked();
+        let response = match read {
             Ok((request, body)) => match self.route(&request, &body, peer, local) {
                 Some(response) => response,
                 None => return self.stream(stream, holder),
@@ -269,15 +271,14 @@ fn start_accepting(listener: TcpListener, site: Arc<Site>) -> anyhow::Result<()>
 fn accept(site: &Arc<Site>, places: &Arc<Places>, stream: TcpStream, peer: SocketAddr) {
     let Ok(local) = stream.local_addr() else { return };
     let holder = peer_of(peer, local);
-    let Some(place) = places.take(holder) else {
+    let Some(place) = places.take_for(holder, &stream) else {
         return site.log_once("one user or machine holds too many connections");
     };
     let site = Arc::clone(site);
     let serve = move || {
-        let _place = place;
         let mut stream = stream;
         if stream.set_nonblocking(false).is_ok() {
-            site.serve(&mut stream, peer, local, holder);
+            site.serve(&mut stream, peer, local, holder, &place);
         }
     };
     // Without a thread the connection is closed.

@@ -140,6 +140,16 @@ fn half_open_connections_are_closed_and_the_page_is_served_meanwhile() {
 }
 
 #[test]
+fn a_request_is_heard_whatever_number_of_connections_its_user_keeps_silent() {
+    let (_site, address) = start();
+    let silent: Vec<TcpStream> = (0..600).filter_map(|_| TcpStream::connect(address).ok()).collect();
+    assert!(silent.len() > MAX_CONNECTIONS);
+    let asked = Instant::now();
+    assert!(get(address, "/").starts_with("HTTP/1.1 200 OK"));
+    assert!(asked.elapsed() < Duration::from_secs(1), "{:?}", asked.elapsed());
+}
+
+#[test]
 fn ten_thousand_garbage_requests_leave_the_page_as_it_was() {
     let (site, address) = start();
     let garbage = prop_oneof![
