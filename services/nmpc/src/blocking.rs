@@ -71,7 +71,15 @@ mod tests {
     fn obstacle(id: u32, x: f64, low: f64, high: f64) -> PredictedObstacle {
         let centre = f64::midpoint(low, high);
         let body = Rectangle { centre: Vector2::new(x, centre), yaw: 0.0, length: 0.1, width: high - low };
-        PredictedObstacle { id, centre: [x, centre], velocity: [0.0, 0.0], a: 1.2, b: 0.8, body }
+        PredictedObstacle {
+            id,
+            centre: [x, centre],
+            velocity: [0.0, 0.0],
+            a: 1.2,
+            b: 0.8,
+            body,
+            in_plane: None,
+        }
     }
 
     #[test]

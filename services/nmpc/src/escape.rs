@@ -45,7 +45,7 @@ pub(crate) fn struck_at_rest(scene: &Scene, stopping: &Stopping) -> Option<f64> 
     let rest = scene.body_at(&State { x: x + slide * cos, y: y + slide * sin, ..scene.initial });
     let moving = || scene.predicted.iter().filter(|obstacle| obstacle.moves());
     let now = moving()
-        .map(|obstacle| rest.distance_to_rectangle(&scene.in_plane(obstacle.body)))
+        .map(|obstacle| rest.distance_to_rectangle(&scene.in_plane(obstacle, 0.0)))
         .fold(f64::INFINITY, f64::min);
     let nearest = resting(scene, &rest, [0.0, REST_S]);
     // One that is near already comes only if it comes nearer.
@@ -83,7 +83,7 @@ fn resting(scene: &Scene, rest: &Rectangle, [from_s, until_s]: [f64; 2]) -> f64 
     let distance = |t: f64| {
         let moving = scene.predicted.iter().filter(|obstacle| obstacle.moves());
         moving
-            .map(|obstacle| rest.distance_to_rectangle(&scene.in_plane(obstacle.body_at(t))))
+            .map(|obstacle| rest.distance_to_rectangle(&scene.in_plane(obstacle, t)))
             .fold(f64::INFINITY, f64::min)
     };
     let steps = ((until_s - from_s) / STEP_S).max(0.0) as usize;
@@ -134,7 +134,7 @@ fn clearance(scene: &Scene, baseline: &Baseline, rollout: &Rollout, enough: f64)
     for sample in rollout.samples.iter().step_by(EVERY) {
         let body = scene.body_at(&sample.state);
         for obstacle in scene.predicted {
-            smallest = smallest.min(body.distance_to_rectangle(&scene.in_plane(obstacle.body_at(sample.t))));
+            smallest = smallest.min(body.distance_to_rectangle(&scene.in_plane(obstacle, sample.t)));
         }
         if smallest <= enough || scene.check(baseline, sample).is_some() {
             return f64::NEG_INFINITY;
@@ -161,6 +161,7 @@ mod tests {
             a: 1.2,
             b: 0.7,
             body,
+            in_plane: None,
         }];
         let config = ControllerConfig::default();
         let stopping = Stopping::new(&config, 0.1, 0.1);
@@ -173,8 +174,15 @@ mod tests {
     /// bodies [m].
     fn turns(standing: Option<PredictedObstacle>) -> Option<f64> {
         let body = Rectangle { centre: Vector2::new(0.0, 1.0), yaw: 0.0, length: 0.3, width: 0.3 };
-        let crossing =
-            PredictedObstacle { id: 1, centre: [0.0, 1.0], velocity: [0.0, -0.3], a: 1.2, b: 0.7, body };
+        let crossing = PredictedObstacle {
+            id: 1,
+            centre: [0.0, 1.0],
+            velocity: [0.0, -0.3],
+            a: 1.2,
+            b: 0.7,
+            body,
+            in_plane: None,
+        };
         let predicted: Vec<_> = standing.into_iter().chain([crossing]).collect();
         let config = ControllerConfig::default();
         let scene = Scene::new(&config, &predicted, State::default());
@@ -191,7 +199,15 @@ mod tests {
     fn a_robot_drives_out_of_the_way_where_there_is_room() {
         assert!(turns(None).is_some_and(|clearance_m| clearance_m > 0.1));
         let body = Rectangle { centre: Vector2::new(0.4, 0.0), yaw: 0.0, length: 0.1, width: 2.0 };
-        let wall = PredictedObstacle { id: 2, centre: [0.4, 0.0], velocity: [0.0; 2], a: 1.2, b: 1.2, body };
+        let wall = PredictedObstacle {
+            id: 2,
+            centre: [0.4, 0.0],
+            velocity: [0.0; 2],
+            a: 1.2,
+            b: 1.2,
+            body,
+            in_plane: None,
+        };
         assert_eq!(turns(Some(wall)), None);
     }
 
@@ -205,7 +221,15 @@ mod tests {
                 [0.7 + 0.1 * f64::from(y), 0.06 * f64::from(yaw), 0.5 + 0.05 * f64::from(below)];
             let body = Rectangle { centre: Vector2::new(4.9, y - below), yaw: 0.0, length: 0.3, width: 0.4 };
             let centre = [4.9, y - below];
-            let crossing = [PredictedObstacle { id: 1, centre, velocity: [0.2, 0.5], a: 1.2, b: 0.7, body }];
+            let crossing = [PredictedObstacle {
+                id: 1,
+                centre,
+                velocity: [0.2, 0.5],
+                a: 1.2,
+                b: 0.7,
+                body,
+                in_plane: None,
+            }];
             let initial = State { x: 5.0, y, yaw, ..State::default() };
             let scene = Scene { speed: 1.0, ..Scene::new(&config, &crossing, initial) };
             let Some(stopped_m) = struck_at_rest(&scene, &Stopping::new(&config, 0.1, 0.1)) else { continue };
@@ -230,7 +254,8 @@ mod tests {
         let config = ControllerConfig::default();
         let back = |centre: [f64; 2], velocity: [f64; 2], room_m: f64| {
             let body = Rectangle { centre: centre.into(), yaw: 0.0, length: 0.4, width: 0.4 };
-            let predicted = [PredictedObstacle { id: 1, centre, velocity, a: 1.2, b: 0.7, body }];
+            let predicted =
+                [PredictedObstacle { id: 1, centre, velocity, a: 1.2, b: 0.7, body, in_plane: None }];
             let scene = Scene::new(&config, &predicted, State::default());
             let place = |way: f64| (way <= room_m).then(|| State { x: -way, ..State::default() });
             back_away(&scene, &Stopping::new(&config, 0.1, 0.1), 0.3, place)

@@ -135,7 +135,7 @@ mod tests {
 
     fn obstacle(id: u32, x: f64, y: f64, b: f64) -> PredictedObstacle {
         let body = Rectangle { centre: Vector2::new(x, y), yaw: 0.0, length: 0.1, width: 0.4 };
-        PredictedObstacle { id, centre: [x, y], velocity: [0.0, 0.0], a: 1.2, b, body }
+        PredictedObstacle { id, centre: [x, y], velocity: [0.0, 0.0], a: 1.2, b, body, in_plane: None }
     }
 
     /// The path past the obstacles at 1 m/s from the origin.

@@ -41,6 +41,9 @@ pub(crate) struct PredictedObstacle {
     pub(crate) b: f64,
     /// Box of the body at the start of the plan.
     pub(crate) body: Rectangle,
+    /// The same in the plane of one at rest, where that is not the course: what lies beside the course at no length of it is
+    /// elsewhere there.
+    pub(crate) in_plane: Option<Rectangle>,
 }
 
 impl PredictedObstacle {
@@ -111,6 +114,7 @@ pub(crate) fn read(
                 length: item.box_length_m,
                 width: item.box_width_m,
             },
+            in_plane: None,
         };
         predicted.push(place.of(described));
     }
@@ -147,6 +151,7 @@ impl OnCourse<'_> {
                 yaw: obstacle.body.yaw - tangent.yaw,
                 ..obstacle.body
             },
+            in_plane: (!obstacle.moves()).then_some(obstacle.body),
             ..obstacle
         }
     }
@@ -189,7 +194,14 @@ fn significant_velocity(item: &Obstacle, (deviations, slowest_mps): (f64, f64)) 
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::PI;
+
+    use vehicle::State;
+    use vehicle::course::{CourseKeys, Waypoint};
+
     use super::*;
+    use crate::config::ControllerConfig;
+    use crate::scene::Scene;
 
     fn read_on_line(
         obstacles: &Obstacles,
@@ -271,6 +283,25 @@ mod tests {
         ));
         predicted[0].shorten(0.28);
         assert_eq!(predicted[0].a, 1.2);
+    }
+
+    #[test]
+    fn a_body_inside_of_a_loop_is_where_it_is_also_at_the_end_of_the_last_lap() {
+        let waypoints = [(0.0, 0.0, 0.0), (8.0, 0.0, 0.0), (8.0, 7.0, PI), (0.0, 7.0, PI), (0.0, 0.0, 0.0)];
+        let waypoints = waypoints.map(|(x_m, y_m, yaw_rad)| Waypoint::new(x_m, y_m, Some(yaw_rad))).to_vec();
+        let course = Course::try_from(CourseKeys { waypoints, laps: 3, ..CourseKeys::default() }).unwrap();
+        let config = ControllerConfig { course: course.clone(), ..ControllerConfig::default() };
+        let island = Obstacle { x_m: -0.1, box_x_m: 4.0, box_length_m: 11.0, box_width_m: 3.1, ..obstacle() };
+        let island = Obstacle { y_m: 3.5, box_y_m: 3.5, a_m: 4.6, b_m: 1.8, ..island };
+        let near_m = course.length_m() - 2.0;
+        let mut predicted = Vec::new();
+        let place = OnCourse { course: &course, near_m };
+        assert!(read(&one(island), place, 0.0, |_| false, &mut predicted));
+        let here = State { x: near_m, ..State::default() };
+        let scene = Scene::new(&config, &predicted, here);
+        let apart_m = scene.body_at(&here).distance_to_rectangle(&scene.in_plane(&predicted[0], 0.0));
+        // The robot is at (-1.9, 0.5), a corner of the box at (-1.5, 1.95).
+        assert!((0.9..1.5).contains(&apart_m), "{apart_m}");
     }
 
     #[test]

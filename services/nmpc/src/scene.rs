@@ -146,7 +146,7 @@ impl<'a> Scene<'a> {
                 obstacle.value(0.0, x, y).min(1.0) - DEEPER
             };
             baseline.gaps[index] =
-                self.body_at(&self.initial).distance_to_rectangle(&self.in_plane(obstacle.body));
+                self.body_at(&self.initial).distance_to_rectangle(&self.in_plane(obstacle, 0.0));
         }
         baseline.wall_gap = self.wall_gap(&self.initial).min(self.config.clearance_m) - TOLERANCE_M;
         baseline.outside = [excess(x, self.config.track.x_m), excess(y, self.y_range_at(x))]
@@ -189,7 +189,7 @@ impl<'a> Scene<'a> {
         let nothing = Rectangle { centre: Vector2::zeros(), yaw: 0.0, length: 0.0, width: 0.0 };
         let mut bodies = [nothing; shared_types::MAX_OBSTACLES];
         let pairs = bodies.iter_mut().zip(self.predicted);
-        let count = pairs.map(|(body, obstacle)| *body = self.in_plane(obstacle.body)).count();
+        let count = pairs.map(|(body, obstacle)| *body = self.in_plane(obstacle, 0.0)).count();
         (bodies, count)
     }
 
@@ -206,10 +206,8 @@ impl<'a> Scene<'a> {
         }
         let body = self.body_at(state);
         let near = |index: usize| {
-            let (other, limit) = (
-                self.in_plane(self.predicted[index].body_at(t)),
-                baseline.gaps[index].min(margin) - TOLERANCE_M,
-            );
+            let (other, limit) =
+                (self.in_plane(&self.predicted[index], t), baseline.gaps[index].min(margin) - TOLERANCE_M);
             let reach = (body.length.hypot(body.width) + other.length.hypot(other.width)) / 2.0 + margin;
             (other.centre - body.centre).norm() < reach && body.distance_to_rectangle(&other) < limit
         };
@@ -231,7 +229,7 @@ impl<'a> Scene<'a> {
         let obstacle = &self.predicted[index];
         let body = self.body_at(state);
         let limit = baseline.gaps[index].min(self.margin.sum(t, speed) + reserve_m) - TOLERANCE_M;
-        let other = self.in_plane(obstacle.body_at(t));
+        let other = self.in_plane(obstacle, t);
         let reach = (body.length.hypot(body.width) + other.length.hypot(other.width)) / 2.0 + limit;
         let near = (other.centre - body.centre).norm() < reach;
         let short = if near { limit - body.distance_to_rectangle(&other) } else { 0.0 };
@@ -247,11 +245,11 @@ impl<'a> Scene<'a> {
                 let offset = corner - body.centre;
                 to_robot(body.yaw, offset.x, offset.y).x
             };
-            self.in_plane(obstacle.body).corners().map(forward).into_iter().any(|x| x > 0.0)
+            self.in_plane(obstacle, 0.0).corners().map(forward).into_iter().any(|x| x > 0.0)
         };
         let distances = self.predicted.iter().filter(is_ahead);
         distances
-            .map(|obstacle| body.distance_to_rectangle(&self.in_plane(obstacle.body)))
+            .map(|obstacle| body.distance_to_rectangle(&self.in_plane(obstacle, 0.0)))
             .fold(f64::INFINITY, f64::min)
     }
 
@@ -260,7 +258,7 @@ impl<'a> Scene<'a> {
         let body = self.body_at(&State { x, y, yaw: course, ..State::default() });
         let outside = |speed: f64| {
             let near = |obstacle: &PredictedObstacle| {
-                body.distance_to_rectangle(&self.in_plane(obstacle.body))
+                body.distance_to_rectangle(&self.in_plane(obstacle, 0.0))
                     < self.margin.sum(0.0, speed) + SLOW_BEFORE_M
             };
             !self.predicted.iter().any(near)
@@ -282,14 +280,17 @@ impl<'a> Scene<'a> {
         self.config.vehicle.body([state.x, state.y, state.yaw])
     }
 
-    /// The box of an obstacle on the course, in the plane.
-    pub(crate) fn in_plane(&self, body: Rectangle) -> Rectangle {
+    /// The box of an obstacle in the plane, `t` seconds after the start of the plan.
+    pub(crate) fn in_plane(&self, obstacle: &PredictedObstacle, t: f64) -> Rectangle {
+        let body = obstacle.body_at(t);
         if self.config.course.is_line() {
             return body;
         }
-        let state = State { x: body.centre.x, y: body.centre.y, yaw: body.yaw, ..State::default() };
-        let State { x, y, yaw, .. } = self.config.course.in_plane(&state);
-        Rectangle { centre: Vector2::new(x, y), yaw, ..body }
+        obstacle.in_plane.unwrap_or_else(|| {
+            let state = State { x: body.centre.x, y: body.centre.y, yaw: body.yaw, ..State::default() };
+            let State { x, y, yaw, .. } = self.config.course.in_plane(&state);
+            Rectangle { centre: Vector2::new(x, y), yaw, ..body }
+        })
     }
 
     /// Curvature of a steady turn at full lock [1/m]; of a robot that turns round by itself at this velocity, which has no
@@ -358,8 +359,15 @@ mod tests {
             ControllerConfig { goal: Goal { x_m: 6.0, ..Goal::default() }, ..ControllerConfig::default() };
         let is_beyond = |front_m: f64, yaw: f64, velocity: [f64; 2]| {
             let body = Rectangle { centre: Vector2::new(front_m + 0.1, 0.0), yaw, length: 0.2, width: 0.6 };
-            let obstacle =
-                PredictedObstacle { id: 1, centre: [front_m + 0.1, 0.0], velocity, a: 1.2, b: 0.8, body };
+            let obstacle = PredictedObstacle {
+                id: 1,
+                centre: [front_m + 0.1, 0.0],
+                velocity,
+                a: 1.2,
+                b: 0.8,
+                body,
+                in_plane: None,
+            };
             Scene::new(&config, &[], State::default()).is_beyond_goal(&obstacle)
         };
         // 0.03 m behind the goal, 0.28 m of the robot and 0.05 m.

@@ -115,7 +115,7 @@ mod tests {
 
     fn obstacle(id: u32, x: f64, y: f64) -> PredictedObstacle {
         let body = Rectangle { centre: Vector2::new(x, y), yaw: 0.0, length: 0.1, width: 0.4 };
-        PredictedObstacle { id, centre: [x, y], velocity: [0.0, 0.0], a: 1.2, b: 0.8, body }
+        PredictedObstacle { id, centre: [x, y], velocity: [0.0, 0.0], a: 1.2, b: 0.8, body, in_plane: None }
     }
 
     #[test]

@@ -123,7 +123,15 @@ mod tests {
 
     fn obstacle(x: f64, velocity_y: f64) -> PredictedObstacle {
         let body = Rectangle { centre: Vector2::new(x, 0.0), yaw: 0.0, length: 0.1, width: 0.4 };
-        PredictedObstacle { id: 3, centre: [x, 0.0], velocity: [0.0, velocity_y], a: 1.2, b: 0.5, body }
+        PredictedObstacle {
+            id: 3,
+            centre: [x, 0.0],
+            velocity: [0.0, velocity_y],
+            a: 1.2,
+            b: 0.5,
+            body,
+            in_plane: None,
+        }
     }
 
     #[test]

@@ -179,7 +179,7 @@ pub(crate) fn deepest(
     let body = scene.body_at(&initial);
     let reach = body.length + body.width;
     let overlaps = predicted.iter().filter_map(|obstacle| {
-        let other = scene.in_plane(obstacle.body);
+        let other = scene.in_plane(obstacle, 0.0);
         let distance = (other.centre - body.centre).norm();
         let is_near = distance < reach + other.length + other.width;
         let overlap_m = if is_near { -body.distance_to_rectangle(&other) } else { 0.0 };

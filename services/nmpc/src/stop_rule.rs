@@ -83,7 +83,7 @@ pub(crate) fn blocked_by(scene: &Scene, plan: &[Sampled], stop_m: f64, slack: f6
     let too_near = |index: usize| {
         let obstacle = &scene.predicted[index];
         distance(index) < latest_distance(obstacle.b)
-            || body.distance_to_rectangle(&scene.in_plane(obstacle.body)) < stop_m
+            || body.distance_to_rectangle(&scene.in_plane(obstacle, 0.0)) < stop_m
     };
     hit.filter(|&index| slack > 0.0 || too_near(index))
 }
@@ -177,6 +177,7 @@ mod tests {
             a: 1.2_f64.max(1.15 * b),
             b,
             body,
+            in_plane: None,
         }];
         let config = ControllerConfig {
             goal: Goal { x_m: 15.0, ..Goal::default() },
@@ -279,7 +280,15 @@ mod tests {
 
     fn body(x: f64, y: f64, b: f64, velocity_y: f64) -> PredictedObstacle {
         let body = Rectangle { centre: Vector2::new(x, y), yaw: 0.0, length: 0.1, width: 2.0 * b };
-        PredictedObstacle { id: 1, centre: [x, y], velocity: [0.0, velocity_y], a: b, b, body }
+        PredictedObstacle {
+            id: 1,
+            centre: [x, y],
+            velocity: [0.0, velocity_y],
+            a: b,
+            b,
+            body,
+            in_plane: None,
+        }
     }
 
     #[test]

@@ -11,7 +11,7 @@ use vehicle::{Goal, State};
 
 fn obstacle_at(id: u32, x: f64, y: f64, b: f64) -> PredictedObstacle {
     let body = Rectangle { centre: Vector2::new(x, y), yaw: 0.0, length: 0.1, width: 0.1 };
-    PredictedObstacle { id, centre: [x, y], velocity: [0.0, 0.0], a: 1.2, b, body }
+    PredictedObstacle { id, centre: [x, y], velocity: [0.0, 0.0], a: 1.2, b, body, in_plane: None }
 }
 
 fn find(start: State, predicted: &[PredictedObstacle], sides: &Sides) -> ReferencePath {
@@ -84,7 +84,7 @@ fn random_scene(random: &mut Pcg64Mcg) -> (Vec<PredictedObstacle>, Sides) {
         let velocity = if random.random_bool(0.2) { [0.0, random.random_range(-0.3..0.3)] } else { [0.0; 2] };
         let body = Rectangle { centre: Vector2::new(x, y), yaw, length, width };
         let (a, b) = (0.5 + length, 0.35 + width);
-        let obstacle = PredictedObstacle { id, centre: [x, y], velocity, a, b, body };
+        let obstacle = PredictedObstacle { id, centre: [x, y], velocity, a, b, body, in_plane: None };
         if random.random_bool(0.5) {
             hold(&mut sides, &obstacle, Passing::of(random.random_range(-1.0..1.0), 0.0));
         }

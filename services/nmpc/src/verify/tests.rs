@@ -29,7 +29,7 @@ impl Fixture {
 /// A box 0.4 m wide with an ellipse as small as the box, to see the body's own check.
 fn obstacle(x: f64, y: f64, a: f64, b: f64) -> PredictedObstacle {
     let body = Rectangle { centre: Vector2::new(x, y), yaw: 0.0, length: 0.1, width: 0.4 };
-    PredictedObstacle { id: 1, centre: [x, y], velocity: [0.0, 0.0], a, b, body }
+    PredictedObstacle { id: 1, centre: [x, y], velocity: [0.0, 0.0], a, b, body, in_plane: None }
 }
 
 fn straight(velocity: f64) -> [Control; 6] {
@@ -356,7 +356,15 @@ fn between_two_samples_a_contact_is_found_by_place_angle_and_time() {
     let small = |x: f64, y: f64, velocity_y: f64| {
         let body = Rectangle { centre: Vector2::new(x, y), yaw: 0.0, length: 0.01, width: 0.01 };
         let velocity = [0.0, velocity_y];
-        Fixture::new(vec![PredictedObstacle { id: 1, centre: [x, y], velocity, a: 0.01, b: 0.01, body }])
+        Fixture::new(vec![PredictedObstacle {
+            id: 1,
+            centre: [x, y],
+            velocity,
+            a: 0.01,
+            b: 0.01,
+            body,
+            in_plane: None,
+        }])
     };
     let found = |fixture: &Fixture, to: State| {
         let scene = fixture.scene();
