@@ -475,10 +475,10 @@ mod tests {
         assert!(!is_disobedient(&[stop, go], &drive));
         assert!(!is_disobedient(&[], &drive), "a command that was not seen may have driven");
         assert!(!is_disobedient(&[stop], &actuation(ActuationKind::Drive, 0)), "it repeats an older scan");
-        let left = Command { velocity_mps: 0.5, steering_rad: 0.021, ..go };
+        let left = Command { velocity_mps: 0.5, steering_rad: 0.016, ..go };
         let straight = |velocity| Actuation { desired_velocity_mps: velocity, ..drive };
         assert!(deviates(&[left], &straight(0.5)) && !deviates(&[left, go], &straight(0.1)));
         assert!(deviates(&[go], &straight(0.21)) && !deviates(&[left], &block));
-        assert!(!deviates(&[Command { steering_rad: 0.019, ..left }], &straight(0.0)), "slower is allowed");
+        assert!(!deviates(&[Command { steering_rad: 0.014, ..left }], &straight(0.0)), "slower is allowed");
     }
 }
