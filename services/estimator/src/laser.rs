@@ -203,7 +203,7 @@ impl Matcher {
             _ => state.unmatched += 1,
         }
         if self.laser == LaserMode::Match {
-            self.remember(acquired_ns, state, reckoning);
+            self.remember(acquired_ns, motion.speed_mps, state, reckoning);
         }
     }
 
@@ -229,12 +229,20 @@ impl Matcher {
     }
 
     /// Remembers the pieces of the scan, seen from the corrected pose.
-    fn remember(&mut self, now_ns: u64, state: &mut LaserState, reckoning: &DeadReckoning) {
+    fn remember(
+        &mut self,
+        now_ns: u64,
+        speed_mps: f64,
+        state: &mut LaserState,
+        reckoning: &DeadReckoning,
+    ) {
         let (prior, covariance) = (Prior::of(reckoning), reckoning.of_pose());
         let pose = prior.pose;
+        let [rate_radps, share, _] = reckoning.deviations();
         let sight = Sight {
             place: Vector2::new(pose[1], pose[2]),
-            rate_radps: reckoning.deviations()[0],
+            rate_radps,
+            rate_mps: share * speed_mps.abs(),
             noise_m: self.pieces.noise_m,
         };
         for piece in self.pieces.all() {

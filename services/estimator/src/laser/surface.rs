@@ -113,8 +113,9 @@ const TURNED_RAD: f64 = 1e-3;
 pub(super) struct Sight {
     /// Where the robot is [m].
     pub(super) place: Vector2<f64>,
-    /// How fast it may turn unseen [rad/s].
+    /// How fast it may turn unseen [rad/s], and drive [m/s].
     pub(super) rate_radps: f64,
+    pub(super) rate_mps: f64,
     /// Standard deviation of a range [m].
     pub(super) noise_m: f64,
 }
@@ -294,17 +295,17 @@ impl SurfaceMap {
     /// where it was.
     pub(super) fn see(&mut self, index: usize, count: f64, placed: &Placed, now_ns: u64, sight: &Sight) {
         let surface = &mut self.surfaces[index];
-        let turned_rad = sight.rate_radps * now_ns.saturating_sub(surface.since_ns) as f64 * 1e-9;
-        let turned_m = turned_rad * (placed.mean - sight.place).norm();
+        let since_s = now_ns.saturating_sub(surface.since_ns) as f64 * 1e-9;
+        let turned_rad = sight.rate_radps * since_s;
+        let unseen_m = (turned_rad * (placed.mean - sight.place).norm()).hypot(sight.rate_mps * since_s);
         let weight = 1.0 / (1.0 + (turned_rad / TURNED_RAD).powi(2));
         let seen = placed.with_radius(surface.radius_m);
         let moved_m = surface.normal().dot(&(seen.mean - Vector2::from(surface.first_m))).abs();
         let center = Vector2::from(surface.middle_m);
-        let along_m = seen
-            .middle
-            .filter(|_| surface.middles > 0)
-            .map_or(0.0, |(middle, sigma_m)| ((middle - center).norm() - SIGMAS * sigma_m.hypot(turned_m)).max(0.0));
-        let tolerance_m = STILL_M.max(SIGMAS * (sight.noise_m / count.sqrt()).hypot(turned_m));
+        let along_m = seen.middle.filter(|_| surface.middles > 0).map_or(0.0, |(middle, sigma_m)| {
+            ((middle - center).norm() - SIGMAS * sigma_m.hypot(unseen_m)).max(0.0)
+        });
+        let tolerance_m = STILL_M.max(SIGMAS * (sight.noise_m / count.sqrt()).hypot(unseen_m));
         if !surface.counts() && (moved_m > tolerance_m || along_m > STILL_M) {
             *surface = Surface::default();
             return;
