@@ -381,9 +381,9 @@ fn the_log_of_a_real_rover_runs_through_both_stages_without_a_scan_unaccounted()
     let computed = |key: &str| imported["computed"][key].as_u64().unwrap();
     let states = ["healthy", "degraded", "stopping"].map(computed);
     assert_eq!((computed("poses"), computed("obstacles"), states.iter().sum()), (756, 756, 756));
-    // Half of its beams return nothing, and it was never to be stopped for.
+    // Half of its beams return nothing. Where the wheels slip it says that scans contradict them.
     let valid_share = imported["valid_share"].as_f64().unwrap();
-    assert!((0.40..0.50).contains(&valid_share) && states[2] == 0, "{imported}");
+    assert!((0.40..0.50).contains(&valid_share) && states[2] <= 756 / 50, "{imported}");
     assert!(computed("bodies") > 756, "{imported}");
     is_whole(&system, 756);
     // A part of it is a drive too.
