@@ -75,6 +75,7 @@ mod tests {
             a: 1.2,
             b: 0.5,
             body: Rectangle { centre: Vector2::new(x, 0.0), yaw: 0.0, length: 0.1, width: 0.1 },
+            in_plane: None,
         };
         let predicted =
             [obstacle(1, 3.0), obstacle(2, -1.5), obstacle(3, 2.0), obstacle(4, 9.0), obstacle(5, 1.0)];
