@@ -229,13 +229,7 @@ impl Matcher {
     }
 
     /// Remembers the pieces of the scan, seen from the corrected pose.
-    fn remember(
-        &mut self,
-        now_ns: u64,
-        speed_mps: f64,
-        state: &mut LaserState,
-        reckoning: &DeadReckoning,
-    ) {
+    fn remember(&mut self, now_ns: u64, speed_mps: f64, state: &mut LaserState, reckoning: &DeadReckoning) {
         let (prior, covariance) = (Prior::of(reckoning), reckoning.of_pose());
         let pose = prior.pose;
         let [rate_radps, share, _] = reckoning.deviations();
