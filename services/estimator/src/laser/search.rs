@@ -11,7 +11,7 @@ use vehicle::frame::{to_robot, wrap_angle};
 
 use super::align::{Prior, nearest};
 use super::known::Stated;
-use super::pieces::{Pieces, SweepMotion};
+use super::pieces::Pieces;
 use super::surface::SurfaceLine;
 
 /// So many scans in a row contradict the pose before it is searched for.
@@ -93,11 +93,7 @@ impl Search {
         stated: &mut Stated,
     ) -> Whereabouts {
         if !self.is_on() {
-            self.doubts = if contradicts(scan, &pieces.motion, lines, pose, vehicle, stated) {
-                self.doubts + 1
-            } else {
-                0
-            };
+            self.doubts = if contradicts(scan, lines, pose, vehicle, stated) { self.doubts + 1 } else { 0 };
             if !self.is_on() {
                 return Whereabouts::Known;
             }
@@ -159,14 +155,12 @@ pub(super) fn has_turned([turn, dx, dy]: &[f64; 3], yaw: f64, vehicle: &Descript
 /// the track states.
 fn contradicts(
     scan: &Scan,
-    motion: &SweepMotion,
     lines: &[SurfaceLine],
     [yaw, x, y]: [f64; 3],
     vehicle: &Description,
     stated: &mut Stated,
 ) -> bool {
     let robot = Vector2::new(x, y);
-    let scanner = Vector2::new(vehicle.scanner_x_m, vehicle.scanner_y_m);
     let (mut seen, mut through) = (0, 0);
     // Of a round body it is not the middle that is seen.
     for line in lines.iter().filter(|line| line.counts && line.radius_m == 0.0) {
@@ -178,22 +172,14 @@ fn contradicts(
         {
             let at_m = (nearest_m + beside_m).clamp(first, last);
             let from = line.middle + line.along() * at_m - robot;
-            let front = to_robot(yaw, from.x, from.y);
-            let beam_at = |place: Vector2<f64>| {
-                let angle = wrap_angle(place.y.atan2(place.x) - vehicle.scanner_yaw_rad);
-                ((angle - scan.first_rad) / scan.increment_rad).round()
-            };
-            let beams = 0.0..scan.ranges().len() as f64;
-            let first_beam = beam_at(front - scanner);
-            if !beams.contains(&first_beam) {
-                continue;
-            }
-            let place = motion.at_time(front, scan.beam_time_s(first_beam as usize)) - scanner;
+            let place =
+                to_robot(yaw, from.x, from.y) - Vector2::new(vehicle.scanner_x_m, vehicle.scanner_y_m);
             let expected_m = place.norm();
             let is_asked = (ASKED_M.0..ASKED_M.1).contains(&expected_m)
                 && -line.normal.dot(&from) >= FACING * from.norm();
-            let beam = beam_at(place);
-            if !is_asked || !beams.contains(&beam) {
+            let angle = wrap_angle(place.y.atan2(place.x) - vehicle.scanner_yaw_rad);
+            let beam = ((angle - scan.first_rad) / scan.increment_rad).round();
+            if !is_asked || !(0.0..scan.ranges().len() as f64).contains(&beam) {
                 continue;
             }
             let Some(range_m) = scan.range_m(beam as usize) else { continue };
