@@ -14,7 +14,7 @@ use std::ops::Range;
 use nalgebra::{Matrix2, Vector2};
 use shared_types::{MAX_BEAMS, Scan};
 use vehicle::Description;
-use vehicle::frame::heading;
+use vehicle::frame::{heading, to_robot};
 
 use super::round::Round;
 
@@ -106,6 +106,8 @@ pub struct Pieces {
     pieces: Vec<Piece>,
     /// Standard deviation of a range [m].
     pub noise_m: f64,
+    /// Motion of the robot during the sweep.
+    pub motion: SweepMotion,
 }
 
 impl Default for Pieces {
@@ -115,6 +117,7 @@ impl Default for Pieces {
             magnitudes: Vec::with_capacity(MAX_BEAMS),
             pieces: Vec::with_capacity(MAX_PIECES),
             noise_m: NOISE_M.0,
+            motion: SweepMotion::default(),
         }
     }
 }
@@ -127,6 +130,7 @@ impl Pieces {
 
     /// Finds the pieces of a scan whose ranges are too long by `offset_m`.
     pub fn find(&mut self, scan: &Scan, vehicle: &Description, motion: &SweepMotion, offset_m: f64) {
+        self.motion = *motion;
         let Self { returns, pieces, .. } = self;
         returns.clear();
         pieces.clear();
@@ -298,6 +302,13 @@ impl SweepMotion {
         let moved = heading(turn / 2.0) * (self.speed_mps * time_s);
         let (sin, cos) = turn.sin_cos();
         Vector2::new(cos * place.x - sin * place.y, sin * place.x + cos * place.y) + moved
+    }
+
+    /// A place as it is from where the robot is `time_s` after the front beam.
+    pub fn at_time(&self, place: Vector2<f64>, time_s: f64) -> Vector2<f64> {
+        let turn = self.yaw_rate_radps * time_s;
+        let apart = place - heading(turn / 2.0) * (self.speed_mps * time_s);
+        to_robot(turn, apart.x, apart.y)
     }
 }
 

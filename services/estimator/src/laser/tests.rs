@@ -324,6 +324,16 @@ fn a_robot_that_is_searched_for_twice_in_twenty_seconds_was_not_lifted() {
 }
 
 #[test]
+fn a_place_is_the_same_from_the_front_beam_on_and_at_the_time_of_its_own() {
+    let motion = SweepMotion { speed_mps: 3.0, yaw_rate_radps: 1.5 };
+    let place = Vector2::new(2.0, 1.0);
+    // In 20 ms the robot drives 6 cm and turns by 30 mrad: of what is 1 m to its left, 3 cm lie further ahead.
+    let later = motion.at_time(place, 0.02);
+    assert!((later - Vector2::new(1.97, 0.939)).norm() < 2e-3, "{later}");
+    assert!((motion.at_front(later, 0.02) - place).norm() < 1e-12);
+}
+
+#[test]
 fn a_robot_that_seems_to_have_turned_where_its_scanner_stands_was_not_lifted() {
     let turned = |found: [f64; 3], scanner_x_m: f64| {
         has_turned(&found, 0.1, &Description { scanner_x_m, ..Description::default() })
