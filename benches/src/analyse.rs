@@ -8,6 +8,7 @@ mod correlation;
 mod drift;
 mod intervals;
 mod observability;
+mod states;
 
 use console::out_folder::OutFolder;
 use serde::Serialize;
@@ -29,7 +30,10 @@ use vehicle::Control;
 /// Options that are not allowed, exit code 2; errors of the file system.
 pub(crate) fn analyse(command: &AnalyseCommand) -> anyhow::Result<Exit> {
     match command {
-        AnalyseCommand::Observability(arguments) => observability::analyse(arguments),
+        AnalyseCommand::Observability(arguments) => match &arguments.states {
+            Some(scenario) => states::analyse(scenario, arguments),
+            None => observability::analyse(arguments),
+        },
         AnalyseCommand::Correlation(arguments) => correlation::analyse(arguments),
         AnalyseCommand::Intervals(arguments) => intervals::analyse(arguments),
         AnalyseCommand::Drift(arguments) => drift::analyse(arguments),

@@ -39,7 +39,7 @@ pub(crate) fn campaign(arguments: &CampaignArguments) -> anyhow::Result<Exit> {
         .iter()
         .filter(|run| failures::is_bad(run))
         .map(|run| Bad::of(run, arguments, &results))
-        .collect();
+        .collect::<anyhow::Result<_>>()?;
     bad.iter().for_each(|bad| summary.add_bad(bad.course.clone()));
     // The results of hours are printed, whatever becomes of the files; and the other way round.
     let printed = answer!(arguments.json, "{}", text::text(&summary, &failures::settings(arguments)))
@@ -60,9 +60,10 @@ pub(crate) fn campaign(arguments: &CampaignArguments) -> anyhow::Result<Exit> {
 fn drive_all(arguments: &CampaignArguments) -> anyhow::Result<Vec<CourseRun>> {
     let courses = course::all(arguments);
     // What a run would refuse is refused before the first drive.
-    if let Some(first) = courses.first() {
-        first.drive(arguments)?;
-    }
+    let firsts = courses.iter().enumerate().filter(|(index, course)| {
+        index.checked_sub(1).is_none_or(|before| courses[before].kind != course.kind)
+    });
+    firsts.map(|(_, course)| course.drive(arguments)).collect::<anyhow::Result<Vec<_>>>()?;
     let mut steps = Steps::new(courses.len() as u64, "courses");
     let runs =
         on_all_cores(courses.len(), |index| CourseRun::of(courses[index], arguments), || steps.step(""))?;

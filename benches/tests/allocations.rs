@@ -1,12 +1,15 @@
-//! A solve allocates nothing once its buffers have grown to the size of its problems, and a scanner's driver nothing per
-//! scan.
+//! A solve allocates nothing once its buffers have grown to the size of its problems, a scanner's driver nothing per
+//! scan, and all stages nothing in a drive.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 #[path = "../../services/ocp/tests/problems/mod.rs"]
 mod problems;
 
 use laboratory::{CountingAllocator, allocations};
+use emulator::Scenario;
+use emulator::scenario::Preset;
 use ocp::{Budget, Hessian, Problem, Solution, Solver, SolverSettings, Trajectory};
+use pipeline::PipelineSettings;
 use problems::random;
 use shared_types::Scan;
 use urg::{DeviceFault, ScannerConfig, ScannerEmulator, ScannerPlace, ScannerSession};
@@ -96,4 +99,32 @@ fn a_scan_of_a_scanner_allocates_nothing_after_the_start() {
     let (scans, allocated) = deliver(&mut session, &mut emulator, 3_000, 60_000);
     assert!(scans > 560, "{scans}");
     assert_eq!(allocated, 0);
+}
+
+/// Scans of a drive in which something was allocated, after `warm_up` of them.
+fn of_drive(name: &str, preset: Preset, warm_up: u32) -> Vec<(u32, u64)> {
+    let mut scenario = Scenario::parse(Scenario::shipped(name).unwrap(), name).unwrap();
+    scenario.robot.preset = preset;
+    let (mut scans, mut last, mut found) = (0, 0, Vec::with_capacity(10_000));
+    pipeline::drive(&PipelineSettings::of(scenario), |_| {
+        let now = allocations();
+        scans += 1;
+        if scans > warm_up && now > last {
+            found.push((scans, now - last));
+        }
+        last = now;
+    })
+    .unwrap();
+    assert!(scans > 2 * warm_up, "{name}: {scans} scans");
+    found
+}
+
+/// Robot and referee are part of it.
+#[test]
+fn no_stage_allocates_in_a_drive() {
+    for name in ["corridor", "crossing", "slalom-arc", "noisy", "imperfect-robot", "walls"] {
+        for preset in [Preset::Ideal, Preset::Summit] {
+            assert_eq!(of_drive(name, preset, 30), [], "{name} {preset:?}");
+        }
+    }
 }

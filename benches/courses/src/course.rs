@@ -8,6 +8,7 @@ mod curved;
 pub mod hostile;
 mod random_obstacle;
 mod reversing;
+mod scaled;
 
 use shared_types::named_enum;
 
@@ -17,6 +18,7 @@ use random_obstacle::obstacle;
 
 pub use curved::curved;
 pub use reversing::reversing;
+pub use scaled::scaled;
 
 /// No surface of an obstacle stands nearer to the start than this [m].
 const AFTER_START_M: f64 = 3.5;

@@ -14,10 +14,9 @@ use shared_types::{Actuation, Pose, Truth, named_enum};
 
 use crate::feasible::{PathPose, path_from, start_of};
 use emulator::referee::Outcome;
-use emulator::scenario::{Preset, Scenario, ScenarioObstacle, Values};
+use emulator::scenario::{Preset, Scenario, ScenarioObstacle};
 use emulator::scene::Scene;
 use nalgebra::Vector2;
-use vehicle::bounds::STEERING_MAX_RAD;
 
 pub use crate::feasible::Limits;
 pub use twin::Touched;
@@ -40,15 +39,14 @@ const NEAR_M: f64 = 4.0;
 const CLEARANCE_SHARE: f64 = 0.98;
 
 impl Limits {
-    /// The margin of a robot, and its true turning radius: (lh + lv) / 2 by the largest steering angle to its weaker side, and 4 %
-    /// for getting into the turn; 3.2 m by default.
-    pub fn of(scenario: &Scenario) -> Self {
-        let Values { rear_m, front_m, steering_offset_rad, steering_backlash_rad, .. } =
-            scenario.robot_values();
-        let lost = steering_offset_rad.abs() + steering_backlash_rad;
-        let steering = (STEERING_MAX_RAD - lost).max(SMALLEST_STEERING_RAD);
+    /// The margin of a robot, and its true turning radius: that of slow wheels at the largest steering angle to its weaker side,
+    /// and 4 % for getting into the turn; 3.2 m by default.
+    pub fn of(scenario: &Scenario, steering_max_rad: f64) -> Self {
+        let values = scenario.robot_values();
+        let lost = values.steering_offset_rad.abs() + values.steering_backlash_rad;
+        let steering = (steering_max_rad - lost).max(SMALLEST_STEERING_RAD);
         let margin_m = if scenario.robot.preset == Preset::Ideal { IDEAL_MARGIN_M } else { MARGIN_M };
-        let radius_m = TURN_IN * (rear_m + front_m) / 2.0 / steering;
+        let radius_m = TURN_IN / (steering * values.parameters().yaw_rate_gain());
         Self { margin_m, radius_m, goal_m: scenario.goal.last().tolerance_m.max(GOAL_MIN_M) }
     }
 }
@@ -121,9 +119,9 @@ pub struct Judge {
 }
 
 impl Judge {
-    /// A judge at the start; the course is decided now.
-    pub fn new(scenario: &Scenario, period_ns: u64) -> Self {
-        let (limits, scene) = (Limits::of(scenario), Scene::new(scenario));
+    /// A judge at the start, of a robot that steers at most so far; the course is decided now.
+    pub fn new(scenario: &Scenario, steering_max_rad: f64, period_ns: u64) -> Self {
+        let (limits, scene) = (Limits::of(scenario, steering_max_rad), Scene::new(scenario));
         Self {
             limits,
             period_ns,

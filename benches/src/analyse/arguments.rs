@@ -67,6 +67,13 @@ pub(crate) struct ObservabilityArguments {
     /// Steering angle of the moving robot [rad], -0.06 to 0.06.
     #[arg(long, value_name = "ANGLE", default_value_t = 0.0, allow_negative_numbers = true)]
     pub steering: f64,
+    /// Drive a scenario instead, and say which errors of the robot its way shows to the estimator.
+    #[arg(long, value_name = "SCENARIO", num_args = 0..=1, default_missing_value = "corridor")]
+    #[arg(conflicts_with_all = ["measure", "moving", "standing", "velocity", "steering"])]
+    pub states: Option<String>,
+    /// Override a key of that scenario or of the system, for example `robot.preset=worn`; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE", requires = "states")]
+    pub overrides: Vec<String>,
     /// Where the answer goes.
     #[command(flatten)]
     pub output: OutputArguments,

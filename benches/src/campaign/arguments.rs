@@ -11,16 +11,25 @@ use super::kind::family_names;
 /// Arguments of `campaign`.
 #[derive(Debug, Clone, Args, Default)]
 pub(crate) struct CampaignArguments {
+    /// Scenario files or names of shipped scenarios, each driven with `--runs` seeds; without any, random courses.
+    #[arg(value_name = "SCENARIO")]
+    pub scenarios: Vec<String>,
     /// Drive courses of this family only; may be repeated.
-    #[arg(long = "family", value_name = "NAME", value_parser = PossibleValuesParser::new(family_names()))]
+    #[arg(long = "family", conflicts_with = "scenarios", value_name = "NAME", value_parser = PossibleValuesParser::new(family_names()))]
     pub families: Vec<String>,
     /// The true robot; what is random is drawn from the seed of each course.
     #[arg(long, value_enum, value_name = "ROBOT", default_value_t)]
     pub robot: CampaignRobot,
+    /// System file, for example of another vehicle; without it the built-in one.
+    #[arg(long, value_name = "FILE")]
+    pub system: Option<PathBuf>,
+    /// Make all courses larger by this factor, for a vehicle of another size.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    pub scale: f64,
     /// Override a key of all scenarios or of the system, for example `robot.velocity_factor=1.45`; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
-    /// Number of courses; with `--family` of each family.
+    /// Number of courses; with `--family` of each family, with scenarios of each one.
     #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     pub runs: u64,
     /// Seed of the first course; the following ones have the next numbers.

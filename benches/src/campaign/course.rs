@@ -1,7 +1,8 @@
 //! The courses of a campaign: which families, which seeds, and what is driven on each.
 
+use console::exit::Failure;
 use courses::course::hostile::hostile;
-use courses::course::{curved, of_campaign, reversing};
+use courses::course::{curved, of_campaign, reversing, scaled};
 use emulator::Scenario;
 use plan::{Choice, Plan};
 
@@ -27,6 +28,10 @@ pub(super) struct Drive {
 pub(super) fn all(arguments: &CampaignArguments) -> Vec<Course> {
     let seeds = || (0..).map(|index| arguments.seed.wrapping_add(index));
     let count = usize::try_from(arguments.runs).unwrap_or(usize::MAX);
+    if !arguments.scenarios.is_empty() {
+        let kinds = (0..arguments.scenarios.len()).map(Kind::Given);
+        return kinds.flat_map(|kind| seeds().take(count).map(move |seed| Course { kind, seed })).collect();
+    }
     if arguments.families.is_empty() {
         let mixed = |seed| Course { kind: Kind::Mixed(of_campaign(seed).0), seed };
         return seeds().take(count).map(mixed).collect();
@@ -37,7 +42,7 @@ pub(super) fn all(arguments: &CampaignArguments) -> Vec<Course> {
     let of_kind = |kind| {
         let belongs = move |seed: &u64| match kind {
             Kind::Mixed(family) => of_campaign(*seed).0 == family,
-            Kind::Hostile(_) | Kind::Curved | Kind::Reversing => true,
+            _ => true,
         };
         seeds().filter(belongs).take(count).map(move |seed| Course { kind, seed }).collect::<Vec<_>>()
     };
@@ -48,7 +53,10 @@ impl Course {
     /// The course with the chosen robot, before any override, and the width of its narrowest place if it has one [m].
     ///
     /// Values that the preset draws are left open: explicit ones would become known to the stages.
-    pub(super) fn scenario(self, arguments: &CampaignArguments) -> (Scenario, Option<f64>) {
+    ///
+    /// # Errors
+    /// A scenario that is not allowed; exit code 2.
+    pub(super) fn scenario(self, arguments: &CampaignArguments) -> anyhow::Result<(Scenario, Option<f64>)> {
         let (scenario, gap_m) = match self.kind {
             Kind::Mixed(_) => (of_campaign(self.seed).1, None),
             Kind::Hostile(family) => {
@@ -57,8 +65,24 @@ impl Course {
             }
             Kind::Curved => (curved(self.seed), None),
             Kind::Reversing => (reversing(self.seed), None),
+            Kind::Given(index) => {
+                let scenario = plan::scenario(&arguments.scenarios[index])?;
+                let name = format!("{}-{}", scenario.name, self.seed);
+                (Scenario { name, seed: self.seed & i64::MAX as u64, ..scenario }, None)
+            }
         };
-        (Scenario { robot: arguments.robot.of(scenario.robot), ..scenario }, gap_m)
+        let scenario = Scenario { robot: arguments.robot.of(scenario.robot), ..scenario };
+        if arguments.scale == 1.0 {
+            return Ok((scenario, gap_m));
+        }
+        let scenario = scaled(&scenario, arguments.scale)
+            .map_err(|error| Failure::bad_input(format!("--scale {}: {error}", arguments.scale)))?;
+        Ok((scenario, gap_m.map(|gap_m| gap_m * arguments.scale)))
+    }
+
+    /// The name of its family or scenario.
+    pub(super) fn family(self, arguments: &CampaignArguments) -> &str {
+        self.kind.name(&arguments.scenarios)
     }
 
     /// What is driven, with the overrides.
@@ -66,8 +90,9 @@ impl Course {
     /// # Errors
     /// One message with key, value and allowed range; exit code 2.
     pub(super) fn drive(self, arguments: &CampaignArguments) -> anyhow::Result<Drive> {
-        let (scenario, gap_m) = self.scenario(arguments);
-        let choice = Choice { overrides: arguments.overrides.clone(), ..Choice::default() };
+        let (scenario, gap_m) = self.scenario(arguments)?;
+        let (system, overrides) = (arguments.system.clone(), arguments.overrides.clone());
+        let choice = Choice { system, overrides, ..Choice::default() };
         Ok(Drive { plan: Plan::of(&scenario, &choice)?, gap_m })
     }
 }

@@ -18,7 +18,7 @@ const WITHOUT_REST: &str = "no-way-to-rest";
 #[derive(Debug, Clone, Serialize)]
 pub(super) struct BadCourse {
     pub(super) seed: u64,
-    pub(super) family: &'static str,
+    pub(super) family: String,
     pub(super) cause: String,
     pub(super) outcome: Outcome,
     pub(super) reason: String,
@@ -43,8 +43,15 @@ pub(super) struct Bad {
 
 impl Bad {
     /// What is to be told and written of a bad course.
-    pub(super) fn of(run: &CourseRun, arguments: &CampaignArguments, results: &OutFolder) -> Self {
-        let (scenario, _) = run.course.scenario(arguments);
+    ///
+    /// # Errors
+    /// A scenario that can't be read any more; exit code 2.
+    pub(super) fn of(
+        run: &CourseRun,
+        arguments: &CampaignArguments,
+        results: &OutFolder,
+    ) -> anyhow::Result<Self> {
+        let (scenario, _) = run.course.scenario(arguments)?;
         let cause = if is_wrong(run) { run.judgement.cause.clone() } else { WITHOUT_REST.to_owned() };
         let mut reason = run.reason.clone();
         if run.without_rest > 0 {
@@ -57,7 +64,7 @@ impl Bad {
             scenario.to_toml()
         );
         let name = format!("{cause}/{}.toml", scenario.name);
-        let (seed, family) = (run.course.seed, run.course.kind.name());
+        let (seed, family) = (run.course.seed, run.family.clone());
         let course = BadCourse {
             seed,
             family,
@@ -66,7 +73,7 @@ impl Bad {
             reason,
             scenario: results.folder().join(&name),
         };
-        Self { course, name, text }
+        Ok(Self { course, name, text })
     }
 
     /// Writes its scenario to the folder of its cause.
@@ -78,7 +85,8 @@ impl Bad {
     }
 }
 
-/// The overrides as arguments of `run`.
+/// System and overrides as arguments of `run`.
 pub(super) fn settings(arguments: &CampaignArguments) -> String {
-    arguments.overrides.iter().map(|text| format!(" --set '{text}'")).collect()
+    let system = arguments.system.iter().map(|file| format!(" --system {}", file.display()));
+    system.chain(arguments.overrides.iter().map(|text| format!(" --set '{text}'"))).collect()
 }

@@ -21,6 +21,8 @@ pub(super) enum Kind {
     Curved,
     /// Turns in three, with obstacles beside the way.
     Reversing,
+    /// The scenario of this argument.
+    Given(usize),
 }
 
 /// Names that `--family` takes.
@@ -42,12 +44,14 @@ pub(super) fn named(name: &str) -> Vec<Kind> {
 }
 
 impl Kind {
-    pub(super) fn name(self) -> &'static str {
+    /// The name of the family, or of one of these scenarios.
+    pub(super) fn name(self, scenarios: &[String]) -> &str {
         match self {
             Self::Mixed(family) => family.name(),
             Self::Hostile(family) => family.name(),
             Self::Curved => CURVED,
             Self::Reversing => REVERSING,
+            Self::Given(index) => &scenarios[index],
         }
     }
 }

@@ -29,5 +29,5 @@ pub(super) fn draw(families: &[FamilySummary], robot: &str) -> Result<Option<Str
 
 fn curve(family: &FamilySummary) -> Curve {
     let points = family.gaps.iter().map(|class| [class.gap_m, class.passed as f64 / class.runs as f64]);
-    Curve { name: family.name.to_owned(), points: points.collect(), dots: true }
+    Curve { name: family.name.clone(), points: points.collect(), dots: true }
 }

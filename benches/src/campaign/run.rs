@@ -14,6 +14,8 @@ use super::course::{Course, Drive};
 #[derive(Debug, Clone)]
 pub(super) struct CourseRun {
     pub(super) course: Course,
+    /// Name of its family or scenario.
+    pub(super) family: String,
     pub(super) gap_m: Option<f64>,
     pub(super) outcome: Outcome,
     pub(super) reason: String,
@@ -38,7 +40,8 @@ impl CourseRun {
         let (tuning, period_ns) = (plan.system.tuning(), plan.system.period_ns());
         let settings = PipelineSettings { scenario: plan.scenario, tuning, period_ns };
         let mut digests = Digests::default();
-        let mut judge = Judge::new(&settings.scenario, period_ns);
+        let mut judge =
+            Judge::new(&settings.scenario, settings.tuning.vehicle.bounds.steering_max_rad, period_ns);
         let (mut time_s, mut min_clearance_m) = (0.0, NO_OBSTACLE_M);
         let (mut rest, mut min_rest_clearance_m, mut without_rest) =
             (WayToRest::new(&settings.scenario, settings.tuning.vehicle, period_ns), NO_OBSTACLE_M, 0);
@@ -59,6 +62,7 @@ impl CourseRun {
         let (outcome, reason) = (drive.outcome, drive.reason);
         Ok(Self {
             course,
+            family: course.family(arguments).to_owned(),
             gap_m,
             outcome,
             reason,

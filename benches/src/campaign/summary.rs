@@ -47,7 +47,7 @@ pub(super) struct Summary {
 /// The figures of one family.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub(super) struct FamilySummary {
-    pub(super) name: &'static str,
+    pub(super) name: String,
     pub(super) runs: u64,
     pub(super) reached: u64,
     pub(super) stopped_rightly: u64,
@@ -110,7 +110,7 @@ impl Summary {
         };
         *count += 1;
         let (passable, kind) = (run.judgement.passable, run.course.kind);
-        let is_hostile = matches!(kind, Kind::Hostile(_) | Kind::Curved);
+        let is_hostile = matches!(kind, Kind::Hostile(_) | Kind::Curved | Kind::Given(_));
         if passable && (is_hostile || matches!(kind, Kind::Mixed(Family::Plain | Family::Symmetric))) {
             self.passable += 1;
             self.passable_reached += u64::from(run.outcome == Outcome::Reached);
@@ -137,18 +137,18 @@ fn families(runs: &[CourseRun]) -> Vec<FamilySummary> {
     for run in runs {
         families.entry(run.course.kind).or_default().push(run);
     }
-    families.into_iter().map(|(kind, runs)| FamilySummary::of(kind.name(), &runs)).collect()
+    families.into_values().map(|runs| FamilySummary::of(&runs)).collect()
 }
 
 impl FamilySummary {
-    pub(super) fn of(name: &'static str, runs: &[&CourseRun]) -> Self {
+    pub(super) fn of(runs: &[&CourseRun]) -> Self {
         let count =
             |wanted: &dyn Fn(&CourseRun) -> bool| runs.iter().filter(|run| wanted(run)).count() as u64;
         let verdict = |verdict| count(&move |run| run.judgement.verdict == verdict);
         let (total, collision) = (runs.len() as u64, verdict(Verdict::Collision));
         let struck = count(&|run| run.judgement.is_struck());
         Self {
-            name,
+            name: runs.first().map(|run| run.family.clone()).unwrap_or_default(),
             runs: total,
             reached: verdict(Verdict::Reached),
             stopped_rightly: verdict(Verdict::StoppedRightly),
@@ -193,6 +193,7 @@ mod tests {
         let judgement = Judgement { verdict, missed_by_estimate: false, passable, cause };
         CourseRun {
             course: Course { kind: Kind::Hostile(Hostile::Gap), seed: 1 },
+            family: "gap".to_owned(),
             gap_m: Some(gap_m),
             outcome,
             reason: String::new(),
@@ -220,7 +221,7 @@ mod tests {
         let Summary { runs, reached, missed, stopped, collision, collision_excused, .. } = summary;
         assert_eq!((runs, reached, missed, stopped, collision, collision_excused), (7, 1, 1, 3, 1, 1));
         let family = &summary.families[0];
-        assert_eq!((family.name, family.runs, family.reached, family.missed), ("gap", 7, 1, 1));
+        assert_eq!((family.name.as_str(), family.runs, family.reached, family.missed), ("gap", 7, 1, 1));
         assert_eq!((family.stopped_rightly, family.stopped_wrongly, family.impassable), (1, 2, 1));
         assert_eq!((family.collision, family.struck), (1, 1));
         assert_eq!(family.collision_bound_95, upper_bound_95(2, 7));

@@ -58,7 +58,7 @@ fn table(families: &[FamilySummary]) -> Table {
     for family in families {
         let share = |count: u64| format!("{:.1} %", 100.0 * count as f64 / family.runs.max(1) as f64);
         table.row([
-            family.name.to_owned(),
+            family.name.clone(),
             family.runs.to_string(),
             share(family.reached),
             share(family.stopped_rightly),

@@ -211,6 +211,15 @@ impl Plan {
     }
 }
 
+/// A scenario file, or a shipped scenario by its name, without any system.
+///
+/// # Errors
+/// One message with file, key, value and allowed range; exit code 2.
+pub fn scenario(name: &str) -> anyhow::Result<Scenario> {
+    let SourceFile { table, name, .. } = read_scenario(name)?;
+    Scenario::from_table(table, &name).map_err(|error| Failure::bad_input(error.to_string()))
+}
+
 /// Whether a key or table belongs to the scenario; all others belong to the system.
 fn is_of_scenario(name: &str) -> bool {
     Scenario::keys().iter().any(|key| key.name == name)

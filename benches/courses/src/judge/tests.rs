@@ -1,6 +1,7 @@
 use super::*;
 use emulator::scenario::{Goal, Robot, Shape, Start};
 use shared_types::ActuationKind;
+use vehicle::bounds::STEERING_MAX_RAD;
 
 const PERIOD_NS: u64 = 100_000_000;
 
@@ -29,7 +30,7 @@ fn drive(velocity: f64, scan_id: u64) -> Actuation {
 
 /// Drives straight on with this speed for some scans, then blocks; ends at a contact.
 fn judged(scenario: &Scenario, velocity: f64, scans: u64) -> Judgement {
-    let mut judge = Judge::new(scenario, PERIOD_NS);
+    let mut judge = Judge::new(scenario, STEERING_MAX_RAD, PERIOD_NS);
     let mut emulator = emulator::Emulator::new(scenario, PERIOD_NS);
     let mut referee = emulator::Referee::new(scenario);
     for scan_id in 1.. {
@@ -60,13 +61,18 @@ fn the_margin_is_a_tenth_for_the_ideal_robot_and_a_quarter_of_a_metre_for_others
         (0.88, Preset::Summit, false),
     ] {
         let scenario = course(gap(gap_m), preset);
-        assert_eq!(Judge::passable(&scenario, &Limits::of(&scenario)), expected, "{gap_m} m, {preset:?}");
+        assert_eq!(
+            Judge::passable(&scenario, &Limits::of(&scenario, STEERING_MAX_RAD)),
+            expected,
+            "{gap_m} m, {preset:?}"
+        );
     }
 }
 
 #[test]
 fn the_turning_radius_is_that_of_the_true_robot() {
-    let radius_m = |robot: Robot| Limits::of(&Scenario { robot, ..Scenario::default() }).radius_m;
+    let radius_m =
+        |robot: Robot| Limits::of(&Scenario { robot, ..Scenario::default() }, STEERING_MAX_RAD).radius_m;
     // 1.04 (0.1924 + 0.1776) / 2 / 0.06.
     assert!((radius_m(Robot::default()) - 3.2067).abs() < 1e-4);
     let longer = Robot { rear_m: Some(0.2309), front_m: Some(0.2131), ..Robot::default() };
@@ -136,7 +142,7 @@ fn a_contact_with_a_crossing_body_is_excused_only_if_braking_does_not_help() {
 #[test]
 fn the_goal_is_missed_by_the_estimate_or_by_the_truth_only() {
     let scenario = course(Vec::new(), Preset::Summit);
-    let mut judge = Judge::new(&scenario, PERIOD_NS);
+    let mut judge = Judge::new(&scenario, STEERING_MAX_RAD, PERIOD_NS);
     for (x_m, missed, cause) in
         [(11.95, false, "missed-by-truth-only"), (11.85, true, "missed-landed-elsewhere")]
     {
@@ -148,6 +154,7 @@ fn the_goal_is_missed_by_the_estimate_or_by_the_truth_only() {
     let passed = judge.judge(Outcome::Missed, reason);
     assert!(passed.missed_by_estimate && passed.cause == "missed-goal-passed");
     // A box across the track 0.4 m before the goal can't be driven around.
-    let hidden = Judge::new(&course(vec![boxed(11.5, 0.0, 2.0)], Preset::Summit), PERIOD_NS);
+    let hidden =
+        Judge::new(&course(vec![boxed(11.5, 0.0, 2.0)], Preset::Summit), STEERING_MAX_RAD, PERIOD_NS);
     assert_eq!(hidden.judge(Outcome::Missed, reason).verdict, Verdict::StoppedRightly);
 }

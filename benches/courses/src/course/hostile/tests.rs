@@ -2,6 +2,7 @@ use super::bodies::SUDDEN_M;
 use super::*;
 use crate::judge::{Judge, Limits};
 use emulator::Scenario;
+use vehicle::bounds::STEERING_MAX_RAD;
 
 fn courses(family: Hostile, count: u64) -> Vec<HostileCourse> {
     (0..count).map(|seed| hostile(family, seed)).collect()
@@ -30,7 +31,10 @@ fn most_courses_can_be_driven_and_closed_ones_cannot() {
         let courses = courses(family, 25);
         let is_passable = |course: &&HostileCourse| {
             let margin_m = 0.25;
-            Judge::passable(&course.scenario, &Limits { margin_m, ..Limits::of(&course.scenario) })
+            Judge::passable(
+                &course.scenario,
+                &Limits { margin_m, ..Limits::of(&course.scenario, STEERING_MAX_RAD) },
+            )
         };
         let passable = courses.iter().filter(is_passable).count();
         println!("{family}: {passable} of {} are passable", courses.len());
