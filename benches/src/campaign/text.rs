@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 
 use figures::Table;
+use report::NO_OBSTACLE_M;
 
 use super::failures::BadCourse;
 use super::summary::{FamilySummary, Summary};
@@ -20,7 +21,7 @@ pub(super) fn text(summary: &Summary, set: &str) -> String {
     );
     let _ = writeln!(text, "passable        {} of {} reached", summary.passable_reached, summary.passable);
     let _ = writeln!(text, "closed          {} of {} stopped", summary.blocked_stopped, summary.blocked);
-    let _ = writeln!(text, "clearance       smallest {:.3} m", summary.min_clearance_m);
+    let _ = writeln!(text, "clearance       smallest {}", metres(summary.min_clearance_m));
     let _ = writeln!(
         text,
         "way to rest     smallest clearance {:.3} m, {} scans without one",
@@ -37,6 +38,11 @@ pub(super) fn text(summary: &Summary, set: &str) -> String {
         }
     }
     text
+}
+
+/// A clearance, where there was something to keep clear of.
+fn metres(clearance_m: f64) -> String {
+    if clearance_m < NO_OBSTACLE_M { format!("{clearance_m:.3} m") } else { "-".to_owned() }
 }
 
 fn table(families: &[FamilySummary]) -> Table {
@@ -70,7 +76,7 @@ fn table(families: &[FamilySummary]) -> Table {
             family.struck.to_string(),
             share(family.collision_excused),
             format!("{:.2} %", 100.0 * family.collision_bound_95),
-            format!("{:.3} m", family.min_clearance_m),
+            metres(family.min_clearance_m),
         ]);
     }
     table
