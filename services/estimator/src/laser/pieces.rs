@@ -45,6 +45,13 @@ const LONG_M: f64 = 1.0;
 const CURVED: (f64, f64) = (0.001, 2.0);
 /// What is seen beside an edge is further away by this [m].
 const BEHIND_M: f64 = 0.15;
+/// So many returns behind a corner leave the line before it by this in the mean, and by so many standard deviations of one [m].
+const BEYOND: usize = 10;
+const CORNER_OFF: (f64, f64) = (0.03, 2.0);
+/// Cosine between beam and normal below which beams meet a surface at a grazing angle.
+const GRAZING: f64 = 0.4;
+/// Share of the range of the scanner from which on it hardly sees a surface.
+const HARDLY: f64 = 0.9;
 /// So many beams without a return show an edge, as no fault of the scanner does.
 const MISSING: usize = 3;
 /// Standard deviation of the middle between two edges, by the distance of two beams.
@@ -108,6 +115,8 @@ pub struct Pieces {
     pub noise_m: f64,
     /// Motion of the robot during the sweep.
     pub motion: SweepMotion,
+    /// Range of the scanner [m].
+    reach_m: f64,
 }
 
 impl Default for Pieces {
@@ -118,6 +127,7 @@ impl Default for Pieces {
             pieces: Vec::with_capacity(MAX_PIECES),
             noise_m: NOISE_M.0,
             motion: SweepMotion::default(),
+            reach_m: f64::INFINITY,
         }
     }
 }
@@ -130,7 +140,7 @@ impl Pieces {
 
     /// Finds the pieces of a scan whose ranges are too long by `offset_m`.
     pub fn find(&mut self, scan: &Scan, vehicle: &Description, motion: &SweepMotion, offset_m: f64) {
-        self.motion = *motion;
+        (self.motion, self.reach_m) = (*motion, vehicle.scanner.range_m);
         let Self { returns, pieces, .. } = self;
         returns.clear();
         pieces.clear();
@@ -187,8 +197,15 @@ impl Pieces {
                 let piece = fit(&self.returns[first..end], scanner, self.noise_m);
                 let edges = [(first, first.checked_sub(1), first + 1), (end - 1, Some(end), end - 2)].map(
                     |(at, outer, inner)| match outer {
-                        Some(outer) if cluster.contains(&outer) => Some(self.returns[at].place),
-                        _ => self.edge(at, outer.and_then(|outer| self.returns.get(outer)), inner),
+                        Some(outer) if cluster.contains(&outer) => {
+                            self.is_corner(at, outer, &cluster, normal).then(|| self.returns[at].place)
+                        }
+                        _ => self.edge(
+                            at,
+                            outer.and_then(|outer| self.returns.get(outer)),
+                            inner,
+                            normal.dot(&(self.returns[at].place - scanner)),
+                        ),
                     },
                 );
                 let width_m = pitch_rad * self.returns[first].range_m.max(self.returns[end - 1].range_m);
@@ -267,14 +284,32 @@ impl Pieces {
         off_m > CURVED.0 + CURVED.1 * self.noise_m * (1.5 / third as f64).sqrt()
     }
 
+    /// Whether the returns of a cluster from `outer` on leave the line of the piece that ends with `at`, as they do behind a
+    /// corner: noise splits straight surfaces as well.
+    fn is_corner(&self, at: usize, outer: usize, cluster: &Range<usize>, normal: Vector2<f64>) -> bool {
+        let beyond = if outer > at {
+            outer..cluster.end.min(outer + BEYOND)
+        } else {
+            cluster.start.max((outer + 1).saturating_sub(BEYOND))..outer + 1
+        };
+        let (place, count) = (self.returns[at].place, beyond.len() as f64);
+        let off_m =
+            self.returns[beyond].iter().map(|one| normal.dot(&(one.place - place))).sum::<f64>() / count;
+        off_m.abs() > CORNER_OFF.0.max(CORNER_OFF.1 * self.noise_m)
+    }
+
     /// The edge of a surface that ends with the return `at`, where what is seen next to it is behind it, or nothing is: half a
-    /// beam beyond the last return; `inner` is the one before.
-    fn edge(&self, at: usize, outer: Option<&Return>, inner: usize) -> Option<Vector2<f64>> {
+    /// beam beyond the last return; `inner` is the one before, and `off_m` how far the line of the surface is from the scanner. Where
+    /// beams meet it at a grazing angle, or hardly reach it, it goes on although they return nothing.
+    fn edge(&self, at: usize, outer: Option<&Return>, inner: usize, off_m: f64) -> Option<Vector2<f64>> {
         let last = &self.returns[at];
-        let is_edge = outer.is_none_or(|outer| {
-            outer.range_m > last.range_m + BEHIND_M || outer.beam.abs_diff(last.beam) > MISSING
-        });
-        is_edge.then(|| last.place + (last.place - self.returns[inner].place) / 2.0)
+        let step = last.place - self.returns[inner].place;
+        let goes_on = off_m.abs() < GRAZING * last.range_m || last.range_m > HARDLY * self.reach_m;
+        let is_edge = match outer.filter(|outer| outer.beam.abs_diff(last.beam) <= MISSING) {
+            Some(outer) => outer.range_m > last.range_m + BEHIND_M,
+            None => !goes_on,
+        };
+        is_edge.then(|| last.place + step / 2.0)
     }
 
     /// Standard deviation of a range, by the median of the second differences.
