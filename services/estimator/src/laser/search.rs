@@ -159,7 +159,7 @@ pub(super) fn has_turned([turn, dx, dy]: &[f64; 3], yaw: f64, vehicle: &Descript
 
 /// Places along a surface that are asked, where `nearest_m` is nearest to the robot: inside of its ends, and no place twice [m].
 fn asked(line: &SurfaceLine, nearest_m: f64) -> [Option<f64>; 3] {
-    let [first, last] = line.extent_m;
+    let [first, last] = line.closed_m;
     let half_m = (last - first) / 2.0;
     let (low, high) = if half_m > INSIDE_M {
         (first + INSIDE_M, last - INSIDE_M)

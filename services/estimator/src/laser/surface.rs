@@ -29,6 +29,8 @@ plain_state! {
         pub scatter_m2: [f64; 3],
         /// From where to where it was seen, along it from its mean [m]
         pub extent_m: [f64; 2],
+        /// The same of its longest piece in the last scan that showed it: between pieces there may be doors [m]
+        pub last_m: [f64; 2],
         /// Length of the piece that it was when it was seen first [m]
         pub length_m: f64,
         /// Mean of its middles between its edges [m]
@@ -71,6 +73,8 @@ pub struct SurfaceLine {
     pub middle: Vector2<f64>,
     /// From where to where, along it from there, to the left of where it faces [m].
     pub extent_m: [f64; 2],
+    /// The part of that on which nothing is open [m].
+    pub closed_m: [f64; 2],
     /// Whether it is a long one: its direction counts, and it continues beyond what was seen of it.
     pub is_long: bool,
     /// Covariance of its place, as one of (yaw, x, y) of a robot that was there.
@@ -232,6 +236,7 @@ impl Surface {
             normal: if is_round { (place - self.mean()).normalize() } else { self.normal() },
             middle: self.mean(),
             extent_m: self.extent_m,
+            closed_m: self.last_m,
             is_long: self.is_long(),
             covariance: Matrix3::new(a, b, c, b, d, e, c, e, f),
             seen_from: Vector2::from(self.seen_from_m),
@@ -256,6 +261,7 @@ impl Surface {
         self.is_turned = u64::from(normal_of(&scatter).dot(&before) < 0.0);
         let moved_m = Vector2::new(-before.y, before.x).dot(&apart) * (count / sum);
         self.extent_m = self.extent_m.map(|end| end - moved_m);
+        self.last_m = self.last_m.map(|end| end - moved_m);
         self.center(placed);
         if let Some(Round { radius_m, per_radius, .. }) = placed.round {
             let more_m = (radius_m - self.radius_m) / self.middles as f64;
@@ -274,11 +280,24 @@ impl Surface {
         self.middle_m = [mean.x, mean.y];
     }
 
-    fn extend(&mut self, placed: &Placed) {
+    /// From where to where along it a piece is [m].
+    fn ends(&self, placed: &Placed) -> [f64; 2] {
         let normal = self.normal();
         let along = Vector2::new(-normal.y, normal.x);
-        for end in placed.ends {
-            let at = along.dot(&(end - self.mean()));
+        let [one, other] = placed.ends.map(|end| along.dot(&(end - self.mean())));
+        [one.min(other), one.max(other)]
+    }
+
+    /// Notes a piece of a scan; `is_first` if it is the first one of that scan.
+    fn spot(&mut self, placed: &Placed, is_first: bool) {
+        let [first, last] = self.ends(placed);
+        if is_first || last - first > self.last_m[1] - self.last_m[0] {
+            self.last_m = [first, last];
+        }
+    }
+
+    fn extend(&mut self, placed: &Placed) {
+        for at in self.ends(placed) {
             self.extent_m = [self.extent_m[0].min(at), self.extent_m[1].max(at)];
         }
     }
@@ -316,6 +335,7 @@ impl SurfaceMap {
         if !surface.is_settled() || surface.is_long() {
             surface.extend(placed);
         }
+        surface.spot(placed, surface.seen_ns < now_ns);
         surface.sightings += 1;
         surface.seen_ns = now_ns;
     }
@@ -369,6 +389,7 @@ impl SurfaceMap {
             ..Surface::default()
         };
         surface.extend(placed);
+        surface.last_m = surface.extent_m;
         surface.center(placed);
         self.surfaces[index] = surface;
     }
@@ -384,6 +405,7 @@ impl SurfaceMap {
                 mean_m,
                 scatter_m2,
                 extent_m,
+                last_m,
                 first_m,
                 middle_m,
                 seen_from_m,
@@ -392,7 +414,8 @@ impl SurfaceMap {
                 ..
             } = surface;
             finite("map", &[*count, *radius_m])?;
-            let numbers = [&mean_m[..], scatter_m2, extent_m, first_m, middle_m, seen_from_m, covariance];
+            let numbers =
+                [&mean_m[..], scatter_m2, extent_m, last_m, first_m, middle_m, seen_from_m, covariance];
             numbers.into_iter().try_for_each(|numbers| finite("map", numbers))?;
         }
         Ok(())

@@ -149,6 +149,7 @@ fn lines() -> Vec<SurfaceLine> {
         normal: Vector2::from(normal),
         middle: Vector2::from(middle),
         extent_m: [-half_m, half_m],
+        closed_m: [-half_m, half_m],
         is_long: half_m > 0.75,
         covariance: Matrix3::zeros(),
         seen_from: Vector2::zeros(),
