@@ -93,6 +93,8 @@ pub struct SurfaceLine {
     pub counts: bool,
 }
 
+/// A line is carried along to where the surface is seen, when that is further than this from where its place was fitted [m].
+const CARRY_M: f64 = 20.0;
 /// A surface that stands still is found within this of where it was [m].
 const STILL_M: f64 = 0.02;
 /// Straight sides of a small body are so near its middle [m].
@@ -189,6 +191,20 @@ impl Placed {
     }
 }
 
+/// The symmetric matrix of a lower triangle, column by column.
+fn lower(&[a, b, c, d, e, f]: &[f64; 6]) -> Matrix3<f64> {
+    Matrix3::new(a, b, c, b, d, e, c, e, f)
+}
+
+fn triangle(matrix: &Matrix3<f64>) -> [f64; 6] {
+    [(0, 0), (1, 0), (2, 0), (1, 1), (2, 1), (2, 2)].map(|place| matrix[place])
+}
+
+/// What an error of (yaw, x, y) at one place is at another, which lies so far from it.
+pub(super) fn transport(apart: Vector2<f64>) -> Matrix3<f64> {
+    Matrix3::new(1.0, 0.0, 0.0, -apart.y, 1.0, 0.0, apart.x, 0.0, 1.0)
+}
+
 impl Surface {
     /// Whether there is one.
     fn is_there(&self) -> bool {
@@ -230,7 +246,6 @@ impl Surface {
 
     /// Its line for a robot at a place.
     fn line(&self, index: usize, place: Vector2<f64>) -> SurfaceLine {
-        let [a, b, c, d, e, f] = self.covariance;
         let is_round = self.radius_m > 0.0;
         SurfaceLine {
             normal: if is_round { (place - self.mean()).normalize() } else { self.normal() },
@@ -238,7 +253,7 @@ impl Surface {
             extent_m: self.extent_m,
             closed_m: self.last_m,
             is_long: self.is_long(),
-            covariance: Matrix3::new(a, b, c, b, d, e, c, e, f),
+            covariance: lower(&self.covariance),
             seen_from: Vector2::from(self.seen_from_m),
             off_m: 0.0,
             center: (self.middles > 0)
@@ -296,6 +311,22 @@ impl Surface {
         }
     }
 
+    /// Moves the line to the piece where that is far away, in its direction: what this is off would make the place wrong there.
+    /// What is known of it is told of where the robot is.
+    fn carry(&mut self, placed: &Placed, robot: Vector2<f64>) {
+        let normal = self.normal();
+        let along_m = Vector2::new(-normal.y, normal.x).dot(&(placed.mean - self.mean()));
+        if along_m.abs() < CARRY_M {
+            return;
+        }
+        self.mean_m = [placed.mean.x, placed.mean.y];
+        self.extent_m = self.extent_m.map(|end| end - along_m);
+        self.last_m = self.last_m.map(|end| end - along_m);
+        let transport = transport(robot - Vector2::from(self.seen_from_m));
+        let covariance = transport * lower(&self.covariance) * transport.transpose();
+        (self.covariance, self.seen_from_m) = (triangle(&covariance), [robot.x, robot.y]);
+    }
+
     fn extend(&mut self, placed: &Placed) {
         for at in self.ends(placed) {
             self.extent_m = [self.extent_m[0].min(at), self.extent_m[1].max(at)];
@@ -336,6 +367,9 @@ impl SurfaceMap {
             surface.extend(placed);
         }
         surface.spot(placed, surface.seen_ns < now_ns);
+        if surface.is_settled() && surface.is_long() {
+            surface.carry(placed, sight.place);
+        }
         surface.sightings += 1;
         surface.seen_ns = now_ns;
     }
@@ -385,7 +419,7 @@ impl SurfaceMap {
             since_ns: now_ns,
             seen_ns: now_ns,
             seen_from_m: [pose[1], pose[2]],
-            covariance: [(0, 0), (1, 0), (2, 0), (1, 1), (2, 1), (2, 2)].map(|place| covariance[place]),
+            covariance: triangle(covariance),
             ..Surface::default()
         };
         surface.extend(placed);
