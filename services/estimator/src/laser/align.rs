@@ -9,7 +9,7 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use vehicle::frame::wrap_angle;
 
 use super::pieces::{MAX_PIECES, Piece, Pieces};
-use super::surface::{Placed, SurfaceLine, transport};
+use super::surface::{Placed, SurfaceLine};
 use crate::dead_reckoning::{DeadReckoning, Sighting};
 
 /// Steps of Gauss-Newton at most.
@@ -303,7 +303,8 @@ pub(super) fn nearest<'l>(
         let [x, y] = line.normal.into();
         let from = placed.mean - robot;
         let slope = Vector3::new(y * from.x - x * from.y, x, y);
-        let transport = transport(robot - line.seen_from);
+        let moved = robot - line.seen_from;
+        let transport = Matrix3::new(1.0, 0.0, 0.0, -moved.y, 1.0, 0.0, moved.x, 0.0, 1.0);
         let place = transport * line.covariance * transport.transpose();
         // What was seen later shares the errors of what was seen before.
         let beside = slope.dot(&((place - prior.map) * slope)).abs();

@@ -117,8 +117,9 @@ const TURNED_RAD: f64 = 1e-3;
 /// What is known when pieces are seen.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sight {
-    /// Where the robot is [m].
+    /// Where the robot is [m], and the covariance of its pose.
     pub(super) place: Vector2<f64>,
+    pub(super) covariance: Matrix3<f64>,
     /// How fast it may turn unseen [rad/s], and drive [m/s].
     pub(super) rate_radps: f64,
     pub(super) rate_mps: f64,
@@ -191,18 +192,9 @@ impl Placed {
     }
 }
 
-/// The symmetric matrix of a lower triangle, column by column.
-fn lower(&[a, b, c, d, e, f]: &[f64; 6]) -> Matrix3<f64> {
-    Matrix3::new(a, b, c, b, d, e, c, e, f)
-}
-
+/// The lower triangle of a symmetric matrix, column by column.
 fn triangle(matrix: &Matrix3<f64>) -> [f64; 6] {
     [(0, 0), (1, 0), (2, 0), (1, 1), (2, 1), (2, 2)].map(|place| matrix[place])
-}
-
-/// What an error of (yaw, x, y) at one place is at another, which lies so far from it.
-pub(super) fn transport(apart: Vector2<f64>) -> Matrix3<f64> {
-    Matrix3::new(1.0, 0.0, 0.0, -apart.y, 1.0, 0.0, apart.x, 0.0, 1.0)
 }
 
 impl Surface {
@@ -246,6 +238,7 @@ impl Surface {
 
     /// Its line for a robot at a place.
     fn line(&self, index: usize, place: Vector2<f64>) -> SurfaceLine {
+        let [a, b, c, d, e, f] = self.covariance;
         let is_round = self.radius_m > 0.0;
         SurfaceLine {
             normal: if is_round { (place - self.mean()).normalize() } else { self.normal() },
@@ -253,7 +246,7 @@ impl Surface {
             extent_m: self.extent_m,
             closed_m: self.last_m,
             is_long: self.is_long(),
-            covariance: lower(&self.covariance),
+            covariance: Matrix3::new(a, b, c, b, d, e, c, e, f),
             seen_from: Vector2::from(self.seen_from_m),
             off_m: 0.0,
             center: (self.middles > 0)
@@ -312,8 +305,8 @@ impl Surface {
     }
 
     /// Moves the line to the piece where that is far away, in its direction: what this is off would make the place wrong there.
-    /// What is known of it is told of where the robot is.
-    fn carry(&mut self, placed: &Placed, robot: Vector2<f64>) {
+    /// Its place is known as that of the robot is now.
+    fn carry(&mut self, placed: &Placed, sight: &Sight) {
         let normal = self.normal();
         let along_m = Vector2::new(-normal.y, normal.x).dot(&(placed.mean - self.mean()));
         if along_m.abs() < CARRY_M {
@@ -322,9 +315,7 @@ impl Surface {
         self.mean_m = [placed.mean.x, placed.mean.y];
         self.extent_m = self.extent_m.map(|end| end - along_m);
         self.last_m = self.last_m.map(|end| end - along_m);
-        let transport = transport(robot - Vector2::from(self.seen_from_m));
-        let covariance = transport * lower(&self.covariance) * transport.transpose();
-        (self.covariance, self.seen_from_m) = (triangle(&covariance), [robot.x, robot.y]);
+        (self.covariance, self.seen_from_m) = (triangle(&sight.covariance), sight.place.into());
     }
 
     fn extend(&mut self, placed: &Placed) {
@@ -367,8 +358,8 @@ impl SurfaceMap {
             surface.extend(placed);
         }
         surface.spot(placed, surface.seen_ns < now_ns);
-        if surface.is_settled() && surface.is_long() {
-            surface.carry(placed, sight.place);
+        if surface.is_settled() && surface.is_long() && placed.is_long() {
+            surface.carry(placed, sight);
         }
         surface.sightings += 1;
         surface.seen_ns = now_ns;
