@@ -46,7 +46,7 @@ pub(crate) fn campaign(arguments: &CampaignArguments) -> anyhow::Result<Exit> {
         .and_then(|_| print_json(arguments.json, &summary));
     let saved: Vec<anyhow::Result<()>> = bad.iter().map(|bad| bad.save(&results)).collect();
     printed?;
-    if let Some(picture) = picture::draw(&summary.families, arguments.robot.name())? {
+    if let Some(picture) = picture::draw(&summary.families, &arguments.robot.name())? {
         answer!(arguments.json, "picture         {}", results.write(PICTURE, picture.as_bytes())?.display())?;
     }
     saved.into_iter().collect::<anyhow::Result<()>>()?;
@@ -60,10 +60,9 @@ pub(crate) fn campaign(arguments: &CampaignArguments) -> anyhow::Result<Exit> {
 fn drive_all(arguments: &CampaignArguments) -> anyhow::Result<Vec<CourseRun>> {
     let courses = course::all(arguments);
     // What a run would refuse is refused before the first drive.
-    let firsts = courses.iter().enumerate().filter(|(index, course)| {
-        index.checked_sub(1).is_none_or(|before| courses[before].kind != course.kind)
-    });
-    firsts.map(|(_, course)| course.drive(arguments)).collect::<anyhow::Result<Vec<_>>>()?;
+    for first in courses.iter().step_by(usize::try_from(arguments.runs)?) {
+        first.drive(arguments)?;
+    }
     let mut steps = Steps::new(courses.len() as u64, "courses");
     let runs =
         on_all_cores(courses.len(), |index| CourseRun::of(courses[index], arguments), || steps.step(""))?;

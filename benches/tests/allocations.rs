@@ -5,9 +5,9 @@
 #[path = "../../services/ocp/tests/problems/mod.rs"]
 mod problems;
 
-use laboratory::{CountingAllocator, allocations};
 use emulator::Scenario;
 use emulator::scenario::Preset;
+use laboratory::{CountingAllocator, allocations};
 use ocp::{Budget, Hessian, Problem, Solution, Solver, SolverSettings, Trajectory};
 use pipeline::PipelineSettings;
 use problems::random;

@@ -1,7 +1,5 @@
 //! `scanloop-lab analyse observability --states`: which errors of the robot a driven way shows.
 
-use std::fmt::Write as _;
-
 use console::exit::Exit;
 use figures::Table;
 use pipeline::{PipelineSettings, Step};
@@ -37,7 +35,7 @@ struct StatesResult {
     scenario: String,
     outcome: emulator::Outcome,
     way_m: f64,
-    states: Vec<LearnedState>,
+    states: [LearnedState; 6],
     definition: &'static str,
 }
 
@@ -50,15 +48,12 @@ pub(super) fn analyse(scenario: &str, arguments: &ObservabilityArguments) -> any
     let Plan { scenario, system, .. } = Plan::read(Some(scenario), &choice)?;
     let (name, period_ns) = (scenario.name.clone(), system.period_ns());
     let settings = PipelineSettings { scenario, tuning: system.tuning(), period_ns };
-    let mut states: Vec<LearnedState> =
-        LEARNED.into_iter().map(|name| LearnedState { name, ..LearnedState::default() }).collect();
+    let mut states = LEARNED.map(|name| LearnedState { name, ..LearnedState::default() });
     let mut way_m = 0.0;
     let drive = pipeline::drive(&settings, |Step { truth, pose, .. }| {
         way_m += truth.speed_mps.abs() * period_ns as f64 * 1e-9;
         let Some(pose) = pose else { return };
-        for (state, deviation) in states.iter_mut().zip(pose.learned_deviation) {
-            state.follow(way_m, deviation);
-        }
+        states.iter_mut().zip(pose.learned_deviation).for_each(|(state, now)| state.follow(way_m, now));
     })?;
     let is_shown = states.iter().all(|state| state.shown_after_m.is_some());
     let result =
@@ -90,25 +85,19 @@ fn table(result: &StatesResult) -> String {
             [deviation_at_start, deviation_at_end].map(|deviation| format!("{deviation:.2e}"));
         table.row([(*name).to_owned(), first, last, after]);
     }
-    let mut text =
-        format!("scenario        {}, {:.1} m, {}\n{table}", result.scenario, result.way_m, result.outcome);
-    let _ = writeln!(text, "definition      {DEFINITION}");
-    text
+    let StatesResult { scenario, way_m, outcome, .. } = result;
+    format!("scenario        {scenario}, {way_m:.1} m, {outcome}\n{table}definition      {DEFINITION}\n")
 }
 
 fn chart(result: &StatesResult) -> Chart {
-    let curve = |state: &LearnedState| Curve {
-        name: state.name.to_owned(),
-        points: state.curve.clone(),
-        dots: false,
-    };
+    let of =
+        |state: &LearnedState| Curve { name: state.name.into(), points: state.curve.clone(), dots: false };
     Chart {
         title: format!("What {:.0} m of {} show of the robot", result.way_m, result.scenario),
-        subtitle: DEFINITION.to_owned(),
         x: "way [m]".to_owned(),
         y: "standard deviation as share of that at the start".to_owned(),
         logarithmic: true,
-        curves: result.states.iter().filter(|state| !state.curve.is_empty()).map(curve).collect(),
+        curves: result.states.iter().filter(|state| !state.curve.is_empty()).map(of).collect(),
         ..Chart::default()
     }
 }

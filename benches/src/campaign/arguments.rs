@@ -62,13 +62,8 @@ pub(crate) enum CampaignRobot {
 
 impl CampaignRobot {
     /// Its name.
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Ideal => "ideal",
-            Self::Summit => "summit",
-            Self::Worn => "worn",
-            Self::Random => "random",
-        }
+    pub(crate) fn name(self) -> String {
+        self.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default()
     }
 
     /// The robot of a course; the seed of the course draws what is random.
