@@ -24,8 +24,8 @@ pub(crate) struct CampaignArguments {
     #[arg(long, value_name = "FILE")]
     pub system: Option<PathBuf>,
     /// Make all courses larger by this factor, for a vehicle of another size.
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
-    pub scale: f64,
+    #[arg(long, value_name = "FACTOR")]
+    pub scale: Option<f64>,
     /// Override a key of all scenarios or of the system, for example `robot.velocity_factor=1.45`; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,

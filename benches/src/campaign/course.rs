@@ -72,12 +72,10 @@ impl Course {
             }
         };
         let scenario = Scenario { robot: arguments.robot.of(scenario.robot), ..scenario };
-        if arguments.scale == 1.0 {
-            return Ok((scenario, gap_m));
-        }
-        let scenario = scaled(&scenario, arguments.scale)
-            .map_err(|error| Failure::bad_input(format!("--scale {}: {error}", arguments.scale)))?;
-        Ok((scenario, gap_m.map(|gap_m| gap_m * arguments.scale)))
+        let Some(scale) = arguments.scale else { return Ok((scenario, gap_m)) };
+        let scenario = scaled(&scenario, scale)
+            .map_err(|error| Failure::bad_input(format!("--scale {scale}: {error}")))?;
+        Ok((scenario, gap_m.map(|gap_m| gap_m * scale)))
     }
 
     /// The name of its family or scenario.
@@ -129,6 +127,26 @@ mod tests {
         assert_eq!(courses.len(), 2 * Hostile::ALL.len());
         for name in family_names() {
             assert!(!named(name).is_empty(), "{name}");
+        }
+    }
+
+    #[test]
+    fn a_scenario_is_driven_with_its_seeds_by_another_vehicle_and_larger() {
+        let scenarios = vec!["slalom".to_owned(), "bend".to_owned()];
+        let system = Some("../examples/vehicles/car.toml".into());
+        let arguments = CampaignArguments { scenarios, system, scale: Some(2.0), ..arguments(&[], 3) };
+        let courses = all(&arguments);
+        let seeds = courses.iter().map(|course| (course.family(&arguments), course.seed));
+        let expected = ["slalom", "bend"].iter().flat_map(|name| (0..3).map(move |seed| (*name, seed)));
+        assert!(seeds.eq(expected), "{courses:?}");
+        let plan = courses[1].drive(&arguments).unwrap().plan;
+        let slalom = plan::scenario("slalom").unwrap();
+        assert_eq!(plan.scenario.goal.last().x_m, 2.0 * slalom.goal.last().x_m);
+        assert_eq!((plan.scenario.name.as_str(), plan.scenario.robot.width_m), ("slalom-1", 1.24));
+        let message =
+            |scale| courses[0].drive(&CampaignArguments { scale, ..arguments.clone() }).unwrap_err();
+        for scale in [f64::NAN, 0.0, -1.0, 1e9] {
+            assert!(message(scale).to_string().starts_with(&format!("--scale {scale}: ")), "{scale}");
         }
     }
 

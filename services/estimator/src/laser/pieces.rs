@@ -194,25 +194,24 @@ impl Pieces {
             if most_m <= limit_m && self.is_curved(first..end, normal) {
                 continue;
             } else if most_m <= limit_m {
-                let piece = fit(&self.returns[first..end], scanner, self.noise_m);
+                let Some(piece) = fit(&self.returns[first..end], scanner, self.noise_m) else { continue };
                 let edges = [(first, first.checked_sub(1), first + 1), (end - 1, Some(end), end - 2)].map(
                     |(at, outer, inner)| match outer {
-                        Some(outer) if cluster.contains(&outer) => {
-                            self.is_corner(at, outer, &cluster, normal).then(|| self.returns[at].place)
-                        }
+                        Some(outer) if cluster.contains(&outer) => self
+                            .is_corner(outer, outer > at, &cluster, &piece)
+                            .then(|| self.returns[at].place),
                         _ => self.edge(
                             at,
                             outer.and_then(|outer| self.returns.get(outer)),
                             inner,
-                            normal.dot(&(self.returns[at].place - scanner)),
+                            &piece,
+                            scanner,
                         ),
                     },
                 );
                 let width_m = pitch_rad * self.returns[first].range_m.max(self.returns[end - 1].range_m);
-                self.pieces.extend(piece.map(|piece| {
-                    let middle = edges[0].zip(edges[1]).map(|(one, other)| (one + other) / 2.0);
-                    Piece { middle: middle.map(|middle| (middle, EDGE * width_m)), ..piece }
-                }));
+                let middle = edges[0].zip(edges[1]).map(|(one, other)| (one + other) / 2.0);
+                self.pieces.push(Piece { middle: middle.map(|middle| (middle, EDGE * width_m)), ..piece });
             } else if count + 2 <= waiting.len() {
                 (waiting[count], waiting[count + 1]) = ((at, end), (first, at + 1));
                 count += 2;
@@ -284,32 +283,41 @@ impl Pieces {
         off_m > CURVED.0 + CURVED.1 * self.noise_m * (1.5 / third as f64).sqrt()
     }
 
-    /// Whether the returns of a cluster from `outer` on leave the line of the piece that ends with `at`, as they do behind a
+    /// Whether the returns of a cluster from `outer` on, ahead or back, leave the line of the piece beside them, as they do behind a
     /// corner: noise splits straight surfaces as well.
-    fn is_corner(&self, at: usize, outer: usize, cluster: &Range<usize>, normal: Vector2<f64>) -> bool {
-        let beyond = if outer > at {
+    fn is_corner(&self, outer: usize, ahead: bool, cluster: &Range<usize>, piece: &Piece) -> bool {
+        let beyond = if ahead {
             outer..cluster.end.min(outer + BEYOND)
         } else {
             cluster.start.max((outer + 1).saturating_sub(BEYOND))..outer + 1
         };
-        let (place, count) = (self.returns[at].place, beyond.len() as f64);
-        let off_m =
-            self.returns[beyond].iter().map(|one| normal.dot(&(one.place - place))).sum::<f64>() / count;
+        let count = beyond.len() as f64;
+        let off = |one: &Return| piece.normal.dot(&(one.place - piece.mean));
+        let off_m = self.returns[beyond].iter().map(off).sum::<f64>() / count;
         off_m.abs() > CORNER_OFF.0.max(CORNER_OFF.1 * self.noise_m)
     }
 
     /// The edge of a surface that ends with the return `at`, where what is seen next to it is behind it, or nothing is: half a
-    /// beam beyond the last return; `inner` is the one before, and `off_m` how far the line of the surface is from the scanner. Where
-    /// beams meet it at a grazing angle, or hardly reach it, it goes on although they return nothing.
-    fn edge(&self, at: usize, outer: Option<&Return>, inner: usize, off_m: f64) -> Option<Vector2<f64>> {
+    /// beam beyond the last return; `inner` is the one before. Where beams that return nothing meet the surface at a grazing
+    /// angle, or hardly reach it, it goes on.
+    fn edge(
+        &self,
+        at: usize,
+        outer: Option<&Return>,
+        inner: usize,
+        piece: &Piece,
+        scanner: Vector2<f64>,
+    ) -> Option<Vector2<f64>> {
         let last = &self.returns[at];
-        let step = last.place - self.returns[inner].place;
-        let goes_on = off_m.abs() < GRAZING * last.range_m || last.range_m > HARDLY * self.reach_m;
         let is_edge = match outer.filter(|outer| outer.beam.abs_diff(last.beam) <= MISSING) {
             Some(outer) => outer.range_m > last.range_m + BEHIND_M,
-            None => !goes_on,
+            None => {
+                let off_m = piece.normal.dot(&(last.place - scanner)).abs();
+                let goes_on = off_m < GRAZING * last.range_m || last.range_m > HARDLY * self.reach_m;
+                !goes_on
+            }
         };
-        is_edge.then(|| last.place + step / 2.0)
+        is_edge.then(|| last.place + (last.place - self.returns[inner].place) / 2.0)
     }
 
     /// Standard deviation of a range, by the median of the second differences.
