@@ -143,8 +143,9 @@ mod tests {
         let slalom = plan::scenario("slalom").unwrap();
         assert_eq!(plan.scenario.goal.last().x_m, 2.0 * slalom.goal.last().x_m);
         assert_eq!((plan.scenario.name.as_str(), plan.scenario.robot.width_m), ("slalom-1", 1.24));
-        let message =
-            |scale| courses[0].drive(&CampaignArguments { scale, ..arguments.clone() }).unwrap_err();
+        let message = |scale| {
+            courses[0].drive(&CampaignArguments { scale: Some(scale), ..arguments.clone() }).unwrap_err()
+        };
         for scale in [f64::NAN, 0.0, -1.0, 1e9] {
             assert!(message(scale).to_string().starts_with(&format!("--scale {scale}: ")), "{scale}");
         }
