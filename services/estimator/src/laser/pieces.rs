@@ -14,7 +14,7 @@ use std::ops::Range;
 use nalgebra::{Matrix2, Vector2};
 use shared_types::{MAX_BEAMS, Scan};
 use vehicle::Description;
-use vehicle::frame::{heading, to_robot};
+use vehicle::frame::heading;
 
 use super::round::Round;
 
@@ -47,7 +47,7 @@ const CURVED: (f64, f64) = (0.001, 2.0);
 const BEHIND_M: f64 = 0.15;
 /// So many returns behind a corner leave the line before it by this in the mean, and by so many standard deviations of one [m].
 const BEYOND: usize = 10;
-const CORNER_OFF: (f64, f64) = (0.03, 2.0);
+const CORNER_OFF: (f64, f64) = (0.03, 1.0);
 /// Cosine between beam and normal below which beams meet a surface at a grazing angle.
 const GRAZING: f64 = 0.4;
 /// Share of the range of the scanner from which on it hardly sees a surface.
@@ -113,8 +113,6 @@ pub struct Pieces {
     pieces: Vec<Piece>,
     /// Standard deviation of a range [m].
     pub noise_m: f64,
-    /// Motion of the robot during the sweep.
-    pub motion: SweepMotion,
     /// Range of the scanner [m].
     reach_m: f64,
 }
@@ -126,7 +124,6 @@ impl Default for Pieces {
             magnitudes: Vec::with_capacity(MAX_BEAMS),
             pieces: Vec::with_capacity(MAX_PIECES),
             noise_m: NOISE_M.0,
-            motion: SweepMotion::default(),
             reach_m: f64::INFINITY,
         }
     }
@@ -140,7 +137,7 @@ impl Pieces {
 
     /// Finds the pieces of a scan whose ranges are too long by `offset_m`.
     pub fn find(&mut self, scan: &Scan, vehicle: &Description, motion: &SweepMotion, offset_m: f64) {
-        (self.motion, self.reach_m) = (*motion, vehicle.scanner.range_m);
+        self.reach_m = vehicle.scanner.range_m;
         let Self { returns, pieces, .. } = self;
         returns.clear();
         pieces.clear();
@@ -299,7 +296,7 @@ impl Pieces {
 
     /// The edge of a surface that ends with the return `at`, where what is seen next to it is behind it, or nothing is: half a
     /// beam beyond the last return; `inner` is the one before. Where beams that return nothing meet the surface at a grazing
-    /// angle, or hardly reach it, it goes on.
+    /// angle, or hardly reach it, it continues.
     fn edge(
         &self,
         at: usize,
@@ -345,13 +342,6 @@ impl SweepMotion {
         let moved = heading(turn / 2.0) * (self.speed_mps * time_s);
         let (sin, cos) = turn.sin_cos();
         Vector2::new(cos * place.x - sin * place.y, sin * place.x + cos * place.y) + moved
-    }
-
-    /// A place as it is from where the robot is `time_s` after the front beam.
-    pub fn at_time(&self, place: Vector2<f64>, time_s: f64) -> Vector2<f64> {
-        let turn = self.yaw_rate_radps * time_s;
-        let apart = place - heading(turn / 2.0) * (self.speed_mps * time_s);
-        to_robot(turn, apart.x, apart.y)
     }
 }
 

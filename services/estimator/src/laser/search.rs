@@ -11,7 +11,7 @@ use vehicle::frame::{to_robot, wrap_angle};
 
 use super::align::{Prior, nearest};
 use super::known::Stated;
-use super::pieces::{Pieces, SweepMotion};
+use super::pieces::Pieces;
 use super::surface::SurfaceLine;
 
 /// So many scans in a row contradict the pose before it is searched for.
@@ -36,10 +36,8 @@ const THERE_M: (f64, f64) = (0.12, 0.2);
 const ASKED_M: (f64, f64) = (0.3, 5.0);
 /// Cosine between a beam and the normal of the surface, at least.
 const FACING: f64 = 0.35;
-/// Places of a surface that are asked: the nearest one, and one so far to each side [m].
-const BESIDE_M: f64 = 1.5;
-/// So far inside of its ends: what is seen at an edge may be what is behind it [m].
-const INSIDE_M: f64 = 0.1;
+/// Places of a surface that are asked: the nearest one, and these beside it [m].
+const BESIDE_M: [f64; 3] = [-1.5, 0.0, 1.5];
 /// Places that have to be looked through at least.
 const THROUGH: u32 = 3;
 
@@ -95,11 +93,7 @@ impl Search {
         stated: &mut Stated,
     ) -> Whereabouts {
         if !self.is_on() {
-            self.doubts = if contradicts(scan, &pieces.motion, lines, pose, vehicle, stated) {
-                self.doubts + 1
-            } else {
-                0
-            };
+            self.doubts = if contradicts(scan, lines, pose, vehicle, stated) { self.doubts + 1 } else { 0 };
             if !self.is_on() {
                 return Whereabouts::Known;
             }
@@ -157,54 +151,35 @@ pub(super) fn has_turned([turn, dx, dy]: &[f64; 3], yaw: f64, vehicle: &Descript
     *turn != 0.0 && moved.norm() < SAME_PLACE_M
 }
 
-/// Places along a surface that are asked, where `nearest_m` is nearest to the robot: inside of its ends, and no place twice [m].
-fn asked(line: &SurfaceLine, nearest_m: f64) -> [Option<f64>; 3] {
-    let [first, last] = line.closed_m;
-    let half_m = (last - first) / 2.0;
-    let (low, high) = if half_m > INSIDE_M {
-        (first + INSIDE_M, last - INSIDE_M)
-    } else {
-        (first + half_m, first + half_m)
-    };
-    let apart_m = if half_m < BESIDE_M { half_m / 2.0 } else { BESIDE_M };
-    let places = [-apart_m, 0.0, apart_m].map(|beside_m| (nearest_m + beside_m).clamp(low, high));
-    let is_another = |at: usize| at == 0 || places[at] - places[at - 1] > INSIDE_M / 2.0;
-    std::array::from_fn(|at| is_another(at).then_some(places[at]))
-}
-
 /// Whether the scan looks through surfaces that should be seen, more often than it sees them; notes the same of those that
 /// the track states.
 fn contradicts(
     scan: &Scan,
-    motion: &SweepMotion,
     lines: &[SurfaceLine],
     [yaw, x, y]: [f64; 3],
     vehicle: &Description,
     stated: &mut Stated,
 ) -> bool {
     let robot = Vector2::new(x, y);
-    let scanner = Vector2::new(vehicle.scanner_x_m, vehicle.scanner_y_m);
     let (mut seen, mut through) = (0, 0);
     // Of a round body it is not the middle that is seen.
     for line in lines.iter().filter(|line| line.counts && line.radius_m == 0.0) {
-        for at_m in asked(line, line.along().dot(&(robot - line.middle))).into_iter().flatten() {
+        let [first, last] = line.closed_m;
+        let nearest_m = line.along().dot(&(robot - line.middle));
+        let half_m = (last - first) / 2.0;
+        for beside_m in
+            BESIDE_M.map(|beside_m| beside_m.clamp(-half_m, half_m) / if half_m < 1.5 { 2.0 } else { 1.0 })
+        {
+            let at_m = (nearest_m + beside_m).clamp(first, last);
             let from = line.middle + line.along() * at_m - robot;
-            let front = to_robot(yaw, from.x, from.y);
-            let beam_at = |place: Vector2<f64>| {
-                let angle = wrap_angle(place.y.atan2(place.x) - vehicle.scanner_yaw_rad);
-                ((angle - scan.first_rad) / scan.increment_rad).round()
-            };
-            let beams = 0.0..scan.ranges().len() as f64;
-            let first_beam = beam_at(front - scanner);
-            if !beams.contains(&first_beam) {
-                continue;
-            }
-            let place = motion.at_time(front, scan.beam_time_s(first_beam as usize)) - scanner;
+            let place =
+                to_robot(yaw, from.x, from.y) - Vector2::new(vehicle.scanner_x_m, vehicle.scanner_y_m);
             let expected_m = place.norm();
             let is_asked = (ASKED_M.0..ASKED_M.1).contains(&expected_m)
                 && -line.normal.dot(&from) >= FACING * from.norm();
-            let beam = beam_at(place);
-            if !is_asked || !beams.contains(&beam) {
+            let angle = wrap_angle(place.y.atan2(place.x) - vehicle.scanner_yaw_rad);
+            let beam = ((angle - scan.first_rad) / scan.increment_rad).round();
+            if !is_asked || !(0.0..scan.ranges().len() as f64).contains(&beam) {
                 continue;
             }
             let Some(range_m) = scan.range_m(beam as usize) else { continue };

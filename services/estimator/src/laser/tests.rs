@@ -284,7 +284,7 @@ fn beside(map: &SurfaceMap, reckoning: &DeadReckoning, y_m: f64) -> usize {
 }
 
 #[test]
-fn unknown_walls_that_go_on_beyond_the_range_keep_the_direction_and_show_no_way() {
+fn unknown_walls_that_continue_beyond_the_range_keep_the_direction_and_show_no_way() {
     let (doubts, map, reckoning) = driven(&CORRIDOR);
     assert_eq!((doubts, beside(&map, &reckoning, 1.5)), (false, 2));
     let [yaw, x, y] = reckoning.pose;
@@ -390,16 +390,6 @@ fn a_robot_that_is_searched_for_twice_in_twenty_seconds_was_not_lifted() {
     let (once, twice) = (lifted(100), lifted(40));
     assert_eq!((once.found + once.lost, once.again), (1, 0), "{once:?}");
     assert_eq!(twice.again, 1, "{twice:?}");
-}
-
-#[test]
-fn a_place_is_the_same_from_the_front_beam_on_and_at_the_time_of_its_own() {
-    let motion = SweepMotion { speed_mps: 3.0, yaw_rate_radps: 1.5 };
-    let place = Vector2::new(2.0, 1.0);
-    // In 20 ms the robot drives 6 cm and turns by 30 mrad: of what is 1 m to its left, 3 cm lie further ahead.
-    let later = motion.at_time(place, 0.02);
-    assert!((later - Vector2::new(1.97, 0.939)).norm() < 2e-3, "{later}");
-    assert!((motion.at_front(later, 0.02) - place).norm() < 1e-12);
 }
 
 #[test]
