@@ -29,8 +29,6 @@ plain_state! {
         pub scatter_m2: [f64; 3],
         /// From where to where it was seen, along it from its mean [m]
         pub extent_m: [f64; 2],
-        /// The same of its longest piece in the last scan that showed it: between pieces there may be doors [m]
-        pub last_m: [f64; 2],
         /// Length of the piece that it was when it was seen first [m]
         pub length_m: f64,
         /// Mean of its middles between its edges [m]
@@ -73,8 +71,6 @@ pub struct SurfaceLine {
     pub middle: Vector2<f64>,
     /// From where to where, along it from there, to the left of where it faces [m].
     pub extent_m: [f64; 2],
-    /// The part of that on which nothing is open [m].
-    pub closed_m: [f64; 2],
     /// Whether it is a long one: its direction counts, and it continues beyond what was seen of it.
     pub is_long: bool,
     /// Covariance of its place, as one of (yaw, x, y) of a robot that was there.
@@ -93,8 +89,6 @@ pub struct SurfaceLine {
     pub counts: bool,
 }
 
-/// A line is carried along to where the surface is seen, when that is further than this from where its place was fitted [m].
-const CARRY_M: f64 = 20.0;
 /// A surface that stands still is found within this of where it was [m].
 const STILL_M: f64 = 0.02;
 /// Straight sides of a small body are so near its middle [m].
@@ -117,9 +111,8 @@ const TURNED_RAD: f64 = 1e-3;
 /// What is known when pieces are seen.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sight {
-    /// Where the robot is [m], and the covariance of its pose.
+    /// Where the robot is [m].
     pub(super) place: Vector2<f64>,
-    pub(super) covariance: Matrix3<f64>,
     /// How fast it may turn unseen [rad/s], and drive [m/s].
     pub(super) rate_radps: f64,
     pub(super) rate_mps: f64,
@@ -192,11 +185,6 @@ impl Placed {
     }
 }
 
-/// The lower triangle of a symmetric matrix, column by column.
-fn triangle(matrix: &Matrix3<f64>) -> [f64; 6] {
-    [(0, 0), (1, 0), (2, 0), (1, 1), (2, 1), (2, 2)].map(|place| matrix[place])
-}
-
 impl Surface {
     /// Whether there is one.
     fn is_there(&self) -> bool {
@@ -244,7 +232,6 @@ impl Surface {
             normal: if is_round { (place - self.mean()).normalize() } else { self.normal() },
             middle: self.mean(),
             extent_m: self.extent_m,
-            closed_m: self.last_m,
             is_long: self.is_long(),
             covariance: Matrix3::new(a, b, c, b, d, e, c, e, f),
             seen_from: Vector2::from(self.seen_from_m),
@@ -269,7 +256,6 @@ impl Surface {
         self.is_turned = u64::from(normal_of(&scatter).dot(&before) < 0.0);
         let moved_m = Vector2::new(-before.y, before.x).dot(&apart) * (count / sum);
         self.extent_m = self.extent_m.map(|end| end - moved_m);
-        self.last_m = self.last_m.map(|end| end - moved_m);
         self.center(placed);
         if let Some(Round { radius_m, per_radius, .. }) = placed.round {
             let more_m = (radius_m - self.radius_m) / self.middles as f64;
@@ -288,38 +274,11 @@ impl Surface {
         self.middle_m = [mean.x, mean.y];
     }
 
-    /// From where to where along it a piece is [m].
-    fn ends(&self, placed: &Placed) -> [f64; 2] {
+    fn extend(&mut self, placed: &Placed) {
         let normal = self.normal();
         let along = Vector2::new(-normal.y, normal.x);
-        let [one, other] = placed.ends.map(|end| along.dot(&(end - self.mean())));
-        [one.min(other), one.max(other)]
-    }
-
-    /// Notes a piece of a scan; `is_first` if it is the first one of that scan.
-    fn spot(&mut self, placed: &Placed, is_first: bool) {
-        let [first, last] = self.ends(placed);
-        if is_first || last - first > self.last_m[1] - self.last_m[0] {
-            self.last_m = [first, last];
-        }
-    }
-
-    /// Moves the line to the piece where that is far away, in its direction: what this is off would make the place wrong there.
-    /// Its place is known as that of the robot is now.
-    fn carry(&mut self, placed: &Placed, sight: &Sight) {
-        let normal = self.normal();
-        let along_m = Vector2::new(-normal.y, normal.x).dot(&(placed.mean - self.mean()));
-        if along_m.abs() < CARRY_M {
-            return;
-        }
-        self.mean_m = [placed.mean.x, placed.mean.y];
-        self.extent_m = self.extent_m.map(|end| end - along_m);
-        self.last_m = self.last_m.map(|end| end - along_m);
-        (self.covariance, self.seen_from_m) = (triangle(&sight.covariance), sight.place.into());
-    }
-
-    fn extend(&mut self, placed: &Placed) {
-        for at in self.ends(placed) {
+        for end in placed.ends {
+            let at = along.dot(&(end - self.mean()));
             self.extent_m = [self.extent_m[0].min(at), self.extent_m[1].max(at)];
         }
     }
@@ -356,10 +315,6 @@ impl SurfaceMap {
         }
         if !surface.is_settled() || surface.is_long() {
             surface.extend(placed);
-        }
-        surface.spot(placed, surface.seen_ns < now_ns);
-        if surface.is_settled() && surface.is_long() && placed.is_long() {
-            surface.carry(placed, sight);
         }
         surface.sightings += 1;
         surface.seen_ns = now_ns;
@@ -410,11 +365,10 @@ impl SurfaceMap {
             since_ns: now_ns,
             seen_ns: now_ns,
             seen_from_m: [pose[1], pose[2]],
-            covariance: triangle(covariance),
+            covariance: [(0, 0), (1, 0), (2, 0), (1, 1), (2, 1), (2, 2)].map(|place| covariance[place]),
             ..Surface::default()
         };
         surface.extend(placed);
-        surface.last_m = surface.extent_m;
         surface.center(placed);
         self.surfaces[index] = surface;
     }
@@ -430,7 +384,6 @@ impl SurfaceMap {
                 mean_m,
                 scatter_m2,
                 extent_m,
-                last_m,
                 first_m,
                 middle_m,
                 seen_from_m,
@@ -439,8 +392,7 @@ impl SurfaceMap {
                 ..
             } = surface;
             finite("map", &[*count, *radius_m])?;
-            let numbers =
-                [&mean_m[..], scatter_m2, extent_m, last_m, first_m, middle_m, seen_from_m, covariance];
+            let numbers = [&mean_m[..], scatter_m2, extent_m, first_m, middle_m, seen_from_m, covariance];
             numbers.into_iter().try_for_each(|numbers| finite("map", numbers))?;
         }
         Ok(())
