@@ -48,7 +48,7 @@ mod tests {
     fn lengths_grow_and_the_robot_stays_as_it_is() {
         let walls = Scenario::parse(Scenario::shipped("walls").unwrap(), "walls").unwrap();
         let large = scaled(&walls, 3.0).unwrap();
-        assert_eq!((large.robot, large.noise.clone()), (walls.robot, walls.noise.clone()));
+        assert_eq!((large.robot, large.noise), (walls.robot, walls.noise));
         assert_eq!(large.timeout_s, 3.0 * walls.timeout_s);
         assert_eq!(large.track.y_m, walls.track.y_m.map(|y_m| 3.0 * y_m));
         assert_eq!(large.goal.last().x_m, 3.0 * walls.goal.last().x_m);
