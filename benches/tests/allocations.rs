@@ -1,14 +1,17 @@
-//! A solve allocates nothing once its buffers have grown to the size of its problems, and a scanner's driver nothing per
-//! scan.
+//! A solve allocates nothing once its buffers have grown to the size of its problems, a scanner's driver nothing per
+//! scan, and the estimator nothing in a drive.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 #[path = "../../services/ocp/tests/problems/mod.rs"]
 mod problems;
 
+use emulator::scenario::Preset;
+use emulator::{Emulator, Scenario};
+use estimator::{Estimator, EstimatorConfig};
 use laboratory::{CountingAllocator, allocations};
 use ocp::{Budget, Hessian, Problem, Solution, Solver, SolverSettings, Trajectory};
 use problems::random;
-use shared_types::Scan;
+use shared_types::{Actuation, ActuationKind, Header, Odometry, Role, Scan, Truth};
 use urg::{DeviceFault, ScannerConfig, ScannerEmulator, ScannerPlace, ScannerSession};
 
 #[global_allocator]
@@ -96,4 +99,53 @@ fn a_scan_of_a_scanner_allocates_nothing_after_the_start() {
     let (scans, allocated) = deliver(&mut session, &mut emulator, 3_000, 60_000);
     assert!(scans > 560, "{scans}");
     assert_eq!(allocated, 0);
+}
+
+/// Allocations of the estimator, by steps and by scans, in a drive straight ahead after 30 scans.
+fn of_estimator(name: &str, preset: Preset) -> [u64; 2] {
+    const PERIOD_NS: u64 = 100_000_000;
+    let mut scenario = Scenario::parse(Scenario::shipped(name).unwrap(), name).unwrap();
+    scenario.robot.preset = preset;
+    let config = EstimatorConfig { track: scenario.track, ..EstimatorConfig::default() };
+    let mut estimator = Estimator::new(&config).unwrap();
+    let mut robot = Emulator::new(&scenario, PERIOD_NS);
+    let (mut scan, mut odometry, mut truth) = (Scan::default(), Odometry::default(), Truth::default());
+    let mut allocated = [0; 2];
+    for scan_id in 1..=100 {
+        let now_ns = robot.scan_ready_ns(scan_id);
+        robot.advance_to(now_ns);
+        robot.measure(scan_id, &mut scan, &mut odometry, &mut truth);
+        let acquired_ns = robot.acquired_ns(scan_id);
+        let header = Header { scan_id, sequence: scan_id, acquired_ns, ..Header::default() };
+        (scan.header, odometry.header) = (header, header);
+        let begun = allocations();
+        let pose = estimator.step(&odometry, None, now_ns).unwrap();
+        let stepped = allocations();
+        estimator.see(&scan);
+        if scan_id > 30 {
+            allocated = [allocated[0] + stepped - begun, allocated[1] + allocations() - stepped];
+        }
+        let mut sent = Actuation {
+            header: pose.header,
+            kind: ActuationKind::Drive.wire(),
+            answers: 1,
+            desired_velocity_mps: 0.5,
+            sent_velocity_mps: 0.7,
+            ..Actuation::default()
+        };
+        sent.header.stage_mut(Role::Actuator).published_ns = now_ns;
+        estimator.note(&sent, now_ns);
+        robot.actuate(&sent);
+    }
+    assert!(truth.x_m > 2.0, "{truth:?}");
+    allocated
+}
+
+#[test]
+fn the_estimator_allocates_nothing_in_a_drive() {
+    for name in ["corridor", "crossing", "noisy", "imperfect-robot", "walls"] {
+        for preset in [Preset::Ideal, Preset::Summit] {
+            assert_eq!(of_estimator(name, preset), [0; 2], "{name} {preset:?}");
+        }
+    }
 }

@@ -20,6 +20,8 @@ pub(super) struct Course {
 #[derive(Debug, Clone)]
 pub(super) struct Drive {
     pub(super) plan: Plan,
+    /// Before any override.
+    pub(super) scenario: Scenario,
     /// Width of the narrowest place, where the family has one [m].
     pub(super) gap_m: Option<f64>,
 }
@@ -56,7 +58,7 @@ impl Course {
     ///
     /// # Errors
     /// A scenario that is not allowed; exit code 2.
-    pub(super) fn scenario(self, arguments: &CampaignArguments) -> anyhow::Result<(Scenario, Option<f64>)> {
+    fn scenario(self, arguments: &CampaignArguments) -> anyhow::Result<(Scenario, Option<f64>)> {
         let (scenario, gap_m) = match self.kind {
             Kind::Mixed(_) => (of_campaign(self.seed).1, None),
             Kind::Hostile(family) => {
@@ -91,7 +93,7 @@ impl Course {
         let (scenario, gap_m) = self.scenario(arguments)?;
         let (system, overrides) = (arguments.system.clone(), arguments.overrides.clone());
         let choice = Choice { system, overrides, ..Choice::default() };
-        Ok(Drive { plan: Plan::of(&scenario, &choice)?, gap_m })
+        Ok(Drive { plan: Plan::of(&scenario, &choice)?, scenario, gap_m })
     }
 }
 

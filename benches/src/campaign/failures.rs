@@ -43,15 +43,7 @@ pub(super) struct Bad {
 
 impl Bad {
     /// What is to be told and written of a bad course.
-    ///
-    /// # Errors
-    /// A scenario that can't be read any more; exit code 2.
-    pub(super) fn of(
-        run: &CourseRun,
-        arguments: &CampaignArguments,
-        results: &OutFolder,
-    ) -> anyhow::Result<Self> {
-        let (scenario, _) = run.course.scenario(arguments)?;
+    pub(super) fn of(run: &CourseRun, arguments: &CampaignArguments, results: &OutFolder) -> Self {
         let cause = if is_wrong(run) { run.judgement.cause.clone() } else { WITHOUT_REST.to_owned() };
         let mut reason = run.reason.clone();
         if run.without_rest > 0 {
@@ -61,9 +53,9 @@ impl Bad {
         let text = format!(
             "# {}: {reason}\n# scanloop run --lockstep FILE{set}\n{}",
             run.outcome,
-            scenario.to_toml()
+            run.scenario.to_toml()
         );
-        let name = format!("{cause}/{}.toml", scenario.name);
+        let name = format!("{cause}/{}.toml", run.scenario.name);
         let (seed, family) = (run.course.seed, run.family.clone());
         let course = BadCourse {
             seed,
@@ -73,7 +65,7 @@ impl Bad {
             reason,
             scenario: results.folder().join(&name),
         };
-        Ok(Self { course, name, text })
+        Self { course, name, text }
     }
 
     /// Writes its scenario to the folder of its cause.

@@ -3,7 +3,7 @@
 use audit::digest::Digests;
 use courses::WayToRest;
 use courses::judge::{Judge, Judgement};
-use emulator::Outcome;
+use emulator::{Outcome, Scenario};
 use pipeline::{PipelineSettings, Step};
 use report::NO_OBSTACLE_M;
 
@@ -14,6 +14,8 @@ use super::course::{Course, Drive};
 #[derive(Debug, Clone)]
 pub(super) struct CourseRun {
     pub(super) course: Course,
+    /// Before any override.
+    pub(super) scenario: Scenario,
     /// Name of its family or scenario.
     pub(super) family: String,
     pub(super) gap_m: Option<f64>,
@@ -36,7 +38,7 @@ impl CourseRun {
     /// # Errors
     /// A setting that is not allowed; exit code 2.
     pub(super) fn of(course: Course, arguments: &CampaignArguments) -> anyhow::Result<Self> {
-        let Drive { plan, gap_m } = course.drive(arguments)?;
+        let Drive { plan, scenario, gap_m } = course.drive(arguments)?;
         let (tuning, period_ns) = (plan.system.tuning(), plan.system.period_ns());
         let settings = PipelineSettings { scenario: plan.scenario, tuning, period_ns };
         let mut digests = Digests::default();
@@ -62,6 +64,7 @@ impl CourseRun {
         let (outcome, reason) = (drive.outcome, drive.reason);
         Ok(Self {
             course,
+            scenario,
             family: course.family(arguments).to_owned(),
             gap_m,
             outcome,

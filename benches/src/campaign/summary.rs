@@ -193,6 +193,7 @@ mod tests {
         let judgement = Judgement { verdict, missed_by_estimate: false, passable, cause };
         CourseRun {
             course: Course { kind: Kind::Hostile(Hostile::Gap), seed: 1 },
+            scenario: plan::scenario("corridor").unwrap(),
             family: "gap".to_owned(),
             gap_m: Some(gap_m),
             outcome,

@@ -465,6 +465,11 @@ impl Estimator {
         if self.settings.noise_turns {
             noise += Vector3::new(yaw_rad * yaw_rad, ahead_m * ahead_m, 0.0);
         }
+        if self.settings.is_increments {
+            // Odometers do not see tyres slip to the side, and the innovation compares with one.
+            let slip = self.state.motion.slip_rad(&model.parameters);
+            noise[2] += (slip * (after.x - before.x).hypot(after.y - before.y)).powi(2);
+        }
         let predicted = Vector3::new(wrap_angle(after.yaw), after.x, after.y);
         filter.predict(predicted, &by_state, &by_noise, &Matrix3::from_diagonal(&noise));
         self.keep(&filter);
@@ -560,7 +565,9 @@ impl Estimator {
         }
         increments.turn_radps = if dt > 0.0 { moved.turn_rad / dt } else { 0.0 };
         let turning_s = self.state.increments.turning_s(dt);
-        self.state.reckoning.advance(moved.turn_rad, moved.ahead_m, moved.left_m, turning_s);
+        let slip_m = self.state.motion.slip_rad(&self.settings.motion.parameters) * moved.ahead_m;
+        let unseen_m = if expected.is_some() { self.state.increments.unseen_m(slip_m) } else { 0.0 };
+        self.state.reckoning.advance(moved.turn_rad, moved.ahead_m, moved.left_m + unseen_m, turning_s);
         if self.state.increments.is_known() && self.settings.laser != LaserMode::Off {
             self.state.reckoning.shake(&self.state.increments.covariance(self.state.reckoning.pose[0]));
         }

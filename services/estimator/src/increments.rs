@@ -23,6 +23,11 @@ const KNOWN: f64 = 10.0;
 /// An odometer has noise whose variance is more than this share of what is believed at first.
 const NOISY: f64 = 0.25;
 
+/// A slip to the side in a step below this tells nothing [m].
+const SLIP_M: f64 = 1e-3;
+/// So much of it in one step shows whether the odometer sees it [m].
+const SEEN_M: f64 = 0.02;
+
 plain_state! {
     /// The pose that the odometer reports, without its white noise.
     pub struct Increments {
@@ -44,6 +49,8 @@ plain_state! {
         pub weight: f64,
         /// Turn rate over the last motion [rad/s]
         pub turn_radps: f64,
+        /// Sums over the ways on which tyres slipped to the side: of slip times what of it was not reported, and of its square [m^2]
+        pub slipped: [f64; 2],
         /// 1 when the last report repeats the one before to the bit: such an odometer integrates no bias at rest
         pub repeats: u64,
     }
@@ -135,6 +142,18 @@ impl Increments {
         let last = std::mem::replace(&mut self.reported, [report.yaw, report.x, report.y]);
         self.repeats = u64::from(self.reported == last);
         Increment::between(before, planar(self.pose))
+    }
+
+    /// What the odometer did not see of a slip to the left, by the model: the share of it that was missing in all reports. Encoders
+    /// see none, others all of it.
+    pub fn unseen_m(&mut self, slip_m: f64) -> f64 {
+        if slip_m.abs() < SLIP_M {
+            return 0.0;
+        }
+        let [missed, square] = self.slipped;
+        self.slipped = [missed - slip_m * self.excess[2], square + slip_m * slip_m];
+        let [missed, square] = self.slipped;
+        slip_m * (missed / (square + SEEN_M * SEEN_M)).clamp(0.0, 1.0)
     }
 
     /// Takes a report as it is, and returns the motion to it.

@@ -235,6 +235,7 @@ impl Matcher {
         let [rate_radps, share, _] = reckoning.deviations();
         let sight = Sight {
             place: Vector2::new(pose[1], pose[2]),
+            covariance,
             rate_radps,
             rate_mps: share * speed_mps.abs(),
             noise_m: self.pieces.noise_m,

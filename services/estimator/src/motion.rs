@@ -168,6 +168,14 @@ impl MotionState {
         }
     }
 
+    /// Sideslip by which the tyres slip, beyond that of wheels which roll [rad].
+    pub(crate) fn slip_rad(&self, parameters: &Parameters) -> f64 {
+        if self.speed_mps.abs() < SLOWEST_MPS {
+            return 0.0;
+        }
+        self.sideslip_rad - parameters.straight_axle_m() * self.yaw_rate_radps / self.speed_mps
+    }
+
     /// Moves a pose from `from_ns` to `to_ns`; `measured_mps` is the speed measured at the end, where there is one.
     ///
     /// Returns the pose at the end; speed, steering angle, sideslip and yaw rate are left in `self`.

@@ -91,7 +91,7 @@ impl EstimatorState {
         self.gyro.check()?;
         let reckoning: &[f64; 51] = bytemuck::cast_ref(&self.reckoning);
         finite("reckoning", reckoning)?;
-        let increments: &[f64; 24] = bytemuck::cast_ref(&self.increments);
+        let increments: &[f64; 26] = bytemuck::cast_ref(&self.increments);
         finite("increments", increments)?;
         self.learned.check()?;
         self.laser.map.check()?;

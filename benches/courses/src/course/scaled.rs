@@ -2,7 +2,7 @@
 
 use emulator::Scenario;
 use emulator::scenario::ScenarioError;
-use toml::{Table, Value};
+use toml::Value;
 
 /// Tables whose lengths are those of the robot and its devices.
 const OF_THE_ROBOT: [&str; 3] = ["robot", "noise", "scanner"];
@@ -29,13 +29,9 @@ fn scale(key: &str, value: &mut Value, factor: f64) {
             *value = Value::Float(*number as f64 * factor);
         }
         Value::Array(values) => values.iter_mut().for_each(|value| scale(key, value, factor)),
-        Value::Table(table) => scale_all(table, factor),
+        Value::Table(table) => table.iter_mut().for_each(|(key, value)| scale(key, value, factor)),
         _ => {}
     }
-}
-
-fn scale_all(table: &mut Table, factor: f64) {
-    table.iter_mut().for_each(|(key, value)| scale(key, value, factor));
 }
 
 #[cfg(test)]

@@ -31,10 +31,12 @@ const BIAS_M: (f64, f64) = (0.02, 0.006);
 const ROUND_BIAS_M: f64 = 0.006;
 /// Where a surface alone is off, it is off in so many scans alike.
 const SAME: f64 = 20.0;
+/// Lines are parallel when their directions differ by less than this [rad].
+const LEVEL_RAD: f64 = 0.01;
 /// A residual of this size counts half [m].
 const HALF_M: f64 = 0.03;
 /// A piece of a line may be beyond its ends by this, and of one that continues by this [m].
-const BEYOND_M: (f64, f64) = (0.15, 1.0);
+const BEYOND_M: (f64, f64) = (0.15, 2.0);
 /// A surface counts less than another where the variance of its place is larger by this factor.
 const WORSE: f64 = 9.0;
 /// Where the place of the surfaces around is known to this, others do not show another [m].
@@ -160,6 +162,7 @@ fn sight<'l>(
             count += 1;
         }
     }
+    level(&mut pairs[..count]);
     let mut sighting = Sighting::default();
     let mut slope = Vector3::zeros();
     for index in 0..count {
@@ -194,6 +197,24 @@ fn sight<'l>(
     let [yaw, x, y] = (pose - prior.pose).into();
     sighting.pull = sighting.information * Vector3::new(wrap_angle(yaw), x, y) - slope;
     (count > 0).then_some((sighting, returns))
+}
+
+/// Lines that are parallel as far as is known do not show how far the robot is along them, by where they would meet.
+fn level(pairs: &mut [Option<Pair<'_>>]) {
+    for index in 1..pairs.len() {
+        let (before, from) = pairs.split_at_mut(index);
+        let Some(pair) = &mut from[0] else { continue };
+        let normal = pair.line.normal;
+        let parallel = before
+            .iter()
+            .flatten()
+            .map(|other| other.slope.yz())
+            .find(|other| normal.perp(other).abs() < LEVEL_RAD);
+        if let Some(other) = parallel {
+            let other = other * normal.dot(&other).signum();
+            (pair.slope[1], pair.slope[2]) = (other.x, other.y);
+        }
+    }
 }
 
 impl Pair<'_> {

@@ -9,6 +9,7 @@
 //! Assumptions: speed and yaw rate are constant during the sweep. What is round gives no straight piece; a small body is a
 //! piece of its own then.
 
+use std::f64::consts::SQRT_2;
 use std::ops::Range;
 
 use nalgebra::{Matrix2, Vector2};
@@ -45,6 +46,13 @@ const LONG_M: f64 = 1.0;
 const CURVED: (f64, f64) = (0.001, 2.0);
 /// What is seen beside an edge is further away by this [m].
 const BEHIND_M: f64 = 0.15;
+/// So many returns behind a corner leave the line before it by this in the mean, and by so many standard deviations of one [m].
+const BEYOND: usize = 10;
+const CORNER_OFF: (f64, f64) = (0.03, 1.0);
+/// Cosine between beam and normal below which beams meet a surface at a grazing angle.
+const GRAZING: f64 = 0.4;
+/// Share of the range of the scanner from which on it hardly sees a surface.
+const HARDLY: f64 = 0.9;
 /// So many beams without a return show an edge, as no fault of the scanner does.
 const MISSING: usize = 3;
 /// Standard deviation of the middle between two edges, by the distance of two beams.
@@ -69,6 +77,10 @@ pub struct Piece {
     pub ends: [Vector2<f64>; 2],
     /// The middle between both, where they are the edges of the surface, and its standard deviation [m].
     pub middle: Option<(Vector2<f64>, f64)>,
+    /// Those of both that are edges of the surface [m].
+    pub edges: [Option<Vector2<f64>>; 2],
+    /// Standard deviation of the difference of two sightings of one [m].
+    pub edge_m: f64,
     /// The circle that it is seen to be instead; its mean is the middle of that.
     pub round: Option<Round>,
     is_chord: bool,
@@ -106,6 +118,10 @@ pub struct Pieces {
     pieces: Vec<Piece>,
     /// Standard deviation of a range [m].
     pub noise_m: f64,
+    /// Range of the scanner [m].
+    reach_m: f64,
+    /// Beams beside which there are others.
+    inner: Range<usize>,
 }
 
 impl Default for Pieces {
@@ -115,6 +131,8 @@ impl Default for Pieces {
             magnitudes: Vec::with_capacity(MAX_BEAMS),
             pieces: Vec::with_capacity(MAX_PIECES),
             noise_m: NOISE_M.0,
+            reach_m: f64::INFINITY,
+            inner: 0..0,
         }
     }
 }
@@ -127,6 +145,8 @@ impl Pieces {
 
     /// Finds the pieces of a scan whose ranges are too long by `offset_m`.
     pub fn find(&mut self, scan: &Scan, vehicle: &Description, motion: &SweepMotion, offset_m: f64) {
+        self.reach_m = vehicle.scanner.range_m;
+        self.inner = MISSING..scan.ranges().len().saturating_sub(MISSING);
         let Self { returns, pieces, .. } = self;
         returns.clear();
         pieces.clear();
@@ -180,18 +200,31 @@ impl Pieces {
             if most_m <= limit_m && self.is_curved(first..end, normal) {
                 continue;
             } else if most_m <= limit_m {
-                let piece = fit(&self.returns[first..end], scanner, self.noise_m);
+                let Some(piece) = fit(&self.returns[first..end], scanner, self.noise_m) else { continue };
                 let edges = [(first, first.checked_sub(1), first + 1), (end - 1, Some(end), end - 2)].map(
                     |(at, outer, inner)| match outer {
-                        Some(outer) if cluster.contains(&outer) => Some(self.returns[at].place),
-                        _ => self.edge(at, outer.and_then(|outer| self.returns.get(outer)), inner),
+                        Some(outer) if cluster.contains(&outer) => self
+                            .is_corner(outer, outer > at, &cluster, &piece)
+                            .then(|| self.returns[at].place),
+                        _ => self.edge(
+                            at,
+                            outer.and_then(|outer| self.returns.get(outer)),
+                            inner,
+                            &piece,
+                            scanner,
+                        ),
                     },
                 );
                 let width_m = pitch_rad * self.returns[first].range_m.max(self.returns[end - 1].range_m);
-                self.pieces.extend(piece.map(|piece| {
-                    let middle = edges[0].zip(edges[1]).map(|(one, other)| (one + other) / 2.0);
-                    Piece { middle: middle.map(|middle| (middle, EDGE * width_m)), ..piece }
-                }));
+                let middle = edges[0].zip(edges[1]).map(|(one, other)| (one + other) / 2.0);
+                let middle = middle.map(|middle| (middle, EDGE * width_m));
+                // Where the view ends, and where it is hardly seen, a surface may continue.
+                let is_sure = |at: usize| {
+                    let last = &self.returns[at];
+                    self.inner.contains(&last.beam) && last.range_m <= HARDLY * self.reach_m
+                };
+                let edges = [edges[0].filter(|_| is_sure(first)), edges[1].filter(|_| is_sure(end - 1))];
+                self.pieces.push(Piece { middle, edges, edge_m: SQRT_2 * EDGE * width_m, ..piece });
             } else if count + 2 <= waiting.len() {
                 (waiting[count], waiting[count + 1]) = ((at, end), (first, at + 1));
                 count += 2;
@@ -245,6 +278,8 @@ impl Pieces {
             normal,
             ends,
             middle: Some(middle),
+            edges: [None; 2],
+            edge_m: 0.0,
             round: Some(round),
             ..Piece::default()
         })
@@ -263,13 +298,36 @@ impl Pieces {
         off_m > CURVED.0 + CURVED.1 * self.noise_m * (1.5 / third as f64).sqrt()
     }
 
+    /// Whether the returns of a cluster from `outer` on, ahead or back, leave the line of the piece beside them, as they do behind a
+    /// corner: noise splits straight surfaces as well.
+    fn is_corner(&self, outer: usize, ahead: bool, cluster: &Range<usize>, piece: &Piece) -> bool {
+        let beyond = if ahead {
+            outer..cluster.end.min(outer + BEYOND)
+        } else {
+            cluster.start.max((outer + 1).saturating_sub(BEYOND))..outer + 1
+        };
+        let count = beyond.len() as f64;
+        let off = |one: &Return| piece.normal.dot(&(one.place - piece.mean));
+        let off_m = self.returns[beyond].iter().map(off).sum::<f64>() / count;
+        off_m.abs() > CORNER_OFF.0.max(CORNER_OFF.1 * self.noise_m)
+    }
+
     /// The edge of a surface that ends with the return `at`, where what is seen next to it is behind it, or nothing is: half a
-    /// beam beyond the last return; `inner` is the one before.
-    fn edge(&self, at: usize, outer: Option<&Return>, inner: usize) -> Option<Vector2<f64>> {
+    /// beam beyond the last return; `inner` is the one before. Where beams that return nothing meet the surface at a grazing
+    /// angle, it continues.
+    fn edge(
+        &self,
+        at: usize,
+        outer: Option<&Return>,
+        inner: usize,
+        piece: &Piece,
+        scanner: Vector2<f64>,
+    ) -> Option<Vector2<f64>> {
         let last = &self.returns[at];
-        let is_edge = outer.is_none_or(|outer| {
-            outer.range_m > last.range_m + BEHIND_M || outer.beam.abs_diff(last.beam) > MISSING
-        });
+        let is_edge = match outer.filter(|outer| outer.beam.abs_diff(last.beam) <= MISSING) {
+            Some(outer) => outer.range_m > last.range_m + BEHIND_M,
+            None => piece.normal.dot(&(last.place - scanner)).abs() >= GRAZING * last.range_m,
+        };
         is_edge.then(|| last.place + (last.place - self.returns[inner].place) / 2.0)
     }
 
@@ -323,6 +381,8 @@ fn fit(returns: &[Return], scanner: Vector2<f64>, noise_m: f64) -> Option<Piece>
         normal,
         ends,
         middle: None,
+        edges: [None; 2],
+        edge_m: 0.0,
         round: None,
         is_chord: false,
     })

@@ -164,7 +164,7 @@ fn contradicts(
     let (mut seen, mut through) = (0, 0);
     // Of a round body it is not the middle that is seen.
     for line in lines.iter().filter(|line| line.counts && line.radius_m == 0.0) {
-        let [first, last] = line.extent_m;
+        let [first, last] = line.closed_m;
         let nearest_m = line.along().dot(&(robot - line.middle));
         let half_m = (last - first) / 2.0;
         for beside_m in

@@ -12,7 +12,7 @@ use super::pieces::{Piece, normal_of};
 use super::round::Round;
 
 /// How many surfaces are remembered.
-pub const SURFACES: usize = 42;
+pub const SURFACES: usize = 36;
 /// A surface counts after so many sightings, over this time [ns].
 const CONFIRMED: (u64, u64) = (5, 450_000_000);
 /// Its line is kept after so many sightings, and that of a long one after so many returns.
@@ -29,12 +29,18 @@ plain_state! {
         pub scatter_m2: [f64; 3],
         /// From where to where it was seen, along it from its mean [m]
         pub extent_m: [f64; 2],
+        /// The same of its longest piece in the last scan that showed it: between pieces there may be doors [m]
+        pub last_m: [f64; 2],
         /// Length of the piece that it was when it was seen first [m]
         pub length_m: f64,
         /// Mean of its middles between its edges [m]
         pub middle_m: [f64; 2],
         /// How often both were seen, until its line was kept
         pub middles: u64,
+        /// Its edges, where they were seen first [m]
+        pub edges_m: [[f64; 2]; 2],
+        /// Which of them were seen: 1 for the first, 2 for the last one
+        pub edges: u64,
         /// Its mean at the first sighting [m]
         pub first_m: [f64; 2],
         /// 1 when its normal is the negative of that of its scatter
@@ -71,6 +77,8 @@ pub struct SurfaceLine {
     pub middle: Vector2<f64>,
     /// From where to where, along it from there, to the left of where it faces [m].
     pub extent_m: [f64; 2],
+    /// The part of that on which nothing is open [m].
+    pub closed_m: [f64; 2],
     /// Whether it is a long one: its direction counts, and it continues beyond what was seen of it.
     pub is_long: bool,
     /// Covariance of its place, as one of (yaw, x, y) of a robot that was there.
@@ -89,8 +97,12 @@ pub struct SurfaceLine {
     pub counts: bool,
 }
 
+/// A line is carried along to where the surface is seen, when that is further than this from where its place was fitted [m].
+const CARRY_M: f64 = 20.0;
 /// A surface that stands still is found within this of where it was [m].
 const STILL_M: f64 = 0.02;
+/// An edge that is further than this from where it was is another, of a door [m].
+const OTHER_M: f64 = 0.5;
 /// Straight sides of a small body are so near its middle [m].
 const BESIDE_M: f64 = 0.1;
 /// A middle between edges that stands still is found within so many of its standard deviations.
@@ -111,8 +123,9 @@ const TURNED_RAD: f64 = 1e-3;
 /// What is known when pieces are seen.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sight {
-    /// Where the robot is [m].
+    /// Where the robot is [m], and the covariance of its pose.
     pub(super) place: Vector2<f64>,
+    pub(super) covariance: Matrix3<f64>,
     /// How fast it may turn unseen [rad/s], and drive [m/s].
     pub(super) rate_radps: f64,
     pub(super) rate_mps: f64,
@@ -128,6 +141,8 @@ pub(super) struct Placed {
     pub(super) normal: Vector2<f64>,
     pub(super) ends: [Vector2<f64>; 2],
     pub(super) middle: Option<(Vector2<f64>, f64)>,
+    pub(super) edges: [Option<Vector2<f64>>; 2],
+    pub(super) edge_m: f64,
     pub(super) round: Option<Round>,
 }
 
@@ -142,6 +157,8 @@ impl Placed {
             normal: turn * piece.normal,
             ends: piece.ends.map(place),
             middle: piece.middle.map(|(middle, sigma_m)| (place(middle), sigma_m)),
+            edges: piece.edges.map(|edge| edge.map(place)),
+            edge_m: piece.edge_m,
             round: piece.round,
         }
     }
@@ -183,6 +200,11 @@ impl Placed {
             false => by_place * noise_m2,
         }
     }
+}
+
+/// The lower triangle of a symmetric matrix, column by column.
+fn triangle(matrix: &Matrix3<f64>) -> [f64; 6] {
+    [(0, 0), (1, 0), (2, 0), (1, 1), (2, 1), (2, 2)].map(|place| matrix[place])
 }
 
 impl Surface {
@@ -232,6 +254,7 @@ impl Surface {
             normal: if is_round { (place - self.mean()).normalize() } else { self.normal() },
             middle: self.mean(),
             extent_m: self.extent_m,
+            closed_m: self.last_m,
             is_long: self.is_long(),
             covariance: Matrix3::new(a, b, c, b, d, e, c, e, f),
             seen_from: Vector2::from(self.seen_from_m),
@@ -256,6 +279,7 @@ impl Surface {
         self.is_turned = u64::from(normal_of(&scatter).dot(&before) < 0.0);
         let moved_m = Vector2::new(-before.y, before.x).dot(&apart) * (count / sum);
         self.extent_m = self.extent_m.map(|end| end - moved_m);
+        self.last_m = self.last_m.map(|end| end - moved_m);
         self.center(placed);
         if let Some(Round { radius_m, per_radius, .. }) = placed.round {
             let more_m = (radius_m - self.radius_m) / self.middles as f64;
@@ -274,11 +298,55 @@ impl Surface {
         self.middle_m = [mean.x, mean.y];
     }
 
-    fn extend(&mut self, placed: &Placed) {
+    /// How far an edge has moved, and notes those that were not seen before [m].
+    fn edge_moved_m(&mut self, placed: &Placed) -> f64 {
+        let mut most_m = 0.0_f64;
+        for (side, (known, edge)) in (1..).zip(self.edges_m.iter_mut().zip(placed.edges)) {
+            let Some(edge) = edge else { continue };
+            if self.edges & side == 0 {
+                self.edges |= side;
+                *known = edge.into();
+            }
+            let moved_m = (edge - Vector2::from(*known)).norm();
+            if moved_m < OTHER_M {
+                most_m = most_m.max(moved_m);
+            }
+        }
+        most_m
+    }
+
+    /// From where to where along it a piece is [m].
+    fn ends(&self, placed: &Placed) -> [f64; 2] {
         let normal = self.normal();
         let along = Vector2::new(-normal.y, normal.x);
-        for end in placed.ends {
-            let at = along.dot(&(end - self.mean()));
+        let [one, other] = placed.ends.map(|end| along.dot(&(end - self.mean())));
+        [one.min(other), one.max(other)]
+    }
+
+    /// Notes a piece of a scan; `is_first` if it is the first one of that scan.
+    fn spot(&mut self, placed: &Placed, is_first: bool) {
+        let [first, last] = self.ends(placed);
+        if is_first || last - first > self.last_m[1] - self.last_m[0] {
+            self.last_m = [first, last];
+        }
+    }
+
+    /// Moves the line to the piece where that is far away, in its direction: what this is off would make the place wrong there.
+    /// Its place is known as that of the robot is now.
+    fn carry(&mut self, placed: &Placed, sight: &Sight) {
+        let normal = self.normal();
+        let along_m = Vector2::new(-normal.y, normal.x).dot(&(placed.mean - self.mean()));
+        if along_m.abs() < CARRY_M {
+            return;
+        }
+        self.mean_m = [placed.mean.x, placed.mean.y];
+        self.extent_m = self.extent_m.map(|end| end - along_m);
+        self.last_m = self.last_m.map(|end| end - along_m);
+        (self.covariance, self.seen_from_m) = (triangle(&sight.covariance), sight.place.into());
+    }
+
+    fn extend(&mut self, placed: &Placed) {
+        for at in self.ends(placed) {
             self.extent_m = [self.extent_m[0].min(at), self.extent_m[1].max(at)];
         }
     }
@@ -305,6 +373,9 @@ impl SurfaceMap {
         let along_m = seen.middle.filter(|_| surface.middles > 0).map_or(0.0, |(middle, sigma_m)| {
             ((middle - center).norm() - SIGMAS * sigma_m.hypot(unseen_m)).max(0.0)
         });
+        // Two edges are compared, and a corner may be a beam further than it seems.
+        let edge_m = surface.edge_moved_m(placed) - 2.0 * SIGMAS * placed.edge_m.hypot(unseen_m);
+        let along_m = along_m.max(edge_m);
         let tolerance_m = STILL_M.max(SIGMAS * (sight.noise_m / count.sqrt()).hypot(unseen_m));
         if !surface.counts() && (moved_m > tolerance_m || along_m > STILL_M) {
             *surface = Surface::default();
@@ -315,6 +386,10 @@ impl SurfaceMap {
         }
         if !surface.is_settled() || surface.is_long() {
             surface.extend(placed);
+        }
+        surface.spot(placed, surface.seen_ns < now_ns);
+        if surface.is_settled() && surface.is_long() && placed.is_long() {
+            surface.carry(placed, sight);
         }
         surface.sightings += 1;
         surface.seen_ns = now_ns;
@@ -365,11 +440,13 @@ impl SurfaceMap {
             since_ns: now_ns,
             seen_ns: now_ns,
             seen_from_m: [pose[1], pose[2]],
-            covariance: [(0, 0), (1, 0), (2, 0), (1, 1), (2, 1), (2, 2)].map(|place| covariance[place]),
+            covariance: triangle(covariance),
             ..Surface::default()
         };
         surface.extend(placed);
+        surface.last_m = surface.extent_m;
         surface.center(placed);
+        surface.edge_moved_m(placed);
         self.surfaces[index] = surface;
     }
 
@@ -384,16 +461,19 @@ impl SurfaceMap {
                 mean_m,
                 scatter_m2,
                 extent_m,
+                last_m,
                 first_m,
                 middle_m,
+                edges_m: [one_m, other_m],
                 seen_from_m,
                 covariance,
                 radius_m,
                 ..
             } = surface;
             finite("map", &[*count, *radius_m])?;
-            let numbers = [&mean_m[..], scatter_m2, extent_m, first_m, middle_m, seen_from_m, covariance];
-            numbers.into_iter().try_for_each(|numbers| finite("map", numbers))?;
+            let places = [mean_m, extent_m, last_m, first_m, middle_m, one_m, other_m, seen_from_m];
+            let mut numbers = places.map(|place| &place[..]).into_iter().chain([&scatter_m2[..], covariance]);
+            numbers.try_for_each(|numbers| finite("map", numbers))?;
         }
         Ok(())
     }

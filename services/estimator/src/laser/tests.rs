@@ -13,7 +13,7 @@ use super::pieces::{Piece, Pieces, SweepMotion};
 use super::search::has_turned;
 use super::surface::{SurfaceLine, SurfaceMap};
 use super::{LaserMode, LaserState, Matcher};
-use crate::dead_reckoning::{DeadReckoning, DriftSources};
+use crate::dead_reckoning::{DeadReckoning, DriftSources, OdometryStep};
 
 /// What a beam hits.
 #[derive(Clone, Copy)]
@@ -149,6 +149,7 @@ fn lines() -> Vec<SurfaceLine> {
         normal: Vector2::from(normal),
         middle: Vector2::from(middle),
         extent_m: [-half_m, half_m],
+        closed_m: [-half_m, half_m],
         is_long: half_m > 0.75,
         covariance: Matrix3::zeros(),
         seen_from: Vector2::zeros(),
@@ -251,6 +252,78 @@ fn what_stands_still_counts_and_what_moves_does_not() {
         let (map, reckoning) = after(15, moving);
         assert_eq!(counting(&map), 0, "{ahead_mps} {left_mps}");
         assert_eq!(reckoning.pose, [0.0; 3]);
+    }
+    // A side of which only the near edge is in the range of the scanner, and which moves along itself.
+    let leaving = |number: u64| boxed([4.5, 2.8 + 0.05 * number as f64], [0.6, 1.0]).to_vec();
+    let (map, _) = after(12, leaving);
+    assert_eq!(counting(&map), 0);
+}
+
+/// A robot that drives 15 m ahead between what it does not know, with an odometer that turns by 2 mrad in each second: whether it was
+/// ever in doubt, what it remembers, and the pose.
+fn driven(bodies: &[Body]) -> (bool, SurfaceMap, DeadReckoning) {
+    let sources = DriftSources { slip_m: 0.005, unknown: [0.002, 0.006, 0.0], ..DriftSources::default() };
+    let mut matcher = Matcher::new(LaserMode::Match, OPEN, &Description::default());
+    let mut reckoning = DeadReckoning::begin([0.0; 3], &Matrix3::zeros(), &sources);
+    let (mut state, mut doubts) = (LaserState::default(), false);
+    for number in 1..=150 {
+        let x_m = 0.1 * number as f64;
+        let [yaw_rad, ..] = reckoning.pose;
+        let [dx_m, dy_m] = reckoning.advance(0.2e-3, 0.1, 0.0, 0.1);
+        let step =
+            OdometryStep { seconds: 0.1, distance_m: 0.1, dx_m, dy_m, yaw_rad, ..OdometryStep::default() };
+        reckoning.grow(&sources, &step);
+        let scan = scan(number, [0.0, x_m, 0.0], bodies);
+        matcher.see(&scan, &SweepMotion::default(), &mut state, &mut reckoning);
+        doubts |= state.search.doubts > 0;
+    }
+    (doubts, state.map, reckoning)
+}
+
+/// The long lines beside the way that count.
+fn beside(map: &SurfaceMap, reckoning: &DeadReckoning, y_m: f64) -> usize {
+    let [_, x, y] = reckoning.pose;
+    let lines = map.lines(Vector2::new(x, y));
+    lines.filter(|line| line.counts && line.is_long && (line.middle.y.abs() - y_m).abs() < 0.1).count()
+}
+
+#[test]
+fn unknown_walls_that_continue_beyond_the_range_keep_the_direction_and_show_no_way() {
+    let (doubts, map, reckoning) = driven(&CORRIDOR);
+    assert_eq!((doubts, beside(&map, &reckoning, 1.5)), (false, 2));
+    let [yaw, x, y] = reckoning.pose;
+    // By the odometer alone it would be 30 mrad and 0.22 m.
+    assert!(yaw.abs() < 2e-3 && y.abs() < 0.02, "{yaw} {y}");
+    // Slip of 5 mm with the root of 15 m, and 0.6 % of these.
+    let left = reckoning.of_pose()[(1, 1)].sqrt();
+    assert!((x - 15.0).abs() < 0.03 && left > 0.07, "{x} {left}");
+}
+
+#[test]
+fn a_wall_with_doors_is_one_line_that_nothing_contradicts() {
+    let mut bodies = vec![Body::Wall([-9.0, 3.5], [30.0, 3.5]), Body::Wall([-9.0, -3.5], [30.0, -3.5])];
+    for room in 0..12 {
+        let (left, right) = (3.2 * f64::from(room) - 9.0, 3.2 * f64::from(room) - 7.5);
+        bodies.push(Body::Wall([left, 1.5], [left + 2.0, 1.5]));
+        bodies.push(Body::Wall([right, -1.5], [right + 2.0, -1.5]));
+    }
+    let (doubts, map, reckoning) = driven(&bodies);
+    // Twelve walls on each side.
+    let lines = beside(&map, &reckoning, 1.5);
+    assert!(!doubts && (2..=4).contains(&lines), "{doubts} {lines}");
+    let [yaw, _, y] = reckoning.pose;
+    assert!(yaw.abs() < 3e-3 && y.abs() < 0.03, "{yaw} {y}");
+}
+
+#[test]
+fn noise_splits_no_wall_into_surfaces_with_edges() {
+    for number in 1..=40 {
+        let mut pieces = Pieces::default();
+        let scan = scan(number, [0.0; 3], &CORRIDOR);
+        pieces.find(&scan, &Description::default(), &SweepMotion::default(), 0.0);
+        // Where the view ends, 0.87 m behind, is an edge of what was split off there.
+        let inner = pieces.all().iter().filter(|piece| piece.ends.iter().all(|end| end.x > -0.8));
+        assert!(inner.clone().all(|piece| piece.middle.is_none()), "{number}: {:?}", pieces.all());
     }
 }
 
