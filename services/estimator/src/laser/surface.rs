@@ -29,7 +29,7 @@ plain_state! {
         pub scatter_m2: [f64; 3],
         /// From where to where it was seen, along it from its mean [m]
         pub extent_m: [f64; 2],
-        /// The same of its longest piece in the last scan that showed it: between pieces there may be doors [m]
+        /// The same of pieces that overlap, up to the last scan that showed it: between others there may be doors [m]
         pub last_m: [f64; 2],
         /// Length of the piece that it was when it was seen first [m]
         pub length_m: f64,
@@ -325,8 +325,10 @@ impl Surface {
 
     /// Notes a piece of a scan; `is_first` if it is the first one of that scan.
     fn spot(&mut self, placed: &Placed, is_first: bool) {
-        let [first, last] = self.ends(placed);
-        if is_first || last - first > self.last_m[1] - self.last_m[0] {
+        let ([first, last], [from, to]) = (self.ends(placed), self.last_m);
+        if first <= to && last >= from {
+            self.last_m = [first.min(from), last.max(to)];
+        } else if is_first || last - first > to - from {
             self.last_m = [first, last];
         }
     }
