@@ -55,6 +55,9 @@ const MAX_TURNED_RAD: f64 = 1e3;
 /// Largest yaw rate that is believed [rad/s]: that of the widest bounds that may be described.
 const YAW_RATE_MAX_RADPS: f64 = 100.0;
 
+/// What is learned of the distance contradicts the odometer beyond so many of the standard deviations that are stated.
+const BEYOND_STATED: f64 = 6.0;
+
 /// Longest prediction ahead [ns]: commands for older scans are not driven.
 const MAX_AHEAD_NS: u64 = 1_000_000_000;
 
@@ -604,6 +607,10 @@ impl Estimator {
         };
         let EstimatorState { laser, reckoning, .. } = &mut self.state;
         self.matcher.see(scan, &motion, laser, reckoning);
+        let [_, stated, _] = self.settings.dead_reckoning.unknown;
+        // Ranges that are all too short seem to be an odometer that counts too much.
+        let is_beyond = stated > 0.0 && reckoning.unreported[1].abs() > BEYOND_STATED * stated;
+        laser.search.again += u64::from(is_beyond && laser.search.again == 0);
         if laser.search.again > 0 && self.settings.self_check {
             let check = &mut self.state.self_check;
             (check.suspect, check.alarm) = (Suspect::Position.wire(), Alarm::Stop.wire());

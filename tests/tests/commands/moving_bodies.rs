@@ -107,7 +107,7 @@ fn a_body_that_went_past_another_one_in_the_open_contradicts_nothing() {
     let scene = |rest: [f64; 4], more: &str| {
         let [x_m, y_m, length_m, width_m] = rest;
         format!(
-            "[goal]\nx_m = 11.0\ntolerance_m = 0.15\n[track]\nsurroundings = \"open\"\n\
+            "[goal]\nx_m = 11.0\n[track]\nsurroundings = \"open\"\n\
              [[obstacle]]\nshape = \"box\"\nx_m = {x_m:?}\ny_m = {y_m:?}\nlength_m = {length_m:?}\n\
              width_m = {width_m:?}\n[[obstacle]]\n{more}"
         )

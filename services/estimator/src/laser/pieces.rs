@@ -49,6 +49,8 @@ const BEHIND_M: f64 = 0.15;
 /// So many returns behind a corner leave the line before it by this in the mean, and by so many standard deviations of one [m].
 const BEYOND: usize = 10;
 const CORNER_OFF: (f64, f64) = (0.03, 1.0);
+/// What is smaller than this is a body with corners [m].
+const BODY_M: f64 = 1.5;
 /// Cosine between beam and normal below which beams meet a surface at a grazing angle.
 const GRAZING: f64 = 0.4;
 /// Share of the range of the scanner from which on it hardly sees a surface.
@@ -301,6 +303,10 @@ impl Pieces {
     /// Whether the returns of a cluster from `outer` on, ahead or back, leave the line of the piece beside them, as they do behind a
     /// corner: noise splits straight surfaces as well.
     fn is_corner(&self, outer: usize, ahead: bool, cluster: &Range<usize>, piece: &Piece) -> bool {
+        let size_m = (self.returns[cluster.end - 1].place - self.returns[cluster.start].place).norm();
+        if size_m < BODY_M {
+            return true;
+        }
         let beyond = if ahead {
             outer..cluster.end.min(outer + BEYOND)
         } else {

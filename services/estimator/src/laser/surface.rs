@@ -325,7 +325,12 @@ impl Surface {
 
     /// Notes a piece of a scan; `is_first` if it is the first one of that scan.
     fn spot(&mut self, placed: &Placed, is_first: bool) {
-        let ([first, last], [from, to]) = (self.ends(placed), self.last_m);
+        // What moves past a short one makes it no longer.
+        let [low, high] = self.extent_m;
+        let ([first, last], [from, to]) = (self.ends(placed).map(|end| end.clamp(low, high)), self.last_m);
+        if first == last {
+            return;
+        }
         if first <= to && last >= from {
             self.last_m = [first.min(from), last.max(to)];
         } else if is_first || last - first > to - from {
