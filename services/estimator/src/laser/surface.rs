@@ -259,7 +259,8 @@ impl Surface {
             covariance: Matrix3::new(a, b, c, b, d, e, c, e, f),
             seen_from: Vector2::from(self.seen_from_m),
             off_m: 0.0,
-            center: (self.middles > 0)
+            // What turned out longer was seen in parts.
+            center: (self.middles > 0 && self.extent_m[1] - self.extent_m[0] < LONG_M)
                 .then(|| if is_round { self.mean() } else { Vector2::from(self.middle_m) }),
             radius_m: self.radius_m,
             index: Some(index),
