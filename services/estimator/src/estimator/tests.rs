@@ -405,3 +405,18 @@ fn the_linear_filter_keeps_yaw_and_place_apart() {
     let two = vec![crate::observability::Measured::X, crate::observability::Measured::Y];
     assert_eq!(EstimatorConfig { measure: two, ..config }.validate().unwrap_err().key, "filter");
 }
+
+/// Ranges that are all too short look like an odometer that counts too much; the odometer is known to 0.6 % of the distance.
+#[test]
+fn a_distance_that_contradicts_the_stated_odometer_stops_the_robot() {
+    for (share, is_stopped) in [(0.03, false), (-0.03, false), (0.05, true), (-0.05, true)] {
+        let mut estimator = Estimator::new(&at_once()).unwrap();
+        estimator.step(&odometry(1, 0.0, 0.0), None, PERIOD_NS);
+        estimator.state.reckoning.unreported[1] = share;
+        let scan = Scan { header: header(1), ..Scan::of(shared_types::ScanGeometry::URG_04LX) };
+        estimator.see(&scan);
+        let alarm = estimator.state.self_check.alarm;
+        assert_eq!(alarm == Alarm::Stop.wire(), is_stopped, "{share}");
+        assert_eq!(estimator.laser_events()[3], u64::from(is_stopped), "{share}");
+    }
+}
