@@ -105,7 +105,7 @@ pub const EVENTS: [&str; 6] = [
     "all ranges are too long or too short: the difference is taken off",
     "the robot was elsewhere and has found itself",
     "the robot is elsewhere and does not find itself",
-    "the robot was not lifted: its scans contradict its motion",
+    "scans contradict the motion: a scanner that has turned, wrong ranges, or an odometer beyond estimator.odometry_scale",
     "the walls that the track states are not there: they are not used",
     "the pillars that the track states are not there: they are not used",
 ];
