@@ -172,6 +172,7 @@ impl Matcher {
             return;
         }
         self.pieces.find(scan, &self.vehicle, motion, state.offset.offset_m);
+        self.pieces.longer_m = state.offset.seems_m();
         self.gather(state, &reckoning.pose);
         match state.search.follow(
             scan,

@@ -13,8 +13,8 @@ use crate::dead_reckoning::DeadReckoning;
 
 /// So many scans in a row have to agree, to this [m].
 const AGREE: (u64, f64) = (3, 0.02);
-/// A smaller one is left to the match [m]; so many standard deviations of it.
-const MIN_OFFSET_M: f64 = 0.03;
+/// A smaller one is left to the match, a larger one is none of a scanner [m]; so many standard deviations of it.
+const OFFSETS_M: std::ops::RangeInclusive<f64> = 0.03..=0.5;
 const SIGMAS: f64 = 4.0;
 /// How well the pose is known apart from it [m, rad].
 const FREE: (f64, f64) = (0.3, 0.03);
@@ -45,6 +45,11 @@ impl RangeOffset {
     /// Whether scans contradict the offset in use, so that they show no pose.
     pub fn is_in_doubt(&self) -> bool {
         self.agree > 0
+    }
+
+    /// What is taken off each range, and what the last scan shows beyond that [m].
+    pub fn seems_m(&self) -> f64 {
+        self.offset_m + if self.is_in_doubt() { self.more_m } else { 0.0 }
     }
 
     /// Takes a scan into account; true when another offset is used from now on.
@@ -115,6 +120,6 @@ fn fit(pieces: &Pieces, lines: &[SurfaceLine], prior: &Prior, as_known: f64) -> 
     let squares = squares - pose_off.dot(&(left * pose_off));
     let explained = offset_m * offset_m * information;
     let is_there =
-        offset_m.abs() >= MIN_OFFSET_M && explained > SIGMAS * SIGMAS && explained > EXPLAINED * squares;
+        OFFSETS_M.contains(&offset_m.abs()) && explained > SIGMAS * SIGMAS && explained > EXPLAINED * squares;
     is_there.then_some(offset_m)
 }

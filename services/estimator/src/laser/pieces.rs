@@ -15,7 +15,7 @@ use std::ops::Range;
 use nalgebra::{Matrix2, Vector2};
 use shared_types::{MAX_BEAMS, Scan};
 use vehicle::Description;
-use vehicle::frame::heading;
+use vehicle::frame::{heading, to_robot};
 
 use super::round::Round;
 
@@ -124,6 +124,10 @@ pub struct Pieces {
     reach_m: f64,
     /// Beams beside which there are others.
     inner: Range<usize>,
+    /// Motion of the robot during the sweep.
+    pub motion: SweepMotion,
+    /// What its ranges seem to have too much [m].
+    pub longer_m: f64,
 }
 
 impl Default for Pieces {
@@ -135,6 +139,8 @@ impl Default for Pieces {
             noise_m: NOISE_M.0,
             reach_m: f64::INFINITY,
             inner: 0..0,
+            motion: SweepMotion::default(),
+            longer_m: 0.0,
         }
     }
 }
@@ -149,6 +155,7 @@ impl Pieces {
     pub fn find(&mut self, scan: &Scan, vehicle: &Description, motion: &SweepMotion, offset_m: f64) {
         self.reach_m = vehicle.scanner.range_m;
         self.inner = MISSING..scan.ranges().len().saturating_sub(MISSING);
+        self.motion = *motion;
         let Self { returns, pieces, .. } = self;
         returns.clear();
         pieces.clear();
@@ -362,6 +369,13 @@ impl SweepMotion {
         let moved = heading(turn / 2.0) * (self.speed_mps * time_s);
         let (sin, cos) = turn.sin_cos();
         Vector2::new(cos * place.x - sin * place.y, sin * place.x + cos * place.y) + moved
+    }
+
+    /// A place as it is from where the robot is `time_s` after the front beam.
+    pub fn at_time(&self, place: Vector2<f64>, time_s: f64) -> Vector2<f64> {
+        let turn = self.yaw_rate_radps * time_s;
+        let apart = place - heading(turn / 2.0) * (self.speed_mps * time_s);
+        to_robot(turn, apart.x, apart.y)
     }
 }
 

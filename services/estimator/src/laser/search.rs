@@ -1,6 +1,6 @@
 //! A robot that was lifted or pushed finds itself among the surfaces that it knows.
 //!
-//! Where a scanner looks through a surface that stands there, and this in several places and more often than it sees what
+//! Where a scanner looks through a surface that stands there, and this in several places and nearly as often as it sees what
 //! it should, the pose is wrong. Then poses around it are tried, some with each scan, and the one from which most
 //! returns lie on known lines is taken.
 
@@ -38,8 +38,12 @@ const ASKED_M: (f64, f64) = (0.3, 5.0);
 const FACING: f64 = 0.35;
 /// Places of a surface that are asked: the nearest one, and these beside it [m].
 const BESIDE_M: [f64; 3] = [-1.5, 0.0, 1.5];
+/// So far inside of its ends: what is seen at an edge may be what is behind it [m].
+const INSIDE_M: f64 = 0.1;
 /// Places that have to be looked through at least.
 const THROUGH: u32 = 3;
+/// And more than this share of those that are seen.
+const MORE: f64 = 0.7;
 
 plain_state! {
     /// How far the search is.
@@ -93,7 +97,8 @@ impl Search {
         stated: &mut Stated,
     ) -> Whereabouts {
         if !self.is_on() {
-            self.doubts = if contradicts(scan, lines, pose, vehicle, stated) { self.doubts + 1 } else { 0 };
+            let doubts = self.doubts + 1;
+            self.doubts = if contradicts(scan, pieces, lines, pose, vehicle, stated) { doubts } else { 0 };
             if !self.is_on() {
                 return Whereabouts::Known;
             }
@@ -151,39 +156,51 @@ pub(super) fn has_turned([turn, dx, dy]: &[f64; 3], yaw: f64, vehicle: &Descript
     *turn != 0.0 && moved.norm() < SAME_PLACE_M
 }
 
-/// Whether the scan looks through surfaces that should be seen, more often than it sees them; notes the same of those that
+/// Whether the scan looks through surfaces that should be seen, nearly as often as it sees them; notes the same of those that
 /// the track states.
 fn contradicts(
     scan: &Scan,
+    pieces: &Pieces,
     lines: &[SurfaceLine],
     [yaw, x, y]: [f64; 3],
     vehicle: &Description,
     stated: &mut Stated,
 ) -> bool {
     let robot = Vector2::new(x, y);
+    let scanner = Vector2::new(vehicle.scanner_x_m, vehicle.scanner_y_m);
     let (mut seen, mut through) = (0, 0);
     // Of a round body it is not the middle that is seen.
     for line in lines.iter().filter(|line| line.counts && line.radius_m == 0.0) {
         let [first, last] = line.closed_m;
         let nearest_m = line.along().dot(&(robot - line.middle));
         let half_m = (last - first) / 2.0;
+        let inside_m = INSIDE_M.min(half_m);
         for beside_m in
             BESIDE_M.map(|beside_m| beside_m.clamp(-half_m, half_m) / if half_m < 1.5 { 2.0 } else { 1.0 })
         {
-            let at_m = (nearest_m + beside_m).clamp(first, last);
+            let at_m =
+                (nearest_m + beside_m).clamp(first + inside_m, (last - inside_m).max(first + inside_m));
             let from = line.middle + line.along() * at_m - robot;
-            let place =
-                to_robot(yaw, from.x, from.y) - Vector2::new(vehicle.scanner_x_m, vehicle.scanner_y_m);
+            let front = to_robot(yaw, from.x, from.y);
+            let beam_at = |place: Vector2<f64>| {
+                let angle = wrap_angle(place.y.atan2(place.x) - vehicle.scanner_yaw_rad);
+                ((angle - scan.first_rad) / scan.increment_rad).round()
+            };
+            let beams = 0.0..scan.ranges().len() as f64;
+            let first_beam = beam_at(front - scanner);
+            if !beams.contains(&first_beam) {
+                continue;
+            }
+            let place = pieces.motion.at_time(front, scan.beam_time_s(first_beam as usize)) - scanner;
             let expected_m = place.norm();
             let is_asked = (ASKED_M.0..ASKED_M.1).contains(&expected_m)
                 && -line.normal.dot(&from) >= FACING * from.norm();
-            let angle = wrap_angle(place.y.atan2(place.x) - vehicle.scanner_yaw_rad);
-            let beam = ((angle - scan.first_rad) / scan.increment_rad).round();
-            if !is_asked || !(0.0..scan.ranges().len() as f64).contains(&beam) {
+            let beam = beam_at(place);
+            if !is_asked || !beams.contains(&beam) {
                 continue;
             }
             let Some(range_m) = scan.range_m(beam as usize) else { continue };
-            let behind_m = range_m - expected_m;
+            let behind_m = range_m - pieces.longer_m - expected_m;
             let (is_seen, is_through) = (behind_m.abs() <= THERE_M.0, behind_m >= THERE_M.1);
             if line.index.is_none() {
                 stated.note(line.is_long, u64::from(is_seen), u64::from(is_through));
@@ -192,5 +209,5 @@ fn contradicts(
             through += u32::from(is_through);
         }
     }
-    through >= THROUGH && through > seen
+    through >= THROUGH && f64::from(through) > MORE * f64::from(seen)
 }

@@ -3,7 +3,7 @@
 //! A surface begins as a piece of a scan that nothing known explains. It counts when it was seen often enough, for long
 //! enough, and always in one place: what moves does not. Its line is fitted through all returns until then and for a
 //! while after, and stays: a wall along which the robot drives for a kilometre keeps its direction. The surface that
-//! was not seen for longest makes place for a new one.
+//! was not seen for longest makes place for a new one, first of all one that never counted.
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use shared_types::{Fault, finite, plain_state};
@@ -15,6 +15,8 @@ use super::round::Round;
 pub const SURFACES: usize = 36;
 /// A surface counts after so many sightings, over this time [ns].
 const CONFIRMED: (u64, u64) = (5, 450_000_000);
+/// One that does not count was seen in passing, if not for so long [ns].
+const PASSING_NS: u64 = 1_000_000_000;
 /// Its line is kept after so many sightings, and that of a long one after so many returns.
 const SETTLED: (u64, f64) = (6, 1500.0);
 
@@ -429,7 +431,8 @@ impl SurfaceMap {
     ) {
         let oldest = (0..SURFACES).min_by_key(|index| {
             let surface = &self.surfaces[*index];
-            if surface.is_there() { surface.seen_ns + 1 } else { 0 }
+            let is_passing = !surface.counts() && surface.seen_ns + PASSING_NS < now_ns;
+            (surface.is_there(), !is_passing, surface.seen_ns)
         });
         let Some(index) = oldest else { return };
         if self.contradicts(placed) {

@@ -259,6 +259,18 @@ fn what_stands_still_counts_and_what_moves_does_not() {
     assert_eq!(counting(&map), 0);
 }
 
+#[test]
+fn what_is_seen_in_passing_makes_no_room_forgotten() {
+    // 120 boxes, each in two scans, where the room was seen before.
+    let passing = |number: u64| {
+        let angle = 1.7 * (number / 2) as f64;
+        boxed([1.5 * angle.cos(), 1.5 * angle.sin()], [0.3, 0.3]).to_vec()
+    };
+    let (map, _) = after(255, |number| if number <= 15 { room() } else { passing(number) });
+    let walls = map.lines(Vector2::zeros()).filter(|line| line.counts && line.is_long).count();
+    assert!(walls >= 3, "{walls}");
+}
+
 /// A robot that drives 15 m ahead between what it does not know, with an odometer that turns by 2 mrad in each second: whether it was
 /// ever in doubt, what it remembers, and the pose.
 fn driven(bodies: &[Body]) -> (bool, SurfaceMap, DeadReckoning) {
@@ -394,6 +406,16 @@ fn a_robot_that_is_searched_for_twice_in_twenty_seconds_was_not_lifted() {
     let (once, twice) = (lifted(100), lifted(40));
     assert_eq!((once.found + once.lost, once.again), (1, 0), "{once:?}");
     assert_eq!(twice.again, 1, "{twice:?}");
+}
+
+#[test]
+fn a_place_is_the_same_from_the_front_beam_on_and_at_the_time_of_its_own() {
+    let motion = SweepMotion { speed_mps: 3.0, yaw_rate_radps: 1.5 };
+    let place = Vector2::new(2.0, 1.0);
+    // In 20 ms the robot drives 6 cm and turns by 30 mrad: of what is 1 m to its left, 3 cm lie further ahead.
+    let later = motion.at_time(place, 0.02);
+    assert!((later - Vector2::new(1.97, 0.939)).norm() < 2e-3, "{later}");
+    assert!((motion.at_front(later, 0.02) - place).norm() < 1e-12);
 }
 
 #[test]
