@@ -10,8 +10,8 @@ use commands::bench::latency::echo::PREFIX;
 use emulator::service::next_due;
 use runtime::{Process, join};
 use shared_types::{
-    Actuation, ActuationKind, Command, CommandKind, Obstacles, Odometry, Phase, Pose, Role, Scan,
-    ScanGeometry, Topic, Truth,
+    Actuation, ActuationKind, Command, CommandKind, Header, Obstacles, Odometry, Phase, Pose, Role, Sample,
+    Scan, ScanGeometry, Topic, Truth,
 };
 
 use crate::payload::{Received, Sent};
@@ -89,94 +89,80 @@ fn robot(payload: Option<usize>) -> anyhow::Result<()> {
     }
 }
 
-fn estimator(payload: Option<usize>) -> anyhow::Result<()> {
-    let mut process = Process::attach(Role::Estimator)?;
-    let odometry = process.input::<Odometry>()?;
-    let actuation = process.input::<Actuation>()?;
-    let poses = process.output::<Pose>()?;
-    let taken = Received::open(&mut process, Topic::Odometry, payload)?;
-    let sent = Sent::open(&mut process, Topic::Pose, payload)?;
-    if !process.start()? {
-        return Ok(());
+/// A stage that answers: what it takes a payload with, and what it sends one with.
+struct EmptyStage {
+    process: Process,
+    taken: Received,
+    sent: Sent,
+}
+
+impl EmptyStage {
+    fn attach(role: Role, from: Topic, to: Topic, payload: Option<usize>) -> anyhow::Result<Self> {
+        let mut process = Process::attach(role)?;
+        let taken = Received::open(&mut process, from, payload)?;
+        // Nobody waits for what an actuation carries.
+        let sent = Sent::open(&mut process, to, payload.filter(|_| to != Topic::Actuation))?;
+        Ok(Self { process, taken, sent })
     }
-    while process.wait(None)? {
-        while actuation.take().is_some() {}
-        while let Some(measured) = odometry.take() {
-            let header = measured.header.answer();
-            if taken.take(header.scan_id)? {
-                sent.publish(header.scan_id)?;
-                poses.publish(&mut Pose { header, ..Pose::default() })?;
+
+    /// Answers each header that is `next` by a sample, until it is told to end; polled so often [ns], if at all.
+    fn run<S: Sample>(
+        mut self,
+        poll_ns: Option<u64>,
+        next: impl Fn() -> Option<Header>,
+        answer: impl Fn(Header) -> S,
+    ) -> anyhow::Result<()> {
+        let output = self.process.output::<S>()?;
+        if !self.process.start()? {
+            return Ok(());
+        }
+        while self.process.wait(poll_ns.map(|poll_ns| self.process.clock().now_ns() + poll_ns))? {
+            while let Some(header) = next() {
+                if self.taken.take(header.scan_id)? {
+                    self.sent.publish(header.scan_id)?;
+                    output.publish(&mut answer(header))?;
+                }
             }
         }
+        Ok(())
     }
-    Ok(())
+}
+
+fn estimator(payload: Option<usize>) -> anyhow::Result<()> {
+    let mut stage = EmptyStage::attach(Role::Estimator, Topic::Odometry, Topic::Pose, payload)?;
+    let odometry = stage.process.input::<Odometry>()?;
+    let actuation = stage.process.input::<Actuation>()?;
+    let next = || {
+        while actuation.take().is_some() {}
+        odometry.take().map(|measured| measured.header.answer())
+    };
+    stage.run(None, next, |header| Pose { header, ..Pose::default() })
 }
 
 fn obstacles(payload: Option<usize>) -> anyhow::Result<()> {
-    let mut process = Process::attach(Role::Obstacles)?;
-    let scans = process.input::<Scan>()?;
-    let poses = process.input::<Pose>()?;
-    let obstacles = process.output::<Obstacles>()?;
-    let taken = Received::open(&mut process, Topic::Pose, payload)?;
-    let sent = Sent::open(&mut process, Topic::Obstacles, payload)?;
-    if !process.start()? {
-        return Ok(());
-    }
-    while process.wait(None)? {
-        while let Some((scan, pose)) = join(&scans, &poses) {
-            let header = scan.header.answer_both(&pose.header);
-            if taken.take(header.scan_id)? {
-                sent.publish(header.scan_id)?;
-                obstacles.publish(&mut Obstacles { header, ..Obstacles::default() })?;
-            }
-        }
-    }
-    Ok(())
+    let mut stage = EmptyStage::attach(Role::Obstacles, Topic::Pose, Topic::Obstacles, payload)?;
+    let (scans, poses) = (stage.process.input::<Scan>()?, stage.process.input::<Pose>()?);
+    let next = || join(&scans, &poses).map(|(scan, pose)| scan.header.answer_both(&pose.header));
+    stage.run(None, next, |header| Obstacles { header, ..Obstacles::default() })
 }
 
 fn controller(payload: Option<usize>) -> anyhow::Result<()> {
-    let mut process = Process::attach(Role::Controller)?;
-    let poses = process.input::<Pose>()?;
-    let obstacles = process.input::<Obstacles>()?;
-    let commands = process.output::<Command>()?;
-    let taken = Received::open(&mut process, Topic::Obstacles, payload)?;
-    let sent = Sent::open(&mut process, Topic::Command, payload)?;
-    if !process.start()? {
-        return Ok(());
-    }
-    while process.wait(None)? {
-        while let Some((pose, described)) = join(&poses, &obstacles) {
-            let header = described.header.answer_both(&pose.header);
-            if taken.take(header.scan_id)? {
-                sent.publish(header.scan_id)?;
-                let kind = CommandKind::Drive.wire();
-                commands.publish(&mut Command { header, kind, verified: 1, ..Command::default() })?;
-            }
-        }
-    }
-    Ok(())
+    let mut stage = EmptyStage::attach(Role::Controller, Topic::Obstacles, Topic::Command, payload)?;
+    let (poses, obstacles) = (stage.process.input::<Pose>()?, stage.process.input::<Obstacles>()?);
+    let next =
+        || join(&poses, &obstacles).map(|(pose, described)| described.header.answer_both(&pose.header));
+    let kind = CommandKind::Drive.wire();
+    stage.run(None, next, |header| Command { header, kind, verified: 1, ..Command::default() })
 }
 
 fn actuator(payload: Option<usize>) -> anyhow::Result<()> {
-    let mut process = Process::attach(Role::Actuator)?;
-    let commands = process.input::<Command>()?;
-    let actuations = process.output::<Actuation>()?;
-    let taken = Received::open(&mut process, Topic::Command, payload)?;
-    if !process.start()? {
-        return Ok(());
-    }
+    let mut stage = EmptyStage::attach(Role::Actuator, Topic::Command, Topic::Actuation, payload)?;
+    let commands = stage.process.input::<Command>()?;
     // As the real one, which checks the time ten times a period.
-    let poll_ns = process.period_ns() / 10;
-    while process.wait(Some(process.clock().now_ns() + poll_ns))? {
-        while let Some(command) = commands.take() {
-            let header = command.header.answer();
-            if taken.take(header.scan_id)? {
-                let kind = ActuationKind::Drive.wire();
-                actuations.publish(&mut Actuation { header, kind, answers: 1, ..Actuation::default() })?;
-            }
-        }
-    }
-    Ok(())
+    let poll_ns = stage.process.period_ns() / 10;
+    let next = || commands.take().map(|command| command.header.answer());
+    let kind = ActuationKind::Drive.wire();
+    stage.run(Some(poll_ns), next, |header| Actuation { header, kind, answers: 1, ..Actuation::default() })
 }
 
 #[cfg(test)]

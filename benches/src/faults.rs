@@ -3,6 +3,7 @@
 //! Faults of samples and of the robot are driven in simulated time on all cores. Then those with processes that die,
 //! hang or flood run one after the other with real processes, in systems of their own.
 
+mod fitted;
 mod live;
 mod observed;
 mod page;
@@ -16,15 +17,19 @@ use console::answer;
 use console::exit::{Exit, Failure};
 use console::out_folder::OutFolder;
 use console::progress::Steps;
-use fault_matrix::course::{settings as settings_of_course, stage_settings};
+use courses::course::scaled;
+use fault_matrix::course::{settings as settings_of_course, settings_of, stage_settings};
 use fault_matrix::{Cell, CellVerdict, PipedStage, Simulation};
 use faults::{DrivePhase, InjectedFault};
+use pipeline::PipelineSettings;
+use plan::{Choice, Plan};
 use serde::{Deserialize, Serialize};
 use shared_types::did_you_mean;
 
 use crate::cores::on_all_cores;
 use commands::print_json;
 use commands::replay::program;
+use fitted::fitted;
 use live::Live;
 pub(crate) use system::product;
 
@@ -44,6 +49,12 @@ pub(crate) struct FaultsArguments {
     /// may be repeated for other roles. It calls `runtime::stage::main`.
     #[arg(long, value_name = "ROLE=COMMAND")]
     pub(crate) with: Vec<String>,
+    /// System file of another vehicle, in simulated time only.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) system: Option<PathBuf>,
+    /// Courses whose lengths are larger by this factor, with `--system`.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, requires = "system")]
+    pub(crate) scale: f64,
     /// Print the names of the cells to standard output, and drive none.
     #[arg(long)]
     pub(crate) list: bool,
@@ -89,7 +100,7 @@ pub(crate) fn faults(arguments: &FaultsArguments) -> anyhow::Result<Exit> {
         return Ok(Exit::Done);
     }
     let results = OutFolder::claim(&arguments.out, &[DATA, PAGE], arguments.force)?;
-    let matrix = drive(&chosen, &arguments.with)?;
+    let matrix = drive(&chosen, arguments)?;
     answer!(arguments.json, "{}", text(&matrix))?;
     results.write(DATA, serde_json::to_string_pretty(&matrix)?.as_bytes())?;
     let page = results.write(PAGE, page::html(&matrix.cells).as_bytes())?;
@@ -112,7 +123,7 @@ fn chosen<'a>(
     let cells = all.iter().flat_map(|fault| fault.phases().map(move |phase| (fault, phase)));
     let mut chosen: Vec<(&InjectedFault, DrivePhase)> =
         cells.filter(|(fault, phase)| matches(pattern, &name(&fault.name, *phase))).collect();
-    let is_simulated = arguments.simulated || !arguments.with.is_empty();
+    let is_simulated = arguments.simulated || !arguments.with.is_empty() || arguments.system.is_some();
     chosen.retain(|(fault, _)| !(is_simulated && fault.is_live()));
     // A program of a stage has the settings of one course.
     chosen.retain(|(_, phase)| arguments.with.is_empty() || !phase.has_own_course());
@@ -161,7 +172,18 @@ fn programs(with: &[String]) -> anyhow::Result<Vec<PipedStage>> {
     started.map_err(|reason| Failure::bad_input(format!("--with {reason}")))
 }
 
-fn drive(chosen: &[(&InjectedFault, DrivePhase)], with: &[String]) -> anyhow::Result<Matrix> {
+/// The course of a phase, with the chosen vehicle.
+fn course(phase: DrivePhase, arguments: &FaultsArguments) -> anyhow::Result<(DrivePhase, PipelineSettings)> {
+    let settings = settings_of(phase);
+    let Some(system) = &arguments.system else { return Ok((phase, settings)) };
+    let scale = arguments.scale;
+    let scenario = scaled(&settings.scenario, scale)
+        .map_err(|error| Failure::bad_input(format!("--scale {scale}: {error}")))?;
+    let choice = Choice { system: Some(system.clone()), ..Choice::default() };
+    Ok((phase, Plan::of(&scenario, &choice)?.simulated()))
+}
+
+fn drive(chosen: &[(&InjectedFault, DrivePhase)], arguments: &FaultsArguments) -> anyhow::Result<Matrix> {
     let (live, simulated): (Vec<_>, Vec<_>) = chosen.iter().copied().partition(|(fault, _)| fault.is_live());
     // Before the simulated cells, whose results an error would lose.
     if !live.is_empty() {
@@ -170,11 +192,14 @@ fn drive(chosen: &[(&InjectedFault, DrivePhase)], with: &[String]) -> anyhow::Re
     let mut steps = Steps::new(chosen.len() as u64, "cells");
     let mut driven = Vec::new();
     if !simulated.is_empty() {
-        let simulation = Simulation::new(programs(with)?)?;
+        let courses: Vec<_> =
+            DrivePhase::ALL.into_iter().map(|phase| course(phase, arguments)).collect::<Result<_, _>>()?;
+        let vehicle = &courses[0].1.tuning.vehicle;
+        let simulation = Simulation::new(programs(&arguments.with)?, &courses, arguments.scale)?;
         let cell = |index: usize| {
             let (fault, phase): (&InjectedFault, DrivePhase) = simulated[index];
-            simulation.cell(fault, phase).ok_or_else(|| {
-                format!("{}: the scenario of the fault is not allowed", name(&fault.name, phase))
+            simulation.cell(&fitted(fault, vehicle, arguments.scale), phase).ok_or_else(|| {
+                format!("{}: not possible on this course with this robot", name(&fault.name, phase))
             })
         };
         driven = on_all_cores(simulated.len(), cell, || steps.step(""))?;

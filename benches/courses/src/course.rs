@@ -18,7 +18,7 @@ use random_obstacle::obstacle;
 
 pub use curved::curved;
 pub use reversing::reversing;
-pub use scaled::scaled;
+pub use scaled::{scale_lengths, scaled};
 
 /// No surface of an obstacle stands nearer to the start than this [m].
 const AFTER_START_M: f64 = 3.5;

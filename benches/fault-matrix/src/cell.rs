@@ -1,11 +1,13 @@
 //! One cell of the matrix and its verdict.
 
 use faults::{DrivePhase, Expectation, InjectedFault};
+use pipeline::PipelineSettings;
 use serde::{Deserialize, Serialize};
+use vehicle::Description;
 
 use crate::finding::Finding;
 
-/// Wheels that stay this near to those of the drive without the fault are not affected [m].
+/// Wheels that stay this near to those of the drive without the fault are not affected, at 1 m/s on the usual course [m].
 const UNAFFECTED_M: f64 = 0.05;
 /// Scan periods that the wheels may turn before a fault that acts is detected.
 const BLIND_PERIODS: f64 = 3.0;
@@ -120,9 +122,9 @@ impl DrivenWay {
         self.0.iter().map(|passed| other.distance_to(passed.at_m)).fold(apart_m, f64::max)
     }
 
-    /// When the robot is first [`UNAFFECTED_M`] away from another's way [ns].
-    fn leaves_ns(&self, other: &Self) -> Option<u64> {
-        let is_away = |passed: &&Passed| other.distance_to(passed.at_m) >= UNAFFECTED_M;
+    /// When the robot is first so far away from another's way [ns].
+    fn leaves_ns(&self, other: &Self, away_m: f64) -> Option<u64> {
+        let is_away = |passed: &&Passed| other.distance_to(passed.at_m) >= away_m;
         self.0.iter().find(is_away).map(|passed| passed.at_ns)
     }
 
@@ -162,9 +164,19 @@ pub struct DetectionLimits {
     pub period_s: f64,
     /// Deceleration of blocked wheels [m/s^2].
     pub deceleration_mps2: f64,
+    /// Wheels that stay this near to those of the drive without the fault are not affected [m].
+    pub unaffected_m: f64,
 }
 
 impl DetectionLimits {
+    /// Those of a robot, on a course whose lengths are `scale` times as large.
+    pub fn of(settings: &PipelineSettings, scale: f64) -> Self {
+        let Description { bounds, blocked_deceleration_mps2: deceleration_mps2, .. } =
+            settings.tuning.vehicle;
+        let unaffected_m = UNAFFECTED_M * scale.max(bounds.velocity_max_mps).max(1.0);
+        Self { period_s: settings.period_ns as f64 * 1e-9, deceleration_mps2, unaffected_m }
+    }
+
     /// Three scan periods at a speed, and the braking way from it [m].
     pub fn blind_m(&self, speed_mps: f64) -> f64 {
         BLIND_PERIODS * self.period_s * speed_mps + speed_mps * speed_mps / (2.0 * self.deceleration_mps2)
@@ -182,14 +194,14 @@ pub fn judge(
     let Observed { from_ns, findings, course, unaffected, .. } = observed;
     let is_expected = |finding: &&Finding| expected.detected_by.iter().any(|name| name == finding.by);
     let found = findings.iter().find(is_expected);
-    let detectable_ns = match (expected.from_effect, course.leaves_ns(unaffected)) {
+    let detectable_ns = match (expected.from_effect, course.leaves_ns(unaffected, limits.unaffected_m)) {
         (true, Some(leaves_ns)) => leaves_ns.max(*from_ns),
         (true, None) => u64::MAX,
         (false, _) => from_ns + (expected.detectable_ms * 1e6) as u64,
     };
     let latest_ns = detectable_ns.saturating_add((expected.within_ms * 1e6) as u64);
     let deviation_m = course.deviation_m(unaffected, observed.ended);
-    let has_no_effect = !unaffected.0.is_empty() && deviation_m < UNAFFECTED_M;
+    let has_no_effect = !unaffected.0.is_empty() && deviation_m < limits.unaffected_m;
     let until_m = found.map(|finding| finding.place.way_m).or(course.0.last().map(|passed| passed.way_m));
     let blind_m = match found {
         None if has_no_effect => 0.0,
@@ -250,7 +262,8 @@ mod tests {
     use super::*;
     use crate::finding::FindingPlace;
 
-    const LIMITS: DetectionLimits = DetectionLimits { period_s: 0.1, deceleration_mps2: 5.0 };
+    const LIMITS: DetectionLimits =
+        DetectionLimits { period_s: 0.1, deceleration_mps2: 5.0, unaffected_m: UNAFFECTED_M };
 
     fn fault(expect: &str) -> InjectedFault {
         let text =

@@ -87,17 +87,23 @@ pub fn live_scenario(phase: DrivePhase) -> Scenario {
     scenario
 }
 
-/// Whether a phase begins with the scan after this one; for [`DrivePhase::Swap`] and [`DrivePhase::Person`] the request.
-pub fn begins(phase: DrivePhase, scenario: &Scenario, truth: &Truth) -> bool {
+/// Whether a phase begins with the scan after this one; for [`DrivePhase::Swap`] and [`DrivePhase::Person`] the request. All
+/// lengths of the course are `scale` times as large.
+pub fn begins(phase: DrivePhase, settings: &PipelineSettings, scale: f64, truth: &Truth) -> bool {
+    let PipelineSettings { scenario, tuning, .. } = settings;
+    let at_m = truth.x_m / scale;
+    let first_m = scenario.obstacles.first().map(|body| body.x_m / scale);
     match phase {
         DrivePhase::Start => true,
-        DrivePhase::Straight => truth.x_m >= STRAIGHT_M,
-        DrivePhase::Beside => scenario.obstacles.first().is_some_and(|body| truth.x_m >= body.x_m - BESIDE_M),
+        DrivePhase::Straight => at_m >= STRAIGHT_M,
+        DrivePhase::Beside => first_m.is_some_and(|first_m| at_m >= first_m - BESIDE_M),
         DrivePhase::Bend => truth.yaw_rad >= IN_BEND_RAD,
-        DrivePhase::Reverse => truth.speed_mps <= REVERSE_MPS,
-        DrivePhase::Landing => truth.goal_distance_m <= LANDING_M,
-        DrivePhase::Swap => truth.x_m >= SWAP_M,
-        DrivePhase::Person => truth.x_m >= PERSON_M,
+        DrivePhase::Reverse => {
+            truth.speed_mps <= REVERSE_MPS.max(-0.75 * tuning.vehicle.bounds.reverse_max_mps)
+        }
+        DrivePhase::Landing => truth.goal_distance_m / scale <= LANDING_M,
+        DrivePhase::Swap => at_m >= SWAP_M,
+        DrivePhase::Person => at_m >= PERSON_M,
     }
 }
 

@@ -1,14 +1,14 @@
 //! Drives cells in simulated time: from the place where a phase begins, once without a fault and once with each.
 
 use audit::digest::Digests;
-use emulator::{Outcome, Scenario};
+use emulator::Outcome;
 use faults::{DrivePhase, InjectedFault};
 use pipeline::PipelineSettings;
 use shared_types::{AnyStage, Role};
 use vehicle::Invalid;
 
 use crate::cell::{Cell, DetectionLimits, DrivenWay, Observed, Passed, judge};
-use crate::course::{BY_HAND, HANDS_BACK, OUTLASTS, SHADOWED, begins, settings, settings_of};
+use crate::course::{BY_HAND, HANDS_BACK, OUTLASTS, SHADOWED, begins};
 use crate::finding::{Finding, Findings};
 use crate::piped::PipedStage;
 use crate::rig::Rig;
@@ -29,28 +29,33 @@ struct Twin {
 }
 
 impl Simulation {
-    /// Drives the course once per phase without a fault, with these stages in the place of those of their roles.
+    /// Drives the courses of [`settings_of`](crate::course::settings_of), whose lengths are `scale` times as large, once per phase without a fault, with these
+    /// stages in the place of those of their roles. A course that the robot does not drive to its end has no cells.
     ///
     /// # Errors
     /// The first setting that is not allowed.
-    pub fn new(programs: Vec<PipedStage>) -> Result<Self, Invalid> {
-        let settings = settings();
-        let deceleration_mps2 = settings.tuning.vehicle.blocked_deceleration_mps2;
-        let limits = DetectionLimits { period_s: settings.period_ns as f64 * 1e-9, deceleration_mps2 };
+    pub fn new(
+        programs: Vec<PipedStage>,
+        courses: &[(DrivePhase, PipelineSettings)],
+        scale: f64,
+    ) -> Result<Self, Invalid> {
+        let limits = DetectionLimits::of(&courses[0].1, scale);
         let mut phases = Vec::new();
-        for phase in DrivePhase::ALL {
+        for (phase, settings) in courses {
             // A program was given the settings of one course.
             if phase.has_own_course() && !programs.is_empty() {
                 continue;
             }
-            let settings = settings_of(phase);
-            let mut rig = Rig::new(&settings)?;
+            let (phase, mut rig) = (*phase, Rig::new(settings)?);
             for program in &programs {
                 rig = rig.with(program.copy());
             }
-            lead_to(phase, &mut rig, &settings.scenario);
+            lead_to(phase, &mut rig, settings, scale);
             let mut without = rig.clone();
-            let course = finish(&mut without).0;
+            let (course, outcome, _) = finish(&mut without);
+            if outcome != Outcome::Reached {
+                continue;
+            }
             phases.push((phase, rig, Twin { course, findings: without.findings().clone() }));
         }
         Ok(Self { limits, phases, programs })
@@ -68,14 +73,14 @@ impl Simulation {
     pub fn unaffected(settings: &PipelineSettings, phase: DrivePhase) -> Result<DrivenWay, Invalid> {
         let mut rig = Rig::new(settings)?;
         if phase == DrivePhase::Person {
-            while rig.scan().is_none() && !begins(phase, &settings.scenario, rig.truth()) {}
+            while rig.scan().is_none() && !begins(phase, settings, 1.0, rig.truth()) {}
             rig.take_over(OUTLASTS);
         }
         Ok(finish(&mut rig).0)
     }
 
-    /// Drives one cell; `None` for a fault that needs real processes or that the course does not allow, and for a program of
-    /// its own in a bend.
+    /// Drives one cell; `None` for a fault that needs real processes or that the course does not allow, for a program of
+    /// its own in a bend, and on a course that the robot does not drive to its end.
     pub fn cell(&self, fault: &InjectedFault, phase: DrivePhase) -> Option<Cell> {
         let (_, start, twin) = self.phases.iter().find(|(of, ..)| *of == phase)?;
         let mut rig = start.clone();
@@ -103,11 +108,11 @@ impl Simulation {
 }
 
 /// Drives to the beginning of a phase.
-fn lead_to(phase: DrivePhase, rig: &mut Rig, scenario: &Scenario) {
+fn lead_to(phase: DrivePhase, rig: &mut Rig, settings: &PipelineSettings, scale: f64) {
     if phase == DrivePhase::Start {
         return;
     }
-    while rig.scan().is_none() && !begins(phase, scenario, rig.truth()) {}
+    while rig.scan().is_none() && !begins(phase, settings, scale, rig.truth()) {}
     let scans = match phase {
         DrivePhase::Swap => {
             rig.begin_swap();

@@ -1,6 +1,7 @@
 //! The drive without a fault is that of the pipeline, and the shipped faults of samples and robot pass.
 
 use fault_matrix::{CellVerdict, Rig, Simulation, course};
+use faults::DrivePhase;
 
 #[test]
 fn without_a_fault_each_scan_gives_the_bits_of_the_pipeline() {
@@ -39,7 +40,8 @@ fn without_a_fault_a_swap_takes_place_and_changes_nothing() {
 
 #[test]
 fn every_cell_of_the_simulation_passes() {
-    let simulation = Simulation::new(Vec::new()).unwrap();
+    let courses = DrivePhase::ALL.map(|phase| (phase, course::settings_of(phase)));
+    let simulation = Simulation::new(Vec::new(), &courses, 1.0).unwrap();
     let (mut cells, mut failed) = (0, String::new());
     for fault in faults::all().unwrap().iter().filter(|fault| !fault.is_live()) {
         for phase in fault.phases() {

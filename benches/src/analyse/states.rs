@@ -2,7 +2,7 @@
 
 use console::exit::Exit;
 use figures::Table;
-use pipeline::{PipelineSettings, Step};
+use pipeline::Step;
 use plan::{Choice, Plan};
 use report::picture::chart::{Chart, Curve};
 use serde::Serialize;
@@ -45,9 +45,8 @@ struct StatesResult {
 /// A scenario or a setting that is not allowed; exit code 2.
 pub(super) fn analyse(scenario: &str, arguments: &ObservabilityArguments) -> anyhow::Result<Exit> {
     let choice = Choice { overrides: arguments.overrides.clone(), ..Choice::default() };
-    let Plan { scenario, system, .. } = Plan::read(Some(scenario), &choice)?;
-    let (name, period_ns) = (scenario.name.clone(), system.period_ns());
-    let settings = PipelineSettings { scenario, tuning: system.tuning(), period_ns };
+    let settings = Plan::read(Some(scenario), &choice)?.simulated();
+    let (name, period_ns) = (settings.scenario.name.clone(), settings.period_ns);
     let mut states = LEARNED.map(|name| LearnedState { name, ..LearnedState::default() });
     let mut way_m = 0.0;
     let drive = pipeline::drive(&settings, |Step { truth, pose, .. }| {

@@ -4,7 +4,7 @@ use audit::digest::Digests;
 use courses::WayToRest;
 use courses::judge::{Judge, Judgement};
 use emulator::{Outcome, Scenario};
-use pipeline::{PipelineSettings, Step};
+use pipeline::Step;
 use report::NO_OBSTACLE_M;
 
 use super::arguments::CampaignArguments;
@@ -39,14 +39,13 @@ impl CourseRun {
     /// A setting that is not allowed; exit code 2.
     pub(super) fn of(course: Course, arguments: &CampaignArguments) -> anyhow::Result<Self> {
         let Drive { plan, scenario, gap_m } = course.drive(arguments)?;
-        let (tuning, period_ns) = (plan.system.tuning(), plan.system.period_ns());
-        let settings = PipelineSettings { scenario: plan.scenario, tuning, period_ns };
+        let settings = plan.simulated();
+        let (vehicle, period_ns) = (settings.tuning.vehicle, settings.period_ns);
         let mut digests = Digests::default();
-        let mut judge =
-            Judge::new(&settings.scenario, settings.tuning.vehicle.bounds.steering_max_rad, period_ns);
+        let mut judge = Judge::new(&settings.scenario, vehicle.bounds.steering_max_rad, period_ns);
         let (mut time_s, mut min_clearance_m) = (0.0, NO_OBSTACLE_M);
         let (mut rest, mut min_rest_clearance_m, mut without_rest) =
-            (WayToRest::new(&settings.scenario, settings.tuning.vehicle, period_ns), NO_OBSTACLE_M, 0);
+            (WayToRest::new(&settings.scenario, vehicle, period_ns), NO_OBSTACLE_M, 0);
         let drive = pipeline::drive(&settings, |step| {
             (time_s, min_clearance_m) = (step.truth.time_s, step.truth.min_clearance_m);
             let clearance_m = rest.clearance(&step.truth);

@@ -6,7 +6,6 @@ use console::new_file::NewFile;
 use emulator::Outcome;
 use estimator::FilterSettings;
 use estimator::correction::{CorrectionState, Planar};
-use pipeline::PipelineSettings;
 use plan::Plan;
 use shared_types::Odometry;
 
@@ -36,9 +35,8 @@ struct Odometer {
 /// # Errors
 /// A setting that is not allowed, exit code 2; errors of the file system.
 pub(super) fn drive(plan: &Plan, scans: Option<NewFile>) -> anyhow::Result<Drive> {
-    let (tuning, period_ns) = (plan.system.tuning(), plan.system.period_ns());
-    let mut odometer = Odometer { settings: tuning.estimator.settings()?, correction: None };
-    let settings = PipelineSettings { scenario: plan.scenario.clone(), tuning, period_ns };
+    let settings = plan.clone().simulated();
+    let mut odometer = Odometer { settings: settings.tuning.estimator.settings()?, correction: None };
     let (mut of_estimate, mut of_odometer, mut without_pose) = (Tally::default(), Tally::default(), 0);
     let (mut text, mut unlearned) = (String::new(), [0.0; 3]);
     let truth = plan.scenario.robot.values(plan.scenario.seed);

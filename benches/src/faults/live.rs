@@ -51,8 +51,7 @@ impl Live {
         let settings = PipelineSettings { scenario: live_scenario(phase), ..settings() };
         let observed = drive(process, phase, &settings)?;
         let unaffected = self.unaffected(phase, &settings)?;
-        let deceleration_mps2 = settings.tuning.vehicle.blocked_deceleration_mps2;
-        let limits = DetectionLimits { period_s: settings.period_ns as f64 * 1e-9, deceleration_mps2 };
+        let limits = DetectionLimits::of(&settings, 1.0);
         Ok(Ok(judge(fault, phase, &Observed { unaffected, ..observed }, &limits)))
     }
 
@@ -142,7 +141,7 @@ fn with_ways(findings: Vec<Finding>, course: &DrivenWay, ends_as_planned: bool) 
 
 /// Waits until a phase begins.
 fn wait_for(watch: &mut Watch, phase: DrivePhase, settings: &PipelineSettings) -> anyhow::Result<()> {
-    wait_until(watch, |watch| !watch.passed.is_empty() && begins(phase, &settings.scenario, &watch.newest))
+    wait_until(watch, |watch| !watch.passed.is_empty() && begins(phase, settings, 1.0, &watch.newest))
 }
 
 fn wait_until(watch: &mut Watch, condition: impl Fn(&Watch) -> bool) -> anyhow::Result<()> {

@@ -28,6 +28,7 @@ use console::exit::Failure;
 use console::user_file::{self, TEXT_BYTES};
 use emulator::Scenario;
 use nmpc::speed_limit;
+use pipeline::PipelineSettings;
 use runtime::{Domain, OwnTopics};
 use supervision::child::other_program;
 use toml::{Table, Value};
@@ -82,6 +83,12 @@ pub struct Plan {
 }
 
 impl Plan {
+    /// Scenario, settings of the stages, and scan period, for a drive in simulated time.
+    pub fn simulated(self) -> PipelineSettings {
+        let (tuning, period_ns) = (self.system.tuning(), self.system.period_ns());
+        PipelineSettings { scenario: self.scenario, tuning, period_ns }
+    }
+
     /// Reads and checks scenario and system, with overrides.
     ///
     /// # Errors

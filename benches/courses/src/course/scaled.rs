@@ -2,7 +2,7 @@
 
 use emulator::Scenario;
 use emulator::scenario::ScenarioError;
-use toml::Value;
+use toml::{Table, Value};
 
 /// Tables whose lengths are those of the robot and its devices.
 const OF_THE_ROBOT: [&str; 3] = ["robot", "noise", "scanner"];
@@ -16,10 +16,15 @@ const TIME: &str = "timeout_s";
 /// A length that is too large or too small then.
 pub fn scaled(scenario: &Scenario, factor: f64) -> Result<Scenario, ScenarioError> {
     let mut table = scenario.to_table();
-    for (key, value) in table.iter_mut().filter(|(key, _)| !OF_THE_ROBOT.contains(&key.as_str())) {
+    scale_lengths(&mut table, factor);
+    Scenario::from_table(table, &scenario.name)
+}
+
+/// The same for tables of a scenario.
+pub fn scale_lengths(tables: &mut Table, factor: f64) {
+    for (key, value) in tables.iter_mut().filter(|(key, _)| !OF_THE_ROBOT.contains(&key.as_str())) {
         scale(key, value, factor);
     }
-    Scenario::from_table(table, &scenario.name)
 }
 
 fn scale(key: &str, value: &mut Value, factor: f64) {
