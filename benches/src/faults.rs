@@ -82,6 +82,8 @@ struct Matrix {
 /// The files of the results.
 const DATA: &str = "faults.json";
 const PAGE: &str = "faults.html";
+/// So many cells that were skipped are printed.
+const SHOWN: usize = 5;
 
 /// What one cell gave: its result, or why it can't run here.
 type Driven = Result<Cell, String>;
@@ -241,7 +243,10 @@ fn text(matrix: &Matrix) -> String {
     for cell in cells.iter().filter(|cell| cell.verdict == CellVerdict::Fail) {
         text += &format!("failed          {}: {}\n", name(&cell.fault, cell.phase), cell.reason);
     }
-    skipped.iter().for_each(|reason| text += &format!("skipped         {reason}\n"));
+    skipped.iter().take(SHOWN).for_each(|reason| text += &format!("skipped         {reason}\n"));
+    if let Some(more) = skipped.len().checked_sub(SHOWN).filter(|more| *more > 0) {
+        text += &format!("                and {more} more ({DATA})\n");
+    }
     text
 }
 

@@ -59,7 +59,7 @@ mod tests {
         let mut slow = usual;
         (slow.bounds.velocity_max_mps, slow.bounds.steering_max_rad) =
             (0.5, 2.0 * usual.bounds.steering_max_rad);
-        slow.steering_lag_s = 3.0 * usual.steering_lag_s;
+        slow.steering_lag_s = 4.0 * usual.steering_lag_s;
         let value = |name: &str| match fitted(&fault(name), &slow, 2.0).inject {
             Injection::Sample(sample) => sample.value,
             _ => f64::NAN,
@@ -72,7 +72,7 @@ mod tests {
             _ => toml::Table::default(),
         };
         assert_eq!(set("scanner-black-obstacle")["obstacle"][0]["x_m"].as_float(), Some(8.0));
-        assert_eq!(set("steering-slow")["robot"]["steering_lag_s"].as_float(), Some(1.5));
+        assert_eq!(set("steering-slow")["robot"]["steering_lag_s"].as_float(), Some(2.0));
         // Twice the way at half the speed.
         let (there, here) = (fitted(&fault("steering-slow"), &slow, 2.0), fault("steering-slow"));
         assert_eq!(there.expect.within_ms, 4.0 * here.expect.within_ms);
