@@ -100,7 +100,7 @@ impl EmptyStage {
     fn attach(role: Role, from: Topic, to: Topic, payload: Option<usize>) -> anyhow::Result<Self> {
         let mut process = Process::attach(role)?;
         let taken = Received::open(&mut process, from, payload)?;
-        // Nobody waits for what an actuation carries.
+        // No process waits for what an actuation carries.
         let sent = Sent::open(&mut process, to, payload.filter(|_| to != Topic::Actuation))?;
         Ok(Self { process, taken, sent })
     }

@@ -29,8 +29,8 @@ struct Twin {
 }
 
 impl Simulation {
-    /// Drives the courses of [`settings_of`](crate::course::settings_of), whose lengths are `scale` times as large, once per phase without a fault, with these
-    /// stages in the place of those of their roles. A course that the robot does not drive to its end has no cells.
+    /// Drives the course of each phase, whose lengths are `scale` times as large, once without a fault, with these stages in the
+    /// place of those of their roles. A course that the robot does not drive to its end has no cells.
     ///
     /// # Errors
     /// The first setting that is not allowed.

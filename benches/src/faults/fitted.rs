@@ -18,11 +18,8 @@ pub(super) fn fitted(fault: &InjectedFault, vehicle: &Description, scale: f64) -
     match &mut fault.inject {
         Injection::Sample(sample) if matches!(sample.action, SampleAction::Set | SampleAction::Add) => {
             let is_of = |end: &str| sample.fields.iter().any(|field| field.ends_with(end));
-            sample.value *= match () {
-                () if is_of("steering_rad") => angle,
-                () if is_of("_mps") => speed,
-                () => 1.0,
-            };
+            let by_speed = if is_of("_mps") { speed } else { 1.0 };
+            sample.value *= if is_of("steering_rad") { angle } else { by_speed };
         }
         Injection::Scenario(scenario) => {
             scale_lengths(&mut scenario.set, scale);
