@@ -171,9 +171,10 @@ impl Estimator {
             let before = self.state;
             let can_be_there = self.is_in_reach(measured, speed, dt);
             let (mut update, mut expected) = (None, None);
+            let before_mps = self.state.motion.expected_mps;
             if dt <= self.settings.max_gap_s && !(is_cut && can_be_there && self.settings.gate) {
                 expected = Some(self.predict(odometry, dt));
-                update = Some(self.update_and_check(measured, odometry, dt, is_known));
+                update = Some(self.update_and_check(measured, odometry, dt, is_known.then_some(before_mps)));
                 if !is_known && can_be_there && self.state.rejected > before.rejected {
                     // Undo the comparison: the misfit is explained, so it is no evidence against the calibration.
                     (self.state, update) = (before, None);
@@ -617,14 +618,16 @@ impl Estimator {
         }
     }
 
-    /// Measurement update, followed by the check of the calibration.
+    /// Measurement update, followed by the check of the calibration; `before_mps` is the speed expected at the sample before, where
+    /// it is known what the wheels were told since.
     fn update_and_check(
         &mut self,
         measured: Planar,
         odometry: &Odometry,
         dt_s: f64,
-        is_known: bool,
+        before_mps: Option<f64>,
     ) -> Update {
+        let is_known = before_mps.is_some();
         let (expected, refused, restarts) = (self.filter(), self.state.rejected, self.state.restarts);
         let apart = Vector3::new(self.state.learned.apart_rad, 0.0, 0.0);
         let update = self.update(measured, odometry);
@@ -642,6 +645,7 @@ impl Estimator {
             let most_mps = 10.0 * plausible_mps[1];
             let speed_mps = odometry.speed_mps.clamp(-most_mps, most_mps);
             let in_force = self.state.motion.in_force(acquired_ns);
+            let expected_mps = self.state.motion.expected_mps;
             self.state.self_check.observe(&Evidence {
                 acquired_ns,
                 dt_s,
@@ -650,7 +654,8 @@ impl Estimator {
                 desired_mps: in_force
                     .filter(|control| control.drives == 1 && is_known)
                     .map(|control| control.velocity_mps),
-                expected_mps: self.state.motion.expected_mps,
+                expected_mps: [before_mps.unwrap_or(expected_mps), expected_mps],
+                way_m: (self.settings.is_increments && is_known).then(|| self.way_m(measured)),
                 innovation: (self.settings.gate && is_known)
                     .then(|| self.normalised(&expected, &(update.innovation + apart))),
                 refused: self.state.rejected > refused,
@@ -658,6 +663,13 @@ impl Estimator {
             });
         }
         update
+    }
+
+    /// Way ahead since the report before, and what noise of both may add to it [m].
+    fn way_m(&self, measured: Planar) -> [f64; 2] {
+        let Increments { reported: [yaw, x, y], product: [_, ahead, _], .. } = self.state.increments;
+        let moved = increments::Increment::between(Planar { yaw, x, y }, measured);
+        [moved.ahead_m, REACH_SIGMA * (-2.0 * ahead).max(0.0).sqrt()]
     }
 
     /// Innovation ahead, to the left and in yaw, in standard deviations of what was expected.

@@ -11,6 +11,9 @@
 //! A speed is a way by a time, so stamps that jitter spread it widely, but their errors cancel over the window: the speed
 //! is suspected only if the ways of the window, summed up, differ as well.
 //!
+//! Speed and position are reported by one odometer. Where they contradict each other in three pieces in a row, one of them is
+//! wrong, and neither tells which ([`Suspect::OdometryLongitudinal`]).
+//!
 //! While a residual is beyond its tolerance the alarm is [`Alarm::Slow`]. When that has lasted for [`TIMEOUT_S`] of time
 //! that shows something (a speed that is too slow to tell anything does not count), or the
 //! estimate had to restart from refused measurements, it is [`Alarm::Stop`] and stays: the position is not known then.
@@ -46,7 +49,11 @@ const YAW_TOLERANCE: f64 = 3.0;
 /// proportion [s].
 const YAW_INTERVALS_S: [f64; 2] = [0.1, 0.15];
 
-/// Refused measurements in a row that count as a jump. Two may be a coincidence of noise (1e-6), three are not.
+/// Share by which a reported speed and the reported way contradict each other, of the larger of both. What accelerates from rest
+/// or is off in its calibration differs by less, or once.
+const CONTRADICTION: f64 = 0.4;
+
+/// Refused measurements in a row that count as a jump, and contradictions in a row that count. Two may be a coincidence of noise (1e-6), three are not.
 pub const JUMP: u64 = 3;
 
 /// How long an alarm may last before the robot must stop [s].
@@ -79,6 +86,12 @@ plain_state! {
         pub piece: [f64; 3],
         /// Piece of the innovations that has begun: its time [s]
         pub innovation_s: f64,
+        /// Piece of the reported way that has begun: its time [s], the way by the reported speed, and that by the positions [m]
+        pub reported: [f64; 3],
+        /// Share by which both differ in the last piece
+        pub contradiction: f64,
+        /// Pieces in a row in which they contradict each other
+        pub contradictions: u64,
         /// What is suspected, `Suspect`
         pub suspect: u32,
         /// What the robot should do, `Alarm`
@@ -99,8 +112,10 @@ pub struct Evidence {
     pub plausible_mps: [f64; 2],
     /// Speed desired by the control in force; `None` while wheels are blocked, and where it is not known [m/s].
     pub desired_mps: Option<f64>,
-    /// Speed that the controls and the lag of the drive explain [m/s].
-    pub expected_mps: f64,
+    /// Speed that the controls and the lag of the drive explain, at the scan before and now [m/s].
+    pub expected_mps: [f64; 2],
+    /// Way ahead by the positions that are reported, and its standard deviation by their noise; `None` where it is not known [m].
+    pub way_m: Option<[f64; 2]>,
     /// Innovation ahead, to the left and in yaw, in standard deviations; `None` where it is not normalised, and where the
     /// control in force is not known.
     pub innovation: Option<[f64; 3]>,
@@ -114,14 +129,19 @@ impl Evidence {
     /// Share by which the speed, in the direction of the desired one, is beyond the range from the expected to the desired one, where both are large enough, and
     /// the way [m] that it is a share of.
     ///
-    /// A drive that is quicker than described is no fault, so a speed within that range is as it should be.
+    /// A drive that is quicker than described is no fault, and encoders report the mean since the scan before, so a speed within
+    /// the range of those expected since then and the one desired is as it should be.
     fn speed_residual(&self) -> Option<(f64, f64)> {
         let desired = self.desired_mps?;
         let ahead = 1.0_f64.copysign(desired);
-        let [desired, expected, speed] = [desired, self.expected_mps, self.speed_mps].map(|mps| mps * ahead);
-        let (low, high) = (desired.min(expected), desired.max(expected));
-        let right_mps = speed.clamp(low, high);
-        (low >= SLOWEST_MPS).then(|| (speed / right_mps - 1.0, right_mps * self.dt_s))
+        let [before, expected] = self.expected_mps.map(|mps| mps * ahead);
+        let (desired, speed) = (desired * ahead, self.speed_mps * ahead);
+        let low = desired.min(expected);
+        if low < SLOWEST_MPS {
+            return None;
+        }
+        let right_mps = speed.clamp(low.min(before).max(SLOWEST_MPS), desired.max(expected).max(before));
+        Some((speed / right_mps - 1.0, right_mps * self.dt_s))
     }
 }
 
@@ -158,9 +178,12 @@ impl SelfCheckState {
                 self.push(YAW, if is_long { yaw * usual_s / evidence.dt_s } else { yaw });
             }
         }
+        self.compare(evidence);
         self.refused = if evidence.refused { self.refused + 1 } else { 0 };
         let suspect = if evidence.restarted || self.refused >= JUMP {
             evidence.innovation.map_or(Suspect::Position, jumped)
+        } else if self.contradictions >= JUMP {
+            Suspect::OdometryLongitudinal
         } else {
             self.drifted()
         };
@@ -172,6 +195,26 @@ impl SelfCheckState {
             _ => true,
         };
         self.decide(suspect, evidence, is_told);
+    }
+
+    /// Compares the reported speed with the reported way, once they make a piece.
+    fn compare(&mut self, evidence: &Evidence) {
+        let Some([way_m, deviation_m]) = evidence.way_m else {
+            (self.reported, self.contradictions) = ([0.0; 3], 0);
+            return;
+        };
+        let [time_s, by_speed_m, by_place_m] = self.reported;
+        let (time_s, by_speed_m) = (time_s + evidence.dt_s, by_speed_m + evidence.speed_mps * evidence.dt_s);
+        self.reported = [time_s, by_speed_m, by_place_m + way_m];
+        if !ends(time_s, evidence.dt_s) {
+            return;
+        }
+        let [.., by_place_m] = std::mem::take(&mut self.reported);
+        let most_m = by_speed_m.abs().max(by_place_m.abs());
+        let beyond_m = (by_speed_m - by_place_m).abs() - deviation_m;
+        self.contradiction = beyond_m.max(0.0) / most_m.max(SLOWEST_MPS * time_s);
+        let is_one = self.contradiction > CONTRADICTION;
+        self.contradictions = if is_one { self.contradictions + 1 } else { 0 };
     }
 
     /// What is suspected.
@@ -190,6 +233,10 @@ impl SelfCheckState {
             Suspect::None | Suspect::Vehicle => return None,
             Suspect::VelocityFactor => ("error of the speed, as a share", SPEED, SPEED_TOLERANCE),
             Suspect::OdometryLateral => ("innovation to the left, in deviations", LEFT, INNOVATION_TOLERANCE),
+            Suspect::OdometryLongitudinal if self.contradictions >= JUMP => {
+                let what = "difference of reported speed and way, as a share";
+                return Some((what, self.contradiction, CONTRADICTION));
+            }
             Suspect::OdometryLongitudinal => ("innovation ahead, in deviations", AHEAD, INNOVATION_TOLERANCE),
             Suspect::Steering => ("innovation of the yaw, in deviations", YAW, YAW_TOLERANCE),
             Suspect::Heading | Suspect::Position => {
@@ -290,7 +337,8 @@ mod tests {
         speed_mps: 0.9,
         plausible_mps: [-0.1, 2.0],
         desired_mps: Some(0.9),
-        expected_mps: 0.9,
+        expected_mps: [0.9; 2],
+        way_m: None,
         innovation: Some([0.1, -0.1, 0.2]),
         refused: false,
         restarted: false,
@@ -322,23 +370,56 @@ mod tests {
 
     #[test]
     fn while_the_speed_changes_a_quicker_drive_and_the_described_one_are_both_right() {
-        let ramp = Evidence { desired_mps: Some(1.0), expected_mps: 0.6, ..GOOD };
+        let ramp = Evidence { desired_mps: Some(1.0), expected_mps: [0.6; 2], ..GOOD };
         for speed_mps in [0.6, 0.8, 1.0] {
             assert_eq!(Evidence { speed_mps, ..ramp }.speed_residual(), Some((0.0, 0.1 * speed_mps)));
         }
         // 0.54 is a tenth below what the lag explains, 1.1 a tenth above what is desired.
         let off = |speed_mps| Evidence { speed_mps, ..ramp }.speed_residual().unwrap().0;
         assert!((off(0.54) + 0.1).abs() < 1e-12 && (off(1.1) - 0.1).abs() < 1e-12);
-        assert_eq!(Evidence { expected_mps: 0.1, ..ramp }.speed_residual(), None);
+        assert_eq!(Evidence { expected_mps: [0.1; 2], ..ramp }.speed_residual(), None);
+        // The mean of an interval in which it slows down from 1.0 to 0.8 m/s.
+        let slows = Evidence { desired_mps: Some(0.7), expected_mps: [1.0, 0.8], speed_mps: 0.9, ..GOOD };
+        assert_eq!(slows.speed_residual(), Some((0.0, 0.1 * 0.9)));
+    }
+
+    #[test]
+    fn a_speed_that_contradicts_the_way_of_three_scans_is_suspected_and_stops_the_robot() {
+        let way = |speed_mps, way_m| Evidence { speed_mps, way_m: Some([way_m, 0.0]), ..GOOD };
+        let suspects = |evidence, count| {
+            let mut check = SelfCheckState::default();
+            let seen = alarms(&mut check, 0, count, evidence);
+            (seen.iter().position(|alarm| *alarm == Alarm::Slow), check)
+        };
+        // Twice as fast, backwards, and standing while it drives.
+        for speed_mps in [1.8, -0.9, 0.0] {
+            let (slow, check) = suspects(way(speed_mps, 0.09), 10);
+            assert_eq!((slow, check.suspect()), (Some(2), Suspect::OdometryLongitudinal), "{speed_mps}");
+            assert_eq!(check.number().map(|(_, share, _)| share > 0.4), Some(true));
+        }
+        assert_eq!(suspects(way(1.8, 0.09), 40).1.alarm(), Alarm::Stop);
+        // A scale that is off by a third, a slow robot whose way is rounded, and noise of the positions.
+        for (speed_mps, way_m, deviation_m) in [(0.9, 0.06, 0.0), (0.02, 0.0, 0.0), (0.9, 0.04, 0.03)] {
+            let evidence = Evidence { way_m: Some([way_m, deviation_m]), ..way(speed_mps, way_m) };
+            assert_eq!(suspects(evidence, 10).0, None, "{speed_mps} {way_m}");
+        }
+        // From rest with 5 m/s2: the speed at the end is twice the mean once.
+        let mut check = SelfCheckState::default();
+        for scan in 1..=6 {
+            let speed_mps = 0.5 * f64::from(scan);
+            check.observe(&way(speed_mps, (speed_mps - 0.25) * 0.1));
+        }
+        assert_eq!((check.alarm(), check.contradictions), (Alarm::None, 0));
     }
 
     #[test]
     fn backwards_the_speed_is_compared_in_its_direction() {
-        let back = |speed_mps| Evidence { speed_mps, desired_mps: Some(-0.3), expected_mps: -0.3, ..GOOD };
+        let back =
+            |speed_mps| Evidence { speed_mps, desired_mps: Some(-0.3), expected_mps: [-0.3; 2], ..GOOD };
         assert_eq!(back(-0.3).speed_residual(), Some((0.0, 0.3 * 0.1)));
         assert!((back(-0.27).speed_residual().unwrap().0 + 0.1).abs() < 1e-12);
         assert!(back(0.3).speed_residual().unwrap().0 < -1.0, "it drives forwards");
-        assert_eq!(Evidence { expected_mps: 0.3, ..back(-0.3) }.speed_residual(), None, "it changes");
+        assert_eq!(Evidence { expected_mps: [0.3; 2], ..back(-0.3) }.speed_residual(), None, "it changes");
     }
 
     #[test]
@@ -368,8 +449,10 @@ mod tests {
             };
             assert_eq!(alarms(4.0, GOOD), Some(Alarm::None));
             // Faster than it should be while it brakes; then too slow to tell anything, for longer than the alarm may last.
-            let braking = Evidence { speed_mps: 0.2, desired_mps: Some(0.17), expected_mps: 0.18, ..GOOD };
-            let creeping = Evidence { speed_mps: 0.1, desired_mps: Some(0.1), expected_mps: 0.1, ..GOOD };
+            let braking =
+                Evidence { speed_mps: 0.2, desired_mps: Some(0.17), expected_mps: [0.18; 2], ..GOOD };
+            let creeping =
+                Evidence { speed_mps: 0.1, desired_mps: Some(0.1), expected_mps: [0.1; 2], ..GOOD };
             assert_eq!(alarms(0.5, braking), Some(Alarm::None), "{rate_hz}");
             assert_eq!(alarms(5.0, creeping), Some(Alarm::None), "{rate_hz}");
             // A wrong factor slows, and stops when it has been shown for long enough.
