@@ -17,14 +17,16 @@ use console::answer;
 use console::exit::{Exit, Failure};
 use console::out_folder::OutFolder;
 use console::progress::Steps;
+use console::user_file::{self, TEXT_BYTES};
 use courses::course::scaled;
 use fault_matrix::course::{settings as settings_of_course, settings_of, stage_settings};
 use fault_matrix::{Cell, CellVerdict, PipedStage, Simulation};
-use faults::{DrivePhase, InjectedFault};
+use faults::{DrivePhase, Exceptions, InjectedFault};
 use pipeline::PipelineSettings;
 use plan::{Choice, Plan};
 use serde::{Deserialize, Serialize};
 use shared_types::did_you_mean;
+use vehicle::Description;
 
 use crate::cores::on_all_cores;
 use commands::print_json;
@@ -55,6 +57,9 @@ pub(crate) struct FaultsArguments {
     /// Courses whose lengths are larger by this factor, with `--system`.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, requires = "system")]
     pub(crate) scale: f64,
+    /// What is expected otherwise of the cells of this vehicle: a table `[FAULT.PHASE]` for each, with its reason as `because`.
+    #[arg(long, value_name = "FILE", requires = "system")]
+    pub(crate) expect: Option<PathBuf>,
     /// Print the names of the cells to standard output, and drive none.
     #[arg(long)]
     pub(crate) list: bool,
@@ -93,7 +98,9 @@ type Driven = Result<Cell, String>;
 /// # Errors
 /// A pattern that no cell has, exit code 2; a system that can't be started; errors of the file system.
 pub(crate) fn faults(arguments: &FaultsArguments) -> anyhow::Result<Exit> {
-    let all = faults::all()?;
+    let courses = DrivePhase::ALL.into_iter().map(|phase| course(phase, arguments));
+    let courses = courses.collect::<anyhow::Result<Vec<_>>>()?;
+    let all = expected(arguments, &courses[0].1.tuning.vehicle)?;
     let chosen = chosen(&all, arguments)?;
     if arguments.list {
         let names: String =
@@ -102,7 +109,7 @@ pub(crate) fn faults(arguments: &FaultsArguments) -> anyhow::Result<Exit> {
         return Ok(Exit::Done);
     }
     let results = OutFolder::claim(&arguments.out, &[DATA, PAGE], arguments.force)?;
-    let matrix = drive(&chosen, arguments)?;
+    let matrix = drive(&chosen, &courses, arguments)?;
     answer!(arguments.json, "{}", text(&matrix))?;
     results.write(DATA, serde_json::to_string_pretty(&matrix)?.as_bytes())?;
     let page = results.write(PAGE, page::html(&matrix.cells).as_bytes())?;
@@ -185,7 +192,23 @@ fn course(phase: DrivePhase, arguments: &FaultsArguments) -> anyhow::Result<(Dri
     Ok((phase, Plan::of(&scenario, &choice)?.simulated()))
 }
 
-fn drive(chosen: &[(&InjectedFault, DrivePhase)], arguments: &FaultsArguments) -> anyhow::Result<Matrix> {
+/// All faults, as they are for the chosen vehicle.
+fn expected(arguments: &FaultsArguments, vehicle: &Description) -> anyhow::Result<Vec<InjectedFault>> {
+    let mut all = faults::all()?;
+    if arguments.system.is_some() {
+        all.iter_mut().for_each(|fault| *fault = fitted(fault, vehicle, arguments.scale));
+    }
+    let Some(file) = &arguments.expect else { return Ok(all) };
+    let text = user_file::read(file, TEXT_BYTES).map_err(|error| error.to_string());
+    let applied = text.and_then(|text| Exceptions::parse(&text)?.applied(all));
+    applied.map_err(|reason| Failure::bad_input(format!("{}: {reason}", file.display())))
+}
+
+fn drive(
+    chosen: &[(&InjectedFault, DrivePhase)],
+    courses: &[(DrivePhase, PipelineSettings)],
+    arguments: &FaultsArguments,
+) -> anyhow::Result<Matrix> {
     let (live, simulated): (Vec<_>, Vec<_>) = chosen.iter().copied().partition(|(fault, _)| fault.is_live());
     // Before the simulated cells, whose results an error would lose.
     if !live.is_empty() {
@@ -194,13 +217,10 @@ fn drive(chosen: &[(&InjectedFault, DrivePhase)], arguments: &FaultsArguments) -
     let mut steps = Steps::new(chosen.len() as u64, "cells");
     let mut driven = Vec::new();
     if !simulated.is_empty() {
-        let courses: Vec<_> =
-            DrivePhase::ALL.into_iter().map(|phase| course(phase, arguments)).collect::<Result<_, _>>()?;
-        let vehicle = &courses[0].1.tuning.vehicle;
-        let simulation = Simulation::new(programs(&arguments.with)?, &courses, arguments.scale)?;
+        let simulation = Simulation::new(programs(&arguments.with)?, courses, arguments.scale)?;
         let cell = |index: usize| {
             let (fault, phase): (&InjectedFault, DrivePhase) = simulated[index];
-            simulation.cell(&fitted(fault, vehicle, arguments.scale), phase).ok_or_else(|| {
+            simulation.cell(fault, phase).ok_or_else(|| {
                 format!("{}: not possible on this course with this robot", name(&fault.name, phase))
             })
         };

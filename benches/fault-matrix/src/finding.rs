@@ -2,6 +2,9 @@
 
 use std::collections::BTreeMap;
 
+/// What another drive finds so much later is something else [ns].
+const SAME_NS: u64 = 500_000_000;
+
 /// The first time of each finding, by the part that made it and what it is.
 #[derive(Debug, Clone, Default)]
 pub struct Findings {
@@ -44,9 +47,10 @@ impl Findings {
         }
     }
 
-    /// Whether the same was found.
+    /// Whether the same was found, not much later.
     pub fn has(&self, finding: &Finding) -> bool {
-        self.first.contains_key(&(finding.by, finding.what))
+        let found = self.first.get(&(finding.by, finding.what));
+        found.is_some_and(|place| place.at_ns <= finding.place.at_ns + SAME_NS)
     }
 
     /// All findings in the order of time.

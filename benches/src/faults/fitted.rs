@@ -1,8 +1,9 @@
 //! A fault as it is for another vehicle.
 
 use courses::course::scale_lengths;
+use emulator::scenario::Scanner;
 use faults::{InjectedFault, Injection, SampleAction};
-use toml::Value;
+use toml::{Table, Value};
 use vehicle::Description;
 
 /// What a fault of the default vehicle is for another one, on a course whose lengths are `scale` times as large: angles and speeds
@@ -23,6 +24,14 @@ pub(super) fn fitted(fault: &InjectedFault, vehicle: &Description, scale: f64) -
         }
         Injection::Scenario(scenario) => {
             scale_lengths(&mut scenario.set, scale);
+            if is_black(&scenario.set) {
+                // It shows in time for a robot of this way to stop.
+                let black_range_m = Scanner::default().black_range_m * vehicle.sudden_m / usual.sudden_m;
+                let scanner = Value::Table(
+                    [("black_range_m".to_owned(), Value::Float(black_range_m))].into_iter().collect(),
+                );
+                scenario.set.insert("scanner".to_owned(), scanner);
+            }
             let robot = scenario.set.get_mut("robot").and_then(Value::as_table_mut);
             for (key, value) in robot.into_iter().flatten() {
                 let factor = match key.as_str() {
@@ -37,6 +46,12 @@ pub(super) fn fitted(fault: &InjectedFault, vehicle: &Description, scale: f64) -
         _ => {}
     }
     fault
+}
+
+/// Whether an obstacle of these tables of a scenario is black.
+fn is_black(set: &Table) -> bool {
+    let obstacles = set.get("obstacle").and_then(Value::as_array);
+    obstacles.is_some_and(|all| all.iter().any(|one| one.get("black").and_then(Value::as_bool) == Some(true)))
 }
 
 #[cfg(test)]

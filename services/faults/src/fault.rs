@@ -264,7 +264,8 @@ impl InjectedFault {
         matches!(self.inject, Injection::Process(_))
     }
 
-    fn validate(&self) -> Result<(), String> {
+    /// Passes when all expectations and what is injected are allowed.
+    pub(crate) fn validate(&self) -> Result<(), String> {
         for phase in DrivePhase::ALL {
             self.expected(phase).validate()?;
         }

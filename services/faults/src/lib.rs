@@ -12,11 +12,13 @@
 //! faults can use it.
 
 mod change;
+mod exceptions;
 mod fault;
 mod live;
 mod sample_fault;
 
 pub use change::{Change, Changed, UnknownField};
+pub use exceptions::Exceptions;
 pub use fault::{
     DrivePhase, Expectation, FaultError, InPhase, InjectedFault, Injection, PersonFault, ProcessAction,
     ProcessFault, ProcessName, ScenarioFault,

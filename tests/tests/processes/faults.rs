@@ -94,6 +94,28 @@ fn a_pattern_that_no_cell_has_is_refused() {
 }
 
 #[test]
+fn other_vehicles_pass_with_what_is_expected_otherwise_of_them() {
+    let system = TestSystem::new(EXECUTABLE);
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
+    for (name, scale) in [("racecar", "2"), ("turtlebot", "1"), ("car", "2")] {
+        let (vehicle, expect) =
+            (format!("{root}/examples/vehicles/{name}.toml"), format!("{root}/benches/vehicles/{name}.toml"));
+        let with = ["--system", &vehicle, "--scale", scale, "--only", "odometry-speed-*/s*"];
+        // A speed that contradicts the way is found with each, also where it is beyond what the robot can drive.
+        let found = faults(&system, &[&with[..], &["--expect", &expect]].concat());
+        assert!(found.1["cells"].as_array().unwrap().iter().all(|cell| cell["outcome"] == "stopped"));
+        assert_eq!(assert_passed(found), 6, "{name}");
+    }
+    let expect = system.folder().join("expect.toml");
+    std::fs::write(&expect, "[odometry-sped-double.start]\nskip = true\nbecause = \"x\"\n").unwrap();
+    let vehicle = format!("{root}/examples/vehicles/car.toml");
+    let output = system.run(&["faults", "--system", &vehicle, "--expect", "expect.toml"]);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    let names = "no fault is named odometry-sped-double. Did you mean";
+    assert!(output.status.code() == Some(2) && message.contains(names), "{message}");
+}
+
+#[test]
 fn a_stage_in_a_program_of_its_own_gives_the_cells_of_the_built_in_one() {
     let system = TestSystem::new(EXECUTABLE);
     let only = ["--only", "command-too-*"];
