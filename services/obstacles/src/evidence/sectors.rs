@@ -25,6 +25,8 @@ const NEEDED: f64 = 10.0;
 const SUSPICIOUS: f64 = 4.0;
 /// A sector has no evidence when its share of returns is below this part of that of all directions.
 const BLIND_SHARE: f64 = 0.3;
+/// Where returns are missing at random in all directions, so many standard deviations may be missing in a sector by chance.
+const CHANCE: f64 = 4.0;
 /// A sector works when so many of eleven of its beams gave a return in one scan.
 const PROOF: usize = 6;
 /// With more sectors than this without evidence, nothing ahead can be relied on ...
@@ -123,8 +125,10 @@ pub(crate) fn show(
 /// The sectors in which hardly anything of what was predicted came, one bit each, where `share` of all predicted returns
 /// come.
 pub(crate) fn failing(counts: &Counts, share: f64) -> u64 {
+    let share = share.min(1.0);
     let is_failing = |[predicted, came]: &[f64; 2]| {
-        *predicted >= NEEDED && *came < BLIND_SHARE * share.min(1.0) * *predicted
+        let by_chance = CHANCE * (share * (1.0 - share) * predicted).sqrt();
+        *predicted >= NEEDED && *came < (BLIND_SHARE * share * predicted).min(share * predicted - by_chance)
     };
     (0..).zip(counts).filter(|(_, count)| is_failing(count)).fold(0, |mask, (sector, _)| mask | 1 << sector)
 }
@@ -205,6 +209,19 @@ mod tests {
         assert_eq!(unseen(0b100_0100, 0), 0b111_1100);
         assert_eq!(unseen(0b100_0100, 0b1_0000), 0b100_0100);
         assert_eq!(unseen(0b100, 0), 0b100);
+    }
+
+    #[test]
+    fn a_sector_fails_where_more_is_missing_than_by_chance() {
+        let fails = |predicted, came, share| {
+            let mut counts = [[0.0; 2]; SECTORS];
+            counts[5] = [predicted, came];
+            failing(&counts, share) != 0
+        };
+        assert!(fails(10.0, 2.9, 1.0) && !fails(10.0, 3.1, 1.0) && !fails(9.0, 0.0, 1.0));
+        // Where every other return comes, 1.9 of 14 are within four standard deviations of 7, and none of 20 is not.
+        assert!(!fails(14.0, 1.9, 0.5) && fails(20.0, 0.0, 0.5) && !fails(20.0, 3.1, 0.5));
+        assert!(!fails(20.0, 0.0, 0.0) && fails(20.0, 0.0, 1.5));
     }
 
     #[test]
