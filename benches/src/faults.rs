@@ -18,7 +18,6 @@ use console::exit::{Exit, Failure};
 use console::out_folder::OutFolder;
 use console::progress::Steps;
 use console::user_file::{self, TEXT_BYTES};
-use courses::course::scaled;
 use fault_matrix::course::{settings as settings_of_course, settings_of, stage_settings};
 use fault_matrix::{Cell, CellVerdict, PipedStage, Simulation};
 use faults::{DrivePhase, Exceptions, InjectedFault};
@@ -186,7 +185,9 @@ fn course(phase: DrivePhase, arguments: &FaultsArguments) -> anyhow::Result<(Dri
     let settings = settings_of(phase);
     let Some(system) = &arguments.system else { return Ok((phase, settings)) };
     let scale = arguments.scale;
-    let scenario = scaled(&settings.scenario, scale)
+    let scenario = settings
+        .scenario
+        .scaled(scale)
         .map_err(|error| Failure::bad_input(format!("--scale {scale}: {error}")))?;
     let choice = Choice { system: Some(system.clone()), ..Choice::default() };
     Ok((phase, Plan::of(&scenario, &choice)?.simulated()))

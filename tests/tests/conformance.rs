@@ -134,6 +134,47 @@ fn built_in_implementations_meet_everything() {
 }
 
 #[test]
+fn built_in_implementations_meet_what_depends_on_the_vehicle_with_each_shipped_one() {
+    let cases: [(&str, &str, &[&str]); 5] = [
+        ("estimator", "ekf", &["near-the-truth", "looks-ahead"]),
+        ("obstacles", "ellipses", &["sees-a-box", "noisy-scanner", "seen-free"]),
+        ("controller", "nmpc", &["stops-before-a-barrier", "lands", "by-hand", "new-goal", "bend"]),
+        ("actuator", "actuation", &["limits", "sends-what-is-desired", "valid-values"]),
+        ("robot", "emulator", &["drives", "blocks", "valid-values"]),
+    ];
+    repeat_when_late(|| {
+        for (vehicle, scale) in [("racecar", "2"), ("turtlebot", "1"), ("car", "2")] {
+            let file = format!("{}/../examples/vehicles/{vehicle}.toml", env!("CARGO_MANIFEST_DIR"));
+            let with = ["--system", &file, "--scale", scale, "--jobs", "8"];
+            std::thread::scope(|scope| {
+                for (role, name, only) in cases {
+                    let only = only.iter().flat_map(|case| ["--only", case]);
+                    let arguments: Vec<&str> =
+                        [role, "--to", name].into_iter().chain(with).chain(only).collect();
+                    scope.spawn(move || {
+                        let (report, output) = suite(&arguments);
+                        let code = output.status.code();
+                        assert!(
+                            bad(&report).is_empty() && code == Some(0),
+                            "{vehicle} {role}: {}",
+                            stderr(&output)
+                        );
+                    });
+                }
+            });
+        }
+    });
+    // The bounds of the default robot are none of this one: a command that it may not drive is found by its own.
+    let file = format!("{}/../examples/vehicles/racecar.toml", env!("CARGO_MANIFEST_DIR"));
+    let refused = run(&["actuator", "--to", "actuation", "--system", &file, "--scale", "1e9"]);
+    assert!(
+        refused.status.code() == Some(2) && stderr(&refused).contains("--scale 1000000000"),
+        "{}",
+        stderr(&refused)
+    );
+}
+
+#[test]
 fn an_estimator_of_ones_own_meets_what_is_required() {
     let (report, output) = suite(&["--rate", "20", "--jobs", "8", "estimator", "--", DEAD_RECKONING]);
     assert_eq!((output.status.code(), report.failed), (Some(0), 0), "{}", stderr(&output));

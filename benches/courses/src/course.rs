@@ -8,7 +8,6 @@ mod curved;
 pub mod hostile;
 mod random_obstacle;
 mod reversing;
-mod scaled;
 
 use shared_types::named_enum;
 
@@ -18,7 +17,6 @@ use random_obstacle::obstacle;
 
 pub use curved::curved;
 pub use reversing::reversing;
-pub use scaled::{scale_lengths, scaled};
 
 /// No surface of an obstacle stands nearer to the start than this [m].
 const AFTER_START_M: f64 = 3.5;

@@ -2,7 +2,7 @@
 
 use console::exit::Failure;
 use courses::course::hostile::hostile;
-use courses::course::{curved, of_campaign, reversing, scaled};
+use courses::course::{curved, of_campaign, reversing};
 use emulator::Scenario;
 use plan::{Choice, Plan};
 
@@ -75,7 +75,8 @@ impl Course {
         };
         let scenario = Scenario { robot: arguments.robot.of(scenario.robot), ..scenario };
         let Some(scale) = arguments.scale else { return Ok((scenario, gap_m)) };
-        let scenario = scaled(&scenario, scale)
+        let scenario = scenario
+            .scaled(scale)
             .map_err(|error| Failure::bad_input(format!("--scale {scale}: {error}")))?;
         Ok((scenario, gap_m.map(|gap_m| gap_m * scale)))
     }

@@ -1,7 +1,6 @@
 //! A fault as it is for another vehicle.
 
-use courses::course::scale_lengths;
-use emulator::scenario::Scanner;
+use emulator::scenario::{Scanner, scale_lengths};
 use faults::{InjectedFault, Injection, SampleAction};
 use toml::{Table, Value};
 use vehicle::Description;

@@ -18,22 +18,28 @@ const FIRST_SCAN: u64 = 20;
 const SCANS: usize = 10;
 /// Scans that nothing answers during a silence.
 const MISSED_SCANS: u64 = 2;
-/// Velocities [m/s] and steering angles [rad] outside the limits (7.41).
-const OUTSIDE: [(f64, f64); 4] = [(0.5, 0.2), (0.5, -0.2), (3.0, 0.0), (-0.5, 0.0)];
 
 pub(crate) fn limits(bench: &mut TestBench<'_>) -> Verdict {
-    for (velocity, steering) in OUTSIDE {
-        let what = format!("a command of {velocity} m/s and {steering} rad");
+    // Velocities [m/s] and steering angles [rad] outside the limits (7.41).
+    let Bounds { velocity_max_mps, reverse_max_mps, steering_max_rad, .. } =
+        bench.suite.vehicle.description.bounds;
+    let (half_mps, sharp_rad) = (velocity_max_mps / 2.0, steering_max_rad + 0.14);
+    let outside = [
+        (half_mps, sharp_rad),
+        (half_mps, -sharp_rad),
+        (velocity_max_mps + 2.0, 0.0),
+        (-reverse_max_mps - 0.2, 0.0),
+    ];
+    for (velocity, steering) in outside {
+        let what = format!("a command of {velocity:.2} m/s and {steering:.2} rad");
         let set = |command: &mut Command| (command.velocity_mps, command.steering_rad) = (velocity, steering);
         not_driven(bench, &what, set)?;
     }
-    Ok(format!("{} commands outside the limits", OUTSIDE.len()))
+    Ok(format!("{} commands outside the limits", outside.len()))
 }
 
-/// Blocked wheels have stopped the robot after this time: from 1 m/s at 5 m/s^2, with the delay of the command [ns].
-const STOPPED_NS: u64 = 300_000_000;
-/// Backwards to the left.
-const BACKWARDS: Control = Control { velocity: -0.2, steering: 0.03 };
+/// Blocked wheels have stopped the robot after so many times of what it takes.
+const STOPPED: f64 = 1.5;
 
 /// Passes when the robot is sent what is right for what is commanded, with the calibration of the course, and after a stop
 /// also backwards.
@@ -47,26 +53,37 @@ pub(crate) fn sends(bench: &mut TestBench<'_>) -> Verdict {
         }
         driven += 1;
         let desired = Control { velocity: command.velocity_mps, steering: command.steering_rad };
-        require_sent(&correction, desired, &actuation)?;
+        require_sent(&bench.suite.vehicle.description.bounds, &correction, desired, &actuation)?;
     }
     require(driven * 2 >= SCANS, || format!("{driven} of {SCANS} commands to drive were driven"))?;
     // The first block comes with the first of them.
-    for _ in 0..=STOPPED_NS.div_ceil(bench.suite.period_ns) {
+    let vehicle = &bench.suite.vehicle;
+    for _ in 0..=vehicle.stopping_ns(STOPPED).div_ceil(bench.suite.period_ns) {
         bench.round_with(|message| message.change(stop))?;
     }
+    let bounds = vehicle.description.bounds;
+    if bounds.mirrored().is_none() {
+        return Ok(format!("{driven} commands"));
+    }
+    // Backwards to the left.
+    let back = Control { velocity: vehicle.back_mps(0.2), steering: bounds.steering_max_rad / 2.0 };
     for _ in 0..2 {
-        let answer = bench.round_with(|message| message.change(|command| go(command, BACKWARDS)))?;
-        require(drives(&answer), || format!("it does not drive at {} m/s from rest", BACKWARDS.velocity))?;
-        require_sent(&correction, BACKWARDS, answer.sample()?)?;
+        let answer = bench.round_with(|message| message.change(|command| go(command, back)))?;
+        require(drives(&answer), || format!("it does not drive at {:.2} m/s from rest", back.velocity))?;
+        require_sent(&bounds, &correction, back, answer.sample()?)?;
     }
     Ok(format!("{driven} commands, and backwards"))
 }
 
 /// Requires that what is right for a control is sent.
-fn require_sent(correction: &CommandCorrection, desired: Control, actuation: &Actuation) -> Tried {
+fn require_sent(
+    bounds: &Bounds,
+    correction: &CommandCorrection,
+    desired: Control,
+    actuation: &Actuation,
+) -> Tried {
     // The calibrations of these drives have no play, so the position of the linkage does not matter.
-    let Correction { velocity, steering, .. } =
-        correction.correct(&Bounds::default(), desired, Linkage::default());
+    let Correction { velocity, steering, .. } = correction.correct(bounds, desired, Linkage::default());
     let sent = (actuation.sent_velocity_mps, actuation.sent_steering_rad);
     let off = (sent.0 - velocity).abs().max((sent.1 - steering).abs());
     let text = |velocity: f64, steering: f64| format!("{velocity:.4} m/s and {steering:.5} rad");

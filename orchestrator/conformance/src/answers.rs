@@ -89,7 +89,7 @@ pub(crate) fn valid_values(suite: &Suite) -> Verdict {
     // The box is in view, then next to the robot, then behind it.
     let mut bench = suite.started_on(Course::Corridor, suite.drive(Course::Corridor)?.scan_at(3.2))?;
     bench.rounds(SCANS)?;
-    valid(&bench.received)
+    valid(&bench.received, &suite.vehicle.description.bounds)
 }
 
 pub(crate) fn repeatable(suite: &Suite) -> Verdict {

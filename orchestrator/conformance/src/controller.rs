@@ -17,8 +17,8 @@ use super::test_bench::TestBench;
 const SCANS: usize = 12;
 /// Scans of a case whose inputs are spoilt.
 const SPOILT_SCANS: u64 = 3;
-/// Distance of the barrier from the robot's centre: 0.5 m from its front [m].
-const IN_FRONT_M: f64 = 0.8;
+/// Distance of the barrier from the robot's front [m].
+const GAP_M: f64 = 0.52;
 
 /// Distance to a goal that is set: the robot can land there [m].
 const GOAL_AHEAD_M: f64 = 1.5;
@@ -63,16 +63,16 @@ fn free_track(suite: &Suite) -> Tried<Vec<Command>> {
 }
 
 pub(crate) fn stops_before_a_barrier(suite: &Suite) -> Verdict {
-    let commands = before_a_barrier(suite)?;
+    let (commands, in_front_m) = (before_a_barrier(suite)?, suite.vehicle.ahead_m(GAP_M));
     for command in &commands {
         let scan_id = command.header.scan_id;
-        let drives = || format!("scan {scan_id}: it drives on, {IN_FRONT_M} m before a barrier");
+        let drives = || format!("scan {scan_id}: it drives on, {in_front_m:.1} m before a barrier");
         require(!drives_on(command), drives)?;
         require(command.reason != StopReason::None.wire(), || "it stops without a reason")?;
     }
     let drives = free_track(suite)?.iter().any(drives_on);
     observed(drives, || "it does not drive on a free track either")?;
-    Ok(format!("{} stops, {IN_FRONT_M} m before a barrier", commands.len()))
+    Ok(format!("{} stops, {in_front_m:.1} m before a barrier", commands.len()))
 }
 
 /// Commands to a robot that rests before a barrier; a controller may need two scans to believe in an obstacle.
@@ -82,7 +82,8 @@ fn before_a_barrier(suite: &Suite) -> Tried<Vec<Command>> {
     let mut commands = Vec::new();
     for _ in 0..SCANS {
         let x_m = bench.drive.step(bench.scan_id).pose.map_or(0.0, |pose| pose.predicted_x_m);
-        let answer = bench.round_with(|message| message.change(|all| shift(all, x_m + IN_FRONT_M)))?;
+        let answer = bench
+            .round_with(|message| message.change(|all| shift(all, x_m + suite.vehicle.ahead_m(GAP_M))))?;
         commands.push(*answer.sample()?);
     }
     Ok(commands.split_off(2))
@@ -117,19 +118,20 @@ pub(crate) fn new_goal(bench: &mut TestBench<'_>) -> Verdict {
     let x_m =
         |bench: &TestBench<'_>| bench.drive.step(bench.scan_id).pose.map_or(0.0, |pose| pose.predicted_x_m);
     let goal = bench.drive.settings.scenario.goal.last();
-    let near = Goal { x_m: x_m(bench) + GOAL_AHEAD_M, ..goal };
+    let [ahead_m, behind_m] = [GOAL_AHEAD_M, BEHIND_GOAL_M].map(|usual_m| bench.suite.vehicle.m(usual_m));
+    let near = Goal { x_m: x_m(bench) + ahead_m, ..goal };
     give(bench, &near)?;
     let mut last = bench.round()?;
-    while x_m(bench) < near.x_m + BEHIND_GOAL_M {
+    while x_m(bench) < near.x_m + behind_m {
         last = bench.round()?;
     }
-    let behind = || format!("it drives on, {BEHIND_GOAL_M} m behind a goal that was set");
+    let behind = || format!("it drives on, {behind_m} m behind a goal that was set");
     require(!drives_on(last.sample()?), behind)?;
     give(bench, &goal)?;
     let commands: Vec<Command> = bench.samples(SCANS)?;
     let drives = commands.last().is_some_and(drives_on);
     require(drives, || "it does not drive on to a goal that was set after it".to_owned())?;
-    Ok(format!("it stops behind a goal {GOAL_AHEAD_M} m ahead, and drives on to another"))
+    Ok(format!("it stops behind a goal {ahead_m} m ahead, and drives on to another"))
 }
 
 /// Sets the goal of the drive.

@@ -6,14 +6,14 @@ use std::f64::consts::FRAC_PI_2;
 use emulator::scenario::{ScenarioObstacle, Shape};
 use emulator::steering_map::SteeringMap;
 use emulator::{Emulator, Referee, Scenario};
-use pipeline::{Pipeline, PipelineSettings, Step, Tuning};
+use pipeline::{Pipeline, PipelineSettings, Step};
 use serde::Deserialize;
 use shared_types::{Odometry, Role, Scan, Topic, Truth};
-use vehicle::Description;
 use vehicle::correction::Calibration;
 use vehicle::course::{CourseKeys, Waypoint};
 
 use super::message::Message;
+use super::vehicle::SuiteVehicle;
 
 /// Scans that are recorded after a drive has ended, while the robot rests.
 const AFTER_THE_END: usize = 12;
@@ -47,7 +47,7 @@ impl Course {
     ///
     /// # Errors
     /// Waypoints that make no course: a mistake in them.
-    pub(crate) fn settings(self, period_ns: u64) -> anyhow::Result<PipelineSettings> {
+    pub(crate) fn settings(self, period_ns: u64, vehicle: &SuiteVehicle) -> anyhow::Result<PipelineSettings> {
         let mut scenario = Scenario { name: "conformance".to_owned(), ..Scenario::default() };
         let solid = |x_m, y_m, length_m, width_m| {
             ScenarioObstacle::fixed(Shape::Box { length_m, width_m, yaw_rad: 0.0 }, x_m, y_m)
@@ -63,19 +63,21 @@ impl Course {
             let bend = vehicle::Course::try_from(CourseKeys { waypoints, ..CourseKeys::default() });
             scenario = scenario.along(bend?)?;
         }
-        // The robot of the courses follows at once, and the stages know.
-        let mut tuning = Tuning::of(Description::default().without_lag());
-        if matches!(self, Self::Exact | Self::Drifting) {
+        let missed = if self == Self::Drifting { 0.1 } else { 0.0 };
+        let is_exact = matches!(self, Self::Exact | Self::Drifting);
+        if is_exact {
             scenario.noise.range_m = 0.0;
             scenario.robot.velocity_factor = Some(1.0);
             scenario.robot.steering_map = Some(SteeringMap::Identity);
-            tuning.actuator.calibration = Calibration::Identity;
-            let missed = if self == Self::Drifting { 0.1 } else { 0.0 };
             scenario.robot.odometry_longitudinal = Some(missed);
-            tuning.estimator.odometry_longitudinal = Some(missed);
         }
-        tuning.controller.period_s = period_ns as f64 * 1e-9;
-        Ok(PipelineSettings { scenario, tuning, period_ns })
+        let mut settings = vehicle.settings(&scenario)?;
+        if is_exact {
+            settings.tuning.actuator.calibration = Calibration::Identity;
+            settings.tuning.estimator.odometry_longitudinal = Some(missed);
+        }
+        settings.tuning.controller.period_s = period_ns as f64 * 1e-9;
+        Ok(PipelineSettings { period_ns, ..settings })
     }
 }
 
@@ -87,6 +89,8 @@ pub(crate) struct Drive {
     pub(crate) steps: Vec<Step>,
     /// How many scans belong to the drive; the robot rests after them.
     pub(crate) ended: usize,
+    /// What drives.
+    pub(crate) vehicle: SuiteVehicle,
 }
 
 impl Drive {
@@ -94,8 +98,8 @@ impl Drive {
     ///
     /// # Errors
     /// A setting that is not allowed: a mistake in the courses.
-    pub(crate) fn record(course: Course, period_ns: u64) -> anyhow::Result<Self> {
-        let settings = course.settings(period_ns)?;
+    pub(crate) fn record(course: Course, period_ns: u64, vehicle: &SuiteVehicle) -> anyhow::Result<Self> {
+        let settings = course.settings(period_ns, vehicle)?;
         let mut pipeline = Pipeline::new(&settings)?;
         let mut referee = Referee::new(&settings.scenario);
         let (mut steps, mut ended) = (Vec::new(), None);
@@ -106,7 +110,7 @@ impl Drive {
             }
             steps.push(step);
         }
-        Ok(Self { settings, ended: ended.unwrap_or(steps.len()), steps })
+        Ok(Self { settings, ended: ended.unwrap_or(steps.len()), steps, vehicle: vehicle.clone() })
     }
 
     /// The drive with the ranges that the robot would measure on its way in another scenario.
@@ -135,7 +139,7 @@ impl Drive {
     pub(crate) fn starting_at(&self, first_scan: u64) -> Self {
         let skipped = (first_scan.max(1) as usize - 1).min(self.steps.len() - 1);
         let (settings, steps) = (self.settings.clone(), self.steps[skipped..].to_vec());
-        Self { settings, steps, ended: self.ended.saturating_sub(skipped) }
+        Self { settings, steps, ended: self.ended.saturating_sub(skipped), vehicle: self.vehicle.clone() }
     }
 
     /// All samples of a scan; a scan beyond the end is the last one.
@@ -162,8 +166,13 @@ impl Drive {
         self.step(scan_id).scan.header.stage(Role::Robot).published_ns
     }
 
+    /// The first scan with the robot's centre beyond a place on the default robot's course [m].
+    pub(crate) fn scan_at(&self, usual_m: f64) -> u64 {
+        self.scan_beyond(self.vehicle.m(usual_m))
+    }
+
     /// The first scan with the robot's centre beyond `x_m`.
-    pub(crate) fn scan_at(&self, x_m: f64) -> u64 {
+    pub(crate) fn scan_beyond(&self, x_m: f64) -> u64 {
         let index = self.steps.iter().position(|step| step.truth.x_m >= x_m);
         index.unwrap_or(self.steps.len() - 1) as u64 + 1
     }
@@ -175,9 +184,13 @@ mod tests {
 
     use super::*;
 
+    fn usual() -> SuiteVehicle {
+        SuiteVehicle::read(None, 1.0).unwrap().0
+    }
+
     #[test]
     fn a_scanner_on_an_empty_track_sees_the_hall_from_start_to_end() {
-        let drive = Drive::record(Course::Free, 100_000_000).unwrap();
+        let drive = Drive::record(Course::Free, 100_000_000, &usual()).unwrap();
         for step in &drive.steps {
             let valid = step.scan.ranges_mm.iter().filter(|range| **range >= MIN_RANGE_MM).count();
             // Of a healthy scan two thirds have a return; the end walls are out of reach ahead.

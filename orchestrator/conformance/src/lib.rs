@@ -30,6 +30,7 @@ mod robot;
 mod suite;
 mod test_bench;
 mod trouble;
+mod vehicle;
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -37,7 +38,6 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::Context;
 use clap::Args;
-use plan::System;
 use shared_types::{Role, did_you_mean};
 
 pub use case::{CaseOutcome, RequirementLevel};
@@ -50,6 +50,7 @@ use console::output::data;
 use supervision::child::require_script;
 use supervision::entry::IMPLEMENTATIONS;
 
+use self::vehicle::SuiteVehicle;
 use case::Case;
 use cases::chosen;
 use suite::Suite;
@@ -65,9 +66,12 @@ pub struct ConformanceArguments {
     /// Built-in implementation: emulator, player, ros2, ekf, ellipses, nmpc or actuation.
     #[arg(long, value_name = "IMPLEMENTATION", group = "candidate")]
     pub to: Option<String>,
-    /// System file whose table `[player]` or `[ros2]` the robot of this name gets.
+    /// System file of another vehicle; a robot `player` or `ros2` gets its table of this name.
     #[arg(long, value_name = "FILE")]
     pub system: Option<PathBuf>,
+    /// Courses whose lengths are larger by this factor, with `--system`.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, requires = "system")]
+    pub scale: f64,
     /// Run only this case; may be repeated.
     #[arg(long, value_name = "NAME")]
     pub only: Vec<String>,
@@ -107,10 +111,9 @@ pub fn conformance(arguments: &ConformanceArguments) -> anyhow::Result<Exit> {
     }
     let cases = chosen(role, &arguments.only)?;
     let (command, label) = candidate(role, arguments)?;
-    let mut suite = Suite::new(role, command, (1e9 / arguments.rate).round() as u64)?;
-    if let Some(file) = &arguments.system {
-        let plan::SourceFile { table, name, .. } = System::read_table(Some(file))?;
-        let system = System::from_table(table, &name)?;
+    let (vehicle, system) = SuiteVehicle::read(arguments.system.as_deref(), arguments.scale)?;
+    let mut suite = Suite::new(role, command, (1e9 / arguments.rate).round() as u64, vehicle)?;
+    if arguments.system.is_some() {
         suite.driver = arguments.to.as_deref().map_or(Ok(None), |name| system.driver_of(name))?;
     }
     let verdicts = play_all(&cases, &suite, arguments)?;

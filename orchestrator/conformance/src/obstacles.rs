@@ -8,8 +8,9 @@ use shared_types::{Obstacle, Obstacles};
 use super::case::{Tried, Verdict, observed, require};
 use super::drive::Course;
 use super::suite::Suite;
+use super::vehicle::SuiteVehicle;
 
-/// The box of the default drive: centre, length and width [m].
+/// The box of the default robot's drive: centre, length and width [m].
 const BOX_M: [f64; 4] = [5.0, 0.0, 0.1, 0.4];
 /// How much of the box the ellipse may leave out on each side: three standard deviations of a range [m].
 const LEFT_OUT_M: f64 = 0.03;
@@ -20,12 +21,13 @@ const FIRST_SIGHTINGS: usize = 4;
 
 pub(crate) fn sees_a_box(suite: &Suite) -> Verdict {
     for obstacles in before_the_box(suite)? {
-        require(obstacles.list().iter().any(covers_the_box), || {
+        require(obstacles.list().iter().any(|item| covers_the_box(&suite.vehicle, item)), || {
             let near = obstacles.list().iter().map(|item| {
                 format!("({:.2}, {:.2}) with {:.2} m x {:.2} m", item.x_m, item.y_m, item.a_m, item.b_m)
             });
             let (scan_id, near) = (obstacles.header.scan_id, near.collect::<Vec<_>>().join("; "));
-            format!("scan {scan_id}: no ellipse around the box at (5, 0); there are: {near}")
+            let x_m = suite.vehicle.m(BOX_M[0]);
+            format!("scan {scan_id}: no ellipse around the box at ({x_m}, 0); there are: {near}")
         })?;
     }
     Ok(format!("{} scans, the box lies within an ellipse", SCANS - FIRST_SIGHTINGS))
@@ -38,16 +40,17 @@ fn before_the_box(suite: &Suite) -> Tried<Vec<Obstacles>> {
 }
 
 /// Whether the front of the box lies within the ellipse.
-fn covers_the_box(item: &Obstacle) -> bool {
-    let [x, y, length, width] = BOX_M;
+fn covers_the_box(vehicle: &SuiteVehicle, item: &Obstacle) -> bool {
+    let [x, y, length, width] = BOX_M.map(|usual_m| vehicle.m(usual_m));
     [-1.0, 1.0].iter().all(|side| {
         let corner = [x - length / 2.0 + LEFT_OUT_M, y + side * (width / 2.0 - LEFT_OUT_M)];
         ((corner[0] - item.x_m) / item.a_m).powi(2) + ((corner[1] - item.y_m) / item.b_m).powi(2) <= 1.0
     })
 }
 
-/// Index of the first ellipse near a place.
-fn position_at(described: &Obstacles, x_m: f64, y_m: f64) -> Option<usize> {
+/// Index of the first ellipse near a place on the default robot's course.
+fn position_at(vehicle: &SuiteVehicle, described: &Obstacles, [x_m, y_m]: [f64; 2]) -> Option<usize> {
+    let (x_m, y_m) = (vehicle.m(x_m), vehicle.m(y_m));
     described.list().iter().position(|item| (item.x_m - x_m).hypot(item.y_m - y_m) < 0.6)
 }
 
@@ -65,7 +68,8 @@ pub(crate) fn nearest_first(suite: &Suite) -> Verdict {
     let described: Vec<Obstacles> = suite.started_on(Course::Two, first_scan)?.samples(2 * SCANS)?;
     let mut both = 0;
     for described in &described[FIRST_SIGHTINGS..] {
-        let places = (position_at(described, 4.5, 0.9), position_at(described, 6.0, -0.9));
+        let place = |usual_m| position_at(&suite.vehicle, described, usual_m);
+        let places = (place([4.5, 0.9]), place([6.0, -0.9]));
         if let (Some(near), Some(far)) = places {
             both += 1;
             let scan_id = described.header.scan_id;
@@ -78,8 +82,9 @@ pub(crate) fn nearest_first(suite: &Suite) -> Verdict {
 
 pub(crate) fn keeps_identity(suite: &Suite) -> Verdict {
     let described = before_the_box(suite)?;
-    let its =
-        described.iter().filter_map(|described| described.list().iter().find(|item| covers_the_box(item)));
+    let its = described
+        .iter()
+        .filter_map(|described| described.list().iter().find(|item| covers_the_box(&suite.vehicle, item)));
     let mut ids: Vec<u32> = its.map(|item| item.id).collect();
     let scans = ids.len();
     observed(scans > 1, || format!("it reported the box in {scans} scans"))?;

@@ -8,8 +8,6 @@ use super::case::{Tried, Verdict, require};
 use super::message::Message;
 use super::test_bench::TestBench;
 
-/// What the person asks for: velocity [m/s] and steering angle [rad].
-const ASKED: (f64, f64) = (0.3, 0.02);
 /// Scans in which a change takes effect, and some more in which it must last.
 const SCANS: usize = 6;
 /// A button that is silent for so long counts as pressed [ns].
@@ -17,9 +15,15 @@ const SILENT_NS: u64 = 600_000_000;
 /// Scans until a change must have taken effect.
 const ON_ITS_WAY: usize = 2;
 
+/// What the person asks for: velocity [m/s] and steering angle [rad].
+fn asked(bench: &TestBench<'_>) -> (f64, f64) {
+    let vehicle = &bench.suite.vehicle;
+    (vehicle.mps(0.3), vehicle.description.bounds.steering_max_rad.min(0.02))
+}
+
 /// Says who drives, and what a person asks for now.
 fn let_drive(bench: &mut TestBench<'_>, driven_by: DrivenBy, number: u64) -> Tried {
-    let (velocity_mps, steering_rad) = ASKED;
+    let (velocity_mps, steering_rad) = asked(bench);
     let given_ns = if number == 0 { 0 } else { monotonic_ns() };
     bench.direct(|directive| {
         directive.driven_by = driven_by.wire();
@@ -113,14 +117,18 @@ pub(crate) fn follows(bench: &mut TestBench<'_>) -> Verdict {
         let_drive(bench, DrivenBy::Person, number)?;
         scans.push(bench.round()?);
     }
+    let (velocity_mps, steering_rad) = asked(bench);
     for answer in scans.iter().skip(ON_ITS_WAY) {
         let command: &Command = answer.sample()?;
-        let asked =
-            (command.velocity_mps - ASKED.0).abs() < 1e-9 && (command.steering_rad - ASKED.1).abs() < 1e-9;
+        let asked = (command.velocity_mps - velocity_mps).abs() < 1e-9
+            && (command.steering_rad - steering_rad).abs() < 1e-9;
         let drives = command.kind == CommandKind::Drive.wire();
         require(!drives || asked && command.level == Level::Person.wire(), || {
+            let (asked_mps, asked_rad) = (velocity_mps, steering_rad);
             let Command { velocity_mps, steering_rad, level, .. } = command;
-            format!("{velocity_mps} m/s, {steering_rad} rad, level {level} where a person asks for {ASKED:?}")
+            format!(
+                "{velocity_mps} m/s, {steering_rad} rad, level {level} where a person asks for {asked_mps} and {asked_rad}"
+            )
         })?;
         driven += usize::from(drives);
     }

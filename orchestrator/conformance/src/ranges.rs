@@ -12,9 +12,10 @@ use super::message::Message;
 use super::trouble::{Verdict, failed};
 
 /// Passes when every sample passes the check of its type and the ranges of its topic.
-pub(crate) fn valid(received: &[Message]) -> Verdict {
+pub(crate) fn valid(received: &[Message], bounds: &Bounds) -> Verdict {
     for message in received {
-        let ranges = message.check().map_err(|fault| fault.to_string()).and_then(|()| in_range(message));
+        let ranges =
+            message.check().map_err(|fault| fault.to_string()).and_then(|()| in_range(message, bounds));
         if let Err(reason) = ranges {
             return failed(format!("{} of scan {}: {reason}", message.topic(), message.scan_id()));
         }
@@ -23,11 +24,11 @@ pub(crate) fn valid(received: &[Message]) -> Verdict {
 }
 
 /// Fails with the first number of the sample that is outside of its range.
-fn in_range(message: &Message) -> Result<(), String> {
+fn in_range(message: &Message, bounds: &Bounds) -> Result<(), String> {
     message.get().map_or(Ok(()), pose)?;
     message.get().map_or(Ok(()), obstacles)?;
-    message.get().map_or(Ok(()), command)?;
-    message.get().map_or(Ok(()), actuation)?;
+    message.get().map_or(Ok(()), |sample| command(sample, bounds))?;
+    message.get().map_or(Ok(()), |sample| actuation(sample, bounds))?;
     message.get().map_or(Ok(()), scan)?;
     message.get().map_or(Ok(()), odometry)
 }
@@ -74,11 +75,10 @@ fn obstacles(obstacles: &Obstacles) -> Result<(), String> {
 }
 
 /// The ranges of a command: limits (7.41), verified when driving.
-fn command(command: &Command) -> Result<(), String> {
+fn command(command: &Command, bounds: &Bounds) -> Result<(), String> {
     if command.kind != CommandKind::Drive.wire() {
         return Ok(());
     }
-    let bounds = Bounds::default();
     let steering_rad = bounds.steering_max_rad + ROUNDING;
     let highest_mps =
         if command.velocity_mps < 0.0 { bounds.reverse_max_mps } else { bounds.velocity_max_mps };
@@ -89,11 +89,10 @@ fn command(command: &Command) -> Result<(), String> {
 }
 
 /// The ranges of an actuation: limits (7.41), limits of what is sent, no velocity with blocked wheels.
-fn actuation(actuation: &Actuation) -> Result<(), String> {
+fn actuation(actuation: &Actuation, bounds: &Bounds) -> Result<(), String> {
     if actuation.kind != ActuationKind::Drive.wire() {
         return inside("sent_velocity_mps of blocked wheels", actuation.sent_velocity_mps, 0.0..=0.0);
     }
-    let bounds = Bounds::default();
     let (desired_rad, sent_rad) =
         (bounds.steering_max_rad + ROUNDING, bounds.sent_steering_max_rad + ROUNDING);
     let desired_mps = -bounds.reverse_max_mps - ROUNDING..=bounds.velocity_max_mps + ROUNDING;

@@ -57,7 +57,7 @@ pub(crate) fn header(bench: &mut TestBench<'_>) -> Verdict {
 
 pub(crate) fn valid_values(bench: &mut TestBench<'_>) -> Verdict {
     bench.rounds(SCANS)?;
-    valid(&bench.received)
+    valid(&bench.received, &bench.suite.vehicle.description.bounds)
 }
 
 pub(crate) fn increments(bench: &mut TestBench<'_>) -> Verdict {

@@ -13,6 +13,7 @@ use supervision::lock::{SystemLock, clear};
 
 use super::drive::{Course, Drive};
 use super::test_bench::Button;
+use super::vehicle::SuiteVehicle;
 
 /// What all cases of a suite share.
 pub(crate) struct Suite {
@@ -20,6 +21,8 @@ pub(crate) struct Suite {
     pub(crate) role: Role,
     /// Program and arguments.
     pub(crate) command: Vec<OsString>,
+    /// What drives.
+    pub(crate) vehicle: SuiteVehicle,
     /// Scan period [ns].
     pub(crate) period_ns: u64,
     /// Settings of the driver of a robot.
@@ -60,11 +63,16 @@ impl Default for Setup {
 }
 
 impl Suite {
-    pub(crate) fn new(role: Role, command: Vec<OsString>, period_ns: u64) -> anyhow::Result<Self> {
+    pub(crate) fn new(
+        role: Role,
+        command: Vec<OsString>,
+        period_ns: u64,
+        vehicle: SuiteVehicle,
+    ) -> anyhow::Result<Self> {
         let shutdown = Shutdown::on_signals()?;
         sweep()?;
         let (drives, benches) = (Mutex::default(), AtomicU32::new(0));
-        Ok(Self { role, command, period_ns, driver: None, shutdown, drives, benches })
+        Ok(Self { role, command, vehicle, period_ns, driver: None, shutdown, drives, benches })
     }
 
     /// A recorded drive.
@@ -74,7 +82,7 @@ impl Suite {
         if let Some(drive) = drives.get(&course) {
             return Ok(Arc::clone(drive));
         }
-        let drive = Arc::new(Drive::record(course, self.period_ns)?);
+        let drive = Arc::new(Drive::record(course, self.period_ns, &self.vehicle)?);
         drives.insert(course, Arc::clone(&drive));
         Ok(drive)
     }

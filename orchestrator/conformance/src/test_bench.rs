@@ -113,7 +113,7 @@ impl<'a> TestBench<'a> {
             setup,
             drive,
             may_end: false,
-            order: Some(Order::Drive(0.7, 0.0)),
+            order: Some(Order::Drive(suite.vehicle.mps(0.7), 0.0)),
             last_actuation: None,
             received: Vec::new(),
             heartbeats: Vec::new(),

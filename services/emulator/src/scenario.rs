@@ -9,6 +9,7 @@ mod obstacle;
 mod places;
 mod preset;
 mod robot;
+mod scaled;
 mod scanner;
 mod shipped;
 mod way;
@@ -22,6 +23,7 @@ pub use obstacle::{ScenarioObstacle, Shape};
 pub use places::Start;
 pub use preset::Values;
 pub use robot::{DriftGrowth, Noise, OdometryModel, Preset, Robot, RobotScanner};
+pub use scaled::scale_lengths;
 pub use scanner::{MAX_RANGE_M, Scanner};
 pub use vehicle::{Goal, Goals, Surroundings, Track};
 

@@ -11,6 +11,7 @@ use crate::case::{Tried, failed, observed, require};
 use crate::drive::Course;
 use crate::suite::Suite;
 use crate::test_bench::TestBench;
+use crate::vehicle::SuiteVehicle;
 
 /// The scanner fails when the robot is here: 1.7 m before the box [m].
 pub(super) const ONSET_M: f64 = 3.3;
@@ -18,8 +19,6 @@ pub(super) const ONSET_M: f64 = 3.3;
 const SIGHTINGS: u64 = 20;
 /// A fault lasts for this long [s].
 pub(super) const FAULT_S: f64 = 2.0;
-/// Half of the robot's length: with no more seen ahead it must not drive [m].
-const FRONT_M: f64 = 0.28;
 /// Scans before the fault of a robot that rests.
 const RESTING_SCANS: u64 = 5;
 
@@ -54,14 +53,14 @@ impl<'a> Failing<'a> {
     /// A bench whose robot rests before a barrier, with a fault after some scans.
     pub(super) fn at_rest(suite: &'a Suite, fault: impl FnOnce(&mut Scanner)) -> Tried<Self> {
         let drive = suite.drive(Course::Barrier)?;
-        let first_scan = drive.scan_at(drive.step(drive.ended as u64).truth.x_m - 1e-3);
+        let first_scan = drive.scan_beyond(drive.step(drive.ended as u64).truth.x_m - 1e-3);
         let onset = first_scan + RESTING_SCANS;
         let mut failing = Self::new(suite, Course::Barrier, first_scan, onset, |scenario, onset_s| {
             fault(&mut scenario.scanner);
             scenario.scanner.from_s = onset_s;
         })?;
         let last = failing.play_before()?;
-        observed(!stops(&last), || format!("state `{}` at rest before the fault", state(&last)))?;
+        observed(!failing.stops(&last), || format!("state `{}` at rest before the fault", state(&last)))?;
         Ok(failing)
     }
 
@@ -84,9 +83,18 @@ impl<'a> Failing<'a> {
     /// Plays the scans before the onset, after which the box must be known; returns the last answer.
     pub(super) fn before(&mut self) -> Tried<Obstacles> {
         let described = self.play_before()?;
-        require(described.list().iter().any(covers_the_box), || "the box was never reported")?;
-        require(!stops(&described), || format!("state `{}` before the fault", state(&described)))?;
+        let vehicle = &self.bench.suite.vehicle;
+        require(
+            described.list().iter().any(|item| covers_the_box(vehicle, item)),
+            || "the box was never reported",
+        )?;
+        require(!self.stops(&described), || format!("state `{}` before the fault", state(&described)))?;
         Ok(described)
+    }
+
+    /// Whether the robot is stopped because of its scanner.
+    fn stops(&self, described: &Obstacles) -> bool {
+        stops(&self.bench.suite.vehicle, described)
     }
 
     fn play_before(&mut self) -> Tried<Obstacles> {
@@ -110,7 +118,7 @@ impl<'a> Failing<'a> {
         for scan in 0..(duration_s * 1e9 / period_ns as f64).round() as u64 {
             let described = self.round()?;
             let since_s = (scan * period_ns) as f64 * 1e-9;
-            first_stop = first_stop.or_else(|| stops(&described).then_some((since_s, described.header)));
+            first_stop = first_stop.or_else(|| self.stops(&described).then_some((since_s, described.header)));
             check(&described, since_s)?;
         }
         Ok(first_stop)
@@ -131,9 +139,9 @@ impl<'a> Failing<'a> {
     }
 }
 
-/// Whether the robot is stopped because of its scanner.
-pub(super) fn stops(described: &Obstacles) -> bool {
-    described.scanner.state().is_stop() || described.scanner.seen_ahead_m <= FRONT_M
+/// Whether the robot is stopped because of its scanner: with no more seen ahead than its front it must not drive.
+pub(super) fn stops(vehicle: &SuiteVehicle, described: &Obstacles) -> bool {
+    described.scanner.state().is_stop() || described.scanner.seen_ahead_m <= vehicle.ahead_m(0.0)
 }
 
 /// Name of the scanner's state.

@@ -5,7 +5,6 @@
 
 use shared_types::{BEAMS, Header, MIN_RANGE_MM, Odometry, Scan};
 
-use super::motion::FORWARD;
 use crate::case::{Tried, Verdict, failed, observed, passed_if, require};
 use crate::test_bench::TestBench;
 
@@ -30,7 +29,7 @@ const TURN_RAD: f64 = 0.5;
 
 /// What a robot that drives straight ahead publishes per scan.
 fn measured(bench: &mut TestBench<'_>) -> Tried<Vec<(Scan, Odometry)>> {
-    bench.order = Some(FORWARD);
+    bench.order = Some(bench.forward());
     let rounds: Vec<Odometry> = bench.samples(SCANS)?;
     bench.turn()?;
     let scans = bench.received.iter().filter_map(|received| received.get::<Scan>());

@@ -12,10 +12,8 @@ use crate::test_bench::{FOREIGN, TestBench};
 
 /// Below this speed the robot is at rest [m/s].
 const STANDSTILL_MPS: f64 = 1e-3;
-/// Blocked wheels are at rest after this time: 1 m/s at a deceleration of 5 m/s^2 takes 0.2 s [ns].
-const STOPPING_NS: u64 = 500_000_000;
-/// Straight on.
-pub(super) const FORWARD: Order = Order::Drive(0.7, 0.0);
+/// Blocked wheels are at rest after so many times of what it takes.
+const STOPPING: f64 = 2.5;
 /// Plays a scan.
 type Round<'a> = dyn FnMut(&mut TestBench<'_>) -> Tried<Odometry> + 'a;
 
@@ -29,15 +27,23 @@ const NONSENSE: [fn(&mut Actuation); 5] = [
 ];
 
 pub(crate) fn drives(bench: &mut TestBench<'_>) -> Verdict {
-    let forwards = drives_by(bench, 0.7)?;
+    let vehicle = &bench.suite.vehicle;
+    let forwards = drives_by(bench, vehicle.mps(0.7))?;
+    if vehicle.description.bounds.mirrored().is_none() {
+        return Ok(forwards);
+    }
     bench.order = Some(Order::Block);
-    is_at_rest(&speeds_for(bench, STOPPING_NS, &mut next)?, "before it is told to drive backwards")?;
-    Ok(format!("{forwards}; {}", drives_by(bench, -0.3)?))
+    is_at_rest(
+        &speeds_for(bench, vehicle.stopping_ns(STOPPING), &mut next)?,
+        "before it is told to drive backwards",
+    )?;
+    Ok(format!("{forwards}; {}", drives_by(bench, vehicle.back_mps(0.3))?))
 }
 
 /// Passes when it moves in the direction of a velocity [m/s], steered to the left.
 fn drives_by(bench: &mut TestBench<'_>, velocity_mps: f64) -> Verdict {
-    bench.order = Some(Order::Drive(velocity_mps, 0.05));
+    let steering_rad = bench.suite.vehicle.description.bounds.steering_max_rad.min(0.05);
+    bench.order = Some(Order::Drive(velocity_mps, steering_rad));
     let all: Vec<Odometry> = bench.samples(2 * SCANS)?;
     let (first, last) = (&all[0], &all[all.len() - 1]);
     let (sin, cos) = first.yaw_rad.sin_cos();
@@ -45,13 +51,15 @@ fn drives_by(bench: &mut TestBench<'_>, velocity_mps: f64) -> Verdict {
     let turned_rad = wrap_angle(last.yaw_rad - first.yaw_rad);
     let way = format!("{ahead_m:.2} m forward, {turned_rad:.3} rad to the left");
     let side = velocity_mps.signum();
-    let is_right = last.speed_mps * side > 0.1 && ahead_m * side > 0.0 && turned_rad * side > 0.0;
+    let is_right = last.speed_mps * side > (velocity_mps * side / 3.0).min(0.1)
+        && ahead_m * side > 0.0
+        && turned_rad * side > 0.0;
     passed_if(is_right, format!("{:.2} m/s, {way}", last.speed_mps))
 }
 
 pub(crate) fn blocks(bench: &mut TestBench<'_>) -> Verdict {
     bench.order = Some(Order::Block);
-    let speeds = speeds_for(bench, STOPPING_NS, &mut next)?;
+    let speeds = speeds_for(bench, bench.suite.vehicle.stopping_ns(STOPPING), &mut next)?;
     let rising = speeds.array_windows().any(|[before, now]| *now > before + STANDSTILL_MPS);
     require(!rising, || format!("its speed rises with blocked wheels: {speeds:?}"))?;
     is_at_rest(&speeds, "after blocking the wheels")
@@ -110,7 +118,7 @@ fn ignores(bench: &mut TestBench<'_>, what: &str, times: usize, bad: &[impl Fn(&
 
 /// Passes when the robot drives as it is told to.
 fn moves_when_told(bench: &mut TestBench<'_>) -> Verdict {
-    bench.order = Some(FORWARD);
+    bench.order = Some(bench.forward());
     let speed = bench.samples::<Odometry>(8)?[7].speed_mps;
     require(speed > 0.1, || format!("{speed:.3} m/s after eight actuations to drive"))?;
     Ok(format!("{speed:.2} m/s"))
@@ -119,7 +127,7 @@ fn moves_when_told(bench: &mut TestBench<'_>) -> Verdict {
 /// Passes when the robot, without an actuation that counts, blocks its wheels after two periods.
 fn stops_without_orders(bench: &mut TestBench<'_>, when: &str, round: &mut Round<'_>) -> Verdict {
     bench.order = None;
-    let after_ns = 2 * bench.suite.period_ns + STOPPING_NS;
+    let after_ns = 2 * bench.suite.period_ns + bench.suite.vehicle.stopping_ns(STOPPING);
     is_at_rest(&speeds_for(bench, after_ns, round)?, when)
 }
 
@@ -151,7 +159,7 @@ fn is_at_rest(speeds: &[f64], when: &str) -> Verdict {
 fn publish_changed(bench: &mut TestBench<'_>, change: impl Fn(&mut Actuation)) -> Tried<Odometry> {
     bench.order = None;
     let received = bench.round()?;
-    let mut message = bench.actuation(&received, FORWARD);
+    let mut message = bench.actuation(&received, bench.forward());
     message.change(change);
     bench.publish(&mut message)?;
     received.sample().copied()

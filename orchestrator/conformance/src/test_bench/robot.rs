@@ -27,6 +27,11 @@ impl TestBench<'_> {
         Ok(odometry)
     }
 
+    /// Straight on.
+    pub(crate) fn forward(&self) -> Order {
+        Order::Drive(self.suite.vehicle.mps(0.7), 0.0)
+    }
+
     /// What a robot is told because of its scan.
     pub(crate) fn actuation(&self, odometry: &Message, order: Order) -> Message {
         let header = odometry.header();

@@ -1,8 +1,8 @@
 //! Courses of another size, for vehicles of another size.
 
-use emulator::Scenario;
-use emulator::scenario::ScenarioError;
 use toml::{Table, Value};
+
+use super::{Scenario, ScenarioError};
 
 /// Tables whose lengths are those of the robot and its devices.
 const OF_THE_ROBOT: [&str; 3] = ["robot", "noise", "scanner"];
@@ -10,14 +10,16 @@ const OF_THE_ROBOT: [&str; 3] = ["robot", "noise", "scanner"];
 const LENGTH: &str = "_m";
 const TIME: &str = "timeout_s";
 
-/// The same course with all lengths, speeds left alone, larger by a factor; there is as much more time.
-///
-/// # Errors
-/// A length that is too large or too small then.
-pub fn scaled(scenario: &Scenario, factor: f64) -> Result<Scenario, ScenarioError> {
-    let mut table = scenario.to_table();
-    scale_lengths(&mut table, factor);
-    Scenario::from_table(table, &scenario.name)
+impl Scenario {
+    /// The same course with all lengths, speeds left alone, larger by a factor; there is as much more time.
+    ///
+    /// # Errors
+    /// A length that is too large or too small then.
+    pub fn scaled(&self, factor: f64) -> Result<Self, ScenarioError> {
+        let mut table = self.to_table();
+        scale_lengths(&mut table, factor);
+        Self::from_table(table, &self.name)
+    }
 }
 
 /// The same for tables of a scenario.
@@ -41,14 +43,13 @@ fn scale(key: &str, value: &mut Value, factor: f64) {
 
 #[cfg(test)]
 mod tests {
-    use emulator::scenario::Shape;
-
     use super::*;
+    use crate::scenario::Shape;
 
     #[test]
     fn lengths_grow_and_the_robot_stays_as_it_is() {
         let walls = Scenario::parse(Scenario::shipped("walls").unwrap(), "walls").unwrap();
-        let large = scaled(&walls, 3.0).unwrap();
+        let large = walls.scaled(3.0).unwrap();
         assert_eq!((large.robot, large.noise), (walls.robot, walls.noise));
         assert_eq!(large.timeout_s, 3.0 * walls.timeout_s);
         assert_eq!(large.track.y_m, walls.track.y_m.map(|y_m| 3.0 * y_m));
@@ -63,7 +64,7 @@ mod tests {
         }
         let curve = Scenario::parse(Scenario::shipped("s-curve").unwrap(), "s-curve").unwrap();
         let length_m = |scenario: &Scenario| scenario.course.as_ref().unwrap().length_m();
-        assert!((length_m(&scaled(&curve, 2.0).unwrap()) / length_m(&curve) - 2.0).abs() < 1e-9);
-        assert!(scaled(&walls, 1e9).is_err());
+        assert!((length_m(&curve.scaled(2.0).unwrap()) / length_m(&curve) - 2.0).abs() < 1e-9);
+        assert!(walls.scaled(1e9).is_err());
     }
 }
