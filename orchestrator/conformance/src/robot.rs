@@ -5,7 +5,7 @@
 pub(crate) mod device;
 pub(crate) mod motion;
 
-use shared_types::{Odometry, Phase, Topic};
+use shared_types::{Odometry, Phase, Scan, ScanGeometry, Topic};
 
 use super::answers::{own_stamps, same_twice};
 use super::case::{Verdict, observed, passed_if, require};
@@ -57,6 +57,15 @@ pub(crate) fn header(bench: &mut TestBench<'_>) -> Verdict {
 
 pub(crate) fn valid_values(bench: &mut TestBench<'_>) -> Verdict {
     bench.rounds(SCANS)?;
+    let described = bench.suite.vehicle.description.scanner.geometry();
+    for scan in bench.received.iter().filter_map(|received| received.get::<Scan>()) {
+        let ScanGeometry { count, first_rad, increment_rad } = scan.geometry();
+        let (first_off, increment_off) =
+            (first_rad - described.first_rad, increment_rad - described.increment_rad);
+        let is_described = count == described.count && first_off.abs().max(increment_off.abs()) <= 1e-6;
+        let its = format!("{count} beams from {first_rad:.4} rad on, {increment_rad:.5} rad apart");
+        require(is_described, || format!("a scan has {its}; `vehicle.scanner` describes {described:?}"))?;
+    }
     valid(&bench.received, &bench.suite.vehicle.description.bounds)
 }
 

@@ -1,4 +1,4 @@
-//! From the beams of any scanner to the 682 beams of a scan.
+//! From the beams of any scanner to those of the described one, which a scan has.
 //!
 //! A beam of the scan lies between two beams of the scanner. Where both hit the same surface, their ranges are
 //! interpolated; elsewhere the nearer beam counts. So an edge is never turned into a surface between two bodies. Of a
@@ -6,20 +6,24 @@
 
 use std::f64::consts::TAU;
 
-use shared_types::{BEAMS, MIN_RANGE_MM, PITCH_RAD, ScanGeometry, WINDOW};
+use shared_types::{MAX_BEAMS, MIN_RANGE_MM, ScanGeometry};
+use vehicle::ScannerDescription;
 
 /// Neighbouring beams whose ranges differ by less than this share hit the same surface.
 const SAME_SURFACE: f64 = 0.1;
-/// Longest range of the scan [m]: that of the URG-04LX.
-const MAX_RANGE_M: f64 = 5.6;
 /// Ranges this close to the longest one are no returns [m]: the resolution of a scan.
 const RESOLUTION_M: f64 = 1e-3;
 /// Error code of a scan: nothing came back.
 const NO_RETURN: u32 = 0;
 /// Error code of a scan: this beam is not measured.
 const NOT_MEASURED: u32 = 19;
+/// What has to be seen to each side of straight ahead [rad]: a sixth of a turn, less half a beam of the URG-04LX.
+const NEEDED_RAD: f64 = TAU / 6.0 - TAU / 2048.0;
 /// Beams may begin and end this much inside of the first and last beam of the scanner, in its steps: rounding.
 const ROUNDING: f64 = 1e-6;
+
+/// Ranges of a sweep by beam of a scan, as many as there are [mm].
+pub type SweepRanges = [u32; MAX_BEAMS];
 
 /// The scanner does not see what the obstacle detector needs.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
@@ -84,18 +88,21 @@ struct Place {
 pub struct Beams {
     fan: Fan,
     count: usize,
+    /// Longest range of the scan [m].
+    reach_m: f64,
     /// By beam of the scan; `None` for one that is not measured.
-    places: [Option<Place>; BEAMS],
+    places: Vec<Option<Place>>,
 }
 
 impl Beams {
-    /// The places for a scanner with `count` beams; `sign` is -1 for one whose angles are clockwise.
+    /// The places for a scanner with `count` beams, in a scan of the `described` one; `sign` is -1 for one whose angles are
+    /// clockwise.
     ///
     /// Angles may begin anywhere: -pi to pi and 0 to 2 pi are the same scanner.
     ///
     /// # Errors
     /// [`Unusable`].
-    pub fn new(fan: Fan, count: usize, sign: f64) -> Result<Self, Unusable> {
+    pub fn new(fan: Fan, count: usize, sign: f64, described: &ScannerDescription) -> Result<Self, Unusable> {
         let (first_deg, last_deg) = (fan.first_rad.to_degrees(), fan.last_rad.to_degrees());
         let step_rad = (fan.last_rad - fan.first_rad) / count.saturating_sub(1) as f64;
         let turn = TAU / step_rad.abs();
@@ -106,9 +113,10 @@ impl Beams {
         }
         let last = (count - 1) as f64;
         let is_closed = count as f64 > turn - 0.5;
-        let half_group = PITCH_RAD / 2.0 / step_rad.abs();
+        let geometry: ScanGeometry = described.geometry();
+        let half_group = geometry.increment_rad / 2.0 / step_rad.abs();
         let place = |beam: usize| {
-            let steps = (sign * ScanGeometry::URG_04LX.yaw_rad(beam) - fan.first_rad) / step_rad;
+            let steps = (sign * geometry.yaw_rad(beam) - fan.first_rad) / step_rad;
             // Steps behind the first beam, once around at most, and up to half a step before it.
             let place = (steps + 0.5 + ROUNDING).rem_euclid(turn) - 0.5 - ROUNDING;
             if !is_closed && place > last + 0.5 + ROUNDING {
@@ -129,11 +137,14 @@ impl Beams {
                 group: (around(first), (end - first).max(0.0) as usize),
             })
         };
-        let places = std::array::from_fn(place);
-        if places[WINDOW].iter().any(Option::is_none) {
+        let places: Vec<Option<Place>> = (0..geometry.count).map(place).collect();
+        let is_missed = |(beam, place): (usize, &Option<Place>)| {
+            place.is_none() && geometry.yaw_rad(beam).abs() <= NEEDED_RAD
+        };
+        if places.iter().enumerate().any(is_missed) {
             return Err(Unusable::Narrow { first_deg, last_deg });
         }
-        Ok(Self { fan, count, places })
+        Ok(Self { fan, count, reach_m: described.range_m, places })
     }
 
     /// Whether these are the places for another sweep.
@@ -143,7 +154,7 @@ impl Beams {
 
     /// Fills the ranges of a scan; `range_m` gives the range of a beam of the scanner [m].
     pub fn fill(&self, range_m: impl Fn(usize) -> f64, ranges_mm: &mut [u32]) {
-        let range = |beam: usize| self.fan.range(range_m(beam), MAX_RANGE_M);
+        let range = |beam: usize| self.fan.range(range_m(beam), self.reach_m);
         for (place, range_mm) in self.places.iter().zip(ranges_mm) {
             *range_mm = match place {
                 None => NOT_MEASURED,
@@ -177,13 +188,14 @@ impl Beams {
 
 #[cfg(test)]
 mod tests {
-    use shared_types::FRONT_BEAM;
+    use shared_types::{BEAMS, FRONT_BEAM, PITCH_RAD};
 
     use super::*;
 
     fn filled(fan: Fan, sign: f64, ranges: &[f64]) -> Result<[u32; BEAMS], Unusable> {
         let mut ranges_mm = [1; BEAMS];
-        Beams::new(fan, ranges.len(), sign)?.fill(|beam| ranges[beam], &mut ranges_mm);
+        Beams::new(fan, ranges.len(), sign, &ScannerDescription::default())?
+            .fill(|beam| ranges[beam], &mut ranges_mm);
         Ok(ranges_mm)
     }
 
@@ -262,9 +274,13 @@ mod tests {
         let narrow = filled(fan(45.0), 1.0, &[2.0; 91]).unwrap_err().to_string();
         assert_eq!(narrow, "the scanner covers -45.0 to 45.0 degrees, but at least -60 to 60 are needed");
         for count in [0, 1] {
-            assert!(matches!(Beams::new(fan(90.0), count, 1.0), Err(Unusable::Impossible { .. })));
+            assert!(matches!(
+                Beams::new(fan(90.0), count, 1.0, &ScannerDescription::default()),
+                Err(Unusable::Impossible { .. })
+            ));
         }
-        assert!(Beams::new(Fan { first_rad: f64::NAN, ..fan(90.0) }, 181, 1.0).is_err());
+        let nowhere = Fan { first_rad: f64::NAN, ..fan(90.0) };
+        assert!(Beams::new(nowhere, 181, 1.0, &ScannerDescription::default()).is_err());
     }
 
     /// A scanner with a beam each quarter of a degree, of which one sees a body.
@@ -283,6 +299,24 @@ mod tests {
             let is_there = |beam: &usize| (ScanGeometry::URG_04LX.yaw_rad(*beam) - yaw_rad).abs() < PITCH_RAD;
             assert!(!hit.is_empty() && hit.iter().all(is_there), "{seen}: {hit:?}");
         }
+    }
+
+    #[test]
+    fn a_scanner_that_is_described_keeps_all_its_beams_and_its_reach() {
+        let end_rad = 135.0_f64.to_radians();
+        let fan = Fan { first_rad: -end_rad, last_rad: end_rad, min_range_m: 0.1, max_range_m: 30.0 };
+        let utm = ScannerDescription { beams: 1081, increment_rad: TAU / 1440.0, ..Default::default() };
+        let beams = |range_m| {
+            let beams = Beams::new(fan, 1081, 1.0, &ScannerDescription { range_m, ..utm }).unwrap();
+            let mut ranges_mm: SweepRanges = [7; MAX_BEAMS];
+            beams.fill(|beam| 4.0 + 0.01 * beam as f64, &mut ranges_mm[..1081]);
+            ranges_mm
+        };
+        let far = beams(30.0);
+        assert!((0..1081).all(|beam| far[beam] as usize == 4000 + 10 * beam), "{:?}", &far[..4]);
+        assert!(far[1081..].iter().all(|range| *range == 7));
+        let near = beams(10.0);
+        assert_eq!((near[600], near[601]), (10_000, 0), "further than is described");
     }
 
     #[test]

@@ -1,7 +1,8 @@
 //! What a connection to a robot reports to its driver.
 
-use shared_types::{BEAMS, Device};
+use shared_types::Device;
 
+use crate::beams::SweepRanges;
 use crate::guard::Orders;
 use crate::motion::{BaseState, Convention};
 
@@ -22,7 +23,7 @@ pub enum RobotEvent {
     /// A sweep.
     Sweep {
         /// Its ranges, by beam of a scan [mm].
-        ranges_mm: [u32; BEAMS],
+        ranges_mm: SweepRanges,
         /// Time stamp of the robot [s].
         time_s: f64,
         /// Duration of the sweep, where the robot reports it [ns].
@@ -33,7 +34,7 @@ pub enum RobotEvent {
     /// A scan of a scanner at this computer.
     Scan {
         /// Its ranges, by beam [mm].
-        ranges_mm: [u32; BEAMS],
+        ranges_mm: SweepRanges,
         /// The ranges were damaged on the way, and are all zero.
         is_missing: bool,
         /// Time of the front beam, on CLOCK_MONOTONIC [ns].

@@ -4,8 +4,9 @@ use std::fmt::Write as _;
 
 use key_table::{Documented, Invalid};
 use runtime::monotonic_ns;
-use shared_types::{Device, DeviceState, Scan};
+use shared_types::{Device, DeviceState, Scan, ScanGeometry};
 use urg::{Coding, Reading, ScannerConnection, ScannerPlace, SourceState, UrgError};
+use vehicle::ScannerDescription;
 
 use crate::event::RobotEvent;
 use crate::feed::Outlet;
@@ -45,16 +46,17 @@ impl ScannerSettings {
     }
 }
 
-/// Hands scans and states, each made an event of the driver by `event`, over until the driver ends, or until the scanner
-/// can't be used. The crate `urg` connects again by itself. The driver stops its wheels `timeout_ns` after the last scan,
+/// Hands scans with the beams of the `described` scanner and states, each made an event of the driver by `event`, over until the
+/// driver ends, or until the scanner can't be used. The crate `urg` connects again by itself. The driver stops its wheels `timeout_ns` after the last scan,
 /// two periods.
 pub fn read<E: Send + 'static>(
     settings: &ScannerSettings,
+    described: &ScannerDescription,
     timeout_ns: u64,
     outlet: &Outlet<E>,
     event: impl Fn(RobotEvent) -> E,
 ) {
-    if let Err(error) = follow(settings, 2e9 / timeout_ns as f64, outlet, &event) {
+    if let Err(error) = follow(settings, described.geometry(), 2e9 / timeout_ns as f64, outlet, &event) {
         tracing::error!(%error, "the scanner can't be used: there are no scans");
         let mut device = Device::default();
         device.note(DeviceState::Fault, &error.to_string(), monotonic_ns());
@@ -64,12 +66,14 @@ pub fn read<E: Send + 'static>(
 
 fn follow<E: Send + 'static>(
     settings: &ScannerSettings,
+    beams: ScanGeometry,
     rate_hz: f64,
     outlet: &Outlet<E>,
     event: &impl Fn(RobotEvent) -> E,
 ) -> Result<(), UrgError> {
     let urg = urg::ScannerConfig {
         rate_hz: Some(rate_hz),
+        beams,
         skip: settings.skip as u8,
         cluster: settings.cluster as u8,
         bit_rate: settings.bit_rate,
@@ -82,7 +86,7 @@ fn follow<E: Send + 'static>(
         let reading = source.next(WAIT_NS, &mut scan)?;
         if reading.is_some() {
             outlet.offer(event(RobotEvent::Scan {
-                ranges_mm: *scan.ranges_mm.first_chunk().expect("a scan has room for more beams"),
+                ranges_mm: scan.ranges_mm,
                 is_missing: scan.missing.is_set(),
                 front_ns: scan.header.acquired_ns,
                 sweep_ns: scan.sweep_ns,

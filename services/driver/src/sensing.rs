@@ -3,8 +3,7 @@
 //! Stamps of the server are mapped to CLOCK_MONOTONIC by the states of the base, which are small and come first. A sweep
 //! waits for the state of its time; without one it is published with the newest state, moved on by its velocities.
 
-use shared_types::BEAMS;
-
+use crate::beams::SweepRanges;
 use crate::clock::ServerClock;
 use crate::event::RobotSettings;
 use crate::join::Motions;
@@ -24,7 +23,7 @@ const MIN_SPACING_SHARE: u64 = 4;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeasuredSweep {
     /// Ranges by beam of a scan [mm].
-    pub ranges_mm: [u32; BEAMS],
+    pub ranges_mm: SweepRanges,
     /// The ranges were damaged on the way, and are all zero.
     pub is_missing: bool,
     /// The motion at the time of the front beam.
@@ -34,7 +33,7 @@ pub struct MeasuredSweep {
 /// A sweep that waits.
 #[derive(Debug, Clone, Copy)]
 struct Waiting {
-    ranges_mm: [u32; BEAMS],
+    ranges_mm: SweepRanges,
     is_missing: bool,
     front_ns: u64,
     until_ns: u64,
@@ -87,7 +86,7 @@ impl Sensing {
     }
 
     /// Takes a sweep of the server.
-    pub fn sweep(&mut self, ranges_mm: [u32; BEAMS], time_s: f64, arrived_ns: u64) {
+    pub fn sweep(&mut self, ranges_mm: SweepRanges, time_s: f64, arrived_ns: u64) {
         let stamped_ns = self.clock.map(time_s, arrived_ns).unwrap_or(arrived_ns);
         let offset_ns = (self.robot.stamp_offset_s * 1e9) as i64;
         self.sweep_at((ranges_mm, false), stamped_ns.saturating_add_signed(-offset_ns), arrived_ns);
@@ -95,12 +94,7 @@ impl Sensing {
 
     /// Takes a sweep of any scanner, whose front beam was measured at `front_ns` of CLOCK_MONOTONIC: its ranges, and
     /// whether they were damaged on the way.
-    pub fn sweep_at(
-        &mut self,
-        (ranges_mm, is_missing): ([u32; BEAMS], bool),
-        front_ns: u64,
-        arrived_ns: u64,
-    ) {
+    pub fn sweep_at(&mut self, (ranges_mm, is_missing): (SweepRanges, bool), front_ns: u64, arrived_ns: u64) {
         let oldest_ns = arrived_ns.saturating_sub(MAX_AGE_PERIODS * self.period_ns);
         let newest_ns =
             self.waiting.map_or(self.front_ns + self.period_ns / MIN_SPACING_SHARE, |it| it.front_ns);
@@ -150,6 +144,8 @@ impl Sensing {
 
 #[cfg(test)]
 mod tests {
+    use shared_types::MAX_BEAMS;
+
     use super::*;
     use crate::motion::{Convention, Turn};
 
@@ -185,7 +181,7 @@ mod tests {
     #[test]
     fn a_sweep_gets_the_state_with_its_stamp_however_late_it_arrives() {
         let mut sensing = running();
-        sensing.sweep([700; BEAMS], 3.8 + 1.9, 2942 * MS);
+        sensing.sweep([700; MAX_BEAMS], 3.8 + 1.9, 2942 * MS);
         let measured = sensing.next(2942 * MS).unwrap();
         assert!((measured.motion.pose[0] - 1.9).abs() < 1e-4, "{:?}", measured.motion);
         let age_ms = (2942 * MS - measured.motion.time_ns) / MS;
@@ -196,11 +192,11 @@ mod tests {
     #[test]
     fn a_sweep_waits_for_its_state_but_not_for_long() {
         let mut sensing = running();
-        sensing.sweep([700; BEAMS], 3.8 + 1.95, 2955 * MS);
+        sensing.sweep([700; MAX_BEAMS], 3.8 + 1.95, 2955 * MS);
         assert_eq!((sensing.next(2956 * MS), sensing.due_ns()), (None, Some(2980 * MS)));
         let moved_on = sensing.next(2980 * MS).unwrap();
         assert!((moved_on.motion.pose[0] - 1.95).abs() < 1e-3);
-        sensing.sweep([700; BEAMS], 3.8 + 2.09, 3095 * MS);
+        sensing.sweep([700; MAX_BEAMS], 3.8 + 2.09, 3095 * MS);
         assert!(sensing.state(&state(2.2), 3.8 + 2.1, 3102 * MS));
         let between = sensing.next(3102 * MS).unwrap();
         // Interpolation places it there, the velocity of 1 m/s at 2.09 m.
@@ -211,24 +207,24 @@ mod tests {
     #[test]
     fn a_scan_without_a_recent_state_is_dropped_and_nothing_waits_for_it() {
         let mut sensing = running();
-        sensing.sweep_at(([700; BEAMS], false), 3000 * MS, 3000 * MS);
+        sensing.sweep_at(([700; MAX_BEAMS], false), 3000 * MS, 3000 * MS);
         assert!(sensing.next(3100 * MS).is_some(), "two periods at most");
-        sensing.sweep_at(([700; BEAMS], false), 3210 * MS, 3210 * MS);
+        sensing.sweep_at(([700; MAX_BEAMS], false), 3210 * MS, 3210 * MS);
         assert_eq!((sensing.next(3300 * MS), sensing.due_ns(), sensing.dropped()), (None, None, 1));
         sensing.restart();
-        sensing.sweep_at(([700; BEAMS], false), 3400 * MS, 3400 * MS);
+        sensing.sweep_at(([700; MAX_BEAMS], false), 3400 * MS, 3400 * MS);
         assert_eq!((sensing.next(3500 * MS), sensing.due_ns()), (None, None));
     }
 
     #[test]
     fn sweeps_in_a_burst_and_stamps_of_another_clock_do_no_harm() {
         let mut sensing = running();
-        sensing.sweep([700; BEAMS], 3.8 + 1.9, 2942 * MS);
+        sensing.sweep([700; MAX_BEAMS], 3.8 + 1.9, 2942 * MS);
         assert!(sensing.next(2942 * MS).is_some());
-        sensing.sweep([700; BEAMS], 3.8 + 1.905, 2943 * MS);
+        sensing.sweep([700; MAX_BEAMS], 3.8 + 1.905, 2943 * MS);
         assert_eq!((sensing.next(2990 * MS), sensing.dropped()), (None, 1));
         for stamp_s in [1e9, -1e9, f64::NAN, f64::INFINITY, 0.0] {
-            sensing.sweep([700; BEAMS], stamp_s, 3200 * MS);
+            sensing.sweep([700; MAX_BEAMS], stamp_s, 3200 * MS);
         }
         assert!(sensing.state(&state(2.2), 3.8 + 2.15, 3152 * MS));
         let front_ns = sensing.next(3300 * MS).unwrap().motion.time_ns;
@@ -241,10 +237,10 @@ mod tests {
         assert!(sensing.state(&state(1.7), 3.8 + 1.7, 2950 * MS));
         assert!((sensing.newest().unwrap().pose[0] - 1.9).abs() < 1e-9 && sensing.dropped() == 1);
         // Of two sweeps that wait, the newer one stays.
-        sensing.sweep([700; BEAMS], 3.8 + 1.97, 2990 * MS);
-        sensing.sweep([800; BEAMS], 3.8 + 1.95, 2991 * MS);
+        sensing.sweep([700; MAX_BEAMS], 3.8 + 1.97, 2990 * MS);
+        sensing.sweep([800; MAX_BEAMS], 3.8 + 1.95, 2991 * MS);
         let measured = sensing.next(3020 * MS).unwrap();
-        assert_eq!((measured.ranges_mm, sensing.dropped()), ([700; BEAMS], 2));
+        assert_eq!((measured.ranges_mm, sensing.dropped()), ([700; MAX_BEAMS], 2));
         assert!((measured.motion.pose[0] - 1.97).abs() < 1e-3, "{measured:?}");
     }
 
@@ -258,7 +254,7 @@ mod tests {
                 let arrived_ns = (1002 + 100 * step + stall_ms) * MS;
                 let time_s = 3.8 + 0.1 * step as f64;
                 assert!(sensing.state(&state(0.1 * step as f64), time_s, arrived_ns));
-                sensing.sweep([700; BEAMS], time_s, arrived_ns);
+                sensing.sweep([700; MAX_BEAMS], time_s, arrived_ns);
                 let Some(measured) = sensing.next(arrived_ns + 30 * MS) else { continue };
                 assert!(measured.motion.time_ns > last_ns);
                 last_ns = measured.motion.time_ns;

@@ -7,7 +7,7 @@ use std::rc::Rc;
 
 use runtime::{CANDIDATE_VARIABLE, Input, Output, Process, Wheels, monotonic_ns};
 use serde::Deserialize;
-use shared_types::{Actuation, ActuationKind, DeviceState, Odometry, Phase, Role, Scan, ScanGeometry};
+use shared_types::{Actuation, ActuationKind, DeviceState, Odometry, Phase, Role, Scan};
 use vehicle::Description;
 
 use crate::devices::Devices;
@@ -134,7 +134,7 @@ impl<R: ForeignRobot> Driver<R> {
             scan: Scan {
                 sweep_ns: sweep_ns.clamp(1, period_ns),
                 period_ns,
-                ..Scan::of(ScanGeometry::URG_04LX)
+                ..Scan::of(vehicle.scanner.geometry())
             },
             drives_until_ns: None,
             is_stopped: false,
@@ -312,7 +312,8 @@ impl<R: ForeignRobot> Driver<R> {
         process.begin();
         let mut odometry = self.odometry(&measured.motion);
         self.scan.header = odometry.header;
-        self.scan.ranges_mut().copy_from_slice(&measured.ranges_mm);
+        let ranges_mm = self.scan.ranges_mut();
+        ranges_mm.copy_from_slice(&measured.ranges_mm[..ranges_mm.len()]);
         self.scan.missing = measured.is_missing.into();
         self.scans.publish(&mut self.scan)?;
         self.odometries.publish(&mut odometry)?;

@@ -9,12 +9,13 @@ mod lost;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use driver::beams::SweepRanges;
 use driver::event::RobotEvent;
 use driver::feed::Feed;
 use driver::guard::Orders;
 use driver::motion::BaseState;
 use driver::scanner;
-use shared_types::BEAMS;
+use vehicle::ScannerDescription;
 
 use crate::PlayerConfig;
 use crate::config::ScanSource;
@@ -42,7 +43,7 @@ pub enum ClientEvent {
     /// A sweep.
     Sweep {
         /// Its ranges, by beam of a scan [mm].
-        ranges_mm: [u32; BEAMS],
+        ranges_mm: SweepRanges,
         /// Time stamp of the server [s].
         time_s: f64,
         /// When it arrived, on CLOCK_MONOTONIC [ns].
@@ -64,13 +65,14 @@ pub struct Client {
 }
 
 impl Client {
-    /// Connects, in a thread of its own; `wake` is called there when there is an event. The guard is `scanloop`, or another
+    /// Connects to a robot with this scanner, in a thread of its own; `wake` is called there when there is an event. The guard is `scanloop`, or another
     /// program with its services; it stops the wheels after `timeout_ns` without an order.
     ///
     /// # Errors
     /// A thread that cannot be started.
     pub fn start(
         config: &PlayerConfig,
+        described: ScannerDescription,
         timeout_ns: u64,
         scanloop: &Path,
         wake: impl Fn() + Send + Sync + 'static,
@@ -79,11 +81,11 @@ impl Client {
         if config.scan == ScanSource::Urg {
             let (settings, outlet) = (config.scanner_settings(), outlet.clone());
             feed.spawn("scanner", move || {
-                scanner::read(&settings, timeout_ns, &outlet, ClientEvent::Scanner);
+                scanner::read(&settings, &described, timeout_ns, &outlet, ClientEvent::Scanner);
             })?;
         }
         let (config, scanloop) = (config.clone(), scanloop.to_owned());
-        feed.spawn("player", move || keep_connected(&config, timeout_ns, &scanloop, &outlet))?;
+        feed.spawn("player", move || keep_connected(&config, &described, timeout_ns, &scanloop, &outlet))?;
         Ok(Self { feed })
     }
 
@@ -112,12 +114,18 @@ impl Client {
 }
 
 /// Connects, and connects again after each loss with growing pauses.
-fn keep_connected(config: &PlayerConfig, timeout_ns: u64, scanloop: &Path, outlet: &Outlet) {
+fn keep_connected(
+    config: &PlayerConfig,
+    described: &ScannerDescription,
+    timeout_ns: u64,
+    scanloop: &Path,
+    outlet: &Outlet,
+) {
     let [shortest, longest] = PAUSES;
     let mut pause = shortest;
     while !outlet.is_ended() {
         let begun = Instant::now();
-        let Err(lost) = connection::serve(config, timeout_ns, scanloop, outlet) else { return };
+        let Err(lost) = connection::serve(config, described, timeout_ns, scanloop, outlet) else { return };
         if !outlet.put(ClientEvent::Lost(lost)) {
             return;
         }

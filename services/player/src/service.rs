@@ -34,7 +34,8 @@ fn connect(process: &mut Process) -> anyhow::Result<(PlayerRobot, Orders, RobotS
     let vehicle: Description = process.settings("vehicle")?;
     let waker = process.waker();
     let timeout_ns = TIMEOUT_PERIODS * process.period_ns();
-    let client = Client::start(&config, timeout_ns, Path::new(THIS_PROGRAM), move || waker.wake())?;
+    let client =
+        Client::start(&config, vehicle.scanner, timeout_ns, Path::new(THIS_PROGRAM), move || waker.wake())?;
     let limit_s = config.connect_timeout_s;
     let (orders, session) = client.connected(limit_s).map_err(|lost| {
         let reason = lost.map_or("no answer yet".to_owned(), |lost| lost.to_string());

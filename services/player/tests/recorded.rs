@@ -17,6 +17,7 @@ use player::stream::MessageStream;
 use player::{message, xdr};
 use proptest::collection::vec;
 use proptest::prelude::*;
+use vehicle::ScannerDescription;
 
 const PUSH: &[u8] = include_bytes!("recordings/own-push-ranger.s2c.bin");
 const PULL: &[u8] = include_bytes!("recordings/ref-pull-ranger.s2c.bin");
@@ -137,7 +138,9 @@ fn the_first_sweep_has_the_walls_and_the_box_of_the_corridor() {
     // Each beam of the scan lies half a step beside those of Stage.
     let fan = message::fan(RANGER, first(&push, RANGER, kind::ACK, 5)).unwrap();
     let mut ranges_mm = [0_u32; 682];
-    Beams::new(fan, 682, 1.0).unwrap().fill(|beam| sweep.ranges_m.get(beam), &mut ranges_mm);
+    Beams::new(fan, 682, 1.0, &ScannerDescription::default())
+        .unwrap()
+        .fill(|beam| sweep.ranges_m.get(beam), &mut ranges_mm);
     assert_eq!(ranges_mm[340], 3650);
     assert!(ranges_mm[0].abs_diff(1727) < 5, "{}", ranges_mm[0]);
     assert!((60..80).contains(&ranges_mm.iter().filter(|range| **range == 0).count()));
@@ -273,7 +276,7 @@ fn survive(bytes: &[u8], chunk: usize) -> usize {
                 fan = changed;
             }
             if let ServerMessage::Sweep(sweep) = message
-                && let Ok(beams) = Beams::new(fan, sweep.ranges_m.len(), 1.0)
+                && let Ok(beams) = Beams::new(fan, sweep.ranges_m.len(), 1.0, &ScannerDescription::default())
             {
                 beams.fill(|beam| sweep.ranges_m.get(beam), &mut ranges_mm);
             }

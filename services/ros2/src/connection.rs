@@ -10,6 +10,7 @@ use driver::ros2::{Ros2Config, ScannerPose};
 use ros2_client::{Gid, Subscription};
 use runtime::monotonic_ns;
 use rustdds::mio1::{Events, Interest, Poll, Token};
+use vehicle::ScannerDescription;
 
 use crate::base::{Base, wrong_frame};
 use crate::command::{CommandWriter, type_of};
@@ -34,6 +35,8 @@ pub(crate) struct Wanted {
     pub(crate) config: Ros2Config,
     /// Where the scanner is by `[vehicle]`.
     pub(crate) mounting: Mounting,
+    /// What it measures by `[vehicle]`.
+    pub(crate) scanner: ScannerDescription,
     /// The wheels are stopped after this time without an order: two scan periods [ns].
     pub(crate) timeout_ns: u64,
 }
@@ -107,7 +110,7 @@ impl<'a> Connection<'a> {
             statics,
             scan_watch,
             base_watch,
-            resampler: Resampler::default(),
+            resampler: Resampler::new(wanted.scanner),
             base: Base::default(),
             offset: Offset::default(),
             frames: Frames::default(),

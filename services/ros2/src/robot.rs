@@ -60,9 +60,11 @@ fn connect(process: &mut Process) -> anyhow::Result<(Ros2Robot, Orders, RobotSet
     let (mut feed, outlet) = Feed::new(move || waker.wake());
     if config.has_scanner() {
         let (settings, outlet) = (config.scanner_settings(), outlet.clone());
-        feed.spawn("scanner", move || scanner::read(&settings, timeout_ns, &outlet, |event| event))?;
+        feed.spawn("scanner", move || {
+            scanner::read(&settings, &vehicle.scanner, timeout_ns, &outlet, |event| event);
+        })?;
     }
-    let wanted = Wanted { config, mounting, timeout_ns };
+    let wanted = Wanted { config, mounting, scanner: vehicle.scanner, timeout_ns };
     feed.spawn("ros2", move || {
         if let Err(error) = serve(&wanted, &outlet) {
             outlet.put(RobotEvent::Lost(format!("{error:#}")));

@@ -5,8 +5,8 @@
 
 use std::f64::consts::TAU;
 
-use driver::beams::{Beams, Fan, Unusable};
-use shared_types::BEAMS;
+use driver::beams::{Beams, Fan, SweepRanges, Unusable};
+use vehicle::ScannerDescription;
 
 use crate::message::LaserScan;
 use crate::transforms::Rays;
@@ -15,7 +15,7 @@ use crate::transforms::Rays;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Sweep {
     /// Ranges by beam of a scan [mm].
-    pub(crate) ranges_mm: [u32; BEAMS],
+    pub(crate) ranges_mm: SweepRanges,
     /// Stamp of the front beam [s].
     pub(crate) front_s: f64,
     /// Duration [ns].
@@ -23,13 +23,19 @@ pub(crate) struct Sweep {
 }
 
 /// Resamples the sweeps of one scanner.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(crate) struct Resampler {
+    described: ScannerDescription,
     /// With the sign of the angles that they were made for.
     beams: Option<(f64, Beams)>,
 }
 
 impl Resampler {
+    /// To the beams of the described scanner.
+    pub(crate) fn new(described: ScannerDescription) -> Self {
+        Self { described, beams: None }
+    }
+
     /// The sweep of a message; `sweep_s` is its duration where the message has none [s].
     ///
     /// # Errors
@@ -47,9 +53,9 @@ impl Resampler {
         let known = self.beams.take().filter(|(of, beams)| *of == sign && beams.fits(&fan, count));
         let (_, beams) = match known {
             Some(known) => self.beams.insert(known),
-            None => self.beams.insert((sign, Beams::new(fan, count, sign)?)),
+            None => self.beams.insert((sign, Beams::new(fan, count, sign, &self.described)?)),
         };
-        let mut ranges_mm = [0; BEAMS];
+        let mut ranges_mm: SweepRanges = [0; _];
         beams.fill(|ray| f64::from(message.ranges[ray]), &mut ranges_mm);
         let ray_s = ray_s(sweep_s, message);
         // A first ray that is the front one but for its rounding is not a whole turn away from it.
@@ -83,7 +89,7 @@ fn ray_s(sweep_s: f64, message: &LaserScan) -> f64 {
 mod tests {
     use std::f64::consts::PI;
 
-    use shared_types::{FRONT_BEAM, ScanGeometry};
+    use shared_types::{BEAMS, FRONT_BEAM, ScanGeometry};
 
     use super::*;
     use crate::message::{Header, Time};
@@ -107,7 +113,7 @@ mod tests {
     const AHEAD: Rays = Rays { yaw_rad: 0.0, sign: 1.0 };
 
     fn swept(sweep_s: f64, message: &LaserScan) -> Sweep {
-        Resampler::default().sweep(sweep_s, AHEAD, message).unwrap()
+        Resampler::new(ScannerDescription::default()).sweep(sweep_s, AHEAD, message).unwrap()
     }
 
     #[test]
@@ -174,7 +180,7 @@ mod tests {
         };
         all_around.ranges[200] = 1.0;
         // One resampler: the turn may become known later.
-        let mut resampler = Resampler::default();
+        let mut resampler = Resampler::new(ScannerDescription::default());
         let mut seen_at = |yaw_rad: f64, sign: f64| {
             let sweep = resampler.sweep(0.0, Rays { yaw_rad, sign }, &all_around).unwrap();
             let hit: Vec<f64> = (0..BEAMS)
@@ -194,8 +200,9 @@ mod tests {
     #[test]
     fn a_narrow_scanner_is_refused_with_its_numbers_and_nonsense_with_its_own() {
         let narrow = LaserScan { ranges: vec![2.0; 91], angle_min: -45.0_f32.to_radians(), ..message() };
-        let refused =
-            |message: &LaserScan| Resampler::default().sweep(0.0, AHEAD, message).unwrap_err().to_string();
+        let refused = |message: &LaserScan| {
+            Resampler::new(ScannerDescription::default()).sweep(0.0, AHEAD, message).unwrap_err().to_string()
+        };
         assert_eq!(
             refused(&narrow),
             "the scanner covers -45.0 to 45.0 degrees, but at least -60 to 60 are needed"

@@ -62,9 +62,17 @@ impl ScannerEmulator {
 
     /// An URG-04LX 1.2 m from the right, 1.8 m from the left and 3 m from the front wall of a room, with a post.
     pub fn in_a_room(now_ns: u64) -> Self {
-        let mut emulator = Self::new(now_ns, 0);
-        for (step, range) in emulator.scene.iter_mut().enumerate() {
-            let (left, ahead) = emulator.parameters.yaw_rad(step as f64).sin_cos();
+        Self::new(now_ns, 0).with_a_room()
+    }
+
+    /// An UST-10LX there.
+    pub fn ust_10lx_in_a_room(now_ns: u64) -> Self {
+        Self::of(replies::ust_10lx(), now_ns, 0).with_a_room()
+    }
+
+    fn with_a_room(mut self) -> Self {
+        for (step, range) in self.scene.iter_mut().enumerate() {
+            let (left, ahead) = self.parameters.yaw_rad(step as f64).sin_cos();
             let side = if left < 0.0 { 1.2 } else { 1.8 };
             let end = if ahead < 0.0 { 2.0 } else { 3.0 };
             let wall = (side / left.abs().max(1e-9)).min(end / ahead.abs().max(1e-9));
@@ -73,7 +81,7 @@ impl ScannerEmulator {
             let is_post = ahead > 0.0 && (-0.3..=-0.1).contains(&across);
             *range = ((if is_post { 1.4 / ahead } else { wall }) * 1000.0) as u32;
         }
-        emulator
+        self
     }
 
     /// A scanner of another model.

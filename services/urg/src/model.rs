@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use shared_types::{BEAMS, ScanGeometry, WINDOW};
+use shared_types::{ScanGeometry, WINDOW};
 
 use crate::UrgError;
 use crate::coding::checksum;
@@ -82,13 +82,11 @@ impl SensorParameters {
         f64::from(self.rpm) / 60.0 / f64::from(skip + 1)
     }
 
-    /// First and last step that the beams of a scan need and the scanner measures.
-    pub fn steps_of_beams(&self) -> (u16, u16) {
-        let step = |beam: usize| {
-            f64::from(self.front) + ScanGeometry::URG_04LX.yaw_rad(beam) * f64::from(self.steps) / TAU
-        };
+    /// First and last step that these beams need and the scanner measures.
+    pub fn steps_of_beams(&self, beams: &ScanGeometry) -> (u16, u16) {
+        let step = |beam: usize| f64::from(self.front) + beams.yaw_rad(beam) * f64::from(self.steps) / TAU;
         let first = step(0).round().max(f64::from(self.first));
-        (first as u16, step(BEAMS - 1).round().min(f64::from(self.last)) as u16)
+        (first as u16, step(beams.count - 1).round().min(f64::from(self.last)) as u16)
     }
 
     /// Passes when the scanner sees all that the stages analyse, as often as they expect it.

@@ -3,6 +3,8 @@
 use std::fmt;
 use std::path::PathBuf;
 
+use shared_types::ScanGeometry;
+
 use crate::UrgError;
 use crate::command::Coding;
 
@@ -46,6 +48,8 @@ pub struct ScannerConfig {
     pub place: ScannerPlace,
     /// Scans per second that the system expects; `None` for any. A scanner that differs by more than 5 % is refused.
     pub rate_hz: Option<f64>,
+    /// The beams that a scan gets, in a counter-clockwise sweep; the URG-04LX's by default.
+    pub beams: ScanGeometry,
     /// Coding of the ranges: with two characters a third less is transmitted, and ranges end at 4.09 m.
     pub coding: Coding,
     /// Scans left out after each one, 0 to 9.
@@ -62,6 +66,16 @@ impl ScannerConfig {
     /// The usual configuration of a scanner at a place.
     pub fn new(place: ScannerPlace) -> Self {
         let coding = Coding::Three;
-        Self { place, rate_hz: None, coding, skip: 0, cluster: 1, bit_rate: 115_200, identify_only: false }
+        let beams = ScanGeometry::URG_04LX;
+        Self {
+            place,
+            rate_hz: None,
+            beams,
+            coding,
+            skip: 0,
+            cluster: 1,
+            bit_rate: 115_200,
+            identify_only: false,
+        }
     }
 }

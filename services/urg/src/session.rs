@@ -5,10 +5,11 @@
 //! for the time (`TM`), and the measurement (`BM`, `MD` or `MS`). When no scan comes for three periods, or a reply for a
 //! second, it begins anew. After three attempts it asks for a new connection.
 
+use std::f64::consts::TAU;
 use std::fmt::Write as _;
 
 use device_clock::{ClockEvent, ClockSettings, DeviceClock};
-use shared_types::{BEAMS, Scan, ScanGeometry};
+use shared_types::Scan;
 
 use crate::UrgError;
 use crate::command::{Measurement, ScipCommand};
@@ -221,10 +222,13 @@ impl ScannerSession {
         let mapped = clock.arrival(u64::from(stamp_ms), arrived_ns);
         let front_ns = mapped.time_ns.saturating_add(parameters.step_ns(parameters.front));
         scan.header.acquired_ns = front_ns.min(arrived_ns);
-        scan.sweep_ns = parameters.turn_ns() * BEAMS as u64 / 1024;
+        let beams = self.config.beams;
+        let turned_rad = beams.count as f64 * beams.increment_rad;
+        // What is a whole number stays one, whatever the rounding of the share.
+        scan.sweep_ns = (parameters.turn_ns() as f64 * turned_rad / TAU + 1e-3) as u64;
         scan.period_ns = parameters.turn_ns() * u64::from(self.config.skip + 1);
         scan.missing = is_missing.into();
-        scan.set_geometry(ScanGeometry::URG_04LX);
+        scan.set_geometry(beams);
         match is_missing {
             true => scan.ranges_mut().fill(0),
             false => resampling.apply(self.parser.ranges(), scan.ranges_mut()),
@@ -315,13 +319,13 @@ impl ScannerSession {
 
     /// Prepares the measurement of a model.
     fn prepare(&mut self, parameters: SensorParameters) -> Result<(), UrgError> {
-        let ScannerConfig { rate_hz, skip, cluster, coding, identify_only, .. } = self.config;
+        let ScannerConfig { rate_hz, beams, skip, cluster, coding, identify_only, .. } = self.config;
         if !identify_only {
             parameters.require_fit(rate_hz, skip)?;
         }
-        let (first, last) = parameters.steps_of_beams();
+        let (first, last) = parameters.steps_of_beams(&beams);
         self.measurement = Measurement { coding, first, last, cluster, skip, count: 0, single: false };
-        self.resampling = Some(Resampling::new(&parameters, &self.measurement));
+        self.resampling = Some(Resampling::new(&parameters, &self.measurement, &beams));
         let settings = ClockSettings {
             delay_ns: parameters.step_ns(u32::from(last)),
             delay_error_ns: DELAY_ERROR_NS,

@@ -21,6 +21,7 @@ use scanloop_tests::player_server::{PlayerServer, ReceivedCommand, ServerFault};
 use scanloop_tests::{DEADLINE, TestSystem, pause};
 use shared_types::{BEAMS, Role, Scan};
 use urg::DeviceFault;
+use vehicle::ScannerDescription;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 /// Scan period [ns].
@@ -38,7 +39,7 @@ fn server(scenario: &str) -> PlayerServer {
 }
 
 fn start(config: &PlayerConfig) -> Client {
-    Client::start(config, TIMEOUT_NS, Path::new(EXECUTABLE), || {}).unwrap()
+    Client::start(config, ScannerDescription::default(), TIMEOUT_NS, Path::new(EXECUTABLE), || {}).unwrap()
 }
 
 /// A connected client of a server, and all that it has reported.
@@ -554,15 +555,26 @@ fn a_second_driver_of_the_same_wheels_is_refused_and_the_first_drives_on() {
 
 #[test]
 fn a_hokuyo_scanner_at_this_computer_and_a_base_at_the_server_are_one_robot() {
+    // The second one gives a quarter of its scans, with all its beams.
+    let ust = "[vehicle.scanner]\nbeams = 1081\nincrement_rad = 0.004363323\nrange_m = 10.0";
+    for (model, more, described) in [("urg-04lx", "", ""), ("ust-10lx", "\nurg_skip = 3", ust)] {
+        with_a_hokuyo_scanner(model, more, described);
+    }
+}
+
+fn with_a_hokuyo_scanner(model: &str, more: &str, described: &str) {
     repeat_when_late(|| {
         let server = server("free");
         let system = TestSystem::new(EXECUTABLE);
-        let mut scanner = system.command(&["urg", "emulate", "--duration", "60", "--tcp", "127.0.0.1:0"]);
-        let mut scanner = scanner.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let emulate = ["urg", "emulate", "--model", model, "--duration", "60", "--tcp", "127.0.0.1:0"];
+        let mut scanner =
+            system.command(&emulate).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
         let mut place = String::new();
         BufReader::new(scanner.stdout.as_mut().unwrap()).read_line(&mut place).unwrap();
-        let file =
-            system_file(&system, server.port(), &format!("scan = \"urg\"\nurg = \"{}\"", place.trim()));
+        let keys = format!("scan = \"urg\"\nurg = \"{}\"{more}", place.trim());
+        let file = system_file(&system, server.port(), &keys);
+        let text = std::fs::read_to_string(&file).unwrap();
+        std::fs::write(&file, format!("{text}\n{described}\n")).unwrap();
         let cases = ["scans", "header", "valid-values", "increments", "drives", "dead-man"];
         let mut arguments = vec!["conformance", "robot", "--to", "player", "--system", &file, "--jobs", "1"];
         cases.iter().for_each(|case| arguments.extend(["--only", case]));

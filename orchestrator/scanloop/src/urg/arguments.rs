@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, Subcommand};
+use clap::{Args, Subcommand, ValueEnum};
 
 /// What to do with the scanner.
 #[derive(Debug, Subcommand)]
@@ -99,12 +99,26 @@ pub struct LogArguments {
     pub force: bool,
 }
 
+/// What is emulated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum EmulatedModel {
+    /// An URG-04LX.
+    #[value(name = "urg-04lx")]
+    Urg04lx,
+    /// An UST-10LX.
+    #[value(name = "ust-10lx")]
+    Ust10lx,
+}
+
 /// Arguments of `urg emulate`.
 #[derive(Debug, Args)]
 pub struct EmulateArguments {
     /// Accept connections here instead of making a serial line; port 0 is any free one.
     #[arg(long, value_name = "HOST:PORT")]
     pub tcp: Option<String>,
+    /// The model: 682 steps and 10 scans per second, or 1,081 and 40.
+    #[arg(long, value_name = "MODEL", value_enum, default_value = "urg-04lx")]
+    pub model: EmulatedModel,
     /// A fault and when it happens: `checksum`, `half-scan`, `stall`, `stuck`, `garbage`, `restart` or `backwards`, as in
     /// `--fault stall@5`.
     #[arg(long, value_name = "FAULT@S")]

@@ -11,7 +11,7 @@ use session::arguments::check_duration;
 use shared_types::did_you_mean;
 use urg::{DeviceFault, Port, ScannerEmulator};
 
-use super::arguments::EmulateArguments;
+use super::arguments::{EmulateArguments, EmulatedModel};
 
 /// Longest wait between two checks for Ctrl-C [ns].
 const CHECK_NS: u64 = 50_000_000;
@@ -21,7 +21,10 @@ pub(super) fn emulate(arguments: &EmulateArguments) -> anyhow::Result<Exit> {
     check_duration(arguments.duration)?;
     let started_ns = monotonic_ns();
     let mut faults = arguments.fault.iter().map(|text| fault(text)).collect::<anyhow::Result<Vec<_>>>()?;
-    let emulator = ScannerEmulator::in_a_room(started_ns);
+    let emulator = match arguments.model {
+        EmulatedModel::Urg04lx => ScannerEmulator::in_a_room(started_ns),
+        EmulatedModel::Ust10lx => ScannerEmulator::ust_10lx_in_a_room(started_ns),
+    };
     let (mut port, place) = match &arguments.tcp {
         Some(address) => {
             let refused = |error| Failure::bad_input(format!("--tcp {address}: {}", refusal(&error)));
@@ -89,8 +92,12 @@ mod tests {
     #[test]
     fn an_address_that_can_not_be_used_is_refused_with_one_that_can() {
         let refused = |address: &str| {
-            let arguments =
-                EmulateArguments { tcp: Some(address.to_owned()), fault: Vec::new(), duration: Some(0.001) };
+            let arguments = EmulateArguments {
+                tcp: Some(address.to_owned()),
+                model: EmulatedModel::Urg04lx,
+                fault: Vec::new(),
+                duration: Some(0.001),
+            };
             emulate(&arguments).unwrap_err().to_string()
         };
         let held = std::net::TcpListener::bind("127.0.0.1:0").unwrap();

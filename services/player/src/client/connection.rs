@@ -6,13 +6,13 @@ use std::os::fd::AsFd;
 use std::path::Path;
 use std::time::Duration;
 
-use driver::beams::Beams;
+use driver::beams::{Beams, SweepRanges};
 use driver::guard::Held;
 use driver::order::GuardOrder;
 use runtime::{monotonic_ns, wait_for};
 use rustix::io::Errno;
 use rustix::net::RecvFlags;
-use shared_types::BEAMS;
+use vehicle::ScannerDescription;
 
 use super::{ClientEvent, Lost, Outlet};
 use crate::PlayerConfig;
@@ -41,12 +41,13 @@ const SECOND_NS: u64 = 1_000_000_000;
 /// Why the connection was lost; the wheels are stopped then.
 pub(super) fn serve(
     config: &PlayerConfig,
+    described: &ScannerDescription,
     timeout_ns: u64,
     scanloop: &Path,
     outlet: &Outlet,
 ) -> Result<(), Lost> {
     let server = connect(config)?;
-    let mut connection = Connection::new(config, timeout_ns, &server);
+    let mut connection = Connection::new(config, described, timeout_ns, &server);
     let Some(session) = connection.open(outlet)? else { return Ok(()) };
     let base = Base { index: config.position2d, command: config.command };
     let mut guard = crate::guard::start(scanloop, &server, base, timeout_ns)?;
@@ -83,6 +84,7 @@ fn connect(config: &PlayerConfig) -> Result<TcpStream, Lost> {
 /// The reading end of a connection.
 struct Connection<'a> {
     config: &'a PlayerConfig,
+    described: &'a ScannerDescription,
     server: &'a TcpStream,
     stream: MessageStream,
     beams: Option<Beams>,
@@ -100,10 +102,16 @@ struct Connection<'a> {
 }
 
 impl<'a> Connection<'a> {
-    fn new(config: &'a PlayerConfig, timeout_ns: u64, server: &'a TcpStream) -> Self {
+    fn new(
+        config: &'a PlayerConfig,
+        described: &'a ScannerDescription,
+        timeout_ns: u64,
+        server: &'a TcpStream,
+    ) -> Self {
         let now_ns = monotonic_ns();
         Self {
             config,
+            described,
             server,
             silence_ns: ((config.silence_s * 1e9) as u64).max(timeout_ns / 2 * MIN_SILENT_PERIODS),
             stream: MessageStream::default(),
@@ -163,7 +171,8 @@ impl<'a> Connection<'a> {
                         // The server's converter from ranger to laser sends each sweep twice.
                         if header.time_s != self.sweep_s {
                             self.sweep_s = header.time_s;
-                            let ranges_mm = fill(&mut self.beams, self.config, session, &sweep)?;
+                            let ranges_mm =
+                                fill(&mut self.beams, (self.config, self.described), session, &sweep)?;
                             outlet.offer(ClientEvent::Sweep {
                                 ranges_mm,
                                 time_s: header.time_s,
@@ -234,17 +243,17 @@ fn read<'p>(header: &MessageHeader, payload: &'p [u8]) -> Result<ServerMessage<'
 /// The ranges of a sweep by beam of a scan.
 fn fill(
     beams: &mut Option<Beams>,
-    config: &PlayerConfig,
+    (config, described): (&PlayerConfig, &ScannerDescription),
     session: &PlayerSession,
     sweep: &RangeSweep<'_>,
-) -> Result<[u32; BEAMS], Lost> {
+) -> Result<SweepRanges, Lost> {
     let fan = sweep.fan.or(session.fan).ok_or(Lost::NoFan)?;
     let count = sweep.ranges_m.len();
     let beams = match beams.take().filter(|beams| beams.fits(&fan, count)) {
         Some(known) => beams.insert(known),
-        None => beams.insert(Beams::new(fan, count, config.scan_sign)?),
+        None => beams.insert(Beams::new(fan, count, config.scan_sign, described)?),
     };
-    let mut ranges_mm = [0; BEAMS];
+    let mut ranges_mm: SweepRanges = [0; _];
     beams.fill(|beam| sweep.ranges_m.get(beam), &mut ranges_mm);
     Ok(ranges_mm)
 }

@@ -22,6 +22,20 @@ pub(crate) fn urg_04lx() -> SensorParameters {
     }
 }
 
+/// Those of a model with 40 scans per second, a quarter of a degree apart.
+pub(crate) fn ust_10lx() -> SensorParameters {
+    SensorParameters {
+        model: "UST-10LX(emulated)".to_owned(),
+        min_mm: 20,
+        max_mm: 30_000,
+        steps: 1440,
+        first: 0,
+        last: 1080,
+        front: 540,
+        rpm: 2400,
+    }
+}
+
 /// Appends a whole reply.
 pub(crate) fn append(output: &mut Vec<u8>, echo: &[u8], status: ScipStatus, lines: &[u8]) {
     output.extend(echo);
