@@ -9,6 +9,7 @@ use toml::{Table, Value};
 use vehicle::correction::Calibration;
 
 use crate::overrides;
+use crate::vehicle_table::usual_calibration;
 
 /// The keys that a calibration file may set.
 pub(crate) const KEYS: [&str; 3] =
@@ -29,7 +30,8 @@ pub fn apply(path: &Path, system: &mut Table) -> anyhow::Result<()> {
     if file.velocity.is_some() || file.steering.is_some() {
         // What the file does not have stays as the system says; a system that is not allowed is reported later.
         let own = system.get("actuator").and_then(|actuator| actuator.get("calibration")).cloned();
-        let base = own.and_then(|value| value.try_into::<Calibration>().ok()).unwrap_or_default();
+        let own = own.and_then(|value| value.try_into::<Calibration>().ok());
+        let base = own.unwrap_or_else(|| usual_calibration(system));
         let custom = Calibration::Custom(file.correction(&base.correction()));
         overrides::set(system, "actuator.calibration", Value::try_from(custom)?)?;
     }

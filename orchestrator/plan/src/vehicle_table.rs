@@ -5,6 +5,7 @@
 //! so do its surroundings.
 
 use toml::{Table, Value};
+use vehicle::correction::Calibration;
 use vehicle::{Description, Invalid, Key, Setting, VehicleModel, read};
 
 /// Name of the table, in the system file and in the table of each stage.
@@ -15,6 +16,16 @@ const SURROUNDINGS: &str = "surroundings";
 const FRICTION: &str = "tyre_friction";
 /// The stages that know the robot.
 const STAGES: [&str; 4] = ["estimator", "obstacles", "controller", "actuator"];
+
+/// The calibration of a vehicle of another model, where its file has none.
+const IDENTITY: &str = "identity";
+
+/// The calibration that a system without one has.
+pub(crate) fn usual_calibration(system: &Table) -> Calibration {
+    let model = system.get(VEHICLE).and_then(|vehicle| vehicle.get("model")).cloned();
+    let model = model.and_then(|model| model.try_into::<VehicleModel>().ok()).unwrap_or_default();
+    if model == VehicleModel::CounterSteered { Calibration::Default } else { Calibration::Identity }
+}
 
 /// A key that a stage had of its own: where it was, where it is in the description, and the factor between the units.
 pub(crate) struct OldKey {
@@ -89,7 +100,7 @@ pub(crate) fn fit_stages(system: &mut Table) {
     if model != VehicleModel::CounterSteered {
         let entry = system.entry("actuator".to_owned()).or_insert_with(|| Value::Table(Table::new()));
         let Value::Table(actuator) = entry else { return };
-        actuator.entry("calibration".to_owned()).or_insert_with(|| "identity".into());
+        actuator.entry("calibration".to_owned()).or_insert_with(|| IDENTITY.into());
     }
     let entry = system.entry("controller".to_owned()).or_insert_with(|| Value::Table(Table::new()));
     let Value::Table(controller) = entry else { return };

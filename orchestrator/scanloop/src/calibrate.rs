@@ -21,6 +21,7 @@ use console::user_file;
 use plan::Choice;
 use plan::{Plan, calibration_file};
 use report::picture::panels;
+use vehicle::Description;
 
 use crate::print_json;
 
@@ -68,7 +69,7 @@ pub(crate) fn calibrate(arguments: &CalibrateArguments) -> anyhow::Result<Exit> 
 }
 
 fn of_velocity(arguments: &CalibrateArguments) -> anyhow::Result<Found> {
-    let (runs, origin, table) = collect::<StraightRun>(arguments, drive::straight_runs)?;
+    let Collected { runs, origin, table, .. } = collect::<StraightRun>(arguments, drive::straight_runs)?;
     let fit = velocity::fit(&runs).map_err(Failure::bad_input)?;
     let text = format!(
         "kv              {}\nruns            {}, times miss {:.3} s\n",
@@ -82,8 +83,8 @@ fn of_velocity(arguments: &CalibrateArguments) -> anyhow::Result<Found> {
 }
 
 fn of_steering(arguments: &CalibrateArguments) -> anyhow::Result<Found> {
-    let (runs, origin, table) = collect::<CircleRun>(arguments, drive::circle_runs)?;
-    let fit = steering::fit(&runs).map_err(Failure::bad_input)?;
+    let Collected { runs, vehicle, origin, table } = collect::<CircleRun>(arguments, drive::circle_runs)?;
+    let fit = steering::fit(&runs, &vehicle).map_err(Failure::bad_input)?;
     let part = SteeringPart::of(&fit, origin);
     let text = format!(
         "steering map    standard error up to {:.2} mrad, held-out error {:.2} mrad\nplay            {}\nruns            {}, single ones miss {:.2} mrad\n",
@@ -98,13 +99,14 @@ fn of_steering(arguments: &CalibrateArguments) -> anyhow::Result<Found> {
 }
 
 fn of_drift(arguments: &CalibrateArguments) -> anyhow::Result<Found> {
-    let (rows, origin, table) = collect::<SineRow>(arguments, drive::sine_runs)?;
-    let fit = drift::fit(&rows).map_err(Failure::bad_input)?;
+    let Collected { runs: rows, vehicle, origin, table } = collect::<SineRow>(arguments, drive::sine_runs)?;
+    let fit = drift::fit(&rows, &vehicle).map_err(Failure::bad_input)?;
     let text = format!(
-        "df              {}\ndds             {}\nplay            {}\nruns            {} with {} positions, which miss {:.1} mm\n",
+        "df              {}\ndds             {}\nplay            {}\nsteering        {}\nruns            {} with {} positions, which miss {:.1} mm\n",
         shown(&fit.longitudinal, 1.0, ""),
         shown(&fit.lateral_rate, 1.0, " 1/s"),
         play(fit.play),
+        late(fit.steering_late),
         fit.runs,
         fit.marks,
         1e3 * fit.residual_m
@@ -114,19 +116,30 @@ fn of_drift(arguments: &CalibrateArguments) -> anyhow::Result<Found> {
     Ok(Found { file, charts: fit.charts, text, table })
 }
 
+/// Runs of a vehicle.
+struct Collected<R> {
+    runs: Vec<R>,
+    vehicle: Description,
+    origin: Origin,
+    /// The table of driven ones.
+    table: Option<String>,
+}
+
 /// The runs of all files, or driven ones with their table; and their origin.
 fn collect<R: Record>(
     arguments: &CalibrateArguments,
-    drive: fn(&Scenario, u64) -> Vec<R>,
-) -> anyhow::Result<(Vec<R>, Origin, Option<String>)> {
+    drive: fn(&Scenario, &Description, u64) -> Vec<R>,
+) -> anyhow::Result<Collected<R>> {
     let note = arguments.note.clone();
+    let (system, overrides) = (arguments.system.clone(), arguments.overrides.clone());
+    let choice = Choice { system, overrides, ..Choice::default() };
+    let Plan { scenario: robot, system, .. } = Plan::read(arguments.scenario.as_deref(), &choice)?;
+    let vehicle = system.vehicle;
     if arguments.drive {
-        let choice = Choice { overrides: arguments.overrides.clone(), ..Choice::default() };
-        let robot = Plan::read(arguments.scenario.as_deref(), &choice)?.scenario;
-        let runs = drive(&robot, arguments.seed);
+        let runs = drive(&robot, &vehicle, arguments.seed);
         let obtained = format!("driven by the emulated robot of {}, seed {}", robot.name, arguments.seed);
         let table = record::write(&runs);
-        return Ok((runs, Origin { obtained, note }, Some(table)));
+        return Ok(Collected { runs, vehicle, origin: Origin { obtained, note }, table: Some(table) });
     }
     let mut runs: Vec<R> = Vec::new();
     for path in &arguments.files {
@@ -137,7 +150,8 @@ fn collect<R: Record>(
         record::append(&mut runs, &mut more);
     }
     let names: Vec<String> = arguments.files.iter().map(|path| path.display().to_string()).collect();
-    Ok((runs, Origin { obtained: format!("recorded in {}", names.join(", ")), note }, None))
+    let origin = Origin { obtained: format!("recorded in {}", names.join(", ")), note };
+    Ok(Collected { runs, vehicle, origin, table: None })
 }
 
 /// The existing file with the new parts.
@@ -162,6 +176,12 @@ fn shown(estimate: &Estimate, scale: f64, unit: &str) -> String {
 
 fn play(play: Option<Estimate>) -> String {
     play.map_or("not measured".to_owned(), |play| shown(&play, 1e3, " mrad"))
+}
+
+/// How late the steering is, and which keys describe it.
+fn late(late: Option<Estimate>) -> String {
+    let keys = "vehicle.command_delay_s + vehicle.steering_lag_s";
+    late.map_or("not measured".to_owned(), |late| format!("late by {}: {keys}", shown(&late, 1.0, " s")))
 }
 
 #[cfg(test)]
@@ -200,6 +220,7 @@ mod tests {
                 longitudinal: Estimate::new(0.012, 1e-4, 17),
                 lateral_rate_per_s: Estimate::new(0.05, 1e-4, 17),
                 play_rad: None,
+                steering_late_s: None,
             }),
             ..CalibrationFile::default()
         };

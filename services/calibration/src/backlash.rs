@@ -3,11 +3,12 @@
 //! While the shaft moves from one turning point of the sine to the other, the wheels lag by half the play. Their angle
 //! shows in the reported yaw. The fit predicts that yaw: the sent angles pass through a map (a polynomial of third
 //! degree with fitted coefficients), the play, and the lateral model (7.27), (7.29) at the reported speed. So the lag
-//! of the robot, which looks much like play, is modelled too.
+//! of the robot, which looks much like play, is modelled too. How late the steering follows, by delay and lag together, is fitted:
+//! play makes the wheels stand still where the shaft turns round, and being late does not.
 //!
 //! The initial angle of the wheels is not known; a run counts from its first turning point on, where the shaft has
 //! moved the wheels. Assumptions: the amplitude is at least three times the play, and each sent angle acts from its
-//! row on.
+//! row on, but for that.
 
 use nalgebra::{Matrix2, SMatrix, Vector2};
 use vehicle::frame::wrap_angle;
@@ -25,9 +26,13 @@ const MIN_ROWS: usize = 50;
 /// Largest number of steps of the fit; from the starting values it takes three to five.
 const MAX_STEPS: usize = 25;
 
-/// Coefficients of the map, 1 to 3, a constant, and half the play.
-const SHARED: usize = 5;
+/// Coefficients of the map, 1 to 3, a constant, half the play, and how late the steering is [s].
+const SHARED: usize = 6;
 const PLAY: usize = 4;
+const LATE: usize = 5;
+
+/// The steering is at most so late [s].
+const MAX_LATE_S: f64 = 1.0;
 
 /// Unit of the sent angle in the polynomial [rad].
 const SCALE_RAD: f64 = 0.1;
@@ -38,8 +43,10 @@ const MODEL_ERROR_RAD: f64 = 1e-5;
 
 /// The part of a run behind its first turning point.
 struct Course {
-    /// Angle in force from a row on [rad].
-    sent: Vec<f64>,
+    /// The whole run: times of its rows [s], and the angle sent from each on [rad].
+    run: Vec<(f64, f64)>,
+    /// Its row that is the first one of this part.
+    first: usize,
     /// Reported yaw without jumps [rad].
     yaw: Vec<f64>,
     /// The effect of each interval on (sideslip, yaw rate, yaw).
@@ -55,12 +62,13 @@ struct Passage {
     matrix: SMatrix<f64, 4, 4>,
 }
 
-/// Half the play with its standard error; `None` when sent angles are not recorded, or turn back too rarely.
+/// Half the play, and how late the steering follows [s]; `None` when sent angles are not recorded, or turn back too rarely.
 ///
 /// # Errors
 /// [`RunRefusal::Implausible`] when no play and no map explain the reported yaw.
-pub(crate) fn fit(runs: &[&[SineRow]]) -> Result<Option<Estimate>, RunRefusal> {
-    let Some(courses) = runs.iter().map(|run| Course::of(run)).collect::<Option<Vec<Course>>>() else {
+pub(crate) fn fit(runs: &[&[SineRow]], vehicle: &Parameters) -> Result<Option<[Estimate; 2]>, RunRefusal> {
+    let Some(courses) = runs.iter().map(|run| Course::of(run, vehicle)).collect::<Option<Vec<Course>>>()
+    else {
         return Ok(None);
     };
     let rows: usize = courses.iter().map(|course| course.yaw.len()).sum();
@@ -68,7 +76,7 @@ pub(crate) fn fit(runs: &[&[SineRow]]) -> Result<Option<Estimate>, RunRefusal> {
         return Ok(None);
     }
     let mut parameters = vec![0.0; SHARED + courses.len()];
-    (parameters[0], parameters[PLAY]) = (1.0, 0.003);
+    (parameters[0], parameters[PLAY], parameters[LATE]) = (1.0, 0.003, 0.03);
     for (index, course) in courses.iter().enumerate() {
         parameters[SHARED + index] = course.yaw[0];
     }
@@ -80,19 +88,20 @@ pub(crate) fn fit(runs: &[&[SineRow]]) -> Result<Option<Estimate>, RunRefusal> {
             *parameter += step;
         }
         parameters[PLAY] = parameters[PLAY].max(0.0);
+        parameters[LATE] = parameters[LATE].clamp(0.0, MAX_LATE_S);
         // A micrometre of play at the rim of a wheel is beyond any use.
         if solution.coefficients.iter().take(SHARED).all(|step| step.abs() < 1e-7) {
-            return judge(parameters[PLAY], &solution).map(Some);
+            return judge(&parameters, &solution).map(Some);
         }
     }
     // Without play the step always points below zero and never gets small: the last value holds.
     let missed = residuals(&courses, &parameters);
     let last = solve(&slopes(&courses, &parameters, &missed), &missed);
-    last.map(|last| judge(parameters[PLAY], &last)).transpose()
+    last.map(|last| judge(&parameters, &last)).transpose()
 }
 
-fn judge(play: f64, solution: &Solution) -> Result<Estimate, RunRefusal> {
-    let deviation = solution.deviation;
+fn judge(parameters: &[f64], solution: &Solution) -> Result<[Estimate; 2], RunRefusal> {
+    let (play, deviation) = (parameters[PLAY], solution.deviation);
     // A tenth of a radian of yaw is ten times the noise of a good odometer.
     refuse_if(deviation > 0.1 || play > 0.05, || {
         format!(
@@ -100,11 +109,12 @@ fn judge(play: f64, solution: &Solution) -> Result<Estimate, RunRefusal> {
         )
     })?;
     let error = solution.standard_errors[PLAY].hypot(MODEL_ERROR_RAD);
-    Ok(Estimate::new(play, error, solution.freedom))
+    let late = Estimate::new(parameters[LATE], solution.standard_errors[LATE], solution.freedom);
+    Ok([Estimate::new(play, error, solution.freedom), late])
 }
 
 impl Course {
-    fn of(run: &[SineRow]) -> Option<Self> {
+    fn of(run: &[SineRow], vehicle: &Parameters) -> Option<Self> {
         let sent: Vec<f64> = run.iter().map(|row| row.sent_steering_rad).collect::<Option<_>>()?;
         let (turning, from_below) = first_turning(&sent)?;
         let rows = &run[turning..];
@@ -118,12 +128,29 @@ impl Course {
             let key = (pair[0].speed_mps, pair[1].time_s - pair[0].time_s);
             let passage = match (last, passages.last()) {
                 (Some(before), Some(passage)) if before == key => *passage,
-                _ => Passage::new(key.0, key.1),
+                _ => Passage::new(vehicle, key.0, key.1),
             };
             last = Some(key);
             passages.push(passage);
         }
-        Some(Self { from_below, sent: sent[turning..].to_vec(), yaw, passages })
+        let run = run.iter().map(|row| row.time_s).zip(sent).collect();
+        Some(Self { from_below, run, first: turning, yaw, passages })
+    }
+
+    /// The mean angle sent from a row to the next, so much earlier [rad].
+    fn sent_before(&self, row: usize, late_s: f64) -> f64 {
+        let [from_s, to_s] = [row, row + 1].map(|row| self.run[row].0 - late_s);
+        let (mut sum, mut at_s) = (0.0, from_s);
+        let first = self.run.partition_point(|(time_s, _)| *time_s <= from_s).saturating_sub(1);
+        for (index, (_, sent)) in self.run.iter().enumerate().skip(first) {
+            let end_s = self.run.get(index + 1).map_or(to_s, |next| next.0.min(to_s));
+            sum += sent * (end_s - at_s).max(0.0);
+            at_s = at_s.max(end_s);
+            if end_s >= to_s {
+                break;
+            }
+        }
+        sum / (to_s - from_s)
     }
 
     /// The yaw at each row for a map, a play and a yaw at the first row.
@@ -133,14 +160,15 @@ impl Course {
             SCALE_RAD * share * (shared[0] + share * (shared[1] + share * shared[2])) + shared[3]
         };
         let play = shared[PLAY].max(0.0);
-        let start = shaft(self.sent[0]);
+        let late_s = shared[LATE].max(0.0);
+        let start = shaft(self.sent_before(self.first, late_s));
         let mut wheels = if self.from_below { start - play } else { start + play };
         // In the quasi-steady turn: at a turning point the angle hardly changes.
         let mut state = self.passages.first().map_or([0.0; 2], |passage| passage.steady(wheels));
         let mut yaw = first_yaw;
         out.push(yaw);
-        for (sent, passage) in self.sent.iter().zip(&self.passages) {
-            let shaft = shaft(*sent);
+        for (row, passage) in (self.first..).zip(&self.passages) {
+            let shaft = shaft(self.sent_before(row, late_s));
             wheels = wheels.clamp(shaft - play, shaft + play);
             let row = |index: usize| {
                 let matrix = &passage.matrix;
@@ -171,9 +199,9 @@ fn first_turning(sent: &[f64]) -> Option<(usize, bool)> {
 }
 
 impl Passage {
-    fn new(speed: f64, duration: f64) -> Self {
+    fn new(vehicle: &Parameters, speed: f64, duration: f64) -> Self {
         let control = Control { velocity: speed.max(0.05), steering: 0.0 };
-        let (by_state, by_control) = lateral_jacobians(&Parameters::default(), 0.0, 0.0, &control);
+        let (by_state, by_control) = lateral_jacobians(vehicle, 0.0, 0.0, &control);
         let mut rates = SMatrix::<f64, 4, 4>::zeros();
         for row in 0..2 {
             (rates[(row, 0)], rates[(row, 1)]) = (by_state[row][0], by_state[row][1]);

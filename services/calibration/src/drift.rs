@@ -14,7 +14,8 @@
 //! are those of the model. Where odometry errs otherwise (a turned heading, a slipping wheel) the residual is large,
 //! and the fit is refused.
 
-use vehicle::bounds::ANY_SENT_STEERING_MAX_RAD;
+use vehicle::Description;
+use vehicle::bounds::{ANY_SENT_STEERING_MAX_RAD, ANY_SENT_VELOCITY_MAX_MPS};
 use vehicle::frame::{to_track, wrap_angle};
 
 use crate::backlash;
@@ -47,6 +48,8 @@ pub struct DriftFit {
     pub lateral_rate: Estimate,
     /// Half the play between shaft and wheels [rad]; `None` when sent angles were not recorded.
     pub play: Option<Estimate>,
+    /// How late the steering follows, by delay and lag together [s]; `None` when sent angles were not recorded.
+    pub steering_late: Option<Estimate>,
     /// Root mean square of the residuals of corrected positions, per axis [m].
     pub residual_m: f64,
     /// How many runs.
@@ -71,12 +74,12 @@ struct Mark<'a> {
     across: [f64; 2],
 }
 
-/// df, dds and, where sent angles are recorded, the play.
+/// df, dds and, where sent angles are recorded, the play of a vehicle.
 ///
 /// # Errors
 /// [`RunRefusal`] when runs are too short, marks too few, values out of range, or the errors are not those of the
 /// model.
-pub fn fit(rows: &[SineRow]) -> Result<DriftFit, RunRefusal> {
+pub fn fit(rows: &[SineRow], vehicle: &Description) -> Result<DriftFit, RunRefusal> {
     let runs = split(rows)?;
     let mut marks = Vec::new();
     for (index, run) in runs.iter().enumerate() {
@@ -107,10 +110,12 @@ pub fn fit(rows: &[SineRow]) -> Result<DriftFit, RunRefusal> {
     let (longitudinal, lateral_rate) = (estimate(0), estimate(1));
     require_range("df", longitudinal.value, 0.5)?;
     require_range("dds", lateral_rate.value, 1.0)?;
+    let steering = backlash::fit(&runs, &vehicle.parameters())?;
     Ok(DriftFit {
         longitudinal,
         lateral_rate,
-        play: backlash::fit(&runs)?,
+        play: steering.map(|[play, _]| play),
+        steering_late: steering.map(|[_, late]| late),
         residual_m: root_mean_square(&solution.residuals),
         runs: runs.len(),
         marks: marks.len(),
@@ -138,7 +143,7 @@ fn check(run: &[SineRow]) -> Result<(), RunRefusal> {
     for row in run {
         let place = &row.place;
         within(place, "time_s", row.time_s, 0.0..=3600.0)?;
-        within(place, "speed_mps", row.speed_mps, STANDSTILL_MPS..=3.0)?;
+        within(place, "speed_mps", row.speed_mps, STANDSTILL_MPS..=ANY_SENT_VELOCITY_MAX_MPS)?;
         within(place, "reported_yaw_rad", row.reported_yaw_rad, -1e3..=1e3)?;
         let sent = row.sent_steering_rad.unwrap_or(0.0);
         within(place, "sent_steering_rad", sent, -ANY_SENT_STEERING_MAX_RAD..=ANY_SENT_STEERING_MAX_RAD)?;

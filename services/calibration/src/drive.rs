@@ -4,13 +4,15 @@
 //! with a tape measure, chalk and a stopwatch, with their errors, and the odometry of the robot. Its true parameters
 //! are never used.
 
+use std::f64::consts::TAU;
+
 use emulator::Emulator;
 use emulator::noise::{NoiseStream, Purpose};
 use emulator::scenario::{Scenario, Start, Surroundings, Track};
 use nalgebra::Vector2;
 use shared_types::{Actuation, ActuationKind, Odometry, Scan, Truth};
-use vehicle::bounds::STEERING_MAX_RAD;
 use vehicle::frame::to_robot;
+use vehicle::{Bounds, Description};
 
 use crate::drift::STANDSTILL_MPS;
 use crate::record::{ApproachSide, CircleRun, SineRow, StraightRun};
@@ -28,30 +30,32 @@ const PLACE_RAD: f64 = 0.002;
 /// Time between two actuations [ns]: well within the dead-man of the robot.
 const PERIOD_NS: u64 = 100_000_000;
 
-/// Distance between the two fixed points [m].
+/// Distance between the two fixed points of a robot that is sent about 1 m/s, and of the first one from the start at least [m].
 const DISTANCE_M: f64 = 6.0;
+const START_M: f64 = 1.0;
 
-/// Velocities sent in straight runs [m/s]; each is driven twice.
+/// Velocities sent in straight runs [m/s], of a robot that may be sent 2 m/s; each is driven twice.
 const STRAIGHT_MPS: [f64; 8] = [0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2];
 
-/// Velocity sent in circle runs [m/s]: slow, so that the turn is nearly kinematic.
+/// Velocity sent in circle runs of the same robot [m/s]: slow, so that the turn is nearly kinematic.
 const CIRCLE_MPS: f64 = 0.6;
 
-/// Largest angle sent in circle runs [rad], and the number of steps to either side.
-const CIRCLE_RAD: f64 = 0.085;
+/// Largest angle sent in circle runs, as a share of the largest desired one, and the number of steps to either side.
+const CIRCLE: f64 = 85.0 / 60.0;
 const CIRCLE_STEPS: i32 = 20;
 
-/// The angle is approached from this much further out [rad], which takes up play of up to a third of it.
-const OVERSHOOT_RAD: f64 = 0.034;
+/// The angle is approached from this much further out, as such a share, which takes up play of up to a third of it.
+const OVERSHOOT: f64 = 34.0 / 60.0;
 
-/// Length of the arc of a circle run [m].
+/// Longest arc of a circle run [m], and its largest turn: less than half a circle [rad].
 const ARC_M: f64 = 4.0;
+const ARC_RAD: f64 = 2.5;
 
-/// Sine runs: how many, velocity sent [m/s], amplitude [rad], period [s], duration [s], time between marks [s].
-const SINE_RUNS: u32 = 4;
+/// Sine runs: velocity sent by the same robot [m/s], largest acceleration to the side [m/s^2], period of each run [s], duration
+/// [s], time between marks [s]. Steering that is late shows the more the shorter the period, and play does not.
 const SINE_MPS: f64 = 1.0;
-const SINE_RAD: f64 = STEERING_MAX_RAD;
-const SINE_PERIOD_S: f64 = 5.0;
+const SINE_MPS2: f64 = 1.0;
+const SINE_PERIODS_S: [f64; 4] = [5.0, 3.0, 5.0, 8.0];
 const SINE_S: f64 = 60.0;
 const SINE_MARK_S: f64 = 1.0;
 
@@ -61,37 +65,54 @@ const MAX_RESTED: u64 = 20;
 /// Longest duration of a run [s]; a robot that hardly moves reaches it.
 const TIMEOUT_S: f64 = 600.0;
 
-/// Straight runs with a flying start, timed between two fixed points.
-pub fn straight_runs(robot: &Scenario, seed: u64) -> Vec<StraightRun> {
+/// How fast a vehicle is sent, where the SUMMIT is sent 1 m/s [m/s]: no faster than half of what it may be sent, as that.
+fn pace_mps(vehicle: &Description) -> f64 {
+    let Bounds { velocity_max_mps, sent_velocity_max_mps, .. } = vehicle.bounds;
+    velocity_max_mps.min(sent_velocity_max_mps / 2.0)
+}
+
+/// Straight runs of a vehicle with a flying start, timed between two fixed points.
+pub fn straight_runs(robot: &Scenario, vehicle: &Description, seed: u64) -> Vec<StraightRun> {
     let mut hand = NoiseStream::new(seed, Purpose::Course, 1001);
     // The points are measured once and stay where they are.
-    let distance_m = round(DISTANCE_M + TAPE_ERROR_M * hand.normal(), 1e-3);
+    let pace_mps = pace_mps(vehicle);
+    let between_m = DISTANCE_M * pace_mps.max(1.0);
+    let distance_m = round(between_m + TAPE_ERROR_M * hand.normal(), 1e-3);
     let mut runs = Vec::new();
-    for sent_velocity_mps in STRAIGHT_MPS.into_iter().flat_map(|sent| [sent, sent]) {
+    for sent_velocity_mps in
+        STRAIGHT_MPS.into_iter().map(|sent| sent * pace_mps).flat_map(|sent| [sent, sent])
+    {
         let mut drive = Drive::new(robot, seed);
         drive.send(sent_velocity_mps, 0.0);
-        let Some(first) = drive.until(|place| place.x >= 1.0) else { continue };
-        let Some(second) = drive.until(|place| place.x >= 1.0 + DISTANCE_M) else { continue };
+        // Twice the way that it needs for its speed.
+        let start_m = START_M.max(sent_velocity_mps * sent_velocity_mps / vehicle.acceleration_max_mps2);
+        let Some(first) = drive.until(|place| place.x >= start_m) else { continue };
+        let Some(second) = drive.until(|place| place.x >= start_m + between_m) else { continue };
         let time_s = round(second - first + STOPWATCH_S * hand.normal(), 0.01);
         runs.push(StraightRun { sent_velocity_mps, distance_m, time_s, place: "--drive".to_owned() });
     }
     runs
 }
 
-/// Steady circle runs to both sides, each angle approached from below and from above.
-pub fn circle_runs(robot: &Scenario, seed: u64) -> Vec<CircleRun> {
+/// Steady circle runs of a vehicle to both sides, each angle approached from below and from above.
+pub fn circle_runs(robot: &Scenario, vehicle: &Description, seed: u64) -> Vec<CircleRun> {
     let mut hand = NoiseStream::new(seed, Purpose::Course, 1002);
+    let Bounds { steering_max_rad, sent_steering_max_rad, .. } = vehicle.bounds;
+    let circle_rad = (CIRCLE * steering_max_rad).min(sent_steering_max_rad);
+    let overshoot_rad = OVERSHOOT * steering_max_rad;
+    let (circle_mps, parameters) = (CIRCLE_MPS * pace_mps(vehicle).min(1.0), vehicle.parameters());
     let mut runs = Vec::new();
     for step in -CIRCLE_STEPS..=CIRCLE_STEPS {
-        let sent = CIRCLE_RAD * f64::from(step) / f64::from(CIRCLE_STEPS);
+        let sent = circle_rad * f64::from(step) / f64::from(CIRCLE_STEPS);
+        let arc_m = ARC_M.min(ARC_RAD / parameters.curvature_of(sent).abs());
         for side in [ApproachSide::Below, ApproachSide::Above] {
-            let beyond = if side == ApproachSide::Below { -OVERSHOOT_RAD } else { OVERSHOOT_RAD };
+            let beyond = if side == ApproachSide::Below { -overshoot_rad } else { overshoot_rad };
             let mut drive = Drive::new(robot, seed);
-            drive.send(CIRCLE_MPS, sent + beyond);
+            drive.send(circle_mps, sent + beyond);
             drive.pass(0.3);
-            drive.send(CIRCLE_MPS, sent);
+            drive.send(circle_mps, sent);
             drive.pass(0.5);
-            let Some(places) = drive.follow(ARC_M) else { continue };
+            let Some(places) = drive.follow(arc_m) else { continue };
             let mut chalk = |place: Vector2<f64>| place + Vector2::new(hand.normal(), hand.normal()) * MARK_M;
             let [start, middle, end] =
                 [places[0], places[places.len() / 2], places[places.len() - 1]].map(&mut chalk);
@@ -110,11 +131,17 @@ pub fn circle_runs(robot: &Scenario, seed: u64) -> Vec<CircleRun> {
     runs
 }
 
-/// Sine runs with a chalk mark every second.
-pub fn sine_runs(robot: &Scenario, seed: u64) -> Vec<SineRow> {
+/// Sine runs of a vehicle with a chalk mark every second.
+pub fn sine_runs(robot: &Scenario, vehicle: &Description, seed: u64) -> Vec<SineRow> {
     let mut hand = NoiseStream::new(seed, Purpose::Course, 1003);
+    let sine_mps = SINE_MPS * pace_mps(vehicle).min(1.0);
+    let sideways_rad = vehicle.parameters().steering_of(SINE_MPS2 / (sine_mps * sine_mps));
+    // Half as fast as the steering can follow.
+    let shortest_s = SINE_PERIODS_S.into_iter().fold(f64::INFINITY, f64::min);
+    let slow_rad = vehicle.steering_rate_max_radps / 2.0 * shortest_s / TAU;
+    let sine_rad = vehicle.bounds.steering_max_rad.min(sideways_rad).min(slow_rad);
     let mut rows = Vec::new();
-    for run in 1..=SINE_RUNS {
+    for (run, period_s) in (1_u32..).zip(SINE_PERIODS_S) {
         // The robot starts at its origin; in the frame of the tape measure it is a little shifted and turned.
         let (sin, cos) = (PLACE_RAD * hand.normal()).sin_cos();
         let shift = Vector2::new(hand.normal(), hand.normal()) * MARK_M;
@@ -124,10 +151,10 @@ pub fn sine_runs(robot: &Scenario, seed: u64) -> Vec<SineRow> {
         let mut rested = 0;
         for sample in 0..=samples {
             let time_s = sample as f64 * PERIOD_NS as f64 * 1e-9;
-            let phase = std::f64::consts::TAU * time_s / SINE_PERIOD_S;
-            let sent = round(SINE_RAD * phase.sin(), 1e-6);
+            let phase = TAU * time_s / period_s;
+            let sent = round(sine_rad * phase.sin(), 1e-6);
             let mut place = drive.place();
-            drive.send(SINE_MPS, sent);
+            drive.send(sine_mps, sent);
             let mut odometry = drive.odometry(sample + rested);
             while sample == 0 && odometry.speed_mps < STANDSTILL_MPS && rested < MAX_RESTED {
                 rested += 1;

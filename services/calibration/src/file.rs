@@ -4,12 +4,13 @@
 //! It contains no date, because the same runs must give the same file: place and time belong in the note.
 
 use serde::{Deserialize, Serialize};
+use vehicle::bounds::STEERING_MAX_RAD;
 use vehicle::correction::{CommandCorrection, SteeringCorrection};
 use vehicle::network::SteeringNetwork;
 use vehicle::{Invalid, require, toml_fault};
 
 use crate::drift::DriftFit;
-use crate::steering::{DESIRED_MAX_RAD, SteeringFit};
+use crate::steering::SteeringFit;
 use crate::velocity::VelocityFit;
 use crate::{Estimate, RunRefusal};
 
@@ -116,6 +117,9 @@ pub struct DriftPart {
     /// Half the play between shaft and wheels [rad]; absent where sent angles were not recorded.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub play_rad: Option<Estimate>,
+    /// How late the steering follows, `vehicle.command_delay_s` and `vehicle.steering_lag_s` together [s].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub steering_late_s: Option<Estimate>,
 }
 
 impl Default for CalibrationFile {
@@ -160,6 +164,9 @@ impl CalibrationFile {
                 .validate(-1.0..=1.0)
                 .map_err(|error| error.within("drift.lateral_rate_per_s"))?;
             validate_play(part.play_rad).map_err(|error| error.within("drift.play_rad"))?;
+            if let Some(late) = part.steering_late_s {
+                late.validate(-0.01..=1.0).map_err(|error| error.within("drift.steering_late_s"))?;
+            }
         }
         Ok(())
     }
@@ -195,8 +202,10 @@ impl SteeringPart {
             }
         }
         // Where a correction falls, more desired angle would give less.
+        let desired_max_rad =
+            self.points.iter().map(|point| point.desired_rad).fold(STEERING_MAX_RAD, f64::max);
         for step in -60..=60 {
-            let desired = DESIRED_MAX_RAD * f64::from(step) / 60.0;
+            let desired = desired_max_rad * f64::from(step) / 60.0;
             let slope = self.inverse.derivative(desired);
             if !(slope > 0.0 && slope < 20.0) {
                 let value = format!("slope {slope:.3} at {desired:.4} rad");
@@ -256,6 +265,7 @@ impl DriftPart {
             longitudinal: fit.longitudinal,
             lateral_rate_per_s: fit.lateral_rate,
             play_rad: fit.play,
+            steering_late_s: fit.steering_late,
         }
     }
 }
@@ -295,6 +305,7 @@ mod tests {
                 longitudinal: estimate,
                 lateral_rate_per_s: estimate,
                 play_rad: Some(estimate),
+                steering_late_s: Some(estimate),
             }),
             ..CalibrationFile::default()
         }

@@ -6,6 +6,7 @@ use calibration::{CalibrationFile, drift, drive, steering, velocity};
 use emulator::noise::{NoiseStream, Purpose};
 use emulator::{Outcome, Scenario};
 use pipeline::PipelineSettings;
+use vehicle::Description;
 use vehicle::correction::Calibration;
 
 fn imperfect() -> Scenario {
@@ -13,10 +14,10 @@ fn imperfect() -> Scenario {
 }
 
 fn calibrated(scenario: &Scenario) -> CalibrationFile {
-    let origin = Origin::default();
-    let straight = velocity::fit(&drive::straight_runs(scenario, 1)).unwrap();
-    let circles = steering::fit(&drive::circle_runs(scenario, 1)).unwrap();
-    let sines = drift::fit(&drive::sine_runs(scenario, 1)).unwrap();
+    let (origin, vehicle) = (Origin::default(), Description::default());
+    let straight = velocity::fit(&drive::straight_runs(scenario, &vehicle, 1)).unwrap();
+    let circles = steering::fit(&drive::circle_runs(scenario, &vehicle, 1), &vehicle).unwrap();
+    let sines = drift::fit(&drive::sine_runs(scenario, &vehicle, 1), &vehicle).unwrap();
     CalibrationFile {
         velocity: Some(VelocityPart::of(&straight, origin.clone())),
         steering: Some(SteeringPart::of(&circles, origin.clone())),

@@ -41,6 +41,9 @@ pub struct CalibrateArguments {
     /// parameters.
     #[arg(long)]
     pub drive: bool,
+    /// System file whose vehicle is calibrated; without it the SUMMIT.
+    #[arg(long, value_name = "FILE")]
+    pub system: Option<PathBuf>,
     /// Scenario whose robot drives: a file, or the name of a shipped scenario.
     #[arg(long, value_name = "SCENARIO", requires = "drive")]
     pub scenario: Option<String>,

@@ -32,12 +32,12 @@ fn run(number: u32, df: f64, dds: f64, seconds: usize) -> Vec<SineRow> {
 }
 
 fn reason(rows: &[SineRow]) -> String {
-    fit(rows).unwrap_err().to_string()
+    fit(rows, &Description::default()).unwrap_err().to_string()
 }
 
 #[test]
 fn the_coefficients_are_those_that_the_estimators_correction_undoes() {
-    let fit = fit(&run(1, 0.012, 0.05, 20)).unwrap();
+    let fit = fit(&run(1, 0.012, 0.05, 20), &Description::default()).unwrap();
     assert!((fit.longitudinal.value - 0.012).abs() < 1e-9, "{:?}", fit.longitudinal);
     assert!((fit.lateral_rate.value - 0.05).abs() < 1e-9, "{:?}", fit.lateral_rate);
     assert_eq!((fit.runs, fit.marks, fit.play), (1, 11, None));
@@ -53,7 +53,7 @@ fn a_frame_that_is_shifted_and_turned_changes_nothing() {
             row.measured_y_m = Some(-0.01 + sin * x + cos * y);
         }
     }
-    let fit = fit(&rows).unwrap();
+    let fit = fit(&rows, &Description::default()).unwrap();
     // The turn is fitted to first order: the rest, 0.003^2 / 2 of the distance, adds to df.
     assert!((fit.longitudinal.value - 0.012).abs() < 1e-5, "{:?}", fit.longitudinal);
     assert!((fit.lateral_rate.value - 0.0003).abs() < 2e-6, "{:?}", fit.lateral_rate);

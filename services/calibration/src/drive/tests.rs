@@ -1,6 +1,11 @@
 use super::*;
 use crate::{drift, steering, velocity};
-use emulator::scenario::{Noise, Robot, Values};
+use emulator::scenario::{Noise, Preset, Robot, Values};
+use vehicle::VehicleModel;
+
+fn usual() -> Description {
+    Description::default()
+}
 
 /// A robot whose hidden parameters differ by up to 30 % from those of scenario `imperfect-robot`.
 fn hidden(trial: u64) -> Scenario {
@@ -34,7 +39,7 @@ fn trials<T: Send>(count: u64, trial: impl Fn(u64) -> T + Sync) -> Vec<T> {
 fn kv_of_unseen_robots_is_found_within_1_percent_and_covered() {
     let results = trials(50, |trial| {
         let robot = hidden(trial);
-        let fit = velocity::fit(&straight_runs(&robot, trial)).unwrap();
+        let fit = velocity::fit(&straight_runs(&robot, &usual(), trial)).unwrap();
         let truth = robot.robot_values().velocity_factor;
         (fit.factor.value / truth - 1.0, fit.factor.covers(truth))
     });
@@ -48,7 +53,7 @@ fn kv_of_unseen_robots_is_found_within_1_percent_and_covered() {
 fn df_dds_and_play_of_unseen_robots_are_found_within_10_percent_and_covered() {
     let results = trials(50, |trial| {
         let robot = hidden(trial);
-        let fit = drift::fit(&sine_runs(&robot, trial)).unwrap();
+        let fit = drift::fit(&sine_runs(&robot, &usual(), trial), &usual()).unwrap();
         let play = fit.play.unwrap();
         let Values { odometry_longitudinal, odometry_lateral_rate, steering_backlash_rad, .. } =
             robot.robot_values();
@@ -71,7 +76,7 @@ fn df_dds_and_play_of_unseen_robots_are_found_within_10_percent_and_covered() {
 fn the_steering_map_of_unseen_robots_is_found_within_2_mrad_and_covered() {
     let results = trials(50, |trial| {
         let robot = hidden(trial);
-        let fit = steering::fit(&circle_runs(&robot, trial)).unwrap();
+        let fit = steering::fit(&circle_runs(&robot, &usual(), trial), &usual()).unwrap();
         let map = robot.robot.steering_map.unwrap_or_default();
         let worst = (-60..=60)
             .map(|step| 1e-3 * f64::from(step))
@@ -105,8 +110,62 @@ fn the_steering_map_of_unseen_robots_is_found_within_2_mrad_and_covered() {
 }
 
 #[test]
+fn a_front_steered_and_a_differential_robot_are_calibrated_as_they_are_described() {
+    let bounds = |velocity_max_mps, steering_max_rad| Bounds {
+        velocity_max_mps,
+        steering_max_rad,
+        sent_velocity_max_mps: 1.3 * velocity_max_mps,
+        sent_steering_max_rad: 1.3 * steering_max_rad,
+        ..Bounds::default()
+    };
+    let car = Description {
+        model: VehicleModel::Bicycle,
+        bounds: bounds(5.0, 0.35),
+        mass_kg: 3.74,
+        front_m: 0.159,
+        rear_m: 0.171,
+        stiffness_n_per_rad: 95.0,
+        inertia_kgm2: 0.0471,
+        ..Description::default()
+    };
+    let wheels = Description {
+        model: VehicleModel::Differential,
+        bounds: bounds(0.65, 0.45),
+        front_m: 0.1,
+        rear_m: 0.1,
+        ..Description::default()
+    };
+    for vehicle in [car, wheels] {
+        let turned = |steering_offset_rad| {
+            let robot = Robot {
+                preset: Preset::Summit,
+                velocity_factor: Some(1.08),
+                steering_offset_rad: Some(steering_offset_rad),
+                odometry_longitudinal: Some(0.02),
+                ..Robot::default()
+            };
+            Scenario { robot: robot.resolved(&vehicle, 1), ..Scenario::default() }
+        };
+        let robot = turned(0.0);
+        let velocity = velocity::fit(&straight_runs(&robot, &vehicle, 1)).unwrap();
+        assert!((velocity.factor.value - 1.08).abs() < 0.02, "{:?}", velocity.factor);
+        let steering = steering::fit(&circle_runs(&turned(0.01), &vehicle, 1), &vehicle).unwrap();
+        // Its angle is 0.01 rad more to the left than sent.
+        for desired in [-0.3, 0.0, 0.3] {
+            let sent = steering.inverse.eval(desired);
+            assert!((sent - (desired - 0.01)).abs() < 0.01, "{desired}: {sent} of {:?}", vehicle.model);
+        }
+        let drift = drift::fit(&sine_runs(&robot, &vehicle, 1), &vehicle).unwrap();
+        assert!((drift.longitudinal.value - 0.02).abs() < 2e-3, "{:?}", drift.longitudinal);
+        // A robot that steers late has no play.
+        let (play, late) = (drift.play.unwrap().value, drift.steering_late.unwrap().value);
+        assert!(play < 1e-3 && (late - 0.12).abs() < 0.02, "{play} {late}");
+    }
+}
+
+#[test]
 fn the_same_seed_gives_the_same_tables_and_another_one_does_not() {
     let robot = hidden(1);
-    assert_eq!(straight_runs(&robot, 5), straight_runs(&robot, 5));
-    assert_ne!(straight_runs(&robot, 5), straight_runs(&robot, 6));
+    assert_eq!(straight_runs(&robot, &usual(), 5), straight_runs(&robot, &usual(), 5));
+    assert_ne!(straight_runs(&robot, &usual(), 5), straight_runs(&robot, &usual(), 6));
 }

@@ -18,13 +18,15 @@ pub(super) struct NetworkError {
     network: SteeringNetwork,
     covariance: SMatrix<f64, WEIGHTS, WEIGHTS>,
     freedom: usize,
+    /// [`super::small_angle`] of the vehicle.
+    small_angle: f64,
 }
 
 impl NetworkError {
     /// The error of a network that [`vehicle::network::train`] fitted to the samples.
     ///
     /// Every third sample (in order of the input) was held out there, so it determines no weights.
-    pub(super) fn of(network: &SteeringNetwork, samples: &[(f64, f64)]) -> Option<Self> {
+    pub(super) fn of(network: &SteeringNetwork, samples: &[(f64, f64)], small_angle: f64) -> Option<Self> {
         let mut sorted = samples.to_vec();
         sorted.sort_by(|one, other| one.0.total_cmp(&other.0).then(one.1.total_cmp(&other.1)));
         let training: Vec<(f64, f64)> = sorted
@@ -44,7 +46,7 @@ impl NetworkError {
         let freedom = training.len().checked_sub(used).filter(|freedom| *freedom > 0)?;
         let squares: f64 = training.iter().map(|(sent, angle)| (angle - network.eval(*sent)).powi(2)).sum();
         let covariance = inverse * information * inverse * (squares / freedom as f64);
-        Some(Self { network: *network, covariance, freedom })
+        Some(Self { network: *network, covariance, freedom, small_angle })
     }
 
     /// The realised angle at a sent angle.
@@ -52,8 +54,7 @@ impl NetworkError {
         let row = gradient(&self.network, sent);
         let variance = (row.transpose() * self.covariance * row)[0].max(0.0);
         let angle = self.network.eval(sent);
-        // Difference between the small-angle form of the model (7.29) and the exact geometry of the arc.
-        let geometry = angle.abs().powi(3) / 3.0;
+        let geometry = self.small_angle * angle.abs().powi(3) / 3.0;
         Estimate::new(angle, variance.sqrt().hypot(geometry), self.freedom)
     }
 }

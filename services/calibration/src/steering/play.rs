@@ -11,7 +11,7 @@ const MIN_PAIRS: usize = 5;
 ///
 /// `None` when fewer than [`MIN_PAIRS`] angles were approached from both sides. Without play the value may be a little
 /// below zero.
-pub(super) fn estimate(runs: &[CircleRun], realised: &[f64]) -> Option<Estimate> {
+pub(super) fn estimate(runs: &[CircleRun], realised: &[f64], small_angle: f64) -> Option<Estimate> {
     let from = |side: ApproachSide| {
         runs.iter().zip(realised).filter(move |(run, _)| run.approached_from == Some(side))
     };
@@ -32,6 +32,6 @@ pub(super) fn estimate(runs: &[CircleRun], realised: &[f64]) -> Option<Estimate>
     let mean = halves.iter().sum::<f64>() / count;
     let variance = halves.iter().map(|half| (half - mean).powi(2)).sum::<f64>() / (count - 1.0);
     // The small-angle form of the model (7.29) shrinks differences of angles by the square of the angle.
-    let geometry = mean * squares / count;
+    let geometry = small_angle * mean * squares / count;
     Some(Estimate::new(mean, (variance / count).sqrt().hypot(geometry), halves.len() - 1))
 }

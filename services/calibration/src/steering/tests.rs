@@ -35,7 +35,7 @@ fn runs(map: &dyn Fn(f64) -> f64, play: f64, seed: Option<u64>) -> Vec<CircleRun
 }
 
 fn reason(runs: &[CircleRun]) -> String {
-    fit(runs).unwrap_err().to_string()
+    fit(runs, &Description::default()).unwrap_err().to_string()
 }
 
 /// Radius of the arc with a chord and a height, R = s^2 / (8 h) + h / 2 [m].
@@ -49,14 +49,14 @@ fn chord_and_height_of_a_quarter_circle_give_its_radius() {
     let (chord, height) = (2.0 * 2.0_f64.sqrt(), 2.0 - 2.0_f64.sqrt());
     assert!((radius(chord, height) - 2.0).abs() < 1e-12);
     // tan(u2) = 0.37 / (2 R).
-    assert!((realised_angle(chord, height) - (0.37_f64 / 4.0).atan()).abs() < 1e-12);
-    assert!((realised_angle(chord, -height) + (0.37_f64 / 4.0).atan()).abs() < 1e-12);
-    assert_eq!(realised_angle(3.0, 0.0), 0.0);
+    assert!((realised_angle(&Parameters::default(), chord, height) - (0.37_f64 / 4.0).atan()).abs() < 1e-12);
+    assert!((realised_angle(&Parameters::default(), chord, -height) + (0.37_f64 / 4.0).atan()).abs() < 1e-12);
+    assert_eq!(realised_angle(&Parameters::default(), 3.0, 0.0), 0.0);
 }
 
 #[test]
 fn exact_arcs_give_the_map_the_play_and_an_inverse() {
-    let fit = fit(&runs(&nonlinear, 0.006, None)).unwrap();
+    let fit = fit(&runs(&nonlinear, 0.006, None), &Description::default()).unwrap();
     assert!((fit.play.unwrap().value - 0.006).abs() < 1e-9);
     assert!(fit.held_out_rad < 2e-5, "{}", fit.held_out_rad);
     for step in -60..=60 {
@@ -69,8 +69,11 @@ fn exact_arcs_give_the_map_the_play_and_an_inverse() {
 #[test]
 fn the_fit_is_deterministic_and_survives_its_table() {
     let runs = runs(&nonlinear, 0.004, Some(3));
-    let once = fit(&runs).unwrap();
-    assert_eq!(once, fit(&read::<CircleRun>(&write(&runs), "a.csv").unwrap()).unwrap());
+    let once = fit(&runs, &Description::default()).unwrap();
+    assert_eq!(
+        once,
+        fit(&read::<CircleRun>(&write(&runs), "a.csv").unwrap(), &Description::default()).unwrap()
+    );
 }
 
 /// Maps within 30 % of the identity that no network has seen.
@@ -89,7 +92,8 @@ fn unseen_maps_are_found_within_2_mrad_and_their_errors_cover_the_truth() {
     let (mut covered, mut asked, mut play_covered, mut worst) = (0, 0, 0, 0.0_f64);
     for trial in 0..50 {
         let (map, play) = (unseen(trial), 0.006 * (0.7 + 0.012 * trial as f64));
-        let fit = fit(&runs(&map, play, Some(trial))).unwrap_or_else(|refusal| panic!("{trial}: {refusal}"));
+        let fit = fit(&runs(&map, play, Some(trial)), &Description::default())
+            .unwrap_or_else(|refusal| panic!("{trial}: {refusal}"));
         for point in &fit.points {
             let truth = map(point.sent_rad);
             worst = worst.max((truth - point.desired_rad).abs());
