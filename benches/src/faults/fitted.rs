@@ -23,7 +23,7 @@ pub(super) fn fitted(fault: &InjectedFault, vehicle: &Description, scale: f64) -
         }
         Injection::Scenario(scenario) => {
             scale_lengths(&mut scenario.set, scale);
-            if is_black(&scenario.set) {
+            if is_black(&scenario.set) && vehicle.sudden_m != usual.sudden_m {
                 // It shows in time for a robot of this way to stop.
                 let black_range_m = Scanner::default().black_range_m * vehicle.sudden_m / usual.sudden_m;
                 let scanner = Value::Table(

@@ -130,17 +130,18 @@ impl Evidence {
     /// the way [m] that it is a share of.
     ///
     /// A drive that is quicker than described is no fault, and encoders report the mean since the scan before, so a speed within
-    /// the range of those expected since then and the one desired is as it should be.
+    /// the range of the mean expected since then, the one expected now and the one desired is as it should be.
     fn speed_residual(&self) -> Option<(f64, f64)> {
         let desired = self.desired_mps?;
         let ahead = 1.0_f64.copysign(desired);
         let [before, expected] = self.expected_mps.map(|mps| mps * ahead);
+        let mean = f64::midpoint(before, expected);
         let (desired, speed) = (desired * ahead, self.speed_mps * ahead);
         let low = desired.min(expected);
         if low < SLOWEST_MPS {
             return None;
         }
-        let right_mps = speed.clamp(low.min(before).max(SLOWEST_MPS), desired.max(expected).max(before));
+        let right_mps = speed.clamp(low.min(mean).max(SLOWEST_MPS), desired.max(expected).max(mean));
         Some((speed / right_mps - 1.0, right_mps * self.dt_s))
     }
 }

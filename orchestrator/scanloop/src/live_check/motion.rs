@@ -28,8 +28,8 @@ const MIN_LEFT_RAD: f64 = 0.2;
 const MIN_DRIVEN_LEFT_RAD: f64 = 0.03;
 /// Length of both legs [m].
 const LEGS_M: [f64; 2] = [0.5, 0.4];
-/// Steering angle of the second leg, or less where `vehicle.bounds` allow no more to be sent [rad].
-const LEFT_RAD: f64 = 0.08;
+/// Curvature of the second leg, 0.08 rad of the SUMMIT's steering, or less where `vehicle.bounds` allow no more to be sent [1/m].
+const LEFT_PER_M: f64 = 0.433;
 /// Beyond both legs and the way to stop this must be free in front of the body at the start [m].
 const RESERVE_M: f64 = 0.2;
 /// The drive ends when the newest scan with ranges is older than this many periods.
@@ -168,7 +168,8 @@ fn drive(
         return Ok(());
     }
     let start = place(bench);
-    let steering_rad = LEFT_RAD.min(system.vehicle.bounds.sent_steering_max_rad);
+    let steering_rad = system.vehicle.parameters().steering_of(LEFT_PER_M);
+    let steering_rad = steering_rad.min(system.vehicle.bounds.sent_steering_max_rad);
     let is_free = leg(bench, system, Order::Drive(speed_mps, steering_rad), left_m)?;
     let (turned_rad, left_ns) = (place(bench).left_rad - start.left_rad, newest_ns(bench));
     let first = stop(bench, &system.vehicle)?;
