@@ -134,6 +134,11 @@ fn by_hand(bench: &mut Bench, limit_s: f64, moved: &mut Moved) -> anyhow::Result
     Ok(())
 }
 
+/// Steering angle of the second leg [rad].
+fn left_rad(vehicle: &Description) -> f64 {
+    vehicle.parameters().steering_of(LEFT_PER_M).min(vehicle.bounds.sent_steering_max_rad)
+}
+
 /// Drives straight on, then to the left, and blocks the wheels; then straight on to each further stop.
 fn drive(
     bench: &mut Bench,
@@ -168,8 +173,7 @@ fn drive(
         return Ok(());
     }
     let start = place(bench);
-    let steering_rad = system.vehicle.parameters().steering_of(LEFT_PER_M);
-    let steering_rad = steering_rad.min(system.vehicle.bounds.sent_steering_max_rad);
+    let steering_rad = left_rad(&system.vehicle);
     let is_free = leg(bench, system, Order::Drive(speed_mps, steering_rad), left_m)?;
     let (turned_rad, left_ns) = (place(bench).left_rad - start.left_rad, newest_ns(bench));
     let first = stop(bench, &system.vehicle)?;
@@ -319,5 +323,21 @@ fn left(turned_rad: f64, min_rad: f64, seen_rad: Option<f64>) -> Finding {
             Finding::of("left", false, measured, format!("{allowed}, of both"))
         }
         _ => Finding::of("left", turned_rad >= min_rad, measured, allowed),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_car_turns_in_the_second_leg_as_the_summit_does() {
+        let summit = Description::default();
+        assert!((left_rad(&summit) - 0.08).abs() < 1e-3);
+        let bounds = vehicle::Bounds { sent_steering_max_rad: 0.55, ..summit.bounds };
+        let (model, front_m, rear_m) = (vehicle::VehicleModel::Bicycle, 0.84, 0.85);
+        let car = Description { model, front_m, rear_m, bounds, ..summit };
+        let turned_rad = car.parameters().curvature_of(left_rad(&car)) * LEGS_M[1];
+        assert!(turned_rad > 3.0 * MIN_DRIVEN_LEFT_RAD, "{turned_rad}");
     }
 }
