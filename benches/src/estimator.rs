@@ -82,7 +82,8 @@ pub(crate) fn estimator(arguments: &EstimatorArguments) -> anyhow::Result<Exit> 
         answer!(false, "{}", scans::follow(file, &config)?)?;
         return Ok(Exit::Done);
     }
-    let new_file = |path: &PathBuf| NewFile::create(path, Existing::forced(arguments.force), &[]);
+    let inputs: Vec<_> = arguments.choice.files().collect();
+    let new_file = |path: &PathBuf| NewFile::create(path, Existing::forced(arguments.force), &inputs);
     let picture = arguments.svg.as_ref().map(new_file).transpose()?;
     let conditions = Condition::all(arguments);
     let first = arguments.choice.seed.unwrap_or(1);

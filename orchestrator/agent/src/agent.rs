@@ -135,7 +135,13 @@ impl Agent {
     fn obey(&mut self, down: &Down) -> anyhow::Result<()> {
         if let Some(reason) = self.refuses(down) {
             if down.order == RemoteOrder::Start {
-                note!("refused {} of system {}: {reason}", down.role, down.system_id);
+                note!(
+                    "{}",
+                    runtime::one_line(&format!(
+                        "refused {} of system {}: {reason}",
+                        down.role, down.system_id
+                    ))
+                );
             }
             return self.answer(&refusal(down, reason));
         }

@@ -71,7 +71,8 @@ impl HubLink {
         extend(&mut table, places);
         table.write(domain)?;
         let path = logs.join("link.log");
-        let log = ChildLog::open(&path).with_context(|| path.display().to_string())?;
+        let log = ChildLog::of_run(&path, true)?;
+        log.begin(PROGRAM).with_context(|| path.display().to_string())?;
         let (domain, status) = (domain.clone(), LinkStatus::default());
         let mut link =
             Self { domain, table, log, child: None, status, read_ns: 0, connected_ns: BTreeMap::new() };

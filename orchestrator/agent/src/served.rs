@@ -3,7 +3,6 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use anyhow::Context;
 use runtime::{
     Bus, CANDIDATE_VARIABLE, Domain, LinkTable, StopWord, monotonic_ns, own_settings_file, write_handover,
 };
@@ -129,7 +128,7 @@ impl Served {
         let mut environment = environment_of(&self.domain, &self.stop_word, role, incarnation, start.restart);
         environment.extend(start.candidate.map(|running| variable(CANDIDATE_VARIABLE, running)));
         let path = logs.join(format!("{role}.log"));
-        let log = ChildLog::open(&path).with_context(|| path.display().to_string())?;
+        let log = ChildLog::of_run(&path, true)?;
         log.begin(&format!("{role} incarnation {incarnation}: {}", start.implementation))?;
         let command = vec![this_program().into(), "service".into(), (&start.implementation).into()];
         let child = Child::spawn(&Launch { command, environment }, &log)?;

@@ -4,7 +4,8 @@
 //! content is in none of the lines is of the user, also one that the user has changed since.
 
 use std::collections::BTreeSet;
-use std::fs::OpenOptions;
+use std::fmt::Display;
+use std::fs::{File, OpenOptions, TryLockError};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -64,6 +65,42 @@ impl OutFolder {
         self.names.iter().try_for_each(|name| require_apart(&self.folder.join(name), inputs))
     }
 
+    /// Passes when a file may be made here that is none of the results, of the logs, and not the list.
+    ///
+    /// # Errors
+    /// The name of the file; exit code 2.
+    pub fn require_other(&self, path: &Path) -> anyhow::Result<()> {
+        let (Ok(path), Ok(folder)) = (std::path::absolute(path), std::path::absolute(&self.folder)) else {
+            return Ok(());
+        };
+        let name = path.strip_prefix(folder).unwrap_or(Path::new(""));
+        let is_ours = name.starts_with("logs")
+            || name == Path::new(LIST)
+            || self.names.iter().any(|own| name == Path::new(own));
+        match is_ours {
+            true => Err(Failure::bad_input(format!("{}: the run writes this file itself", path.display()))),
+            false => Ok(()),
+        }
+    }
+
+    /// Holds the folder as long as what is returned lives: two runs would write into each other's files.
+    ///
+    /// # Errors
+    /// Another run that writes there, and a folder that can't be made; exit code 2.
+    pub fn hold(&self) -> anyhow::Result<File> {
+        let refuse =
+            |reason: &dyn Display| Failure::bad_input(format!("{}: {reason}", self.folder.display()));
+        make_folder(&self.folder).map_err(|error| refuse(&error))?;
+        let folder = File::open(&self.folder).map_err(|error| refuse(&error))?;
+        match folder.try_lock() {
+            Err(TryLockError::WouldBlock) => {
+                Err(refuse(&"another run writes there; name another folder by --out"))
+            }
+            // A file system without locks can't tell.
+            Ok(()) | Err(TryLockError::Error(_)) => Ok(folder),
+        }
+    }
+
     /// Whether a folder has the list of what was written there.
     pub fn has_list(folder: &Path) -> bool {
         folder.join(LIST).symlink_metadata().is_ok()
@@ -74,9 +111,9 @@ impl OutFolder {
         &self.folder
     }
 
-    /// Removes a file if it is a result; one of the user stays.
+    /// Removes a file if it is a result; one of the user stays, also with `force`.
     pub fn remove(&self, name: &str) {
-        if self.require_own(name).is_ok() {
+        if self.is_own(name) {
             // A file that stays is as it was.
             let _ = std::fs::remove_file(self.folder.join(name));
         }
@@ -181,6 +218,8 @@ mod tests {
         let message = claim(false).unwrap_err().to_string();
         assert!(message.contains("velocity.csv: the file exists"), "{message}");
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "own");
+        claim(true).unwrap().remove("velocity.csv");
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "own");
         claim(true).unwrap().write("velocity.csv", b"three").unwrap();
         claim(false).unwrap();
         std::fs::write(&path, "one").unwrap();
@@ -192,6 +231,23 @@ mod tests {
         claim(false).unwrap().claim_growing("recording.mcap").unwrap();
         std::fs::write(&grown, "recorded").unwrap();
         claim(false).unwrap().claim_growing("recording.mcap").unwrap();
+    }
+
+    #[test]
+    fn one_run_at_a_time_writes_to_a_folder_and_a_recording_is_none_of_its_files() {
+        let folder = Scratch::new().unwrap();
+        let results = OutFolder::claim(&folder.path().join("out"), &["report.json"], true).unwrap();
+        let held = results.hold().unwrap();
+        let message = results.hold().unwrap_err().to_string();
+        assert!(message.contains("another run writes there"), "{message}");
+        drop(held);
+        results.hold().unwrap();
+        for own in ["report.json", ".scanloop", "logs/robot.log", "./logs/../logs/x"] {
+            results.require_other(&results.folder().join(own)).unwrap_err();
+        }
+        for other in ["out/drive.mcap", "report.json", "outer/report.json"] {
+            results.require_other(&folder.path().join(other)).unwrap();
+        }
     }
 
     #[test]

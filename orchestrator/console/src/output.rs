@@ -10,7 +10,7 @@ use std::time::Duration;
 use anyhow::Context;
 use clap::builder::{OsStringValueParser, TypedValueParser};
 use clap::error::ErrorKind;
-use clap::{ColorChoice, Parser};
+use clap::{Arg, ColorChoice, Command, Parser};
 
 use runtime::printable;
 
@@ -67,7 +67,7 @@ pub fn redraw(text: &str) -> anyhow::Result<bool> {
 
 /// The arguments of a command; without them it ends here, as clap has it.
 pub fn arguments<A: Parser>() -> A {
-    let matches = A::command().color(colours()).try_get_matches();
+    let matches = with_negative_numbers(A::command()).color(colours()).try_get_matches();
     matches.and_then(|matches| A::from_arg_matches(&matches)).unwrap_or_else(|error| {
         // A command without its words has its help for an answer.
         if !error.use_stderr() || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
@@ -77,6 +77,15 @@ pub fn arguments<A: Parser>() -> A {
         runtime::print(runtime::Priority::Error, &error.render().to_string());
         std::process::exit(error.exit_code());
     })
+}
+
+/// A number below zero is a value like any other, of which the command tells what is allowed; `-1` is no option.
+fn with_negative_numbers(command: Command) -> Command {
+    let allow = |argument: Arg| {
+        let takes_values = argument.get_action().takes_values();
+        argument.allow_negative_numbers(takes_values)
+    };
+    command.mut_args(allow).mut_subcommands(with_negative_numbers)
 }
 
 /// Whether help has colours. `CLICOLOR_FORCE=0` forces none: the library takes any value for force.

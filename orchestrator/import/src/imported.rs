@@ -72,8 +72,12 @@ impl fmt::Display for Imported {
         let Self { file, kind, duration_s, scans, taken, beams, computed, .. } = self;
         let cut_off = if self.cut_off { ", cut off" } else { "" };
         writeln!(formatter, "{file}: {kind}{cut_off}, {duration_s:.1} s")?;
-        let topic =
-            |index: usize| self.topics.get(index).map(|topic| format!(" of {topic}")).unwrap_or_default();
+        let topic = |index: usize| {
+            self.topics
+                .get(index)
+                .map(|topic| format!(" of {}", runtime::one_line(topic)))
+                .unwrap_or_default()
+        };
         let left_out = Some(self.left_out()).filter(|reasons| !reasons.is_empty());
         let left_out = left_out.map(|reasons| format!("; left out: {reasons}")).unwrap_or_default();
         writeln!(formatter, "{taken} of {scans} scans{}{left_out}", topic(0))?;

@@ -86,7 +86,10 @@ pub fn import(from: &Path, out: &Path, options: &ImportOptions) -> anyhow::Resul
         ));
     }
     let period_ns = plan.system.period_ns();
-    let file = NewFile::create(out, Existing::forced(options.force), &source.files(from))?;
+    let mut inputs = source.files(from);
+    inputs.extend(options.system.as_deref());
+    inputs.extend(options.scenario.as_deref().map(Path::new));
+    let file = NewFile::create(out, Existing::forced(options.force), &inputs)?;
     let mut writer = begin(BufWriter::new(file), period_ns, &imported.file)?;
     settings::attach(&mut writer, &plan, source.name())?;
     let mut drive = Drive::new(writer, &plan.system.tuning().for_scenario(&plan.scenario), period_ns)?;

@@ -6,7 +6,7 @@ use console::exit::{Exit, Failure};
 use console::new_file::require_apart;
 use console::output::require_writable;
 use faults::PERMIT_FILE;
-use plan::{Choice, Plan, difference};
+use plan::{Plan, difference};
 use runtime::{Domain, RuntimeError, Shutdown};
 use shared_types::Role;
 use supervision::lock::{Claim, clear};
@@ -63,12 +63,14 @@ pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
     }
     let out = out_folder(out.clone().unwrap_or_else(|| PathBuf::from("out").join(&plan.scenario.name)))?;
     let results = claim(&out, *force)?;
-    let Choice { system, calibration, .. } = &arguments.choice;
-    let inputs = [arguments.scenario.as_deref().map(Path::new), system.as_deref(), calibration.as_deref()];
-    let inputs: Vec<&Path> = inputs.into_iter().flatten().collect();
+    let inputs: Vec<&Path> =
+        arguments.choice.files().chain(arguments.scenario.as_deref().map(Path::new)).collect();
     results.require_apart(&inputs)?;
     let recording = match &arguments.record {
-        Some(Some(file)) => Some(new_file(file)?),
+        Some(Some(file)) => {
+            results.require_other(file)?;
+            Some(new_file(file)?)
+        }
         Some(None) => {
             require_apart(&out.join(RECORDING), &inputs)?;
             results.claim_growing(RECORDING)?;
@@ -77,6 +79,7 @@ pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
         None => None,
     };
     let (domain, lock) = Claim::take_new(system_id)?;
+    let _held = results.hold()?;
     if arguments.allow_inject {
         allow_inject(&plan, &domain)?;
     }
@@ -90,7 +93,8 @@ pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
     let _view = arguments.top.then(|| TopView::start(system_id)).transpose()?;
     let mut session = start(&domain, &plan, &options, lock, shutdown)?;
     if let Some(file) = recording {
-        session.record_to(&file, &options.out.join("logs"))?;
+        // Only that of an earlier run is replaced.
+        session.record_to(&file, &options.out.join("logs"), arguments.record == Some(None))?;
     } else if !options.lockstep && plan.system.recording.ring_s > 0.0 {
         session.keep_ring(&options.out, plan.system.recording.ring_s);
     }
@@ -110,7 +114,7 @@ fn allow_inject(plan: &Plan, domain: &Domain) -> anyhow::Result<()> {
 fn new_file(file: &Path) -> anyhow::Result<PathBuf> {
     let refuse =
         |reason: &dyn std::fmt::Display| Failure::bad_input(format!("--record {}: {reason}", file.display()));
-    if file.exists() {
+    if file.symlink_metadata().is_ok() {
         return Err(refuse(&"the file exists; name another one"));
     }
     let path = std::path::absolute(file).map_err(|error| refuse(&error))?;

@@ -24,6 +24,8 @@ const LIMIT_NS: u64 = 10_000_000_000;
 const RING_LIMIT_NS: u64 = 1_000_000_000;
 /// Limit for its connections, after which the drive begins without it [ns].
 const CONNECT_NS: u64 = 2_000_000_000;
+/// So many lines tell why it did not start.
+const SAID: usize = 20;
 /// In lock-step, a recorder that makes no progress is waited for no longer than this [ns].
 const SILENT_NS: u64 = 5_000_000_000;
 
@@ -31,7 +33,7 @@ const SILENT_NS: u64 = 5_000_000_000;
 pub(crate) struct RunRecorder {
     process: Child,
     /// What it prints; bounded as long as it is held here.
-    _log: Arc<ChildLog>,
+    log: Arc<ChildLog>,
     input: Option<ChildStdin>,
     output: ChildStdout,
     text: Vec<u8>,
@@ -55,16 +57,16 @@ impl RunRecorder {
     ///
     /// # Errors
     /// A recorder that does not start, with its message; exit code 4.
-    pub(crate) fn start(domain: &Domain, file: &Path, log: &Path) -> anyhow::Result<Self> {
-        let mut recorder = Self::spawn(domain, file, log, None)?;
+    pub(crate) fn start(domain: &Domain, file: &Path, log: &Path, replaces: bool) -> anyhow::Result<Self> {
+        let mut recorder = Self::spawn(domain, file, log, replaces, None)?;
         let mut is_attached = false;
         recorder.wait(LIMIT_NS, |line| {
             is_attached |= line == "attached";
             is_attached
         });
         if !is_attached {
-            let said = std::fs::read_to_string(log).unwrap_or_default();
-            return Err(Failure::process(format!("the recorder did not start: {}", said.trim())));
+            let said = recorder.log.last_lines(SAID).unwrap_or_default().join("\n");
+            return Err(Failure::process(format!("the recorder did not start: {said}")));
         }
         Ok(recorder)
     }
@@ -80,16 +82,22 @@ impl RunRecorder {
         log: &Path,
         ring_s: f64,
     ) -> anyhow::Result<Self> {
-        Self::spawn(domain, folder, log, Some(ring_s))
+        Self::spawn(domain, folder, log, true, Some(ring_s))
     }
 
-    fn spawn(domain: &Domain, file: &Path, log: &Path, ring_s: Option<f64>) -> anyhow::Result<Self> {
-        // Of another run that wrote to the same folder.
-        let _ = std::fs::remove_file(log);
-        let log = ChildLog::open(log).with_context(|| format!("{}", log.display()))?;
+    fn spawn(
+        domain: &Domain,
+        file: &Path,
+        log: &Path,
+        replaces: bool,
+        ring_s: Option<f64>,
+    ) -> anyhow::Result<Self> {
+        let log = ChildLog::of_run(log, false)?;
+        log.begin("recorder").with_context(|| format!("{}", log.path().display()))?;
         let errors = log.output().with_context(|| format!("{}", log.path().display()))?;
         let mut process = Command::new(this_program())
-            .args(["--system-id", domain.system_id(), "record", "--of-run", "--force"])
+            .args(["--system-id", domain.system_id(), "record", "--of-run"])
+            .args(replaces.then_some("--force"))
             .args(ring_s.map(|seconds| format!("--ring={seconds}")))
             .arg(file)
             .stdin(Stdio::piped())
@@ -108,7 +116,7 @@ impl RunRecorder {
         let file = file.to_owned();
         Ok(Self {
             process,
-            _log: log,
+            log,
             input: Some(input),
             output,
             text: Vec::new(),

@@ -25,7 +25,7 @@ mod requests;
 mod run_limits;
 mod shadows;
 mod status;
-mod swaps;
+pub(crate) mod swaps;
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -216,12 +216,14 @@ impl Session {
         self.recording.observer = Some(observer);
     }
 
-    /// Starts a recorder of this run; call it before [`Session::drive`]. Its messages go to `recorder.log` in `logs`.
+    /// Starts a recorder of this run, which replaces a file of that name if it may; call it before [`Session::drive`]. Its
+    /// messages go to `recorder.log` in `logs`.
     ///
     /// # Errors
     /// A recorder that does not start; exit code 4.
-    pub fn record_to(&mut self, file: &Path, logs: &Path) -> anyhow::Result<()> {
-        self.recorder = Some(RunRecorder::start(&self.run.domain, file, &logs.join("recorder.log"))?);
+    pub fn record_to(&mut self, file: &Path, logs: &Path, replaces: bool) -> anyhow::Result<()> {
+        let log = logs.join("recorder.log");
+        self.recorder = Some(RunRecorder::start(&self.run.domain, file, &log, replaces)?);
         Ok(())
     }
 

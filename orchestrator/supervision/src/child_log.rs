@@ -102,11 +102,13 @@ impl ChildLog {
         if !continues && path.metadata().is_ok_and(|found| found.file_type().is_fifo()) {
             return Err(refused());
         }
-        if !continues && let Ok(start) = read_start(path, LOG_START) {
+        if let Ok(start) = read_start(path, LOG_START) {
             if !start.is_empty() && !is_log(&start) {
                 return Err(refused());
             }
-            std::fs::remove_file(path).with_context(|| name.to_string())?;
+            if !continues {
+                std::fs::remove_file(path).with_context(|| name.to_string())?;
+            }
         }
         Self::open(path).with_context(|| name.to_string())
     }
@@ -398,9 +400,11 @@ pub(crate) mod tests {
             assert_eq!(std::fs::read(&path).unwrap(), b"", "{earlier}");
         }
         std::fs::write(&path, "2026-11-26 my own robot\n").unwrap();
-        let refused = ChildLog::of_run(&path, false).unwrap_err().to_string();
-        assert!(refused.contains("robot.log: the file is no log of a run"), "{refused}");
-        assert_eq!(std::fs::read(&path).unwrap(), b"2026-11-26 my own robot\n");
+        for continues in [false, true] {
+            let refused = ChildLog::of_run(&path, continues).unwrap_err().to_string();
+            assert!(refused.contains("robot.log: the file is no log of a run"), "{refused}");
+            assert_eq!(std::fs::read(&path).unwrap(), b"2026-11-26 my own robot\n");
+        }
     }
 
     #[test]

@@ -257,7 +257,9 @@ impl ProcessEntry {
         if name.parse::<Role>().is_ok() {
             return Err(Invalid::new("name", name, "no name of a role: a companion takes the place of none"));
         }
-        if !is_name(name) || [COMPANION, runtime::OPERATOR, "orchestrator"].contains(&name) {
+        if !is_name(name)
+            || [COMPANION, runtime::OPERATOR, "orchestrator", "recorder", "link"].contains(&name)
+        {
             return Err(Invalid::new("name", if name.is_empty() { "(missing)" } else { name }, NAME_RULE));
         }
         if let Some(implementation) = &self.implementation {

@@ -117,21 +117,40 @@ impl LivingRun {
             let run_id = seen.identity.run_id.clone();
             Self::entry(&mut runs, &run_id, uid).take(seen);
         }
-        for (run_id, link) in stop_words(uid) {
-            let run = Self::entry(&mut runs, &run_id, uid);
-            if run.word.is_none() {
-                run.word = StopWord::open(&link).ok();
-            }
-        }
+        Self::find_stop_words(&mut runs, uid);
         for seen in started_processes_of_others(uid) {
             let (run_id, pid) = (seen.identity.run_id.clone(), seen.identity.pid);
             let is_known = runs.iter().any(|run| run.run_id == run_id);
-            if is_known || stop_words_of(pid, uid).iter().any(|(held, _)| *held == run_id) {
+            if is_known || stop_words_of(pid, uid).any(|(held, _)| held == run_id) {
                 Self::entry(&mut runs, &run_id, uid).take(seen);
             }
         }
         runs.iter_mut().for_each(Self::mark_strays);
         runs
+    }
+
+    /// Opens the stop words of runs, and adds the runs of which nothing else is known: those of all processes of the user, one
+    /// of which is the orchestrator. Of the processes of a run, which hold a hundred files each, one is enough, and only its
+    /// own run is looked for.
+    fn find_stop_words(runs: &mut Vec<Self>, uid: u32) {
+        // Not through this process: another thread may have reused a number meanwhile for another file. Opening and closing
+        // that one would drop the lock by which the bus knows that this process lives.
+        let own = std::process::id();
+        for pid in runtime::processes(uid).filter(|pid| *pid != own) {
+            let is_of = |run: &&mut Self| run.processes.iter().any(|process| process.identity.pid == pid);
+            if let Some(run) = runs.iter_mut().find(is_of) {
+                let mut words = stop_words_of(pid, uid).filter(|(run_id, _)| *run_id == run.run_id);
+                let open = || words.find_map(|(_, link)| StopWord::open(&link).ok());
+                run.word = run.word.take().or_else(open);
+                continue;
+            }
+            for (run_id, link) in stop_words_of(pid, uid) {
+                let run = Self::entry(runs, &run_id, uid);
+                if run.word.is_none() {
+                    run.word = StopWord::open(&link).ok();
+                }
+            }
+        }
     }
 
     /// The run of that id of this user, if any of it lives.
@@ -263,26 +282,13 @@ pub fn strays_of(system_id: &str) -> Vec<RunProcess> {
     over.flat_map(|run| run.strays().cloned().collect::<Vec<_>>()).collect()
 }
 
-/// Run ids and paths of all stop words of a user that the processes of that user hold open; a process may also hold a file
-/// of another user.
-fn stop_words(uid: u32) -> Vec<(String, PathBuf)> {
-    let mut found = Vec::new();
-    // Not through this process: another thread may have reused a number meanwhile for another file. Opening and closing
-    // that one would drop the lock by which the bus knows that this process lives.
-    let own = std::process::id();
-    for pid in runtime::processes(uid).filter(|pid| *pid != own) {
-        found.append(&mut stop_words_of(pid, uid));
-    }
-    found
-}
-
 /// Run ids and paths of the stop words of a user that a process holds open.
-fn stop_words_of(pid: u32, uid: u32) -> Vec<(String, PathBuf)> {
+fn stop_words_of(pid: u32, uid: u32) -> impl Iterator<Item = (String, PathBuf)> {
     let entries = std::fs::read_dir(format!("/proc/{pid}/fd")).into_iter().flatten().flatten();
-    let held = |path: PathBuf| {
+    let held = move |path: PathBuf| {
         let link = std::fs::read_link(&path).ok()?;
         let run_id = StopWord::run_id_of_link(&link)?.to_owned();
         std::fs::metadata(&path).is_ok_and(|page| page.uid() == uid).then_some((run_id, path))
     };
-    entries.filter_map(|entry| held(entry.path())).collect()
+    entries.filter_map(move |entry| held(entry.path()))
 }

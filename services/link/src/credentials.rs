@@ -37,7 +37,12 @@ const AUTHORITY_DAYS: i64 = 3650;
 /// A folder that is not private or can't be written, an authority in it that can't be read, and a host that has a certificate
 /// already, unless `force`.
 pub(crate) fn pair(folder: &Path, host: &str, address: IpAddr, days: i64, force: bool) -> anyhow::Result<()> {
-    let all = open(folder)?.map_or_else(|| Folder::make(folder), Ok)?;
+    // Another one may make it at the same time.
+    let make = || Folder::make(folder).or_else(|error| Folder::open(folder).ok().flatten().ok_or(error));
+    let all = open(folder)?.map_or_else(make, Ok)?;
+    // Two at a time would make two authorities.
+    let alone = std::fs::File::open(all.by_descriptor("."))?;
+    alone.lock()?;
     if !force && all.contains(host) {
         bail!(
             "{}: the host has been paired already; name another folder, or replace its key with --force",
@@ -177,6 +182,13 @@ fn authority(folder: &Folder) -> anyhow::Result<Issuer<'static, KeyPair>> {
         let key = KeyPair::from_pem(&folder.read_text(AUTHORITY_KEY)?).with_context(name)?;
         return Ok(Issuer::new(params, key));
     }
+    if folder.contains(AUTHORITY) {
+        bail!(
+            "{}: there is no {AUTHORITY_KEY} with it, so it is what a host trusts, or its key is kept elsewhere; put the key \
+             there, or name another folder",
+            folder.path().join(AUTHORITY).display()
+        );
+    }
     limit(&mut params, AUTHORITY_DAYS);
     let pair = KeyPair::generate()?;
     write(folder, AUTHORITY, &params.self_signed(&pair)?.pem())?;
@@ -260,6 +272,34 @@ mod tests {
         std::fs::set_permissions(&folder, std::fs::Permissions::from_mode(0o755)).unwrap();
         let message = pair(&folder, "desk", address, 7, true).unwrap_err().to_string();
         assert!(message.contains("has mode 0755 instead of 0700"), "{message}");
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn what_a_host_trusts_is_not_replaced_where_the_key_of_the_authority_is_not_there() {
+        let folder = folder("apart");
+        let address = "10.9.0.2".parse().unwrap();
+        pair(&folder, "lab", address, 7, false).unwrap();
+        let of_lab = folder.join("lab");
+        let before = std::fs::read(of_lab.join(AUTHORITY)).unwrap();
+        for force in [false, true] {
+            let message = pair(&of_lab, "desk", address, 7, force).unwrap_err().to_string();
+            assert!(message.contains("lab/authority.pem: there is no authority-key.pem"), "{message}");
+        }
+        assert!(std::fs::read(of_lab.join(AUTHORITY)).unwrap() == before);
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn pairs_that_are_made_at_the_same_time_have_one_authority() {
+        let folder = folder("at-once");
+        let hosts = ["a", "b", "c", "d"];
+        std::thread::scope(|scope| {
+            for host in hosts {
+                scope.spawn(|| pair(&folder, host, "10.9.0.2".parse().unwrap(), 7, false).unwrap());
+            }
+        });
+        hosts.iter().chain(&[HUB]).for_each(|host| check(&folder.join(host), host).unwrap());
         std::fs::remove_dir_all(&folder).unwrap();
     }
 

@@ -132,6 +132,61 @@ fn a_file_of_the_user_is_replaced_only_when_asked_for() {
 }
 
 #[test]
+fn a_run_leaves_what_the_user_has_in_its_folder() {
+    let system = TestSystem::new(EXECUTABLE);
+    let place = |name: &str| system.folder().join(name);
+    let read = |name: &str| std::fs::read_to_string(place(name)).unwrap();
+    let run = |more: &[&str]| {
+        refused(&system, &[&["run", "--lockstep", "--out", "d"], &SHORT_FREE[..], more].concat())
+    };
+    std::fs::create_dir_all(place("d/logs")).unwrap();
+    std::fs::write(place("d/logs/recorder.log"), "mine\n").unwrap();
+    let message = run(&["--record"]);
+    assert!(message.contains("recorder.log: the file is no log of a run"), "{message}");
+    assert_eq!(read("d/logs/recorder.log"), "mine\n");
+    // A list that can't be written: the report is not written, and what has its name stays.
+    std::fs::remove_dir_all(place("d")).unwrap();
+    std::fs::create_dir_all(place("d/.scanloop")).unwrap();
+    std::fs::write(place("d/report.json"), "mine\n").unwrap();
+    let output = system.run(&[&["run", "--lockstep", "--out", "d", "--force"], &SHORT_FREE[..]].concat());
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(
+        message.contains("the results were not written") && message.contains("d/report.json"),
+        "{message}"
+    );
+    assert_eq!(read("d/report.json"), "mine\n");
+    // A recording in the place of a file of the run itself, and behind a link that leads nowhere yet.
+    symlink("stick/drive.mcap", place("link.mcap")).unwrap();
+    for (file, reason) in [
+        ("new/logs/robot.log", "the run writes this file itself"),
+        ("new/.scanloop", "the run writes this file itself"),
+        ("new/report.json", "the run writes this file itself"),
+        ("link.mcap", "the file exists"),
+    ] {
+        let record = format!("--record={file}");
+        let run = ["run", "--lockstep", "--out", "new", &record];
+        let message = refused(&system, &[&run[..], &SHORT_FREE[..]].concat());
+        assert!(message.contains(reason), "{file}: {message}");
+    }
+    assert!(place("link.mcap").is_symlink());
+}
+
+#[test]
+fn nothing_is_written_into_a_pipe_of_another_user() {
+    if !rustix::process::geteuid().is_root() {
+        println!("skipped: a pipe of another user can be made by root only");
+        return;
+    }
+    let system = TestSystem::new(EXECUTABLE);
+    let pipe = system.folder().join("drive.html");
+    rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::RWXU).unwrap();
+    lchown(&pipe, Some(1234), None).unwrap();
+    let drive = concat!(env!("CARGO_MANIFEST_DIR"), "/data/drive-0.1.mcap");
+    let message = refused(&system, &["report", drive]);
+    assert!(message.contains("drive.html: the file exists"), "{message}");
+}
+
+#[test]
 fn a_report_of_a_version_without_lists_is_replaced() {
     let system = TestSystem::new(EXECUTABLE);
     let run = ["run", "--lockstep", "--quiet", "--out", "out", "free", "--set", "goal.x_m=4"];

@@ -4,7 +4,7 @@ use scanloop_tests::machine::repeat_when_late;
 use std::fs::File;
 use std::io::Read;
 use std::os::fd::OwnedFd;
-use std::os::unix::fs::symlink;
+use std::os::unix::fs::{MetadataExt, symlink};
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
@@ -48,6 +48,24 @@ fn a_terminal_that_is_not_read_holds_up_neither_the_drive_nor_its_end() {
         let (_near, far) = terminal();
         drives_and_ends(far);
     });
+}
+
+#[test]
+fn a_second_run_does_not_write_into_the_folder_of_one_that_drives() {
+    let mut first = TestSystem::new(EXECUTABLE);
+    first.start(&["endless"]);
+    let second = TestSystem::new(EXECUTABLE);
+    let out = first.folder().join("out");
+    let log = out.join("logs/robot.log");
+    let before = std::fs::metadata(&log).unwrap().ino();
+    let output = second.run(&["run", "free", "--lockstep", "--force", "--out", out.to_str().unwrap()]);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{message}");
+    assert!(message.contains("another run writes there"), "{message}");
+    assert_eq!(std::fs::metadata(&log).unwrap().ino(), before);
+    first.run(&["stop"]);
+    first.wait();
+    assert_eq!(first.report().outcome, Outcome::Interrupted);
 }
 
 #[test]

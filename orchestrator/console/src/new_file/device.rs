@@ -10,10 +10,19 @@ use std::path::{Path, PathBuf};
 /// file that a process has open. All these are written to, never replaced.
 pub(crate) fn leads_to_device(path: &Path) -> bool {
     let Ok(own) = path.symlink_metadata() else { return false };
-    let is_trusted = !own.is_symlink() || [0, rustix::process::geteuid().as_raw()].contains(&own.uid());
-    let is_device = |kind: std::fs::FileType| kind.is_char_device() || kind.is_fifo();
+    let is_device = |found: Metadata| found.file_type().is_char_device() || is_trusted_pipe(&found);
     let is_open = || own.is_symlink() && leads_to_open_file(path);
-    is_trusted && (path.metadata().is_ok_and(|found| is_device(found.file_type())) || is_open())
+    (!own.is_symlink() || is_trusted(&own)) && (path.metadata().is_ok_and(is_device) || is_open())
+}
+
+/// Whether this user or root has made it.
+fn is_trusted(found: &Metadata) -> bool {
+    [0, rustix::process::geteuid().as_raw()].contains(&found.uid())
+}
+
+/// A pipe of another user would take what is written to that user.
+fn is_trusted_pipe(found: &Metadata) -> bool {
+    found.file_type().is_fifo() && is_trusted(found)
 }
 
 /// Whether a link stands in `/dev`, or leads to a file that a process has open: `/dev/stdout` may be any kind of file, or none.
@@ -40,5 +49,10 @@ pub(super) fn open_device(path: &Path) -> io::Result<File> {
             return Ok(file);
         }
     }
-    OpenOptions::new().append(true).open(path)
+    let file = OpenOptions::new().append(true).open(path)?;
+    let opened = file.metadata()?;
+    if opened.file_type().is_fifo() && !is_trusted_pipe(&opened) {
+        return Err(io::Error::other("it is a pipe of another user"));
+    }
+    Ok(file)
 }

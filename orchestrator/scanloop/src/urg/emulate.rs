@@ -73,7 +73,8 @@ const FAULTS: [(&str, DeviceFault); 7] = [
 fn fault(text: &str) -> anyhow::Result<(f64, &'static str, DeviceFault)> {
     let names = FAULTS.map(|(name, _)| name);
     let allowed = || {
-        let meant = did_you_mean(text.split('@').next().unwrap_or_default(), names);
+        let name = text.split('@').next().unwrap_or_default();
+        let meant = if names.contains(&name) { String::new() } else { did_you_mean(name, names) };
         let names = names.join(", ");
         Failure::bad_input(format!(
             "--fault {text} is not allowed: {names}, and a time, as in stall@5.{meant}"

@@ -7,7 +7,7 @@
 use std::fmt::Write as _;
 use std::fs::File;
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use console::answer;
 use console::exit::{Exit, Failure};
@@ -25,7 +25,8 @@ const BEFORE: usize = 24;
 
 /// Writes scans until the end.
 pub(super) fn log(arguments: &LogArguments) -> anyhow::Result<Exit> {
-    let mut new = Some(NewFile::create(&arguments.file, Existing::forced(arguments.force), &[])?);
+    let device: Vec<&Path> = arguments.scanner.place.device.iter().map(PathBuf::as_path).collect();
+    let mut new = Some(NewFile::create(&arguments.file, Existing::forced(arguments.force), &device)?);
     let mut scanner = Scanner::open(&arguments.scanner)?;
     let refused =
         |error: std::io::Error| Failure::bad_input(format!("{}: {error}", arguments.file.display()));

@@ -47,7 +47,9 @@ impl Scanner {
         while !scanner.source.is_identified() {
             scanner.source.next(CHECK_NS, &mut scan).map_err(Failure::bad_input)?;
             scanner.require_start()?;
-            anyhow::ensure!(!scanner.shutdown.requested(), "interrupted");
+            if scanner.shutdown.requested() {
+                return Err(Failure::interrupted());
+            }
         }
         Ok(scanner.source)
     }
@@ -119,7 +121,10 @@ fn config(place: &PlaceArguments) -> anyhow::Result<ScannerConfig> {
             ScannerPlace::parse(address)
         }
         PlaceArguments { device: Some(path), .. } => Ok(ScannerPlace::Device(path.clone())),
-        PlaceArguments { tcp, .. } => Err(urg::UrgError::Place(tcp.clone().unwrap_or_default())),
+        PlaceArguments { tcp, .. } => {
+            let path = tcp.as_deref().unwrap_or_default();
+            return Err(Failure::bad_input(format!("--tcp {path} is a device: name it by --device")));
+        }
     };
     Ok(ScannerConfig::new(place.map_err(Failure::bad_input)?))
 }
