@@ -30,7 +30,13 @@ impl ClockOffset {
         let mut name = [0; HOST_NAME_BYTES];
         name.iter_mut().zip(host.bytes()).for_each(|(place, letter)| *place = letter);
         let header = Header { scan_id, ..Header::default() };
-        Self { header, host: name, common_ns, host_ns: common_ns.wrapping_add_signed(-offset_ns), bound_ns }
+        Self {
+            header,
+            host: name,
+            common_ns,
+            host_ns: common_ns.wrapping_add_signed(offset_ns.wrapping_neg()),
+            bound_ns,
+        }
     }
 
     /// What the orchestrator's clock is ahead of that of the host by [ns].

@@ -356,6 +356,29 @@ mod tests {
     }
 
     #[test]
+    fn an_arrival_tells_what_is_news_and_what_waits_is_taken_up_to_a_scan() {
+        let (mut inbox, known) = (Inbox::new(Pose::TYPE), Cell::default());
+        let arrive = |inbox: &mut Inbox<_>, sample| inbox.arrive(bytes(sample), &rules(&known, 330_000_000));
+        assert!(arrive(&mut inbox, pose(1, 1)).is_news, "the first of a publisher");
+        assert!(!arrive(&mut inbox, pose(2, 2)).is_news);
+        let before = inbox.account();
+        assert!(arrive(&mut inbox, pose(3, 4)).is_news, "after a gap");
+        assert!(arrive(&mut inbox, pose(3, 4)).is_news, "a second time");
+        for count in 1..=2 {
+            let mut foreign = pose(3, 5);
+            foreign.header.layout ^= 1;
+            assert!(arrive(&mut inbox, foreign).dropped.is_some());
+            assert_eq!(inbox.account().unreadable, count);
+        }
+        // The queue was full: what is missing was overwritten in it.
+        inbox.overflowed_since(&before, 3, false);
+        assert_eq!((inbox.account().missing, inbox.account().overwritten), (0, 1));
+        let mut taken = |up_to| inbox.pop_up_to(up_to).map(|sample| inbox.header(&sample).scan_id);
+        assert_eq!([0, 2, 2, 2, 3].map(&mut taken), [None, Some(1), Some(2), None, Some(3)]);
+        assert_eq!(taken(9), None);
+    }
+
+    #[test]
     fn both_samples_of_a_scan_are_joined_and_older_ones_are_dropped() {
         let (mut poses, mut bodies, known) =
             (Inbox::new(Pose::TYPE), Inbox::new(Obstacles::TYPE), Cell::default());

@@ -14,6 +14,8 @@ use crate::{Header, StageStamps};
 
 /// Largest sample of a topic of your own [bytes].
 pub const MAX_OWN_BYTES: usize = 4 << 20;
+/// Most fields of one: each name is compared with all others.
+const MAX_FIELDS: usize = 4096;
 /// What header and stamps need of a sample [bytes].
 const FRAME: usize = size_of::<Header>() + size_of::<StageStamps>();
 
@@ -103,6 +105,10 @@ impl OwnType {
                 "[]".to_owned(),
                 "at least one field: a sample of size 0 says nothing",
             ));
+        }
+        if fields.len() > MAX_FIELDS {
+            let allowed = format!("at most {MAX_FIELDS} fields");
+            return Err(fault("field", format!("{} fields", fields.len()), &allowed));
         }
         let header = "Identity and stamps of the sample that this one answers";
         let mut all = vec![Field { name: "header", doc: header, offset: 0, kind: Header::KIND }];
@@ -287,6 +293,8 @@ mod tests {
         assert!(message("Imu", &[field("stage", "f64")]).contains("field.name = stage"));
         assert!(message("Imu", &[FIELDS[0], FIELDS[0]]).contains("each name once"));
         assert!(message("Imu", &[field("x", "f64[4000000]")]).contains("at most 4 MiB"));
+        let many = vec![FIELDS[2]; MAX_FIELDS + 1];
+        assert!(message("Imu", &many).contains("field = 4097 fields is not allowed: at most 4096 fields"));
     }
 
     #[test]

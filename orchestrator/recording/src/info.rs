@@ -142,7 +142,7 @@ impl std::fmt::Display for Info {
             None => writeln!(formatter, "lost samples are not known")?,
         }
         if !self.missing.is_empty() {
-            writeln!(formatter, "repaired; missing: {}", self.missing)?;
+            writeln!(formatter, "repaired; missing: {}", one_line(&self.missing))?;
         }
         for difference in &self.layout_differences {
             writeln!(formatter, "another layout: {}", one_line(difference))?;

@@ -29,6 +29,8 @@ pub const RUN: &str = "run.toml";
 /// memory. A recording unpacks to five times its length.
 const MAX_SAMPLES: u64 = 256 << 20;
 const MAX_RATIO: u64 = 32;
+/// A larger attached text is none of ours [bytes]: a parser takes a hundred times as much.
+const MAX_TEXT: usize = 2 << 20;
 /// Lines of logs take at most so much memory [bytes]; later ones are left out.
 const MAX_LINES: usize = 16 << 20;
 
@@ -367,10 +369,11 @@ pub(crate) fn topic_of(channel: &str) -> Option<Topic> {
     channel.strip_prefix(PREFIX)?.parse().ok()
 }
 
-/// The text of an attached file.
+/// The text of an attached file; none of those that a run attaches is larger than 2 MiB.
 pub fn attachment<'a>(contents: &'a Contents, name: &str) -> Option<&'a str> {
     let found = contents.attachments.iter().find(|attachment| attachment.name == name)?;
-    std::str::from_utf8(&found.data).ok()
+    let data = Some(&found.data[..]).filter(|data| data.len() <= MAX_TEXT)?;
+    std::str::from_utf8(data).ok()
 }
 
 /// The value of a key in the metadata of that name.
@@ -382,6 +385,22 @@ pub fn metadata<'a>(contents: &'a Contents, name: &str, key: &str) -> Option<&'a
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_attached_text_that_is_larger_than_a_run_attaches_is_none() {
+        let path = std::env::temp_dir().join(format!("scanloop-text-{}.mcap", std::process::id()));
+        for (length, is_read) in [(MAX_TEXT, true), (MAX_TEXT + 1, false)] {
+            let mut writer = crate::tape::writer(File::create(&path).unwrap()).unwrap();
+            writer.attach("system.toml", "text/plain", &vec![b'#'; length], 0).unwrap();
+            writer.finish().unwrap();
+            let mut recording = Recording::open(&path).unwrap();
+            recording.samples(|_, _| Ok(())).unwrap();
+            let attached = &recording.contents().attachments;
+            assert_eq!(attached[0].data.len(), length);
+            assert_eq!(attachment(recording.contents(), "system.toml").is_some(), is_read, "{length}");
+        }
+        std::fs::remove_file(&path).unwrap();
+    }
 
     #[test]
     fn a_newer_recording_and_one_with_another_table_of_layouts_are_refused() {

@@ -232,7 +232,8 @@ impl ReplayDrive {
     /// Scans between two limits.
     pub(crate) fn scans(&self, from: Option<u64>, to: Option<u64>) -> u64 {
         let ids: BTreeSet<u64> = self.scans.samples.iter().map(|scan| scan.header.scan_id).collect();
-        ids.range(from.unwrap_or(0)..=to.unwrap_or(u64::MAX)).count() as u64
+        let wanted = from.unwrap_or(0)..=to.unwrap_or(u64::MAX);
+        ids.iter().filter(|id| wanted.contains(id)).count() as u64
     }
 
     /// The sample that an output with this header was made from: same scan, same stamps of the role that wrote it.

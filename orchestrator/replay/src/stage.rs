@@ -130,7 +130,9 @@ impl Findings {
             incarnation,
             program: program.map(str::to_owned),
             has_journals: drive.journals(incarnation).next().is_some(),
-            with: program.filter(|_| role != Role::Robot).map(|program| format!("--with '{role}={program}'")),
+            with: program
+                .filter(|_| role != Role::Robot)
+                .map(|program| format!("--with {}", shell_word(&format!("{role}={program}")))),
         });
     }
 
@@ -237,4 +239,9 @@ impl Window {
         }
         holds
     }
+}
+
+/// A text as one word of a shell.
+fn shell_word(text: &str) -> String {
+    format!("'{}'", text.replace('\'', r"'\''"))
 }

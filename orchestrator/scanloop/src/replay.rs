@@ -55,6 +55,13 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> anyhow::Result<Exit> {
     let ReplayArguments { file, stage, from, to, set, with, speed, tolerance, json } = arguments;
     let stages = stage.iter().map(|name| name.parse::<Role>()).collect::<Result<_, _>>();
     let stages = stages.map_err(|error| Failure::bad_input(format!("--stage: {error}")))?;
+    if let (Some(from), Some(to)) = (from, to)
+        && from > to
+    {
+        return Err(Failure::bad_input(format!(
+            "--from {from} --to {to}: the last scan is before the first"
+        )));
+    }
     if !(0.0..=1e6).contains(tolerance) {
         return Err(Failure::bad_input(format!("--tolerance {tolerance} is not allowed: 0 to 1000000")));
     }

@@ -84,6 +84,7 @@ pub(crate) fn take_over(
     let out = out_folder(arguments.out.clone().unwrap_or(run.out))?;
     // The run has claimed its own folder already.
     let results = claim(&out, arguments.force || arguments.out.is_none())?;
+    let _held = results.hold()?;
     let bus = Bus::take_over(domain, plan.system.period_ns()).map_err(|error| match error {
         RuntimeError::SharedMemory(_) => error.into(),
         other => refused(other.to_string()),

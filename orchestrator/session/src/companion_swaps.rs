@@ -7,6 +7,7 @@ use shared_types::Header;
 use supervision::fleet::companions::{CompanionEvent, Companions};
 
 use crate::control::Reply;
+use crate::session::swaps::require_scans;
 
 /// Numbers of these swaps begin behind this one; those of roles are smaller.
 const FIRST_NUMBER: u64 = 1 << 32;
@@ -56,6 +57,8 @@ impl CompanionSwaps {
         if let Some(current) = &self.current {
             return Err(format!("companion {} is being replaced: wait for the certificate", current.name));
         }
+        // A restart is compared with none.
+        require_scans("shadow-scans", shadow_scans.max(1))?;
         let old = companions.command(name)?;
         let new = command.unwrap_or(&old);
         // A restart has the same program, so nothing is compared.

@@ -27,6 +27,9 @@ use crate::{Estimate, FitChart, RunRefusal};
 /// Fewest measured positions of one run; three coefficients of its own are fitted to them.
 const MIN_MARKS: usize = 5;
 
+/// Most runs: three coefficients are fitted to each, together.
+const MAX_RUNS: usize = 200;
+
 /// Shortest distance of a run [m].
 const MIN_DISTANCE_M: f64 = 3.0;
 
@@ -81,6 +84,9 @@ struct Mark<'a> {
 /// model.
 pub fn fit(rows: &[SineRow], vehicle: &Description) -> Result<DriftFit, RunRefusal> {
     let runs = split(rows)?;
+    refuse_if(runs.len() > MAX_RUNS, || {
+        format!("{} runs are more than {MAX_RUNS}: fit them in parts", runs.len())
+    })?;
     let mut marks = Vec::new();
     for (index, run) in runs.iter().enumerate() {
         check(run)?;

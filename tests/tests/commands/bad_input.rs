@@ -231,6 +231,21 @@ fn files_that_are_no_regular_files_or_too_large_are_refused() {
 }
 
 #[test]
+fn a_number_below_zero_is_a_value_whose_range_is_told() {
+    let system = TestSystem::new(EXECUTABLE);
+    for (arguments, option) in [
+        (&["record", "new.mcap", "--duration", "-1"][..], "--duration"),
+        (&["replay", "drive.mcap", "--tolerance", "-1"], "--tolerance"),
+        (&["run", "free", "--duration", "-1"], "--duration"),
+        (&["latency", "--duration", "-1"], "--duration"),
+    ] {
+        refused(&system, arguments, &[option, "-1"]);
+        let output = system.run(arguments);
+        assert!(!String::from_utf8_lossy(&output.stderr).contains("unexpected argument"), "{arguments:?}");
+    }
+}
+
+#[test]
 fn a_system_id_that_is_no_file_name_is_refused() {
     let output = std::process::Command::new(EXECUTABLE).args(["run", "--system-id", "a_b"]).output().unwrap();
     let message = String::from_utf8_lossy(&output.stderr).into_owned();

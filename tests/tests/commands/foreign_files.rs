@@ -237,6 +237,8 @@ fn words_of_foreign_files_do_not_speak_to_the_terminal() {
 fn a_recording_of_version_0_1_is_replayed_to_the_bit_and_read_by_names() {
     let system = TestSystem::new(EXECUTABLE);
     let drive = concat!(env!("CARGO_MANIFEST_DIR"), "/data/drive-0.1.mcap");
+    let output = system.run(&["replay", drive, "--from", "5", "--to", "3"]);
+    assert_eq!(output.status.code(), Some(2), "{}", String::from_utf8_lossy(&output.stderr));
     let output = system.run(&["replay", drive, "--json"]);
     let (code, text) = (output.status.code().unwrap(), String::from_utf8(output.stdout).unwrap());
     let replayed: serde_json::Value = serde_json::from_str(&text).unwrap();

@@ -2,9 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use anyhow::Context;
 use console::exit::Failure;
-use runtime::{settings_file, settings_table};
+use runtime::settings_table;
 use serde::de::DeserializeOwned;
 use shared_types::{Role, did_you_mean};
 use toml::{Table, Value};
@@ -72,13 +71,15 @@ impl DriveSettings {
 
 fn table_in<T: DeserializeOwned>(table: Option<&Table>, role: Role, name: &str) -> anyhow::Result<T> {
     let value = table.and_then(|table| table.get(name)).cloned();
-    let mut value = value.with_context(|| format!("{}: table {name} is missing", settings_file(role)))?;
+    let refuse = |reason: &dyn std::fmt::Display| {
+        Failure::bad_input(format!("the settings of role {role} in the recording: {reason}"))
+    };
+    let mut value = value.ok_or_else(|| refuse(&format!("table {name} is missing")))?;
     // Drives from before this key kept the whole way.
     if let Some(margin) = value.get_mut("margin").and_then(Value::as_table_mut) {
         margin.entry("latency_share").or_insert(Value::Float(1.0));
     }
-    T::deserialize(value)
-        .map_err(|error| Failure::bad_input(format!("{}: {name}: {error}", settings_file(role))))
+    T::deserialize(value).map_err(|error| refuse(&format!("{name}: {error}")))
 }
 
 /// A value in TOML, or a text without its quotes.

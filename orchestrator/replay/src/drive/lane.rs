@@ -17,6 +17,10 @@ impl<S: Sample> Lane<S> {
     pub(super) fn add(&mut self, bytes: &[u8]) {
         let sample: &S = bytemuck::from_bytes(bytes);
         let header = sample.header();
+        // A forged number was refused by each reader in the drive too.
+        if header.check_numbers().is_err() {
+            return;
+        }
         self.by_scan.entry(header.scan_id).or_default().push(self.samples.len());
         self.by_number.insert((header.incarnation, header.sequence), self.samples.len());
         self.samples.push(*sample);

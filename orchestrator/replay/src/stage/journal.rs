@@ -10,7 +10,6 @@ use console::exit::Failure;
 use estimator::EstimatorStage;
 use nmpc::ControllerStage;
 use obstacles::DetectorStage;
-use runtime::settings_file;
 use serde::de::DeserializeOwned;
 use shared_types::{
     Actuation, AnySample, Checkpoint, Described, Journal, JournalEntry, JournalKind, Role, Sample, Stage,
@@ -241,8 +240,9 @@ where
     pub(super) fn begin(incarnation: u32, drive: &'d ReplayDrive, from: Option<u64>) -> anyhow::Result<Self> {
         let nearest = nearest_state(incarnation, drive, from);
         let settings = drive.settings.of_process(incarnation, T::ROLE)?;
-        let stage = T::begin(settings, drive.period_ns)
-            .map_err(|invalid| Failure::bad_input(format!("{}: {invalid}", settings_file(T::ROLE))))?;
+        let stage = T::begin(settings, drive.period_ns).map_err(|invalid| {
+            Failure::bad_input(format!("the settings of role {} for the replay: {invalid}", T::ROLE))
+        })?;
         Ok(Self {
             stage,
             taking: Taking { drive, incarnation },

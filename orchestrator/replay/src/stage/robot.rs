@@ -1,7 +1,5 @@
 //! Recomputes what the emulated robot measured, from its seed and the recorded actuations.
 
-use std::convert::Infallible;
-
 use emulator::service::RobotState;
 use emulator::{Emulator, Scenario};
 use shared_types::{
@@ -27,7 +25,7 @@ pub(crate) struct Robot {
 
 impl Stage for Robot {
     type Settings = Scenario;
-    type Invalid = Infallible;
+    type Invalid = String;
     type Output = Scan;
     type State = RobotState;
 
@@ -35,7 +33,8 @@ impl Stage for Robot {
     const ANSWERS: &'static [&'static SampleType] = &[];
     const NOTES: &'static [&'static SampleType] = &[Actuation::TYPE];
 
-    fn begin(scenario: Scenario, period_ns: u64) -> Result<Self, Infallible> {
+    fn begin(scenario: Scenario, period_ns: u64) -> Result<Self, String> {
+        scenario.validate().map_err(|invalid| invalid.to_string())?;
         let (odometry, truth) = (Odometry::default(), Truth::default());
         let (emulator, goal) = (Emulator::new(&scenario, period_ns), GivenGoal::default());
         Ok(Self { emulator, origin_ns: 0, goal, odometry, truth })

@@ -58,7 +58,7 @@ fn unusual<S: Sample>(drive: &ReplayDrive, lane: &Lane<S>, scan: u64) -> Option<
         ));
     }
     if let Some(program) = drive.foreign(header.incarnation) {
-        found.push(format!("it is `{program}`"));
+        found.push(format!("it is `{}`", runtime::one_line(program)));
     }
     (!found.is_empty()).then(|| format!("{role}: {}", found.join("; ")))
 }
@@ -107,5 +107,8 @@ pub(super) fn logged(drive: &ReplayDrive, seen: &Seen<'_>) -> Vec<String> {
     // At the end of a run all processes end, which explains nothing.
     let told = drive.lines.iter().filter(|line| !line.text.ends_with("ended: exit code 0"));
     let lines = told.filter(|line| is_of_it(line.log_ns, &line.name, line.is_warning));
-    lines.take(MAX_LINES).map(|line| format!("{}: {}", line.name, line.text.trim())).collect()
+    lines
+        .take(MAX_LINES)
+        .map(|line| format!("{}: {}", runtime::one_line(&line.name), runtime::one_line(line.text.trim())))
+        .collect()
 }

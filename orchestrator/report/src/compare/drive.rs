@@ -242,6 +242,9 @@ impl Reading {
     }
 }
 
+/// From one scan to the next no robot drives further [m].
+const FARTHEST_M: f64 = 100.0;
+
 /// The stations that a robot came to, each between the scans around it.
 fn stations(seen: &BTreeMap<u64, Seen>, course: Option<&Course>) -> BTreeMap<i64, Station> {
     let mut stations = BTreeMap::new();
@@ -252,9 +255,9 @@ fn stations(seen: &BTreeMap<u64, Seen>, course: Option<&Course>) -> BTreeMap<i64
             near_m = Some(on_course.x);
             on_course
         });
-        if let Some((last, last_mps)) = before {
+        if let Some((last, last_mps)) = before.filter(|(last, _)| state.x - last.x <= FARTHEST_M) {
             let [from, to] = [last.x, state.x].map(|x| (x / STEP_M).floor() as i64);
-            for place in from + 1..=to {
+            for place in from.saturating_add(1)..=to {
                 let along_m = place as f64 * STEP_M;
                 let share = (along_m - last.x) / (state.x - last.x);
                 let between = |one: f64, other: f64| one + share * (other - one);
@@ -274,4 +277,20 @@ fn stations(seen: &BTreeMap<u64, Seen>, course: Option<&Course>) -> BTreeMap<i64
 
 fn of<S: Sample>(bytes: &[u8]) -> &S {
     from_bytes(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_that_is_said_to_be_far_away_at_once_passes_no_stations_on_the_way() {
+        let at = |x: f64| (State { x, ..State::default() }, 1.0);
+        let drive =
+            [(1, at(0.0)), (2, at(0.5)), (3, at(1e9)), (4, at(-1e15)), (5, at(f64::MAX)), (6, at(0.6))];
+        let few = stations(&BTreeMap::from(drive), None);
+        let drive = [(1, at(0.0)), (2, at(0.5))];
+        assert_eq!(few.len(), stations(&BTreeMap::from(drive), None).len());
+        assert!(few.values().all(|station| station.along_m <= 0.5), "{few:?}");
+    }
 }
