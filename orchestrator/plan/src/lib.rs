@@ -35,6 +35,7 @@ use toml::{Table, Value};
 use vehicle::{Description, Invalid, Setting, Surroundings, did_you_mean};
 
 pub use difference::PropertyDifference;
+use rate::require_few_on_the_way;
 pub use source::SourceFile;
 pub use system::System;
 use written::Written;
@@ -60,6 +61,13 @@ pub struct Choice {
     /// `process.controller.grace_ms=500`.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
+}
+
+impl Choice {
+    /// The files that are read, which no output may replace.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        [&self.system, &self.calibration].into_iter().flatten().map(PathBuf::as_path)
+    }
 }
 
 /// Key of a scenario that names its system file.
@@ -148,6 +156,7 @@ impl Plan {
         warnings.extend(possible::unmapped(&tuning.actuator));
         warnings.extend(possible::blind(&scenario, &tuning.obstacles));
         if system.emulates_robot() {
+            require_few_on_the_way("robot", scenario.robot_values().command_delay_s, system.rate_hz)?;
             warnings.extend(possible::drift(&scenario, &tuning.estimator));
             warnings.extend(possible::irregular(&scenario, system.rate_hz));
         }

@@ -12,11 +12,11 @@ pub fn parse_override(text: &str) -> anyhow::Result<(String, Value)> {
     let (key, value) = text
         .split_once('=')
         .filter(|(key, _)| !key.trim().is_empty())
-        .ok_or_else(|| Failure::bad_input(format!("--set {text}: expected KEY=VALUE, for example seed=7")))?;
+        .ok_or_else(|| Failure::bad_input(format!("{text}: expected KEY=VALUE, for example seed=7")))?;
     let parsed = format!("value = {value}").parse::<Table>().ok().and_then(|mut table| table.remove("value"));
     if parsed.is_none() && is_whole_number(value.trim()) {
         return Err(Failure::bad_input(format!(
-            "--set {text} is not allowed: a whole number is at most {} and at least {}",
+            "{text} is not allowed: a whole number is at most {} and at least {}",
             i64::MAX,
             i64::MIN
         )));
@@ -112,7 +112,7 @@ mod tests {
         assert!(parse_override("novalue").is_err());
         let large = parse_override("seed=9223372036854775808").unwrap_err().to_string();
         let whole = "a whole number is at most 9223372036854775807 and at least -9223372036854775808";
-        assert_eq!(large, format!("--set seed=9223372036854775808 is not allowed: {whole}"));
+        assert_eq!(large, format!("seed=9223372036854775808 is not allowed: {whole}"));
         // A version or an address is a text.
         assert_eq!(parse_override("a=1.2.3").unwrap().1, Value::String("1.2.3".to_owned()));
     }

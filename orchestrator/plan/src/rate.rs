@@ -32,6 +32,20 @@ pub(crate) fn require_rate(controller: &ControllerConfig, rate_hz: f64) -> Resul
     Err(Invalid::new("rate_hz", rate_hz, allowed))
 }
 
+/// Passes when no more commands are on their way to the wheels, one for each scan, than a robot may have.
+///
+/// # Errors
+/// [`Invalid`] with the key of this table, the delay and the largest one.
+pub(crate) fn require_few_on_the_way(table: &str, delay_s: f64, rate_hz: f64) -> Result<(), Invalid> {
+    let most = vehicle::MAX_ON_THE_WAY;
+    let largest_s = most as f64 / rate_hz;
+    if delay_s <= largest_s {
+        return Ok(());
+    }
+    let allowed = format!("at most {largest_s}, the time of {most} scans at rate_hz = {rate_hz}");
+    Err(Invalid::new("command_delay_s", delay_s, allowed).within(table))
+}
+
 /// Passes when a safe speed is left at this rate.
 fn require_safe_speed(controller: &ControllerConfig, rate_hz: f64) -> Result<(), Invalid> {
     if has_safe_speed(controller, rate_hz) {
@@ -76,6 +90,18 @@ fn smallest_rate(controller: &ControllerConfig) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn no_more_commands_are_on_their_way_than_are_remembered() {
+        assert_eq!(require_few_on_the_way("vehicle", 0.32, 200.0), Ok(()));
+        let refused = require_few_on_the_way("vehicle", 0.33, 200.0).unwrap_err().to_string();
+        assert!(
+            refused.contains(
+                "vehicle.command_delay_s = 0.33 is not allowed: at most 0.32, the time of 64 scans"
+            ),
+            "{refused}"
+        );
+    }
 
     #[test]
     fn the_smallest_rate_in_the_message_is_the_limit() {

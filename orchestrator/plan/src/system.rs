@@ -14,7 +14,7 @@ use vehicle::{Description, Documented, Invalid, did_you_mean, read, require, set
 
 use crate::hosts::{self, HostEntry};
 use crate::possible;
-use crate::rate::require_rate;
+use crate::rate::{require_few_on_the_way, require_rate};
 use crate::settings::{DRIVERS, DriverTable};
 use crate::source::SourceFile;
 use crate::topics::{self, TopicEntry};
@@ -241,6 +241,12 @@ impl System {
         hosts::validate(self)?;
         topics::validate(self)?;
         require_rate(&self.controller, self.rate_hz)?;
+        for (table, delay_s) in [
+            ("vehicle", self.vehicle.command_delay_s),
+            ("estimator.vehicle", self.estimator.vehicle.command_delay_s),
+        ] {
+            require_few_on_the_way(table, delay_s, self.rate_hz)?;
+        }
         possible::require_velocity(self)?;
         self.tuning().validate()
     }

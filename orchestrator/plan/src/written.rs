@@ -95,7 +95,8 @@ impl Written {
         given.extend(choice.realtime.then_some(Given::Realtime));
         given.extend(choice.calibration.clone().map(Given::Calibration));
         for text in &choice.overrides {
-            let (key, value) = parse_override(text)?;
+            let (key, value) =
+                parse_override(text).map_err(|error| Failure::bad_input(format!("--set {error}")))?;
             require_known(&key, text)?;
             given.push(Given::Set { key, value, text: text.clone() });
         }

@@ -31,7 +31,7 @@ pub(crate) use follow::curvature_per_angle;
 pub use vehicle::Lag;
 
 /// Number of actuations that are remembered: enough for a gap of several scans, and for a block with its recovery within
-/// one scan.
+/// one scan. Where more are on their way to the wheels, neighbours are remembered as one.
 pub const HISTORY: usize = 8;
 
 plain_state! {
@@ -138,11 +138,43 @@ impl MotionState {
             }
         }
         if self.count as usize >= HISTORY {
-            self.controls.rotate_left(1);
+            // The oldest may be in force yet where the way to the wheels is long.
+            let is_in_force = self.controls[1].from_ns > actuation.header.acquired_ns;
+            match self.shortest_pair().filter(|_| is_in_force) {
+                Some(index) => self.join(index),
+                None => self.controls.rotate_left(1),
+            }
             self.count = HISTORY as u64 - 1;
         }
         self.controls[self.count as usize] = control;
         self.count += 1;
+    }
+
+    /// The first of two controls that last the shortest together, of those that both turn the wheels in one direction or both
+    /// block them.
+    fn shortest_pair(&self) -> Option<usize> {
+        let from_ns = |index: usize| self.controls[index].from_ns;
+        let lasts_ns = |index: usize| from_ns(index + 2).saturating_sub(from_ns(index));
+        let alike = |index: &usize| {
+            let [one, other] = [self.controls[*index], self.controls[index + 1]];
+            one.drives == other.drives && one.velocity_mps * other.velocity_mps >= 0.0
+        };
+        (0..HISTORY - 2).filter(alike).min_by_key(|index| lasts_ns(*index))
+    }
+
+    /// Makes one of two controls that follow each other: their mean by the time that each lasts.
+    fn join(&mut self, index: usize) {
+        let [one, other, next] = [0, 1, 2].map(|offset| self.controls[index + offset]);
+        let last_s = |since_ns: u64| next.from_ns.saturating_sub(since_ns) as f64 * 1e-9;
+        // Of a forged state they may be in no order.
+        let share = (last_s(other.from_ns) / last_s(one.from_ns).max(1e-9)).min(1.0);
+        let mean = |one: f64, other: f64| one + share * (other - one);
+        self.controls[index] = ControlInForce {
+            velocity_mps: mean(one.velocity_mps, other.velocity_mps),
+            steering_rad: mean(one.steering_rad, other.steering_rad),
+            ..one
+        };
+        self.controls[index + 1..].rotate_left(1);
     }
 
     /// The remembered controls, the oldest first.

@@ -9,6 +9,9 @@ use crate::{Bounds, Parameters, ScannerDescription, Surroundings, VehicleModel};
 /// A scanner sees 120 degrees to each side; turned further, it would not see 60 degrees to each side ahead [rad].
 pub const SCANNER_YAW_MAX_RAD: f64 = 1.04;
 
+/// So many commands may be on their way from the actuator to the wheels.
+pub const MAX_ON_THE_WAY: usize = 64;
+
 settings! {
     /// The vehicle description; every stage reads the robot's properties here. The defaults describe the SUMMIT.
     #[derive(Copy)]

@@ -27,7 +27,7 @@ mod vehicle_model;
 
 pub use bounds::Bounds;
 pub use course::Course;
-pub use description::{Description, SCANNER_YAW_MAX_RAD};
+pub use description::{Description, MAX_ON_THE_WAY, SCANNER_YAW_MAX_RAD};
 pub use goal::{Goal, Goals};
 pub use key_table::{
     Ascending, Documented, Invalid, Key, KeyRule, Setting, did_you_mean, of_text, parse, read, require,

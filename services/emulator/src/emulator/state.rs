@@ -8,7 +8,7 @@ use nalgebra::Vector2;
 use shared_types::{Fault, Flag, MAX_BEAMS, finite, plain_state};
 use vehicle::State;
 
-use super::{Emulator, Travellings, history_ns, node};
+use super::{Emulator, MAX_AHEAD_NS, Travellings, history_ns, node};
 use crate::history::History;
 use crate::odometer::Reported;
 
@@ -196,8 +196,15 @@ impl EmulatorState {
         ];
         numbers.into_iter().try_for_each(|(field, values)| finite(field, values))?;
         self.travelling.check()?;
-        if self.plant_ns > self.clock_ns {
+        // The plant is never further behind than a step.
+        if self.plant_ns > self.clock_ns || self.clock_ns - self.plant_ns > MAX_AHEAD_NS {
             return Err(Fault::OutOfRange { field: "plant_ns", value: self.plant_ns as f64 });
+        }
+        if self.last_actuation_ns > self.clock_ns {
+            return Err(Fault::OutOfRange {
+                field: "last_actuation_ns",
+                value: self.last_actuation_ns as f64,
+            });
         }
         Ok(())
     }

@@ -387,6 +387,13 @@ fn a_state_is_given_away_only_until_the_next_sweep_begins() {
 }
 
 #[test]
+fn a_time_in_the_far_future_takes_ten_minutes_of_steps_at_most() {
+    let mut emulator = ideal("");
+    emulator.advance_to(u64::MAX);
+    assert_eq!(emulator.now_ns(), MAX_AHEAD_NS);
+}
+
+#[test]
 fn a_state_of_another_scene_or_with_impossible_numbers_is_refused() {
     let mut emulator = Emulator::new(&eventful(), PERIOD);
     emulator.advance_to(emulator.scan_ready_ns(1));
@@ -394,8 +401,14 @@ fn a_state_of_another_scene_or_with_impossible_numbers_is_refused() {
     assert!(ideal("").resume(&good).is_err(), "an obstacle that is not in the scene");
     let bad = EmulatorState { speed_mps: f64::NAN, ..good };
     assert_eq!(emulator.resume(&bad), Err(shared_types::Fault::NotFinite { field: "speed_mps" }));
-    let bad = EmulatorState { plant_ns: good.clock_ns + 1, ..good };
-    assert!(emulator.resume(&bad).is_err());
+    for bad in [
+        EmulatorState { plant_ns: good.clock_ns + 1, ..good },
+        // The plant would have to take steps for ever.
+        EmulatorState { clock_ns: u64::MAX, ..good },
+        EmulatorState { last_actuation_ns: good.clock_ns + 1, ..good },
+    ] {
+        assert!(emulator.resume(&bad).is_err());
+    }
     assert_eq!(emulator.state(1), Some(good), "unchanged");
 }
 

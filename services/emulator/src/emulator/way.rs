@@ -8,8 +8,8 @@ use shared_types::{Actuation, Fault, Flag, finite, plain_state};
 use crate::noise::{NoiseStream, Purpose};
 use crate::scenario::{Scenario, Values};
 
-/// How many actuations can be on their way.
-const CAPACITY: usize = 16;
+/// How many actuations can be on their way: those that a description may mean, and the repetitions of a busy actuator.
+const CAPACITY: usize = vehicle::MAX_ON_THE_WAY + 8;
 
 plain_state! {
     /// An actuation on its way.

@@ -1,11 +1,15 @@
 //! Courses of another size, for vehicles of another size.
 
+use std::ops::RangeInclusive;
+
 use toml::{Table, Value};
 
 use super::{Scenario, ScenarioError};
 
 /// Tables whose lengths are those of the robot and its devices.
 const OF_THE_ROBOT: [&str; 3] = ["robot", "noise", "scanner"];
+/// Factors by which a course may be larger.
+const FACTORS: RangeInclusive<f64> = 0.1..=10.0;
 /// How the keys of lengths end, and the key of the time that a robot has.
 const LENGTH: &str = "_m";
 const TIME: &str = "timeout_s";
@@ -14,8 +18,12 @@ impl Scenario {
     /// The same course with all lengths, speeds left alone, larger by a factor; there is as much more time.
     ///
     /// # Errors
-    /// A length that is too large or too small then.
+    /// A factor that is not 0.1 to 10, and a length that is too large or too small then.
     pub fn scaled(&self, factor: f64) -> Result<Self, ScenarioError> {
+        if !FACTORS.contains(&factor) {
+            let message = format!("not allowed: {} to {}", FACTORS.start(), FACTORS.end());
+            return Err(ScenarioError { file: self.name.clone(), message });
+        }
         let mut table = self.to_table();
         scale_lengths(&mut table, factor);
         Self::from_table(table, &self.name)
@@ -65,6 +73,9 @@ mod tests {
         let curve = Scenario::parse(Scenario::shipped("s-curve").unwrap(), "s-curve").unwrap();
         let length_m = |scenario: &Scenario| scenario.course.as_ref().unwrap().length_m();
         assert!((length_m(&curve.scaled(2.0).unwrap()) / length_m(&curve) - 2.0).abs() < 1e-9);
-        assert!(walls.scaled(1e9).is_err());
+        for factor in [f64::NAN, 0.0, -1.0, 1e9] {
+            let error = walls.scaled(factor).unwrap_err();
+            assert_eq!(error.to_string(), "walls: not allowed: 0.1 to 10");
+        }
     }
 }

@@ -150,10 +150,51 @@ fn actuations_that_are_old_repeated_or_broken_change_nothing() {
 fn the_oldest_of_many_actuations_is_forgotten() {
     let mut motion = MotionState::default();
     for index in 1..=20_u32 {
-        motion.note(&model(0.0), &drive(u64::from(index) * MS, 0.02 * f64::from(index), 0.0));
+        let mut sent = drive(u64::from(index) * MS, 0.02 * f64::from(index), 0.0);
+        sent.header.acquired_ns = u64::from(index) * MS;
+        motion.note(&model(0.0), &sent);
     }
     assert_eq!(motion.controls().len(), HISTORY);
     assert_eq!((motion.controls()[0].from_ns, motion.controls()[HISTORY - 1].from_ns), (13 * MS, 20 * MS));
+}
+
+#[test]
+fn of_more_actuations_on_their_way_than_are_remembered_neighbours_are_one() {
+    // 40 on their way: the delay is 40 ms at 1000 Hz. The steering angle grows by 0.1 mrad with each.
+    let mut motion = MotionState::default();
+    let delayed = MotionModel { delay_ns: 40 * MS, ..model(0.0) };
+    for index in 1..=200_u64 {
+        let mut sent = drive(index * MS, 0.5, 1e-4 * index as f64);
+        sent.header.acquired_ns = index * MS;
+        motion.note(&delayed, &sent);
+        if index < 60 {
+            continue;
+        }
+        assert_eq!(motion.controls().len(), HISTORY);
+        assert!(motion.controls().array_windows().all(|[one, other]| one.from_ns < other.from_ns));
+        // In force now is what was sent 40 ms ago, and in what is on its way no control is further off than a quarter of it.
+        for ahead in 0..=40 {
+            let then_rad = 1e-4 * (index - 40 + ahead) as f64;
+            let found_rad = motion.in_force((index + ahead) * MS).unwrap().steering_rad;
+            assert!((found_rad - then_rad).abs() < 1e-3, "{index} {ahead}: {found_rad} {then_rad}");
+        }
+    }
+    // A block among them is remembered as what it is.
+    let mut block = drive(201 * MS, 0.0, 0.0);
+    (block.kind, block.header.acquired_ns) = (ActuationKind::Block.wire(), 201 * MS);
+    motion.note(&delayed, &block);
+    for index in 202..=230_u64 {
+        let mut sent = drive(index * MS, 0.5, 1e-4 * index as f64);
+        sent.header.acquired_ns = index * MS;
+        motion.note(&delayed, &sent);
+        let blocked: Vec<u64> = motion
+            .controls()
+            .iter()
+            .filter(|control| control.drives == 0)
+            .map(|control| control.from_ns)
+            .collect();
+        assert_eq!(blocked, [241 * MS], "{index}");
+    }
 }
 
 #[test]
