@@ -73,8 +73,10 @@ pub const LOCKSTEP_TIMEOUT_NS: u64 = 500_000_000;
 const NOTICE_SCANS: u64 = 2;
 /// The hosts acknowledge that a process is about to take over within this time, or it is refused [ns].
 pub const ACKNOWLEDGE_NS: u64 = 3_000_000_000;
-/// Recorded scans are waited for this long after the decision [ns].
+/// Recorded scans are waited for this long after the decision [ns] ...
 const SETTLE_NS: u64 = 2_000_000_000;
+/// ... or this many periods, where that is longer.
+const SETTLE_PERIODS: u64 = 5;
 
 /// Which process is to be replaced, by which, and how it has to prove itself.
 #[derive(Debug, Clone, PartialEq)]
@@ -315,7 +317,8 @@ impl Swap {
             }
             SwapStage::Shadowing | SwapStage::Standby => self.judge(now_ns, actions),
             SwapStage::Settling => {
-                if self.settled_at == 0 || now_ns.saturating_sub(self.since_ns) >= SETTLE_NS {
+                let limit_ns = SETTLE_NS.max(SETTLE_PERIODS * self.plan.period_ns);
+                if self.settled_at == 0 || now_ns.saturating_sub(self.since_ns) >= limit_ns {
                     self.finish(actions);
                 }
             }

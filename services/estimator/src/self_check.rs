@@ -56,7 +56,8 @@ const CONTRADICTION: f64 = 0.4;
 /// Refused measurements in a row that count as a jump, and contradictions in a row that count. Two may be a coincidence of noise (1e-6), three are not.
 pub const JUMP: u64 = 3;
 
-/// How long an alarm may last before the robot must stop [s].
+/// How long an alarm may last before the robot must stop [s]; at few scans a second, as long as it takes the residuals that
+/// are right again to make half of a window.
 pub const TIMEOUT_S: f64 = 2.0;
 
 /// Speeds below this do not determine a factor [m/s].
@@ -82,8 +83,8 @@ plain_state! {
         pub refused: u64,
         /// For how long the alarm has lasted while the scans told something of what is suspected [ns]
         pub lasted_ns: u64,
-        /// Piece of the speed that has begun: its time [s], its way, and how much longer the way is than the right one [m]
-        pub piece: [f64; 3],
+        /// Piece of the speed that has begun: its time [s], its way, and the shortest and the longest right one [m]
+        pub piece: [f64; 4],
         /// Piece of the innovations that has begun: its time [s]
         pub innovation_s: f64,
         /// Piece of the reported way that has begun: its time [s], the way by the reported speed, and that by the positions [m]
@@ -126,42 +127,45 @@ pub struct Evidence {
 }
 
 impl Evidence {
-    /// Share by which the speed, in the direction of the desired one, is beyond the range from the expected to the desired one, where both are large enough, and
-    /// the way [m] that it is a share of.
+    /// The speed in the direction of the desired one, and the lowest and the largest right one [m/s]; `None` where they are too
+    /// low.
     ///
     /// A drive that is quicker than described is no fault, and encoders report the mean since the scan before, so a speed within
     /// the range of the mean expected since then, the one expected now and the one desired is as it should be.
-    fn speed_residual(&self) -> Option<(f64, f64)> {
+    fn speeds(&self) -> Option<[f64; 3]> {
         let desired = self.desired_mps?;
         let ahead = 1.0_f64.copysign(desired);
         let [before, expected] = self.expected_mps.map(|mps| mps * ahead);
         let mean = f64::midpoint(before, expected);
         let (desired, speed) = (desired * ahead, self.speed_mps * ahead);
         let low = desired.min(expected);
-        if low < SLOWEST_MPS {
-            return None;
-        }
-        let right_mps = speed.clamp(low.min(mean).max(SLOWEST_MPS), desired.max(expected).max(mean));
-        Some((speed / right_mps - 1.0, right_mps * self.dt_s))
+        (low >= SLOWEST_MPS).then(|| [speed, low.min(mean).max(SLOWEST_MPS), desired.max(expected).max(mean)])
     }
+}
+
+/// The right way nearest to one, and the share by which that is beyond it.
+fn beyond(way_m: f64, shortest_m: f64, longest_m: f64) -> (f64, f64) {
+    let right_m = way_m.clamp(shortest_m, longest_m.max(shortest_m));
+    // Without time there is no way.
+    (right_m, if right_m > 0.0 { way_m / right_m - 1.0 } else { 0.0 })
 }
 
 impl SelfCheckState {
     /// Takes the evidence of one scan and decides about the alarm.
     pub fn observe(&mut self, evidence: &Evidence) {
-        let speed = evidence.speed_residual();
-        if let Some((residual, way_m)) = speed {
-            let [time_s, sum_m, excess_m] = self.piece;
-            self.piece = [time_s + evidence.dt_s, sum_m + way_m, excess_m + residual * way_m];
+        let speeds = evidence.speeds();
+        if let Some(speeds) = speeds {
+            // Only the whole piece is compared: the noise of each speed at a fast rate would be beyond one end of a wide range,
+            // and within it at the other.
+            let sums = [1.0, speeds[0], speeds[1], speeds[2]].map(|rate| rate * evidence.dt_s);
+            (0..4).for_each(|index| self.piece[index] += sums[index]);
             if ends(self.piece[0], evidence.dt_s) {
-                let [time_s, sum_m, excess_m] = std::mem::take(&mut self.piece);
-                // A scan at the time of the one before shows no way.
-                let residual = if sum_m > 0.0 { excess_m / sum_m } else { residual };
-                let ahead = 1.0_f64.copysign(evidence.desired_mps.unwrap_or_default());
-                let mean_mps = ahead * (sum_m + excess_m) / time_s;
+                let [time_s, way_m, shortest_m, longest_m] = std::mem::take(&mut self.piece);
+                let (right_m, residual) = beyond(way_m, shortest_m, longest_m);
+                let mean_mps = 1.0_f64.copysign(evidence.desired_mps.unwrap_or_default()) * way_m / time_s;
                 let [lowest_mps, largest_mps] = evidence.plausible_mps;
                 if (lowest_mps..=largest_mps).contains(&mean_mps) {
-                    self.way_m[self.slot(SPEED)] = sum_m;
+                    self.way_m[self.slot(SPEED)] = right_m;
                     self.push(SPEED, residual);
                 }
             }
@@ -189,7 +193,7 @@ impl SelfCheckState {
             self.drifted()
         };
         let is_told = |suspect| match suspect {
-            Suspect::VelocityFactor => speed.is_some(),
+            Suspect::VelocityFactor => speeds.is_some(),
             Suspect::OdometryLateral | Suspect::OdometryLongitudinal | Suspect::Steering => {
                 innovation.is_some()
             }
@@ -267,7 +271,10 @@ impl SelfCheckState {
             self.lasted_ns = self.lasted_ns.saturating_add((evidence.dt_s * 1e9).round() as u64);
         }
         let lasted_s = self.lasted_ns as f64 * 1e-9;
-        if evidence.restarted || lasted_s >= TIMEOUT_S {
+        // What one measurement takes back does not wait for a window.
+        let by_median = self.refused < JUMP && self.contradictions < JUMP;
+        let cleared_s = if by_median { (WINDOW / 2 + 1) as f64 * evidence.dt_s } else { 0.0 };
+        if evidence.restarted || lasted_s >= TIMEOUT_S.max(cleared_s) {
             self.alarm = Alarm::Stop.wire();
         }
     }
@@ -345,6 +352,13 @@ mod tests {
         restarted: false,
     };
 
+    /// Share by which the speed of a scan is beyond the right ones, and the right way.
+    fn residual(evidence: &Evidence) -> Option<(f64, f64)> {
+        let [way_m, shortest_m, longest_m] = evidence.speeds()?.map(|mps| mps * evidence.dt_s);
+        let (right_m, share) = beyond(way_m, shortest_m, longest_m);
+        Some((share, right_m))
+    }
+
     /// Scans of a tenth of a second, and the alarm after each.
     fn alarms(check: &mut SelfCheckState, from: u64, scans: u64, evidence: Evidence) -> Vec<Alarm> {
         (from..from + scans)
@@ -373,15 +387,15 @@ mod tests {
     fn while_the_speed_changes_a_quicker_drive_and_the_described_one_are_both_right() {
         let ramp = Evidence { desired_mps: Some(1.0), expected_mps: [0.6; 2], ..GOOD };
         for speed_mps in [0.6, 0.8, 1.0] {
-            assert_eq!(Evidence { speed_mps, ..ramp }.speed_residual(), Some((0.0, 0.1 * speed_mps)));
+            assert_eq!(residual(&Evidence { speed_mps, ..ramp }), Some((0.0, 0.1 * speed_mps)));
         }
         // 0.54 is a tenth below what the lag explains, 1.1 a tenth above what is desired.
-        let off = |speed_mps| Evidence { speed_mps, ..ramp }.speed_residual().unwrap().0;
+        let off = |speed_mps| residual(&Evidence { speed_mps, ..ramp }).unwrap().0;
         assert!((off(0.54) + 0.1).abs() < 1e-12 && (off(1.1) - 0.1).abs() < 1e-12);
-        assert_eq!(Evidence { expected_mps: [0.1; 2], ..ramp }.speed_residual(), None);
+        assert_eq!(residual(&Evidence { expected_mps: [0.1; 2], ..ramp }), None);
         // The mean of an interval in which it slows down from 1.0 to 0.8 m/s.
         let slows = Evidence { desired_mps: Some(0.7), expected_mps: [1.0, 0.8], speed_mps: 0.9, ..GOOD };
-        assert_eq!(slows.speed_residual(), Some((0.0, 0.1 * 0.9)));
+        assert_eq!(residual(&slows), Some((0.0, 0.1 * 0.9)));
     }
 
     #[test]
@@ -417,10 +431,10 @@ mod tests {
     fn backwards_the_speed_is_compared_in_its_direction() {
         let back =
             |speed_mps| Evidence { speed_mps, desired_mps: Some(-0.3), expected_mps: [-0.3; 2], ..GOOD };
-        assert_eq!(back(-0.3).speed_residual(), Some((0.0, 0.3 * 0.1)));
-        assert!((back(-0.27).speed_residual().unwrap().0 + 0.1).abs() < 1e-12);
-        assert!(back(0.3).speed_residual().unwrap().0 < -1.0, "it drives forwards");
-        assert_eq!(Evidence { expected_mps: [0.3; 2], ..back(-0.3) }.speed_residual(), None, "it changes");
+        assert_eq!(residual(&back(-0.3)), Some((0.0, 0.3 * 0.1)));
+        assert!((residual(&back(-0.27)).unwrap().0 + 0.1).abs() < 1e-12);
+        assert!(residual(&back(0.3)).unwrap().0 < -1.0, "it drives forwards");
+        assert_eq!(residual(&Evidence { expected_mps: [0.3; 2], ..back(-0.3) }), None, "it changes");
     }
 
     #[test]
@@ -461,6 +475,38 @@ mod tests {
             assert_eq!(alarms(2.0, wrong), Some(Alarm::Slow), "{rate_hz}");
             assert_eq!(alarms(5.0, creeping), Some(Alarm::Slow), "{rate_hz}: no time with evidence");
             assert_eq!(alarms(2.1, wrong), Some(Alarm::Stop), "{rate_hz}");
+        }
+    }
+
+    #[test]
+    fn at_a_fast_rate_encoders_that_are_noisy_from_scan_to_scan_are_no_wrong_factor_of_a_slow_drive() {
+        // It speeds up to 1 m/s as slowly as described. Each speed is 0.1 m/s off, to either side in turn.
+        let speeds_up = |factor: f64| {
+            let mut check = SelfCheckState::default();
+            for scan in 0..1000 {
+                let noise_mps = if scan % 2 == 0 { 0.1 } else { -0.1 };
+                let evidence = Evidence { desired_mps: Some(1.0), expected_mps: [0.6; 2], ..GOOD };
+                check.observe(&Evidence { dt_s: 0.004, speed_mps: factor * 0.6 + noise_mps, ..evidence });
+            }
+            check.alarm()
+        };
+        assert_eq!(speeds_up(1.0), Alarm::None);
+        assert_ne!(speeds_up(0.9), Alarm::None);
+    }
+
+    #[test]
+    fn at_few_scans_a_second_too_a_slip_may_be_over_before_it_is_final() {
+        for rate_hz in [0.5, 1.0, 4.0, 10.0] {
+            let mut check = SelfCheckState::default();
+            let mut last = |scans, evidence: Evidence| {
+                (0..scans).for_each(|_| check.observe(&Evidence { dt_s: 1.0 / rate_hz, ..evidence }));
+                check.alarm()
+            };
+            assert_eq!(last(40, GOOD), Alarm::None);
+            let wrong = Evidence { speed_mps: 0.81, ..GOOD };
+            assert_eq!(last(11, wrong), Alarm::Slow, "{rate_hz}");
+            assert_eq!(last(10, GOOD), Alarm::None, "{rate_hz}");
+            assert_eq!(last(40, wrong), Alarm::Stop, "{rate_hz}");
         }
     }
 

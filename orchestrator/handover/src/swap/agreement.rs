@@ -430,6 +430,9 @@ mod tests {
         assert_eq!(text_of_robots(|new| new.ranges_mm[..35].fill(1899)), beams);
         assert_eq!(text_of_robots(|new| new.ranges_mm[..35].fill(MIN_RANGE_MM - 1)), beams);
         assert_eq!(text_of_robots(|new| new.ranges_mm.fill(2100)), "");
+        // Beams that one of them has not show another surface too.
+        assert_eq!(text_of_robots(|new| new.ranges_mm.truncate(BEAMS - 34)), "");
+        assert_eq!(text_of_robots(|new| new.ranges_mm.truncate(BEAMS - 35)), beams);
         let mut lost = robot();
         lost.ranges_mm.fill(0);
         assert_eq!(lost.other_beams(&Sensed { ranges_mm: vec![19; BEAMS], ..lost.clone() }, 0.001), 0);

@@ -600,6 +600,19 @@ fn the_new_one_stays_when_the_old_one_ends_during_its_standby() {
 }
 
 #[test]
+fn at_a_scan_a_second_scans_are_waited_for_five_periods() {
+    let mut trial = Trial::with(|plan| plan.period_ns = 1_000_000_000);
+    trial.in_charge();
+    trial.send(SwapEvent::Exited(Party::Old, "exit code 1".to_owned()));
+    trial.now_ns += 4_999_999_999;
+    trial.send(SwapEvent::Tick);
+    assert_eq!(trial.swap.stage(), SwapStage::Settling);
+    trial.now_ns += 1;
+    trial.send(SwapEvent::Tick);
+    assert_eq!(trial.certificate().outcome, SwapOutcome::Swapped);
+}
+
+#[test]
 fn the_new_one_answers_earlier_when_the_old_one_ends_before_the_change() {
     let mut trial = Trial::new();
     trial.good_scans(5);

@@ -18,6 +18,14 @@ use crate::control::{Reply, SwapRequest};
 
 /// Most scans that can be asked for before or after the change: 17 minutes at 10 Hz.
 const MAX_SCANS: u64 = 10_000;
+
+/// Passes when a number of scans of a swap is allowed.
+pub(crate) fn require_scans(key: &str, scans: u64) -> Result<(), String> {
+    match (1..=MAX_SCANS).contains(&scans) {
+        true => Ok(()),
+        false => Err(format!("--{key} {scans} is not allowed: 1 to {MAX_SCANS}")),
+    }
+}
 /// Good scans in a row before a restarted process takes over: the first outputs after a start are the slowest.
 const RESTART_SHADOW_SCANS: u64 = 3;
 /// Good scans in charge after which the process before it ends. The same program drove before, so one is enough to show
@@ -163,11 +171,8 @@ impl Swaps {
             if set.is_empty() { entry.label() } else { format!("{} with {}", entry.label(), set.join(", ")) };
         let meant = changed.as_ref().map_or_else(Meant::default, |changed| changed.meant);
         let candidate = Candidate { entry, settings: changed.map(|changed| changed.settings) };
-        for (key, scans) in [("shadow-scans", shadow_scans), ("standby-scans", standby_scans)] {
-            if !(1..=MAX_SCANS).contains(scans) {
-                return Err(format!("--{key} {scans} is not allowed: 1 to {MAX_SCANS}"));
-            }
-        }
+        require_scans("shadow-scans", *shadow_scans)?;
+        require_scans("standby-scans", *standby_scans)?;
         if !(0.0..=MAX_TOLERANCE).contains(tolerance) {
             return Err(format!("--tolerance {tolerance} is not allowed: 0 to {MAX_TOLERANCE}"));
         }

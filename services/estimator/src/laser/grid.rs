@@ -104,8 +104,11 @@ impl Grid {
 pub fn beams(scan: &Scan, pose: &Pose, vehicle: &Description) -> impl Iterator<Item = [Vector2<f64>; 2]> {
     let motion = SweepMotion { speed_mps: pose.speed_mps, yaw_rate_radps: pose.yaw_rate_radps };
     let scanner = Vector2::new(vehicle.scanner_x_m, vehicle.scanner_y_m);
+    // No scanner sees further than it does: a forged range would cross all cells.
+    let reach_m = vehicle.scanner.range_m + 1e-3;
     (0..scan.ranges().len()).filter_map(move |beam| {
-        let way = heading(scan.beam_yaw_rad(beam) + vehicle.scanner_yaw_rad) * scan.range_m(beam)?;
+        let range_m = scan.range_m(beam).filter(|range_m| *range_m <= reach_m)?;
+        let way = heading(scan.beam_yaw_rad(beam) + vehicle.scanner_yaw_rad) * range_m;
         let time_s = scan.beam_time_s(beam);
         Some([scanner, scanner + way].map(|place| {
             let place = motion.at_front(place, time_s);
@@ -224,6 +227,14 @@ mod tests {
         drawing.beam(Vector2::new(-0.75, -0.75), Vector2::new(-0.75, 0.75));
         drawing.beam(Vector2::new(-0.75, -0.75), Vector2::new(-9.0, -0.75));
         assert_eq!(text(&drawing.grid()), ["???#??", ".?..??", "...???", ".....#"]);
+    }
+
+    #[test]
+    fn a_range_beyond_the_scanners_reach_is_no_beam() {
+        let mut scan = Scan { beams: 3, increment_rad: 0.1, ..Scan::default() };
+        let reach_mm = (Description::default().scanner.range_m * 1e3) as u32;
+        scan.ranges_mm[..3].copy_from_slice(&[reach_mm, reach_mm + 2, u32::MAX]);
+        assert_eq!(beams(&scan, &Pose::default(), &Description::default()).count(), 1);
     }
 
     #[test]

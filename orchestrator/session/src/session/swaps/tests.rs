@@ -205,3 +205,15 @@ fn both_processes_are_known_until_the_outcome_is_decided() {
     assert_eq!(orders[0], Order::Reject(NEW));
     assert_eq!((swaps.party_of(NEW), swaps.candidate()), (None, None));
 }
+
+#[test]
+fn a_number_of_scans_that_a_swap_may_not_wait_for_is_refused() {
+    let mut swaps = Swaps::new(PERIOD_NS, false);
+    for scans in [0, MAX_SCANS + 1, u64::MAX] {
+        let refused = ask(&mut swaps, &request(scans), true).unwrap_err();
+        assert_eq!(refused, format!("--shadow-scans {scans} is not allowed: 1 to {MAX_SCANS}"));
+        let standby = SwapRequest { standby_scans: scans, ..request(5) };
+        assert!(ask(&mut swaps, &standby, true).unwrap_err().starts_with("--standby-scans "), "{scans}");
+    }
+    assert_eq!(ask(&mut swaps, &request(MAX_SCANS), true), Ok(1));
+}
