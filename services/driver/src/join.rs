@@ -45,7 +45,7 @@ impl Motions {
 
     /// Whether the motion at a time is known without looking further than `ahead_ns` ahead of the newest state.
     pub fn covers(&self, time_ns: u64, ahead_ns: u64) -> bool {
-        self.newest().is_some_and(|newest| newest.time_ns + ahead_ns >= time_ns)
+        self.newest().is_some_and(|newest| newest.time_ns.saturating_add(ahead_ns) >= time_ns)
     }
 
     /// The motion at a time: between two states, or with the velocities of the nearest one. `None` without any state.

@@ -3,6 +3,8 @@
 //! Stamps of the server are mapped to CLOCK_MONOTONIC by the states of the base, which are small and come first. A sweep
 //! waits for the state of its time; without one it is published with the newest state, moved on by its velocities.
 
+use shared_types::YOUNG_NS;
+
 use crate::beams::SweepRanges;
 use crate::clock::ServerClock;
 use crate::event::RobotSettings;
@@ -95,7 +97,7 @@ impl Sensing {
     /// Takes a sweep of any scanner, whose front beam was measured at `front_ns` of CLOCK_MONOTONIC: its ranges, and
     /// whether they were damaged on the way.
     pub fn sweep_at(&mut self, (ranges_mm, is_missing): (SweepRanges, bool), front_ns: u64, arrived_ns: u64) {
-        let oldest_ns = arrived_ns.saturating_sub(MAX_AGE_PERIODS * self.period_ns);
+        let oldest_ns = arrived_ns.saturating_sub((MAX_AGE_PERIODS * self.period_ns).max(YOUNG_NS));
         let newest_ns =
             self.waiting.map_or(self.front_ns + self.period_ns / MIN_SPACING_SHARE, |it| it.front_ns);
         let front_ns = front_ns.min(arrived_ns);
@@ -117,7 +119,8 @@ impl Sensing {
             return None;
         }
         self.waiting = None;
-        let is_known = |newest: &Motion| newest.time_ns + MAX_AHEAD_PERIODS * self.period_ns >= front_ns;
+        let is_known =
+            |newest: &Motion| newest.time_ns.saturating_add(MAX_AHEAD_PERIODS * self.period_ns) >= front_ns;
         if !self.motions.newest().is_some_and(is_known) {
             self.dropped += 1;
             return None;

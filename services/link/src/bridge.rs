@@ -180,8 +180,11 @@ pub(crate) fn run_hub(domain: &Domain, table: &LinkTable) -> anyhow::Result<()> 
     let bridge = Bridge::start(&session, domain, table)?;
     let heard: Arc<Mutex<BTreeMap<String, (u64, LinkedHost)>>> = Arc::default();
     let reports = Arc::clone(&heard);
+    let known: Vec<String> = table.peers.iter().map(|peer| peer.name.clone()).collect();
     let _reports = session.subscribe(status_key(&table.run_id, "*"), move |_, text| {
-        if let Some(host) = std::str::from_utf8(text).ok().and_then(LinkedHost::of_text) {
+        let host = std::str::from_utf8(text).ok().and_then(LinkedHost::of_text);
+        // A peer can name any host.
+        if let Some(host) = host.filter(|host| known.contains(&host.name)) {
             let mut reports = reports.lock().unwrap_or_else(PoisonError::into_inner);
             reports.insert(host.name.clone(), (monotonic_ns(), host));
         }

@@ -25,6 +25,8 @@ pub(crate) const KEY: &str = "key.pem";
 const THREADS: (&str, &str) = ("ZENOH_RUNTIME", "(rx: (handover: acc), app: (handover: acc))");
 
 /// A peer that has sent nothing for this long is gone [ms]. Until then the other end of a connection that has failed refuses
+/// Largest message that is put together [bytes]: several times the largest sample.
+const MAX_MESSAGE_BYTES: usize = 16 << 20;
 /// a new one, so that an outage costs this time at least.
 const LEASE_MS: u32 = 1_000;
 
@@ -93,6 +95,7 @@ pub(crate) fn join(place: &Place<'_>, credentials: Option<&str>) -> anyhow::Resu
         ("scouting/multicast/enabled", "false".to_owned()),
         ("scouting/gossip/enabled", "false".to_owned()),
         ("transport/link/tx/lease", LEASE_MS.to_string()),
+        ("transport/link/rx/max_message_size", MAX_MESSAGE_BYTES.to_string()),
         ("transport/unicast/open_timeout", OPEN_MS.to_string()),
         ("transport/unicast/accept_timeout", OPEN_MS.to_string()),
         ("transport/link/tx/queue/batching/enabled", "false".to_owned()),

@@ -10,6 +10,9 @@ use shared_types::{ClockOffset, Sample, Topic};
 
 use crate::clock::Offset;
 
+/// A peer can name any host: more than a system can have are not remembered.
+const MAX_HOSTS: usize = 64;
+
 /// Scans whose offsets are remembered, so that each is published once.
 const SCANS: usize = 256;
 
@@ -64,7 +67,11 @@ impl Offsets {
 impl Outlet {
     /// Whether it was not published yet; from now on it counts as published.
     fn is_new(&mut self, host: &str, scan_id: u64, offset_ns: i64) -> bool {
-        let index = self.hosts.iter().position(|known| known.host == host).unwrap_or_else(|| {
+        let known = self.hosts.iter().position(|known| known.host == host);
+        if known.is_none() && self.hosts.len() == MAX_HOSTS {
+            return false;
+        }
+        let index = known.unwrap_or_else(|| {
             self.hosts.push(Known { host: host.to_owned(), scans: [None; SCANS] });
             self.hosts.len() - 1
         });
