@@ -27,6 +27,8 @@ const DEEPER: f64 = 0.01;
 const OUTSIDE_M: f64 = 0.05;
 /// Numerical tolerance of all comparisons of lengths [m].
 const TOLERANCE_M: f64 = 1e-3;
+/// A body nearer than this may be met between two samples of a plan [m].
+const TOUCHED_M: f64 = 0.01;
 
 /// A robot at rest does not start when it is nearer to an obstacle than this share of the base clearance: the obstacle may
 /// be coming nearer, too slowly for its velocity to be told from noise. A robot stops further away by itself.
@@ -162,6 +164,11 @@ impl<'a> Scene<'a> {
         (0..self.predicted.len().min(shared_types::MAX_OBSTACLES))
             .find(near)
             .filter(|_| self.speed < REST_MPS && !self.escapes)
+    }
+
+    /// Whether a body is so near that a plan may drive deeper into it between two samples.
+    pub(crate) fn is_touched(&self, baseline: &Baseline) -> bool {
+        baseline.gaps.iter().any(|gap| *gap < TOUCHED_M)
     }
 
     /// The first limit that the robot violates at a sample of the plan.

@@ -114,10 +114,11 @@ pub(crate) fn verify(scene: &Scene, controls: &[Control], rollout: &mut Rollout)
         let body = scene.body_at(&sample.state);
         index.is_multiple_of(PIECES) && !behind.is_free(&body, sample.t, scene.config, &bodies[..*count])
     };
+    let is_fine = scene.escapes || scene.is_touched(&baseline);
     let mut behind_goal = false;
     for (index, sample) in rollout.samples.iter().enumerate() {
         behind_goal |= sample.state.x > scene.config.goal.x_m + BEHIND_GOAL_M;
-        let before = index.checked_sub(1).filter(|_| scene.escapes).map(|before| &rollout.samples[before]);
+        let before = index.checked_sub(1).filter(|_| is_fine).map(|before| &rollout.samples[before]);
         let found = before.and_then(|before| touched_between(scene, &baseline, before, sample));
         let checked = || scene.check(&baseline, sample).or_else(|| scene.leads_out(&baseline, &sample.state));
         let unseen = || is_unseen(index, sample).then_some(Violation::Unseen);

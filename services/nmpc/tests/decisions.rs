@@ -528,3 +528,28 @@ fn each_field_of_a_checkpoint_may_be_nonsense() {
         }
     }
 }
+
+/// A body that comes has touched the robot with a corner: a plan that gets away from it may not go 6 mm deeper first, although
+/// its samples do not show that.
+#[test]
+fn a_robot_that_is_touched_is_driven_no_deeper_into_the_body() {
+    let mut pose = pose(1, 2.280_261_608_077_940_8, 0.468_060_160_974_951_84);
+    pose.predicted_yaw_rad = 0.250_014_076_975_935_2;
+    pose.predicted_speed_mps = 0.767_178_470_954_080_9;
+    pose.predicted_ns = pose.header.acquired_ns + 44_678_693;
+    let touching = Obstacle {
+        velocity_x_mps: -0.699_391_249_331_756_3,
+        box_length_m: 2.218_357_978_082_780_3,
+        box_yaw_rad: -0.952_256_008_434_086_8,
+        ..obstacle(2.735_532_182_880_224, -0.730_076_852_194_941_3, 0.190_451_201_686_817_37)
+    };
+    let others =
+        [(4.0, -0.215_552_468_482_506), (6.323_471_314_924_134, 0.0)].map(|(x_m, velocity_y_mps)| Obstacle {
+            velocity_y_mps,
+            box_length_m: 0.0,
+            ..obstacle(x_m, 0.0, 0.0)
+        });
+    let all = obstacles(1, &[touching, others[0], others[1]]);
+    let command = controller().step(&pose, &all, &Budget::Iterations(20));
+    assert_eq!(judge().objection(&command, &pose, &all), None);
+}

@@ -28,6 +28,8 @@ const RELIED_S: f64 = 0.5;
 /// When it still rests after this time, the body has gone [s]. Neither has moved since it was seen, so its surface has not
 /// turned black: either it has gone, or the scanner fails there and nowhere else.
 const GONE_S: f64 = 0.9;
+/// A scan counts for no longer than this: what was silent in one only has not gone [s].
+const COUNTED_S: f64 = 0.4;
 /// Only of a body that is seen by so many beams of a sector of 11, without its rim, can it be found that it has gone: with
 /// its rim that is more than two sectors. What a sector that fails may hide is not forgotten.
 const WIDE_BEAMS: usize = 14;
@@ -171,7 +173,7 @@ impl Tracks {
                 Sight::Free => track.free = track.free.saturating_add(1),
                 Sight::Taken => track.free = 0,
                 Sight::Silent => {
-                    let counted = if is_reliable { elapsed } else { 0.0 };
+                    let counted = if is_reliable { elapsed.min(COUNTED_S) } else { 0.0 };
                     let had_rested = track.rested_s >= RELIED_S;
                     track.silent_s += counted;
                     let towards = beams_towards(beams, place, &rectangle);

@@ -3,7 +3,7 @@
 //! The robot is driven straight ahead, and what it publishes is checked. The test bench cannot disturb a device; a case
 //! shows what a driver makes of a device that fails by itself while the case lasts.
 
-use shared_types::{BEAMS, Header, MIN_RANGE_MM, Odometry, Scan};
+use shared_types::{Header, MIN_RANGE_MM, Odometry, Scan};
 
 use crate::case::{Tried, Verdict, failed, observed, passed_if, require};
 use crate::test_bench::TestBench;
@@ -148,18 +148,26 @@ pub(crate) fn half_a_scan(bench: &mut TestBench<'_>) -> Verdict {
         });
         let scan_id = scan.header.scan_id;
         require(first == second, || format!("half of scan {scan_id} is that of the scan before"))?;
-        shown += usize::from(sees.contains(&true) && way_m(before, now) >= MOVED_M);
-        most = most.max(empty_end(scan).abs_diff(empty_end(earlier)));
+        // A body that the robot passed, or turned away from.
+        let at_once = (beams / 8).max((TURN_RAD / scan.increment_rad.abs().max(1e-3)) as usize);
+        let sees_enough = halves.iter().any(|half| returns(&earlier.ranges_mm[half.clone()]) > at_once);
+        shown += usize::from(sees_enough && way_m(before, now) >= MOVED_M);
+        let gone = gone_at_an_end(earlier, scan);
+        require(gone <= at_once, || format!("{gone} returns at an end of scan {scan_id} are gone at once"))?;
+        most = most.max(gone);
     }
-    let found = format!("at most {most} beams at an end are zero that were not in the scan before");
-    // A robot that turns sees less and less at an end; half of a sweep is away at once.
-    passed_if_shown(most <= BEAMS / 4, shown, format!("{} scans; {found}", scans.len()))
+    let found = format!("at most {most} returns at an end are gone at once");
+    passed_if_shown(true, shown, format!("{} scans; {found}", scans.len()))
 }
 
-/// Beams of zeros at the end of a scan that has more of them.
-fn empty_end(scan: &Scan) -> usize {
-    let zeros = |beams: &mut dyn Iterator<Item = &u32>| beams.take_while(|range| **range == 0).count();
-    zeros(&mut scan.ranges().iter()).max(zeros(&mut scan.ranges().iter().rev()))
+/// Beams of zeros at the end of a scan, of the end where more of them had a return in the scan before: how many had.
+fn gone_at_an_end(earlier: &Scan, scan: &Scan) -> usize {
+    let had = |beams: &mut dyn Iterator<Item = (&u32, &u32)>| {
+        let zeros = beams.take_while(|(_, range)| **range == 0);
+        zeros.filter(|(before, _)| **before >= MIN_RANGE_MM).count()
+    };
+    let pairs = || earlier.ranges().iter().zip(scan.ranges());
+    had(&mut pairs()).max(had(&mut pairs().rev()))
 }
 
 pub(crate) fn counts_up(bench: &mut TestBench<'_>) -> Verdict {

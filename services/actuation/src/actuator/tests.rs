@@ -203,6 +203,19 @@ fn a_vehicle_without_reverse_refuses_to_drive_backwards() {
 }
 
 #[test]
+fn a_velocity_outside_of_its_limits_is_refused_with_those_of_its_direction() {
+    for (value, lowest, highest) in
+        [(0.0, 0.1, 1.0), (1.1, 0.1, 1.0), (-0.05, -0.3, -0.1), (-0.31, -0.3, -0.1)]
+    {
+        let mut actuator = actuator();
+        let wrong = Command { velocity_mps: value, ..drive(1) };
+        assert_blocked(&actuator.answer(&wrong, arrival(1)), BlockReason::InvalidCommand, 1);
+        let fault = Fault::OutsideBounds { field: "velocity_mps", value, lowest, highest };
+        assert_eq!(actuator.refusal(), Some(&fault));
+    }
+}
+
+#[test]
 fn a_silence_because_commands_were_dropped_has_that_reason() {
     let mut first = actuator();
     assert_eq!(first.tick(1_000), None);
@@ -627,6 +640,10 @@ fn a_pause_blocks_at_once_and_until_another_drives_also_after_a_restart() {
     for scan in 2..10 {
         assert_blocked(&actuator.answer(&drive(scan), arrival(scan)), BlockReason::Paused, 1);
         assert_eq!(actuator.tick(arrival(scan) + PERIOD_NS / 2), None);
+    }
+    // Whatever else is wrong with a command: who asks why the wheels are blocked is told of the pause.
+    for wrong in [command(10, CommandKind::Stop), Command { velocity_mps: f64::NAN, ..drive(10) }] {
+        assert_blocked(&actuator.clone().answer(&wrong, arrival(10)), BlockReason::Paused, 1);
     }
     let mut restarted = self::actuator();
     assert_eq!(restarted.resume(&actuator.state()), Ok(()));

@@ -13,6 +13,8 @@ const TOLERANCE_M: f64 = 0.1;
 const TOLERANCE: f64 = 0.05;
 /// Time constant of the counts [s].
 const MEMORY_S: f64 = 0.45;
+/// A scan that comes later than this counts for more than one [s].
+const SELDOM_S: f64 = 0.31;
 /// Predicted returns from which on a scan has its full weight.
 const ENOUGH: f64 = 15.0;
 /// Beams on each side of the expected one that count as well.
@@ -60,7 +62,8 @@ impl Returns {
     /// where most returns are missing, the next scan is compared with few, and those before must not outweigh it.
     pub(crate) fn add(&mut self, scan: &Self, elapsed: f64) {
         let keep = (-elapsed / MEMORY_S).exp();
-        let weight = ENOUGH / scan.predicted.max(ENOUGH);
+        // Scans that come seldom count for more of them.
+        let weight = ENOUGH / scan.predicted.max(ENOUGH) * (elapsed / SELDOM_S).max(1.0);
         self.predicted = self.predicted * keep + weight * scan.predicted;
         self.came = self.came * keep + weight * scan.came;
         self.agreed = self.agreed * keep + weight * scan.agreed;
@@ -80,5 +83,22 @@ impl Returns {
     pub(crate) fn is_sound(&self) -> bool {
         let counts = [self.predicted, self.came, self.agreed];
         counts.iter().all(|count| (0.0..1e9).contains(count)) && self.came <= self.predicted + 1e-6
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn at_any_rate_a_few_scans_tell_how_many_returns_come() {
+        for elapsed in [0.02, 0.1, 0.2, 0.43, 1.0] {
+            let mut returns = Returns::default();
+            for _ in 0..10 {
+                returns.add(&Returns { predicted: 100.0, came: 40.0, agreed: 40.0 }, elapsed);
+            }
+            let share = returns.agreed_share(25.0).unwrap();
+            assert!((share - 0.4).abs() < 1e-9, "{elapsed}: {share}");
+        }
     }
 }
