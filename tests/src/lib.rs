@@ -43,7 +43,7 @@ pub use watch::TruthWatch;
 pub const DEADLINE: Duration = Duration::from_secs(60);
 
 /// Time between two checks of a condition of a system: each asks several processes, and many tests wait at the same time.
-const CHECK_INTERVAL: Duration = Duration::from_millis(10);
+const CHECK_INTERVAL: Duration = Duration::from_millis(40);
 
 /// The corridor with its box and its goal nearer, for tests that wait for the goal: 91 scans instead of 129.
 ///
