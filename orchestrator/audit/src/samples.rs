@@ -20,9 +20,9 @@ use crate::ledger::SampleAudit;
 /// may come late together.
 const TIMEOUT_SCANS: u64 = 3;
 
-/// Number of actuations that are stored for a process that starts: more than are sent until a hung process is noticed,
-/// because repetitions are not stored.
-const RECENT: usize = 32;
+/// Number of actuations that are stored for a process that starts: those that may be on their way to the robot
+/// (`vehicle::MAX_ON_THE_WAY`), and more than are sent until a hung process is noticed, because repetitions are not stored.
+const RECENT: usize = 72;
 
 /// Number of samples that are stored of the other process of a swap; more than processes store, because the
 /// orchestrator polls less often.
