@@ -69,7 +69,7 @@ fn short_runs_and_few_marks_are_refused() {
     assert_eq!(reason(&rows), "3 measured positions of a run are too few: at least 5 are needed");
     assert_eq!(reason(&[]), "0 sine runs are too few: at least 1 are needed");
     let many: Vec<SineRow> = (1..=MAX_RUNS as u32 + 1).flat_map(|number| run(number, 0.01, 0.0, 4)).collect();
-    assert_eq!(reason(&many), "201 runs are more than 200: fit them in parts");
+    assert_eq!(reason(&many), "the fit is refused: 201 runs are more than 200: fit them in parts");
 }
 
 #[test]
