@@ -6,7 +6,7 @@
 
 use audit::samples::Samples;
 use runtime::monotonic_ns;
-use shared_types::{Actuation, BlockReason, DrivenBy, GivenControl, StopReason};
+use shared_types::{Actuation, BlockReason, Directive, DrivenBy, GivenControl, StopReason};
 use supervision::directives::Directives;
 
 use super::recording::Recording;
@@ -52,6 +52,13 @@ impl Person {
             return Ok(());
         }
         Err("this person does not drive any more: paused, resumed, or another one took over".to_owned())
+    }
+
+    /// In lock-step: whether the scan of the control before is still to come. One turn of the loop takes several requests
+    /// and grants scans after them, so a control that was taken counts before its scan is granted.
+    fn awaits_scan(&self, recorded_scan: u64, directive: &Directive) -> bool {
+        let given_scan = if directive.person.number == 0 { 0 } else { self.granted_scan };
+        recorded_scan < directive.granted_scan.max(given_scan)
     }
 }
 
@@ -140,7 +147,7 @@ impl PersonParts<'_> {
     /// Hands on what a person asks for.
     ///
     /// # Errors
-    /// When it does not drive, and for what is too old or no number.
+    /// When it does not drive, and for what is no number or too old; in lock-step time stands until it is taken.
     fn control(&mut self, number: u64, [v, steering]: [f64; 2], at_ns: u64) -> Result<Reply, String> {
         let (now_ns, person) = (monotonic_ns(), &mut self.person);
         person.require(number)?;
@@ -149,7 +156,7 @@ impl PersonParts<'_> {
         }
         let valid_ns = GivenControl::valid_ns(self.run.period_ns);
         let age_ns = now_ns.saturating_sub(at_ns);
-        if at_ns > now_ns || age_ns > valid_ns {
+        if at_ns > now_ns || !self.run.lockstep && age_ns > valid_ns {
             let [age, limit] = [age_ns, valid_ns].map(|ns| ns as f64 * 1e-6);
             return Err(format!("it was asked for {age:.0} ms ago, at most {limit:.0} ms are allowed"));
         }
@@ -165,7 +172,7 @@ impl PersonParts<'_> {
             // Each control is for one scan, which is published after it.
             let recorded = self.recording.recorder.last_pose().map(|pose| pose.header);
             let recorded = recorded.ok_or("the robot has no pose yet: try again")?;
-            if recorded.scan_id < self.directives.current.granted_scan {
+            if person.awaits_scan(recorded.scan_id, &self.directives.current) {
                 return Ok(Reply::Pending);
             }
             (given_ns, person.granted_scan) = (recorded.acquired_ns.max(1), recorded.scan_id + 1);
@@ -246,5 +253,26 @@ impl Session {
         let recorder = &self.recording.recorder;
         let is_slow = recorder.last_pose().is_some_and(|pose| pose.speed_mps.abs() < STANDING_MPS);
         is_slow && recorder.last_actuation().is_some_and(|actuation| !actuation.drives())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_the_controls_in_one_turn_of_the_loop_each_waits_for_the_scan_of_the_one_before() {
+        let mut person = Person::default();
+        let mut directive = Directive { granted_scan: 5, ..Directive::default() };
+        assert!(person.awaits_scan(4, &directive) && !person.awaits_scan(5, &directive));
+        // One is taken for scan 6, which is granted at the end of the turn.
+        person.granted_scan = 6;
+        directive.person.number = 1;
+        assert!(person.awaits_scan(5, &directive), "the next one in the same turn");
+        directive.granted_scan = 6;
+        assert!(person.awaits_scan(5, &directive) && !person.awaits_scan(6, &directive));
+        // What was asked for is forgotten, as by a pause, before its scan was granted: another may be given.
+        (directive.granted_scan, directive.person.number) = (5, 0);
+        assert!(!person.awaits_scan(5, &directive));
     }
 }
