@@ -13,8 +13,9 @@ use std::sync::Arc;
 use anyhow::Context;
 use console::exit::Failure;
 use report::RecordingReport;
-use runtime::{Domain, monotonic_ns, wait_for};
+use runtime::{Domain, Silence, monotonic_ns, wait_for};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
+use rustix::process::{Pid, Signal, kill_process};
 use supervision::child::this_program;
 use supervision::child_log::ChildLog;
 
@@ -40,6 +41,7 @@ pub(crate) struct RunRecorder {
     file: PathBuf,
     scan: u64,
     moved_ns: u64,
+    silence: Silence,
     is_connected: bool,
     is_lost: bool,
     report: Option<RecordingReport>,
@@ -123,6 +125,7 @@ impl RunRecorder {
             file,
             scan: 0,
             moved_ns: monotonic_ns(),
+            silence: Silence::default(),
             is_connected: false,
             is_lost: false,
             report: None,
@@ -189,7 +192,8 @@ impl RunRecorder {
     /// In lock-step, the scan up to which it has copied all samples; `None` when it is not waited for.
     pub(crate) fn copied_scan(&mut self) -> Option<u64> {
         self.take_lines(|_| false);
-        (!self.is_lost && monotonic_ns() < self.moved_ns + SILENT_NS).then_some(self.scan)
+        let silent_ns = self.silence.since(self.moved_ns, monotonic_ns());
+        (!self.is_lost && silent_ns < SILENT_NS).then_some(self.scan)
     }
 
     /// Whether it has ended or gave up before it was asked to, told once.
@@ -217,6 +221,8 @@ impl RunRecorder {
 
     /// Ends the recording; what it holds, and the files of incidents. A ring is no recording of the drive.
     pub(crate) fn finish(mut self) -> (Option<RecordingReport>, Vec<PathBuf>) {
+        // One that is suspended would keep the run from its report.
+        let _ = kill_process(Pid::from_child(&self.process), Signal::CONT);
         self.say(&format!("end {}", self.last_scan));
         self.input = None;
         let limit_ns = if self.keeps_ring && !self.is_asked { RING_LIMIT_NS } else { LIMIT_NS };
@@ -242,14 +248,14 @@ impl RunRecorder {
 
     /// Waits until a line is accepted, the recorder ends, or the time is over.
     fn wait(&mut self, limit_ns: u64, mut accept: impl FnMut(&str) -> bool) {
-        let until_ns = monotonic_ns() + limit_ns;
+        let (began_ns, mut silence) = (monotonic_ns(), Silence::default());
         while !self.take_lines(&mut accept) {
-            let now_ns = monotonic_ns();
-            if now_ns >= until_ns || matches!(self.process.try_wait(), Ok(Some(_))) {
+            let waited_ns = silence.since(began_ns, monotonic_ns());
+            if waited_ns >= limit_ns || matches!(self.process.try_wait(), Ok(Some(_))) {
                 self.take_lines(&mut accept);
                 return;
             }
-            wait_for(&[self.output.as_fd()], (until_ns - now_ns).min(50_000_000));
+            wait_for(&[self.output.as_fd()], (limit_ns - waited_ns).min(50_000_000));
         }
     }
 

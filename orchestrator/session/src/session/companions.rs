@@ -1,7 +1,7 @@
 //! Companions in the loop of the session: what they are told, what has happened to them, and how they end.
 
 use report::Outcome;
-use runtime::{monotonic_ns, wait_for};
+use runtime::{Silence, monotonic_ns, wait_for};
 use shared_types::{Phase, ProcessState};
 use supervision::fleet::companions::CompanionEvent;
 
@@ -83,8 +83,9 @@ impl Session {
     /// Waits for companions before the processes of the loop connect, and before the first scan: ports that do not exist
     /// yet would lose samples.
     pub(super) fn await_companions(&mut self, state: ProcessState) -> anyhow::Result<()> {
-        let end_ns = monotonic_ns() + START_LIMIT_NS;
-        while !self.companions.have_reached(state) && monotonic_ns() < end_ns {
+        let (began_ns, mut silence) = (monotonic_ns(), Silence::default());
+        while !self.companions.have_reached(state) && silence.since(began_ns, monotonic_ns()) < START_LIMIT_NS
+        {
             if self.shutdown.requested() || !self.run.stop_word.is_armed() {
                 return Ok(());
             }

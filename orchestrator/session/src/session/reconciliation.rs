@@ -5,13 +5,14 @@
 
 use audit::ledger::{RefusedRow, SampleAudit};
 use report::Outcome;
-use runtime::monotonic_ns;
+use runtime::{Silence, monotonic_ns};
 use shared_types::{Role, Rule};
 use supervision::supervisor::Event;
 
 use super::Session;
 
-/// In lock-step a scan that is not answered within this time of the machine's clock ends the run [ns].
+/// In lock-step a scan that is not answered within this time of the machine's clock, in which this process ran, ends the
+/// run [ns].
 const LOCKSTEP_TIMEOUT_NS: u64 = 20_000_000_000;
 /// Time between two reconciliations [ns].
 const PERIOD_NS: u64 = 1_000_000_000;
@@ -32,6 +33,8 @@ pub(crate) struct Reconciliation {
     reconciled_ns: u64,
     /// When a scan was recorded last, or the loop began to drive.
     moved_ns: u64,
+    /// How long it has made no progress since then.
+    stillness: Silence,
 }
 
 /// What is due for the sample audit.
@@ -49,7 +52,8 @@ enum Due {
 
 impl Reconciliation {
     pub(super) fn new(samples: SampleAudit, lockstep: bool) -> Self {
-        Self { samples, lockstep, reconciled_ns: 0, moved_ns: monotonic_ns() }
+        let (moved_ns, stillness) = (monotonic_ns(), Silence::default());
+        Self { samples, lockstep, reconciled_ns: 0, moved_ns, stillness }
     }
 
     /// The loop makes progress.
@@ -59,7 +63,8 @@ impl Reconciliation {
 
     /// What is due now; `drives` while the system drives and its end is open.
     fn due(&mut self, now_ns: u64, drives: bool) -> Due {
-        let still_ns = if self.lockstep && drives { now_ns.saturating_sub(self.moved_ns) } else { 0 };
+        let since_ns = self.stillness.since(self.moved_ns, now_ns);
+        let still_ns = if self.lockstep && drives { since_ns } else { 0 };
         let is_stalled = still_ns >= STALLED_NS;
         let period_ns = if is_stalled { STALLED_NS } else { PERIOD_NS };
         if still_ns > LOCKSTEP_TIMEOUT_NS {
@@ -182,9 +187,17 @@ mod tests {
         let mut audit = lockstep();
         assert_eq!(audit.due(STALLED_NS - 1, true), Due::Nothing);
         assert_eq!(audit.due(STALLED_NS, true), Due::FindStall);
-        audit.moved(LOCKSTEP_TIMEOUT_NS);
-        assert_eq!(audit.due(LOCKSTEP_TIMEOUT_NS + 1, true), Due::Reconcile);
-        assert_eq!(audit.due(2 * LOCKSTEP_TIMEOUT_NS + 1, true), Due::TimedOut);
-        assert_eq!(audit.due(2 * LOCKSTEP_TIMEOUT_NS + 1, false), Due::Reconcile, "the run ends already");
+        // This process stands still, and all others with it.
+        assert_eq!(audit.due(10 * LOCKSTEP_TIMEOUT_NS, true), Due::FindStall);
+        let moved_ns = 10 * LOCKSTEP_TIMEOUT_NS;
+        audit.moved(moved_ns);
+        let polls = 1..=LOCKSTEP_TIMEOUT_NS / STALLED_NS;
+        assert!(polls.clone().all(|poll| audit.due(moved_ns + poll * STALLED_NS, true) == Due::FindStall));
+        assert_eq!(audit.due(moved_ns + LOCKSTEP_TIMEOUT_NS + 1, true), Due::TimedOut);
+        assert_eq!(
+            audit.due(moved_ns + 2 * LOCKSTEP_TIMEOUT_NS, false),
+            Due::Reconcile,
+            "the run ends already"
+        );
     }
 }

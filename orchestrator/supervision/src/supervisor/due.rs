@@ -105,7 +105,8 @@ impl Supervisor {
         slot.refused = Some(refused);
     }
 
-    /// Time in which the caller was stopped does not count as silence: the processes may have been stopped with it.
+    /// Time in which the caller was stopped does not count as silence, nor against a limit: the processes may have been
+    /// stopped with it.
     pub(super) fn forgive_own_stall(&mut self, now_ns: u64) {
         let gap_ns = self.last_event_ns.map_or(0, |last_ns| now_ns.saturating_sub(last_ns));
         self.last_event_ns = Some(now_ns);
@@ -113,6 +114,9 @@ impl Supervisor {
             let unwatched_ns = if gap_ns > slot.longest_gap_ns() { gap_ns } else { 0 };
             if let Life::Alive(alive) = &mut slot.life {
                 alive.progress_ns = alive.progress_ns.saturating_add(unwatched_ns).min(now_ns);
+                for limit_ns in [&mut alive.start_deadline_ns, &mut alive.kill_ns].into_iter().flatten() {
+                    *limit_ns = limit_ns.saturating_add(unwatched_ns);
+                }
             }
         }
     }

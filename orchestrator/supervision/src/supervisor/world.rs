@@ -155,6 +155,7 @@ impl World {
             self.stopping = true;
         }
         let ticked = event == Event::Tick;
+        self.watch();
         self.forgive_first_outputs();
         for action in self.supervisor.handle(self.now_ns, event) {
             self.take(action);
@@ -163,6 +164,24 @@ impl World {
         if ticked {
             self.check_kills();
         }
+    }
+
+    /// The caller watches also while nothing happens; all processes make progress meanwhile.
+    fn watch(&mut self) {
+        while let Some(then_ns) = self.supervisor.last_event_ns.map(|last_ns| last_ns + nanoseconds(100))
+            && then_ns < self.now_ns
+        {
+            for (role, place) in Role::ALL.iter().zip(&self.places) {
+                let incarnation = place.process.as_ref().map_or(0, |process| process.incarnation);
+                self.supervisor.handle(then_ns, Event::Progress { role: *role, incarnation });
+            }
+        }
+    }
+
+    /// The caller is stopped for a time, and its processes with it; what it decides when it is back.
+    pub(super) fn stall(&mut self, milliseconds: u64) -> Vec<Action> {
+        self.now_ns += nanoseconds(milliseconds);
+        self.supervisor.handle(self.now_ns, Event::Tick)
     }
 
     pub(super) fn answer(&mut self, role: Role, started: bool) {

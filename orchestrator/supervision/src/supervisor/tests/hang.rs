@@ -168,9 +168,7 @@ fn time_in_which_the_caller_was_stopped_is_not_silence() {
     for stall_ms in [101, 350, 5_000] {
         let mut world = World::driving();
         for pause_ms in [90, stall_ms, 100, 100] {
-            world.advance(pause_ms);
-            world.send(Event::Tick);
-            assert!(world.actions.is_empty(), "{stall_ms}, {pause_ms}");
+            assert!(world.stall(pause_ms).is_empty(), "{stall_ms}, {pause_ms}");
         }
         world.advance(10);
         world.send(Event::Tick);

@@ -73,6 +73,23 @@ fn a_process_that_does_not_attach_in_time_is_killed_and_counted() {
 }
 
 #[test]
+fn time_in_which_the_caller_was_stopped_does_not_count_as_time_to_start_or_to_end() {
+    let mut world = World::new(policies(), true);
+    world.send(Event::Start);
+    Role::ALL.iter().for_each(|role| world.answer(*role, true));
+    assert_eq!((world.stall(20_000), world.stall(100)), (vec![], vec![]));
+    Role::ALL.iter().for_each(|role| world.report(*role, ProcessState::Attached));
+    assert_eq!(world.stall(20_000), [], "to connect");
+    Role::ALL.iter().for_each(|role| world.report(*role, ProcessState::Connected));
+    assert_eq!(world.stall(20_000), [], "to the first output");
+    world.send(Event::StopRequested);
+    assert_eq!(world.stall(20_000), [], "to end");
+    world.advance(1_000);
+    world.send(Event::Tick);
+    assert!(world.place(Role::Controller).process.as_ref().unwrap().killed);
+}
+
+#[test]
 fn an_attached_process_waits_for_the_others_without_a_limit() {
     let mut world = World::new(policies(), false);
     world.send(Event::Start);
