@@ -128,6 +128,8 @@ struct Run {
     scenario: String,
     lockstep: bool,
     period_ns: u64,
+    /// Processes without a directive for so long end [s].
+    orphan_timeout_s: f64,
     /// Names of the other hosts of the system file.
     hosts: Vec<String>,
 }
@@ -198,6 +200,7 @@ impl Session {
                 scenario,
                 lockstep,
                 period_ns,
+                orphan_timeout_s: plan.system.orphan_timeout_s,
                 hosts: plan.system.hosts.iter().map(|host| host.name.clone()).collect(),
             },
             authorised: 0,
@@ -384,6 +387,9 @@ impl Session {
         }
         if !ended.is_empty() {
             self.heed_stop();
+        }
+        if ended.iter().any(|(.., exit)| exit.is_success()) {
+            self.notice_stall();
         }
         for (role, incarnation, exit) in ended {
             self.audit.samples.ended(incarnation, monotonic_ns());

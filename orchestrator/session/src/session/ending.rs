@@ -12,13 +12,25 @@ use super::conclusion::Step;
 impl Session {
     /// Ends a run in real time by the clock of this computer, where no stamps of scans do.
     pub(super) fn end_by_clock(&mut self) {
-        if self.driven_by() != DrivenBy::Controller {
+        if self.run.lockstep || !self.drives() || self.driven_by() != DrivenBy::Controller {
             self.limits.hold(monotonic_ns());
-        } else if !self.run.lockstep
-            && self.drives()
-            && let Some((outcome, reason)) = self.limits.count(monotonic_ns())
-        {
+        } else if let Some((outcome, reason)) = self.limits.count(monotonic_ns()) {
             self.decide(outcome, &reason);
+        }
+    }
+
+    /// Ends the run when processes have ended themselves because this one stood still for so long.
+    pub(super) fn notice_stall(&mut self) {
+        let pause_s = self.limits.stood_still_s(monotonic_ns());
+        if let Some(pause_s) = pause_s.filter(|pause_s| *pause_s >= self.run.orphan_timeout_s) {
+            let limit_s = self.run.orphan_timeout_s;
+            self.decide(
+                Outcome::Failed,
+                &format!(
+                    "the orchestrator stood still for {pause_s:.1} s: processes end after `orphan_timeout_s`, {limit_s} s, \
+                     without it"
+                ),
+            );
         }
     }
 
@@ -58,7 +70,9 @@ impl Session {
     /// The pause of this process, the obstacle or the scanner that the wheels are blocked for, as a continuation of the
     /// reason for the end.
     pub(super) fn named_cause(&self, reason: &str) -> String {
-        if let Some(pause_s) = self.limits.stood_still_s(monotonic_ns()) {
+        if !self.run.lockstep
+            && let Some(pause_s) = self.limits.stood_still_s(monotonic_ns())
+        {
             return format!("; the orchestrator stood still for {pause_s:.1} s");
         }
         if let Some(scanner) = self.recording.recorder.stopped_for_scanner() {
