@@ -237,8 +237,22 @@ fn stat_number(fields: &str, place: usize) -> Option<u64> {
 
 /// The real user of a process; `None` when there is no such process.
 pub fn uid_of(pid: u32) -> Option<u32> {
+    status_of(pid, "Uid:")?.split_whitespace().next()?.parse().ok()
+}
+
+/// The process that has this id in its own pid namespace, by its id here.
+pub(crate) fn numbered_elsewhere(pid: u32, ticks: u64) -> Option<u32> {
+    let has_number = |here: &u32| {
+        let ids = status_of(*here, "NSpid:");
+        ids.is_some_and(|ids| ids.split_whitespace().next_back() == Some(&pid.to_string()))
+    };
+    all_processes().find(|here| has_number(here) && start_ticks(*here) == Some(ticks))
+}
+
+/// The value of a line of /proc/PID/status.
+fn status_of(pid: u32, name: &str) -> Option<String> {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
-    status.lines().find_map(|line| line.strip_prefix("Uid:"))?.split_whitespace().next()?.parse().ok()
+    status.lines().find_map(|line| line.strip_prefix(name)).map(str::to_owned)
 }
 
 fn boot_id() -> String {

@@ -26,7 +26,7 @@ use serde::{Deserialize, Serialize};
 use shared_types::{ROLES, Role};
 
 use crate::shared_memory::Mapped;
-use crate::{RuntimeError, STOP_FD_VARIABLE, monotonic_ns};
+use crate::{RuntimeError, STOP_FD_VARIABLE, identity, monotonic_ns};
 
 /// The only value with which wheels may turn.
 const ARMED: u64 = 0x5ca1_ab1e_d01e_d0e5;
@@ -191,7 +191,7 @@ impl StopWord {
         self.head().orchestrator_pid.store(u64::from(pid), Ordering::SeqCst);
         let ticks = crate::start_ticks(pid).unwrap_or(0);
         self.head().orchestrator_ticks.store(ticks, Ordering::SeqCst);
-        self.head().pid_namespace.store(crate::identity::pid_namespace(), Ordering::SeqCst);
+        self.head().pid_namespace.store(identity::pid_namespace(), Ordering::SeqCst);
     }
 
     /// Notes a process that this orchestrator has just started, in the place of one that has ended.
@@ -212,16 +212,24 @@ impl StopWord {
     /// Whether the orchestrator has started the process of that id itself, and so the process group of that id. `None` when
     /// the page does not tell: its numbers are those of another pid namespace, or nothing was listed yet.
     pub fn has_started(&self, pid: u32) -> Option<bool> {
-        let is_here = self.head().pid_namespace.load(Ordering::SeqCst) == crate::identity::pid_namespace();
+        let is_here = self.is_of_this_namespace();
         let listed = self.0.page.started.iter().map(|place| place.pid.load(Ordering::SeqCst));
         let listed: Vec<u64> = listed.filter(|pid| *pid != 0).collect();
         (is_here && !listed.is_empty()).then(|| listed.contains(&pid.into()))
     }
 
-    /// Process id and start time of the orchestrator that claimed the run last.
+    /// Process id and start time of the orchestrator that claimed the run last. One in another pid namespace has another
+    /// id here, and 0 where it can't be seen.
     pub fn orchestrator(&self) -> (u32, u64) {
-        let pid = self.head().orchestrator_pid.load(Ordering::SeqCst);
-        (u32::try_from(pid).unwrap_or(0), self.head().orchestrator_ticks.load(Ordering::SeqCst))
+        let pid = u32::try_from(self.head().orchestrator_pid.load(Ordering::SeqCst)).unwrap_or(0);
+        let ticks = self.head().orchestrator_ticks.load(Ordering::SeqCst);
+        let here = || identity::numbered_elsewhere(pid, ticks).unwrap_or(0);
+        (if pid == 0 || self.is_of_this_namespace() { pid } else { here() }, ticks)
+    }
+
+    /// Whether the process ids in the page are those of this pid namespace.
+    fn is_of_this_namespace(&self) -> bool {
+        self.head().pid_namespace.load(Ordering::SeqCst) == identity::pid_namespace()
     }
 
     /// Whether wheels may turn.
@@ -353,6 +361,11 @@ mod tests {
         }
         word.head().pid_namespace.store(1, Ordering::SeqCst);
         assert_eq!(other.has_started(own), None, "the numbers are those of another namespace");
+        word.claim();
+        word.head().pid_namespace.store(1, Ordering::SeqCst);
+        assert_eq!(word.orchestrator().0, own, "it is found by its number there");
+        word.head().orchestrator_ticks.store(1, Ordering::SeqCst);
+        assert_eq!(word.orchestrator().0, 0, "another process has that number there");
     }
 
     #[test]

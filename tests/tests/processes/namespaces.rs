@@ -92,6 +92,42 @@ fn an_orphaned_system_that_cannot_be_seen_is_left_alone_and_told() {
 }
 
 #[test]
+fn without_the_files_of_the_kernel_no_command_says_that_nothing_runs() {
+    among_users!("without_the_files_of_the_kernel_no_command_says_that_nothing_runs");
+    let system = system();
+    for arguments in [&["status"][..], &["stop"], &["restart", "controller"], &["latency"], &["why", "5"]] {
+        let mut command = Command::new("unshare");
+        command.args(["-m", "sh", "-c", "mount -t tmpfs tmpfs /proc && exec \"$0\" \"$@\""]);
+        command.arg(executable_for_all()).args(["--system-id", system.id()]).args(arguments);
+        let output = command.output().expect("unshare runs");
+        assert_eq!(output.status.code(), Some(4), "{arguments:?}: {}", text(&output));
+        assert!(text(&output).contains("/proc is not mounted"), "{arguments:?}: {}", text(&output));
+    }
+}
+
+#[test]
+fn a_system_in_a_namespace_below_is_stopped_with_its_orchestrator() {
+    repeat_when_late(|| {
+        among_users!("a_system_in_a_namespace_below_is_stopped_with_its_orchestrator");
+        let way = WAYS[0];
+        if !may_be_made(way) {
+            return;
+        }
+        let system = system();
+        let mut command = Command::new("unshare");
+        command.args(way).arg("--kill-child").arg(executable_for_all()).args(["--system-id", system.id()]);
+        command.args(["run", "--quiet", "--out", "out", "endless"]).current_dir(system.folder());
+        let mut container = command.spawn().expect("unshare runs");
+        system.wait_until("it drives", is_driving);
+        let stopped = system.run(&["stop"]);
+        assert_eq!(stopped.status.code(), Some(0), "{}", text(&stopped));
+        assert!(!text(&stopped).contains("lost its orchestrator"), "{}", text(&stopped));
+        assert_eq!(container.wait().expect("a child of ours").code(), Some(1));
+        system.assert_nothing_left();
+    });
+}
+
+#[test]
 fn what_a_namespace_that_is_gone_has_left_keeps_no_run_from_starting() {
     repeat_when_late(|| {
         among_users!("what_a_namespace_that_is_gone_has_left_keeps_no_run_from_starting");
