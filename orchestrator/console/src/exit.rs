@@ -86,6 +86,7 @@ pub fn exit_of(error: &anyhow::Error) -> Exit {
             | runtime::RuntimeError::LogFilter(_)
             | runtime::RuntimeError::AlreadyRunning { .. }
             | runtime::RuntimeError::NotRunning(_)
+            | runtime::RuntimeError::OfAnother { .. }
             | runtime::RuntimeError::NotPrivate { .. }
             | runtime::RuntimeError::NotOurs { .. }
             | runtime::RuntimeError::NotInASystem(_)

@@ -130,10 +130,19 @@ pub fn require_stack() -> anyhow::Result<()> {
 /// # Errors
 /// As [`require_stack`], for the first limit that is too small; a machine without `/proc`.
 pub fn require_room_for_a_system() -> anyhow::Result<()> {
-    if !Path::new("/proc/self").exists() {
-        return Err(Failure::process("/proc is not mounted: `mount -t proc proc /proc` as root"));
-    }
+    require_proc()?;
     NEEDS.iter().try_for_each(Need::require).map_err(Failure::process)
+}
+
+/// Passes when the kernel shows processes in files, by which systems are found and reached.
+///
+/// # Errors
+/// A machine without `/proc`; exit code 4.
+pub fn require_proc() -> anyhow::Result<()> {
+    match Path::new("/proc/self").exists() {
+        true => Ok(()),
+        false => Err(Failure::process("/proc is not mounted: `mount -t proc proc /proc` as root")),
+    }
 }
 
 /// A limit that a system needs.

@@ -37,6 +37,7 @@ use clap::CommandFactory;
 use console::exit::{Exit, Failure, exit_of};
 use console::limits;
 use console::output::{arguments, data};
+use runtime::RuntimeError;
 use serde::Serialize;
 use session::{adopt, run};
 use view::{Verb, ViewOfRun};
@@ -95,7 +96,12 @@ fn parse_and_run() -> anyhow::Result<Exit> {
         runtime::start_terminal();
     }
     let starts = matches!(cli.command, CliCommand::Run(_) | CliCommand::Adopt(_));
-    let exit = dispatch(&cli).map_err(|error| if starts { point_to_doctor(error) } else { error })?;
+    let exit = dispatch(&cli).map_err(|error| match error.downcast_ref() {
+        // Without the files of the kernel none can be seen.
+        Some(RuntimeError::NotRunning(_)) => limits::require_proc().err().unwrap_or(error),
+        _ if starts => point_to_doctor(error),
+        _ => error,
+    })?;
     if starts && exit == Exit::ProcessFailed {
         let hint = "If this machine lacks something, `scanloop doctor` tells what.";
         runtime::print(runtime::Priority::Warning, hint);

@@ -11,6 +11,7 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use console::exit::{Exit, Failure};
+use console::limits;
 use console::note;
 use console::output::answer;
 use runtime::{Domain, INCARNATION_VARIABLE, Priority, RUN_ID_VARIABLE, RuntimeError, monotonic_ns, print};
@@ -19,7 +20,7 @@ use session::control::{Reply, Request, ask};
 use supervision::child::this_program;
 use supervision::halt::{self, Blocked};
 use supervision::lock::{SystemLock, hidden, is_hidden};
-use supervision::runs::{LivingRun, RunProcess};
+use supervision::runs::{LivingRun, RunProcess, absent};
 
 use crate::cli::StopArguments;
 
@@ -36,6 +37,7 @@ pub(crate) fn stop(system_id: &str, arguments: &StopArguments) -> anyhow::Result
     if let Some(run_id) = &arguments.finish {
         return finish(run_id, arguments.uid);
     }
+    limits::require_proc()?;
     let own = geteuid().as_raw();
     let uid = arguments.uid.unwrap_or(own);
     if uid != own && own != 0 {
@@ -232,8 +234,9 @@ fn nothing(system_id: &str, arguments: &StopArguments, living: &[LivingRun]) -> 
     {
         lock.own();
     }
-    if living.is_empty() {
-        return Err(RuntimeError::NotRunning(system_id.to_owned()).into());
+    let absent = absent(system_id);
+    if living.is_empty() || matches!(absent, RuntimeError::OfAnother { .. }) {
+        return Err(absent.into());
     }
     let ids: Vec<String> = living.iter().map(name).collect();
     Err(Failure::bad_input(format!("system `{system_id}` is not running; running: {}", ids.join(", "))))

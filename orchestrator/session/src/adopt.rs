@@ -15,7 +15,7 @@ use supervision::child::Child;
 use supervision::entry::ProcessRow;
 use supervision::fleet::Fleet;
 use supervision::lock::SystemLock;
-use supervision::runs::{LivingRun, RunProcess, strays_of};
+use supervision::runs::{LivingRun, RunProcess, absent, strays_of};
 use supervision::supervisor::{Event, MIN_HANG_AFTER_MS};
 
 use crate::arguments::{CommonArguments, check_duration, out_folder};
@@ -39,7 +39,12 @@ pub fn adopt(system_id: &str, arguments: &CommonArguments) -> anyhow::Result<Exi
         Failure::bad_input(format!("system `{system_id}` has no processes that could be adopted{left}"))
     };
     let strays = || strays_of(system_id).iter().map(RunProcess::description).collect::<Vec<_>>();
-    let Some(domain) = supervision::runs::find(system_id)? else { return Err(nothing(&strays())) };
+    let Some(domain) = supervision::runs::find(system_id)? else {
+        return Err(match absent(system_id) {
+            error @ RuntimeError::OfAnother { .. } => error.into(),
+            _ => nothing(&strays()),
+        });
+    };
     let mut lock = SystemLock::take(&domain)?;
     let survivors = Survivors::find(&domain);
     if survivors.is_empty() {

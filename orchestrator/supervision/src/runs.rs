@@ -264,9 +264,23 @@ pub fn find(system_id: &str) -> Result<Option<Domain>, RuntimeError> {
 /// [`find`] for a command that needs one.
 ///
 /// # Errors
-/// [`RuntimeError::NotRunning`] when there is none, and as [`find`].
+/// That of [`absent`] when there is none, and as [`find`].
 pub fn existing(system_id: &str) -> Result<Domain, RuntimeError> {
-    find(system_id)?.ok_or_else(|| RuntimeError::NotRunning(system_id.to_owned()))
+    find(system_id)?.ok_or_else(|| absent(system_id))
+}
+
+/// Why this user has no system of that id: [`RuntimeError::NotRunning`], or [`RuntimeError::OfAnother`] where root sees
+/// that another user has.
+pub fn absent(system_id: &str) -> RuntimeError {
+    let is_it = |seen: &Seen| seen.variable(SYSTEM_ID_VARIABLE).as_deref() == Some(system_id);
+    let others = started_processes_of_others(rustix::process::geteuid().as_raw()).into_iter().filter(is_it);
+    let mut users: Vec<u32> = others.map(|seen| seen.identity.uid).collect();
+    users.dedup();
+    let runs = users.into_iter().flat_map(LivingRun::all).find(|run| run.system_id == system_id);
+    match runs.and_then(|run| Some((run.uid, run.directory?.parent()?.to_owned()))) {
+        Some((uid, place)) => RuntimeError::OfAnother { system_id: system_id.to_owned(), uid, place },
+        None => RuntimeError::NotRunning(system_id.to_owned()),
+    }
 }
 
 /// A living run of that id of this user.

@@ -42,6 +42,21 @@ pub enum RuntimeError {
     /// No system of this id is running.
     #[error("system `{0}` is not running")]
     NotRunning(String),
+    /// The system of this id is another user's.
+    #[error(
+        "system `{system_id}` is that of user {uid}: run this command as that user, with {}={}; as root, \
+         `scanloop stop --uid {uid}` stops it",
+        crate::RUNTIME_DIR_VARIABLE,
+        place.display()
+    )]
+    OfAnother {
+        /// Its id.
+        system_id: String,
+        /// The user it runs as.
+        uid: u32,
+        /// The directory that holds the systems of that user.
+        place: PathBuf,
+    },
     /// The run was stopped, and a stop is never taken back.
     #[error("system `{0}` was stopped: `scanloop run` starts it anew once it has ended")]
     Stopped(String),

@@ -372,6 +372,13 @@ fn each_user_stops_his_own_system_and_root_one_of_another_user_when_he_names_him
         assert_eq!(system.report().outcome.to_string(), "interrupted");
         let status = of_stranger(system.id(), &["status", "--json"]).output().unwrap();
         assert!(String::from_utf8_lossy(&status.stdout).contains("\"driving\""), "his system drives on");
+        let told = ["is that of user 65534", "SCANLOOP_RUNTIME_DIR=/tmp/scanloop-65534", "stop --uid 65534"];
+        for arguments in [&["status"][..], &["stop"], &["restart", "controller"], &["adopt"], &["latency"]] {
+            system.wait_until("root is told whose it is", |system| {
+                let output = system.run(arguments);
+                output.status.code() == Some(2) && told.iter().all(|part| text(&output).contains(part))
+            });
+        }
         let stopped = system.run(&["stop", "--uid", "65534"]);
         assert_eq!(stopped.status.code(), Some(0), "{}", text(&stopped));
         assert!(text(&stopped).contains("wheels blocked after"), "{}", text(&stopped));
