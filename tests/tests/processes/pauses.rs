@@ -107,6 +107,44 @@ fn a_run_that_ends_because_its_orchestrator_was_suspended_says_so() {
 }
 
 #[test]
+fn a_run_whose_processes_ended_while_its_orchestrator_was_suspended_says_so() {
+    for mode in [&["endless"][..], &["endless", "--lockstep"]] {
+        repeat_when_late(|| {
+            let mut system = TestSystem::new(EXECUTABLE);
+            system.start(&[mode, &LIMITS[..]].concat());
+            system.wait_until("it drives", |system| system.status().is_some_and(|status| status.scan > 10));
+            system.signal(system.orchestrator(), Signal::STOP);
+            system.wait_until("they have ended", |system| system.processes().is_empty());
+            system.signal(system.orchestrator(), Signal::CONT);
+            assert_eq!(system.wait().code(), Some(4), "{}", system.stderr());
+            let reason = system.report().reason;
+            assert!(reason.starts_with("the orchestrator stood still for "), "{mode:?}: {reason}");
+            assert!(reason.contains("`orphan_timeout_s`, 1 s"), "{reason}");
+            assert!(!system.stderr().contains("ended by itself"), "{}", system.stderr());
+            system.assert_nothing_left();
+        });
+    }
+}
+
+#[test]
+fn what_is_kept_in_memory_is_not_said_to_be_absent_while_the_orchestrator_is_suspended() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        system.start(&["endless"]);
+        system.wait_until("it drives", |system| system.status().is_some_and(|status| status.scan > 20));
+        system.signal(system.orchestrator(), Signal::STOP);
+        let refused = system.run(&["why", "10"]);
+        let text = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert_eq!(refused.status.code(), Some(4), "{text}");
+        assert!(text.contains("keeps of its drive in memory can't be read"), "{text}");
+        assert!(text.contains(&format!("process {} was suspended", system.orchestrator())), "{text}");
+        assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+        system.wait();
+        system.assert_nothing_left();
+    });
+}
+
+#[test]
 fn a_request_to_a_suspended_orchestrator_says_so() {
     repeat_when_late(|| {
         let (mut system, watch) = driving();

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant, SystemTime};
 use console::exit::Failure;
 use recording::running::{ASKED, kept, recordings};
 use replay::NearDrive;
-use runtime::{Domain, wait_for};
+use runtime::{Domain, Priority, print, wait_for};
 use session::control::{Reply, Request, SystemStatus, ask};
 use session::orphaned::current_status;
 use supervision::runs::existing;
@@ -32,7 +32,8 @@ pub(super) fn drive(system_id: &str, scan: Option<u64>) -> anyhow::Result<NearDr
         return Err(Failure::bad_input(reason));
     }
     let until = Instant::now() + WAIT;
-    let mut search = Search { run_id: domain.run_id().to_owned(), scan, read: HashMap::new(), best: None };
+    let run_id = domain.run_id().to_owned();
+    let mut search = Search { run_id, scan, read: HashMap::new(), best: None, unwritten: None };
     let recordings = recordings(&domain);
     loop {
         search.read(&recordings);
@@ -70,6 +71,8 @@ struct Search {
     read: HashMap<PathBuf, (u64, SystemTime)>,
     /// The drive that has the scan, else the one that reaches farthest.
     best: Option<NearDrive>,
+    /// Why what is kept in memory was not written, although there may be some.
+    unwritten: Option<anyhow::Error>,
 }
 
 impl Search {
@@ -112,11 +115,20 @@ impl Search {
         let asked =
             || kept(domain).iter().filter(|file| file.ends_with(ASKED)).find_map(|file| state_of(file));
         let before = asked();
-        if !matches!(ask(domain, &Request::Keep), Ok(Reply::Done)) {
-            return false;
+        match ask(domain, &Request::Keep) {
+            Ok(Reply::Done) => {}
+            Ok(_) => return false,
+            Err(error) => {
+                self.unwritten = Some(error);
+                return false;
+            }
         }
         while asked() == before && Instant::now() < until {
             wait_for(&[], LOOK_NS);
+        }
+        if asked() == before {
+            let limit_s = WAIT.as_secs();
+            self.unwritten = Some(anyhow::anyhow!("its recorder does not write it within {limit_s} s"));
         }
         self.read(&kept(domain));
         true
@@ -129,13 +141,20 @@ impl Search {
         is_unrecorded: bool,
     ) -> anyhow::Result<NearDrive> {
         let name = domain.system_id();
+        let unwritten = self.unwritten.map(|error| {
+            format!("what system `{name}` keeps of its drive in memory can't be read: {error:#}")
+        });
         let blocking = status.and_then(|status| status.blocking);
         let stopped =
             blocking.map_or_else(String::new, |blocking| format!("; stopped: blocked by {blocking}"));
         let more = "`scanloop record FILE` records from now on, `run --record` from the start";
         let reason = match (self.best, self.scan) {
-            (Some(drive), None) => return Ok(drive),
+            (Some(drive), None) => {
+                unwritten.iter().for_each(|text| print(Priority::Warning, text));
+                return Ok(drive);
+            }
             (Some(drive), Some(scan)) if drive.has_scan(scan) => return Ok(drive),
+            _ if unwritten.is_some() => return Err(Failure::process(unwritten.unwrap_or_default())),
             (Some(drive), Some(scan)) => {
                 let (first, last) = drive.span().unwrap_or_default();
                 format!("scan {scan} of system `{name}` is not recorded: {first} to {last} are; {more}")
