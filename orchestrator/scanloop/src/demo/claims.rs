@@ -162,6 +162,12 @@ impl Claim {
         format!("{sign} {}", with_unit(self.promised, self.unit))
     }
 
+    /// Whether it was measured, does not hold, and other programs on the machine may be the reason: they delay answers.
+    pub(super) fn may_fail_by_load(&self) -> bool {
+        let is_of_time = matches!(self.unit, "ms" | "s" | "scans") && self.name != "unaccounted_scans";
+        !self.held && self.measured.is_some() && is_of_time
+    }
+
     /// The measured value with its unit, or a dash.
     pub(super) fn measured_text(&self) -> String {
         self.measured.map_or_else(|| "-".to_owned(), |value| with_unit(value, self.unit))
@@ -207,6 +213,19 @@ mod tests {
         claims.measured("left_behind", 0.0);
         assert!(!claims.held && !claims.claims[0].held && claims.claims[1].held);
         assert!(claims.table().contains(">= 0.30 m      0.20 m NOT HELD"), "{}", claims.table());
+    }
+
+    #[test]
+    fn a_busy_machine_is_the_reason_for_late_answers_alone() {
+        let mut all = Claims::new(|_| true, &[]).unwrap();
+        assert!(!all.claims.iter().any(Claim::may_fail_by_load), "what was not measured has another reason");
+        PROMISES.iter().for_each(|promise| {
+            all.measured(promise.name, if promise.bound == Bound::AtMost { 1e9 } else { -1.0 })
+        });
+        let others =
+            ["clearance_m", "unaccounted_scans", "lockstep_topics", "lockstep_differences", "left_behind"];
+        let of_load = |claim: &&Claim| claim.may_fail_by_load();
+        assert!(all.claims.iter().filter(|claim| !of_load(claim)).map(|claim| claim.name).eq(others));
     }
 
     #[test]
