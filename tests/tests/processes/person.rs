@@ -6,12 +6,13 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, Stdio};
 
-use runtime::Wheels;
+use runtime::{Wheels, monotonic_ns};
 use rustix::fs::{CWD, FileType, Mode, mknodat};
 use rustix::process::Signal;
 use scanloop_tests::TestSystem;
 use scanloop_tests::machine::repeat_when_late;
 use scanloop_tests::terminal::Terminal;
+use session::control::{Reply, Request, ask};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -294,6 +295,37 @@ fn in_lockstep_a_person_drives_scan_by_scan_and_time_stands_while_the_drive_is_p
         assert_eq!(system.wait().code(), Some(0));
         assert_eq!(drivers(&system), ["nobody", "person", "nobody", "controller"]);
         system.assert_replayed();
+        system.assert_nothing_left();
+    });
+}
+
+#[test]
+fn in_lockstep_each_control_that_is_taken_drives_a_scan_of_its_own() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        system.start(&["endless", "--lockstep"]);
+        system.wait_until("the drive is paused", |system| run(system, &["pause"]).0 == Some(0));
+        let before = scan_while_time_stands(&system);
+        let domain = system.find().unwrap();
+        let Ok(Reply::Teleop { person, .. }) = ask(&domain, &Request::Teleop) else { panic!("refused") };
+        // Those of several threads wait for the same turn of the orchestrator's loop.
+        let taken = || {
+            let give = |_: &usize| {
+                let given_ns = monotonic_ns();
+                let control = Request::Control { person, velocity_mps: 0.1, steering_rad: 0.0, given_ns };
+                matches!(ask(&domain, &control), Ok(Reply::Accepted(_)))
+            };
+            (0..200).filter(give).count() as u64
+        };
+        let taken: u64 = std::thread::scope(|scope| {
+            [(); 8].map(|()| scope.spawn(taken)).into_iter().map(|thread| thread.join().unwrap()).sum()
+        });
+        assert_eq!(run(&system, &["pause"]).0, Some(0));
+        let scans = scan_while_time_stands(&system) - before;
+        // The last one may be paused before its scan.
+        assert!(taken > 20 && taken <= scans + 1, "{taken} controls in {scans} scans");
+        assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+        system.wait();
         system.assert_nothing_left();
     });
 }
