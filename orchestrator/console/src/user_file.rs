@@ -2,12 +2,13 @@
 
 mod table;
 
-use std::fs::OpenOptions;
+use std::fs::{File, OpenOptions};
 use std::io::{self, Read};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
 use rustix::fs::OFlags;
+use rustix::io::Errno;
 
 /// Largest scenario, system or calibration: a hundred times the largest one shipped [bytes].
 pub const TEXT_BYTES: u64 = 1 << 20;
@@ -91,32 +92,49 @@ fn lone_returns(text: &[u8]) -> impl Iterator<Item = usize> + '_ {
     (0..text.len()).filter(is_lone)
 }
 
-/// The first bytes of a regular file, at most `count`. It never waits, as opening a pipe would.
+/// Opens a regular file for reading. It never waits, as opening a pipe would.
 ///
 /// # Errors
 /// What is no regular file, and those of the file system.
-pub fn read_start(path: &Path, count: u64) -> io::Result<Vec<u8>> {
+pub fn open(path: &Path) -> io::Result<File> {
     // A FIFO that is opened for reading waits for a writer otherwise.
     let flags = OFlags::NONBLOCK.bits().cast_signed();
-    let file = OpenOptions::new().read(true).custom_flags(flags).open(path)?;
-    if !file.metadata()?.is_file() {
-        return Err(io::Error::other("it is not a regular file"));
+    let file = match OpenOptions::new().read(true).custom_flags(flags).open(path) {
+        // A socket can't be opened.
+        Err(error) if Errno::from_io_error(&error) == Some(Errno::NXIO) => None,
+        opened => Some(opened?),
+    };
+    match file {
+        Some(file) if file.metadata()?.is_file() => Ok(file),
+        _ => Err(io::Error::other("it is not a regular file")),
     }
+}
+
+/// The first bytes of a regular file, at most `count`.
+///
+/// # Errors
+/// As [`open`].
+pub fn read_start(path: &Path, count: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    file.take(count).read_to_end(&mut bytes)?;
+    open(path)?.take(count).read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 
 /// The content of a regular file with at most `max_bytes`.
 ///
 /// # Errors
-/// As [`read_start`], and a larger file.
+/// As [`open`], and a larger file.
 pub fn read_bytes(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
-    let bytes = read_start(path, max_bytes + 1)?;
-    if bytes.len() as u64 > max_bytes {
-        return Err(io::Error::other(format!("it has more than {max_bytes} bytes, the limit")));
+    let file = open(path)?;
+    let mut bytes = Vec::new();
+    // A larger one is not read: it may be a hole.
+    if file.metadata()?.len() <= max_bytes {
+        file.take(max_bytes + 1).read_to_end(&mut bytes)?;
+        if bytes.len() as u64 <= max_bytes {
+            return Ok(bytes);
+        }
     }
-    Ok(bytes)
+    Err(io::Error::other(format!("it has more than {max_bytes} bytes, the limit")))
 }
 
 #[cfg(test)]

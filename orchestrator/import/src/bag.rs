@@ -5,6 +5,7 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
+use console::user_file;
 use recording::mcap::{Contents, McapReader};
 use recording::read::refusal;
 use recording::ros2::{BaseOdometry, LaserScan, Ros2Message};
@@ -127,7 +128,7 @@ impl Bag {
 }
 
 fn open(path: &Path) -> anyhow::Result<McapReader<BufReader<File>>> {
-    let file = File::open(path).map_err(|error| refuse(path, error))?;
+    let file = user_file::open(path).map_err(|error| refuse(path, error))?;
     McapReader::new(BufReader::new(file)).map_err(|error| refusal(path, &error))
 }
 

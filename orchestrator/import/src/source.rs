@@ -1,9 +1,8 @@
 //! Where a drive is imported from: a bag of ROS 2, or the log of a rover. Both give messages of ROS 2.
 
-use std::fs::File;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use console::user_file;
 use recording::mcap::MAGIC;
 
 use crate::ImportOptions;
@@ -31,7 +30,7 @@ impl Source {
         if from.is_dir() {
             return Bag::open(from, &bag_files(from)?, options).map(Self::Bag);
         }
-        match first_bytes(from)? {
+        match user_file::read_start(from, SQLITE.len() as u64).map_err(|error| refuse(from, error))? {
             first if first.starts_with(&MAGIC) => Bag::open(from, &[from.to_owned()], options).map(Self::Bag),
             first if first.starts_with(SQLITE) => Err(in_sqlite(from)),
             first if first.starts_with(ROS1) => Err(refuse(
@@ -139,14 +138,4 @@ fn bag_files(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
         }
         None => Err(refuse(folder, "no bag of ROS 2 is in this folder: no file ends with .mcap")),
     }
-}
-
-fn first_bytes(path: &Path) -> anyhow::Result<Vec<u8>> {
-    let refuse = |error: std::io::Error| refuse(path, error);
-    if !path.metadata().map_err(refuse)?.is_file() {
-        return Err(self::refuse(path, "it is neither a file nor a folder"));
-    }
-    let mut first = Vec::new();
-    File::open(path).map_err(refuse)?.take(SQLITE.len() as u64).read_to_end(&mut first).map_err(refuse)?;
-    Ok(first)
 }

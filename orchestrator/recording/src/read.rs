@@ -1,11 +1,13 @@
 //! A recording read from its file: samples in the order in which they were recorded, and the files inside.
 
 use std::collections::BTreeSet;
-use std::fs::File;
+use std::fs::{File, Metadata};
 use std::io::BufReader;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use console::exit::Failure;
+use console::user_file;
 use runtime::OwnTopics;
 use shared_types::{Difference, Field, Layouts, NotALayout, Role, TOPICS, Topic};
 
@@ -25,8 +27,8 @@ pub(crate) const VERSION: &str = "1";
 /// Name of the attached run: scenario, system and options.
 pub const RUN: &str = "run.toml";
 
-/// Samples are read up to so many bytes, or to [`MAX_RATIO`] times the length of the file if that is more: replays hold them in
-/// memory. A recording unpacks to five times its length.
+/// Samples are read up to so many bytes, or to [`MAX_RATIO`] times what the file takes on the disk if that is more: replays hold
+/// them in memory. A recording unpacks to five times its length.
 const MAX_SAMPLES: u64 = 256 << 20;
 const MAX_RATIO: u64 = 32;
 /// A larger attached text is none of ours [bytes]: a parser takes a hundred times as much.
@@ -83,7 +85,7 @@ impl Recording {
     pub fn open(path: &Path) -> anyhow::Result<Self> {
         let refuse =
             |reason: &dyn std::fmt::Display| Failure::bad_input(format!("{}: {reason}", path.display()));
-        let file = File::open(path).map_err(|error| refuse(&error))?;
+        let file = user_file::open(path).map_err(|error| refuse(&error))?;
         if file.metadata().is_ok_and(|metadata| metadata.len() == 0) {
             return Err(refuse(&"the file is empty"));
         }
@@ -132,7 +134,9 @@ impl Recording {
         &mut self,
         mut each: impl FnMut(&Contents, RecordedSample<'_>) -> anyhow::Result<()>,
     ) -> anyhow::Result<()> {
-        let limit = MAX_SAMPLES.max(MAX_RATIO * self.path.metadata().map_or(0, |metadata| metadata.len()));
+        // A hole of the file is no content.
+        let stored = |found: Metadata| found.len().min(512 * found.blocks());
+        let limit = MAX_SAMPLES.max(MAX_RATIO * self.path.metadata().map_or(0, stored));
         let mut bytes = 0;
         while let Some((topic, log_ns)) = self.advance(None)? {
             bytes += topic.size() as u64;
@@ -257,7 +261,7 @@ impl Recording {
         if own.iter().all(Vec::is_empty) {
             return Ok(());
         }
-        let file = File::open(&self.path).map_err(|error| refusal(&self.path, &error.into()))?;
+        let file = user_file::open(&self.path).map_err(|error| refusal(&self.path, &error.into()))?;
         let mut reader =
             McapReader::new(BufReader::new(file)).map_err(|error| refusal(&self.path, &error))?;
         let is_earlier: Vec<bool> =
@@ -385,21 +389,16 @@ pub fn metadata<'a>(contents: &'a Contents, name: &str, key: &str) -> Option<&'a
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mcap::Attachment;
 
     #[test]
     fn an_attached_text_that_is_larger_than_a_run_attaches_is_none() {
-        let path = std::env::temp_dir().join(format!("scanloop-text-{}.mcap", std::process::id()));
         for (length, is_read) in [(MAX_TEXT, true), (MAX_TEXT + 1, false)] {
-            let mut writer = crate::tape::writer(File::create(&path).unwrap()).unwrap();
-            writer.attach("system.toml", "text/plain", &vec![b'#'; length], 0).unwrap();
-            writer.finish().unwrap();
-            let mut recording = Recording::open(&path).unwrap();
-            recording.samples(|_, _| Ok(())).unwrap();
-            let attached = &recording.contents().attachments;
-            assert_eq!(attached[0].data.len(), length);
-            assert_eq!(attachment(recording.contents(), "system.toml").is_some(), is_read, "{length}");
+            let (name, media_type) = ("system.toml".to_owned(), "text/plain".to_owned());
+            let text = Attachment { name, media_type, log_ns: 0, data: vec![b'#'; length] };
+            let contents = Contents { attachments: vec![text], ..Contents::default() };
+            assert_eq!(attachment(&contents, "system.toml").is_some(), is_read, "{length}");
         }
-        std::fs::remove_file(&path).unwrap();
     }
 
     #[test]

@@ -7,11 +7,10 @@
 
 mod drive;
 
-use std::fs::File;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use console::exit::Failure;
+use console::user_file;
 use figures::{Align, Table, student};
 use serde::Serialize;
 use shared_types::Header;
@@ -92,12 +91,8 @@ struct Figure {
 
 /// Whether a file or folder is compared as drives.
 pub fn is_drives(path: &Path) -> bool {
-    let begins_so = || {
-        let mut start = [0; MAGIC.len()];
-        File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok() && start == MAGIC
-    };
-    // A pipe is not opened: it may have no end.
-    path.is_dir() || path.extension().is_some_and(|kind| kind == "mcap") || path.is_file() && begins_so()
+    let begins_so = || user_file::read_start(path, MAGIC.len() as u64).is_ok_and(|start| start == MAGIC);
+    path.is_dir() || path.extension().is_some_and(|kind| kind == "mcap") || begins_so()
 }
 
 /// Compares the drives of two files or folders.

@@ -14,6 +14,7 @@ use std::path::Path;
 
 use crate::ride::RideFigures;
 pub use audit::ledger::{DelayRow, LedgerReport, LedgerRow, ScanReport};
+use console::user_file::{self, DATA_BYTES};
 pub use emulator::referee::Landing;
 pub use emulator::{JudgedBy, Outcome};
 use figures::Figures;
@@ -298,7 +299,7 @@ impl Report {
     /// # Errors
     /// When the file can't be read, or is not a report.
     pub fn read(path: &Path) -> io::Result<Self> {
-        Ok(serde_json::from_slice(&std::fs::read(path)?)?)
+        Ok(serde_json::from_slice(&user_file::read_bytes(path, DATA_BYTES)?)?)
     }
 }
 

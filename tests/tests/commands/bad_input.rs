@@ -196,6 +196,12 @@ fn an_out_folder_that_is_no_utf8_is_refused_before_anything_is_made() {
         assert!(!system.folder().join(folder).exists());
         system.assert_nothing_left();
     }
+    // The report names the recording.
+    let file = std::ffi::OsStr::from_bytes(b"--record=drive\xff.mcap");
+    let output = system.command(&["run", "--lockstep", "--out", "out"]).arg(file).output().unwrap();
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{message}");
+    assert!(message.contains("--record drive") && message.contains("UTF-8"), "{message}");
 }
 
 #[test]
@@ -227,6 +233,31 @@ fn files_that_are_no_regular_files_or_too_large_are_refused() {
         [&["bench", "compare", "fifo.toml", "fifo.toml"][..], &["calibrate", "velocity", "fifo.toml"]]
     {
         refused(&system, command, &["fifo.toml", "regular file"]);
+    }
+    for file in ["fifo.toml", "/dev/zero"] {
+        for arguments in [
+            &["recording", "info", file][..],
+            &["recording", "repair", file, "--out", "new.mcap"],
+            &["recording", "cut", file, "--out", "new.mcap"],
+            &["recording", "export", file, "--csv", "tables"],
+            &["recording", "export", file, "--rosbag2", "bag"],
+            &["recording", "import", file, "--out", "new.mcap"],
+            &["replay", file],
+            &["report", file],
+            &["why", file, "5"],
+            &["view", file],
+            &["map", file, "--out", "new.svg"],
+            &["fork", file, "--at", "5"],
+            &["compare", file, file],
+        ] {
+            refused(&system, arguments, &[file, "regular file"]);
+        }
+    }
+    let folder = system.folder().join("bag");
+    std::fs::create_dir_all(&folder).unwrap();
+    std::fs::rename(fifo, folder.join("fifo.mcap")).unwrap();
+    for arguments in [&["recording", "import", "bag", "--out", "new.mcap"][..], &["compare", "bag", "bag"]] {
+        refused(&system, arguments, &["fifo.mcap", "regular file"]);
     }
 }
 

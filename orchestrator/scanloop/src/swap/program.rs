@@ -4,11 +4,16 @@
 
 use std::collections::BTreeSet;
 use std::hash::{DefaultHasher, Hash, Hasher};
+use std::io::Read;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
+use console::user_file::{self, TEXT_BYTES};
+
 /// Bytes of the header of an ELF file of 64 bits.
 const ELF_HEADER: usize = 64;
+/// The name of its interpreter stands in the first so many bytes of a script.
+const FIRST_LINE: u64 = 256;
 /// Relative imports go up this many folders at most.
 const MAX_DOTS: usize = 8;
 
@@ -36,7 +41,8 @@ pub(super) fn files(command: &[String]) -> BTreeSet<PathBuf> {
 pub(super) fn fingerprint(files: &BTreeSet<PathBuf>, program: &Path) -> Option<u64> {
     let mut hasher = DefaultHasher::new();
     for path in files {
-        let bytes = std::fs::read(path).ok()?;
+        let mut bytes = Vec::new();
+        user_file::open(path).and_then(|mut file| file.read_to_end(&mut bytes)).ok()?;
         let is_executable = || path.metadata().is_ok_and(|found| found.permissions().mode() & 0o111 != 0);
         if bytes.is_empty() && path == program || !is_whole(&bytes) || path == program && !is_executable() {
             return None;
@@ -67,7 +73,7 @@ fn is_whole(bytes: &[u8]) -> bool {
 
 fn is_python(path: &Path) -> bool {
     let is_script = || {
-        let start = std::fs::read(path).unwrap_or_default();
+        let start = user_file::read_start(path, FIRST_LINE).unwrap_or_default();
         let line = start.split(|byte| *byte == b'\n').next().unwrap_or_default();
         line.starts_with(b"#!") && String::from_utf8_lossy(line).contains("python")
     };
@@ -79,7 +85,7 @@ fn add_imports(file: &Path, folder: &Path, files: &mut BTreeSet<PathBuf>) {
     if !files.insert(file.to_owned()) {
         return;
     }
-    let text = std::fs::read(file).unwrap_or_default();
+    let text = user_file::read_bytes(file, TEXT_BYTES).unwrap_or_default();
     for name in imported(&String::from_utf8_lossy(&text)) {
         let dots = name.len() - name.trim_start_matches('.').len();
         let mut base = if dots == 0 { Some(folder) } else { file.parent() };

@@ -189,6 +189,28 @@ fn files_of_users_are_made_in_one_place() {
     }
 }
 
+/// `console::user_file` waits for no writer of a pipe, and refuses what has no end.
+#[test]
+fn files_of_users_are_opened_in_one_place() {
+    let others = [
+        // Whether files can be opened at all.
+        "orchestrator/console/src/limits.rs",
+        // Folders.
+        "orchestrator/console/src/out_folder.rs",
+        // Logs of a running system.
+        "orchestrator/recording/src/recorder/logs.rs",
+        // Regular ones only; it knows nothing of the console.
+        "orchestrator/supervision/src/replaceable.rs",
+    ];
+    for folder in ["orchestrator", "benches"] {
+        for path in sources(&root().join(folder)).into_iter().filter(|path| !within(path, &others)) {
+            let text = std::fs::read_to_string(&path).unwrap();
+            let text = text.split("#[cfg(test)]").next().unwrap_or_default();
+            assert!(!text.contains("File::open("), "{}: use console::user_file", path.display());
+        }
+    }
+}
+
 /// `console::output::data` filters what a terminal would obey, and ends no command when the reader has gone.
 #[test]
 fn standard_output_is_written_in_one_place() {
