@@ -24,9 +24,10 @@ use rustix::io::Errno;
 
 use crate::exit::{Failure, Unwritable};
 pub(crate) use device::leads_to_device;
-use device::open_device;
+use device::{is_trusted, open_device};
 pub use folder::make_folder;
 use folder::open_folder;
+pub(crate) use folder::resolved;
 pub(crate) use place::probe;
 use place::{Place, begin, random};
 
@@ -178,6 +179,22 @@ pub fn write(path: &Path, content: &[u8]) -> anyhow::Result<()> {
     let mut file = NewFile::create(path, Existing::Replace, &[])?;
     file.write_all(content)?;
     file.finish()
+}
+
+/// The file that a link leads to: for a file of the user that is changed, as an editor does it, and not made anew.
+///
+/// # Errors
+/// A link that leads to no file, or that another user has placed; exit code 2.
+pub fn behind_link(path: &Path) -> anyhow::Result<PathBuf> {
+    match path.symlink_metadata() {
+        Ok(found) if found.is_symlink() && !leads_to_device(path) => {
+            if !is_trusted(&found) {
+                return Err(refusal(path, format!("a link of user {}, which is not followed", found.uid())));
+            }
+            path.canonicalize().map_err(|error| refusal(path, format!("the link leads to no file: {error}")))
+        }
+        _ => Ok(path.to_owned()),
+    }
 }
 
 /// Passes when an output is none of the inputs, also not by a link or a second name.
@@ -369,6 +386,14 @@ mod tests {
         write(&link, b"new").unwrap();
         assert_eq!(std::fs::read_to_string(&target).unwrap(), "untouched");
         assert!(!link.is_symlink());
+        // But not where the command changes what is there.
+        std::fs::remove_file(&link).unwrap();
+        symlink("target", &link).unwrap();
+        let followed = behind_link(&link).unwrap();
+        assert_eq!(followed, target.canonicalize().unwrap());
+        assert_eq!(behind_link(&folder.path().join("new")).unwrap(), folder.path().join("new"));
+        symlink("missing", folder.path().join("dangling")).unwrap();
+        assert!(behind_link(&folder.path().join("dangling")).is_err());
         symlink("target", folder.path().join("log")).unwrap();
         let opened = open_log(&folder.path().join("log"), OpenOptions::new().append(true));
         assert!(opened.is_err());

@@ -9,8 +9,8 @@ use std::fs::{File, OpenOptions, TryLockError};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use crate::exit::Failure;
-use crate::new_file::{self, leads_to_device, make_folder, open_log, require_apart};
+use crate::exit::{Failure, Unwritable};
+use crate::new_file::{self, leads_to_device, make_folder, open_log, require_apart, resolved};
 use crate::user_file::{self, TEXT_BYTES};
 
 /// The list of what was written.
@@ -19,6 +19,9 @@ const LIST: &str = ".scanloop";
 const MAX_LIST_BYTES: usize = 1 << 16;
 /// A name in so many of the last lines may be that of a file which is about to be made.
 const NEWEST_LINES: usize = 64;
+/// A recording has this name, in front of a version, in its first so many bytes.
+const PROGRAM: &[u8] = b"scanloop ";
+const HEADER_BYTES: u64 = 64;
 /// A file that is larger is none that a command writes whole [bytes].
 const MAX_RESULT_BYTES: u64 = 1 << 30;
 
@@ -48,7 +51,7 @@ impl OutFolder {
     /// As [`OutFolder::claim`], and the first error of the file system; exit code 2.
     pub fn write(&self, name: &str, content: &[u8]) -> anyhow::Result<PathBuf> {
         let path = self.folder.join(name);
-        let refuse = |error: std::io::Error| Failure::bad_input(format!("{}: {error}", path.display()));
+        let refuse = |error: std::io::Error| Unwritable::wrap(&path, error);
         self.require_own(name)?;
         path.parent().map_or(Ok(()), make_folder).map_err(refuse)?;
         // First the line, then the file: after a power failure between them the old file is still known.
@@ -70,10 +73,10 @@ impl OutFolder {
     /// # Errors
     /// The name of the file; exit code 2.
     pub fn require_other(&self, path: &Path) -> anyhow::Result<()> {
-        let (Ok(path), Ok(folder)) = (std::path::absolute(path), std::path::absolute(&self.folder)) else {
-            return Ok(());
-        };
-        let name = path.strip_prefix(folder).unwrap_or(Path::new(""));
+        let refuse = |error: std::io::Error| Failure::bad_input(format!("{}: {error}", path.display()));
+        let list = resolved(&self.folder.join(LIST)).map_err(refuse)?;
+        let path = resolved(path).map_err(refuse)?;
+        let name = list.parent().and_then(|folder| path.strip_prefix(folder).ok()).unwrap_or(Path::new(""));
         let is_ours = name.starts_with("logs")
             || name == Path::new(LIST)
             || self.names.iter().any(|own| name == Path::new(own));
@@ -119,7 +122,7 @@ impl OutFolder {
         }
     }
 
-    /// Claims a file that grows under its name, such as a recording: it is known by its name only.
+    /// Claims a recording, which grows under its name: it is known by its name, and by the program that it names as its own.
     ///
     /// # Errors
     /// As [`OutFolder::claim`], and the first error of the file system; exit code 2.
@@ -130,11 +133,19 @@ impl OutFolder {
             return Err(foreign(&path));
         }
         let noted = make_folder(&self.folder).and_then(|()| self.note(&line(name, b"")));
-        noted.map_err(|error| Failure::bad_input(format!("{}: {error}", path.display())))
+        Ok(noted.map_err(|error| Unwritable::wrap(&path, error))?)
     }
 
-    /// Whether a file of this name was claimed by [`OutFolder::claim_growing`].
+    /// Whether a file of this name was claimed by [`OutFolder::claim_growing`], and is no other one meanwhile.
     pub fn has_grown(&self, name: &str) -> bool {
+        let is_ours =
+            |start: Vec<u8>| start.is_empty() || start.windows(PROGRAM.len()).any(|bytes| bytes == PROGRAM);
+        let path = self.folder.join(name);
+        let is_there = || path.symlink_metadata().is_ok();
+        self.may_grow(name) && (!is_there() || user_file::read_start(&path, HEADER_BYTES).is_ok_and(is_ours))
+    }
+
+    fn may_grow(&self, name: &str) -> bool {
         self.has(&line(name, b""))
     }
 
@@ -174,7 +185,7 @@ impl OutFolder {
             let names: BTreeSet<String> = list.lines().filter_map(name).collect();
             let kept = |name: &String| {
                 let there = || self.content(name).map(|content| self::line(name, &content));
-                if !self.has_grown(name) {
+                if !self.may_grow(name) {
                     return there();
                 }
                 // A file of this name that comes later may be of the user.
@@ -229,8 +240,12 @@ mod tests {
         assert!(claim(false).unwrap().claim_growing("recording.mcap").is_err());
         std::fs::remove_file(&grown).unwrap();
         claim(false).unwrap().claim_growing("recording.mcap").unwrap();
-        std::fs::write(&grown, "recorded").unwrap();
+        std::fs::write(&grown, "\u{89}MCAP ros2 scanloop 0.1.0 and more").unwrap();
         claim(false).unwrap().claim_growing("recording.mcap").unwrap();
+        std::fs::write(&grown, "\u{89}MCAP ros2 other and more").unwrap();
+        assert!(claim(false).unwrap().claim_growing("recording.mcap").is_err());
+        assert!(!claim(false).unwrap().has_grown("recording.mcap"));
+        claim(true).unwrap().claim_growing("recording.mcap").unwrap();
     }
 
     #[test]
@@ -242,9 +257,13 @@ mod tests {
         assert!(message.contains("another run writes there"), "{message}");
         drop(held);
         results.hold().unwrap();
-        for own in ["report.json", ".scanloop", "logs/robot.log", "./logs/../logs/x"] {
+        for own in ["report.json", ".scanloop", "logs/robot.log", "./logs/../logs/x", "new/../report.json"] {
             results.require_other(&results.folder().join(own)).unwrap_err();
         }
+        std::os::unix::fs::symlink("other/../out", folder.path().join("link")).unwrap();
+        results.require_other(&folder.path().join("link/report.json")).unwrap_err();
+        let by_link = OutFolder::claim(&folder.path().join("link"), &["report.json"], true).unwrap();
+        by_link.require_other(&folder.path().join("out/report.json")).unwrap_err();
         for other in ["out/drive.mcap", "report.json", "outer/report.json"] {
             results.require_other(&folder.path().join(other)).unwrap();
         }
@@ -258,7 +277,7 @@ mod tests {
         std::fs::write(folder.path().join(LIST), results.list() + &"0 0 gone\n".repeat(10_000)).unwrap();
         for scan in ["1", "2"] {
             results.claim_growing(&format!("incident-{scan}.mcap")).unwrap();
-            std::fs::write(folder.path().join(format!("incident-{scan}.mcap")), "recorded").unwrap();
+            std::fs::write(folder.path().join(format!("incident-{scan}.mcap")), "scanloop 0.1.0").unwrap();
         }
         std::fs::write(folder.path().join(LIST), results.list() + &"0 0 gone\n".repeat(10_000)).unwrap();
         std::fs::remove_file(folder.path().join("incident-1.mcap")).unwrap();

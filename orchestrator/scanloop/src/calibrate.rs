@@ -15,7 +15,7 @@ pub use arguments::{CalibrateArguments, CalibrationKind};
 
 use console::answer;
 use console::exit::{Exit, Failure};
-use console::new_file::{self, require_apart};
+use console::new_file::{self, behind_link, require_apart};
 use console::out_folder::OutFolder;
 use console::user_file;
 use plan::Choice;
@@ -46,6 +46,7 @@ pub(crate) fn calibrate(arguments: &CalibrateArguments) -> anyhow::Result<Exit> 
     let names = if arguments.drive { vec![picture.as_str(), table.as_str()] } else { vec![picture.as_str()] };
     let out = OutFolder::claim(&arguments.out, &names, arguments.force)?;
     let into = arguments.into.clone().unwrap_or_else(|| arguments.out.join("calibration.toml"));
+    let into = behind_link(&into)?;
     let inputs: Vec<&Path> = arguments.files.iter().map(PathBuf::as_path).collect();
     out.require_apart(&inputs)?;
     require_apart(&into, &inputs)?;

@@ -118,6 +118,10 @@ fn new_file(file: &Path) -> anyhow::Result<PathBuf> {
         return Err(refuse(&"the file exists; name another one"));
     }
     let path = std::path::absolute(file).map_err(|error| refuse(&error))?;
+    // It stands in the report.
+    if path.to_str().is_none() {
+        return Err(refuse(&"the path of the file is not UTF-8; name another one"));
+    }
     if let Some(Err(reason)) = path.parent().map(require_writable) {
         return Err(refuse(&reason));
     }

@@ -157,10 +157,14 @@ fn a_run_leaves_what_the_user_has_in_its_folder() {
     assert_eq!(read("d/report.json"), "mine\n");
     // A recording in the place of a file of the run itself, and behind a link that leads nowhere yet.
     symlink("stick/drive.mcap", place("link.mcap")).unwrap();
+    symlink("new", place("to-new")).unwrap();
     for (file, reason) in [
         ("new/logs/robot.log", "the run writes this file itself"),
         ("new/.scanloop", "the run writes this file itself"),
         ("new/report.json", "the run writes this file itself"),
+        ("new/more/../report.json", "the run writes this file itself"),
+        ("to-new/report.json", "the run writes this file itself"),
+        ("to-new/logs/robot.log", "the run writes this file itself"),
         ("link.mcap", "the file exists"),
     ] {
         let record = format!("--record={file}");
@@ -169,6 +173,13 @@ fn a_run_leaves_what_the_user_has_in_its_folder() {
         assert!(message.contains(reason), "{file}: {message}");
     }
     assert!(place("link.mcap").is_symlink());
+    // A file that took the place of the recording of an earlier run.
+    let run = [&["run", "--lockstep", "--quiet", "--out", "again", "--record"], &SHORT_FREE[..]].concat();
+    succeeds(&system, &run);
+    succeeds(&system, &run);
+    std::fs::write(place("again/recording.mcap"), "mine\n").unwrap();
+    assert!(refused(&system, &run).contains("recording.mcap: the file exists"));
+    assert_eq!(read("again/recording.mcap"), "mine\n");
 }
 
 #[test]

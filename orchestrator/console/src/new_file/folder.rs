@@ -90,6 +90,34 @@ fn walk(path: &Path, makes: bool) -> io::Result<OwnedFd> {
     Ok(folder)
 }
 
+/// The path of a file without a link or `..` on the way to it, as [`make_folder`] would go to its folder.
+pub(crate) fn resolved(path: &Path) -> io::Result<PathBuf> {
+    let path = std::path::absolute(path)?;
+    let (mut rest, mut links) = (names(path.parent().unwrap_or(Path::new(""))), 0);
+    let mut found = PathBuf::from("/");
+    while let Some(name) = rest.pop_front() {
+        if name == ".." {
+            found.pop();
+            continue;
+        }
+        found.push(name);
+        let Ok(target) = found.read_link() else { continue };
+        links += 1;
+        if links > MAX_LINKS {
+            return Err(Errno::LOOP.into());
+        }
+        found.pop();
+        if target.is_absolute() {
+            found = PathBuf::from("/");
+        }
+        let mut names = names(&target);
+        names.append(&mut rest);
+        rest = names;
+    }
+    found.extend(path.file_name());
+    Ok(found)
+}
+
 /// The names on a path, one after the other.
 fn names(path: &Path) -> VecDeque<OsString> {
     let is_name = |part: &Component<'_>| matches!(part, Component::Normal(_) | Component::ParentDir);
