@@ -147,6 +147,8 @@ mod tests {
         std::fs::write(&path, "12345678").unwrap();
         assert_eq!(read(&path, 8).unwrap(), "12345678");
         assert!(read(&path, 7).unwrap_err().contains("more than 7 bytes"));
+        File::options().write(true).open(&path).unwrap().set_len(1 << 40).unwrap();
+        assert!(read(&path, DATA_BYTES).unwrap_err().contains("more than 268435456 bytes"), "it is not read");
         std::fs::write(&path, [0xff]).unwrap();
         assert!(read(&path, 8).unwrap_err().contains("line 1: the byte 0xff belongs to no text in UTF-8"));
         std::fs::remove_file(&path).unwrap();

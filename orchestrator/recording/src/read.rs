@@ -134,9 +134,7 @@ impl Recording {
         &mut self,
         mut each: impl FnMut(&Contents, RecordedSample<'_>) -> anyhow::Result<()>,
     ) -> anyhow::Result<()> {
-        // A hole of the file is no content.
-        let stored = |found: Metadata| found.len().min(512 * found.blocks());
-        let limit = MAX_SAMPLES.max(MAX_RATIO * self.path.metadata().map_or(0, stored));
+        let limit = self.path.metadata().map_or(MAX_SAMPLES, |found| max_samples(&found));
         let mut bytes = 0;
         while let Some((topic, log_ns)) = self.advance(None)? {
             bytes += topic.size() as u64;
@@ -339,6 +337,12 @@ fn earlier_topics(contents: &Contents) -> Vec<EarlierLayout> {
     recorded.map_or_else(Vec::new, |recorded| TOPICS.map(|topic| EarlierLayout::new(&recorded, topic)).into())
 }
 
+/// Samples of a file are read up to so many bytes.
+fn max_samples(found: &Metadata) -> u64 {
+    // A hole of the file is no content.
+    MAX_SAMPLES.max(MAX_RATIO.saturating_mul(found.len().min(512 * found.blocks())))
+}
+
 /// Topics whose samples have another layout.
 fn other_topics(path: &Path, contents: &Contents) -> anyhow::Result<BTreeSet<String>> {
     let refuse = |reason: String| Failure::bad_input(format!("{}: {reason}", path.display()));
@@ -399,6 +403,15 @@ mod tests {
             let contents = Contents { attachments: vec![text], ..Contents::default() };
             assert_eq!(attachment(&contents, "system.toml").is_some(), is_read, "{length}");
         }
+    }
+
+    #[test]
+    fn a_hole_of_a_file_gives_it_no_more_memory() {
+        let path = std::env::temp_dir().join(format!("scanloop-hole-{}.mcap", std::process::id()));
+        let file = File::create(&path).unwrap();
+        file.set_len(1 << 34).unwrap();
+        assert_eq!(max_samples(&file.metadata().unwrap()), MAX_SAMPLES);
+        std::fs::remove_file(&path).unwrap();
     }
 
     #[test]

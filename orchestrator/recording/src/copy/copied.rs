@@ -82,6 +82,7 @@ impl std::fmt::Display for Missing {
                 write!(formatter, "up to {:.2} s, between {from_s:.2} s and {to_s:.2} s", to_s - from_s)
             }
             (Some(from_s), None) => write!(formatter, "what followed {from_s:.2} s"),
+            (None, Some(to_s)) if *to_s > 0.0 => write!(formatter, "something in front of {to_s:.2} s"),
             (None, None) if gap.what == Damage::Count => write!(formatter, "at a time that is not known"),
             (None, _) => write!(formatter, "what came before the first message that is left"),
         }

@@ -80,6 +80,9 @@ pub enum Damage {
     /// The summary counts other messages.
     #[error("the summary counts more or fewer messages than there are")]
     Count,
+    /// The summary counts other attached files.
+    #[error("the summary counts more attached files or texts than there are")]
+    Attached,
     /// The file ends within a record, or without its end.
     #[error("the file was cut off")]
     CutOff,

@@ -12,17 +12,15 @@ use super::index::{Index, Part, Place};
 use super::input::{Head, Input};
 use super::unpack::{self, ChunkHead};
 use super::walk::index;
-use super::{Channel, Contents, Damage, McapMessage, ReadError, Schema, opcode};
+use super::{Channel, Contents, Damage, McapMessage, ReadError, Schema, opcode, sound};
 
 /// What a part holds.
 #[derive(Debug)]
-enum Loaded {
-    /// Messages, with their first and last log time [ns].
-    Messages([u64; 2]),
-    /// Schemas and channels alone.
-    Definitions,
-    /// What was read before, and is named once.
-    Repeated,
+struct Loaded {
+    /// First and last log time of its messages [ns]; `None` for schemas and channels alone, and what was read before.
+    times_ns: Option<[u64; 2]>,
+    /// In a salvage, what is wrong with it, and whether messages may be missing.
+    damage: Option<(Damage, bool)>,
 }
 
 /// Reads a file message by message.
@@ -228,16 +226,25 @@ impl<R: Read + Seek> McapReader<R> {
             self.current = Some(part);
             self.place = 0;
             match self.load(part) {
-                Ok(Loaded::Messages(times_ns)) => {
-                    let counted = self.contents().statistics.as_ref();
-                    self.gaps.end_at(times_ns, counted.map(|counted| counted.times[0]));
-                    self.index.files[part.file].chunks += u64::from(self.counts.is_some());
-                    return Ok(true);
-                }
-                Ok(Loaded::Definitions) => self.content.clear(),
-                Ok(Loaded::Repeated) => {
+                Ok(Loaded { times_ns, damage }) => {
+                    // What was cut off lies behind the messages, all else between them.
+                    let is_cut_off = matches!(damage, Some((Damage::CutOff, _)));
+                    if let Some((what, is_data)) = damage.filter(|_| !is_cut_off) {
+                        let last_ns = times_ns.map(|[_, last_ns]| last_ns);
+                        self.gaps.note(part.file, part.at, what, is_data, last_ns);
+                    }
+                    if let Some(times_ns) = times_ns {
+                        let counted = self.contents().statistics.as_ref();
+                        self.gaps.end_at(times_ns, counted.map(|counted| counted.times[0]));
+                        self.index.files[part.file].chunks += u64::from(self.counts.is_some());
+                    }
+                    if is_cut_off {
+                        self.gaps.note(part.file, part.at, Damage::CutOff, true, None);
+                    }
+                    if times_ns.is_some() {
+                        return Ok(true);
+                    }
                     self.content.clear();
-                    self.gaps.note(part.file, part.at, Damage::Repeated, false, None);
                 }
                 Err(Fault::Io(error)) => return Err(error.into()),
                 Err(fault) if !self.is_salvage => return Err(fault.at(part.at)),
@@ -260,17 +267,26 @@ impl<R: Read + Seek> McapReader<R> {
         if content.len() as u64 != part.end - part.at {
             return Err(Damage::CutOff.into());
         }
+        let mut damage = None;
         if part.is_chunk {
-            let record = self.record.get(Head::BYTES as usize..).unwrap_or_default();
-            let head = Head { at: part.at, opcode: opcode::CHUNK, length: record.len() as u64 };
-            let fields = record.len().min(unpack::FIELDS as usize);
-            ChunkHead::read(&head, &record[..fields])?.unpack(record, &mut self.content)?;
+            let mut fields = Fields(&self.record);
+            fields.take(1)?;
+            let (length, record) = (fields.u64()?, fields.0);
+            let head = Head { at: part.at, opcode: opcode::CHUNK, length };
+            let chunk = ChunkHead::read(&head, &record[..record.len().min(unpack::FIELDS as usize)])?;
+            let is_cut_off = head.end() > part.end;
+            match is_cut_off {
+                true => chunk.unpack_start(record, &mut self.content),
+                false => chunk.unpack(record, &mut self.content)?,
+            }
+            if self.is_salvage {
+                damage = keep_records(&mut self.content, is_cut_off).map(|what| (what, true));
+            }
         }
         let mut times: Option<[u64; 2]> = None;
         let mut fields = Fields(&self.content);
         while !fields.0.is_empty() {
-            let (opcode, length) = (fields.u8()?, fields.u64()?);
-            let body = fields.take(usize::try_from(length).map_err(|_| Damage::Short)?)?;
+            let (opcode, body) = next_record(&mut fields)?;
             match opcode {
                 opcode::MESSAGE => {
                     let log_ns = message(body)?.log_ns;
@@ -278,13 +294,23 @@ impl<R: Read + Seek> McapReader<R> {
                     times = Some([first.min(log_ns), last.max(log_ns)]);
                 }
                 opcode::SCHEMA | opcode::CHANNEL => {
-                    // A chunk has a checksum, a damaged summary may have none.
                     let Index { files, memory, .. } = &mut self.index;
-                    files[part.file].define(opcode, body, memory, self.is_salvage)?;
+                    match files[part.file].define(opcode, body, memory, false) {
+                        Err(Fault::Damage(what)) if self.is_salvage => {
+                            damage.get_or_insert((what, false));
+                            // A chunk has a checksum, a damaged summary may have none.
+                            if what == Damage::Misplaced {
+                                files[part.file].define(opcode, body, memory, true)?;
+                            }
+                        }
+                        defined => defined?,
+                    }
                 }
+                // Those of other programs.
+                _ if !sound::is_known(opcode) => {}
                 // Nothing else may stand in a chunk; an attached file would be unpacked with it.
                 _ if !self.is_salvage => return Err(Damage::Misplaced.into()),
-                _ => {}
+                _ => _ = damage.get_or_insert((Damage::Misplaced, true)),
             }
         }
         if part.is_chunk && self.index.named.has(part.file) {
@@ -292,10 +318,10 @@ impl<R: Read + Seek> McapReader<R> {
             let is_named = self.index.named.read(part.file, times_ns);
             let is_new = self.chunks.insert((part.file, times_ns, crc32fast::hash(&self.record)));
             if !is_named && !is_new && self.index.files[part.file].is_complete {
-                return Ok(Loaded::Repeated);
+                return Ok(Loaded { times_ns: None, damage: Some((Damage::Repeated, false)) });
             }
         }
-        Ok(times.map_or(Loaded::Definitions, Loaded::Messages))
+        Ok(Loaded { times_ns: times, damage })
     }
 
     /// The last time that the head of the chunk names which could not be read [ns].
@@ -351,7 +377,11 @@ impl<R: Read + Seek> McapReader<R> {
                 return Err(ReadError::Damaged { at: self.chunk_at(), what: Damage::Count });
             }
         }
-        Ok(())
+        // Where a damaged first byte makes a record one of another program.
+        match self.missing_attachments(0..self.index.files.len()) {
+            Some(1..) => Err(ReadError::Damaged { at: self.chunk_at(), what: Damage::Attached }),
+            _ => Ok(()),
+        }
     }
 
     /// Takes a channel for the assumed one of its number; false if there is none.
@@ -366,4 +396,43 @@ impl<R: Read + Seek> McapReader<R> {
         contents.channels.insert(number, channel.clone());
         true
     }
+}
+
+/// The next record of a chunk.
+fn next_record<'a>(fields: &mut Fields<'a>) -> Result<(u8, &'a [u8]), Damage> {
+    let (opcode, length) = (fields.u8()?, fields.u64()?);
+    if opcode == 0 {
+        return Err(Damage::Misplaced);
+    }
+    let body = fields.take(usize::try_from(length).map_err(|_| Damage::Short)?)?;
+    if opcode == opcode::MESSAGE {
+        message(body)?;
+    }
+    Ok((opcode, body))
+}
+
+/// Keeps the whole records of a chunk, whatever stands between or behind them; returns what is wrong there.
+fn keep_records(content: &mut Vec<u8>, is_cut_off: bool) -> Option<Damage> {
+    let is_inner = |opcode| matches!(opcode, opcode::SCHEMA | opcode::CHANNEL | opcode::MESSAGE);
+    let (mut kept, mut at, mut damage) = (0, 0, is_cut_off.then_some(Damage::CutOff));
+    while at < content.len() {
+        let mut fields = Fields(&content[at..]);
+        let found = next_record(&mut fields);
+        let (is_followed, end) =
+            (fields.0.first().is_none_or(|next| is_inner(*next)), content.len() - fields.0.len());
+        match found {
+            // In front of anything, or behind something wrong if another one follows.
+            Ok((opcode, _)) if damage.is_none() || is_cut_off || is_inner(opcode) && is_followed => {
+                content.copy_within(at..end, kept);
+                (kept, at) = (kept + end - at, end);
+            }
+            _ if is_cut_off => break,
+            found => {
+                damage.get_or_insert(found.err().unwrap_or(Damage::Misplaced));
+                at += 1;
+            }
+        }
+    }
+    content.truncate(kept);
+    damage
 }

@@ -111,7 +111,7 @@ pub(super) fn has_fields<R: Read + Seek>(input: &mut Input<R>, head: &Head) -> i
     }
 }
 
-/// Whether what claims to be a message is an index of messages, or a channel: all its fields fit to its length.
+/// Whether what claims to be a message is an index of messages, a channel or a schema: all its fields fit to its length.
 pub(super) fn is_other_record<R: Read + Seek>(input: &mut Input<R>, head: &Head) -> io::Result<bool> {
     let mut bytes = Vec::new();
     input.read(head.body(), 6, &mut bytes)?;
@@ -124,14 +124,21 @@ pub(super) fn is_other_record<R: Read + Seek>(input: &mut Input<R>, head: &Head)
         return Ok(false);
     }
     input.read(head.body(), head.length, &mut bytes)?;
-    let mut fields = Fields(&bytes);
-    let channel = (|| {
+    let channel = |fields: &mut Fields<'_>| {
         fields.take(4)?;
-        let texts = (fields.str()?, fields.str()?);
-        fields.map().map(|map| (texts, map))
-    })();
-    let is_channel = channel.is_ok();
-    Ok(is_channel && fields.0.is_empty())
+        fields.str()?;
+        fields.str()?;
+        fields.map().map(drop)
+    };
+    let schema = |fields: &mut Fields<'_>| {
+        fields.take(2)?;
+        (0..3).try_for_each(|_| fields.str().map(drop))
+    };
+    let is = |read: &dyn Fn(&mut Fields<'_>) -> Result<(), Damage>| {
+        let mut fields = Fields(&bytes);
+        read(&mut fields).is_ok() && fields.0.is_empty()
+    };
+    Ok(is(&channel) || is(&schema))
 }
 
 /// Reads the fields of an index in the summary.

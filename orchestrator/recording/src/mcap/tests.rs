@@ -7,6 +7,7 @@ use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 use super::*;
 
 mod effort;
+mod within;
 
 fn channel(topic: &str, metadata: Vec<(String, String)>) -> Channel {
     Channel { topic: topic.into(), schema: 1, encoding: "cdr".into(), metadata }

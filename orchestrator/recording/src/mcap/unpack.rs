@@ -1,6 +1,6 @@
 //! The content of a chunk.
 
-use std::io::Read;
+use std::io::{self, ErrorKind, Read};
 
 use lz4_flex::frame::FrameDecoder;
 use ruzstd::decoding::{FrameDecoder as ZstdDecoder, StreamingDecoder};
@@ -67,8 +67,25 @@ impl ChunkHead {
     /// Replaces `content` by that of the chunk, whose record this is.
     ///
     /// # Errors
-    /// Content that can't be decompressed, or has another length or checksum.
-    pub(super) fn unpack(&self, record: &[u8], content: &mut Vec<u8>) -> Result<(), Damage> {
+    /// Content that can't be decompressed, or has another length or checksum, and too little memory.
+    pub(super) fn unpack(&self, record: &[u8], content: &mut Vec<u8>) -> Result<(), Fault> {
+        self.decompress(record, content)?;
+        if content.len() as u64 != self.length {
+            return Err(Damage::Compression.into());
+        }
+        match self.checksum != 0 && crc32fast::hash(content) != self.checksum {
+            true => Err(Damage::Checksum.into()),
+            false => Ok(()),
+        }
+    }
+
+    /// The same of a record that was cut off: what was compressed in front of that place.
+    pub(super) fn unpack_start(&self, record: &[u8], content: &mut Vec<u8>) {
+        // The end is missing, which is an error of every compression.
+        let _ = self.decompress(record, content);
+    }
+
+    fn decompress(&self, record: &[u8], content: &mut Vec<u8>) -> Result<(), Fault> {
         content.clear();
         let mut stored = record.get(self.stored_at..).ok_or(Damage::Short)?;
         // One byte more shows that there is more.
@@ -76,7 +93,7 @@ impl ChunkHead {
         match self.compression.as_str() {
             "lz4" => {
                 let read = FrameDecoder::new(stored).take(limit).read_to_end(content);
-                read.map_err(|_| Damage::Compression)?;
+                read.map_err(undone)?;
             }
             "zstd" => {
                 while !stored.is_empty() && content.len() as u64 <= self.length {
@@ -85,17 +102,19 @@ impl ChunkHead {
                     decoder.set_max_window_size(MAX_CHUNK);
                     let decoder = StreamingDecoder::new_with_decoder(&mut stored, decoder);
                     let decoder = decoder.map_err(|_| Damage::Compression)?;
-                    decoder.take(left).read_to_end(content).map_err(|_| Damage::Compression)?;
+                    decoder.take(left).read_to_end(content).map_err(undone)?;
                 }
             }
             _ => content.extend_from_slice(stored),
         }
-        if content.len() as u64 != self.length {
-            return Err(Damage::Compression);
-        }
-        match self.checksum != 0 && crc32fast::hash(content) != self.checksum {
-            true => Err(Damage::Checksum),
-            false => Ok(()),
-        }
+        Ok(())
+    }
+}
+
+/// What keeps content from being decompressed: its damage, unless it is a lack of memory.
+fn undone(error: io::Error) -> Fault {
+    match error.kind() {
+        ErrorKind::OutOfMemory => io::Error::from(rustix::io::Errno::NOMEM).into(),
+        _ => Damage::Compression.into(),
     }
 }

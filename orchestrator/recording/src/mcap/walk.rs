@@ -115,7 +115,10 @@ impl<R: Read + Seek> Walk<'_, R> {
         let is_none = self.is_guessed && !has_parts && files[file].is_empty();
         if is_none {
             files.pop();
-            places.iter_mut().rev().take_while(|place| place.file == file).for_each(|place| place.file -= 1);
+            // The file before has its end.
+            for place in places.iter_mut().rev().take_while(|place| place.file == file) {
+                (place.file, place.is_data) = (file - 1, false);
+            }
         }
         is_none
     }
@@ -163,8 +166,8 @@ impl<R: Read + Seek> Walk<'_, R> {
         };
         // No record is longer than what is held at most: its length is damaged.
         let is_cut_off = head.end() > length && head.length <= MAX_HELD && sound::is_known(head.opcode);
-        if is_cut_off && self.next_record(at + 1)?.is_none() {
-            if self.is_salvage {
+        if is_cut_off && self.is_last(&head)? {
+            if self.is_salvage && !self.add_cut_chunk(&head)? {
                 // How much followed is not known.
                 self.note(at, Damage::CutOff, None)?;
             }
@@ -190,9 +193,14 @@ impl<R: Read + Seek> Walk<'_, R> {
 
     /// Notes a damaged place, or returns it as the error.
     fn note(&mut self, at: u64, what: Damage, until_ns: Option<u64>) -> Result<(), ReadError> {
-        if !self.is_salvage {
-            return Err(ReadError::Damaged { at, what });
+        match self.is_salvage {
+            true => self.note_place(at, what, until_ns),
+            false => return Err(ReadError::Damaged { at, what }),
         }
+        Ok(())
+    }
+
+    fn note_place(&mut self, at: u64, what: Damage, until_ns: Option<u64>) {
         let (part, is_data) = (self.index.parts.len(), self.data_end.is_none());
         let file = self.index.files.len() - 1;
         match self.index.places.last_mut().filter(|last| (last.part, last.file) == (part, file)) {
@@ -202,7 +210,6 @@ impl<R: Read + Seek> Walk<'_, R> {
             }
             None => self.index.places.push(Place { file, at, what, is_data, part, until_ns }),
         }
-        Ok(())
     }
 
     fn record(&mut self, head: Head) -> Result<u64, Fault> {
@@ -216,7 +223,7 @@ impl<R: Read + Seek> Walk<'_, R> {
         let file = self.index.files.len() - 1;
         match head.opcode {
             opcode::CHUNK => {
-                self.require_data()?;
+                self.require_data(head.at)?;
                 self.input.read(head.body(), head.length.min(unpack::FIELDS), &mut self.record)?;
                 ChunkHead::read(&head, &self.record)?;
                 self.has_chunks = true;
@@ -227,7 +234,7 @@ impl<R: Read + Seek> Walk<'_, R> {
                 if self.is_salvage && self.has_chunks && sound::is_other_record(self.input, &head)? {
                     return Err(Damage::Opcode.into());
                 }
-                self.require_data()?;
+                self.require_data(head.at)?;
                 // A copy of it stands in a chunk.
                 let (bytes, limit) = (head.length.saturating_add(Head::BYTES), MAX_CHUNK);
                 if bytes > limit {
@@ -249,7 +256,7 @@ impl<R: Read + Seek> Walk<'_, R> {
                 }
             }
             opcode::DATA_END if head.length == 4 => {
-                self.require_data()?;
+                self.require_data(head.at)?;
                 self.data_end = Some(head.end());
             }
             opcode::DATA_END => return Err(Damage::Length.into()),
@@ -288,12 +295,26 @@ impl<R: Read + Seek> Walk<'_, R> {
         Ok(head.end())
     }
 
-    /// Messages stand in front of the end of the data; behind a damaged place that end may be a wrong one.
-    fn require_data(&mut self) -> Result<(), Fault> {
-        match self.data_end.take() {
-            Some(_) if !self.is_salvage => Err(Damage::Misplaced.into()),
-            _ => Ok(()),
+    /// Adds what is there of the last chunk; false where too little is.
+    fn add_cut_chunk(&mut self, head: &Head) -> Result<bool, ReadError> {
+        let is_chunk = self.has_chunk_fields(head)?;
+        if is_chunk {
+            let (file, end) = (self.index.files.len() - 1, self.input.length());
+            self.index.parts.push(Part { at: head.at, end, file, is_chunk });
         }
+        Ok(is_chunk)
+    }
+
+    /// Messages stand in front of the end of the data; behind a damaged place that end may be a wrong one.
+    fn require_data(&mut self, at: u64) -> Result<(), Fault> {
+        if self.data_end.is_some() {
+            if !self.is_salvage {
+                return Err(Damage::Misplaced.into());
+            }
+            self.note_place(at, Damage::Misplaced, None);
+            self.data_end = None;
+        }
+        Ok(())
     }
 
     /// The end of a file: checks the summary, and that the bytes of the format follow.

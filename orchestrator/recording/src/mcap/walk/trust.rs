@@ -34,6 +34,28 @@ impl<R: Read + Seek> Walk<'_, R> {
         }
     }
 
+    /// Whether no record follows one that reaches behind the end of the file, but for those within a chunk.
+    pub(super) fn is_last(&mut self, head: &Head) -> io::Result<bool> {
+        let is_chunk = self.has_chunk_fields(head)?;
+        let mut at = head.at + 1;
+        while let Some(next) =
+            sound::next_record(self.input, at, !is_chunk && (self.has_loose || !self.has_chunks))?
+        {
+            let within = self
+                .input
+                .head(next)?
+                .filter(|found| is_chunk && matches!(found.opcode, opcode::SCHEMA | opcode::CHANNEL));
+            let Some(within) = within else { return Ok(false) };
+            at = within.end();
+        }
+        Ok(true)
+    }
+
+    /// Whether a record is a chunk by its first bytes; its length may reach behind the end of the file.
+    pub(super) fn has_chunk_fields(&mut self, head: &Head) -> io::Result<bool> {
+        Ok(head.opcode == opcode::CHUNK && sound::has_fields(self.input, head)?)
+    }
+
     /// The last time that the head of a damaged chunk names [ns].
     pub(super) fn claimed_ns(&mut self, head: Head) -> Result<Option<u64>, ReadError> {
         if head.opcode != opcode::CHUNK {
