@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 
 use console::exit::Failure;
 use console::new_file::{Existing, NewFile, finish_all};
+use console::user_file;
 
 use crate::mcap::{Contents, Gap, McapReader};
 use crate::read::{RECORDING, metadata, refusal};
@@ -30,7 +31,7 @@ const JOINT_NS: u64 = 1_000_000;
 /// # Errors
 /// A file of which nothing can be read, and a new file that can't be written; exit code 2.
 pub fn repair(from: &Path, to: &Path, force: bool) -> anyhow::Result<Copied> {
-    let input = File::open(from).map_err(|error| refuse(from, &error))?;
+    let input = user_file::open(from).map_err(|error| refuse(from, &error))?;
     let mut reader = McapReader::salvage(BufReader::new(input)).map_err(|error| refuse(from, &error))?;
     if reader.contents().library.is_empty() || reader.contents().library == LIBRARY {
         let (schemas, channels) = definitions();
@@ -75,7 +76,7 @@ fn read(mut reader: McapReader<BufReader<File>>, path: &Path) -> anyhow::Result<
 }
 
 fn open(path: &Path) -> anyhow::Result<McapReader<BufReader<File>>> {
-    let input = File::open(path).map_err(|error| refuse(path, &error))?;
+    let input = user_file::open(path).map_err(|error| refuse(path, &error))?;
     McapReader::new(BufReader::new(input)).map_err(|error| refusal(path, &error))
 }
 
@@ -156,9 +157,13 @@ fn numbered(path: &Path, number: usize) -> PathBuf {
     if number == 1 {
         return path.to_owned();
     }
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    let extension = path.extension().map_or(String::new(), |name| format!(".{}", name.to_string_lossy()));
-    path.with_file_name(format!("{stem}-{number}{extension}"))
+    let mut name = path.file_stem().unwrap_or_default().to_owned();
+    name.push(format!("-{number}"));
+    if let Some(extension) = path.extension() {
+        name.push(".");
+        name.push(extension);
+    }
+    path.with_file_name(name)
 }
 
 /// Whether two of the joined files are of one run, so that they can be one file.

@@ -25,12 +25,27 @@ pub struct Exported {
     pub left_out: Vec<String>,
 }
 
-/// Exports each topic as a table, one column per number. Checkpoints have no columns. Where joined recordings have other
-/// columns of a topic, these are a table of their own: `TOPIC.2.csv`.
+/// Exports a recording as tables in one folder, as a bag of ROS 2 in another one, or both: whole, or not at all. Returns what
+/// became tables, and the number of messages in the bag.
 ///
 /// # Errors
 /// A recording that can't be read, and a folder or file that can't be written; exit code 2.
-pub fn csv(from: &Path, folder: &Path, force: bool) -> anyhow::Result<Exported> {
+pub fn export(
+    from: &Path,
+    tables: Option<&Path>,
+    bag: Option<&Path>,
+    force: bool,
+) -> anyhow::Result<(Option<Exported>, Option<u64>)> {
+    let (exported, mut files) = tables.map(|folder| csv(from, folder, force)).transpose()?.unzip();
+    let (messages, of_bag) = bag.map(|folder| rosbag2(from, folder, force)).transpose()?.unzip();
+    files.get_or_insert_default().extend(of_bag.into_iter().flatten());
+    finish_all(files.unwrap_or_default())?;
+    Ok((exported, messages))
+}
+
+/// Exports each topic as a table, one column per number. Checkpoints have no columns. Where joined recordings have other
+/// columns of a topic, these are a table of their own: `TOPIC.2.csv`. The files have no names yet.
+fn csv(from: &Path, folder: &Path, force: bool) -> anyhow::Result<(Exported, Vec<NewFile>)> {
     let mut recording = Recording::open(from)?;
     make(folder)?;
     let mut tables = Tables { from, folder, force, of_topics: BTreeMap::new(), rows: 0 };
@@ -42,8 +57,8 @@ pub fn csv(from: &Path, folder: &Path, force: bool) -> anyhow::Result<Exported> 
     let left_out = tables.left_out(recording.files());
     let files = tables.of_topics.into_values().flatten();
     let files = files.map(|table| table.file.into_inner().map_err(IntoInnerError::into_error));
-    finish_all(files.collect::<Result<_, _>>()?)?;
-    Ok(Exported { rows: tables.rows, left_out })
+    let files = files.collect::<Result<_, _>>()?;
+    Ok((Exported { rows: tables.rows, left_out }, files))
 }
 
 /// The tables of an export, by topic.
@@ -134,11 +149,8 @@ impl Tables<'_> {
 }
 
 /// Exports the recording as a bag of ROS 2: a folder with the file and its `metadata.yaml`. Scans and odometry are also in it
-/// as `/scan` and `/odom`, in the types of ROS 2.
-///
-/// # Errors
-/// As [`csv`].
-pub fn rosbag2(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
+/// as `/scan` and `/odom`, in the types of ROS 2. The files have no names yet.
+fn rosbag2(from: &Path, folder: &Path, force: bool) -> anyhow::Result<(u64, Vec<NewFile>)> {
     make(folder)?;
     let path = folder.join("metadata.yaml");
     let mut description = NewFile::create(&path, Existing::forced(force), &[from])?;
@@ -183,8 +195,7 @@ pub fn rosbag2(from: &Path, folder: &Path, force: bool) -> anyhow::Result<u64> {
     );
     description.write_all(text.as_bytes())?;
     new_files.push(description);
-    finish_all(new_files)?;
-    Ok(total)
+    Ok((total, new_files))
 }
 
 fn make(folder: &Path) -> anyhow::Result<()> {

@@ -1,6 +1,7 @@
 //! `scanloop map`: an occupancy grid from the scans and estimates of a recording.
 
 use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -54,12 +55,11 @@ pub(crate) fn map(arguments: &MapArguments) -> anyhow::Result<Exit> {
     }
     let refuse = |reason: String| Failure::bad_input(format!("{}: {reason}", file.display()));
     let name = out.file_name().filter(|_| out.extension().is_none_or(|last| last != "pgm"));
-    let Some(name) = name else {
-        let allowed = "a name, to which .yaml and .pgm are added";
+    let Some(name) = name.and_then(OsStr::to_str) else {
+        let allowed = "a name in UTF-8, to which .yaml and .pgm are added";
         return Err(Failure::bad_input(format!("--out = {} is not allowed: {allowed}", out.display())));
     };
-    let stem = name.to_string_lossy();
-    let stem = stem.strip_suffix(".yaml").unwrap_or(&stem);
+    let stem = name.strip_suffix(".yaml").unwrap_or(name);
     let image = format!("{stem}.pgm");
     let paths = [format!("{stem}.yaml"), image.clone()].map(|name| out.with_file_name(name));
     let create = |path: &PathBuf| NewFile::create(path, Existing::forced(*force), &[file]);

@@ -183,8 +183,8 @@ pub(crate) fn recording(command: &RecordingCommand) -> anyhow::Result<Exit> {
             answer!(false, "{}: {messages} messages, {bytes} bytes", names(&copied.files))?;
         }
         RecordingCommand::Export { file, csv, rosbag2, force } => {
-            if let Some(folder) = csv {
-                let exported = export::csv(file, folder, *force)?;
+            let (tables, bag) = export::export(file, csv.as_deref(), rosbag2.as_deref(), *force)?;
+            if let (Some(folder), Some(exported)) = (csv, tables) {
                 answer!(false, "{}: {} rows", folder.display(), exported.rows)?;
                 if !exported.left_out.is_empty() {
                     let topics = one_line(&exported.left_out.join(", "));
@@ -194,8 +194,8 @@ pub(crate) fn recording(command: &RecordingCommand) -> anyhow::Result<Exit> {
                     runtime::print(runtime::Priority::Warning, &text);
                 }
             }
-            if let Some(folder) = rosbag2 {
-                answer!(false, "{}: {} messages", folder.display(), export::rosbag2(file, folder, *force)?)?;
+            if let (Some(folder), Some(messages)) = (rosbag2, bag) {
+                answer!(false, "{}: {messages} messages", folder.display())?;
             }
         }
     }
@@ -207,6 +207,7 @@ fn names(files: &[PathBuf]) -> String {
 }
 
 fn repaired(file: &Path) -> PathBuf {
-    let name = file.file_stem().unwrap_or_default().to_string_lossy();
-    file.with_file_name(format!("{name}-repaired.mcap"))
+    let mut name = file.file_stem().unwrap_or_default().to_owned();
+    name.push("-repaired.mcap");
+    file.with_file_name(name)
 }

@@ -5,6 +5,7 @@ use std::ops::Range;
 use console::new_file::Scratch;
 
 use super::*;
+use crate::export::export;
 use crate::mcap::handmade::{attachment, begun, channel, chunk, counted_end, end, message, schema};
 use crate::mcap::{Channel, MAX_CHUNK, Writer};
 
@@ -282,7 +283,7 @@ fn topics_of_other_programs_are_named_by_an_export_as_tables() {
     let messages = [message(1, SECOND, b"imu"), message(2, SECOND, &sample), message(4, SECOND, b"drawn")];
     let content = [definitions.concat(), messages.concat()].concat();
     let input = files.input(&[begun("other"), chunk(&content, "", [SECOND; 2]), end()].concat());
-    let exported = crate::export::csv(&input, &files.path("tables"), false).unwrap();
+    let exported = export(&input, Some(&files.path("tables")), None, false).unwrap().0.unwrap();
     assert_eq!((exported.rows, exported.left_out), (1, vec!["/imu".to_owned()]));
     let text = crate::info::Info::read(&input).unwrap().to_string();
     assert!(text.contains("\nno recording of a drive\nlost samples are not known\n"), "{text}");
@@ -324,9 +325,12 @@ fn of_several_new_files_none_is_there_when_one_is_refused() {
     let bag = files.path("bag");
     std::fs::create_dir(&bag).unwrap();
     std::fs::write(bag.join("recording-2.mcap"), "own").unwrap();
-    assert!(crate::export::rosbag2(&second, &bag, false).is_err());
-    assert_eq!(std::fs::read_dir(&bag).unwrap().count(), 1);
+    // Nor of two exports.
+    let tables = files.path("tables");
+    assert!(export(&second, Some(&tables), Some(&bag), false).is_err());
+    let count = |folder: &Path| std::fs::read_dir(folder).unwrap().count();
+    assert_eq!((count(&bag), count(&tables)), (1, 0));
     std::fs::remove_file(bag.join("recording-2.mcap")).unwrap();
-    assert_eq!(crate::export::rosbag2(&second, &bag, false).unwrap(), 26);
+    assert_eq!(export(&second, None, Some(&bag), false).unwrap().1, Some(26));
     assert!(std::fs::read_to_string(bag.join("metadata.yaml")).unwrap().contains("message_count: 26"));
 }

@@ -210,5 +210,8 @@ mod tests {
         assert_ne!(fingerprint(&all, &run), before);
         std::fs::write(&run, "").unwrap();
         assert_eq!(fingerprint(&all, &run), None, "empty");
+        let pipe = folder.0.join("pipe");
+        rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::RWXU).unwrap();
+        assert_eq!(fingerprint(&[pipe.clone()].into(), &pipe), None, "it is not waited for");
     }
 }
