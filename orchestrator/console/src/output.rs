@@ -71,7 +71,14 @@ pub fn arguments<A: Parser>() -> A {
     matches.and_then(|matches| A::from_arg_matches(&matches)).unwrap_or_else(|error| {
         // A command without its words has its help for an answer.
         if !error.use_stderr() || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
-            error.exit();
+            let printed = error.print().and_then(|()| io::stdout().flush());
+            if let Err(reason) = printed
+                && reason.kind() != io::ErrorKind::BrokenPipe
+            {
+                runtime::print(runtime::Priority::Error, &format!("error: standard output: {reason}"));
+                std::process::exit(crate::exit::Exit::ProcessFailed as i32);
+            }
+            std::process::exit(error.exit_code());
         }
         // Names of files may stand in it, as after `scanloop check *`.
         runtime::print(runtime::Priority::Error, &error.render().to_string());

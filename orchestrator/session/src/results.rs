@@ -45,11 +45,14 @@ pub(crate) fn conclude(mut session: Session, plan: &Plan, out: &OutFolder) -> an
     let report = Report { differences: if has_truth { differences(plan) } else { Vec::new() }, ..report };
     let written = write_results(&report, &plan.scenario, &recorder, out);
     runtime::print_answer(&summary::text(&report, Some(&near(out.folder()))));
+    let is_recorded = report.recording.as_ref().is_none_or(|recording| recording.error.is_empty());
+    let is_whole = written.is_ok() && is_recorded;
     if let Err(error) = written {
-        // The drive is over: a full disk does not change its outcome.
         runtime::print(runtime::Priority::Error, &format!("error: the results were not written: {error:#}"));
     }
     Ok(match result.outcome.exit_code() {
+        // The drive is over, and its outcome stays; but who reads the code alone must not look for files that are not there.
+        0 if !is_whole => Exit::ProcessFailed,
         0 => Exit::Done,
         3 => Exit::Collision,
         4 => Exit::ProcessFailed,

@@ -161,7 +161,7 @@ fn commands_whose_reader_goes_end_without_a_panic() {
 }
 
 #[test]
-fn results_that_cannot_be_written_change_neither_summary_nor_exit_code() {
+fn results_that_cannot_be_written_change_the_exit_code_and_not_the_summary() {
     repeat_when_late(|| {
         let system = TestSystem::new(EXECUTABLE);
         let out = system.folder().join("out");
@@ -170,7 +170,7 @@ fn results_that_cannot_be_written_change_neither_summary_nor_exit_code() {
         let output = system.run(&["run", "--lockstep", "--quiet", "--out", "out", "--force", "free"]);
         let (summary, text) =
             (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
-        assert_eq!(output.status.code(), Some(0), "{text}");
+        assert_eq!(output.status.code(), Some(4), "{text}");
         assert!(summary.contains("outcome") && summary.contains("reached"), "{summary}");
         assert!(
             text.contains("error: the results were not written") && text.contains("report.json"),

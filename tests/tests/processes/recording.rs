@@ -206,7 +206,7 @@ fn a_recorder_that_is_killed_costs_no_scan_and_leaves_a_readable_file() {
         });
         let recorder = recorder_of(&system).expect("a recorder");
         system.signal(recorder, Signal::KILL);
-        assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+        assert_eq!(system.wait().code(), Some(4), "{}", system.stderr());
         assert!(system.stderr().contains("the rest of the drive is not recorded"), "{}", system.stderr());
         let report = system.report();
         assert_eq!(
@@ -231,7 +231,7 @@ fn a_disk_that_fills_up_costs_no_scan_and_the_loss_is_told() {
         }
         let mut system = TestSystem::new(EXECUTABLE);
         system.start(&[&SHORT_FREE[..], &["--record=/mnt/drive.mcap"]].concat());
-        assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+        assert_eq!(system.wait().code(), Some(4), "{}", system.stderr());
         let report = system.report();
         assert_eq!((report.scans.lost, report.scans.unaccounted, report.ledger.residual), (0, 0, 0));
         let recording = report.recording.expect("of a test");
