@@ -1,6 +1,8 @@
 //! The resources of a chain: shared memory, sockets, ports, a bus. They exist before its processes start and are
 //! removed when dropped.
 
+use std::fs::File;
+use std::io;
 use std::net::{Ipv4Addr, TcpListener};
 use std::os::fd::{AsRawFd, OwnedFd, RawFd};
 use std::path::Path;
@@ -9,7 +11,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use runtime::Domain;
 use rustix::event::{EventfdFlags, eventfd};
-use rustix::fs::{MemfdFlags, ftruncate, memfd_create};
+use rustix::fs::{FlockOperation, MemfdFlags, OFlags, flock, ftruncate, memfd_create};
 use rustix::net::{AddressFamily, SocketFlags, SocketType, socketpair};
 
 use crate::ring::Ring;
@@ -19,9 +21,15 @@ use crate::{ChainPlan, Contender, HopError, bus, listener, peers};
 /// First letter of the ids of the systems that chains make.
 const ID: char = 'h';
 
+/// A file of the directory of a chain, locked as long as its driver lives: no other system has it.
+const MARKER: &str = "chain-of-a-bench";
+
 /// Files of one chain: a domain of its own, with a directory for sockets and logs. Removed when dropped.
 #[derive(Debug)]
-pub(crate) struct Files(pub(crate) Domain);
+pub(crate) struct Files(
+    pub(crate) Domain,
+    #[expect(dead_code, reason = "its lock lasts as long as it is open")] File,
+);
 
 /// Everything that must exist before the processes of a chain start.
 pub(crate) struct Wiring {
@@ -40,7 +48,8 @@ impl Files {
         let id = format!("{ID}{}-{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
         sweep();
         let domain = Domain::create(&id).map_err(|error| HopError::transport("make a directory", error))?;
-        Ok(Self(domain))
+        let marker = lock(&domain, OFlags::RDWR | OFlags::CREATE);
+        Ok(Self(domain, marker.map_err(HopError::system("lock a directory"))?))
     }
 
     /// Directory of the chain.
@@ -181,13 +190,18 @@ fn dataflow(files: &Files, setup: impl Fn(usize) -> Setup) -> Result<Command, Ho
     Ok(command)
 }
 
+/// Opens and locks the marker of a chain.
+fn lock(domain: &Domain, flags: OFlags) -> io::Result<File> {
+    let marker = domain.folder().open_file(MARKER, flags)?;
+    flock(&marker, FlockOperation::NonBlockingLockExclusive)?;
+    Ok(marker)
+}
+
 /// Removes the remains of chains whose driver has ended.
 fn sweep() {
     for domain in Domain::all().unwrap_or_default() {
-        let driver = domain.system_id().strip_prefix(ID).and_then(|rest| rest.split_once('-'));
-        let Some(pid) = driver.and_then(|(pid, _)| pid.parse::<u32>().ok()) else { continue };
-        if !Path::new(&format!("/proc/{pid}")).exists() {
-            drop(Files(domain));
+        if let Ok(marker) = lock(&domain, OFlags::RDWR) {
+            drop(Files(domain, marker));
         }
     }
 }
@@ -199,9 +213,14 @@ mod tests {
     #[test]
     fn what_a_killed_driver_has_left_is_removed_by_the_next() {
         // No process has this number: the kernel's largest is 2^22.
-        let dead = Domain::create("h4999999-0").unwrap();
+        let [dead, other] = ["h4999999-0", "h4999999-1"].map(|id| Domain::create(id).unwrap());
+        drop(lock(&dead, OFlags::RDWR | OFlags::CREATE).unwrap());
         let files = Files::create().unwrap();
         assert!(!dead.exists() && !dead.bus_directory().exists());
+        assert!(other.exists(), "a system of the user may have such a name");
+        other.remove().unwrap();
+        sweep();
+        assert!(files.0.exists(), "its driver lives");
         let directory = files.directory().to_owned();
         assert!(directory.exists());
         drop(files);
