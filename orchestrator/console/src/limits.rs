@@ -257,16 +257,27 @@ fn limit_behind(errno: Errno) -> Option<String> {
         Errno::NFILE => Some("the machine allows no more open files: raise `sysctl fs.file-max`".to_owned()),
         Errno::FBIG => of(Resource::Fsize)
             .map(|bytes| format!("a file may have {} KiB at most: raise `ulimit -f`", bytes / 1024)),
-        Errno::NOMEM => match of(Resource::As) {
-            Some(bytes) => {
-                Some(format!("a process may have {} KiB of addresses: raise `ulimit -v`", bytes / 1024))
-            }
-            None => control_group::memory_limit().map(|control_group::Reached { group, limit }| {
-                format!("its control group {group} allows {} KiB of memory", limit / 1024)
-            }),
-        },
+        Errno::NOMEM => memory_limit().or_else(|| {
+            let control_group::Reached { group, limit } = control_group::memory_limit()?;
+            Some(format!("its control group {group} allows {} KiB of memory", limit / 1024))
+        }),
         _ => None,
     }
+}
+
+/// Of the limits of memory of this process, the one that is nearest.
+fn memory_limit() -> Option<String> {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let used_kib = |name: &str| -> Option<u64> {
+        status.lines().find_map(|line| line.strip_prefix(name))?.split_whitespace().next()?.parse().ok()
+    };
+    let limits = [(Resource::As, "VmSize:", "addresses", "-v"), (Resource::Data, "VmData:", "data", "-d")];
+    let limits = limits.into_iter().filter_map(|(resource, used, what, option)| {
+        let limit_kib = getrlimit(resource).current? / 1024;
+        let left_kib = limit_kib.saturating_sub(used_kib(used).unwrap_or(0));
+        Some((left_kib, format!("a process may have {limit_kib} KiB of {what}: raise `ulimit {option}`")))
+    });
+    limits.min().map(|(_, text)| text)
 }
 
 /// The limit of processes and threads that holds.
@@ -340,5 +351,13 @@ mod tests {
         );
         assert!(text(Errno::NFILE).contains("fs.file-max"));
         assert_eq!(text(Errno::PERM), format!("start: {}", io::Error::from(Errno::PERM)));
+        // Of two limits of memory the one that is nearer; both are out of reach here.
+        let limits = [(Resource::Data, 1 << 44, "`ulimit -d`"), (Resource::As, 1 << 43, "`ulimit -v`")];
+        let before = limits.map(|(resource, ..)| getrlimit(resource));
+        for ((resource, far, option), before) in limits.iter().zip(&before) {
+            setrlimit(*resource, Rlimit { current: Some(*far), maximum: before.maximum }).unwrap();
+            assert!(text(Errno::NOMEM).contains(option), "{}", text(Errno::NOMEM));
+        }
+        limits.iter().zip(before).for_each(|((resource, ..), before)| setrlimit(*resource, before).unwrap());
     }
 }

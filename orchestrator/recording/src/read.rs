@@ -2,13 +2,14 @@
 
 use std::collections::BTreeSet;
 use std::fs::{File, Metadata};
-use std::io::BufReader;
+use std::io::{self, BufReader};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use console::exit::Failure;
 use console::user_file;
 use runtime::OwnTopics;
+use rustix::io::Errno;
 use shared_types::{Difference, Field, Layouts, NotALayout, Role, TOPICS, Topic};
 
 use crate::earlier::{self, EarlierLayout, is_earlier, widen_header};
@@ -357,8 +358,13 @@ fn other_topics(path: &Path, contents: &Contents) -> anyhow::Result<BTreeSet<Str
     Ok(found.into_iter().map(|found| found.topic).collect())
 }
 
-/// The error about a file that can't be read; exit code 2.
+/// The error about a file that can't be read; exit code 2, but 4 where memory does not suffice.
 pub fn refusal(path: &Path, error: &ReadError) -> anyhow::Error {
+    if let ReadError::Io(source) = error
+        && Errno::from_io_error(source) == Some(Errno::NOMEM)
+    {
+        return anyhow::Error::from(io::Error::from(Errno::NOMEM)).context(path.display().to_string());
+    }
     let advice = match error {
         ReadError::Damaged { .. } => {
             format!("; `scanloop recording repair {}` keeps what is readable", path.display())

@@ -18,7 +18,11 @@ const MEMORY_KIB: u64 = 900 << 10;
 
 /// Runs a command on a file with little memory.
 fn limited(system: &TestSystem, arguments: &[&str]) -> Output {
-    let script = format!("ulimit -v {MEMORY_KIB}; exec \"$0\" \"$@\"");
+    limited_to(system, MEMORY_KIB, arguments)
+}
+
+fn limited_to(system: &TestSystem, memory_kib: u64, arguments: &[&str]) -> Output {
+    let script = format!("ulimit -v {memory_kib}; exec \"$0\" \"$@\"");
     let mut command = Command::new("sh");
     command.args(["-c", &script, EXECUTABLE]).args(arguments).current_dir(system.folder());
     command.output().expect("a shell")
@@ -65,6 +69,21 @@ fn large_chunks_are_read_one_after_the_other_in_bounded_memory() {
             assert_eq!(output.status.code(), Some(2), "{arguments:?}: {message}");
         }
     });
+}
+
+#[test]
+fn too_little_memory_is_no_damage_of_the_file() {
+    let system = TestSystem::new(EXECUTABLE);
+    let file = bomb(system.folder(), 1);
+    let mut is_told = false;
+    // From too little to begin with to nearly enough.
+    for mebibytes in (40..120).step_by(8) {
+        let output = limited_to(&system, mebibytes << 10, &["recording", "info", text(&file)]);
+        let message = scanloop_tests::printed(&output);
+        assert!(!message.contains("damaged"), "{mebibytes} MiB: {message}");
+        is_told |= output.status.code() == Some(4) && message.contains("raise `ulimit -v`");
+    }
+    assert!(is_told);
 }
 
 #[test]
