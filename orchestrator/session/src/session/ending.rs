@@ -9,6 +9,9 @@ use supervision::supervisor::{Event, ProcessExit};
 use super::Session;
 use super::conclusion::Step;
 
+/// The newest directive may be so old when this process stops [s].
+const DIRECTIVE_AGE_S: f64 = 0.2;
+
 impl Session {
     /// Ends a run in real time by the clock of this computer, where no stamps of scans do.
     pub(super) fn end_by_clock(&mut self) {
@@ -21,9 +24,9 @@ impl Session {
 
     /// Ends the run when processes have ended themselves because this one stood still for so long.
     pub(super) fn notice_stall(&mut self) {
+        let limit_s = self.run.orphan_timeout_s;
         let pause_s = self.limits.stood_still_s(monotonic_ns());
-        if let Some(pause_s) = pause_s.filter(|pause_s| *pause_s >= self.run.orphan_timeout_s) {
-            let limit_s = self.run.orphan_timeout_s;
+        if let Some(pause_s) = pause_s.filter(|pause_s| pause_s + DIRECTIVE_AGE_S >= limit_s) {
             self.decide(
                 Outcome::Failed,
                 &format!(
