@@ -28,6 +28,7 @@ const DEAF_NS: u64 = 1_500_000_000;
 /// What Zenoh refuses, a system that does not exist, and errors of the bus.
 pub(crate) fn run_agent(name: &str, endpoint: &str, credentials: Option<&str>) -> anyhow::Result<()> {
     let session = join(&Place::Agent(endpoint), credentials)?;
+    let listener = Listener::of(endpoint);
     say("listening");
     let _orders = session.subscribe(agent_key(name, "down"), |_, text| {
         if let Ok(text) = std::str::from_utf8(text) {
@@ -36,7 +37,6 @@ pub(crate) fn run_agent(name: &str, endpoint: &str, credentials: Option<&str>) -
     });
     let answers = session.publisher(agent_key(name, "up"), Priority::InteractiveHigh)?;
     let network = session.clone();
-    let listener = Listener::of(endpoint);
     std::thread::spawn(move || watch(&network, listener));
     let mut bridge: Option<Bridge> = None;
     for line in std::io::stdin().lock().lines() {

@@ -24,9 +24,10 @@ pub(crate) const KEY: &str = "key.pem";
 /// its own: a reader that writes would wait for itself.
 const THREADS: (&str, &str) = ("ZENOH_RUNTIME", "(rx: (handover: acc), app: (handover: acc))");
 
-/// A peer that has sent nothing for this long is gone [ms]. Until then the other end of a connection that has failed refuses
 /// Largest message that is put together [bytes]: several times the largest sample.
 const MAX_MESSAGE_BYTES: usize = 16 << 20;
+
+/// A peer that has sent nothing for this long is gone [ms]. Until then the other end of a connection that has failed refuses
 /// a new one, so that an outage costs this time at least.
 const LEASE_MS: u32 = 1_000;
 

@@ -31,6 +31,7 @@ mod bus;
 mod clock;
 mod counters;
 mod crash;
+mod datagrams;
 mod domain;
 mod enclosed;
 mod environment;
@@ -79,6 +80,7 @@ pub use axis::stick_range;
 pub use bus::Bus;
 pub use clock::{Clock, boottime_ns, monotonic_ns};
 pub use crash::latch_on_crash;
+pub use datagrams::drop_empty_datagrams;
 pub use domain::{Domain, LOCK_FILE, remove_bus_files_of};
 pub use environment::{
     CANDIDATE_VARIABLE, COMPANION_VARIABLE, DIRECTORY_VARIABLE, INCARNATION_VARIABLE, REPORT_VARIABLE,
