@@ -20,6 +20,7 @@ use runtime::{Folder, HUB, RuntimeError};
 use time::{Duration, OffsetDateTime};
 use x509_parser::certificate::X509Certificate;
 use x509_parser::pem::Pem;
+use x509_parser::public_key::PublicKey;
 
 use crate::network::{AUTHORITY, CERTIFICATE, KEY};
 
@@ -106,7 +107,7 @@ pub(crate) fn check(folder: &Path, host: &str) -> anyhow::Result<()> {
         }
     }
     let own = certificate[0].parse_x509()?;
-    is_key_of(&key[0], &own).with_context(|| folder.join(KEY).display().to_string())?;
+    is_key_of(&key, &own).with_context(|| folder.join(KEY).display().to_string())?;
     // A certificate may come with those of authorities between.
     let mut signers = authority.iter().chain(&certificate[1..]).filter_map(|pem| pem.parse_x509().ok());
     if !signers.any(|signer| own.verify_signature(Some(signer.public_key())).is_ok()) {
@@ -136,15 +137,22 @@ fn read_pem(path: &Path) -> anyhow::Result<Vec<Pem>> {
     Ok(parts)
 }
 
-/// Passes when a file is the private key of a certificate. Of a key in another form than PKCS #8 only the form is checked.
-fn is_key_of(key: &Pem, certificate: &X509Certificate<'_>) -> anyhow::Result<()> {
-    match key.label.as_str() {
-        "PRIVATE KEY" => {}
-        "EC PRIVATE KEY" | "RSA PRIVATE KEY" => return Ok(()),
-        label => bail!("it is a {label}, no private key"),
-    }
-    let pair = KeyPair::try_from(key.contents.as_slice())?;
-    if pair.public_key_raw() != certificate.public_key().subject_public_key.data.as_ref() {
+/// Passes when a file has the private key of a certificate. Before it may stand the parameters of its curve, as OpenSSL writes
+/// them; a key in the form of SEC 1 or PKCS #1 contains what is public of it.
+fn is_key_of(parts: &[Pem], certificate: &X509Certificate<'_>) -> anyhow::Result<()> {
+    let Some(key) = parts.iter().find(|part| part.label.ends_with("PRIVATE KEY")) else {
+        bail!("it is a {}, no private key", parts[0].label);
+    };
+    let public = certificate.public_key();
+    let raw = public.subject_public_key.data.as_ref();
+    let contains = |part: &[u8]| key.contents.windows(part.len().max(1)).any(|bytes| bytes == part);
+    let is_of_certificate = match key.label.as_str() {
+        "PRIVATE KEY" => KeyPair::try_from(key.contents.as_slice())?.public_key_raw() == raw,
+        "EC PRIVATE KEY" => contains(raw),
+        "RSA PRIVATE KEY" => matches!(public.parsed()?, PublicKey::RSA(rsa) if contains(rsa.modulus)),
+        label => bail!("it is a key in the form {label}; save it without a password, as PRIVATE KEY"),
+    };
+    if !is_of_certificate {
         bail!(
             "it is the key of another certificate than {CERTIFICATE}; copy both from one `scanloop agent pair` folder"
         );
@@ -360,6 +368,22 @@ mod tests {
         let of_other = |name: &str| std::fs::read(other.join("lab").join(name)).unwrap();
         assert!(refused(KEY, &of_other(KEY)).contains("the key of another certificate"));
         assert!(refused(KEY, &of_other(CERTIFICATE)).contains("it is a CERTIFICATE, no private key"));
+        // The form that OpenSSL writes for a curve: its parameters, and the inner part of the key with what is public of it.
+        let sec_1 = |name: &Path| {
+            let key = read_pem(&name.join(KEY)).unwrap().remove(0).contents;
+            let at = key.windows(5).position(|bytes| bytes == [2, 1, 1, 4, 32]).unwrap() - 2;
+            let pem =
+                |label: &str, contents: &[u8]| Pem { label: label.to_owned(), contents: contents.to_vec() };
+            [pem("EC PARAMETERS", b""), pem("EC PRIVATE KEY", &key[at..])]
+        };
+        let certificate = read_pem(&file(CERTIFICATE)).unwrap();
+        let certificate = certificate[0].parse_x509().unwrap();
+        is_key_of(&sec_1(&folder.join("lab")), &certificate).unwrap();
+        let message = is_key_of(&sec_1(&other.join("lab")), &certificate).unwrap_err().to_string();
+        assert!(message.contains("the key of another certificate"), "{message}");
+        let locked =
+            "-----BEGIN ENCRYPTED PRIVATE KEY-----\nBggqhkjOPQMBBw==\n-----END ENCRYPTED PRIVATE KEY-----\n";
+        assert!(refused(KEY, locked.as_bytes()).contains("without a password"));
         assert!(refused(AUTHORITY, &of_other(AUTHORITY)).contains("has not signed certificate.pem"));
         check(&folder.join("lab"), "lab").unwrap();
         std::fs::remove_dir_all(&folder).unwrap();
