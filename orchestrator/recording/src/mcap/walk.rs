@@ -194,15 +194,14 @@ impl<R: Read + Seek> Walk<'_, R> {
     /// Notes a damaged place, or returns it as the error.
     fn note(&mut self, at: u64, what: Damage, until_ns: Option<u64>) -> Result<(), ReadError> {
         match self.is_salvage {
-            true => self.note_place(at, what, until_ns),
+            true => self.note_place(at, what, self.data_end.is_none(), until_ns),
             false => return Err(ReadError::Damaged { at, what }),
         }
         Ok(())
     }
 
-    fn note_place(&mut self, at: u64, what: Damage, until_ns: Option<u64>) {
-        let (part, is_data) = (self.index.parts.len(), self.data_end.is_none());
-        let file = self.index.files.len() - 1;
+    fn note_place(&mut self, at: u64, what: Damage, is_data: bool, until_ns: Option<u64>) {
+        let (part, file) = (self.index.parts.len(), self.index.files.len() - 1);
         match self.index.places.last_mut().filter(|last| (last.part, last.file) == (part, file)) {
             Some(last) => {
                 last.until_ns = last.until_ns.max(until_ns);
@@ -212,8 +211,16 @@ impl<R: Read + Seek> Walk<'_, R> {
         }
     }
 
-    fn record(&mut self, head: Head) -> Result<u64, Fault> {
-        if head.opcode == 0 {
+    fn record(&mut self, mut head: Head) -> Result<u64, Fault> {
+        let chunk = Head { opcode: opcode::CHUNK, ..head };
+        // Its length stands there twice.
+        let is_hidden_chunk = head.opcode != opcode::CHUNK
+            && head.end() <= self.input.length()
+            && sound::has_fields(self.input, &chunk)?;
+        if is_hidden_chunk && self.is_salvage {
+            self.note_place(head.at, Damage::Opcode, false, None);
+            head = chunk;
+        } else if is_hidden_chunk || head.opcode == 0 {
             return Err(Damage::Opcode.into());
         }
         if head.end() > self.input.length() {
@@ -260,6 +267,9 @@ impl<R: Read + Seek> Walk<'_, R> {
                 self.data_end = Some(head.end());
             }
             opcode::DATA_END => return Err(Damage::Length.into()),
+            opcode::HEADER if self.has_chunks || self.has_loose || !self.index.files[file].is_empty() => {
+                return Err(Damage::Misplaced.into());
+            }
             opcode::FOOTER => return self.footer(head),
             opcode if sound::is_loaded(opcode) => {
                 let limit = if opcode == opcode::ATTACHMENT { MAX_HELD } else { MAX_TEXT };
@@ -284,13 +294,8 @@ impl<R: Read + Seek> Walk<'_, R> {
                     self.index.named.add(file, self.begin, &self.record)?;
                 }
             }
-            // Records of other programs are skipped, but not a chunk whose first byte is damaged.
-            _ => {
-                let chunk = Head { opcode: opcode::CHUNK, ..head };
-                if sound::has_fields(self.input, &chunk)? {
-                    return Err(Damage::Opcode.into());
-                }
-            }
+            // Records of other programs are skipped.
+            _ => {}
         }
         Ok(head.end())
     }
@@ -311,7 +316,7 @@ impl<R: Read + Seek> Walk<'_, R> {
             if !self.is_salvage {
                 return Err(Damage::Misplaced.into());
             }
-            self.note_place(at, Damage::Misplaced, None);
+            self.note_place(at, Damage::Misplaced, false, None);
             self.data_end = None;
         }
         Ok(())

@@ -88,3 +88,19 @@ fn zeros_behind_a_whole_file_are_no_loss_and_an_attached_file_that_is_not_there_
     let file = [begun("x"), channel(1, 0, "/a"), messages(1..3), counted_end(2, 1, [1, 2])].concat();
     assert!(matches!(read(&file), Err(ReadError::Damaged { what: Damage::Attached, .. })));
 }
+
+#[test]
+fn a_chunk_whose_first_byte_is_damaged_is_refused_and_a_repair_keeps_it() {
+    let begun = [begun("x"), channel(1, 0, "/a")].concat();
+    let whole =
+        [&begun[..], &chunk(&messages(1..3), "zstd", [0, 2]), &chunk(&messages(3..5), "", [3, 4]), &end()];
+    let whole = whole.concat();
+    for opcode in (0..=255).filter(|opcode| *opcode != whole[begun.len()]) {
+        let mut file = whole.clone();
+        file[begun.len()] = opcode;
+        assert!(read(&file).is_err(), "{opcode}");
+        let (count, told) = salvaged(&file);
+        assert_eq!((count, told.len()), (4, 1), "{opcode}");
+        assert_eq!((told[0].0, told[0].1), (Damage::Opcode, false), "{opcode}");
+    }
+}
