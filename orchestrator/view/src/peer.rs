@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 pub(crate) enum Peer {
     /// A user of this machine.
     User(u32),
-    /// Another machine, or a connection that the kernel does not list.
+    /// Another machine, or a connection whose user the kernel does not know: one that it does not list, or that was closed.
     Host(IpAddr),
 }
 
@@ -118,7 +118,8 @@ fn is_own(peer: Peer) -> bool {
     peer == Peer::User(rustix::process::geteuid().as_raw())
 }
 
-/// User id of the process that connected `peer` to `local`; `None` for a connection that the kernel does not list here.
+/// User id of the process that connected `peer` to `local`; `None` for a connection that the kernel does not list here, and for
+/// one that is closed at that end: it is of no user any more, and the kernel shows that of root.
 pub(crate) fn uid_of_peer(peer: SocketAddr, local: SocketAddr) -> Option<u32> {
     // A question for one connection takes the same time however many there are; not every kernel answers it.
     diag::uid_of(peer, local).unwrap_or_else(|_| uid_in_tables(peer, local))
@@ -136,8 +137,10 @@ fn uid_in_tables(peer: SocketAddr, local: SocketAddr) -> Option<u32> {
 fn uid_in(table: &str, peer: SocketAddr, local: SocketAddr) -> Option<u32> {
     let (near, far) = (addresses(peer), addresses(local));
     table.lines().skip(1).find_map(|row| {
-        let columns: Vec<&str> = row.split_ascii_whitespace().take(8).collect();
-        let is_it = columns.len() == 8
+        let columns: Vec<&str> = row.split_ascii_whitespace().take(10).collect();
+        // A socket that its process has closed has no inode.
+        let is_it = columns.len() == 10
+            && columns[9] != "0"
             && near.iter().any(|address| address == columns[1])
             && far.iter().any(|address| address == columns[2]);
         if is_it { columns[7].parse().ok() } else { None }
@@ -173,6 +176,11 @@ mod tests {
             assert_eq!(uid_of_peer(peer, local), Some(own), "{host}");
             assert_eq!(uid_in_tables(peer, local), Some(own), "{host}");
             assert_eq!(uid_of_peer("127.0.0.1:1".parse().unwrap(), client.local_addr().unwrap()), None);
+            // What is closed is listed until the other end has closed it too, as one of root.
+            drop(client);
+            let found = [uid_of_peer(peer, local), uid_in_tables(peer, local)];
+            assert_eq!(found, [None; 2], "{host}: its end is closed");
+            assert_eq!(peer_of(peer, local), Peer::Host(peer.ip()), "{host}");
         }
     }
 
@@ -199,10 +207,12 @@ mod tests {
         let table = "  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid\n\
             0: 0100007F:1BCD 0100007F:9C40 01 00000000:00000000 00:00000000 00000000  1000 0 1\n\
             1: 0100007F:9C40 0100007F:1BCD 01 00000000:00000000 00:00000000 00000000  1001 0 2\n\
-            2: torn\n";
+            2: 0100007F:9C41 0100007F:1BCD 05 00000000:00000000 00:00000000 00000000     0 0 0\n\
+            3: torn\n";
         let (client, server) = ("127.0.0.1:40000".parse().unwrap(), "127.0.0.1:7117".parse().unwrap());
         assert_eq!(uid_in(table, client, server), Some(1001));
         assert_eq!(uid_in(table, server, client), Some(1000));
+        assert_eq!(uid_in(table, "127.0.0.1:40001".parse().unwrap(), server), None, "closed");
         assert_eq!(uid_in(table, client, "127.0.0.1:7118".parse().unwrap()), None);
     }
 }

@@ -16,10 +16,12 @@ const NLM_F_REQUEST: u16 = 1;
 const IPPROTO_TCP: u8 = 6;
 /// Bytes of the header of a message.
 const HEADER: usize = 16;
-/// Place of the user id in an answer [bytes].
+/// Places of the user id and of the inode in an answer [bytes].
 const UID: usize = HEADER + 64;
+const INODE: usize = UID + 4;
 
-/// User id of the socket whose own address is `peer` and whose other end is `local`; `None` where there is none.
+/// User id of the socket whose own address is `peer` and whose other end is `local`; `None` where there is none, and
+/// where its process has closed it.
 ///
 /// # Errors
 /// A kernel that does not answer such questions.
@@ -38,7 +40,7 @@ fn read(answer: &[u8]) -> io::Result<Option<u32>> {
         |at: usize| answer.get(at..at + 4).and_then(|four| four.try_into().ok()).map(u32::from_ne_bytes);
     let kind = answer.get(4..6).and_then(|two| two.try_into().ok()).map(u16::from_ne_bytes);
     match (kind, word(HEADER)) {
-        (Some(SOCK_DIAG_BY_FAMILY), _) => Ok(word(UID)),
+        (Some(SOCK_DIAG_BY_FAMILY), _) => Ok(word(UID).filter(|_| word(INODE) != Some(0))),
         (Some(NLMSG_ERROR), Some(code)) if code.cast_signed() == -Errno::NOENT.raw_os_error() => Ok(None),
         _ => Err(io::ErrorKind::Unsupported.into()),
     }
