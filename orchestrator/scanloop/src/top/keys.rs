@@ -42,6 +42,8 @@ impl Key {
 
 /// A terminal puts this before and after a text that is pasted, once [`console::screen::ENTER`] has asked for it.
 const PASTE: (&[u8], &[u8]) = (b"200", b"201");
+/// Its end may be lost. A terminal sends a text in large pieces; after this time without one, keys are keys again.
+const MAX_PASTE: Duration = Duration::from_secs(1);
 /// Not all terminals do. More different letters in a row than a person types are pasted as well.
 const MAX_TYPED: usize = 3;
 /// What follows within this time belongs to what came before: a text and a sequence come in pieces. So a letter counts only
@@ -60,11 +62,12 @@ const CTRL_C: u8 = 0x03;
 /// sequence is a letter.
 ///
 /// Letters are held until the terminal has been quiet. They count when a person can have typed them: one key, or a
-/// selection and a key. Ctrl-C is in no text and counts at once.
+/// selection and a key. Ctrl-C is in no text and counts at once, always.
 #[derive(Debug, Default)]
 pub(super) struct Keyboard {
     sequence: Sequence,
-    is_pasting: bool,
+    /// While a text is pasted: when the last piece came that is longer than what a person types.
+    pasting: Option<Instant>,
     run: Run,
     /// When the last bytes came.
     came: Option<Instant>,
@@ -111,6 +114,10 @@ impl Keyboard {
             };
         }
         self.came = Some(now);
+        self.pasting = self.pasting.filter(|last| now.saturating_duration_since(*last) < MAX_PASTE);
+        if self.pasting.is_some() && bytes.len() > MAX_TYPED {
+            self.pasting = Some(now);
+        }
         let mut keys = Vec::new();
         for byte in bytes {
             match self.take(*byte) {
@@ -145,11 +152,12 @@ impl Keyboard {
 
     /// What one more byte is; `None` for a part of a sequence and of a text that is marked as pasted.
     fn take(&mut self, byte: u8) -> Option<Taken> {
-        if byte == CTRL_C && !self.is_pasting {
-            self.sequence = Sequence::None;
+        if byte == CTRL_C {
+            (self.sequence, self.pasting) = (Sequence::None, None);
             return Some(Taken::Key(Key::Interrupt));
         }
-        let letter = (!byte.is_ascii_control() && !self.is_pasting).then_some(Taken::Letter(byte));
+        let is_pasting = self.pasting.is_some();
+        let letter = (!byte.is_ascii_control() && !is_pasting).then_some(Taken::Letter(byte));
         self.sequence = match (std::mem::take(&mut self.sequence), byte) {
             (Sequence::Text | Sequence::TextEscape, ESCAPE) => Sequence::TextEscape,
             (Sequence::Text, BELL) | (Sequence::TextEscape, b'\\') => Sequence::None,
@@ -157,7 +165,7 @@ impl Keyboard {
             (_, ESCAPE) => Sequence::Escape,
             (Sequence::Escape, b'[' | b'O') => Sequence::Control(Vec::new()),
             // Within a pasted text only its end counts.
-            (Sequence::Escape, b']' | b'P' | b'X' | b'^' | b'_') if !self.is_pasting => Sequence::Text,
+            (Sequence::Escape, b']' | b'P' | b'X' | b'^' | b'_') if !is_pasting => Sequence::Text,
             (Sequence::Control(body), 0x40..=0x7e) => return self.end(&body, byte),
             (Sequence::Control(mut body), _) => {
                 if body.len() < MAX_SEQUENCE {
@@ -174,12 +182,13 @@ impl Keyboard {
 
     /// What a control sequence asks for: its bytes up to the last one, and that.
     fn end(&mut self, body: &[u8], last: u8) -> Option<Taken> {
+        let is_pasting = self.pasting.is_some();
         match (body, last) {
-            (number, b'~') if number == PASTE.0 => self.is_pasting = true,
-            (number, b'~') if number == PASTE.1 => self.is_pasting = false,
-            (b"", b'M') if !self.is_pasting => self.sequence = Sequence::Mouse(3),
-            (_, b'A') if !self.is_pasting => return Some(Taken::Key(Key::Up)),
-            (_, b'B') if !self.is_pasting => return Some(Taken::Key(Key::Down)),
+            (number, b'~') if number == PASTE.0 => self.pasting = self.came,
+            (number, b'~') if number == PASTE.1 => self.pasting = None,
+            (b"", b'M') if !is_pasting => self.sequence = Sequence::Mouse(3),
+            (_, b'A') if !is_pasting => return Some(Taken::Key(Key::Up)),
+            (_, b'B') if !is_pasting => return Some(Taken::Key(Key::Down)),
             _ => {}
         }
         None
@@ -300,6 +309,22 @@ mod tests {
         for split in 0..text.len() {
             assert_eq!(pieces(&[&text[..split], &text[split..]], 1), [Key::Down], "split at {split}");
         }
+    }
+
+    #[test]
+    fn a_pasted_text_without_its_end_takes_no_keys_for_long() {
+        for start in [&b"\x1b[200~"[..], b"\x1b[200~a text of more than a letter", b"\x1b[200~\x1b["] {
+            assert_eq!(timed(&[(0, start), (1, b"\x03")]), [(1, Key::Interrupt)]);
+            assert_eq!(timed(&[(0, start), (1000, b"s")]), [(1150, Key::Stop)], "{start:?}");
+            // Who presses a key again and again means it.
+            let presses = (1..20).map(|index| (90 * index, &b"s"[..]));
+            let pieces: Vec<_> = [(0, start)].into_iter().chain(presses).collect();
+            assert_eq!(timed(&pieces)[0], (1380, Key::Stop), "{start:?}");
+        }
+        // A long text comes in large pieces.
+        let text = [&b"\x1b[200~stop"[..], b"the robot", b"and quit", b"sss\x1b[201~"];
+        let text: Vec<_> = (0..).step_by(900).zip(text).collect();
+        assert_eq!(timed(&text), []);
     }
 
     #[test]
