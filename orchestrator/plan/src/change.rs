@@ -12,7 +12,7 @@ use toml::{Table, Value};
 use vehicle::{Goal, Invalid, Setting, read};
 
 use crate::overrides::{parse_override, set};
-use crate::rate::require_rate;
+use crate::rate::{require_few_on_robots_way, require_few_on_the_way, require_rate};
 use crate::settings::DRIVERS;
 use crate::{System, is_of_scenario};
 
@@ -187,9 +187,18 @@ fn checked(role: Role, file: &Table, rate_hz: f64) -> anyhow::Result<Value> {
                 reread("ros2", table.clone(), driver::ros2::Ros2Config::validate)?;
             }
             let scenario = Scenario::from_table(own, "settings of the robot").map_err(Failure::bad_input)?;
+            if !DRIVERS.iter().any(|driver| file.contains_key(*driver)) {
+                require_few_on_robots_way(&scenario, rate_hz).map_err(Failure::bad_input)?;
+            }
             Ok(Value::try_from(scenario)?)
         }
-        Role::Estimator => reread(role.name(), own, estimator::EstimatorConfig::validate),
+        Role::Estimator => {
+            let value = reread(role.name(), own, estimator::EstimatorConfig::validate)?;
+            let config: estimator::EstimatorConfig = value.clone().try_into()?;
+            require_few_on_the_way("estimator.vehicle", config.vehicle.command_delay_s, 0.0, rate_hz)
+                .map_err(Failure::bad_input)?;
+            Ok(value)
+        }
         Role::Obstacles => reread(role.name(), own, obstacles::ObstaclesConfig::validate),
         Role::Controller => {
             let value = reread(role.name(), own, nmpc::ControllerConfig::validate)?;
@@ -316,6 +325,32 @@ mod tests {
         refused(&["controller=7"], "name one of its keys");
         refused(&["pilot.intervals=7"], "is unknown: expected a key of estimator");
         refused(&["controller.intervals"], "expected KEY=VALUE");
+    }
+
+    #[test]
+    fn no_more_commands_may_be_on_their_way_than_a_file_may_have() {
+        // At 200 Hz, of which 64 scans are 0.32 s.
+        let at_200_hz = |role, text: &str| {
+            let mut old: Table = file(role).parse().unwrap();
+            set(&mut old, "run.period_ns", Value::Integer(5_000_000)).unwrap();
+            settings(role, &old.to_string(), &texts(&[text])).map_err(|error| error.to_string())
+        };
+        for (role, text) in [
+            (Role::Robot, "robot.command_delay_s=0.33"),
+            (Role::Robot, "robot.command_jitter_s=0.1"),
+            (Role::Estimator, "estimator.vehicle.command_delay_s=0.33"),
+        ] {
+            let refused = at_200_hz(role, text).unwrap_err();
+            let key = text.split('=').next().unwrap();
+            assert!(refused.starts_with(&format!("{key} = 0.")) && refused.contains("64 scans"), "{refused}");
+        }
+        for (role, text) in [
+            (Role::Robot, "robot.command_delay_s=0.2"),
+            (Role::Robot, "robot.command_jitter_s=0.05"),
+            (Role::Estimator, "estimator.vehicle.command_delay_s=0.31"),
+        ] {
+            at_200_hz(role, text).unwrap();
+        }
     }
 
     #[test]

@@ -35,7 +35,6 @@ use toml::{Table, Value};
 use vehicle::{Description, Invalid, Setting, Surroundings, did_you_mean};
 
 pub use difference::PropertyDifference;
-use rate::require_few_on_the_way;
 pub use source::SourceFile;
 pub use system::System;
 use written::Written;
@@ -156,7 +155,7 @@ impl Plan {
         warnings.extend(possible::unmapped(&tuning.actuator));
         warnings.extend(possible::blind(&scenario, &tuning.obstacles));
         if system.emulates_robot() {
-            require_few_on_the_way("robot", scenario.robot_values().command_delay_s, system.rate_hz)?;
+            rate::require_few_on_robots_way(&scenario, system.rate_hz)?;
             warnings.extend(possible::drift(&scenario, &tuning.estimator));
             warnings.extend(possible::irregular(&scenario, system.rate_hz));
         }

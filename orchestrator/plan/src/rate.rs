@@ -1,5 +1,6 @@
 //! Whether the robot can be driven at a scan rate: it can stop in time, and it is driven as planned.
 
+use emulator::Scenario;
 use nmpc::{ControllerConfig, speed_limit};
 use vehicle::{Description, Invalid, Surroundings};
 
@@ -7,6 +8,8 @@ use vehicle::{Description, Invalid, Surroundings};
 const RATES_HZ: [f64; 2] = [0.5, 1000.0];
 /// The smallest allowed rate is found to this share.
 const PRECISION: f64 = 1e-4;
+/// A command is later by so many means of its jitter, once in 150.
+const JITTERS: f64 = 5.0;
 /// Share by which a period may exceed an interval by rounding.
 const ROUNDING: f64 = 1e-6;
 
@@ -32,18 +35,42 @@ pub(crate) fn require_rate(controller: &ControllerConfig, rate_hz: f64) -> Resul
     Err(Invalid::new("rate_hz", rate_hz, allowed))
 }
 
-/// Passes when no more commands are on their way to the wheels, one for each scan, than a robot may have.
+/// Passes when no more commands are on their way to the wheels, one for each scan, than a robot may have; `jitter_s` is the mean
+/// of a time that is added at random.
 ///
 /// # Errors
-/// [`Invalid`] with the key of this table, the delay and the largest one.
-pub(crate) fn require_few_on_the_way(table: &str, delay_s: f64, rate_hz: f64) -> Result<(), Invalid> {
+/// [`Invalid`] with the key of this table, its value and the largest one.
+pub(crate) fn require_few_on_the_way(
+    table: &str,
+    delay_s: f64,
+    jitter_s: f64,
+    rate_hz: f64,
+) -> Result<(), Invalid> {
     let most = vehicle::MAX_ON_THE_WAY;
     let largest_s = most as f64 / rate_hz;
-    if delay_s <= largest_s {
+    let left_s = (largest_s - delay_s) / JITTERS;
+    let refused = if left_s < 0.0 {
+        let allowed = format!("at most {largest_s}, the time of {most} scans at rate_hz = {rate_hz}");
+        Invalid::new("command_delay_s", delay_s, allowed)
+    } else if jitter_s > left_s {
+        let allowed = format!(
+            "at most {}, so that {JITTERS} of it and command_delay_s = {delay_s} are the time of {most} scans at rate_hz = {rate_hz}",
+            (left_s * 1e6).floor() / 1e6
+        );
+        Invalid::new("command_jitter_s", jitter_s, allowed)
+    } else {
         return Ok(());
-    }
-    let allowed = format!("at most {largest_s}, the time of {most} scans at rate_hz = {rate_hz}");
-    Err(Invalid::new("command_delay_s", delay_s, allowed).within(table))
+    };
+    Err(refused.within(table))
+}
+
+/// The same of the emulated robot of a scenario, which has its values.
+///
+/// # Errors
+/// As [`require_few_on_the_way`].
+pub(crate) fn require_few_on_robots_way(scenario: &Scenario, rate_hz: f64) -> Result<(), Invalid> {
+    let values = scenario.robot_values();
+    require_few_on_the_way("robot", values.command_delay_s, values.command_jitter_s, rate_hz)
 }
 
 /// Passes when a safe speed is left at this rate.
@@ -93,14 +120,24 @@ mod tests {
 
     #[test]
     fn no_more_commands_are_on_their_way_than_are_remembered() {
-        assert_eq!(require_few_on_the_way("vehicle", 0.32, 200.0), Ok(()));
-        let refused = require_few_on_the_way("vehicle", 0.33, 200.0).unwrap_err().to_string();
+        assert_eq!(require_few_on_the_way("vehicle", 0.32, 0.0, 200.0), Ok(()));
+        let refused = require_few_on_the_way("vehicle", 0.33, 0.0, 200.0).unwrap_err().to_string();
         assert!(
             refused.contains(
                 "vehicle.command_delay_s = 0.33 is not allowed: at most 0.32, the time of 64 scans"
             ),
             "{refused}"
         );
+    }
+
+    #[test]
+    fn commands_that_come_at_random_may_not_be_too_many_either() {
+        assert_eq!(require_few_on_the_way("robot", 0.02, 0.06, 200.0), Ok(()));
+        let refused = require_few_on_the_way("robot", 0.02, 0.061, 200.0).unwrap_err().to_string();
+        let expected = "robot.command_jitter_s = 0.061 is not allowed: at most 0.06, so that 5 of it and command_delay_s = 0.02";
+        assert!(refused.starts_with(expected), "{refused}");
+        // The largest values of a scenario.
+        assert_eq!(require_few_on_the_way("robot", 0.5, 0.5, 20.0), Ok(()));
     }
 
     #[test]

@@ -245,7 +245,7 @@ impl System {
             ("vehicle", self.vehicle.command_delay_s),
             ("estimator.vehicle", self.estimator.vehicle.command_delay_s),
         ] {
-            require_few_on_the_way(table, delay_s, self.rate_hz)?;
+            require_few_on_the_way(table, delay_s, 0.0, self.rate_hz)?;
         }
         possible::require_velocity(self)?;
         self.tuning().validate()
