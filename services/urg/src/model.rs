@@ -127,7 +127,11 @@ pub(crate) fn has_valid_sums(text: &[u8]) -> bool {
 /// out, and checksums are not verified: some models send wrong ones.
 pub fn fields(text: &[u8]) -> impl Iterator<Item = (String, String)> {
     text.split(|byte| *byte == b'\n').filter_map(|line| {
-        let line = line.iter().rposition(|byte| *byte == b';').map_or(line, |end| &line[..end]);
+        let line = match line {
+            // The checksum may be a semicolon, too.
+            [text @ .., b';', _] => text,
+            _ => line.iter().rposition(|byte| *byte == b';').map_or(line, |end| &line[..end]),
+        };
         let colon = line.iter().position(|byte| *byte == b':')?;
         let readable = |bytes: &[u8]| -> String {
             bytes.iter().filter(|byte| (b' '..=b'~').contains(*byte)).map(|byte| *byte as char).collect()
@@ -141,6 +145,28 @@ mod tests {
     use super::*;
 
     const URG_04LX: &[u8] = b"MODL:URG-04LX(emulated);[\nDMIN:20;4\nDMAX:5600;_\nARES:1024;\\\nAMIN:44;7\nAMAX:725;o\nAFRT:384;6\nSCAN:600;e\n";
+
+    #[test]
+    fn a_checksum_may_be_any_of_its_letters_and_a_value_may_have_semicolons() {
+        let sums: Vec<u8> = (44..=625)
+            .map(|step| {
+                let line = format!("AMAX:{step}");
+                let sum = checksum(line.as_bytes());
+                let text = [line.as_bytes(), &[b';', sum, b'\n']].concat();
+                let found: Vec<_> = fields(&text).collect();
+                assert_eq!(found, [("AMAX".to_owned(), step.to_string())], "{}", text.escape_ascii());
+                assert!(has_valid_sums(&text));
+                sum
+            })
+            .collect();
+        assert!(sums.contains(&b';'));
+        for (text, value) in
+            [("FIRM:1;2;;", "1;2"), ("FIRM:1;2;x", "1;2"), ("FIRM:12;", "12"), ("FIRM:12", "12")]
+        {
+            let found: Vec<_> = fields(text.as_bytes()).collect();
+            assert_eq!(found, [("FIRM".to_owned(), value.to_owned())], "{text}");
+        }
+    }
 
     #[test]
     fn the_parameters_of_the_usual_model_fit() {
