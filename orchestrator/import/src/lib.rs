@@ -17,7 +17,7 @@ use std::io::{BufWriter, IntoInnerError};
 use std::path::{Path, PathBuf};
 
 use console::new_file::{Existing, NewFile};
-use driver::motion::{BaseState, Convention, Motion, Turn};
+use driver::motion::{BaseState, Convention, Motion, Ordered, Turn};
 use recording::imported::{begin, end};
 use recording::ros2::BaseOdometry;
 
@@ -112,7 +112,7 @@ pub fn import(from: &Path, out: &Path, options: &ImportOptions) -> anyhow::Resul
             imported.without_odometry += 1;
             return Ok(());
         };
-        let (mut odometry, jump) = joined.tracked.next(&motion, [0.0; 2]);
+        let (mut odometry, jump) = joined.tracked.next(&motion, Ordered::default());
         imported.jumps += u64::from(jump.is_some());
         imported.taken += 1;
         returns += scan.ranges().iter().filter(|range| **range > 0).count();

@@ -6,6 +6,8 @@ use vehicle::Parameters;
 
 /// Tolerance of a place that the odometry reports, at any speed: noise of a real base [m].
 const REACH_M: f64 = 0.1;
+/// The same of a heading, with what a robot turns within a period and does not report [rad].
+const REACH_RAD: f64 = 0.2;
 
 /// A state of the base.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -16,6 +18,24 @@ pub struct BaseState {
     pub velocity: [f64; 3],
     /// Whether the wheels are blocked by something.
     pub stalled: bool,
+}
+
+/// What a robot was told to do since its last scan.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Ordered {
+    /// Lowest and highest velocity, and zero [m/s].
+    pub mps: [f64; 2],
+    /// Largest yaw rate to either side [rad/s].
+    pub radps: f64,
+}
+
+impl Ordered {
+    /// One more order.
+    pub fn add(&mut self, velocity_mps: f64, yaw_rate_radps: f64) {
+        let [slowest_mps, fastest_mps] = self.mps;
+        self.mps = [slowest_mps.min(velocity_mps), fastest_mps.max(velocity_mps)];
+        self.radps = self.radps.max(yaw_rate_radps.abs());
+    }
 }
 
 /// What turns a robot, in a command.
@@ -104,16 +124,21 @@ impl Motion {
     }
 
     /// Whether the robot can have driven from here to `later`: at a speed between the lowest and the highest of both and of
-    /// `ordered_mps`, those that it was told since, with a tolerance of a tenth and of `REACH_M`.
+    /// those that it was told since, and with the largest yaw rate of these; with a tolerance of a tenth and of `REACH_M` and
+    /// `REACH_RAD`.
     ///
     /// Another place is that of a server that was started anew, with its odometry at zero.
-    pub fn reaches(&self, later: &Self, [slowest_mps, fastest_mps]: [f64; 2]) -> bool {
+    pub fn reaches(&self, later: &Self, ordered: Ordered) -> bool {
+        let [slowest_mps, fastest_mps] = ordered.mps;
         let seconds = later.time_ns.saturating_sub(self.time_ns) as f64 * 1e-9;
         let slowest_mps = slowest_mps.min(self.speed_mps).min(later.speed_mps);
         let fastest_mps = fastest_mps.max(self.speed_mps).max(later.speed_mps).max(-slowest_mps);
         let (dx, dy) = (later.pose[0] - self.pose[0], later.pose[1] - self.pose[1]);
         let (sin, cos) = self.pose[2].sin_cos();
-        dx * cos + dy * sin >= 1.1 * slowest_mps.min(0.0) * seconds - REACH_M
+        let turned_rad = wrapped(later.pose[2] - self.pose[2]).abs();
+        let radps = ordered.radps.max(self.yaw_rate_radps.abs()).max(later.yaw_rate_radps.abs());
+        turned_rad <= 1.1 * radps * seconds + REACH_RAD
+            && dx * cos + dy * sin >= 1.1 * slowest_mps.min(0.0) * seconds - REACH_M
             && dx.hypot(dy) <= 1.1 * fastest_mps * seconds + REACH_M
     }
 
@@ -241,25 +266,55 @@ mod tests {
             speed_mps,
             ..Motion::default()
         };
+        let told = |mps| Ordered { mps, radps: 0.0 };
         let from = at(0, 5.0, 1.0);
         // An outage in which the base drove on, and one in which it stopped.
         for (time_ms, x_m) in [(1_200, 6.2), (3_000, 8.0), (1_200, 5.2), (100, 5.1)] {
-            assert!(from.reaches(&at(time_ms, x_m, 0.0), [0.0; 2]), "{time_ms} ms, {x_m} m");
+            assert!(from.reaches(&at(time_ms, x_m, 0.0), told([0.0; 2])), "{time_ms} ms, {x_m} m");
         }
         // Its odometry at zero, or elsewhere: 1.2 s at 1 m/s are 1.32 m with a tenth, and 0.1 m.
         for (time_ms, x_m) in [(1_200, 0.0), (1_200, 4.8), (1_200, 6.43), (100, 5.4), (60_000, 4.0)] {
-            assert!(!from.reaches(&at(time_ms, x_m, 0.0), [0.0; 2]), "{time_ms} ms, {x_m} m");
+            assert!(!from.reaches(&at(time_ms, x_m, 0.0), told([0.0; 2])), "{time_ms} ms, {x_m} m");
         }
         // It was told to drive faster than it did.
         let slow = at(0, 5.0, 0.1);
         assert!(
-            !slow.reaches(&at(1_000, 5.9, 0.0), [0.0, 0.1]) && slow.reaches(&at(1_000, 5.9, 0.0), [0.0, 0.8])
+            !slow.reaches(&at(1_000, 5.9, 0.0), told([0.0, 0.1]))
+                && slow.reaches(&at(1_000, 5.9, 0.0), told([0.0, 0.8]))
         );
         let turned = Motion { pose: [5.0, 0.0, FRAC_PI_2], ..from };
-        assert!(turned.reaches(&Motion { pose: [5.0, 0.9, 0.0], ..at(1_000, 5.0, 0.0) }, [0.0; 2]));
+        assert!(
+            turned.reaches(&Motion { pose: [5.0, 0.9, FRAC_PI_2], ..at(1_000, 5.0, 0.0) }, told([0.0; 2]))
+        );
         // It was told to drive backwards.
-        let back = |x_m, slowest_mps| slow.reaches(&at(1_000, x_m, 0.0), [slowest_mps, 0.0]);
+        let back = |x_m, slowest_mps| slow.reaches(&at(1_000, x_m, 0.0), told([slowest_mps, 0.0]));
         assert!(back(4.7, -0.2) && !back(4.6, -0.2) && !back(4.7, 0.0));
+    }
+
+    #[test]
+    fn yaw_rate_times_time_decides_what_is_a_jump_of_the_heading() {
+        let at = |time_ms: u64, yaw_rad: f64, yaw_rate_radps: f64| Motion {
+            time_ns: time_ms * 1_000_000,
+            pose: [0.0, 0.0, yaw_rad],
+            yaw_rate_radps,
+            ..Motion::default()
+        };
+        let told = |radps| Ordered { radps, ..Ordered::default() };
+        // The short way, in a period and in an outage in which it turned on; with a yaw rate reported, or told.
+        let from = at(0, 3.1, 0.5);
+        for (time_ms, turned_rad) in [(100, 0.25), (100, -0.25), (2_000, 1.2), (20_000, 3.1)] {
+            assert!(from.reaches(&at(time_ms, 3.1 + turned_rad, 0.0), told(0.0)), "{time_ms} {turned_rad}");
+        }
+        for (time_ms, turned_rad) in [(100, 0.26), (100, -PI), (2_000, 1.4), (2_000, -3.1)] {
+            assert!(!from.reaches(&at(time_ms, 3.1 + turned_rad, 0.0), told(0.0)), "{time_ms} {turned_rad}");
+        }
+        let rests = at(0, 0.0, 0.0);
+        assert!(
+            rests.reaches(&at(1_000, 1.0, 0.0), told(0.8)) && rests.reaches(&at(1_000, 1.0, -0.8), told(0.0))
+        );
+        let mut ordered = Ordered::default();
+        [(0.5, 0.1), (-0.2, -0.3), (0.1, 0.2)].map(|(mps, radps)| ordered.add(mps, radps));
+        assert_eq!(ordered, Ordered { mps: [-0.2, 0.5], radps: 0.3 });
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use shared_types::Odometry;
 
-use crate::motion::{Anchor, Motion, wrapped};
+use crate::motion::{Anchor, Motion, Ordered, wrapped};
 
 /// The odometry of a robot: the first pose that it reports is its start on the track.
 #[derive(Debug, Clone)]
@@ -21,11 +21,11 @@ impl TrackedOdometry {
     }
 
     /// The sample of the next scan, at which the base reports `motion`; and from where to where the pose has jumped, if the robot
-    /// can't have driven there with the speeds ordered since the last one: then it is taken to be where it was.
-    pub fn next(&mut self, motion: &Motion, ordered_mps: [f64; 2]) -> (Odometry, Option<[[f64; 3]; 2]>) {
+    /// can't have driven there with what it was told since the last one: then it is taken to be where it was.
+    pub fn next(&mut self, motion: &Motion, ordered: Ordered) -> (Odometry, Option<[[f64; 3]; 2]>) {
         let last = self.last;
         let place = last.map_or(self.start, |last| [last.x_m, last.y_m, last.yaw_rad]);
-        let has_jumped = last.is_some() && !self.reported.reaches(motion, ordered_mps);
+        let has_jumped = last.is_some() && !self.reported.reaches(motion, ordered);
         let jump = has_jumped.then_some([self.reported.pose, motion.pose]);
         if has_jumped {
             self.anchor = None;

@@ -13,7 +13,7 @@ use vehicle::Description;
 use crate::devices::Devices;
 use crate::event::{ForeignRobot, RobotEvent, RobotSettings};
 use crate::guard::Orders;
-use crate::motion::Motion;
+use crate::motion::{Motion, Ordered};
 use crate::odometry::TrackedOdometry;
 use crate::order::GuardOrder;
 use crate::sensing::{MeasuredSweep, Sensing};
@@ -92,8 +92,8 @@ struct Driver<R> {
     sensing: Sensing,
     devices: Devices,
     tracked: TrackedOdometry,
-    /// Largest velocity that was sent since the last scan [m/s].
-    ordered_mps: [f64; 2],
+    /// What was sent since the last scan.
+    ordered: Ordered,
     /// Time of the first front beam [ns].
     first_ns: u64,
     scan: Scan,
@@ -129,7 +129,7 @@ impl<R: ForeignRobot> Driver<R> {
             sensing: Sensing::new(&settings, period_ns),
             devices: Devices::new(settings.has_scanner, monotonic_ns()),
             tracked: TrackedOdometry::new([x_m, y_m, yaw_rad]),
-            ordered_mps: [0.0; 2],
+            ordered: Ordered::default(),
             first_ns: 0,
             scan: Scan {
                 sweep_ns: sweep_ns.clamp(1, period_ns),
@@ -258,8 +258,8 @@ impl<R: ForeignRobot> Driver<R> {
         let (velocity_mps, steering_rad) = (actuation.sent_velocity_mps, actuation.sent_steering_rad);
         let numbers = self.settings.convention.sent(&self.vehicle.parameters(), velocity_mps, steering_rad);
         if self.give(GuardOrder::Drive(numbers)) {
-            let [slowest_mps, fastest_mps] = self.ordered_mps;
-            self.ordered_mps = [slowest_mps.min(velocity_mps), fastest_mps.max(velocity_mps)];
+            let curvature = self.vehicle.parameters().curvature_of(steering_rad);
+            self.ordered.add(velocity_mps, velocity_mps * curvature);
             self.drives_until_ns = Some(monotonic_ns() + TIMEOUT_PERIODS * self.period_ns);
         }
     }
@@ -323,8 +323,7 @@ impl<R: ForeignRobot> Driver<R> {
 
     /// The odometry of the next scan, on the track.
     fn odometry(&mut self, motion: &Motion) -> Odometry {
-        let ordered_mps = std::mem::replace(&mut self.ordered_mps, [0.0; 2]);
-        let (odometry, jump) = self.tracked.next(motion, ordered_mps);
+        let (odometry, jump) = self.tracked.next(motion, std::mem::take(&mut self.ordered));
         if let Some([from, to]) = jump {
             tracing::warn!(?from, ?to, "the odometry has jumped: the robot is taken to be where it was");
         }
