@@ -15,6 +15,28 @@ pub const TEXT_BYTES: u64 = 1 << 20;
 /// Largest file of recorded or measured data [bytes].
 pub const DATA_BYTES: u64 = 1 << 28;
 
+/// How files that are no text of ours begin, and what they are.
+const KINDS: [(&[u8], &str); 18] = [
+    (b"PK\x03\x04", "a ZIP archive, as a workbook of a spreadsheet is"),
+    (b"\xd0\xcf\x11\xe0", "a document of an office program"),
+    (b"{\\rtf", "a document in RTF"),
+    (b"%PDF", "a PDF"),
+    (b"<!", "HTML or XML"),
+    (b"<?xml", "HTML or XML"),
+    (b"<h", "HTML or XML"),
+    (b"<H", "HTML or XML"),
+    (b"\x1f\x8b", "packed by gzip"),
+    (b"BZh", "packed by bzip2"),
+    (b"\xfd7zXZ", "packed by xz"),
+    (b"\x28\xb5\x2f\xfd", "packed by zstd"),
+    (b"7z\xbc\xaf", "a 7-Zip archive"),
+    (b"\x89PNG", "a picture, PNG"),
+    (b"\xff\xd8\xff", "a picture, JPEG"),
+    (b"\x7fELF", "a program"),
+    (b"SQLite format 3\0", "a database of SQLite, as a bag of ROS 2 is"),
+    (b"\x89MCAP", "a recording in MCAP"),
+];
+
 /// The text of a file with at most `max_bytes`, without a byte order mark.
 ///
 /// # Errors
@@ -46,10 +68,8 @@ fn read_any(path: &Path, max_bytes: u64) -> Result<String, String> {
 fn decode(bytes: Vec<u8>) -> Result<String, String> {
     const SAVE: &str = "save it as UTF-8";
     let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
-    if text.starts_with(b"PK\x03\x04") {
-        return Err(
-            "line 1: it is a ZIP archive, as a workbook of a spreadsheet is; save it as text".to_owned()
-        );
+    if let Some((_, kind)) = KINDS.iter().find(|(start, _)| text.starts_with(start)) {
+        return Err(format!("line 1: it is {kind}; save it as text"));
     }
     // The last letter of a text in UTF-16 may have one.
     let written = text.len() - text.iter().rev().take_while(|byte| **byte == 0).count();
@@ -173,7 +193,10 @@ mod tests {
         assert!(decode(b"one\ntw\0o\n".to_vec()).unwrap_err().starts_with("line 2: the byte 0x00"));
         let cut = decode([&b"rate_hz = 10\rname\n"[..], &[0; 500]].concat()).unwrap_err();
         assert!(cut.starts_with("line 3: zero bytes at its end, 500 of them"), "{cut}");
-        assert!(decode(b"PK\x03\x04\x14\0".to_vec()).unwrap_err().contains("a ZIP archive"));
+        for (start, kind) in KINDS {
+            let refused = decode([start, b"\n\0\xff"].concat()).unwrap_err();
+            assert_eq!(refused, format!("line 1: it is {kind}; save it as text"));
+        }
     }
 
     #[test]

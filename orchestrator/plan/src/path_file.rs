@@ -55,8 +55,8 @@ pub(crate) fn read(scenario: &mut Table, scenario_file: &str) -> anyhow::Result<
     }
     let file = Path::new(scenario_file).with_file_name(path);
     let name = file.display().to_string();
-    let text =
-        user_file::read_table(&file).map_err(|error| Failure::bad_input(format!("{name}: {error}")))?;
+    let text = user_file::read_table(&file)
+        .map_err(|error| Failure::bad_input(format!("{name}: course.path: {error}")))?;
     let points: Vec<PathPoint> =
         record::read(&text, &name).map_err(|error| Failure::bad_input(error.to_string()))?;
     let waypoints = waypoints(&points, &name).map_err(Failure::bad_input)?;

@@ -57,6 +57,16 @@ fn texts_of_other_editors_are_read_or_named_for_what_they_are() {
         refused(&system, arguments, &[name, "line 1", "CR alone"]);
         write(name, &[text.as_bytes(), b"# Gr\xfc\xdfe\n"].concat());
         refused(&system, arguments, &[name, "the byte 0xfc belongs to no text in UTF-8"]);
+        for (start, kind) in [
+            (&b"\x1f\x8b\x08\0"[..], "packed by gzip"),
+            (b"%PDF-1.7\n%\xe2\xe3", "a PDF"),
+            (b"{\\rtf1\\ansi", "a document in RTF"),
+            (b"<!DOCTYPE html>", "HTML or XML"),
+            (b"\x89PNG\r\n\x1a\n\0\0", "a picture, PNG"),
+        ] {
+            write(name, &[start, text.as_bytes()].concat());
+            refused(&system, arguments, &[name, "line 1", &format!("it is {kind}; save it as text")]);
+        }
         write(name, &[text.as_bytes(), &[0; 600]].concat());
         refused(&system, arguments, &[name, "line ", "zero bytes at its end, 600 of them"]);
     }
@@ -80,6 +90,11 @@ fn texts_of_other_editors_are_read_or_named_for_what_they_are() {
     ] {
         write("scenario.toml", text.as_bytes());
         refused(&system, &["check", "scenario.toml"], &["scenario.toml", &format!("line {line}: "), reason]);
+    }
+    write("points.csv", b"\x1f\x8b\x08\0");
+    for key in ["course.path", "estimator.map"] {
+        let path = format!("{key}={}", system.folder().join("points.csv").display());
+        refused(&system, &["check", "--set", &path, "corridor"], &["points.csv", key, "packed by gzip"]);
     }
     write("imu.toml", layout.replace("f64", "float").as_bytes());
     refused(&system, &["types", "--layout", "imu.toml"], &["imu.toml: line 4: rate = float is not allowed"]);

@@ -60,7 +60,6 @@ fn of_document(header: &str) -> Option<String> {
     let kind = match header.as_bytes().first()? {
         b'<' => "HTML or XML",
         b'{' | b'[' => "JSON",
-        _ if header.starts_with("%PDF") => "a PDF",
         _ => return None,
     };
     Some(format!("it is {kind}, no table of comma-separated values"))
