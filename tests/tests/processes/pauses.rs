@@ -145,6 +145,24 @@ fn what_is_kept_in_memory_is_not_said_to_be_absent_while_the_orchestrator_is_sus
 }
 
 #[test]
+fn a_recorder_that_is_suspended_keeps_no_run_from_its_report() {
+    repeat_when_late(|| {
+        let mut system = TestSystem::new(EXECUTABLE);
+        system.start(&["endless", "--record"]);
+        system.wait_until("it drives", |system| system.status().is_some_and(|status| status.scan > 10));
+        let (orchestrator, processes) = (system.orchestrator(), system.processes());
+        let children = format!("/proc/{orchestrator}/task/{orchestrator}/children");
+        let children = std::fs::read_to_string(children).unwrap();
+        let mut children = children.split_whitespace().map(|pid| pid.parse().unwrap());
+        system.signal(children.find(|pid| !processes.contains(pid)).unwrap(), Signal::STOP);
+        assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+        assert_eq!(system.wait().code(), Some(1), "{}", system.stderr());
+        assert_eq!(system.report().reason, "stopped by command");
+        system.assert_nothing_left();
+    });
+}
+
+#[test]
 fn a_request_to_a_suspended_orchestrator_says_so() {
     repeat_when_late(|| {
         let (mut system, watch) = driving();

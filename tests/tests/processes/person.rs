@@ -43,6 +43,12 @@ fn scan_while_time_stands(system: &TestSystem) -> u64 {
     newest.get()
 }
 
+/// Pauses a drive in lock-step, which may be over before a command has started.
+fn pause_at_once(system: &TestSystem) {
+    let pause = |domain| matches!(ask(&domain, &Request::Pause), Ok(Reply::Done));
+    system.wait_until("the drive is paused", |system| system.find().is_some_and(pause));
+}
+
 /// `teleop` with arguments, as a process.
 fn teleop(system: &TestSystem, arguments: &[&str]) -> Child {
     system.command(&[&["teleop"], arguments].concat()).spawn().unwrap()
@@ -108,7 +114,7 @@ fn a_program_drives_by_lines_and_a_line_that_is_none_ends_it_with_blocked_wheels
     repeat_when_late(|| {
         let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["free", "--lockstep"]);
-        system.wait_until("the drive is paused", |system| run(system, &["pause"]).0 == Some(0));
+        pause_at_once(&system);
         let drive = |text: &str| {
             let mut command = system.command(&["teleop", "--stdin"]);
             let mut person = command.stdin(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
@@ -286,7 +292,7 @@ fn in_lockstep_a_person_drives_scan_by_scan_and_time_stands_while_the_drive_is_p
     repeat_when_late(|| {
         let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["figure-eight", "--lockstep", "--record"]);
-        system.wait_until("the drive is paused", |system| run(system, &["pause"]).0 == Some(0));
+        pause_at_once(&system);
         let before = scan_while_time_stands(&system);
         assert_eq!(run(&system, &["teleop", "--velocity=0.5", "--steering=0.02", "--for=2"]).0, Some(0));
         let after = scan_while_time_stands(&system);
@@ -304,7 +310,7 @@ fn in_lockstep_each_control_that_is_taken_drives_a_scan_of_its_own() {
     repeat_when_late(|| {
         let mut system = TestSystem::new(EXECUTABLE);
         system.start(&["endless", "--lockstep"]);
-        system.wait_until("the drive is paused", |system| run(system, &["pause"]).0 == Some(0));
+        pause_at_once(&system);
         let before = scan_while_time_stands(&system);
         let domain = system.find().unwrap();
         let Ok(Reply::Teleop { person, .. }) = ask(&domain, &Request::Teleop) else { panic!("refused") };
