@@ -16,6 +16,8 @@ use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 use emulator::Outcome;
 use runtime::{Domain, LinkStatus};
@@ -230,6 +232,37 @@ fn estimator_obstacles_and_controller_drive_the_robot_from_another_host() {
         let report = hosts.system.report();
         assert_eq!(report.outcome, Outcome::Reached);
         assert_eq!(report.scans.unaccounted, 0, "{:?}", report.scans);
+        hosts.end();
+    });
+}
+
+#[test]
+fn empty_datagrams_to_the_port_of_an_agent_keep_no_drive_from_it() {
+    repeat_when_late(|| {
+        let Some(mut hosts) = TwoHosts::new("empty datagrams") else { return };
+        hosts.start_agent();
+        let file = std::fs::read_to_string(hosts.system.folder().join(agent_file("lab"))).unwrap();
+        let address = file.split('"').find(|text| text.starts_with("127.0.0.1:")).unwrap();
+        let is_sending = AtomicBool::new(true);
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                let (socket, started) = (UdpSocket::bind("127.0.0.1:0").unwrap(), Instant::now());
+                while is_sending.load(Ordering::Relaxed) && started.elapsed() < Duration::from_secs(120) {
+                    let _ = socket.send_to(&[], address);
+                    std::thread::sleep(Duration::from_millis(2));
+                }
+            });
+            hosts.start(&SHORT_FREE);
+            let code = hosts.system.wait().code();
+            is_sending.store(false, Ordering::Relaxed);
+            assert_eq!(code, Some(0), "{} {}", hosts.system.stderr(), hosts.messages());
+        });
+        assert_eq!(hosts.system.report().outcome, Outcome::Reached);
+        let messages = hosts.messages();
+        assert!(
+            messages.contains("were dropped: they were empty") && !messages.contains("starting anew"),
+            "{messages}"
+        );
         hosts.end();
     });
 }
