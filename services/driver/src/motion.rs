@@ -313,7 +313,7 @@ mod tests {
             rests.reaches(&at(1_000, 1.0, 0.0), told(0.8)) && rests.reaches(&at(1_000, 1.0, -0.8), told(0.0))
         );
         let mut ordered = Ordered::default();
-        [(0.5, 0.1), (-0.2, -0.3), (0.1, 0.2)].map(|(mps, radps)| ordered.add(mps, radps));
+        [(0.5, 0.1), (-0.2, -0.3), (0.1, 0.2)].iter().for_each(|(mps, radps)| ordered.add(*mps, *radps));
         assert_eq!(ordered, Ordered { mps: [-0.2, 0.5], radps: 0.3 });
     }
 
