@@ -143,6 +143,8 @@ pub(crate) struct Evidence {
     silent: u64,
     /// The same for bodies that seem to have gone while the robot rested.
     gone: u64,
+    /// Sectors in which hardly anything came in this scan of what was predicted, one bit each.
+    suspected: u64,
 }
 
 impl Evidence {
@@ -171,6 +173,7 @@ impl Evidence {
             is_empty: false,
             silent: 0,
             gone: 0,
+            suspected: 0,
         }
     }
 
@@ -195,7 +198,7 @@ impl Evidence {
         self.valid_share = valid as f64 / (last + 1 - first) as f64;
         self.is_empty = self.vehicle.surroundings == Surroundings::Hall
             && (points.len() as f64) < SWEEP_SHARE * beams.count() as f64;
-        (self.silent, self.gone) = (0, 0);
+        (self.silent, self.gone, self.suspected) = (0, 0, 0);
         self.rested_s = if place.speed() < REST_MPS { self.rested_s + elapsed } else { 0.0 };
         self.careful_s = (self.careful_s - elapsed).max(0.0);
         let brought = self.bring(beams, scan, place, points, elapsed);
@@ -286,6 +289,7 @@ impl Evidence {
             sectors::compare(&mut counts, beams, scan, seen, (keyframe.scan(), before));
         }
         sectors::add(&mut self.sectors, &counts, waited);
+        self.suspected = sectors::suspected(&counts);
         if self.rested_s > RENEWED_S.max(RENEWED_SCANS * self.findings.elapsed) && !self.is_empty {
             self.rested_s = 0.0;
             // No error of the ranges moves anything while the robot rests: what moves or has gone contradicted nothing.
@@ -300,7 +304,7 @@ impl Evidence {
         }
         let (way, turn) = self.keyframe.moved(place);
         // A scan in which something seems to fail is no base for comparison before that was judged.
-        let limit = if sectors::may_fail(&counts) { 2.0 } else { 1.0 };
+        let limit = if self.suspected != 0 { 2.0 } else { 1.0 };
         let (returns, kept) = (points.len(), self.keyframe.points().len());
         // Nor is one in which most returns are missing suddenly: the robot may come to rest before they come again, and
         // would then find no evidence in any direction of which that scan showed nothing.
@@ -338,6 +342,11 @@ impl Evidence {
         } else {
             self.silent |= sectors;
         }
+    }
+
+    /// Whether hardly anything came in one of the sectors of these beams, in this scan, of what was predicted.
+    pub(crate) fn suspects(&self, beams: &RangeInclusive<usize>) -> bool {
+        self.suspected & self.sectors_of(*beams.start(), *beams.end()) != 0
     }
 
     /// How many beams of the scanner make a sector.

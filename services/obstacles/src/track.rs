@@ -66,7 +66,7 @@ pub(crate) struct Track {
     pub(crate) unseen_s: f64,
     /// For how long its returns have not come although it should be in view [s].
     pub(crate) silent_s: f64,
-    /// For how much of that the robot has rested [s].
+    /// For how much of that, or of the time in which a side of it has been silent, the robot has rested [s].
     pub(crate) rested_s: f64,
     /// Scans in a row that saw its place free, or a side of it while they saw the rest.
     pub(crate) free: u32,
@@ -258,25 +258,18 @@ impl Track {
         self.edges = self.edges * EDGE_MEMORY + view.edges;
         self.orientation = orient(&self.reach, self.edges, self.orientation, directions);
         self.sightings = self.sightings.saturating_add(1);
-        (self.unseen_s, self.silent_s, self.rested_s) = (0.0, 0.0, 0.0);
+        (self.unseen_s, self.silent_s) = (0.0, 0.0);
         self.judge(config);
     }
 
-    /// Counts the scans in a row in which beams pass beside what is seen of the body although they go through where it is
-    /// known; after `limit` of them it ends there: a part of it has gone, or was another body that moved on. Returns the box
-    /// before, where something was cut off.
+    /// Ends the body at these directions of beams from the scanner, to the right and to the left of what is seen of it: a part of
+    /// it has gone, or was another body that moved on. Returns the box before, where something was cut off.
     pub(crate) fn trim(
         &mut self,
         sides: [Option<Vector2<f64>>; 2],
         scanner: Vector2<f64>,
-        limit: u32,
         directions: &Directions,
     ) -> Option<Rectangle> {
-        self.free = if sides == [None; 2] { 0 } else { self.free.saturating_add(1) };
-        if self.free < limit {
-            return None;
-        }
-        self.free = 0;
         let before = self.rectangle(directions);
         let offset = scanner - self.place();
         let mut is_cut = false;

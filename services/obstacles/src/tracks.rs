@@ -1,7 +1,10 @@
 //! All tracked bodies: started, updated, united and forgotten.
 
+use std::ops::RangeInclusive;
+
 use nalgebra::Vector2;
 use shared_types::{SECTOR_BEAMS, Scan};
+use vehicle::frame::to_track;
 use vehicle::geometry::Rectangle;
 
 use crate::ObstaclesConfig;
@@ -158,10 +161,38 @@ impl Tracks {
     ) {
         let is_reliable = evidence.is_reliable();
         let rests = place.speed() < REST_MPS;
+        let sector_beams = evidence.sector_beams();
+        let wide_beams = (WIDE_BEAMS * sector_beams).div_ceil(SECTOR_BEAMS);
         for track in self.list.iter_mut().filter(|track| track.unseen_s == 0.0 && !track.moving) {
-            let sides = free_sides(scan, beams, place, &track.rectangle(&self.directions));
-            if let Some(before) = track.trim(sides, place.at, self.config.free_scans, &self.directions) {
-                evidence.release(&around(&before));
+            let rectangle = track.rectangle(&self.directions);
+            let mut sides = free_sides(scan, beams, place, &rectangle, None);
+            let is_free = sides.iter().flatten().next().is_some();
+            track.free = if is_free { track.free.saturating_add(1) } else { 0 };
+            if !is_free {
+                sides = free_sides(scan, beams, place, &rectangle, Some(wide_beams));
+                let silent = || sides.iter().flatten();
+                // What was never seen from about here may be silent for other reasons.
+                let has_begun = track.rested_s > 0.0 || silent().any(|side| evidence.suspects(side));
+                if !(is_reliable && has_begun && silent().next().is_some()) {
+                    track.rested_s = 0.0;
+                    continue;
+                }
+                track.rested_s += if rests { elapsed.min(COUNTED_S) } else { f64::EPSILON };
+                silent().for_each(|side| evidence.doubt(side, track.rested_s >= RELIED_S));
+            }
+            let has_gone = track.rested_s >= GONE_S && evidence.lacks_only_bodies();
+            if is_free && track.free >= self.config.free_scans || !is_free && has_gone {
+                (track.free, track.rested_s) = (0, 0.0);
+                let inner = |side: Option<RangeInclusive<usize>>, is_right: bool| {
+                    let unit =
+                        beams.unit(side.map(|side| if is_right { *side.end() } else { *side.start() })?);
+                    Some(to_track(place.yaw, unit.x, unit.y))
+                };
+                let [right, left] = sides;
+                let sides = [inner(right, true), inner(left, false)];
+                if let Some(before) = track.trim(sides, place.at, &self.directions) {
+                    evidence.release(&around(&before));
+                }
             }
         }
         for track in self.list.iter_mut().filter(|track| track.unseen_s > 0.0) {
@@ -177,9 +208,7 @@ impl Tracks {
                     let had_rested = track.rested_s >= RELIED_S;
                     track.silent_s += counted;
                     let towards = beams_towards(beams, place, &rectangle);
-                    let is_wide = towards.clone().is_some_and(|towards| {
-                        towards.count() * SECTOR_BEAMS >= WIDE_BEAMS * evidence.sector_beams()
-                    });
+                    let is_wide = towards.clone().is_some_and(|towards| towards.count() >= wide_beams);
                     track.rested_s += if rests && is_wide { counted } else { 0.0 };
                     if track.stands()
                         && !way.is_box_beside(&rectangle)

@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 
 use nalgebra::Vector2;
 use shared_types::Scan;
-use vehicle::frame::{to_robot, to_track, wrap_angle};
+use vehicle::frame::{to_robot, wrap_angle};
 use vehicle::geometry::{Rectangle, ray_in_box};
 
 use crate::points::{Beams, Place};
@@ -102,24 +102,29 @@ pub(crate) fn sight(scan: &Scan, beams: &Beams, place: &Place, rectangle: &Recta
 }
 
 /// Where the scan shows that the body in `rectangle` has ended, to the right and to the left of what it shows most of: the
-/// direction of the innermost beam but one that passes beside it. Beams pass beside it where enough of them in a row return
-/// from beyond, or not at all among such: [`BESIDE_BEAMS`] from a side of the rectangle on, or as many as make [`GAP_M`] in between. A scanner that
-/// stands in the rectangle looks at it in all directions.
+/// beams there but the innermost one. Beams pass beside it where enough of them in a row return from beyond, or not at all
+/// among such: [`BESIDE_BEAMS`] from a side of the rectangle on, or as many as make [`GAP_M`] in between. With
+/// `silent_beams`, so many without a return are enough. A scanner that stands in the rectangle looks at it in all directions.
 pub(crate) fn free_sides(
     scan: &Scan,
     beams: &Beams,
     place: &Place,
     rectangle: &Rectangle,
-) -> [Option<Vector2<f64>>; 2] {
+    silent_beams: Option<usize>,
+) -> [Option<RangeInclusive<usize>>; 2] {
     let distance = rectangle.distance_to_point(place.at);
     let towards = if distance <= 0.0 {
         Some(0..=beams.count() - 1)
     } else {
         beams_within(beams, place, rectangle, 0.0)
     };
-    let Some(towards) = towards else { return [None; 2] };
-    let first = *towards.start();
+    let Some(towards) = towards else { return [None, None] };
+    let (first, end) = (*towards.start(), *towards.end());
     let gap_beams = ((GAP_M / (beams.pitch() * distance.max(NEAR_M))).ceil() as usize).max(BESIDE_BEAMS);
+    let is_free = |gap: &Gap, beams: usize| match silent_beams {
+        Some(silent) => gap.beams() >= beams.max(silent),
+        None => gap.is_free(beams),
+    };
     let (mut best, mut part) = (Part::from(first, false), Part::from(first, false));
     let mut gap = Gap::default();
     for beam in towards {
@@ -133,7 +138,7 @@ pub(crate) fn free_sides(
             continue;
         }
         let is_at_the_side = gap.beams() == beam - first;
-        if gap.is_free(if is_at_the_side { BESIDE_BEAMS } else { gap_beams }) {
+        if is_free(&gap, if is_at_the_side { BESIDE_BEAMS } else { gap_beams }) {
             part.is_free[1] = true;
             best = best.larger(part);
             part = Part::from(beam, true);
@@ -141,14 +146,10 @@ pub(crate) fn free_sides(
         (gap, part.last) = (Gap::default(), beam);
         part.returns += usize::from(matches!(passage, Passage::Ends));
     }
-    part.is_free[1] = gap.is_free(BESIDE_BEAMS);
-    let Part { first, last, is_free: [right, left], returns } = best.larger(part);
-    let direction = |beam: usize| {
-        let unit = beams.unit(beam);
-        to_track(place.yaw, unit.x, unit.y)
-    };
-    let is_shown = returns > 0;
-    [(is_shown && right).then(|| direction(first - 2)), (is_shown && left).then(|| direction(last + 2))]
+    part.is_free[1] = is_free(&gap, BESIDE_BEAMS);
+    let part = best.larger(part);
+    let [right, left] = part.is_free.map(|is_free| is_free && part.returns > 0);
+    [right.then(|| first..=part.first - 2), left.then(|| part.last + 2..=end)]
 }
 
 /// Beams in a row from which no return comes that is on the body.
@@ -267,8 +268,8 @@ mod tests {
         assert_eq!(sight_of(&[(19, 2300)]), Sight::Free);
     }
 
-    /// [`free_sides`] of a box 1 m wide, 1.95 m ahead: 81 beams, from the right to the left; as the sines of the directions.
-    fn sides_of(ranges_mm: &[(usize, u32)]) -> [Option<f64>; 2] {
+    /// [`free_sides`] of a box 1 m wide, 1.95 m ahead: 81 beams, from the right to the left; as the sines of the innermost beams.
+    fn sides_of(ranges_mm: &[(usize, u32)], silent_beams: Option<usize>) -> [Option<f64>; 2] {
         let body = Rectangle { centre: Vector2::new(2.0, 0.0), yaw: 0.0, length: 0.1, width: 1.0 };
         let place = Place::standing(Vector2::zeros(), 0.0);
         let towards = beams_within(&Beams::urg(), &place, &body, 0.0).unwrap();
@@ -278,7 +279,9 @@ mod tests {
         for (beam, range) in towards.zip(ranges) {
             scan.ranges_mm[beam] = range;
         }
-        free_sides(&scan, &Beams::urg(), &place, &body).map(|side| side.map(|along| along.y))
+        let [right, left] = free_sides(&scan, &Beams::urg(), &place, &body, silent_beams);
+        let sine = |beam: usize| Beams::urg().unit(beam).y;
+        [right.map(|side| sine(*side.end())), left.map(|side| sine(*side.start()))]
     }
 
     #[test]
@@ -288,23 +291,28 @@ mod tests {
             assert!((found.unwrap() - sine(beam)).abs() < 0.5 * PITCH_RAD, "{found:?} {}", sine(beam));
         };
         // The right half has gone: the last beam but one beside what is left is the 38th.
-        let [right, left] = sides_of(&[(40, 3000), (41, 1960)]);
+        let [right, left] = sides_of(&[(40, 3000), (41, 1960)], None);
         close(right, 38.0);
         assert_eq!(left, None);
-        let [right, left] = sides_of(&[(41, 1960), (40, 3000)]);
+        let [right, left] = sides_of(&[(41, 1960), (40, 3000)], None);
         close(left, 42.0);
         assert_eq!(right, None);
         // Fewer than four beams may have missed a thin part.
-        assert_eq!(sides_of(&[(3, 3000), (78, 1960)]), [None; 2]);
+        assert_eq!(sides_of(&[(3, 3000), (78, 1960)], None), [None; 2]);
         // 0.3 m between two bodies, here with beams that get no return among them; the larger one is left.
-        let [right, left] = sides_of(&[(43, 1960), (10, 3000), (18, 0), (10, 1960)]);
+        let [right, left] = sides_of(&[(43, 1960), (10, 3000), (18, 0), (10, 1960)], None);
         close(left, 44.0);
         assert_eq!(right, None);
         // A slit of 0.12 m, silence alone, and a place where nothing is seen at all.
-        assert_eq!(sides_of(&[(40, 1960), (10, 3000), (31, 1960)]), [None; 2]);
-        assert_eq!(sides_of(&[(41, 1960), (40, 0)]), [None; 2]);
-        assert_eq!(sides_of(&[(81, 3000)]), [None; 2]);
+        assert_eq!(sides_of(&[(40, 1960), (10, 3000), (31, 1960)], None), [None; 2]);
+        assert_eq!(sides_of(&[(41, 1960), (40, 0)], None), [None; 2]);
+        assert_eq!(sides_of(&[(81, 3000)], None), [None; 2]);
+        // Silence of enough beams is taken for free where it is asked for.
+        let [right, left] = sides_of(&[(41, 1960), (40, 0)], Some(14));
+        close(left, 42.0);
+        assert_eq!(right, None);
+        assert_eq!(sides_of(&[(68, 1960), (13, 0)], Some(14)), [None; 2]);
         // What something else hides is not free.
-        assert_eq!(sides_of(&[(40, 1000), (41, 1960)]), [None; 2]);
+        assert_eq!(sides_of(&[(40, 1000), (41, 1960)], None), [None; 2]);
     }
 }

@@ -55,8 +55,9 @@ fn a_side_from_which_the_goal_is_reached_is_taken() {
     }
 }
 
-/// Circles that cross 5 cm behind a box, which was then described with them to the end of the run; carts beside posts; and
-/// bodies past which a robot crept to the bound of the track, or from which it drove back, before they went.
+/// Circles that cross 5 cm behind a box, which was then described with them to the end of the run; carts beside posts;
+/// bodies past which a robot crept to the bound of the track, or from which it drove back, before they went; and gates between
+/// posts, which were one body with them: nothing that the scanner reaches is behind.
 #[test]
 fn a_robot_drives_on_when_what_was_beside_a_body_at_rest_has_gone() {
     let system = TestSystem::new(EXECUTABLE);
@@ -80,7 +81,25 @@ fn a_robot_drives_on_when_what_was_beside_a_body_at_rest_has_gone() {
         "[track]\nsurroundings = \"open\"\n".to_owned()
             + &box_of(place, &format!("appears_s = 2.0\ndisappears_s = {at_s:?}\n"))
     };
+    let gate = |surroundings: &str, x_m: f64, width_m: f64, posts: &[f64], speed_mps: f64| {
+        let place = [x_m, 0.0, 0.1, width_m];
+        let opens = format!("appears_s = 7.0\nvelocity_y_mps = {speed_mps:?}\ndisappears_s = 17.0\n");
+        let post = |side: &f64| {
+            let y_m = side * (width_m / 2.0 + 0.08);
+            format!("[[obstacle]]\nshape = \"circle\"\nx_m = {x_m:?}\ny_m = {y_m:?}\nradius_m = 0.06\n")
+        };
+        format!("[track]\nsurroundings = \"{surroundings}\"\n[goal]\nx_m = 8.5\n")
+            + &box_of(place, "disappears_s = 7.0\n")
+            + &if speed_mps == 0.0 { String::new() } else { box_of(place, &opens) }
+            + &posts.iter().map(post).collect::<String>()
+    };
     for (name, text, rate) in [
+        ("a gate that is gone, one post", gate("hall", 3.0, 2.2, &[-1.0], 0.0), "5"),
+        ("a gate that is gone, two posts", gate("hall", 3.0, 3.0, &[-1.0, 1.0], 0.0), "20"),
+        ("a gate in the open, one post", gate("open", 4.5, 2.2, &[1.0], 0.0), "10"),
+        ("a gate in the open, two posts", gate("open", 4.5, 3.0, &[-1.0, 1.0], 0.0), "10"),
+        ("a gate that slides", gate("hall", 3.0, 3.0, &[-1.0], 0.4), "10"),
+        ("a gate that slides away fast", gate("open", 4.5, 2.2, &[-1.0, 1.0], 1.0), "10"),
         ("behind, from the left", behind(1.0, 0.5), "10"),
         ("behind, from the right", behind(-1.0, 0.5), "20"),
         ("behind, faster", behind(1.0, 0.7), "5"),

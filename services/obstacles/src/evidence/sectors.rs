@@ -63,9 +63,16 @@ pub(crate) fn add(sums: &mut Counts, counts: &Counts, elapsed: f64) {
     }
 }
 
-/// Whether hardly anything of what was predicted came in some sector.
-pub(crate) fn may_fail(counts: &Counts) -> bool {
-    counts.iter().any(|[predicted, came]| *predicted >= SUSPICIOUS && *came < BLIND_SHARE * *predicted)
+/// The sectors in which hardly anything of what was predicted came in one scan, one bit each.
+pub(crate) fn suspected(counts: &Counts) -> u64 {
+    let is_suspected =
+        |[predicted, came]: &[f64; 2]| *predicted >= SUSPICIOUS && *came < BLIND_SHARE * predicted;
+    mask(counts, is_suspected)
+}
+
+/// The sectors whose counts are such, one bit each.
+fn mask(counts: &Counts, is_such: impl Fn(&[f64; 2]) -> bool) -> u64 {
+    (0..).zip(counts).filter(|(_, count)| is_such(count)).fold(0, |mask, (sector, _)| mask | 1 << sector)
 }
 
 /// Compares the returns of `points` that are fixed, all of `from`, with `scan`, and counts them per sector.
@@ -130,7 +137,7 @@ pub(crate) fn failing(counts: &Counts, share: f64) -> u64 {
         let by_chance = CHANCE * (share * (1.0 - share) * predicted).sqrt();
         *predicted >= NEEDED && *came < (BLIND_SHARE * share * predicted).min(share * predicted - by_chance)
     };
-    (0..).zip(counts).filter(|(_, count)| is_failing(count)).fold(0, |mask, (sector, _)| mask | 1 << sector)
+    mask(counts, is_failing)
 }
 
 /// The sectors without evidence, one bit each: `failing` with the sectors that have not shown anything lately and have failing
