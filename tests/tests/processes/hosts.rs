@@ -247,9 +247,11 @@ fn empty_datagrams_to_the_port_of_an_agent_keep_no_drive_from_it() {
         std::thread::scope(|scope| {
             scope.spawn(|| {
                 let (socket, started) = (UdpSocket::bind("127.0.0.1:0").unwrap(), Instant::now());
+                socket.set_read_timeout(Some(Duration::from_millis(2))).unwrap();
                 while is_sending.load(Ordering::Relaxed) && started.elapsed() < Duration::from_secs(120) {
                     let _ = socket.send_to(&[], address);
-                    std::thread::sleep(Duration::from_millis(2));
+                    // Waits for an answer that does not come.
+                    let _ = socket.recv(&mut [0; 1]);
                 }
             });
             hosts.start(&SHORT_FREE);
