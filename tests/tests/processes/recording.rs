@@ -292,8 +292,10 @@ fn a_live_drive_with_a_restart_and_swaps_is_replayed_to_the_bit() {
             let output = system.run(arguments);
             assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
         }
-        assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
-        let file = system.report().recording.unwrap().file;
+        let code = system.wait().code();
+        let report = system.report();
+        assert_eq!(code, Some(0), "{} {}", report.reason, system.stderr());
+        let file = report.recording.unwrap().file;
         let (report, code) = replayed(&system, &file, &[]);
         assert_eq!((code, &report["identical"]), (0, &report["compared"]), "{report}");
         system.assert_nothing_left();
