@@ -116,6 +116,18 @@ impl DeadReckoning {
         self.pose = pose.into();
     }
 
+    /// What is known of the pose becomes where the surfaces around are; against them it begins anew.
+    pub fn anchor(&mut self) {
+        self.misplace(&self.against_surfaces());
+        self.put(Vector3::from(self.pose), 0.0, 0.0);
+    }
+
+    /// The surfaces around are others, whose place is known: that of those before is what is known of the pose.
+    pub fn weigh_anchor(&mut self) {
+        self.shake(&self.map());
+        self.map_covariance = [0.0; 9];
+    }
+
     /// The pose has noise of this covariance, which is new in each report.
     pub fn shake(&mut self, noise: &Matrix3<f64>) {
         let mut covariance = self.matrix();

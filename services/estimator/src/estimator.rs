@@ -35,6 +35,7 @@ use crate::dead_reckoning::{DeadReckoning, OdometryStep};
 use crate::ekf::{Ekf, Innovation, NotPositive};
 use crate::gyro::{GyroSample, Interval, MAX_BIAS_RADPS};
 use crate::increments::{self, Increments};
+use crate::laser::key::KeyScan;
 use crate::laser::known::given;
 use crate::laser::pieces::SweepMotion;
 use crate::laser::surface::SurfaceMap;
@@ -125,11 +126,10 @@ impl Estimator {
     /// [`Invalid`] when a setting is outside its range or the measured states do not determine the state.
     pub fn new(config: &EstimatorConfig) -> Result<Self, Invalid> {
         let settings = config.settings()?;
-        let matcher = Matcher::new(settings.laser, config.track, &config.vehicle).with_map(given(
-            &config.surfaces,
-            config.map_deviation_m,
-            config.surface_deviation_m,
-        ));
+        let given = given(&config.surfaces, config.map_deviation_m, config.surface_deviation_m);
+        let matcher = Matcher::new(settings.laser, config.track, &config.vehicle)
+            .with_map(given)
+            .with_odometer(&settings.dead_reckoning);
         Ok(Self { settings, state: EstimatorState::default(), matcher, refusal: None })
     }
 
@@ -535,7 +535,7 @@ impl Estimator {
             self.state.reckoning.misplace(&self.state.increments.first(yaw));
         } else {
             self.start(&last.covariance(yaw));
-            self.state.laser.map = SurfaceMap::default();
+            (self.state.laser.map, self.state.laser.key) = (SurfaceMap::default(), KeyScan::default());
         }
     }
 

@@ -2,16 +2,19 @@
 //!
 //! [`pieces`] makes straight pieces of a scan, [`surface`] remembers those that were seen, [`known`] has those that the
 //! track states or a map, and [`align`] finds the pose from which pieces and surfaces agree; where they contradict it, [`search`]
-//! finds another.
+//! finds another. Where the odometer is too poor for a surface to seem to stand still, a scan is laid onto one before it,
+//! whatever its shape ([`key`], [`outline`]).
 //!
 //! A match is computed when the actuation of its scan is out, so the way from scan to wheels gets no longer, and corrects
 //! the pose of the next scan.
 
 pub mod align;
 pub mod grid;
+pub mod key;
 pub mod known;
 pub mod map;
 pub mod offset;
+pub mod outline;
 pub mod pieces;
 pub mod round;
 pub mod search;
@@ -22,8 +25,9 @@ use serde::{Deserialize, Serialize};
 use shared_types::{Scan, plain_state};
 use vehicle::{Description, Setting, Track};
 
-use crate::dead_reckoning::DeadReckoning;
+use crate::dead_reckoning::{DeadReckoning, DriftSources};
 use align::{Prior, align, part_of};
+use key::{KeyScan, KeyScans};
 use known::Stated;
 use offset::RangeOffset;
 use pieces::{Pieces, SweepMotion};
@@ -97,6 +101,8 @@ plain_state! {
         pub search: Search,
         /// Surfaces that were seen
         pub map: SurfaceMap,
+        /// The scan that others are laid onto, of a poor odometer
+        pub key: KeyScan,
     }
 }
 
@@ -130,13 +136,22 @@ pub struct Matcher {
     /// Those of a map, and which of them are near and how far [m].
     given: Vec<SurfaceLine>,
     near: Vec<(f64, usize)>,
+    /// Where the odometer is poor.
+    keys: Option<KeyScans>,
 }
 
 impl Matcher {
     /// A matcher for scans of this robot.
     pub fn new(laser: LaserMode, track: Track, vehicle: &Description) -> Self {
         let (lines, given, near) = (Vec::with_capacity(MAX_LINES), Vec::new(), Vec::new());
-        Self { laser, track, vehicle: *vehicle, pieces: Pieces::default(), lines, given, near }
+        Self { laser, track, vehicle: *vehicle, pieces: Pieces::default(), lines, given, near, keys: None }
+    }
+
+    /// One that follows a robot with this odometer.
+    #[must_use]
+    pub fn with_odometer(self, odometer: &DriftSources) -> Self {
+        let needs_keys = self.laser == LaserMode::Match && key::is_poor(odometer);
+        Self { keys: needs_keys.then(KeyScans::default), ..self }
     }
 
     /// One that knows the surfaces of a map, instead of those that the track states.
@@ -173,6 +188,10 @@ impl Matcher {
         }
         self.pieces.find(scan, &self.vehicle, motion, state.offset.offset_m);
         self.pieces.longer_m = state.offset.seems_m();
+        let shared = self.keys.as_mut().and_then(|keys| {
+            let seen = (scan, motion, state.offset.offset_m);
+            keys.lay(seen, &state.key, &self.vehicle, reckoning)
+        });
         self.gather(state, &reckoning.pose);
         match state.search.follow(
             scan,
@@ -184,10 +203,13 @@ impl Matcher {
         ) {
             Whereabouts::Known => {}
             Whereabouts::Sought => return,
-            Whereabouts::Found(pose) => return reckoning.put(pose, FOUND_M, FOUND_RAD),
+            Whereabouts::Found(pose) => {
+                state.key = KeyScan::default();
+                return reckoning.put(pose, FOUND_M, FOUND_RAD);
+            }
             Whereabouts::Lost => {
                 // What it has learned of its surroundings is of no use here.
-                state.map = SurfaceMap::default();
+                (state.map, state.key) = (SurfaceMap::default(), KeyScan::default());
                 return reckoning.put(Vector3::from(reckoning.pose), LOST_M, LOST_RAD);
             }
         }
@@ -198,14 +220,28 @@ impl Matcher {
             state.unmatched += 1;
             return;
         }
-        let found = align(&self.pieces, &self.lines, reckoning);
-        match found {
-            Some(found) if reckoning.correct(&found.sighting) => state.matched += 1,
-            _ => state.unmatched += 1,
+        let mut known = *reckoning;
+        if self.keys.is_some() {
+            known.weigh_anchor();
         }
-        if self.laser == LaserMode::Match {
+        let found = align(&self.pieces, &self.lines, &known);
+        let is_known = found.is_some_and(|found| known.correct(&found.sighting));
+        if is_known {
+            *reckoning = known;
+        }
+        if self.keys.is_some() && (is_known || state.key.is_passed(&reckoning.pose, shared)) {
+            state.key = KeyScan::of(scan, motion, reckoning.pose, state.offset.offset_m);
+            reckoning.anchor();
+        }
+        *(if is_known || shared.is_some() { &mut state.matched } else { &mut state.unmatched }) += 1;
+        if self.remembers() {
             self.remember(acquired_ns, motion.speed_mps, state, reckoning);
         }
+    }
+
+    /// Whether surfaces that were seen are remembered: a robot with a poor odometer takes one for another.
+    fn remembers(&self) -> bool {
+        self.laser == LaserMode::Match && self.keys.is_none()
     }
 
     /// The lines that the scan may show.
@@ -224,7 +260,7 @@ impl Matcher {
             let (near, most) = (&mut self.near, MAX_LINES - SURFACES);
             known::within(&self.given, place, (reach_m, most), near, &mut take);
         }
-        if self.laser == LaserMode::Match {
+        if self.remembers() {
             self.lines.extend(state.map.lines(place));
         }
     }

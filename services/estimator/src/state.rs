@@ -95,6 +95,7 @@ impl EstimatorState {
         finite("increments", increments)?;
         self.learned.check()?;
         self.laser.map.check()?;
+        self.laser.key.check()?;
         let LaserState { search, offset, .. } = &self.laser;
         finite("search", &[search.score])?;
         finite("search", &search.best)?;

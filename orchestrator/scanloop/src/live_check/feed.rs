@@ -141,11 +141,15 @@ fn wrapped(angle_rad: f64) -> f64 {
     angle_rad.sin().atan2(angle_rad.cos())
 }
 
-/// The beams up to 60 degrees to each side of the body's front, wherever the scanner is turned, with their yaw on the body
-/// [rad].
+/// Whether a beam looks up to 60 degrees to either side of the body's front, wherever the scanner is turned.
+pub(super) fn is_ahead(scan: &Scan, beam: usize, scanner_yaw_rad: f64) -> bool {
+    (scan.beam_yaw_rad(beam) + scanner_yaw_rad).cos() >= 0.5
+}
+
+/// Those beams, with their yaw on the body [rad].
 fn beams_ahead(scan: &Scan, scanner_yaw_rad: f64) -> impl Iterator<Item = (usize, f64)> {
-    let beams = (0..scan.ranges().len()).map(move |beam| (beam, scan.beam_yaw_rad(beam) + scanner_yaw_rad));
-    beams.filter(|(_, yaw_rad)| yaw_rad.cos() >= 0.5)
+    let beams = (0..scan.ranges().len()).filter(move |beam| is_ahead(scan, *beam, scanner_yaw_rad));
+    beams.map(move |beam| (beam, scan.beam_yaw_rad(beam) + scanner_yaw_rad))
 }
 
 /// Distance from the front of the body to the nearest return in its way [m]; infinite when there is none.

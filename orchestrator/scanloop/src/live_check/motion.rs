@@ -3,7 +3,6 @@
 mod body;
 mod deceleration;
 mod halt;
-mod registration;
 mod verdict;
 
 use console::{answer, note};

@@ -151,6 +151,11 @@ impl Pieces {
         &self.pieces
     }
 
+    /// How many returns the scan had.
+    pub fn returns(&self) -> usize {
+        self.returns.len()
+    }
+
     /// Finds the pieces of a scan whose ranges are too long by `offset_m`.
     pub fn find(&mut self, scan: &Scan, vehicle: &Description, motion: &SweepMotion, offset_m: f64) {
         self.reach_m = vehicle.scanner.range_m;

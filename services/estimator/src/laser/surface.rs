@@ -14,11 +14,11 @@ use super::round::Round;
 /// How many surfaces are remembered.
 pub const SURFACES: usize = 36;
 /// A surface counts after so many sightings, over this time [ns].
-const CONFIRMED: (u64, u64) = (5, 450_000_000);
+const CONFIRMED: (u32, u64) = (5, 450_000_000);
 /// One that does not count was seen in passing, if not for so long [ns].
 const PASSING_NS: u64 = 1_000_000_000;
 /// Its line is kept after so many sightings, and that of a long one after so many returns.
-const SETTLED: (u64, f64) = (6, 1500.0);
+const SETTLED: (u32, f64) = (6, 1500.0);
 
 plain_state! {
     /// A straight surface or a small round body on the track.
@@ -37,20 +37,20 @@ plain_state! {
         pub length_m: f64,
         /// Mean of its middles between its edges [m]
         pub middle_m: [f64; 2],
-        /// How often both were seen, until its line was kept
-        pub middles: u64,
         /// Its edges, where they were seen first [m]
         pub edges_m: [[f64; 2]; 2],
-        /// Which of them were seen: 1 for the first, 2 for the last one
-        pub edges: u64,
         /// Its mean at the first sighting [m]
         pub first_m: [f64; 2],
-        /// 1 when its normal is the negative of that of its scatter
-        pub is_turned: u64,
         /// Radius of a round body, whose middle is its mean; 0 for a straight surface [m]
         pub radius_m: f64,
+        /// 1 when its normal is the negative of that of its scatter
+        pub is_turned: u8,
+        /// Which of its edges were seen: 1 for the first, 2 for the last one
+        pub edges: u8,
+        /// How often both were seen, until its line was kept
+        pub middles: u16,
         /// How often it was seen
-        pub sightings: u64,
+        pub sightings: u32,
         /// When it was seen first [ns]
         pub since_ns: u64,
         /// When it was seen last [ns]
@@ -279,13 +279,13 @@ impl Surface {
         let mean = self.mean() + apart * (count / sum);
         (self.mean_m, self.count) = ([mean.x, mean.y], sum);
         self.scatter_m2 = [scatter[(0, 0)], scatter[(0, 1)], scatter[(1, 1)]];
-        self.is_turned = u64::from(normal_of(&scatter).dot(&before) < 0.0);
+        self.is_turned = u8::from(normal_of(&scatter).dot(&before) < 0.0);
         let moved_m = Vector2::new(-before.y, before.x).dot(&apart) * (count / sum);
         self.extent_m = self.extent_m.map(|end| end - moved_m);
         self.last_m = self.last_m.map(|end| end - moved_m);
         self.center(placed);
         if let Some(Round { radius_m, per_radius, .. }) = placed.round {
-            let more_m = (radius_m - self.radius_m) / self.middles as f64;
+            let more_m = (radius_m - self.radius_m) / f64::from(self.middles);
             self.radius_m += more_m;
             let first = Vector2::from(self.first_m) - placed.normal * (per_radius * more_m);
             self.first_m = [first.x, first.y];
@@ -295,9 +295,9 @@ impl Surface {
     /// Takes the middle between its edges into the mean.
     fn center(&mut self, placed: &Placed) {
         let Some((middle, _)) = placed.middle else { return };
-        self.middles += 1;
+        self.middles = self.middles.saturating_add(1);
         let mean = Vector2::from(self.middle_m);
-        let mean = mean + (middle - mean) / self.middles as f64;
+        let mean = mean + (middle - mean) / f64::from(self.middles);
         self.middle_m = [mean.x, mean.y];
     }
 
@@ -401,7 +401,7 @@ impl SurfaceMap {
         if surface.is_settled() && surface.is_long() && placed.is_long() {
             surface.carry(placed, sight);
         }
-        surface.sightings += 1;
+        surface.sightings = surface.sightings.saturating_add(1);
         surface.seen_ns = now_ns;
     }
 
@@ -445,7 +445,7 @@ impl SurfaceMap {
             scatter_m2: [scatter[(0, 0)], scatter[(0, 1)], scatter[(1, 1)]],
             length_m: placed.length_m(),
             first_m: [placed.mean.x, placed.mean.y],
-            is_turned: u64::from(normal_of(&scatter).dot(&placed.normal) < 0.0),
+            is_turned: u8::from(normal_of(&scatter).dot(&placed.normal) < 0.0),
             radius_m: placed.round.map_or(0.0, |round| round.radius_m),
             sightings: 1,
             since_ns: now_ns,

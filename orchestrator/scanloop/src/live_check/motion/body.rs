@@ -2,17 +2,20 @@
 
 use std::collections::VecDeque;
 
+use estimator::laser::outline::{Laid, Outline};
+use nalgebra::{Matrix3, Vector2, Vector3};
 use shared_types::Scan;
 use vehicle::Description;
 
-use super::super::feed::{Feed, Point};
+use super::super::feed::{Feed, Point, is_ahead};
 use super::halt::{self, Halt};
-use super::registration::{Shift, Surroundings};
 
 /// Scans at rest whose ranges are averaged.
 const AVERAGED: usize = 4;
 /// Between the first and the last of these scans a body at rest has moved less [m].
 const REST_M: f64 = 0.01;
+/// A motion ahead with a larger standard error was not seen [m].
+const MAX_ERROR_M: f64 = 0.01;
 
 /// One stop.
 #[derive(Debug, Clone, Copy)]
@@ -36,30 +39,56 @@ pub(super) fn stop(feed: &Feed, blocked_ns: u64, vehicle: &Description) -> Optio
     let (mut places, mut errors) = (Vec::new(), Vec::new());
     for scan in scans.iter().filter(is_before) {
         let counted = way.iter().find(|point| point.at_ns == scan.header.acquired_ns)?;
-        let guess = [counted.ahead_m - rest.ahead_m, 0.0, counted.left_rad - rest.left_rad];
-        let Shift { pose, error_m } = surroundings.locate(scan, speed_mps, guess, vehicle)?;
-        places.push((scan.header.acquired_ns, -pose[0]));
-        errors.push(error_m);
+        let guess = Vector3::new(counted.left_rad - rest.left_rad, counted.ahead_m - rest.ahead_m, 0.0);
+        let laid = locate(&surroundings, scan, speed_mps, guess, vehicle)?;
+        places.push((scan.header.acquired_ns, -laid.pose[1]));
+        errors.push(laid.ahead_error_m);
     }
     let halt = halt::of_body(&places, blocked_ns, vehicle.command_delay_s)?;
     Some((halt, errors.iter().copied().fold(0.0, f64::max)))
 }
 
 /// What the newest scans show, all taken at one place after `since_ns`.
-fn at_rest(scans: &VecDeque<Scan>, since_ns: u64, vehicle: &Description) -> Option<Surroundings> {
+fn at_rest(scans: &VecDeque<Scan>, since_ns: u64, vehicle: &Description) -> Option<Outline> {
     let newest: Vec<&Scan> = scans.iter().rev().take(AVERAGED).collect();
     if newest.len() < AVERAGED || newest[AVERAGED - 1].header.acquired_ns <= since_ns {
         return None;
     }
-    let surroundings = Surroundings::of(&newest, vehicle);
-    let first = surroundings.locate(newest[AVERAGED - 1], 0.0, [0.0; 3], vehicle)?;
-    (first.pose[0].abs() <= REST_M).then_some(surroundings)
+    let mean = |beam: usize| {
+        let ranges: Option<Vec<f64>> = newest.iter().map(|scan| scan.range_m(beam)).collect();
+        ranges.map(|ranges| ranges.iter().sum::<f64>() / AVERAGED as f64)
+    };
+    let mut surroundings = Outline::default();
+    surroundings.show(newest[0].geometry(), 1, vehicle, mean, |_, place| place);
+    let first = locate(&surroundings, newest[AVERAGED - 1], 0.0, Vector3::zeros(), vehicle)?;
+    (first.pose[1].abs() <= REST_M).then_some(surroundings)
+}
+
+/// Where the body was at the front beam of a scan, from which it drove at `speed_mps`; near `guess`.
+///
+/// `None` when the surroundings do not show how far ahead.
+fn locate(
+    surroundings: &Outline,
+    scan: &Scan,
+    speed_mps: f64,
+    guess: Vector3<f64>,
+    vehicle: &Description,
+) -> Option<Laid> {
+    let mut seen = Outline::default();
+    let ahead = |beam: usize| is_ahead(scan, beam, vehicle.scanner_yaw_rad);
+    let range_m = |beam: usize| scan.range_m(beam).filter(|_| ahead(beam));
+    let moved = |beam: usize, place| place + Vector2::new(speed_mps * scan.beam_time_s(beam), 0.0);
+    seen.show(scan.geometry(), 1, vehicle, range_m, moved);
+    // Nothing is expected: only directions that nothing shows stay where the guess has them.
+    let laid = surroundings.locate(&seen, &guess, &Matrix3::identity())?;
+    (laid.ahead_error_m <= MAX_ERROR_M).then_some(laid)
 }
 
 /// Follows the body from a place at rest.
 pub(super) struct Track {
-    surroundings: Option<Surroundings>,
-    pose: [f64; 3],
+    surroundings: Option<Outline>,
+    /// Turn, and how far ahead and to the left [rad, m, m].
+    pose: Vector3<f64>,
     /// Time of the newest scan that was followed [ns].
     at_ns: u64,
     /// Whether that scan showed the body.
@@ -70,7 +99,12 @@ impl Track {
     /// Begins where the body rests now.
     pub(super) fn begin(feed: &Feed, vehicle: &Description) -> Self {
         let at_ns = feed.newest_scan().map_or(0, |scan| scan.header.acquired_ns);
-        Self { surroundings: at_rest(&feed.scans_seen, 0, vehicle), pose: [0.0; 3], at_ns, is_seen: false }
+        Self {
+            surroundings: at_rest(&feed.scans_seen, 0, vehicle),
+            pose: Vector3::zeros(),
+            at_ns,
+            is_seen: false,
+        }
     }
 
     /// Follows the scans until `until_ns`; how far the body is ahead of where it began [m] and how far it has turned to
@@ -85,12 +119,12 @@ impl Track {
         let surroundings = self.surroundings.as_ref()?;
         let is_next = |scan: &&Scan| (self.at_ns + 1..=until_ns).contains(&scan.header.acquired_ns);
         for scan in feed.scans_seen.iter().filter(is_next) {
-            let found = surroundings.locate(scan, speed_mps, self.pose, vehicle);
+            let found = locate(surroundings, scan, speed_mps, self.pose, vehicle);
             self.is_seen = found.is_some();
-            self.pose = found.map_or(self.pose, |shift| shift.pose);
+            self.pose = found.map_or(self.pose, |laid| laid.pose);
         }
         self.at_ns = until_ns;
-        let [ahead_m, _, left_rad] = self.pose;
+        let [left_rad, ahead_m, _] = self.pose.into();
         self.is_seen.then_some(Point { at_ns: self.at_ns, ahead_m, left_rad })
     }
 }
