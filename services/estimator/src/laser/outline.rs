@@ -18,7 +18,7 @@ use super::pieces::normal_of;
 /// many in all at least.
 const BESIDE_M: f64 = 0.05;
 const BESIDE: (usize, usize) = (2, 12);
-const LEAST: usize = 3;
+const MIN_NEIGHBOURS: usize = 3;
 /// Returns of one surface are no further from each other than this, and this share of the range [m].
 const APART: (f64, f64) = (0.05, 0.05);
 /// Returns of one surface scatter by less about its line [m].
@@ -238,7 +238,7 @@ impl Beams {
         let apart_m = APART.0 + APART.1 * range_m;
         let on_it = || near.clone().flatten().filter(|(other_m, _)| (other_m - range_m).abs() <= apart_m);
         let count = on_it().count();
-        if count < LEAST.max(reach) {
+        if count < MIN_NEIGHBOURS.max(reach) {
             return None;
         }
         let mean = on_it().map(|(_, place)| place).sum::<Vector2<f64>>() / count as f64;

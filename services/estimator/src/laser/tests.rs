@@ -471,11 +471,11 @@ fn clutter() -> Vec<Body> {
         let (row, column) = (f64::from(leg % 4), f64::from(leg / 4));
         Body::Post([1.0 + 0.9 * column + 0.13 * row, 2.2 - 1.4 * row + 0.07 * column], 0.05 + 0.01 * row)
     });
-    let books = (0..8).flat_map(|book| {
-        let (x, depth) = (-1.0 + 0.3 * f64::from(book), 0.1 * f64::from(book % 3));
+    let shelf = (0..8).flat_map(|part| {
+        let (x, depth) = (-1.0 + 0.3 * f64::from(part), 0.1 * f64::from(part % 3));
         boxed([x, 2.5 - depth / 2.0], [0.3, depth + 0.2])
     });
-    legs.chain(books).chain(boxed([2.0, 0.0], [12.0, 6.0])).collect()
+    legs.chain(shelf).chain(boxed([2.0, 0.0], [12.0, 6.0])).collect()
 }
 
 /// Drives two metres through clutter with wheels that spin for 30 % of the way; poses by dead reckoning, and where it was, after
