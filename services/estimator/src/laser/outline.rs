@@ -5,7 +5,7 @@
 //! both. Wheel encoders do not count what locked wheels slide, and count what
 //! spinning wheels do not drive; the surroundings show both, whatever their shape.
 //!
-//! Assumptions: most of what is seen stands still, and the guess is less than [`GATES_M`] away.
+//! Assumptions: most of what is seen stands still, and the guess is less than 0.4 m away.
 
 use nalgebra::{Matrix2, Matrix3, Rotation2, SymmetricEigen, Vector2, Vector3};
 use shared_types::{MAX_BEAMS, ScanGeometry};
