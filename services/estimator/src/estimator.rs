@@ -35,7 +35,7 @@ use crate::dead_reckoning::{DeadReckoning, OdometryStep};
 use crate::ekf::{Ekf, Innovation, NotPositive};
 use crate::gyro::{GyroSample, Interval, MAX_BIAS_RADPS};
 use crate::increments::{self, Increments};
-use crate::laser::key::KeyScan;
+use crate::laser::key::{KeyScan, is_poor};
 use crate::laser::known::given;
 use crate::laser::pieces::SweepMotion;
 use crate::laser::surface::SurfaceMap;
@@ -469,6 +469,12 @@ impl Estimator {
         if self.settings.noise_turns {
             noise += Vector3::new(yaw_rad * yaw_rad, ahead_m * ahead_m, 0.0);
         }
+        let odometer = &self.settings.dead_reckoning;
+        if is_poor(odometer) {
+            // The innovation compares with what it reports.
+            let way_m = (after.x - before.x).hypot(after.y - before.y);
+            noise += Vector3::new(odometer.yaw_rad.powi(2) * dt, odometer.slip_m.powi(2) * way_m, 0.0);
+        }
         if self.settings.is_increments {
             // Odometers do not see tyres slip to the side, and the innovation compares with one.
             let slip = self.state.motion.slip_rad(&model.parameters);
@@ -646,6 +652,7 @@ impl Estimator {
             let speed_mps = odometry.speed_mps.clamp(-most_mps, most_mps);
             let in_force = self.state.motion.in_force(acquired_ns);
             let expected_mps = self.state.motion.expected_mps;
+            let odometer = &self.settings.dead_reckoning;
             self.state.self_check.observe(&Evidence {
                 acquired_ns,
                 dt_s,
@@ -656,6 +663,7 @@ impl Estimator {
                     .map(|control| control.velocity_mps),
                 expected_mps: [before_mps.unwrap_or(expected_mps), expected_mps],
                 way_m: (self.settings.is_increments && is_known).then(|| self.way_m(measured)),
+                slip_m: if is_poor(odometer) { odometer.slip_m } else { 0.0 },
                 innovation: (self.settings.gate && is_known)
                     .then(|| self.normalised(&expected, &(update.innovation + apart))),
                 refused: self.state.rejected > refused,

@@ -37,6 +37,9 @@ const SPEED_TOLERANCE: f64 = 0.07;
 /// Share by which the way driven in the window must differ as well. Stamps that jitter by 20 ms change 2 s by 1.4 %.
 const WAY_TOLERANCE: f64 = 0.035;
 
+/// ... and so many of the standard deviations by which wheels slip that are described to.
+const SLIP_SIGMAS: f64 = 4.0;
+
 /// Largest median of an innovation, in standard deviations: 5.4 standard deviations of the median itself, about 1e-7 by
 /// chance.
 const INNOVATION_TOLERANCE: f64 = 1.5;
@@ -117,6 +120,8 @@ pub struct Evidence {
     pub expected_mps: [f64; 2],
     /// Way ahead by the positions that are reported, and its standard deviation by their noise; `None` where it is not known [m].
     pub way_m: Option<[f64; 2]>,
+    /// Standard deviation by which wheels slip in a metre, where that is much [m].
+    pub slip_m: f64,
     /// Innovation ahead, to the left and in yaw, in standard deviations; `None` where it is not normalised, and where the
     /// control in force is not known.
     pub innovation: Option<[f64; 3]>,
@@ -190,7 +195,7 @@ impl SelfCheckState {
         } else if self.contradictions >= JUMP {
             Suspect::OdometryLongitudinal
         } else {
-            self.drifted()
+            self.drifted(evidence.slip_m)
         };
         let is_told = |suspect| match suspect {
             Suspect::VelocityFactor => speeds.is_some(),
@@ -280,7 +285,7 @@ impl SelfCheckState {
     }
 
     /// The residual whose median is furthest beyond its tolerance.
-    fn drifted(&self) -> Suspect {
+    fn drifted(&self, slip_m: f64) -> Suspect {
         [
             (SPEED, SPEED_TOLERANCE, Suspect::VelocityFactor),
             (LEFT, INNOVATION_TOLERANCE, Suspect::OdometryLateral),
@@ -291,7 +296,7 @@ impl SelfCheckState {
         .filter_map(|(residual, tolerance, suspect)| {
             Some((self.median(residual)?.abs() / tolerance, suspect)).filter(|(excess, _)| *excess > 1.0)
         })
-        .filter(|(_, suspect)| *suspect != Suspect::VelocityFactor || self.way_differs())
+        .filter(|(_, suspect)| *suspect != Suspect::VelocityFactor || self.way_differs(slip_m))
         .max_by(|one, other| one.0.total_cmp(&other.0))
         .map_or(Suspect::None, |(_, suspect)| suspect)
     }
@@ -307,11 +312,12 @@ impl SelfCheckState {
     }
 
     /// Whether the way driven in the window differs from the right one, to the side to which most speeds do.
-    fn way_differs(&self) -> bool {
+    fn way_differs(&self, slip_m: f64) -> bool {
         let shares = self.residuals[SPEED].iter().zip(&self.way_m);
         let excess_m: f64 = shares.map(|(share, way_m)| share * way_m).sum();
         let side = self.median(SPEED).unwrap_or(0.0).signum();
-        excess_m * side > WAY_TOLERANCE * self.way_m.iter().sum::<f64>()
+        let all_m = self.way_m.iter().sum::<f64>();
+        excess_m * side > WAY_TOLERANCE * all_m + SLIP_SIGMAS * slip_m * all_m.sqrt()
     }
 
     /// Where the next residual goes.
@@ -348,6 +354,7 @@ mod tests {
         expected_mps: [0.9; 2],
         way_m: None,
         innovation: Some([0.1, -0.1, 0.2]),
+        slip_m: 0.0,
         refused: false,
         restarted: false,
     };
@@ -381,6 +388,16 @@ mod tests {
         assert_eq!(check.suspect(), Suspect::VelocityFactor);
         alarms(&mut check, 80, 40, GOOD);
         assert_eq!(check.alarm(), Alarm::Stop, "the place is not known any more");
+    }
+
+    #[test]
+    fn wheels_that_are_described_to_slip_may_be_off_by_as_much() {
+        for (speed_mps, is_suspected) in [(0.81, false), (0.45, true)] {
+            let mut check = SelfCheckState::default();
+            let slips = Evidence { speed_mps, slip_m: 0.1, ..GOOD };
+            alarms(&mut check, 1, 40, slips);
+            assert_eq!(check.suspect() == Suspect::VelocityFactor, is_suspected, "{speed_mps}");
+        }
     }
 
     #[test]
