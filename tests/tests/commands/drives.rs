@@ -115,23 +115,3 @@ fn drives_are_equal_to_themselves_and_part_from_those_of_another_seed() {
         assert!(code == Some(2) && text.contains(reason), "{arguments:?}: {text}");
     }
 }
-
-/// Wheels that slip by 10 cm in a metre, and a gyro that turns by 50 mrad in a second: by them alone it is lost after a few
-/// metres, and the self-check stopped it.
-#[test]
-fn a_robot_whose_wheels_are_described_to_slip_reaches_its_goal_and_its_recording_is_replayed() {
-    let system = TestSystem::new(EXECUTABLE);
-    let mut arguments = vec!["corridor".to_owned(), "--record=slips.mcap".to_owned()];
-    for of in ["robot", "vehicle"] {
-        for (key, value) in [("encoder_slip_m", 0.1), ("gyro_noise_rad", 0.05)] {
-            arguments.extend(["--set".to_owned(), format!("{of}.{key}={value}")]);
-        }
-    }
-    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
-    let report = system.lockstep(&arguments);
-    let truth = report.drive.truth.unwrap();
-    assert_eq!(report.outcome, Outcome::Reached, "{}", report.reason);
-    assert!(!truth.collided && truth.min_clearance_m > 0.05, "{truth:?}");
-    let output = system.run(&["replay", "slips.mcap"]);
-    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
-}

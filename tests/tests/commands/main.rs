@@ -23,4 +23,4 @@ mod schema;
 mod system_file;
 mod urg;
 mod without_truth;
-mod wrong_scanner;
+mod wrong_sensors;
