@@ -178,7 +178,10 @@ impl Tracks {
                     continue;
                 }
                 track.rested_s += if rests { elapsed.min(COUNTED_S) } else { f64::EPSILON };
-                silent().for_each(|side| evidence.doubt(side, track.rested_s >= RELIED_S));
+                // A scanner that loses many returns leaves sides silent while the robot drives.
+                if rests {
+                    silent().for_each(|side| evidence.doubt(side, track.rested_s >= RELIED_S));
+                }
             }
             let has_gone = track.rested_s >= GONE_S && evidence.lacks_only_bodies();
             if is_free && track.free >= self.config.free_scans || !is_free && has_gone {
