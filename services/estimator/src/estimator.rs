@@ -35,7 +35,7 @@ use crate::dead_reckoning::{DeadReckoning, OdometryStep};
 use crate::ekf::{Ekf, Innovation, NotPositive};
 use crate::gyro::{GyroSample, Interval, MAX_BIAS_RADPS};
 use crate::increments::{self, Increments};
-use crate::laser::key::{KeyScan, is_poor};
+use crate::laser::key::is_poor;
 use crate::laser::known::given;
 use crate::laser::pieces::SweepMotion;
 use crate::laser::surface::SurfaceMap;
@@ -537,11 +537,12 @@ impl Estimator {
     /// there: dead reckoning begins anew. What is less than that is where all of it may be.
     fn begin_known(&mut self, last: &Increments) {
         let Increments { pose: [yaw, ..], .. } = self.state.increments;
-        if self.state.increments.is_clean() {
+        // The scans of a poor odometer have shown a better pose than its reports.
+        if self.state.increments.is_clean() || is_poor(&self.settings.dead_reckoning) {
             self.state.reckoning.misplace(&self.state.increments.first(yaw));
         } else {
             self.start(&last.covariance(yaw));
-            (self.state.laser.map, self.state.laser.key) = (SurfaceMap::default(), KeyScan::default());
+            self.state.laser.map = SurfaceMap::default();
         }
     }
 
