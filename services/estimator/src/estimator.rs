@@ -470,7 +470,7 @@ impl Estimator {
             noise += Vector3::new(yaw_rad * yaw_rad, ahead_m * ahead_m, 0.0);
         }
         let odometer = &self.settings.dead_reckoning;
-        if is_poor(odometer) {
+        if self.settings.is_increments && is_poor(odometer) {
             // The innovation compares with what it reports.
             let way_m = (after.x - before.x).hypot(after.y - before.y);
             noise += Vector3::new(odometer.yaw_rad.powi(2) * dt, odometer.slip_m.powi(2) * way_m, 0.0);
@@ -538,7 +538,7 @@ impl Estimator {
     fn begin_known(&mut self, last: &Increments) {
         let Increments { pose: [yaw, ..], .. } = self.state.increments;
         // The scans of a poor odometer have shown a better pose than its reports.
-        if self.state.increments.is_clean() || is_poor(&self.settings.dead_reckoning) {
+        if self.state.increments.is_clean() || self.matcher.has_keys() {
             self.state.reckoning.misplace(&self.state.increments.first(yaw));
         } else {
             self.start(&last.covariance(yaw));

@@ -239,6 +239,11 @@ impl Matcher {
         }
     }
 
+    /// Whether scans are laid onto those before, as those of a poor odometer are.
+    pub fn has_keys(&self) -> bool {
+        self.keys.is_some()
+    }
+
     /// Whether surfaces that were seen are remembered: a robot with a poor odometer takes one for another.
     fn remembers(&self) -> bool {
         self.laser == LaserMode::Match && self.keys.is_none()

@@ -2,8 +2,8 @@
 //!
 //! Of both the lines through each return and its neighbours are found, and where the one has such a place it is laid onto the
 //! nearest line of the other, by Gauss-Newton in yaw and both ways, weighed against what is expected: corners look as round in
-//! both. Wheel encoders do not count what locked wheels slide, and count what
-//! spinning wheels do not drive; the surroundings show both, whatever their shape.
+//! both. Wheel encoders do not count what locked wheels slide, and count what spinning wheels do not drive; the surroundings
+//! show both, whatever their shape.
 //!
 //! Assumptions: most of what is seen stands still, and the guess is less than 0.4 m away.
 
